@@ -1,0 +1,52 @@
+"""Bench time: seconds since the bench was opened. Whoever needs "now" is handed a clock or a number."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Bench time in seconds; ``speed`` is bench seconds a wall second (inf: no wall clock)."""
+
+    @property
+    def speed(self) -> float: ...
+
+    def now_s(self) -> float: ...
+
+
+@dataclass(slots=True)
+class SimulatedClock:
+    """Time that stands until it is told to go on."""
+
+    t_s: float = 0.0
+    speed: float = field(default=float("inf"), init=False)
+
+    def now_s(self) -> float:
+        return self.t_s
+
+
+@dataclass(frozen=True, slots=True)
+class WallClock:
+    """The monotonic clock of this host, scaled. Processes that share ``epoch_ns`` share bench time."""
+
+    epoch_ns: int = field(default_factory=time.monotonic_ns)
+    speed: float = 1.0
+
+    def now_s(self) -> float:
+        return (time.monotonic_ns() - self.epoch_ns) * 1e-9 * self.speed
+
+    def wall_ns(self, t_s: float) -> int:
+        """Return the monotonic time, ns, at which bench time will be ``t_s``."""
+        return self.epoch_ns + round(t_s / self.speed * 1e9)
+
+    def wall_s(self, duration_s: float) -> float:
+        """Return how long ``duration_s`` of bench time lasts on the wall."""
+        return duration_s / self.speed
+
+    def sleep_until(self, t_s: float) -> None:
+        """Sleep until bench time ``t_s``; return at once when that is past."""
+        left_ns = self.wall_ns(t_s) - time.monotonic_ns()
+        if left_ns > 0:
+            time.sleep(left_ns * 1e-9)

@@ -1,0 +1,1 @@
+"""Scenario and rig files: their models, and the one place where they are read and checked."""

@@ -1,0 +1,24 @@
+"""Common ground of the configuration models.
+
+A key's name ends in its unit (``_m``, ``_mps``, ``_deg`` ...), numbers are finite, unknown keys are
+errors. Angles are degrees here, at the edge; whoever builds kernels' parameters turns them to radians.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Triple = tuple[float, float, float]
+PositiveTriple = tuple[Positive, Positive, Positive]
+NotNegativeTriple = tuple[NotNegative, NotNegative, NotNegative]
+Matrix3 = tuple[Triple, Triple, Triple]
+
+
+class Strict(BaseModel):
+    """Base of every table of a file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)

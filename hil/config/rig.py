@@ -1,0 +1,182 @@
+"""Rig files: which devices the bench has, on which wires, with which limits and geometry."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
+
+DEGREES_OF_FREEDOM = 3
+
+
+class BenchGeometry(Strict):
+    """Where things are mounted (frames: docs/frames.md)."""
+
+    lever_arm_m: Triple  # in c: turntable's rotation centre to the chaser's reference point
+    gimbal_order: Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"] = "zyx"  # outer to inner
+    camera_station_m: Triple = (0.6, 0.0, 0.0)  # in c: chaser's reference point to the left camera
+    camera_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))  # rows: v axes in c
+    ring_station_m: Triple = (0.0, 0.0, 0.0)  # in H: target's reference point to the ring centre
+    ring_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))  # rows: t axes in H
+
+    @model_validator(mode="after")
+    def _axes_are_right_handed(self) -> Self:
+        for name, m in (("camera_axes", self.camera_axes), ("ring_axes", self.ring_axes)):
+            gram = [[sum(a * b for a, b in zip(p, q, strict=True)) for q in m] for p in m]
+            identity = all(abs(gram[i][j] - (i == j)) < 1e-9 for i in range(3) for j in range(3))
+            cross = (
+                m[0][1] * m[1][2] - m[0][2] * m[1][1],
+                m[0][2] * m[1][0] - m[0][0] * m[1][2],
+                m[0][0] * m[1][1] - m[0][1] * m[1][0],
+            )
+            if not identity or sum(a * b for a, b in zip(cross, m[2], strict=True)) < 0.0:
+                raise ValueError(f"{name} must be three right-handed unit axes at right angles")
+        return self
+
+
+class Servo(Strict):
+    """How an axis follows its setpoint: mock and emulator move by this."""
+
+    gain_per_s: Positive
+    lag_s: Positive
+
+
+class RailAxis(Strict):
+    """One rail."""
+
+    travel_m: tuple[float, float]
+    rate_max_mps: Positive
+    acceleration_max_mps2: Positive
+    park_m: float = 0.0
+
+    @model_validator(mode="after")
+    def _park_is_on_the_rail(self) -> Self:
+        _check_travel("travel_m", self.travel_m, "park_m", self.park_m)
+        return self
+
+
+class GimbalAxis(Strict):
+    """One axis of the turntable."""
+
+    travel_deg: tuple[float, float]
+    rate_max_degps: Positive
+    acceleration_max_degps2: Positive
+    park_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _park_is_in_range(self) -> Self:
+        _check_travel("travel_deg", self.travel_deg, "park_deg", self.park_deg)
+        return self
+
+
+def _check_travel(travel_key: str, travel: tuple[float, float], park_key: str, park: float) -> None:
+    if not travel[0] < travel[1]:
+        raise ValueError(f"{travel_key} must rise from low to high")
+    if not travel[0] <= park <= travel[1]:
+        raise ValueError(f"{park_key} must lie within {travel_key}")
+
+
+class ModbusAxis(Strict):
+    """Where one rail's drive listens."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    device_id: Annotated[int, Field(ge=1, le=247)] = 1
+
+
+class Modbus(Strict):
+    """Three drives on Modbus TCP."""
+
+    x: ModbusAxis = ModbusAxis()
+    y: ModbusAxis = ModbusAxis()
+    z: ModbusAxis = ModbusAxis()
+
+
+class Cia402(Strict):
+    """Three CiA 402 drives on one CAN bus, roll, pitch, yaw."""
+
+    interface: str = "serial"  # a python-can interface
+    channel: str | None = None
+    bitrate: Annotated[int, Field(gt=0)] = 1_000_000
+    node_ids: tuple[int, int, int] = (1, 2, 3)
+    counts_per_turn: Annotated[int, Field(gt=0)] = 10_000_000
+
+
+class SerialLine(Strict):
+    """A serial port."""
+
+    port: str | None = None
+    baud: Annotated[int, Field(gt=0)] = 460_800
+
+
+class Rails(Strict):
+    driver: Literal["mock", "modbus"]
+    timeout_s: Positive = 0.2
+    following_error_max_m: Positive = 0.05
+    servo: Servo
+    x: RailAxis
+    y: RailAxis
+    z: RailAxis
+    modbus: Modbus | None = None
+
+
+class Turntable(Strict):
+    driver: Literal["mock", "cia402", "ascii"]
+    timeout_s: Positive = 0.2
+    following_error_max_deg: Positive = 2.0
+    servo: Servo
+    roll: GimbalAxis
+    pitch: GimbalAxis
+    yaw: GimbalAxis
+    cia402: Cia402 | None = None
+    ascii: SerialLine | None = None
+
+
+class Vmu(Strict):
+    driver: Literal["mock", "rs422"]
+    timeout_s: Positive = 0.4
+    rate_hz: Positive = 6.25
+    processing_s: NotNegative = 0.0  # emulator: exposure to first byte
+    rs422: SerialLine | None = None
+
+
+class Rig(Strict):
+    """One bench."""
+
+    name: str
+    kind: Literal["mock", "emulated", "hardware"]
+    bench: BenchGeometry
+    rails: Rails
+    turntable: Turntable
+    vmu: Vmu
+
+    @model_validator(mode="after")
+    def _wires_are_named(self) -> Self:
+        problems = list(_missing_wires(self))
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+
+def _missing_wires(rig: Rig) -> list[str]:
+    """Return a text for every wire that the chosen drivers need and the file does not name."""
+    needed: list[tuple[str, object]] = []
+    if rig.rails.driver == "modbus":
+        wires = rig.rails.modbus
+        needed += [(f"rails.modbus.{axis}.port", wires and getattr(wires, axis).port) for axis in ("x", "y", "z")]
+    if rig.turntable.driver == "cia402":
+        needed.append(("turntable.cia402.channel", rig.turntable.cia402 and rig.turntable.cia402.channel))
+    if rig.turntable.driver == "ascii":
+        needed.append(("turntable.ascii.port", rig.turntable.ascii and rig.turntable.ascii.port))
+    if rig.vmu.driver == "rs422":
+        needed.append(("vmu.rs422.port", rig.vmu.rs422 and rig.vmu.rs422.port))
+    drivers = (rig.rails.driver, rig.turntable.driver, rig.vmu.driver)
+    if rig.kind == "mock" and any(driver != "mock" for driver in drivers):
+        return ['a rig of kind "mock" has only drivers "mock"']
+    if rig.kind != "mock" and any(driver == "mock" for driver in drivers):
+        return [f'a rig of kind "{rig.kind}" has no driver "mock"']
+    if rig.kind != "hardware":
+        return []
+    return [f"{key} is missing: the wire to the device" for key, value in needed if value is None]

@@ -1,0 +1,82 @@
+"""What the cycle knows of a device. Every backend keeps these promises; ``tests/contract`` holds them to it.
+
+Life of a device: ``open`` (connect, identify, make ready; may block), then any number of ``send`` /
+``read`` / ``poll`` (never block: they hand over to and take from the newest-sample box of the
+device's own thread), ``stop`` (bounded, may be called in any state and more than once, never
+raises), ``close`` (the same). Time is bench time in seconds and is always handed in.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from hil.errors import SafetyTrip
+from hil.messages import Array, AxisFeedback, PoseFrame
+
+RAIL_NAMES = ("x", "y", "z")
+GIMBAL_NAMES = ("roll", "pitch", "yaw")
+
+
+@runtime_checkable
+class AxisGroup(Protocol):
+    """Three position-controlled axes of one device: rails (m, m/s) or turntable (rad, rad/s)."""
+
+    name: str
+    axis_names: tuple[str, str, str]
+
+    def open(self, now_s: float) -> None:
+        """Connect, enable the drives, and hold the present position. Raises DeviceError."""
+
+    def send(self, position: Array, rate: Array, now_s: float) -> Array:
+        """Give the drives their next position and its rate; return the position that was accepted.
+
+        What lies outside an axis' travel is cut to it. Raises SafetyTrip for a number that is not
+        finite, DeviceError once the link has failed.
+        """
+
+    def read(self, now_s: float) -> AxisFeedback:
+        """Return the newest feedback. Raises LinkTimeout when it is too old, DeviceError on failure."""
+
+    def stop(self, now_s: float) -> None:
+        """Bring all axes to a stand and keep them there: quick stop. Idempotent, never raises."""
+
+    def close(self) -> None:
+        """Let go of the wire. Idempotent, never raises."""
+
+
+@runtime_checkable
+class PoseSource(Protocol):
+    """The vision measurement unit."""
+
+    name: str
+
+    def open(self, now_s: float) -> None:
+        """Connect. Raises DeviceError."""
+
+    def poll(self, now_s: float) -> list[PoseFrame]:
+        """Return the frames that came since the last call, oldest first.
+
+        Raises LinkTimeout when the unit has been silent for longer than its time-out, DeviceError
+        on failure.
+        """
+
+    def counters(self) -> dict[str, int]:
+        """Return what was counted since ``open``: frames, crc_errors, skipped_bytes, lost, duplicates."""
+
+    def close(self) -> None:
+        """Let go of the wire. Idempotent, never raises."""
+
+
+def full_names(device: str, short: tuple[str, str, str]) -> tuple[str, str, str]:
+    """Return the axis names as errors show them: ``rails.x``."""
+    return (f"{device}.{short[0]}", f"{device}.{short[1]}", f"{device}.{short[2]}")
+
+
+def accepted_setpoint(axis_names: tuple[str, str, str], position: Array, low: Array, high: Array) -> Array:
+    """Return ``position`` (3,) cut to the travel; raise SafetyTrip where it is not finite."""
+    for name, value in zip(axis_names, position, strict=True):
+        if not np.isfinite(value):
+            raise SafetyTrip(name, "setpoint", str(value), "a finite number")
+    return np.clip(position, low, high)

@@ -1,0 +1,58 @@
+"""Where the emulated axes are, for emulated cameras to look at: the light path of the emulated bench.
+
+A block of anonymous shared memory that dies with its last user. Each device writes its own slot;
+a sequence number, odd while a write is under way, lets a reader see that it read a whole slot.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from typing import Final
+
+import numpy as np
+
+from hil.messages import Array
+
+SLOTS: Final = {"rails": 0, "turntable": 1}
+_WORDS: Final = 8  # sequence, t_s, 3 positions, 3 rates
+_SIZE: Final = len(SLOTS) * _WORDS * 8
+
+
+class AxisBoard:
+    """Positions (3,) and rates (3,) of rails (m) and turntable (rad) at a moment, s of bench time."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self._map = mmap.mmap(descriptor, _SIZE)
+        self._words = np.frombuffer(self._map, dtype=np.float64).reshape(len(SLOTS), _WORDS)
+        self._sequence = np.frombuffer(self._map, dtype=np.int64).reshape(len(SLOTS), _WORDS)[:, 0]
+
+    @classmethod
+    def create(cls) -> AxisBoard:
+        """Make a new board; hand ``descriptor`` to other processes (``pass_fds``)."""
+        descriptor = os.memfd_create("hil-axis-board")
+        os.ftruncate(descriptor, _SIZE)
+        return cls(descriptor)
+
+    def write(self, device: str, t_s: float, position: Array, rate: Array) -> None:
+        slot = SLOTS[device]
+        self._sequence[slot] += 1
+        self._words[slot, 1] = t_s
+        self._words[slot, 2:5] = position
+        self._words[slot, 5:8] = rate
+        self._sequence[slot] += 1
+
+    def read(self, device: str, t_s: float) -> tuple[Array, Array]:
+        """Return position and rate of ``device`` carried on to ``t_s`` by its rate."""
+        slot = SLOTS[device]
+        while True:
+            before = self._sequence[slot]
+            words = self._words[slot].copy()
+            if before % 2 == 0 and before == self._sequence[slot]:
+                return words[2:5] + (t_s - words[1]) * words[5:8], words[5:8]
+
+    def close(self) -> None:
+        del self._words, self._sequence
+        self._map.close()
+        os.close(self.descriptor)

@@ -1,0 +1,58 @@
+"""The newest-sample box between a device's own thread and the loop: nobody waits for a wire."""
+
+from __future__ import annotations
+
+import threading
+from typing import Generic, TypeVar
+
+from hil.errors import DeviceError, LinkTimeout
+
+Sample = TypeVar("Sample")
+
+
+class Latest(Generic[Sample]):
+    """Holds the newest sample with its time, or the error that ended the link.
+
+    One thread puts, another gets. An error stays: a link that failed once does not heal by itself.
+    """
+
+    def __init__(self, device: str) -> None:
+        self.device = device
+        self._lock = threading.Lock()
+        self._sample: Sample | None = None
+        self._t_s = 0.0
+        self._error: DeviceError | None = None
+
+    def put(self, sample: Sample, t_s: float) -> None:
+        with self._lock:
+            self._sample = sample
+            self._t_s = t_s
+
+    def fail(self, error: DeviceError) -> None:
+        """Leave ``error`` for the loop; the first one counts."""
+        with self._lock:
+            if self._error is None:
+                self._error = error
+
+    def check(self) -> None:
+        """Raise the error that was left here, if any."""
+        with self._lock:
+            if self._error is not None:
+                raise self._error
+
+    def get(self, now_s: float, max_age_s: float) -> Sample:
+        """Return the newest sample; raise LinkTimeout when it is older than ``max_age_s``."""
+        with self._lock:
+            if self._error is not None:
+                raise self._error
+            if self._sample is None:
+                raise LinkTimeout(self.device, "has not answered yet")
+            age = now_s - self._t_s
+            if age > max_age_s:
+                raise LinkTimeout(self.device, f"no answer for {age:.3f} s, allowed {max_age_s:g} s")
+            return self._sample
+
+    def peek(self) -> Sample | None:
+        """Return the newest sample of whatever age, or None."""
+        with self._lock:
+            return self._sample

@@ -1,0 +1,100 @@
+"""Emulated serial wires: pseudo terminals that take as long as the real line.
+
+A pty has no line rate; here every byte takes its ten bit times of bench time, so latency and
+half-duplex turn-around come out as on the bench. The other end opens ``path`` like any port.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import termios
+import threading
+import tty
+
+from hil.clock import WallClock
+
+_BITS_A_BYTE = 10
+_CHUNK = 4096
+
+
+def _open_raw_pty() -> tuple[int, int, str]:
+    master, slave = os.openpty()
+    tty.setraw(slave, termios.TCSANOW)
+    return master, slave, os.ttyname(slave)
+
+
+class PtyLine:
+    """The device's end of a serial line. ``path`` is the port for the other end."""
+
+    def __init__(self, baud: int, clock: WallClock) -> None:
+        self._clock = clock
+        self._byte_s = _BITS_A_BYTE / baud
+        self._master, self._slave, self.path = _open_raw_pty()
+        self._sent_until_s = 0.0
+        self._write_lock = threading.Lock()
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what came within ``timeout_s`` of bench time, b"" if nothing, after its line time."""
+        ready, _, _ = select.select([self._master], [], [], self._clock.wall_s(timeout_s))
+        if not ready:
+            return b""
+        arrived_s = self._clock.now_s()
+        data = os.read(self._master, _CHUNK)
+        self._clock.sleep_until(arrived_s + len(data) * self._byte_s)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send ``data``: the call returns, and the bytes appear, when the last of them is through."""
+        with self._write_lock:
+            start_s = max(self._clock.now_s(), self._sent_until_s)
+            self._sent_until_s = start_s + len(data) * self._byte_s
+            self._clock.sleep_until(self._sent_until_s)
+            _write_all(self._master, data)
+
+    def close(self) -> None:
+        os.close(self._slave)
+        os.close(self._master)
+
+
+class PtyBridge:
+    """Two ptys joined byte by byte, both ways, at ``bytes_per_s`` of bench time: a bus of two stations.
+
+    ``path`` is the port for the controller, ``device_path`` the one for the emulated device.
+    """
+
+    def __init__(self, bytes_per_s: float, clock: WallClock) -> None:
+        self._clock = clock
+        self._byte_s = 1.0 / bytes_per_s
+        self._near, self._near_slave, self.path = _open_raw_pty()
+        self._far, self._far_slave, self.device_path = _open_raw_pty()
+        self._stop = threading.Event()
+        self._threads = [
+            threading.Thread(target=self._carry, args=ends, daemon=True, name="pty-bridge")
+            for ends in ((self._near, self._far), (self._far, self._near))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def _carry(self, source: int, sink: int) -> None:
+        free_at_s = 0.0
+        while not self._stop.is_set():
+            ready, _, _ = select.select([source], [], [], 0.1)
+            if not ready:
+                continue
+            data = os.read(source, _CHUNK)
+            free_at_s = max(self._clock.now_s(), free_at_s) + len(data) * self._byte_s
+            self._clock.sleep_until(free_at_s)
+            _write_all(sink, data)
+
+    def close(self) -> None:
+        self._stop.set()
+        for thread in self._threads:
+            thread.join()
+        for descriptor in (self._near, self._near_slave, self._far, self._far_slave):
+            os.close(descriptor)
+
+
+def _write_all(descriptor: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(descriptor, data) :]

@@ -1,0 +1,86 @@
+"""All errors of the product, one tree.
+
+HilError
+├── BadInput            what the user gave cannot be used: exit code 2, one line a problem
+└── BenchError          something on the bench: the run ends as a safe stop, exit code 3
+    ├── DeviceError     names the device
+    │   ├── LinkLost        the wire is gone (closed port, reset connection)
+    │   ├── LinkTimeout     the wire is there, nothing comes (or nothing new)
+    │   ├── ProtocolError   bytes that do not mean what they should
+    │   └── DriveFault      the device itself reports a fault
+    └── SafetyTrip      a limit of the controller's own was passed (device, value, limit)
+
+Anything else that reaches the command line is a defect of this program: exit code 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+class HilError(Exception):
+    """Root of the tree."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One fault of one input: where it stands, what stands there, what may stand there."""
+
+    source: str
+    key: str
+    message: str
+
+    def __str__(self) -> str:
+        where = f"{self.source}: {self.key}" if self.key else self.source
+        return f"{where}: {self.message}"
+
+
+class BadInput(HilError):
+    """The user's input cannot be used; ``problems`` holds every fault that was found."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+    @classmethod
+    def single(cls, source: str, key: str, message: str) -> BadInput:
+        return cls([Problem(source, key, message)])
+
+
+class BenchError(HilError):
+    """The bench cannot go on; whoever holds it stops it."""
+
+
+class DeviceError(BenchError):
+    """A device failed. The text always starts with the device's name."""
+
+    def __init__(self, device: str, what: str) -> None:
+        self.device = device
+        self.what = what
+        super().__init__(f"{device}: {what}")
+
+
+class LinkLost(DeviceError):
+    """The wire to the device is gone."""
+
+
+class LinkTimeout(DeviceError):
+    """The device has been silent for too long."""
+
+
+class ProtocolError(DeviceError):
+    """The device sent bytes that break its protocol."""
+
+
+class DriveFault(DeviceError):
+    """The device reports a fault of its own."""
+
+
+class SafetyTrip(BenchError):
+    """A supervised quantity left its limit."""
+
+    def __init__(self, device: str, quantity: str, value: str, limit: str) -> None:
+        self.device = device
+        self.quantity = quantity
+        super().__init__(f"{device}: {quantity} {value}, allowed {limit}")

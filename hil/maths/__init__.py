@@ -1,0 +1,1 @@
+"""Functions of numbers: floats and arrays in, floats and arrays out."""

@@ -1,0 +1,165 @@
+"""Quaternions, scalar last, as attitude transformations.
+
+``q_CH = [q1 q2 q3 q4]`` takes the components of a vector from H to c: ``A(q_CH) @ v_H = v_c``.
+In this convention ``A(p) @ A(q) = A(multiply(p, q))``: letters that touch cancel, as for matrices
+(``q_CT = multiply(q_CH, q_HT)``). scipy's matrix of the same four numbers is the transpose of A.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths.jit import kernel
+
+
+@kernel
+def multiply(p, q):
+    """Return the quaternion of ``A(p) @ A(q)``, shape (4,)."""
+    out = np.empty(4)
+    out[0] = p[3] * q[0] + p[2] * q[1] - p[1] * q[2] + p[0] * q[3]
+    out[1] = -p[2] * q[0] + p[3] * q[1] + p[0] * q[2] + p[1] * q[3]
+    out[2] = p[1] * q[0] - p[0] * q[1] + p[3] * q[2] + p[2] * q[3]
+    out[3] = -p[0] * q[0] - p[1] * q[1] - p[2] * q[2] + p[3] * q[3]
+    return out
+
+
+@kernel
+def conjugate(q):
+    """Return the quaternion of the opposite transformation, shape (4,)."""
+    out = np.empty(4)
+    out[0] = -q[0]
+    out[1] = -q[1]
+    out[2] = -q[2]
+    out[3] = q[3]
+    return out
+
+
+@kernel
+def normalise(q):
+    """Scale ``q`` to unit length in place."""
+    scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    for i in range(4):
+        q[i] *= scale
+
+
+@kernel
+def to_matrix(q):
+    """Return A(q), shape (3, 3), for a unit quaternion."""
+    q1, q2, q3, q4 = q[0], q[1], q[2], q[3]
+    a = np.empty((3, 3))
+    a[0, 0] = q1 * q1 - q2 * q2 - q3 * q3 + q4 * q4
+    a[0, 1] = 2.0 * (q1 * q2 + q3 * q4)
+    a[0, 2] = 2.0 * (q1 * q3 - q2 * q4)
+    a[1, 0] = 2.0 * (q1 * q2 - q3 * q4)
+    a[1, 1] = -q1 * q1 + q2 * q2 - q3 * q3 + q4 * q4
+    a[1, 2] = 2.0 * (q2 * q3 + q1 * q4)
+    a[2, 0] = 2.0 * (q1 * q3 + q2 * q4)
+    a[2, 1] = 2.0 * (q2 * q3 - q1 * q4)
+    a[2, 2] = -q1 * q1 - q2 * q2 + q3 * q3 + q4 * q4
+    return a
+
+
+@kernel
+def from_matrix(a):
+    """Return the unit quaternion q with A(q) = ``a`` and q4 >= 0, shape (4,).
+
+    The largest of the four components is found first (Shepperd's method), so no angle is bad.
+    """
+    trace = a[0, 0] + a[1, 1] + a[2, 2]
+    q = np.empty(4)
+    best = 3
+    value = trace
+    for i in range(3):
+        if a[i, i] > value:
+            best = i
+            value = a[i, i]
+    if best == 3:
+        s = 2.0 * math.sqrt(max(1.0 + trace, 0.0))
+        q[3] = 0.25 * s
+        q[0] = (a[1, 2] - a[2, 1]) / s
+        q[1] = (a[2, 0] - a[0, 2]) / s
+        q[2] = (a[0, 1] - a[1, 0]) / s
+    else:
+        i = best
+        j = (i + 1) % 3
+        k = (i + 2) % 3
+        s = 2.0 * math.sqrt(max(1.0 + a[i, i] - a[j, j] - a[k, k], 0.0))
+        q[i] = 0.25 * s
+        q[j] = (a[i, j] + a[j, i]) / s
+        q[k] = (a[i, k] + a[k, i]) / s
+        q[3] = (a[j, k] - a[k, j]) / s
+    normalise(q)
+    if q[3] < 0.0:
+        for i in range(4):
+            q[i] = -q[i]
+    return q
+
+
+@kernel
+def from_rotation_vector(phi):
+    """Return the quaternion of a frame turned by ``phi`` (3,), rad: A = exp(-[phi]x)."""
+    angle = math.sqrt(phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
+    half = 0.5 * angle
+    if angle < 1e-6:
+        scale = 0.5 - angle * angle / 48.0
+    else:
+        scale = math.sin(half) / angle
+    q = np.empty(4)
+    q[0] = scale * phi[0]
+    q[1] = scale * phi[1]
+    q[2] = scale * phi[2]
+    q[3] = math.cos(half)
+    return q
+
+
+@kernel
+def to_rotation_vector(q):
+    """Return the shortest turn phi (3,), rad, with A(q) = exp(-[phi]x)."""
+    sign = 1.0 if q[3] >= 0.0 else -1.0
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+    if norm < 1e-9:
+        scale = 2.0 * sign
+    else:
+        scale = 2.0 * sign * math.atan2(norm, abs(q[3])) / norm
+    phi = np.empty(3)
+    phi[0] = scale * q[0]
+    phi[1] = scale * q[1]
+    phi[2] = scale * q[2]
+    return phi
+
+
+@kernel
+def transform(q, v):
+    """Return A(q) @ v, shape (3,)."""
+    tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
+    ty = 2.0 * (q[2] * v[0] - q[0] * v[2])
+    tz = 2.0 * (q[0] * v[1] - q[1] * v[0])
+    out = np.empty(3)
+    out[0] = v[0] - q[3] * tx + q[1] * tz - q[2] * ty
+    out[1] = v[1] - q[3] * ty + q[2] * tx - q[0] * tz
+    out[2] = v[2] - q[3] * tz + q[0] * ty - q[1] * tx
+    return out
+
+
+@kernel
+def transform_back(q, v):
+    """Return A(q).T @ v, shape (3,)."""
+    tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
+    ty = 2.0 * (q[2] * v[0] - q[0] * v[2])
+    tz = 2.0 * (q[0] * v[1] - q[1] * v[0])
+    out = np.empty(3)
+    out[0] = v[0] + q[3] * tx + q[1] * tz - q[2] * ty
+    out[1] = v[1] + q[3] * ty + q[2] * tx - q[0] * tz
+    out[2] = v[2] + q[3] * tz + q[0] * ty - q[1] * tx
+    return out
+
+
+@kernel
+def rate_of_change(q, w, out):
+    """Write dq/dt (4,) for the body rate ``w`` (3,), rad/s, in body axes (bench paper eq. (3))."""
+    out[0] = 0.5 * (w[2] * q[1] - w[1] * q[2] + w[0] * q[3])
+    out[1] = 0.5 * (-w[2] * q[0] + w[0] * q[2] + w[1] * q[3])
+    out[2] = 0.5 * (w[1] * q[0] - w[0] * q[1] + w[2] * q[3])
+    out[3] = 0.5 * (-w[0] * q[0] - w[1] * q[1] - w[2] * q[2])

@@ -1,0 +1,176 @@
+"""What passes between the stages of a cycle, one definition each.
+
+Every message is a flat numpy record, so that the compiled kernels, the recording and a console
+read the very same bytes. Units and frames stand beside each field (frames: ``docs/frames.md``);
+``_H``, ``_c``, ``_v``, ``_t`` name the frame of a vector. Axis triples are x, y, z; angles by axis
+are theta1 (roll), theta2 (pitch), theta3 (yaw). Length of thruster arrays: MAX_THRUSTERS, unused
+places stay zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+MAX_THRUSTERS = 24
+
+TRUTH = np.dtype(
+    [
+        ("t_s", "f8"),
+        ("r_CT_H", "f8", 3),  # m, chaser relative to target
+        ("v_CT_H", "f8", 3),  # m/s, as seen in H
+        ("q_CH", "f8", 4),  # H to c, scalar last
+        ("w_CI_C", "f8", 3),  # rad/s, chaser against inertial space
+        ("mass_kg", "f8"),
+        ("on_left_s", "f8", MAX_THRUSTERS),  # time that an open valve must stay open
+        ("mean_rate_C", "f8", 3),  # rad/s, mean of w_CI_C over the last step: what a gyro integrates
+        ("mean_force_C", "f8", 3),  # m/s^2, specific force over the last step
+        ("thrust_fraction", "f8", MAX_THRUSTERS),  # open part of the last step, 0..1
+    ],
+    align=True,
+)
+
+IMU = np.dtype(
+    [
+        ("rate_C", "f8", 3),  # rad/s, U_g
+        ("force_C", "f8", 3),  # m/s^2, U_a
+        ("drift_C", "f8", 3),  # rad/s, true gyro drift (epsilon)
+        ("bias_C", "f8", 3),  # m/s^2, true accelerometer bias (d)
+    ],
+    align=True,
+)
+
+POSE = np.dtype(
+    [
+        ("z_TC_C", "f8", 3),  # m, target's reference point seen from the chaser's
+        ("covariance_position", "f8", (3, 3)),  # m^2, in c
+        ("q_CH", "f8", 4),
+        ("covariance_attitude", "f8", (3, 3)),  # rad^2, of the small turn of c, in c
+        ("t_s", "f8"),  # moment of exposure
+        ("fresh", "i8"),  # 1 in the cycle in which it arrived
+    ],
+    align=True,
+)
+
+NAVIGATION = np.dtype(
+    [
+        ("valid", "i8"),
+        ("r_CT_H", "f8", 3),
+        ("v_CT_H", "f8", 3),
+        ("q_CH", "f8", 4),
+        ("w_CH_C", "f8", 3),  # rad/s, chaser against H
+        ("sigma_r_m", "f8", 3),
+        ("sigma_v_mps", "f8", 3),
+        ("sigma_attitude_rad", "f8", 3),
+        ("nis_position", "f8"),  # normalised innovation squared, nan without an update
+        ("nis_attitude", "f8"),
+    ],
+    align=True,
+)
+
+REFERENCE = np.dtype(
+    [
+        ("r_CT_H", "f8", 3),
+        ("v_CT_H", "f8", 3),
+        ("a_CT_H", "f8", 3),
+        ("q_CH", "f8", 4),
+    ],
+    align=True,
+)
+
+COMMAND = np.dtype(
+    [
+        ("force", "i8", 3),  # -1, 0, 1: demand along each body axis, before allocation
+        ("torque", "i8", 3),
+        ("on", "i8", MAX_THRUSTERS),  # 0 or 1 a thruster
+    ],
+    align=True,
+)
+
+AXES = np.dtype(
+    [
+        ("rail_m", "f8", 3),  # carriage along x_L, y_L, z_L
+        ("rail_mps", "f8", 3),
+        ("gimbal_rad", "f8", 3),  # by axis: roll, pitch, yaw
+        ("gimbal_radps", "f8", 3),
+    ],
+    align=True,
+)
+
+CYCLE = np.dtype(
+    [
+        ("t_s", "f8"),
+        ("truth", TRUTH),
+        ("imu", IMU),
+        ("pose", POSE),
+        ("navigation", NAVIGATION),
+        ("reference", REFERENCE),
+        ("command", COMMAND),
+        ("setpoint", AXES),
+        ("feedback", AXES),
+        ("lateness_s", "f8"),
+        ("nees_position", "f8"),
+        ("nees_attitude", "f8"),
+    ],
+    align=True,
+)
+
+
+def new(dtype: np.dtype) -> np.record:
+    """Return one zeroed record of ``dtype`` that owns its memory."""
+    return np.zeros(1, dtype).view(np.recarray)[0]
+
+
+@dataclass(frozen=True, slots=True)
+class AxisFeedback:
+    """What three axes of one device report: the newest sample, and when it was taken.
+
+    position: shape (3,), m or rad; rate: shape (3,), m/s or rad/s; t_s: bench time of the sample.
+    """
+
+    t_s: float
+    position: Array
+    rate: Array
+
+
+@dataclass(frozen=True, slots=True)
+class PoseFrame:
+    """One pose of the vision unit, t to v: ``p_v = A(q_vt) p_t + t_v``.
+
+    counter: frame number of the unit, wraps at 2^32. t_s: bench time of exposure. received_s: bench
+    time of the frame's last byte. t_v: ring centre from the left camera, m, shape (3,). q_vt: shape
+    (4,), scalar last. covariance: shape (6, 6), m^2, m rad, rad^2, of t_v and of the small rotation e
+    about v's axes, ``R_est = exp([e]x) R_true``. leds_left, leds_right: bit n set = LED n was used.
+    """
+
+    counter: int
+    t_s: float
+    received_s: float
+    t_v: Array
+    q_vt: Array
+    covariance: Array
+    leds_left: int = 0
+    leds_right: int = 0
+
+
+@dataclass(slots=True)
+class Event:
+    """Something worth a line in the log."""
+
+    t_s: float
+    source: str
+    text: str
+
+
+@dataclass(slots=True)
+class EventLog:
+    """Events of a run in their order."""
+
+    events: list[Event] = field(default_factory=list)
+
+    def add(self, t_s: float, source: str, text: str) -> None:
+        self.events.append(Event(t_s, source, text))
