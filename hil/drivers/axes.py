@@ -1,0 +1,62 @@
+"""Three emulated axes: the servo model with its parameters, for mocks and emulators alike."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.config.rig import Rails, Turntable
+from hil.maths.servo import servo_step
+from hil.messages import Array
+
+
+class ServoAxes:
+    """Three axes that follow setpoints; inside SI units: m and m/s, or rad and rad/s.
+
+    position, rate, setpoint, feedforward, low, high: arrays of shape (3,), rails x y z or gimbals
+    roll pitch yaw. The axes start at their park position, at rest.
+    """
+
+    def __init__(self, config: Rails | Turntable) -> None:
+        if isinstance(config, Rails):
+            rails = (config.x, config.y, config.z)
+            rows = [(a.travel_m[0], a.travel_m[1], a.rate_max_mps, a.acceleration_max_mps2, a.park_m) for a in rails]
+            scale = 1.0
+        else:
+            gimbals = (config.roll, config.pitch, config.yaw)
+            rows = [
+                (a.travel_deg[0], a.travel_deg[1], a.rate_max_degps, a.acceleration_max_degps2, a.park_deg)
+                for a in gimbals
+            ]
+            scale = math.pi / 180.0
+        table = np.array(rows) * scale
+        self.low, self.high, self.rate_max, self.acceleration_max, self.position = (
+            np.ascontiguousarray(column) for column in table.T
+        )
+        self.rate: Array = np.zeros(3)
+        self.setpoint: Array = self.position.copy()
+        self.feedforward: Array = np.zeros(3)
+        self._kp = np.full(3, config.servo.gain_per_s)
+        self._tau = np.full(3, config.servo.lag_s)
+
+    def hold(self) -> None:
+        """Make the present position the setpoint."""
+        self.setpoint[:] = self.position
+        self.feedforward[:] = 0.0
+
+    def step(self, dt_s: float) -> None:
+        """Move on by ``dt_s``."""
+        servo_step(
+            self.position,
+            self.rate,
+            self.setpoint,
+            self.feedforward,
+            self._kp,
+            self._tau,
+            self.rate_max,
+            self.acceleration_max,
+            self.low,
+            self.high,
+            dt_s,
+        )
