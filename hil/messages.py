@@ -122,7 +122,8 @@ CYCLE = np.dtype(
 
 def new(dtype: np.dtype) -> np.record:
     """Return one zeroed record of ``dtype`` that owns its memory."""
-    return np.zeros(1, dtype).view(np.recarray)[0]
+    record: np.record = np.zeros(1, dtype).view(np.recarray)[0]
+    return record
 
 
 @dataclass(frozen=True, slots=True)

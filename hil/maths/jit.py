@@ -54,7 +54,7 @@ def _prepare_cache() -> Path:
 
 
 CACHE_FOLDER = _prepare_cache()
-numba.config.CACHE_DIR = str(CACHE_FOLDER)
+numba.config.CACHE_DIR = str(CACHE_FOLDER)  # type: ignore[attr-defined]
 
 
 def kernels_are_cached() -> bool:
