@@ -26,7 +26,7 @@ TRUTH = np.dtype(
         ("q_CH", "f8", 4),  # H to c, scalar last
         ("w_CI_C", "f8", 3),  # rad/s, chaser against inertial space
         ("mass_kg", "f8"),
-        ("on_left_s", "f8", MAX_THRUSTERS),  # time that an open valve must stay open
+        ("open_s", "f8", MAX_THRUSTERS),  # time for which each valve has been open, 0 closed
         ("mean_rate_C", "f8", 3),  # rad/s, mean of w_CI_C over the last step: what a gyro integrates
         ("mean_force_C", "f8", 3),  # m/s^2, specific force over the last step
         ("thrust_fraction", "f8", MAX_THRUSTERS),  # open part of the last step, 0..1

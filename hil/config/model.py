@@ -13,8 +13,6 @@ from pydantic import BaseModel, ConfigDict, Field
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Triple = tuple[float, float, float]
-PositiveTriple = tuple[Positive, Positive, Positive]
-NotNegativeTriple = tuple[NotNegative, NotNegative, NotNegative]
 Matrix3 = tuple[Triple, Triple, Triple]
 
 

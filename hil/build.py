@@ -1,0 +1,242 @@
+"""From scenario and rig to a bench that can run: the only place that knows which rig it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from serial.tools import list_ports
+
+from hil import parameters
+from hil.bench.kinematics import axes_of_pose
+from hil.clock import SimulatedClock, WallClock
+from hil.config.load import Loaded
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.scenario import Scenario
+from hil.cycle import Loop
+from hil.drivers.base import AxisGroup, PoseSource
+from hil.dynamics.imu import IMU_NOISE
+from hil.emulation import EmulatedDevices
+from hil.errors import BadInput, Problem
+from hil.eye import Eye
+from hil.maths import euler
+from hil.maths.streams import NormalRows, stream
+from hil.messages import AXES, CYCLE, PoseFrame, new
+from hil.rate import Rate, SimulatedRate, WallRate
+from hil.runner import Runner, Watch
+from hil.stages import Bench, Dss, Gnc, Vision
+
+_FRAMES_TO_ARM = 2
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be run, checked."""
+
+    scenario: Loaded[Scenario]
+    rig: Loaded[Rig]
+    seed: int
+    duration_s: float
+    speed: float
+
+    @property
+    def cycles(self) -> int:
+        """Cycles of the run, the one at t = 0 and the one at t = duration included."""
+        return round(self.duration_s / self.scenario.value.step_s) + 1
+
+
+def check(job: Job) -> None:
+    """Raise BadInput with every fault that shows only when scenario and rig meet."""
+    problems = [*_layout_problems(job.scenario), *_start_problems(job), *_port_problems(job.rig)]
+    if job.rig.value.kind == "mock" and job.speed != 1.0:
+        problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
+    if problems:
+        raise BadInput(problems)
+
+
+@contextmanager
+def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[Runner]:
+    """Give a Runner for ``job``; emulators that it needs are started before and ended after.
+
+    announce: told in a line what is being started. Raises DeviceError when an emulator does not come up.
+    """
+    scenario, rig = job.scenario.value, job.rig.value
+    if rig.kind == "mock":
+        clock = SimulatedClock()
+        rails, turntable, vision = _mocks(scenario, rig, job.seed)
+        yield _assemble(job, rig, SimulatedRate(clock, scenario.step_s), rails, turntable, vision, 0, watch)
+        return
+    wall = WallClock(speed=job.speed)
+    rate = WallRate(wall, scenario.step_s)
+    if rig.kind == "hardware":
+        yield _assemble(job, rig, rate, *_drivers(rig, wall), _FRAMES_TO_ARM, watch)
+        return
+    with EmulatedDevices(scenario, rig, wall, job.seed) as emulated:
+        wired, addresses = emulated.wait_ready()
+        for process in emulated.processes:
+            wires = ", ".join(f"{n} on {a}" for n, a in addresses.items() if n.split(".")[0] == process.name)
+            announce(f"emulator process {process.pid}: {wires}")
+        yield _assemble(job, wired, rate, *_drivers(wired, wall), _FRAMES_TO_ARM, watch)
+
+
+def _assemble(
+    job: Job,
+    rig: Rig,
+    rate: Rate,
+    rails: AxisGroup,
+    turntable: AxisGroup,
+    source: PoseSource,
+    frames_to_arm: int,
+    watch: Watch,
+) -> Runner:
+    scenario = job.scenario.value
+    sets, strength = parameters.allocation(scenario.chaser)
+    loop = Loop(
+        dss=Dss(parameters.dss(scenario), parameters.imu(scenario), NormalRows(stream(job.seed, "imu"), IMU_NOISE)),
+        bench=Bench(
+            rails,
+            turntable,
+            parameters.bench(rig, scenario.step_s),
+            (rig.rails.following_error_max_m, math.radians(rig.turntable.following_error_max_deg)),
+        ),
+        vision=Vision(source, parameters.stations(rig)),
+        gnc=Gnc(
+            parameters.navigation(scenario),
+            parameters.guidance(scenario),
+            parameters.control(scenario, strength),
+            sets,
+            len(scenario.chaser.thrusters.position_m),
+        ),
+        history=np.zeros(job.cycles, CYCLE),
+    )
+    loop.now.row["truth"] = parameters.initial_truth(scenario)
+    _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
+    return Runner(loop, rate, scenario.step_s, job.cycles, frames_to_arm, watch)
+
+
+def _draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:
+    """Draw the true drift and bias about their means."""
+    draws = stream(seed, "initial").standard_normal(6)
+    drift = np.array(scenario.imu.gyro_drift_degps) + scenario.imu.gyro_drift_initial_sigma_degps * draws[:3]
+    bias_sigma = scenario.imu.accelerometer_bias_initial_sigma_mps2
+    imu.drift_C = np.radians(drift)
+    imu.bias_C = np.array(scenario.imu.accelerometer_bias_mps2) + bias_sigma * draws[3:]
+
+
+def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGroup, PoseSource]:
+    """Return mocks of the three devices; the axes stand at the start pose from the beginning."""
+    from hil.drivers.mock_axes import MockAxes
+    from hil.drivers.vmu.mock import MockVmu
+
+    start = _start_axes(scenario, rig)
+    rails_config = rig.rails.model_copy(
+        update={
+            name: getattr(rig.rails, name).model_copy(update={"park_m": float(start.rail_m[i])})
+            for i, name in enumerate(RAIL_NAMES)
+        }
+    )
+    turntable_config = rig.turntable.model_copy(
+        update={
+            name: getattr(rig.turntable, name).model_copy(update={"park_deg": math.degrees(start.gimbal_rad[i])})
+            for i, name in enumerate(GIMBAL_NAMES)
+        }
+    )
+    rails = MockAxes("rails", RAIL_NAMES, rails_config)
+    turntable = MockAxes("turntable", GIMBAL_NAMES, turntable_config)
+    eye = Eye(parameters.bench(rig, scenario.step_s), parameters.stations(rig), parameters.vision(scenario), seed)
+
+    def pose_at(t_s: float) -> PoseFrame:
+        return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
+
+    return rails, turntable, MockVmu(rig.vmu, pose_at)
+
+
+def _drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:
+    """Return the drivers of a rig with wires."""
+    from hil.drivers.rails.driver import ModbusRails
+    from hil.drivers.vmu.driver import Rs422Vmu
+
+    turntable: AxisGroup
+    if rig.turntable.driver == "ascii":
+        from hil.drivers.turntable.ascii_driver import AsciiTurntable
+
+        turntable = AsciiTurntable(rig.turntable, clock)
+    else:
+        from hil.drivers.turntable.cia402_driver import Cia402Turntable
+
+        turntable = Cia402Turntable(rig.turntable, clock)
+    return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock)
+
+
+def _start_axes(scenario: Scenario, rig: Rig) -> np.record:
+    return _axes_at(scenario, rig, scenario.initial.position_m, scenario.initial.attitude_deg)
+
+
+def _axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_deg: Sequence[float]) -> np.record:
+    """Return AXES, at rest, for the chaser at ``position_m`` in H with the 3-2-1 angles ``attitude_deg``."""
+    axes = new(AXES)
+    rest = np.zeros(3)
+    q = euler.to_quaternion(np.radians(attitude_deg), parameters.YAW_PITCH_ROLL)
+    axes_of_pose(parameters.bench(rig, scenario.step_s), np.array(position_m), rest, q, rest, axes)
+    return axes
+
+
+def _layout_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    try:
+        parameters.allocation(scenario.value.chaser)
+    except ValueError as error:
+        key = "chaser.thrusters.position_m"
+        return [Problem(scenario.where(key), key, str(error))]
+    return []
+
+
+def _start_problems(job: Job) -> list[Problem]:
+    """Return a problem for each axis that cannot take the start pose or the ready point."""
+    scenario, rig = job.scenario.value, job.rig.value
+    params = parameters.bench(rig, scenario.step_s)
+    ready = scenario.gnc.guidance.ready_point_m
+    problems = []
+    for key, position, attitude in (
+        ("initial.position_m", scenario.initial.position_m, scenario.initial.attitude_deg),
+        ("gnc.guidance.ready_point_m", ready, (0.0, 0.0, 0.0)),
+    ):
+        axes = _axes_at(scenario, rig, position, attitude)
+        source = job.scenario.where(key)
+        for i, (rail, gimbal) in enumerate(zip(RAIL_NAMES, GIMBAL_NAMES, strict=True)):
+            value, low, high = axes.rail_m[i], params.low[i], params.high[i]
+            if not low <= value <= high:
+                text = f"{list(position)}: rails.{rail} would go to {value:.3f} m, allowed {low:g} to {high:g} m"
+                problems.append(Problem(source, key, text))
+            angle, least, most = np.degrees([axes.gimbal_rad[i], params.low[3 + i], params.high[3 + i]])
+            if not least <= angle <= most:
+                text = (
+                    f"{list(attitude)}: turntable.{gimbal} would go to {angle:.2f} deg, "
+                    f"allowed {least:g} to {most:g} deg"
+                )
+                problems.append(Problem(source, "initial.attitude_deg", text))
+    return problems
+
+
+def _port_problems(rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each serial port of a hardware rig that this computer does not have."""
+    value = rig.value
+    if value.kind != "hardware":
+        return []
+    named: list[tuple[str, str | None]] = []
+    if value.turntable.driver == "ascii" and value.turntable.ascii is not None:
+        named.append(("turntable.ascii.port", value.turntable.ascii.port))
+    if value.turntable.driver == "cia402" and value.turntable.cia402 is not None:
+        if value.turntable.cia402.interface in ("serial", "slcan"):
+            named.append(("turntable.cia402.channel", value.turntable.cia402.channel))
+    if value.vmu.rs422 is not None:
+        named.append(("vmu.rs422.port", value.vmu.rs422.port))
+    present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
+    return [
+        Problem(rig.where(key), key, f"{port}: no such port, this computer has {present}")
+        for key, port in named
+        if port is not None and port.startswith("/") and not Path(port).exists()
+    ]

@@ -1,0 +1,229 @@
+"""Reads scenario and rig files; finds every fault of a file and says each in one line."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from hil.config.model import Strict
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.errors import BadInput, Problem
+
+Model = TypeVar("Model", bound=Strict)
+Table = dict[str, Any]
+
+_UNIT = re.compile(r"_(m|mm|cm|km|s|ms|us|kg|g|n|deg|rad|hz|mps|mmps|degps|radps|mps2|degps2|mps3|kg_m2)$")
+
+
+def configs_folder() -> Path:
+    """Return the folder of the shipped configs: beside the package in a checkout, inside it when installed."""
+    package = Path(__file__).resolve().parent.parent
+    inside = package / "configs"
+    return inside if inside.is_dir() else package.parent / "configs"
+
+
+def shipped(kind: str) -> list[str]:
+    """Return the names of the shipped files of ``kind``: "scenarios" or "rigs"."""
+    return sorted(path.stem for path in (configs_folder() / kind).glob("*.toml"))
+
+
+@dataclass(frozen=True)
+class Loaded(Generic[Model]):
+    """A checked file: the model, where it came from, and which file or option gave each key."""
+
+    value: Model
+    source: str
+    origin: Mapping[str, str]
+
+    def where(self, key: str) -> str:
+        """Return the file or option that gave ``key``."""
+        while key and key not in self.origin:
+            key = key.rpartition(".")[0]
+        return self.origin.get(key, self.source)
+
+
+def load_scenario(name: str, settings: Iterable[str] = ()) -> Loaded[Scenario]:
+    """Return the scenario ``name`` (shipped, or a path) with ``settings`` laid over; raise BadInput."""
+    chosen = [text for text in settings if not text.startswith("rig.")]
+    return _load(name, "scenarios", Scenario, chosen, prefix="")
+
+
+def load_rig(name: str, settings: Iterable[str] = ()) -> Loaded[Rig]:
+    """Return the rig ``name`` (shipped, or a path) with the ``rig.``-settings laid over; raise BadInput."""
+    chosen = [text for text in settings if text.startswith("rig.")]
+    loaded = _load(name, "rigs", Rig, chosen, prefix="rig.")
+    if loaded.value.kind == "hardware":
+        missing = loaded.value.missing_wires()
+        if missing:
+            raise BadInput([Problem(loaded.where(key), key, "is missing: the wire to the device") for key in missing])
+    return loaded
+
+
+def _load(name: str, kind: str, model: type[Model], settings: Sequence[str], prefix: str) -> Loaded[Model]:
+    path = _find(name, kind)
+    origin: dict[str, str] = {}
+    table = _read_with_bases(path, kind, origin, chain=())
+    for text in settings:
+        _apply_setting(table, text, prefix, origin)
+    try:
+        # through JSON: its strict mode takes lists for tuples and whole numbers for floats, and no more
+        value = model.model_validate_json(json.dumps(table, default=str))
+    except ValidationError as error:
+        raise BadInput(_problems(error, model, table, str(path), origin, prefix)) from error
+    return Loaded(value, str(path), origin)
+
+
+def _find(name: str, kind: str) -> Path:
+    shipped_path = configs_folder() / kind / f"{name}.toml"
+    if shipped_path.is_file():
+        return shipped_path
+    path = Path(name)
+    if path.suffix == ".toml" and path.is_file():
+        return path
+    what = "scenario" if kind == "scenarios" else "rig"
+    reason = "no such file" if path.suffix == ".toml" else f"unknown {what}"
+    names = ", ".join(shipped(kind))
+    raise BadInput.single(name, "", f"{reason}: give {names} or the path of a {what} file (*.toml)")
+
+
+def _read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple[Path, ...]) -> Table:
+    """Return the file's table laid over that of the file it extends."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput.single(str(path), "", f"not TOML: {error}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput.single(str(path), "", f"cannot be read: {error}") from error
+    base_name = table.pop("extends", None)
+    base: Table = {}
+    if base_name is not None:
+        if not isinstance(base_name, str):
+            raise BadInput.single(str(path), "extends", f"{base_name!r}: must be a name or a path in quotes")
+        beside = path.parent / base_name
+        base_path = beside if beside.suffix == ".toml" and beside.is_file() else _find(base_name, kind)
+        if base_path.resolve() in chain or base_path.resolve() == path.resolve():
+            raise BadInput.single(str(path), "extends", f"{base_name!r}: the files extend each other in a ring")
+        base = _read_with_bases(base_path, kind, origin, (*chain, path.resolve()))
+    _lay_over(base, table, str(path), origin, "")
+    return base
+
+
+def _lay_over(base: Table, table: Table, source: str, origin: dict[str, str], prefix: str) -> None:
+    for key, value in table.items():
+        dotted = f"{prefix}{key}"
+        if isinstance(value, dict) and isinstance(base.get(key), dict):
+            _lay_over(base[key], value, source, origin, f"{dotted}.")
+        else:
+            base[key] = value
+            for stale in [known for known in origin if known.startswith(f"{dotted}.")]:
+                del origin[stale]
+            _note_origin(value, dotted, source, origin)
+
+
+def _note_origin(value: Any, dotted: str, source: str, origin: dict[str, str]) -> None:
+    origin[dotted] = source
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            _note_origin(inner, f"{dotted}.{key}", source, origin)
+
+
+def _apply_setting(table: Table, text: str, prefix: str, origin: dict[str, str]) -> None:
+    key, equals, value_text = text.partition("=")
+    key = key.strip()
+    if not equals or not key:
+        raise BadInput.single("--set", text, "must look like gnc.control.deadband_m=0.004 or rig.vmu.timeout_s=0.5")
+    key = key.removeprefix(prefix)
+    try:
+        value = tomllib.loads(f"value = {value_text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = value_text.strip()  # a bare word: the shell has eaten its quotes
+    *parents, last = key.split(".")
+    place = table
+    for parent in parents:
+        inner = place.setdefault(parent, {})
+        if not isinstance(inner, dict):
+            raise BadInput.single("--set", text, f"{parent} is not a table")
+        place = inner
+    place[last] = value
+    _note_origin(value, key, "--set", origin)
+
+
+def _problems(
+    error: ValidationError, model: type[BaseModel], table: Table, source: str, origin: Mapping[str, str], prefix: str
+) -> list[Problem]:
+    problems = []
+    for fault in error.errors():
+        location = [part for part in fault["loc"] if not (isinstance(part, str) and "[" in part)]
+        dotted = ".".join(part for part in location if isinstance(part, str))
+        indices = "".join(f"[{part}]" for part in location if isinstance(part, int))
+        known = dotted
+        while known and known not in origin:
+            known = known.rpartition(".")[0]
+        where = origin.get(known, source)
+        message = _message(fault, model, [part for part in location if isinstance(part, str)], table)
+        problems.append(Problem(where, f"{prefix}{dotted}{indices}" if dotted else "", message))
+    return problems
+
+
+def _message(fault: Any, model: type[BaseModel], location: list[str], table: Table) -> str:
+    kind = fault["type"]
+    if kind == "missing":
+        return f"is missing{_expected(model, location)}"
+    if kind == "extra_forbidden":
+        return _unknown_key(model, location)
+    text = str(fault["msg"]).removeprefix("Value error, ")
+    if kind == "value_error":
+        return text
+    text = text[0].lower() + text[1:]
+    value = fault["input"]
+    if kind == "finite_number":
+        return f"{_shown(value)}: must be a finite number"
+    return f"{_shown(value)}: {text.replace('input should', 'must')}"
+
+
+def _shown(value: Any) -> str:
+    text = json.dumps(value, default=str) if not isinstance(value, float) else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _expected(model: type[BaseModel], location: list[str]) -> str:
+    """Return what belongs there, as far as the model tells."""
+    parent = _model_at(model, location[:-1])
+    unit = _UNIT.search(location[-1])
+    if parent is None or unit is None:
+        return ""
+    return f": a value in {unit.group(1)}"
+
+
+def _unknown_key(model: type[BaseModel], location: list[str]) -> str:
+    parent = _model_at(model, location[:-1])
+    known = sorted(parent.model_fields) if parent is not None else []
+    key = location[-1]
+    stem = _UNIT.sub("", key)
+    same_stem = [name for name in known if _UNIT.sub("", name) == stem]
+    if same_stem:
+        return f"unknown key: the unit stands in the name, here it is {same_stem[0]}"
+    close = difflib.get_close_matches(key, known, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return f"unknown key: {hint}known here: {', '.join(known)}"
+
+
+def _model_at(model: type[BaseModel], location: Sequence[str]) -> type[BaseModel] | None:
+    """Return the model of the table at ``location``, None where there is no table."""
+    current: type[BaseModel] | None = model
+    for key in location:
+        if current is None or key not in current.model_fields:
+            return None
+        annotation = current.model_fields[key].annotation
+        candidates = [annotation, *get_args(annotation)]
+        current = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
+    return current

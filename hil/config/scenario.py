@@ -1,0 +1,186 @@
+"""Scenario files: the vehicle, its sensors, where it starts, how it is flown, and what is asked of it."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from hil.config.model import (
+    Matrix3,
+    NotNegative,
+    Positive,
+    Strict,
+    Triple,
+)
+from hil.messages import MAX_THRUSTERS
+
+AngleTriple = tuple[
+    Annotated[float, Field(gt=-180.0, le=180.0)],
+    Annotated[float, Field(gt=-90.0, lt=90.0)],
+    Annotated[float, Field(gt=-180.0, le=180.0)],
+]
+
+
+class Orbit(Strict):
+    """The target's circular orbit about the Moon."""
+
+    altitude_m: Positive
+
+
+class Thrusters(Strict):
+    """On/off thrusters, in c; positions from the centre of mass, directions of the force on the vehicle."""
+
+    force_n: Positive
+    minimum_on_s: NotNegative
+    specific_impulse_s: Positive
+    position_m: Annotated[tuple[Triple, ...], Field(min_length=1, max_length=MAX_THRUSTERS)]
+    direction: tuple[Triple, ...]
+
+    @model_validator(mode="after")
+    def _one_direction_each(self) -> Self:
+        if len(self.direction) != len(self.position_m):
+            raise ValueError(f"{len(self.position_m)} position_m, but {len(self.direction)} direction: one each")
+        for number, vector in enumerate(self.direction, start=1):
+            if abs(math.hypot(*vector) - 1.0) > 1e-6:
+                raise ValueError(f"direction {number} = {list(vector)} must be a unit vector")
+        return self
+
+
+class Chaser(Strict):
+    mass_kg: Positive
+    inertia_kg_m2: Matrix3
+    thrusters: Thrusters
+
+    @model_validator(mode="after")
+    def _inertia_is_one_of_a_body(self) -> Self:
+        j = self.inertia_kg_m2
+        if any(abs(j[i][k] - j[k][i]) > 1e-9 * abs(j[i][i]) for i in range(3) for k in range(3)):
+            raise ValueError("inertia_kg_m2 must be symmetric")
+        minors = (
+            j[0][0],
+            j[0][0] * j[1][1] - j[0][1] ** 2,
+            j[0][0] * (j[1][1] * j[2][2] - j[1][2] ** 2)
+            - j[0][1] * (j[0][1] * j[2][2] - j[1][2] * j[0][2])
+            + j[0][2] * (j[0][1] * j[1][2] - j[1][1] * j[0][2]),
+        )
+        if min(minors) <= 0.0:
+            raise ValueError("inertia_kg_m2 must be positive definite")
+        return self
+
+
+class Initial(Strict):
+    """Where the chaser starts, relative to the target: 3-2-1 angles theta1 (roll), theta2, theta3."""
+
+    position_m: Triple
+    attitude_deg: AngleTriple
+    velocity_mps: Triple = (0.0, 0.0, 0.0)
+    rate_degps: Triple = (0.0, 0.0, 0.0)
+
+
+class Imu(Strict):
+    """Sensor grade of the virtual IMU (bench paper Table I); *_initial_sigma_*: how the true values spread."""
+
+    gyro_drift_degps: Triple
+    gyro_drift_initial_sigma_degps: NotNegative
+    gyro_drift_noise_degps2: NotNegative
+    gyro_noise_degps: NotNegative
+    accelerometer_bias_mps2: Triple
+    accelerometer_bias_initial_sigma_mps2: NotNegative
+    accelerometer_bias_noise_mps3: NotNegative
+    accelerometer_noise_mps2: NotNegative
+
+
+class VisionNoise(Strict):
+    """Noise of the vision unit: Table I up to ``reference_range_m``, growing in proportion beyond."""
+
+    sigma_position_m: Positive
+    sigma_angle_deg: Positive
+    reference_range_m: Positive
+
+
+class Navigation(Strict):
+    sensors: Literal["vision_imu", "vision"]
+
+
+class AttitudeFilter(Strict):
+    """What the AKF believes of the gyro."""
+
+    gyro_noise_degps: Positive
+    gyro_drift_noise_degps2: NotNegative
+    gyro_drift_degps: Triple
+    initial_drift_sigma_degps: Positive
+
+
+class PositionFilter(Strict):
+    """What the PKF believes of the accelerometer and of the start."""
+
+    accelerometer_noise_mps2: Positive
+    accelerometer_bias_noise_mps3: NotNegative
+    accelerometer_bias_mps2: Triple
+    initial_bias_sigma_mps2: Positive
+    initial_velocity_sigma_mps: Positive
+
+
+class VisionOnly(Strict):
+    """Time constants of the low-passes of vision-only navigation."""
+
+    position_lag_s: NotNegative
+    velocity_lag_s: NotNegative
+    attitude_lag_s: NotNegative
+    rate_lag_s: NotNegative
+
+
+class Guidance(Strict):
+    """A straight line from the start to the ready point, rest to rest."""
+
+    ready_point_m: Triple
+    approach_speed_mps: Positive
+    acceleration_mps2: Positive
+    deceleration_mps2: Positive
+
+
+class Control(Strict):
+    deadband_m: Positive
+    lead_s: NotNegative
+    deadband_deg: Positive
+    attitude_lead_s: NotNegative
+    release: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
+
+
+class Gnc(Strict):
+    navigation: Navigation
+    akf: AttitudeFilter
+    pkf: PositionFilter
+    vision_only: VisionOnly
+    guidance: Guidance
+    control: Control
+
+
+class Requirements(Strict):
+    """What the ready phase must keep (bench paper Table III); each axis alone."""
+
+    axial_distance_m: Positive
+    axial_tolerance_m: Positive
+    axial_rate_mps: Positive
+    radial_distance_m: Positive
+    radial_rate_mps: Positive
+    angle_deg: Positive
+    angular_rate_degps: Positive
+    dwell_s: Positive
+
+
+class Scenario(Strict):
+    """One closed-loop run, whatever the rig."""
+
+    name: str
+    duration_s: Positive
+    step_s: Positive
+    orbit: Orbit
+    chaser: Chaser
+    initial: Initial
+    imu: Imu
+    vmu: VisionNoise
+    gnc: Gnc
+    requirements: Requirements

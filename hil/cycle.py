@@ -1,0 +1,65 @@
+"""One control cycle. The place to start reading: each line is a stage of bench paper Fig. 2.
+
+thrusters on/off -> truth (DSS) -> rails and turntable -> cameras (VMU) -> AKF, PKF -> control
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hil.messages import CYCLE
+from hil.stages import Bench, Dss, Gnc, Vision
+
+
+class Blackboard:
+    """The records of the present cycle: views into one row of CYCLE, which is what gets recorded."""
+
+    def __init__(self) -> None:
+        self.row = np.zeros(1, CYCLE)
+        records = self.row.view(np.recarray)
+        self.cycle: np.record = records[0]
+        for name in ("truth", "imu", "pose", "navigation", "reference", "command", "setpoint", "feedback"):
+            setattr(self, name, records[name][0])
+
+    truth: np.record
+    imu: np.record
+    pose: np.record
+    navigation: np.record
+    reference: np.record
+    command: np.record
+    setpoint: np.record
+    feedback: np.record
+
+
+@dataclass(slots=True)
+class Loop:
+    """The stages, the records between them, and the history that each cycle is written to."""
+
+    dss: Dss
+    bench: Bench
+    vision: Vision
+    gnc: Gnc
+    history: np.ndarray
+    now: Blackboard = field(default_factory=Blackboard)
+
+
+def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float, lateness_s: float) -> None:
+    """Run cycle ``k`` at ``t_s`` of the run, ``bench_s`` of bench time; raises BenchError.
+
+    run_zero_s: bench time at which the run's time is zero. lateness_s: how late this cycle woke up.
+    """
+    now = loop.now
+    loop.bench.read(bench_s, now.feedback)  # 1  encoders
+    loop.bench.check(now.feedback)  # 2  do the axes follow?
+    loop.vision.take(bench_s, run_zero_s, now.pose)  # 3  newest pose of the vision unit
+    loop.gnc.navigate(now.imu, now.pose, now.navigation)  # 4  AKF and PKF
+    loop.gnc.guide(t_s, now.reference)  # 5  reference line
+    loop.gnc.control(now.navigation, now.reference, now.command)  # 6  thrusters on or off
+    now.cycle.t_s, now.cycle.lateness_s = t_s, lateness_s
+    now.cycle.nees_position, now.cycle.nees_attitude = loop.gnc.consistency(now.truth, now.imu)
+    loop.history[k] = now.row[0]  # 7  what was known and done at t_s
+    loop.dss.step(now.truth, now.command)  # 8  truth one step on
+    loop.dss.sample_imu(now.truth, now.imu)  # 9  virtual IMU over that step
+    loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), bench_s, now.setpoint)  # 10 motion

@@ -1,0 +1,1 @@
+"""Rails: three linear axes, each a servo drive on Modbus TCP."""

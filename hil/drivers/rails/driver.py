@@ -1,0 +1,238 @@
+"""Driver of the rails: three drives on Modbus TCP, one event loop in one thread of its own.
+
+Every exchange is one transaction (function 23) a drive, all three at once. It is started by ``send``,
+and by itself every 20 ms while no setpoint comes, so that feedback stays fresh and the drives hold
+the last setpoint. Once one drive has failed the others are stopped at once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Awaitable, Callable, Iterable
+from concurrent.futures import Future
+from contextlib import suppress
+from typing import Final, TypeVar
+
+import numpy as np
+
+from hil.clock import WallClock
+from hil.config.rig import Modbus, Rails
+from hil.drivers.axes import ServoAxes
+from hil.drivers.base import RAIL_NAMES, accepted_setpoint, full_names
+from hil.drivers.latest import Latest
+from hil.drivers.rails.codec import Control, State
+from hil.drivers.rails.drive import ENABLE_TIMEOUT_S, STOP, Drive
+from hil.errors import BadInput, DeviceError, LinkLost, LinkTimeout
+from hil.messages import Array, AxisFeedback
+
+IDLE_PERIOD_S: Final = 0.02  # between exchanges while nobody sends
+_STOP_WAIT_WALL_S: Final = 0.08
+_CLOSE_WAIT_WALL_S: Final = 0.1
+
+_Result = TypeVar("_Result")
+
+
+class ModbusRails:
+    """AxisGroup of the rails (m, m/s). May be opened again after ``close``.
+
+    config.timeout_s: longest silence of a drive. clock: stamps feedback with bench time, half way
+    between request and answer.
+    """
+
+    def __init__(self, config: Rails, clock: WallClock) -> None:
+        self.name = "rails"
+        self.axis_names = full_names(self.name, RAIL_NAMES)
+        self._timeout_s = config.timeout_s
+        self._clock = clock
+        self._wires = _wires(config)
+        limits = ServoAxes(config)
+        self._low, self._high, self._rate_max = limits.low, limits.high, limits.rate_max
+        self._box: Latest[AxisFeedback] = Latest(self.name)
+        self._box.fail(LinkLost(self.name, "is not open"))
+        self._setpoint: tuple[list[float], list[float], float] = ([], [], 0.0)  # position, rate, when sent
+        self._serving = False
+        self._stopping = False
+        self._stop_was_called = False
+        self._all_stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._loop: asyncio.AbstractEventLoop
+        self._wake: asyncio.Event
+        self._drives: list[Drive] = []
+        self._stop_task: asyncio.Task[None] | None = None
+
+    def open(self, now_s: float) -> None:
+        """Connect to the three drives, check what they are, enable them where they stand."""
+        self.close()
+        self._box = Latest(self.name)
+        self._serving = self._stopping = self._stop_was_called = False
+        self._stop_task = None
+        self._all_stopped.clear()
+        self._wake = asyncio.Event()
+        self._loop = asyncio.new_event_loop()
+        opened: Future[None] = Future()
+        self._thread = threading.Thread(target=self._run, args=(opened,), name="rails-modbus", daemon=True)
+        self._thread.start()
+        bound_s = ENABLE_TIMEOUT_S + 6.0 * self._timeout_s
+        try:
+            opened.result(timeout=self._clock.wall_s(bound_s))
+        except TimeoutError as error:
+            self.close()
+            raise LinkTimeout(self.name, f"not open after {bound_s:g} s") from error
+        except BaseException:
+            self.close()
+            raise
+
+    def send(self, position: Array, rate: Array, now_s: float) -> Array:
+        """Hand over the next setpoint; a stopped device stays where it is and returns that place."""
+        self._box.check()
+        accepted = accepted_setpoint(self.axis_names, position, self._low, self._high)
+        feedforward = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max)
+        feedback = self._box.peek()
+        if self._stopping and feedback is not None:
+            return feedback.position.copy()
+        self._setpoint = (accepted.tolist(), feedforward.tolist(), now_s)
+        self._call(self._wake.set)
+        return accepted
+
+    def read(self, now_s: float) -> AxisFeedback:
+        """Return the newest exchange in which all three drives answered."""
+        return self._box.get(now_s, self._timeout_s)
+
+    def stop(self, now_s: float) -> None:
+        """Command quick stop; wait until the drives that answer have it, 0.08 s of wall time at most."""
+        again = self._stop_was_called
+        self._stopping = self._stop_was_called = True
+        if self._thread is None or not self._thread.is_alive():
+            return
+        self._call(self._begin_stop)
+        if not again:
+            self._all_stopped.wait(_STOP_WAIT_WALL_S)
+
+    def close(self) -> None:
+        """Leave a quick stop behind and let go of the wires; 0.1 s of wall time at most."""
+        self._stopping = True
+        self._box.fail(LinkLost(self.name, "is closed"))
+        if self._thread is None:
+            return
+        self._call(self._cancel)
+        self._thread.join(_CLOSE_WAIT_WALL_S)
+        self._thread = None
+
+    def _call(self, function: Callable[[], object]) -> None:
+        with suppress(RuntimeError):  # the loop has ended; why lies in the box
+            self._loop.call_soon_threadsafe(function)
+
+    # From here on: in the thread.
+
+    def _run(self, opened: Future[None]) -> None:
+        try:
+            with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+                runner.run(self._live(opened))
+            error: DeviceError = LinkLost(self.name, "the thread of the link has ended")
+        except asyncio.CancelledError:
+            error = LinkLost(self.name, "is closed")
+        except DeviceError as problem:
+            error = problem
+        except Exception as problem:
+            error = LinkLost(self.name, f"the thread of the link died: {problem!r}")
+            error.__cause__ = problem
+        self._box.fail(error)
+        if not opened.done():
+            opened.set_exception(error)
+
+    def _cancel(self) -> None:
+        for task in asyncio.all_tasks():
+            task.cancel()
+
+    async def _live(self, opened: Future[None]) -> None:
+        # A little less than the box allows, so that a silent drive is reported by its own name.
+        timeout_s = max(0.5 * self._timeout_s, self._timeout_s - 1.5 * IDLE_PERIOD_S)
+        wires = zip(self.axis_names, self._wires, strict=True)
+        self._drives = [Drive(name, *wire, timeout_s, self._clock) for name, wire in wires]
+        try:
+            await _all(drive.identify() for drive in self._drives)
+            held = await _all(drive.enable() for drive in self._drives)
+            self._setpoint = (held, [0.0, 0.0, 0.0], self._clock.now_s())
+            self._serving = True
+            await self._exchange_all()
+            self._box.check()
+            opened.set_result(None)
+            await self._serve()
+        finally:
+            await asyncio.gather(*(drive.stop_blindly() for drive in self._drives))
+            for drive in self._drives:
+                drive.close()
+
+    async def _serve(self) -> None:
+        idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
+        while True:
+            with suppress(TimeoutError):  # nobody sent: exchange all the same
+                async with asyncio.timeout(idle_wall_s):
+                    await self._wake.wait()
+            self._wake.clear()
+            await self._exchange_all()
+
+    async def _exchange_all(self) -> None:
+        asked_s = self._clock.now_s()
+        states = await asyncio.gather(*(self._exchange(index) for index in range(len(self._drives))))
+        t_s = 0.5 * (asked_s + self._clock.now_s())
+        answers = [state for state in states if state is not None]
+        if len(answers) == len(self._drives):
+            position = np.array([state.position_m for state in answers])
+            rate = np.array([state.rate_mps for state in answers])
+            self._box.put(AxisFeedback(t_s, position, rate), t_s)
+
+    async def _exchange(self, index: int) -> State | None:
+        """Exchange with one drive; whatever is wrong with it ends the run of all."""
+        drive = self._drives[index]
+        if drive.failed:
+            return None
+        stopping = self._stopping
+        position_m, rate_mps = self._wanted(index)
+        try:
+            state = await drive.exchange(STOP if stopping else Control.ENABLE, position_m, rate_mps)
+            drive.check(state, stopping)
+        except DeviceError as error:
+            drive.failed = self._stopping = True
+            self._box.fail(error)
+            self._begin_stop()
+            await drive.stop_blindly()
+            return None
+        return state
+
+    def _wanted(self, index: int) -> tuple[float, float]:
+        """Return position and rate; without a new setpoint the rate ends: the axis stands at the last one."""
+        position, rate, sent_s = self._setpoint
+        fresh = self._clock.now_s() - sent_s <= self._timeout_s
+        return position[index], rate[index] if fresh else 0.0
+
+    def _begin_stop(self) -> None:
+        if self._serving and (self._stop_task is None or self._stop_task.done()):
+            self._stop_task = asyncio.get_running_loop().create_task(self._stop_all())
+
+    async def _stop_all(self) -> None:
+        # Not a part of the exchange under way: that one may be waiting for a drive that is dead.
+        await asyncio.gather(*(self._exchange(index) for index in range(len(self._drives))))
+        self._all_stopped.set()
+
+
+def _wires(config: Rails) -> list[tuple[str, int, int]]:
+    """Return host, port and device id of the drives x, y, z."""
+    modbus = config.modbus or Modbus()
+    wires = []
+    for name in RAIL_NAMES:
+        wire = getattr(modbus, name)
+        if wire.port is None:
+            raise BadInput.single("rig", f"rails.modbus.{name}.port", "is missing: the wire to the device")
+        wires.append((wire.host, wire.port, wire.device_id))
+    return wires
+
+
+async def _all(steps: Iterable[Awaitable[_Result]]) -> list[_Result]:
+    """Take the steps at once, wait for all, raise the first failure."""
+    results = await asyncio.gather(*steps, return_exceptions=True)
+    for result in results:
+        if isinstance(result, BaseException):
+            raise result
+    return [result for result in results if not isinstance(result, BaseException)]

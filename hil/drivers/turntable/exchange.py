@@ -1,0 +1,173 @@
+"""The life that both turntable drivers share: one thread exchanges setpoints for feedback over a link.
+
+The loop's side (``send``, ``read``) only touches boxes. The thread's side owns the link from
+``open`` to ``close``: it exchanges as soon as a setpoint is there, and every PERIOD_S without one.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Protocol
+
+import numpy as np
+
+from hil.clock import Clock
+from hil.config.rig import Turntable
+from hil.drivers.axes import ServoAxes
+from hil.drivers.base import GIMBAL_NAMES, accepted_setpoint, full_names
+from hil.drivers.latest import Latest
+from hil.errors import DeviceError, LinkLost, SafetyTrip
+from hil.messages import Array, AxisFeedback
+
+PERIOD_S = 0.02  # bench time between exchanges when no setpoints come
+_PATIENCE_S = 0.03  # after an exchange that a setpoint asked for: the next setpoint comes soon, do not run into it
+_RATE_HOLD_S = 0.1  # a setpoint older than this has lost its sender: keep its position, not its rate
+_STOP_WALL_S = 0.08  # longest wait of stop and close for the thread
+
+
+class Link(Protocol):
+    """One wire to three drives; every call may wait, but only for a bounded time. Errors are DeviceErrors."""
+
+    def open(self) -> Array:
+        """Connect, enable the drives holding where they stand; return that position (3,), rad."""
+
+    def exchange(self, position: Array, rate: Array) -> AxisFeedback | None:
+        """Give position (3,), rad, and rate (3,), rad/s; return feedback, or None if it came incomplete.
+
+        After ``quick_stop`` the setpoint is not passed on, only feedback is fetched.
+        """
+
+    def quick_stop(self) -> None:
+        """Command standstill; holds until the next ``open``."""
+
+    def close(self) -> None:
+        """Let go of the wire. Idempotent."""
+
+    def counters(self) -> dict[str, int]:
+        """Return what was counted since ``open``."""
+
+
+class ExchangedTurntable:
+    """A turntable behind a ``Link``; keeps the promises of ``AxisGroup``.
+
+    Angles rad, rates rad/s, order roll, pitch, yaw. After ``stop`` the axes stand until the next
+    ``open``: ``send`` then returns where they stand.
+    """
+
+    def __init__(self, config: Turntable, clock: Clock, link: Link, name: str = "turntable") -> None:
+        self.name = name
+        self.axis_names = full_names(name, GIMBAL_NAMES)
+        axes = ServoAxes(config)
+        self._low, self._high, self._rate_max = axes.low, axes.high, axes.rate_max
+        self._timeout_s = config.timeout_s
+        self._clock = clock
+        self._link = link
+        self._box: Latest[AxisFeedback] = Latest(name)
+        self._thread: threading.Thread | None = None
+        self._wake = threading.Event()
+        self._closing = threading.Event()
+        self._stopping = threading.Event()
+        self._stopped = threading.Event()
+        self._setpoint: tuple[Array, Array, float] = (np.zeros(3), np.zeros(3), 0.0)
+
+    def open(self, now_s: float) -> None:
+        """Connect, enable the drives, hold the present position. Raises DeviceError."""
+        self.close()
+        if self._thread is not None and self._thread.is_alive():
+            raise LinkLost(self.name, "the former link has not let go of the wire yet")
+        self._box = Latest(self.name)
+        for event in (self._wake, self._closing, self._stopping, self._stopped):
+            event.clear()
+        position = self._link.open()
+        self._setpoint = (position, np.zeros(3), now_s)
+        self._box.put(AxisFeedback(self._clock.now_s(), position, np.zeros(3)), self._clock.now_s())
+        self._thread = threading.Thread(target=self._run, daemon=True, name=f"{self.name}-io")
+        self._thread.start()
+
+    def send(self, position: Array, rate: Array, now_s: float) -> Array:
+        """Hand over the newest setpoint (3,), rad, and its rate (3,), rad/s; return the accepted position.
+
+        Position is cut to the travel and rate to its limit; an axis at its cut gets no rate. Raises
+        SafetyTrip for a number that is not finite, DeviceError once the link has failed.
+        """
+        self._box.check()
+        if self._thread is None or self._closing.is_set():
+            raise LinkLost(self.name, "is not open")
+        accepted = accepted_setpoint(self.axis_names, position, self._low, self._high)
+        for name, value in zip(self.axis_names, rate, strict=True):
+            if not np.isfinite(value):
+                raise SafetyTrip(name, "setpoint rate", str(value), "a finite number")
+        if self._stopping.is_set():
+            standing = self._box.peek()
+            return accepted if standing is None else standing.position.copy()
+        within = np.where(accepted == position, np.clip(rate, -self._rate_max, self._rate_max), 0.0)
+        self._setpoint = (accepted.copy(), within, now_s)
+        self._wake.set()
+        return accepted
+
+    def read(self, now_s: float) -> AxisFeedback:
+        """Return the newest feedback. Raises LinkTimeout when it is older than ``timeout_s``."""
+        return self._box.get(now_s, self._timeout_s)
+
+    def counters(self) -> dict[str, int]:
+        """Return what the link counted since ``open``."""
+        return self._link.counters()
+
+    def stop(self, now_s: float) -> None:
+        """Quick stop: the axes come to a stand and stay there until the next ``open``."""
+        self._stopping.set()
+        self._wake.set()
+        if self._thread is not None:
+            self._stopped.wait(_STOP_WALL_S)
+
+    def close(self) -> None:
+        """Quick stop if that has not happened, then let go of the wire."""
+        self._closing.set()
+        self._wake.set()
+        if self._thread is not None:
+            self._thread.join(_STOP_WALL_S)
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except DeviceError as error:
+            self._fail(error)
+        except Exception as error:  # a dying thread must tell the loop, whatever it died of
+            lost = LinkLost(self.name, f"link failed: {error!r}")
+            lost.__cause__ = error
+            self._fail(lost)
+        finally:
+            self._stopped.set()
+            self._link.close()
+
+    def _serve(self) -> None:
+        asked = False
+        while not self._closing.is_set():
+            started_s = self._clock.now_s()
+            if self._stopping.is_set() and not self._stopped.is_set():
+                self._link.quick_stop()
+                self._stopped.set()
+            position, rate, sent_s = self._setpoint
+            if started_s - sent_s > _RATE_HOLD_S:
+                rate = np.zeros(3)
+            feedback = self._link.exchange(position, rate)
+            if feedback is not None:
+                self._box.put(feedback, feedback.t_s)
+            asked = self._wait(started_s + (_PATIENCE_S if asked else PERIOD_S))
+        if not self._stopped.is_set():
+            self._link.quick_stop()
+
+    def _wait(self, until_s: float) -> bool:
+        """Wait for the next setpoint, at most to ``until_s``; return whether one came."""
+        left_s = (until_s - self._clock.now_s()) / self._clock.speed
+        asked = self._wake.wait(max(0.0, left_s))
+        self._wake.clear()
+        return asked
+
+    def _fail(self, error: DeviceError) -> None:
+        """Leave ``error`` for the loop; a drive that still listens is stopped."""
+        self._box.fail(error)
+        try:
+            self._link.quick_stop()
+        except Exception as second:  # the first error tells the story, this one is a footnote to it
+            error.add_note(f"the quick stop after it could not be sent: {second}")

@@ -1,0 +1,145 @@
+"""Pose frames of the vision unit: bytes <-> numbers.
+
+One frame is 161 bytes, little endian:
+
+====== ===== ============== ====================================================================
+offset bytes type           content
+====== ===== ============== ====================================================================
+0      2     bytes          sync, EB 90
+2      1     u8             version (high nibble, 1) and type (low nibble, 1 = pose)
+3      1     u8             length of what stands between here and the CRC, 155
+4      4     u32            frame counter, wraps
+8      8     u64            bench time of the exposure, microseconds
+16     24    3 x float64    t_v, m: ring centre from the left camera, in v
+40     32    4 x float64    q_vt, t to v, scalar last, unit length
+72     84    21 x float32   upper triangle of the covariance, row by row, of (t_v, small rotation e
+                            about v's axes): m^2, m rad, rad^2
+156    1     u8             LEDs used in the left image, bit n = LED n
+157    1     u8             LEDs used in the right image
+158    1     u8             status: 0 good, 1 no pose (offsets 16 to 157 void), else a fault code
+159    2     u16            CRC-16/CCITT-FALSE of offsets 2 to 158
+====== ===== ============== ====================================================================
+"""
+
+from __future__ import annotations
+
+import binascii
+import math
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hil.messages import PoseFrame
+
+STATUS_GOOD: Final = 0
+STATUS_NO_POSE: Final = 1
+
+_BODY: Final = struct.Struct("<IQ3d4d21f3B")
+_CRC: Final = struct.Struct("<H")
+_SYNC: Final = b"\xeb\x90"
+_POSE_VERSION_1: Final = 0x11
+# Type and length never vary, so they are searched for together with the sync: no length that came
+# over the wire is ever trusted.
+HEADER: Final = _SYNC + bytes([_POSE_VERSION_1, _BODY.size])
+FRAME_BYTES: Final = len(HEADER) + _BODY.size + _CRC.size
+
+_UPPER: Final = np.triu_indices(6)
+_DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # of the upper triangle, row by row
+_UNIT_TOLERANCE: Final = 1e-6  # a unit that computes in float32 passes
+_VOID: Final = (0.0,) * 28
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """A frame that came whole. t_s: exposure, s of bench time; ``pose`` is None unless status is good."""
+
+    counter: int
+    t_s: float
+    status: int
+    pose: PoseFrame | None
+
+
+def crc16(data: bytes) -> int:
+    """Return CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF, not reflected) of ``data``."""
+    return binascii.crc_hqx(data, 0xFFFF)
+
+
+def encode(frame: PoseFrame) -> bytes:
+    """Return the bytes of ``frame`` with status good; ``received_s`` is not on the wire."""
+    numbers = (*frame.t_v, *frame.q_vt, *frame.covariance[_UPPER])
+    return _frame(frame.counter, frame.t_s, numbers, frame.leds_left, frame.leds_right, STATUS_GOOD)
+
+
+def encode_status(counter: int, t_s: float, status: int) -> bytes:
+    """Return the bytes of a frame that carries no pose, only ``status``."""
+    return _frame(counter, t_s, _VOID, 0, 0, status)
+
+
+def _frame(counter: int, t_s: float, numbers: tuple[float, ...], left: int, right: int, status: int) -> bytes:
+    frame = HEADER + _BODY.pack(counter, round(t_s * 1e6), *numbers, left, right, status)
+    return frame + _CRC.pack(crc16(frame[len(_SYNC) :]))
+
+
+class Decoder:
+    """Finds frames in a stream of bytes, however it is cut or damaged; never raises on any bytes.
+
+    Whatever fails its CRC is searched again from the byte after its sync, so neither a truncated
+    frame nor a header inside other data takes a following good frame with it.
+    """
+
+    def __init__(self) -> None:
+        self.crc_errors = 0
+        self.skipped_bytes = 0
+        self.invalid = 0  # right CRC, impossible content
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes, received_s: float) -> list[Decoded]:
+        """Take ``data``, whose last byte came at bench time ``received_s``; return the frames completed by it."""
+        self._buffer += data
+        frames = []
+        start = self._skip_to_header(0)
+        while start + FRAME_BYTES <= len(self._buffer):
+            raw = bytes(self._buffer[start : start + FRAME_BYTES])
+            if _CRC.unpack_from(raw, FRAME_BYTES - _CRC.size)[0] != crc16(raw[len(_SYNC) : -_CRC.size]):
+                self.crc_errors += 1
+                self.skipped_bytes += len(_SYNC)
+                start = self._skip_to_header(start + len(_SYNC))
+                continue
+            decoded = _decode(raw, received_s)
+            if decoded is None:
+                self.invalid += 1
+            else:
+                frames.append(decoded)
+            start = self._skip_to_header(start + FRAME_BYTES)
+        del self._buffer[:start]
+        return frames
+
+    def _skip_to_header(self, start: int) -> int:
+        """Return where the next header, or the beginning of one at the end of the buffer, stands."""
+        found = self._buffer.find(HEADER, start)
+        if found < 0:
+            end = len(self._buffer)
+            tails = (n for n in range(len(HEADER) - 1, 0, -1) if self._buffer.endswith(HEADER[:n], start))
+            found = end - next(tails, 0)
+        self.skipped_bytes += found - start
+        return found
+
+
+def _decode(raw: bytes, received_s: float) -> Decoded | None:
+    """Return the content of a frame of right CRC, or None where a good status stands beside an impossible pose."""
+    counter, t_us, *numbers, left, right, status = _BODY.unpack_from(raw, len(HEADER))
+    t_s = t_us / 1e6
+    if status != STATUS_GOOD:
+        return Decoded(counter, t_s, status, None)
+    t_v, q_vt, upper = numbers[:3], numbers[3:7], numbers[7:]
+    if not all(map(math.isfinite, numbers)) or abs(math.hypot(*q_vt) - 1.0) > _UNIT_TOLERANCE:
+        return None
+    if any(upper[i] < 0.0 for i in _DIAGONAL):
+        return None
+    covariance = np.zeros((6, 6))
+    covariance[_UPPER] = upper
+    covariance.T[_UPPER] = upper
+    pose = PoseFrame(counter, t_s, received_s, np.array(t_v), np.array(q_vt), covariance, left, right)
+    return Decoded(counter, t_s, status, pose)

@@ -1,0 +1,147 @@
+"""The vision unit on a serial port: a reader thread decodes frames, the loop polls for them."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import deque
+from typing import Final
+
+import serial
+
+from hil.clock import Clock
+from hil.config.rig import SerialLine, Vmu
+from hil.drivers.latest import Latest
+from hil.drivers.vmu import COUNTERS, NAME
+from hil.drivers.vmu.codec import STATUS_NO_POSE, Decoded, Decoder
+from hil.errors import DriveFault, LinkLost, LinkTimeout
+from hil.messages import PoseFrame
+
+_READ_WALL_S: Final = 0.1  # bound of one blocking read; close cuts it short
+_COUNTER_MASK: Final = 0xFFFF_FFFF
+_HALF_COUNTER: Final = 0x8000_0000
+
+
+class Rs422Vmu:
+    """Pose source on ``config.rs422``. Times of reception are read from ``clock``, bench time.
+
+    Freshness counts frames that are new and usable: one that the CRC or the content check refused,
+    a repeated or an older one does not prove that the unit works; one that says "no pose" does.
+    """
+
+    def __init__(self, config: Vmu, clock: Clock) -> None:
+        self.name = NAME
+        self._timeout_s = config.timeout_s
+        self._line = config.rs422 or SerialLine()
+        self._clock = clock
+        self._port: serial.Serial | None = None
+        self._reader: threading.Thread | None = None
+        self._reset(0.0)
+
+    def _reset(self, now_s: float) -> None:
+        self._opened_s = now_s
+        self._ending = threading.Event()
+        self._heard: Latest[bool] = Latest(self.name)  # when the unit was last heard
+        self._newest: int | None = None  # frame counter
+        self._decoder = Decoder()
+        self._frames: deque[PoseFrame] = deque()
+        self._counts = dict.fromkeys(COUNTERS, 0)
+
+    def open(self, now_s: float) -> None:
+        """Open the port and start to read; the time-out runs from ``now_s``. Raises LinkLost."""
+        self.close()
+        self._reset(now_s)
+        if self._line.port is None:
+            raise LinkLost(self.name, "rs422.port is not set")
+        try:
+            self._port = serial.Serial(self._line.port, self._line.baud, timeout=_READ_WALL_S, exclusive=True)
+            self._port.reset_input_buffer()  # what waited here came at a time that nobody knows
+        except Exception as cause:  # pyserial: OSError, ValueError (baud), termios.error
+            self.close()
+            raise LinkLost(self.name, f"cannot open {self._line.port}: {cause}") from cause
+        with contextlib.suppress(ValueError):  # a kindness of some UART drivers only: else FTDI chips add 16 ms
+            self._port.set_low_latency_mode(True)
+        self._heard.put(True, now_s)
+        self._reader = threading.Thread(target=self._read, args=(self._port,), name="vmu-reader", daemon=True)
+        self._reader.start()
+
+    def poll(self, now_s: float) -> list[PoseFrame]:
+        """Return the frames that came since the last call, oldest first; never waits.
+
+        Raises LinkTimeout after more than ``timeout_s`` without a new frame, LinkLost when the port is gone,
+        DriveFault when the unit reports a fault.
+        """
+        try:
+            self._heard.get(now_s, self._timeout_s)
+        except LinkTimeout as silence:
+            raise LinkTimeout(self.name, silence.what + self._hint()) from None
+        return [self._frames.popleft() for _ in range(len(self._frames))]
+
+    def counters(self) -> dict[str, int]:
+        """Return what was counted since ``open``, by the names of ``hil.drivers.vmu.COUNTERS``."""
+        decoder = self._decoder
+        return self._counts | {
+            "crc_errors": decoder.crc_errors,
+            "skipped_bytes": decoder.skipped_bytes,
+            "invalid": decoder.invalid,
+        }
+
+    def close(self) -> None:
+        """End the reader and let go of the port: well under 0.1 s, idempotent, never raises."""
+        self._ending.set()
+        self._heard.fail(LinkLost(self.name, "is closed"))
+        port, self._port = self._port, None
+        reader, self._reader = self._reader, None
+        if port is None:
+            return
+        with contextlib.suppress(Exception):  # the port may be gone already; that is what is wanted
+            port.cancel_read()
+        if reader is not None:
+            reader.join(_READ_WALL_S)
+        with contextlib.suppress(Exception):
+            port.close()
+
+    def _hint(self) -> str:
+        """Return what did come, for whoever looks for the fault: a wrong baud rate shows as skipped bytes."""
+        seen = ", ".join(f"{name} {count}" for name, count in self.counters().items() if count)
+        return f" (since open: {seen})" if seen else ""
+
+    def _read(self, port: serial.Serial) -> None:
+        try:
+            while not self._ending.is_set():
+                data = port.read(max(1, port.in_waiting))
+                received_s = self._clock.now_s()
+                for decoded in self._decoder.feed(data, received_s):
+                    self._take(decoded, received_s)
+        except Exception as cause:  # whatever ends this thread must reach the loop
+            error = LinkLost(self.name, f"{port.port}: {cause}")
+            error.__cause__ = cause
+            self._heard.fail(error)
+
+    def _take(self, decoded: Decoded, received_s: float) -> None:
+        if not self._is_new(decoded):
+            return
+        if decoded.pose is not None:
+            self._counts["frames"] += 1
+            self._frames.append(decoded.pose)
+        elif decoded.status == STATUS_NO_POSE:
+            self._counts["no_pose"] += 1
+        else:
+            self._heard.fail(DriveFault(self.name, f"reports fault 0x{decoded.status:02x}"))
+        self._heard.put(True, received_s)
+
+    def _is_new(self, decoded: Decoded) -> bool:
+        """Compare the counter, which wraps, with the newest one; count what is missing, repeated or old."""
+        if decoded.t_s < self._opened_s:  # left over in the adapter: its time of arrival means nothing
+            self._counts["late"] += 1
+            return False
+        ahead = 1 if self._newest is None else (decoded.counter - self._newest) & _COUNTER_MASK
+        if ahead == 0:
+            self._counts["duplicates"] += 1
+        elif ahead >= _HALF_COUNTER:
+            self._counts["late"] += 1
+        else:
+            self._counts["lost"] += ahead - 1
+            self._newest = decoded.counter
+            return True
+        return False

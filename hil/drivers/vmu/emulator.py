@@ -1,0 +1,71 @@
+"""An emulated vision unit: exposes on the beat, thinks for a while, sends its frame down the line."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+from hil.clock import WallClock
+from hil.config.rig import SerialLine, Vmu
+from hil.drivers.lines import PtyLine
+from hil.drivers.vmu import NAME
+from hil.drivers.vmu.codec import STATUS_NO_POSE, encode, encode_status
+from hil.messages import PoseFrame
+
+
+class VmuEmulator:
+    """Speaks the unit's frames on a pseudo terminal at ``config.rs422.baud``.
+
+    ``pose_at(t_s)`` is called at each exposure, multiples of 1/rate_hz of bench time, and returns the
+    measured pose with its noise (its counter and times are overwritten here), or None when the ring is
+    not seen. One frame is worked on at a time: exposures that fall into it do not take place.
+    """
+
+    def __init__(self, config: Vmu, clock: WallClock, pose_at: Callable[[float], PoseFrame | None]) -> None:
+        self._rate_hz = config.rate_hz
+        self._processing_s = config.processing_s
+        self._baud = (config.rs422 or SerialLine()).baud
+        self._clock = clock
+        self._pose_at = pose_at
+        self._line: PtyLine | None = None
+        self._counter = 0
+
+    def start(self) -> dict[str, str]:
+        """Open the line; return ``{"vmu": path of its pseudo terminal}``."""
+        self._line = PtyLine(self._baud, self._clock)
+        return {NAME: self._line.path}
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve until ``stop`` is set; after ``start``."""
+        if self._line is None:
+            raise RuntimeError("VmuEmulator.run before start")
+        exposure = 0
+        while True:
+            exposure = max(exposure + 1, math.ceil(self._clock.now_s() * self._rate_hz))
+            t_s = exposure / self._rate_hz
+            if self._wait(t_s, stop):
+                return
+            frame = self._expose(t_s)
+            if self._wait(t_s + self._processing_s, stop):
+                return
+            self._line.write(frame)
+
+    def close(self) -> None:
+        """Let go of the line; idempotent. Not while ``run`` is at work."""
+        if self._line is not None:
+            self._line.close()
+            self._line = None
+
+    def _expose(self, t_s: float) -> bytes:
+        counter = self._counter
+        self._counter = (counter + 1) & 0xFFFF_FFFF
+        pose = self._pose_at(t_s)
+        if pose is None:
+            return encode_status(counter, t_s, STATUS_NO_POSE)
+        return encode(replace(pose, counter=counter, t_s=t_s))
+
+    def _wait(self, t_s: float, stop: threading.Event) -> bool:
+        """Wait until bench time ``t_s``; return True at once when ``stop`` is set."""
+        return stop.wait(max(0.0, self._clock.wall_s(t_s - self._clock.now_s())))

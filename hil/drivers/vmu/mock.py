@@ -1,0 +1,84 @@
+"""The vision unit in memory, in simulated time: the same promises as on the wire."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+from hil.config.rig import Vmu
+from hil.drivers.latest import Latest
+from hil.drivers.vmu import COUNTERS, NAME
+from hil.errors import DeviceError, LinkLost
+from hil.messages import PoseFrame
+
+_TIME_SLACK_S: Final = 1e-9  # sums of cycle times are off by a few 1e-16 of themselves
+
+
+class MockVmu:
+    """Exposes at multiples k/rate_hz of bench time, the first at or after ``open``; no drift, no noise of its own.
+
+    ``pose_at(t_s)`` is called in the first ``poll`` at or after each exposure and returns the measured
+    pose (its counter and times are overwritten here), or None when the ring is not seen. The frame is
+    handed out ``latency_s`` after its exposure.
+    """
+
+    def __init__(self, config: Vmu, pose_at: Callable[[float], PoseFrame | None], latency_s: float = 0.0) -> None:
+        self.name = NAME
+        self._rate_hz = config.rate_hz
+        self._timeout_s = config.timeout_s
+        self._pose_at = pose_at
+        self._latency_s = latency_s
+        self._reset(0.0)
+
+    def _reset(self, now_s: float) -> None:
+        self._heard: Latest[bool] = Latest(self.name)
+        self._on_the_way: deque[tuple[float, PoseFrame | None]] = deque()
+        self._next = math.ceil((now_s - _TIME_SLACK_S) * self._rate_hz)  # number of the next exposure
+        self._counter = 0
+        self._counts = dict.fromkeys(COUNTERS, 0)
+
+    def open(self, now_s: float) -> None:
+        """Start at bench time ``now_s``."""
+        self._reset(now_s)
+        self._heard.put(True, now_s)
+
+    def poll(self, now_s: float) -> list[PoseFrame]:
+        """Return the frames that came since the last call, oldest first.
+
+        Raises LinkTimeout after more than ``timeout_s`` without a frame, or the error given to ``fail``.
+        """
+        self._heard.check()
+        self._expose_until(now_s + _TIME_SLACK_S)
+        frames = []
+        while self._on_the_way and self._on_the_way[0][0] <= now_s + _TIME_SLACK_S:
+            received_s, frame = self._on_the_way.popleft()
+            self._heard.put(True, received_s)
+            self._counts["no_pose" if frame is None else "frames"] += 1
+            if frame is not None:
+                frames.append(frame)
+        self._heard.get(now_s, self._timeout_s)
+        return frames
+
+    def counters(self) -> dict[str, int]:
+        """Return what was counted since ``open``, by the names of ``hil.drivers.vmu.COUNTERS``."""
+        return dict(self._counts)
+
+    def fail(self, error: DeviceError) -> None:
+        """Let every further ``poll`` raise ``error``."""
+        self._heard.fail(error)
+
+    def close(self) -> None:
+        """End; ``poll`` raises LinkLost until the next ``open``."""
+        self._heard.fail(LinkLost(self.name, "is closed"))
+
+    def _expose_until(self, now_s: float) -> None:
+        while (t_s := self._next / self._rate_hz) <= now_s:
+            pose = self._pose_at(t_s)
+            received_s = t_s + self._latency_s
+            frame = pose and replace(pose, counter=self._counter, t_s=t_s, received_s=received_s)
+            self._on_the_way.append((received_s, frame))
+            self._counter = (self._counter + 1) & 0xFFFF_FFFF
+            self._next += 1

@@ -1,0 +1,1 @@
+"""The dynamics simulation subsystem (DSS): truth, virtual IMU, virtual vision noise."""

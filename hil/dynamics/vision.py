@@ -1,0 +1,52 @@
+"""The virtual VMU: the true camera pose with white noise that grows with range.
+
+``sigma(r) = sigma_0 * max(1, r / r_ref)`` for position and angle, r the distance of the reference points.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths import quat
+from hil.maths.jit import kernel
+from hil.maths.stations import camera_pose
+
+VISION_NOISE = 6  # standard normals a frame: position in v, small rotation about v's axes
+
+VISION_PARAMS = np.dtype(
+    [
+        ("sigma_position", "f8"),  # m
+        ("sigma_angle", "f8"),  # rad
+        ("reference_range", "f8"),  # m
+    ],
+    align=True,
+)
+
+
+@kernel
+def range_factor(params, r_CT_H):
+    """Return max(1, r / r_ref)."""
+    distance = math.sqrt(r_CT_H[0] ** 2 + r_CT_H[1] ** 2 + r_CT_H[2] ** 2)
+    return max(1.0, distance / params.reference_range)
+
+
+@kernel
+def see(params, stations, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
+    """Write what the unit reports of a chaser at ``r_CT_H`` with ``q_CH``: pose t -> v and its covariance.
+
+    params: VISION_PARAMS. stations: STATIONS. noise: standard normals, (6,). t_v: (3,), m. q_vt: (4,).
+    covariance: (6, 6), of t_v and of e in ``R_est = exp([e]x) R_true``.
+    """
+    factor = range_factor(params, r_CT_H)
+    camera_pose(stations, r_CT_H, q_CH, t_v, q_vt)
+    turn = np.empty(3)
+    covariance[:] = 0.0
+    for i in range(3):
+        t_v[i] += params.sigma_position * factor * noise[i]
+        # exp([e]x) turns the vector, from_rotation_vector the frame: hence the minus
+        turn[i] = -params.sigma_angle * factor * noise[3 + i]
+        covariance[i, i] = (params.sigma_position * factor) ** 2
+        covariance[3 + i, 3 + i] = (params.sigma_angle * factor) ** 2
+    q_vt[:] = quat.multiply(quat.from_rotation_vector(turn), q_vt)

@@ -1,0 +1,133 @@
+"""Emulated devices of a rig: the child processes' program, and the parent's hold on all of them.
+
+``python -m hil.emulation DEVICE`` is a child; it gets its configuration from its parent.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, Literal, Self
+
+from hil import parameters
+from hil.clock import WallClock
+from hil.config.rig import Cia402, Modbus, ModbusAxis, Rig, SerialLine
+from hil.config.scenario import Scenario
+from hil.drivers.board import AxisBoard
+from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
+from hil.eye import Eye
+from hil.messages import PoseFrame
+
+DEVICES = ("rails", "turntable", "vmu")
+_READY_WALL_S = 60.0  # the first start compiles
+
+
+class EmulatedDevices:
+    """Starts an emulator process for each device of ``rig`` and keeps them until ``close``."""
+
+    def __init__(self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int) -> None:
+        self._board = AxisBoard.create()
+        self._rig = rig
+        configuration = {
+            "scenario": scenario.model_dump(mode="json"),
+            "rig": rig.model_dump(mode="json"),
+            "epoch_ns": clock.epoch_ns,
+            "speed": clock.speed,
+            "seed": seed,
+            "board": self._board.descriptor,
+        }
+        self.processes = [
+            EmulatorProcess(
+                device, [sys.executable, "-m", "hil.emulation", device], configuration, (self._board.descriptor,)
+            )
+            for device in DEVICES
+        ]
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """The process of each device: stopping it is pulling the device's plug."""
+        return {process.name: process.pid for process in self.processes}
+
+    def wait_ready(self) -> tuple[Rig, dict[str, str]]:
+        """Return the rig with the wires that the emulators opened, and where each one listens.
+
+        Raises DeviceError when one does not come up.
+        """
+        addresses: dict[str, str] = {}
+        for process in self.processes:
+            addresses |= process.wait_ready(_READY_WALL_S)
+        return _wired(self._rig, addresses), addresses
+
+    def close(self) -> None:
+        """End all of them, together; idempotent."""
+        for process in self.processes:
+            process.ask_to_end()
+        for process in self.processes:
+            process.close()
+        if self._board is not None:
+            self._board.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
+    """Return ``rig`` with the emulators' addresses in place of its wires."""
+    ports = {}
+    for axis in ("x", "y", "z"):
+        host, _, port = addresses[f"rails.{axis}"].rpartition(":")
+        given: ModbusAxis = getattr(rig.rails.modbus or Modbus(), axis)
+        ports[axis] = given.model_copy(update={"host": host, "port": int(port)})
+    rails = rig.rails.model_copy(update={"modbus": Modbus(**ports)})
+    path = addresses["turntable"]
+    turntable = rig.turntable.model_copy(
+        update={
+            "cia402": (rig.turntable.cia402 or Cia402()).model_copy(update={"channel": path}),
+            "ascii": (rig.turntable.ascii or SerialLine()).model_copy(update={"port": path}),
+        }
+    )
+    vmu = rig.vmu.model_copy(
+        update={"rs422": (rig.vmu.rs422 or SerialLine()).model_copy(update={"port": addresses["vmu"]})}
+    )
+    return rig.model_copy(update={"rails": rails, "turntable": turntable, "vmu": vmu})
+
+
+def make_emulator(device: Literal["rails", "turntable", "vmu"], configuration: dict[str, Any]) -> Emulator:
+    """Return the emulator of ``device`` for the configuration that the parent sent."""
+    scenario = Scenario.model_validate(configuration["scenario"], strict=False)
+    rig = Rig.model_validate(configuration["rig"], strict=False)
+    clock = WallClock(configuration["epoch_ns"], configuration["speed"])
+    board = AxisBoard(configuration["board"])
+    if device == "rails":
+        from hil.drivers.rails.emulator import RailsEmulator
+
+        return RailsEmulator(rig.rails, clock, board)
+    if device == "turntable" and rig.turntable.driver == "ascii":
+        from hil.drivers.turntable.ascii_emulator import AsciiTurntableEmulator
+
+        return AsciiTurntableEmulator(rig.turntable, clock, board)
+    if device == "turntable":
+        from hil.drivers.turntable.cia402_emulator import Cia402Emulator
+
+        return Cia402Emulator(rig.turntable, clock, board)
+    from hil.drivers.vmu.emulator import VmuEmulator
+
+    eye = Eye(
+        parameters.bench(rig, scenario.step_s),
+        parameters.stations(rig),
+        parameters.vision(scenario),
+        configuration["seed"],
+    )
+
+    def pose_at(t_s: float) -> PoseFrame:
+        rails, _ = board.read("rails", t_s)
+        gimbals, _ = board.read("turntable", t_s)
+        return eye.look(rails, gimbals, t_s)
+
+    return VmuEmulator(rig.vmu, clock, pose_at)
+
+
+if __name__ == "__main__":
+    serve(lambda configuration: make_emulator(sys.argv[1], configuration))  # type: ignore[arg-type]

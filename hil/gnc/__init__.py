@@ -1,0 +1,1 @@
+"""The integrated control subsystem (ICS): navigation filters, guidance, control, allocation."""

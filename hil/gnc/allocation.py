@@ -1,0 +1,81 @@
+"""From six on/off demands to thrusters.
+
+At set-up, every axis and sign gets the set of thrusters that serves it best (``thruster_sets``). In
+the cycle the sets of all demands are laid over each other: a thruster fires when more demands want
+it than want its opposite (``select``), so that demands that pull against each other spend nothing.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from hil.maths.jit import kernel
+from hil.messages import Array
+
+AXES_OF_A_BODY = 6  # force x, y, z, torque x, y, z
+_LARGEST_SET = 4
+_COST_OF_A_THRUSTER = 0.02  # against the unwanted part of the wrench over the wanted one
+
+
+def unit_wrenches(position_m: Array, direction: Array, force_n: Array) -> Array:
+    """Return force, N, and torque, N m, of each thruster at full thrust, shape (n, 6), in c."""
+    force = direction * force_n[:, None]
+    return np.hstack([force, np.cross(position_m, force)])
+
+
+def thruster_sets(wrenches: Array) -> tuple[np.ndarray, Array]:
+    """Return the best set for each axis and sign, and how strong it is.
+
+    wrenches: (n, 6). Returns ``sets``, int64 (6, 2, n) of 0 or 1, second index 0 for the negative
+    and 1 for the positive demand, and ``strength`` (6,), N or N m, the weaker of the two signs.
+    A set is best whose unwanted force and torque are smallest against the wanted one; a torque
+    counts as the force that the thrusters' mean arm gives it. Raises ValueError where no set of up
+    to four thrusters moves an axis.
+    """
+    n = len(wrenches)
+    arm = max(
+        float(np.sqrt(np.mean(np.sum(wrenches[:, 3:] ** 2, axis=1) / np.sum(wrenches[:, :3] ** 2, axis=1)))), 1e-9
+    )
+    members = [list(c) for size in range(1, min(_LARGEST_SET, n) + 1) for c in combinations(range(n), size)]
+    masks = np.zeros((len(members), n), dtype=np.int64)
+    for row, chosen in enumerate(members):
+        masks[row, chosen] = 1
+    totals = masks @ wrenches
+    scaled = totals / np.array([1.0, 1.0, 1.0, arm, arm, arm])
+    sets = np.zeros((AXES_OF_A_BODY, 2, n), dtype=np.int64)
+    strength = np.full(AXES_OF_A_BODY, np.inf)
+    for axis in range(AXES_OF_A_BODY):
+        for sign_index, sign in enumerate((-1.0, 1.0)):
+            wanted = sign * scaled[:, axis]
+            unwanted = np.sqrt(np.maximum(np.sum(scaled**2, axis=1) - wanted**2, 0.0))
+            useful = wanted > 1e-6
+            if not useful.any():
+                raise ValueError(
+                    f"no thrusters for the {'-' if sign < 0 else '+'}{'FFFTTT'[axis]}{'xyz'[axis % 3]} demand"
+                )
+            cost = np.full(len(masks), np.inf)
+            cost[useful] = unwanted[useful] / wanted[useful] + _COST_OF_A_THRUSTER * masks[useful].sum(axis=1)
+            # equal costs differ by rounding alone: the first of them, whatever the machine
+            best = int(np.flatnonzero(cost <= cost.min() + 1e-9)[0])
+            sets[axis, sign_index] = masks[best]
+            strength[axis] = min(strength[axis], sign * totals[best, axis])
+    return sets, strength
+
+
+@kernel
+def select(sets, n, command):
+    """Write ``command.on`` for the n thrusters from ``command.force`` and ``command.torque``.
+
+    sets: int64 (6, 2, MAX_THRUSTERS).
+    """
+    for j in range(n):
+        votes = 0
+        for axis in range(6):
+            wanted = command.force[axis] if axis < 3 else command.torque[axis - 3]
+            if wanted > 0:
+                votes += sets[axis, 1, j] - sets[axis, 0, j]
+            elif wanted < 0:
+                votes += sets[axis, 0, j] - sets[axis, 1, j]
+        command.on[j] = 1 if votes > 0 else 0

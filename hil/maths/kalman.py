@@ -1,0 +1,134 @@
+"""Kalman updates in plain loops: no library call, no allocation that grows, the same time every cycle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.maths.jit import kernel
+
+
+@kernel
+def propagate_covariance(p, phi, noise):
+    """Replace ``p`` by ``phi p phi.T + noise``; all (n, n)."""
+    n = p.shape[0]
+    half = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for m in range(n):
+                total += phi[i, m] * p[m, j]
+            half[i, j] = total
+    for i in range(n):
+        for j in range(i, n):
+            total = noise[i, j]
+            for m in range(n):
+                total += half[i, m] * phi[j, m]
+            p[i, j] = total
+            p[j, i] = total
+
+
+@kernel
+def invert_symmetric_3(s, out):
+    """Write the inverse of the symmetric positive definite ``s`` (3, 3) by its cofactors."""
+    c00 = s[1, 1] * s[2, 2] - s[1, 2] * s[1, 2]
+    c01 = s[0, 2] * s[1, 2] - s[0, 1] * s[2, 2]
+    c02 = s[0, 1] * s[1, 2] - s[0, 2] * s[1, 1]
+    det = s[0, 0] * c00 + s[0, 1] * c01 + s[0, 2] * c02
+    out[0, 0] = c00 / det
+    out[0, 1] = out[1, 0] = c01 / det
+    out[0, 2] = out[2, 0] = c02 / det
+    out[1, 1] = (s[0, 0] * s[2, 2] - s[0, 2] * s[0, 2]) / det
+    out[1, 2] = out[2, 1] = (s[0, 1] * s[0, 2] - s[0, 0] * s[1, 2]) / det
+    out[2, 2] = (s[0, 0] * s[1, 1] - s[0, 1] * s[0, 1]) / det
+
+
+@kernel
+def gain_of_three(p, h, r, gain, s_inverse):
+    """Write the gain (n, 3) and the inverse innovation covariance (3, 3) of a three-component measurement.
+
+    p: (n, n). h: (3, n). r: (3, 3).
+    """
+    n = p.shape[0]
+    ph = np.empty((n, 3))
+    s = np.empty((3, 3))
+    for i in range(n):
+        for j in range(3):
+            total = 0.0
+            for m in range(n):
+                total += p[i, m] * h[j, m]
+            ph[i, j] = total
+    for i in range(3):
+        for j in range(3):
+            total = r[i, j]
+            for m in range(n):
+                total += h[i, m] * ph[m, j]
+            s[i, j] = total
+    invert_symmetric_3(s, s_inverse)
+    for i in range(n):
+        for j in range(3):
+            gain[i, j] = ph[i, 0] * s_inverse[0, j] + ph[i, 1] * s_inverse[1, j] + ph[i, 2] * s_inverse[2, j]
+
+
+@kernel
+def joseph(p, h, r, gain):
+    """Replace ``p`` by ``(I - K H) p (I - K H).T + K R K.T``: symmetric and positive whatever the gain."""
+    n = p.shape[0]
+    a = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            a[i, j] = -(gain[i, 0] * h[0, j] + gain[i, 1] * h[1, j] + gain[i, 2] * h[2, j])
+        a[i, i] += 1.0
+    noise = np.empty((n, n))
+    for i in range(n):
+        kr0 = gain[i, 0] * r[0, 0] + gain[i, 1] * r[1, 0] + gain[i, 2] * r[2, 0]
+        kr1 = gain[i, 0] * r[0, 1] + gain[i, 1] * r[1, 1] + gain[i, 2] * r[2, 1]
+        kr2 = gain[i, 0] * r[0, 2] + gain[i, 1] * r[1, 2] + gain[i, 2] * r[2, 2]
+        for j in range(n):
+            noise[i, j] = kr0 * gain[j, 0] + kr1 * gain[j, 1] + kr2 * gain[j, 2]
+    propagate_covariance(p, a, noise)
+
+
+@kernel
+def update_three(x, p, h, r, innovation):
+    """Fuse a three-component measurement into ``x`` (n,) and ``p`` (n, n), in place; return the NIS.
+
+    h: (3, n). r: (3, 3). innovation: (3,), measured minus expected.
+    """
+    n = x.shape[0]
+    gain = np.empty((n, 3))
+    s_inverse = np.empty((3, 3))
+    gain_of_three(p, h, r, gain, s_inverse)
+    for i in range(n):
+        x[i] += gain[i, 0] * innovation[0] + gain[i, 1] * innovation[1] + gain[i, 2] * innovation[2]
+    joseph(p, h, r, gain)
+    nis = 0.0
+    for i in range(3):
+        for j in range(3):
+            nis += innovation[i] * s_inverse[i, j] * innovation[j]
+    return nis
+
+
+@kernel
+def normalised_square(error, p):
+    """Return ``error.T p^-1 error`` for a positive definite ``p`` (n, n), by Cholesky; nan if it is not."""
+    n = error.shape[0]
+    low = np.zeros((n, n))
+    y = np.empty(n)
+    total = 0.0
+    for i in range(n):
+        for j in range(i + 1):
+            s = p[i, j]
+            for m in range(j):
+                s -= low[i, m] * low[j, m]
+            if i == j:
+                if not s > 0.0:
+                    return np.nan
+                low[i, i] = np.sqrt(s)
+            else:
+                low[i, j] = s / low[j, j]
+        s = error[i]
+        for m in range(i):
+            s -= low[i, m] * y[m]
+        y[i] = s / low[i, i]
+        total += y[i] * y[i]
+    return total

@@ -1,0 +1,109 @@
+"""Keeps the rate of the loop: absolute deadlines, late cycles counted and not made up."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from hil.clock import SimulatedClock, WallClock
+
+_SPIN_NS = 200_000  # the last of each wait: the kernel's wake-up is coarser than this
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One cycle's moment: bench time now, bench time at which the run's time is zero, wall lateness."""
+
+    now_s: float
+    run_zero_s: float
+    lateness_s: float
+
+
+class Rate(Protocol):
+    """Gives the moment of each cycle; ``cycle`` is its number since ``restart``."""
+
+    overruns: int
+
+    def now_s(self) -> float:
+        """Return bench time."""
+
+    def restart(self) -> None:
+        """Let the next cycle be number 0 of a new count, one period from now."""
+
+    def wait(self) -> Tick:
+        """Wait for the next cycle's deadline."""
+
+
+class SimulatedRate:
+    """As fast as it goes: cycle k is at exactly ``k * step_s`` after the restart."""
+
+    def __init__(self, clock: SimulatedClock, step_s: float) -> None:
+        self._clock = clock
+        self._step_s = step_s
+        self.overruns = 0
+        self.restart()
+
+    def now_s(self) -> float:
+        return self._clock.now_s()
+
+    def restart(self) -> None:
+        self._zero_s = self._clock.now_s()
+        self._cycle = 0
+
+    def wait(self) -> Tick:
+        self._clock.t_s = self._zero_s + self._cycle * self._step_s
+        self._cycle += 1
+        return Tick(self._clock.t_s, self._zero_s, 0.0)
+
+
+class WallRate:
+    """Absolute deadlines on the monotonic clock.
+
+    A cycle that ends after the next deadline is an overrun: the periods that it ate are skipped and
+    counted, the run's time lags by them, and no cycle is made up.
+    """
+
+    def __init__(self, clock: WallClock, step_s: float) -> None:
+        self._clock = clock
+        self._step_s = step_s
+        self._period_ns = round(step_s / clock.speed * 1e9)
+        self.overruns = 0
+        self.skipped_periods = 0
+        self.restart()
+
+    def now_s(self) -> float:
+        return self._clock.now_s()
+
+    def restart(self) -> None:
+        self._deadline_ns = time.monotonic_ns()
+        self._zero_s = self._bench_s(self._deadline_ns + self._period_ns)
+
+    def wait(self) -> Tick:
+        self._deadline_ns += self._period_ns
+        late_ns = time.monotonic_ns() - self._deadline_ns
+        if late_ns >= 0:
+            skipped = late_ns // self._period_ns + 1
+            self.overruns += 1
+            self.skipped_periods += skipped
+            self._deadline_ns += skipped * self._period_ns
+            self._zero_s += skipped * self._step_s
+        left_ns = self._deadline_ns - time.monotonic_ns() - _SPIN_NS
+        if left_ns > 0:
+            time.sleep(left_ns * 1e-9)
+        while (now_ns := time.monotonic_ns()) < self._deadline_ns:
+            pass
+        return Tick(self._bench_s(now_ns), self._zero_s, (now_ns - self._deadline_ns) * 1e-9)
+
+    def _bench_s(self, monotonic_ns: int) -> float:
+        return (monotonic_ns - self._clock.epoch_ns) * 1e-9 * self._clock.speed
+
+
+def lateness_percentiles_us(lateness_s: np.ndarray) -> dict[str, float]:
+    """Return p50, p99, p999 and max in microseconds."""
+    if not len(lateness_s):
+        return {"p50": 0.0, "p99": 0.0, "p999": 0.0, "max": 0.0}
+    p50, p99, p999, largest = np.percentile(lateness_s * 1e6, [50.0, 99.0, 99.9, 100.0])
+    return {"p50": float(p50), "p99": float(p99), "p999": float(p999), "max": float(largest)}

@@ -1,0 +1,1 @@
+"""What a run means: verdict against the requirements, key numbers, summaries."""

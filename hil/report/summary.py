@@ -1,0 +1,123 @@
+"""The key numbers of a run, under the names of ``hil run --json``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hil.config.scenario import Scenario
+from hil.messages import Array
+from hil.rate import lateness_percentiles_us
+from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge
+from hil.runner import COMPLETED, Outcome
+
+SETTLED_S = 100.0  # navigation is judged from here on, as in physics of the paper's numerical run
+_TORQUE_WINDOW_S = (360.0, 400.0)  # bench paper Fig. 8
+
+
+def summarise(
+    outcome: Outcome, scenario: Scenario, rig_name: str, seed: int, orbit_rate: float, rate_hz: float
+) -> tuple[dict[str, Any], Verdict]:
+    """Return the run's numbers as they go into JSON, and the verdict.
+
+    Quantities that the run did not get far enough to have are None.
+    """
+    history = outcome.history
+    verdict = judge(deviations(history, scenario.requirements, orbit_rate), scenario.requirements)
+    passed = verdict.passed and outcome.stop == COMPLETED
+    summary = {
+        "scenario": scenario.name,
+        "seed": seed,
+        "rig": rig_name,
+        "passed": passed,
+        "stop": outcome.stop,
+        "ready_time_s": verdict.ready_time_s,
+        "held_since_s": verdict.held_since_s,
+        "ready_phase": {name: _list(verdict.worst[name]) for name in ROW_NAMES} if verdict.worst else None,
+        "navigation": _navigation(history),
+        "thrusters": _thrusters(history, scenario),
+        "vision": outcome.vision_counters,
+        "bench": _bench(history, outcome),
+        "timing": {
+            "rate_hz": rate_hz,
+            "cycles": len(history),
+            "overruns": outcome.overruns,
+            "lateness_us": lateness_percentiles_us(history["lateness_s"]),
+        },
+        "faults": outcome.faults,
+    }
+    return summary, verdict
+
+
+def _list(values: Array) -> list[float]:
+    return [float(value) for value in values]
+
+
+def _navigation(history: np.ndarray) -> dict[str, Any]:
+    """Errors of the estimate against the truth, and the filters' own bound, from SETTLED_S on (all, if shorter)."""
+    known = history[history["navigation"]["valid"] == 1]
+    late = known[known["t_s"] >= SETTLED_S]
+    chosen = late if len(late) else known
+    keys = ("position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg", "position_bound_m", "attitude_bound_deg")
+    if not len(chosen):
+        return dict.fromkeys((*keys, "nees_pkf", "nees_akf"))
+    truth, estimate = chosen["truth"], chosen["navigation"]
+    q, p = truth["q_CH"], estimate["q_CH"]
+    # small turn from the estimated to the true frame: twice the vector part of q_true * conj(q_estimate)
+    vector = (p[:, 3:] * q[:, :3] - q[:, 3:] * p[:, :3] + np.cross(q[:, :3], p[:, :3])) * np.sign(
+        np.sum(p * q, axis=1)
+    )[:, None]
+    return {
+        "position_rmse_m": _rms(truth["r_CT_H"] - estimate["r_CT_H"]),
+        "velocity_rmse_mps": _rms(truth["v_CT_H"] - estimate["v_CT_H"]),
+        "attitude_rmse_deg": _rms(np.degrees(2.0 * vector)),
+        "position_bound_m": _rms(estimate["sigma_r_m"]),
+        "attitude_bound_deg": _rms(np.degrees(estimate["sigma_attitude_rad"])),
+        "nees_pkf": _mean(chosen["nees_position"]),
+        "nees_akf": _mean(chosen["nees_attitude"]),
+    }
+
+
+def _rms(values: Array) -> list[float] | None:
+    rms = np.sqrt(np.mean(values**2, axis=0))
+    return _list(rms) if np.isfinite(rms).all() else None
+
+
+def _mean(values: Array) -> float | None:
+    mean = float(np.mean(values))
+    return mean if np.isfinite(mean) else None
+
+
+def _thrusters(history: np.ndarray, scenario: Scenario) -> dict[str, Any]:
+    command, truth = history["command"], history["truth"]
+    n = len(scenario.chaser.thrusters.position_m)
+    step = scenario.step_s
+    fraction = truth["thrust_fraction"][:, :n]
+    open_now = fraction > 0.0
+    opened = open_now & ~np.vstack([np.zeros((1, n), dtype=bool), open_now[:-1]]) if len(history) else open_now
+    window = (history["t_s"] >= _TORQUE_WINDOW_S[0]) & (history["t_s"] < _TORQUE_WINDOW_S[1])
+    return {
+        "force_on_time_s": _list(step * (command["force"] != 0).sum(axis=0)),
+        "torque_on_time_s": _list(step * (command["torque"] != 0).sum(axis=0)),
+        "torque_on_time_360_400_s": _list(step * (command["torque"][window] != 0).sum(axis=0)),
+        "thruster_on_time_s": _list(step * fraction.sum(axis=0)),
+        "thruster_firings": [int(count) for count in opened.sum(axis=0)],
+        "propellant_kg": float(truth["mass_kg"][0] - truth["mass_kg"][-1]) if len(history) else 0.0,
+    }
+
+
+def _bench(history: np.ndarray, outcome: Outcome) -> dict[str, Any]:
+    """Commanded against measured axes, largest and rms; the setpoint of a row is the one for its moment."""
+    rows = history[1:]
+    if not len(rows):
+        return {"limited_cycles": outcome.limited_cycles}
+    rail = rows["setpoint"]["rail_m"] - rows["feedback"]["rail_m"]
+    gimbal = np.degrees(rows["setpoint"]["gimbal_rad"] - rows["feedback"]["gimbal_rad"])
+    return {
+        "rail_error_rms_m": _rms(rail),
+        "rail_error_max_m": _list(np.abs(rail).max(axis=0)),
+        "gimbal_error_rms_deg": _rms(gimbal),
+        "gimbal_error_max_deg": _list(np.abs(gimbal).max(axis=0)),
+        "limited_cycles": outcome.limited_cycles,
+    }

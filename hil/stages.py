@@ -1,0 +1,225 @@
+"""The stages of a cycle: what each holds between cycles, and the kernels it calls.
+
+A stage owns its parameters and its state; the records that pass between stages belong to the cycle.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.bench import kinematics
+from hil.dynamics import imu as imu_kernels
+from hil.dynamics import truth as truth_kernels
+from hil.drivers.base import AxisGroup, PoseSource
+from hil.errors import SafetyTrip
+from hil.gnc import allocation, control, guidance, navigation
+from hil.gnc.navigation import NAVIGATION_STATE
+from hil.maths.profile import along_line, duration
+from hil.maths.stations import chaser_pose
+from hil.maths.streams import NormalRows
+from hil.messages import AXES, Array, PoseFrame, new
+
+
+class Dss:
+    """Dynamics simulation: the truth and the virtual IMU."""
+
+    def __init__(self, params: np.record, imu_params: np.record, imu_noise: NormalRows) -> None:
+        self.params = params
+        self._imu_params = imu_params
+        self._noise = imu_noise
+        self._rate = np.empty(3)
+
+    def sample_imu(self, truth: np.record, imu: np.record) -> None:
+        """Write the IMU's sample of the step that ended at ``truth``."""
+        imu_kernels.sample(self._imu_params, truth, self._noise.take(), imu)
+
+    def step(self, truth: np.record, command: np.record) -> None:
+        """Move ``truth`` on by one step under the thrusters that ``command`` opens."""
+        truth_kernels.step(self.params, truth, command.on)
+
+    def rate_against_hill(self, truth: np.record) -> Array:
+        """Return the chaser's rate against H, in c, (3,), rad/s; valid until the next call."""
+        truth_kernels.rate_against_hill(self.params, truth, self._rate)
+        return self._rate
+
+
+class Vision:
+    """The vision unit's newest pose, brought from the camera to the chaser."""
+
+    def __init__(self, source: PoseSource, stations: np.record) -> None:
+        self.source = source
+        self._stations = stations
+
+    def take(self, bench_s: float, run_zero_s: float, pose: np.record) -> None:
+        """Write the newest frame that came since the last cycle into ``pose``; ``fresh`` says whether one did.
+
+        run_zero_s: bench time at which the run's time is zero.
+        """
+        frames = self.source.poll(bench_s)
+        pose.fresh = 0
+        if frames:
+            self.read(frames[-1], run_zero_s, pose)
+
+    def read(self, frame: PoseFrame, run_zero_s: float, pose: np.record) -> None:
+        """Write ``frame`` into ``pose`` as a fresh one."""
+        chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
+        pose.t_s = frame.t_s - run_zero_s
+        pose.fresh = 1
+
+
+class Gnc:
+    """Navigation, guidance, control and allocation."""
+
+    def __init__(
+        self,
+        navigation_params: np.record,
+        guidance_params: np.record,
+        control_params: np.record,
+        sets: np.ndarray,
+        n_thrusters: int,
+    ) -> None:
+        self._navigation = navigation_params
+        self._guidance = guidance_params
+        self._control = control_params
+        self._sets = sets
+        self._n = n_thrusters
+        self.state = new(NAVIGATION_STATE)
+        self._nees = np.empty(2)
+
+    def navigate(self, imu: np.record, pose: np.record, out: np.record) -> None:
+        """Write NAVIGATION from the step's IMU sample and, where fresh, a pose."""
+        navigation.navigate(self._navigation, self.state, imu, pose, out)
+
+    def guide(self, t_s: float, out: np.record) -> None:
+        """Write REFERENCE for ``t_s`` of the run."""
+        guidance.reference(self._guidance, t_s, out)
+
+    def control(self, estimate: np.record, reference: np.record, command: np.record) -> None:
+        """Write the demands and the thrusters of COMMAND."""
+        control.control(self._control, estimate, reference, command)
+        allocation.select(self._sets, self._n, command)
+
+    def consistency(self, truth: np.record, imu: np.record) -> Array:
+        """Return NEES of position and attitude filter, (2,), nan where there is none; valid until the next call."""
+        if self.state.started and self._navigation.sensors == navigation.VISION_AND_IMU:
+            navigation.normalised_errors(self.state, truth, imu, self._nees)
+        else:
+            self._nees[:] = np.nan
+        return self._nees
+
+
+class Bench:
+    """Rails and turntable as one machine that carries the chaser's pose."""
+
+    def __init__(
+        self,
+        rails: AxisGroup,
+        turntable: AxisGroup,
+        params: np.record,
+        following_error_max: tuple[float, float],
+    ) -> None:
+        self.rails = rails
+        self.turntable = turntable
+        self.params = params
+        self._following_error_max = following_error_max  # m, rad
+        self._wanted = new(AXES)
+        self._before = new(AXES)
+        self._worst = np.empty(4)
+        self.limited_cycles = 0
+
+    def open(self, now_s: float) -> None:
+        """Open both devices; they hold where they stand."""
+        self.rails.open(now_s)
+        self.turntable.open(now_s)
+
+    def read(self, now_s: float, feedback: np.record) -> None:
+        """Write the encoders' newest values into ``feedback`` (AXES)."""
+        rails = self.rails.read(now_s)
+        turntable = self.turntable.read(now_s)
+        feedback.rail_m[:] = rails.position
+        feedback.rail_mps[:] = rails.rate
+        feedback.gimbal_rad[:] = turntable.position
+        feedback.gimbal_radps[:] = turntable.rate
+
+    def seed(self, feedback: np.record) -> None:
+        """Make the encoders' positions the last setpoint, at rest: nothing jumps at the next command."""
+        self._before.rail_m[:] = feedback.rail_m
+        self._before.gimbal_rad[:] = feedback.gimbal_rad
+        self._before.rail_mps[:] = 0.0
+        self._before.gimbal_radps[:] = 0.0
+
+    def axes_of(self, r_CT_H: Array, v_CT_H: Array, q_CH: Array, w_CH_C: Array, out: np.record) -> None:
+        """Write the axes' positions and rates, unlimited, for a pose of the chaser."""
+        kinematics.axes_of_pose(self.params, r_CT_H, v_CT_H, q_CH, w_CH_C, out)
+
+    def follow(self, truth: np.record, w_CH_C: Array, now_s: float, setpoint: np.record) -> None:
+        """Send the axes towards the pose in ``truth``; write what was accepted into ``setpoint``."""
+        self.axes_of(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C, self._wanted)
+        self.command(self._wanted, now_s, setpoint)
+
+    def command(self, wanted: np.record, now_s: float, setpoint: np.record) -> None:
+        """Send ``wanted`` (AXES), cut to what travel, speed and acceleration allow."""
+        if kinematics.limit_setpoint(self.params, self._before, wanted, setpoint):
+            self.limited_cycles += 1
+        setpoint.rail_m[:] = self.rails.send(setpoint.rail_m, setpoint.rail_mps, now_s)
+        setpoint.gimbal_rad[:] = self.turntable.send(setpoint.gimbal_rad, setpoint.gimbal_radps, now_s)
+        _copy_axes(setpoint, self._before)
+
+    def check(self, feedback: np.record) -> None:
+        """Raise SafetyTrip where the axes do not stand where the last setpoint sent them."""
+        kinematics.largest_difference(self._before, feedback, self._worst)
+        rail, rail_axis, gimbal, gimbal_axis = self._worst
+        if not rail <= self._following_error_max[0]:
+            name = self.rails.axis_names[int(rail_axis)]
+            raise SafetyTrip(name, "following error", f"{rail:.4f} m", f"{self._following_error_max[0]:g} m")
+        if not gimbal <= self._following_error_max[1]:
+            name = self.turntable.axis_names[int(gimbal_axis)]
+            limit = math.degrees(self._following_error_max[1])
+            raise SafetyTrip(name, "following error", f"{math.degrees(gimbal):.3f} deg", f"{limit:g} deg")
+
+    def stop(self, now_s: float) -> None:
+        """Bring all axes to a stand; never raises."""
+        self.rails.stop(now_s)
+        self.turntable.stop(now_s)
+
+    def close(self) -> None:
+        """Let go of both devices; never raises."""
+        self.rails.close()
+        self.turntable.close()
+
+
+class Move:
+    """A slow move of all six axes from where they stand to a target, each with a trapezoidal speed."""
+
+    SHARE_OF_LIMITS = 0.5
+
+    def __init__(self, params: np.record, start: np.record, target: np.record) -> None:
+        self._start = np.concatenate([start.rail_m, start.gimbal_rad])
+        self._way = np.concatenate([target.rail_m, target.gimbal_rad]) - self._start
+        self._speed = self.SHARE_OF_LIMITS * params.rate_max
+        self._acceleration = self.SHARE_OF_LIMITS * params.acceleration_max
+        self.duration_s = max(
+            duration(abs(way), speed, acceleration, acceleration)
+            for way, speed, acceleration in zip(self._way, self._speed, self._acceleration, strict=True)
+        )
+
+    def at(self, t_s: float, out: np.record) -> None:
+        """Write the axes (AXES) at ``t_s`` after the start of the move."""
+        along = np.empty(3)
+        for axis, way in enumerate(self._way):
+            along_line(abs(way), self._speed[axis], self._acceleration[axis], self._acceleration[axis], t_s, along)
+            sign = math.copysign(1.0, way)
+            position, rate = self._start[axis] + sign * along[0], sign * along[1]
+            if axis < 3:
+                out.rail_m[axis], out.rail_mps[axis] = position, rate
+            else:
+                out.gimbal_rad[axis - 3], out.gimbal_radps[axis - 3] = position, rate
+
+
+def _copy_axes(source: np.record, target: np.record) -> None:
+    target.rail_m[:] = source.rail_m
+    target.rail_mps[:] = source.rail_mps
+    target.gimbal_rad[:] = source.gimbal_rad
+    target.gimbal_radps[:] = source.gimbal_radps
