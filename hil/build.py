@@ -28,9 +28,10 @@ from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.runner import Runner, Watch
-from hil.stages import Bench, Dss, Gnc, Vision
+from hil.stages import Bench, Dss, Gnc, Move, Vision
 
 _FRAMES_TO_ARM = 2
+_WARM_UP_CYCLES = 10
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,16 @@ def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[
             wires = ", ".join(f"{n} on {a}" for n, a in addresses.items() if n.split(".")[0] == process.name)
             announce(f"emulator process {process.pid}: {wires}")
         yield _assemble(job, wired, rate, *_drivers(wired, wall), _FRAMES_TO_ARM, watch)
+
+
+def warm_up(job: Job) -> None:
+    """Call every kernel of the loop once, in memory: nothing compiles once the bench is powered."""
+    scenario, rig = job.scenario.value, job.rig.value
+    few = Job(job.scenario, job.rig, job.seed, _WARM_UP_CYCLES * scenario.step_s, 1.0)
+    rate = SimulatedRate(SimulatedClock(), scenario.step_s)
+    runner_in_memory = _assemble(few, rig, rate, *_mocks(scenario, rig, 0), 0, lambda *_: None)
+    Move(parameters.bench(rig, scenario.step_s), new(AXES), _start_axes(scenario, rig)).at(0.1, new(AXES))
+    runner_in_memory.run()
 
 
 def _assemble(
@@ -229,9 +240,9 @@ def _port_problems(rig: Loaded[Rig]) -> list[Problem]:
     named: list[tuple[str, str | None]] = []
     if value.turntable.driver == "ascii" and value.turntable.ascii is not None:
         named.append(("turntable.ascii.port", value.turntable.ascii.port))
-    if value.turntable.driver == "cia402" and value.turntable.cia402 is not None:
-        if value.turntable.cia402.interface in ("serial", "slcan"):
-            named.append(("turntable.cia402.channel", value.turntable.cia402.channel))
+    can = value.turntable.cia402
+    if value.turntable.driver == "cia402" and can is not None and can.interface in ("serial", "slcan"):
+        named.append(("turntable.cia402.channel", can.channel))
     if value.vmu.rs422 is not None:
         named.append(("vmu.rs422.port", value.vmu.rs422.port))
     present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"

@@ -87,6 +87,8 @@ COMMAND = np.dtype(
         ("force", "i8", 3),  # -1, 0, 1: demand along each body axis, before allocation
         ("torque", "i8", 3),
         ("on", "i8", MAX_THRUSTERS),  # 0 or 1 a thruster
+        ("cycles_left", "i8", 6),  # of the burn under way, signed; force axes, then torque axes
+        ("until_decision", "i8", 6),  # cycles
     ],
     align=True,
 )

@@ -161,7 +161,9 @@ def control(scenario: Scenario, strength: Array) -> np.record:
     params.position_lead = settings.lead_s
     params.attitude_deadband = math.radians(settings.deadband_deg)
     params.attitude_lead = settings.attitude_lead_s
-    params.release = settings.release
+    params.dt_s = scenario.step_s
+    params.position_period = max(1, round(settings.period_s / scenario.step_s))
+    params.attitude_period = max(1, round(settings.attitude_period_s / scenario.step_s))
     params.acceleration = strength[:3] / scenario.chaser.mass_kg
     params.angular_acceleration = strength[3:] / np.diag(np.array(scenario.chaser.inertia_kg_m2))
     return params

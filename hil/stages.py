@@ -10,9 +10,9 @@ import math
 import numpy as np
 
 from hil.bench import kinematics
+from hil.drivers.base import AxisGroup, PoseSource
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
-from hil.drivers.base import AxisGroup, PoseSource
 from hil.errors import SafetyTrip
 from hil.gnc import allocation, control, guidance, navigation
 from hil.gnc.navigation import NAVIGATION_STATE
@@ -126,6 +126,8 @@ class Bench:
         self._following_error_max = following_error_max  # m, rad
         self._wanted = new(AXES)
         self._before = new(AXES)
+        self._next = new(AXES)
+        self._next_arrays = tuple(self._next[name] for name in ("rail_m", "rail_mps", "gimbal_rad", "gimbal_radps"))
         self._worst = np.empty(4)
         self.limited_cycles = 0
 
@@ -138,17 +140,12 @@ class Bench:
         """Write the encoders' newest values into ``feedback`` (AXES)."""
         rails = self.rails.read(now_s)
         turntable = self.turntable.read(now_s)
-        feedback.rail_m[:] = rails.position
-        feedback.rail_mps[:] = rails.rate
-        feedback.gimbal_rad[:] = turntable.position
-        feedback.gimbal_radps[:] = turntable.rate
+        kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, feedback)
 
     def seed(self, feedback: np.record) -> None:
         """Make the encoders' positions the last setpoint, at rest: nothing jumps at the next command."""
-        self._before.rail_m[:] = feedback.rail_m
-        self._before.gimbal_rad[:] = feedback.gimbal_rad
-        self._before.rail_mps[:] = 0.0
-        self._before.gimbal_radps[:] = 0.0
+        rest = np.zeros(3)
+        kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, self._before)
 
     def axes_of(self, r_CT_H: Array, v_CT_H: Array, q_CH: Array, w_CH_C: Array, out: np.record) -> None:
         """Write the axes' positions and rates, unlimited, for a pose of the chaser."""
@@ -161,11 +158,13 @@ class Bench:
 
     def command(self, wanted: np.record, now_s: float, setpoint: np.record) -> None:
         """Send ``wanted`` (AXES), cut to what travel, speed and acceleration allow."""
-        if kinematics.limit_setpoint(self.params, self._before, wanted, setpoint):
+        if kinematics.limit_setpoint(self.params, self._before, wanted, self._next):
             self.limited_cycles += 1
-        setpoint.rail_m[:] = self.rails.send(setpoint.rail_m, setpoint.rail_mps, now_s)
-        setpoint.gimbal_rad[:] = self.turntable.send(setpoint.gimbal_rad, setpoint.gimbal_radps, now_s)
-        _copy_axes(setpoint, self._before)
+        rail_m, rail_mps, gimbal_rad, gimbal_radps = self._next_arrays
+        rail_accepted = self.rails.send(rail_m, rail_mps, now_s)
+        gimbal_accepted = self.turntable.send(gimbal_rad, gimbal_radps, now_s)
+        kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, setpoint)
+        kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, self._before)
 
     def check(self, feedback: np.record) -> None:
         """Raise SafetyTrip where the axes do not stand where the last setpoint sent them."""
@@ -216,10 +215,3 @@ class Move:
                 out.rail_m[axis], out.rail_mps[axis] = position, rate
             else:
                 out.gimbal_rad[axis - 3], out.gimbal_radps[axis - 3] = position, rate
-
-
-def _copy_axes(source: np.record, target: np.record) -> None:
-    target.rail_m[:] = source.rail_m
-    target.rail_mps[:] = source.rail_mps
-    target.gimbal_rad[:] = source.gimbal_rad
-    target.gimbal_radps[:] = source.gimbal_radps

@@ -107,3 +107,13 @@ def largest_difference(setpoint, feedback, out):
         if not gimbal <= out[2]:
             out[2] = gimbal
             out[3] = i
+
+
+@kernel
+def write_axes(rail_m, rail_mps, gimbal_rad, gimbal_radps, out):
+    """Write the four arrays (3,) into ``out`` (AXES)."""
+    for i in range(3):
+        out.rail_m[i] = rail_m[i]
+        out.rail_mps[i] = rail_mps[i]
+        out.gimbal_rad[i] = gimbal_rad[i]
+        out.gimbal_radps[i] = gimbal_radps[i]

@@ -114,7 +114,7 @@ class SerialLine(Strict):
 
 class Rails(Strict):
     driver: Literal["mock", "modbus"]
-    timeout_s: Positive = 0.2
+    timeout_s: Positive = 0.4
     following_error_max_m: Positive = 0.05
     servo: Servo
     x: RailAxis
@@ -125,7 +125,7 @@ class Rails(Strict):
 
 class Turntable(Strict):
     driver: Literal["mock", "cia402", "ascii"]
-    timeout_s: Positive = 0.2
+    timeout_s: Positive = 0.4
     following_error_max_deg: Positive = 2.0
     servo: Servo
     roll: GimbalAxis

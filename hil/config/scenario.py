@@ -142,11 +142,14 @@ class Guidance(Strict):
 
 
 class Control(Strict):
+    """Phase planes of position and attitude; an axis decides once a period."""
+
     deadband_m: Positive
-    lead_s: NotNegative
+    lead_s: Positive
+    period_s: Positive
     deadband_deg: Positive
-    attitude_lead_s: NotNegative
-    release: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
+    attitude_lead_s: Positive
+    attitude_period_s: Positive
 
 
 class Gnc(Strict):

@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from hil.errors import SafetyTrip
+from hil.maths.limits import cut_to_range
 from hil.messages import Array, AxisFeedback, PoseFrame
 
 RAIL_NAMES = ("x", "y", "z")
@@ -76,7 +77,8 @@ def full_names(device: str, short: tuple[str, str, str]) -> tuple[str, str, str]
 
 def accepted_setpoint(axis_names: tuple[str, str, str], position: Array, low: Array, high: Array) -> Array:
     """Return ``position`` (3,) cut to the travel; raise SafetyTrip where it is not finite."""
-    for name, value in zip(axis_names, position, strict=True):
-        if not np.isfinite(value):
-            raise SafetyTrip(name, "setpoint", str(value), "a finite number")
-    return np.clip(position, low, high)
+    accepted = np.empty(3)
+    bad = cut_to_range(position, low, high, accepted)
+    if bad >= 0:
+        raise SafetyTrip(axis_names[bad], "setpoint", str(position[bad]), "a finite number")
+    return accepted

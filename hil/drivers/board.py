@@ -16,6 +16,7 @@ from hil.messages import Array
 
 SLOTS: Final = {"rails": 0, "turntable": 1}
 _WORDS: Final = 8  # sequence, t_s, 3 positions, 3 rates
+_TRIES: Final = 1000
 _SIZE: Final = len(SLOTS) * _WORDS * 8
 
 
@@ -44,15 +45,22 @@ class AxisBoard:
         self._sequence[slot] += 1
 
     def read(self, device: str, t_s: float) -> tuple[Array, Array]:
-        """Return position and rate of ``device`` carried on to ``t_s`` by its rate."""
+        """Return position and rate of ``device`` carried on to ``t_s`` by its rate.
+
+        A device that was killed in the middle of a write leaves the slot half written for good; its
+        words are then returned as they stand.
+        """
         slot = SLOTS[device]
-        while True:
+        for _ in range(_TRIES):
             before = self._sequence[slot]
             words = self._words[slot].copy()
             if before % 2 == 0 and before == self._sequence[slot]:
-                return words[2:5] + (t_s - words[1]) * words[5:8], words[5:8]
+                break
+        return words[2:5] + (t_s - words[1]) * words[5:8], words[5:8]
 
     def close(self) -> None:
-        del self._words, self._sequence
-        self._map.close()
-        os.close(self.descriptor)
+        """Let go of the block; idempotent."""
+        if not self._map.closed:
+            del self._words, self._sequence
+            self._map.close()
+            os.close(self.descriptor)

@@ -21,6 +21,7 @@ _CHUNK = 4096
 def _open_raw_pty() -> tuple[int, int, str]:
     master, slave = os.openpty()
     tty.setraw(slave, termios.TCSANOW)
+    os.set_blocking(master, False)
     return master, slave, os.ttyname(slave)
 
 
@@ -33,6 +34,7 @@ class PtyLine:
         self._master, self._slave, self.path = _open_raw_pty()
         self._sent_until_s = 0.0
         self._write_lock = threading.Lock()
+        self._open = True
 
     def read(self, timeout_s: float) -> bytes:
         """Return what came within ``timeout_s`` of bench time, b"" if nothing, after its line time."""
@@ -45,16 +47,22 @@ class PtyLine:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send ``data``: the call returns, and the bytes appear, when the last of them is through."""
+        """Send ``data``: the call returns, and the bytes appear, when the last of them is through.
+
+        What nobody reads is lost once the kernel's buffer is full, as on a real line.
+        """
         with self._write_lock:
             start_s = max(self._clock.now_s(), self._sent_until_s)
             self._sent_until_s = start_s + len(data) * self._byte_s
             self._clock.sleep_until(self._sent_until_s)
-            _write_all(self._master, data)
+            _write_or_lose(self._master, data)
 
     def close(self) -> None:
-        os.close(self._slave)
-        os.close(self._master)
+        """Let go of the line; idempotent."""
+        if self._open:
+            self._open = False
+            os.close(self._slave)
+            os.close(self._master)
 
 
 class PtyBridge:
@@ -85,9 +93,12 @@ class PtyBridge:
             data = os.read(source, _CHUNK)
             free_at_s = max(self._clock.now_s(), free_at_s) + len(data) * self._byte_s
             self._clock.sleep_until(free_at_s)
-            _write_all(sink, data)
+            _write_or_lose(sink, data)
 
     def close(self) -> None:
+        """Let go of the bus; idempotent."""
+        if self._stop.is_set():
+            return
         self._stop.set()
         for thread in self._threads:
             thread.join()
@@ -95,6 +106,10 @@ class PtyBridge:
             os.close(descriptor)
 
 
-def _write_all(descriptor: int, data: bytes) -> None:
-    while data:
-        data = data[os.write(descriptor, data) :]
+def _write_or_lose(descriptor: int, data: bytes) -> None:
+    """Write ``data`` to a non-blocking ``descriptor``; what it cannot take now is lost, as on a real line."""
+    try:
+        while data:
+            data = data[os.write(descriptor, data) :]
+    except BlockingIOError:
+        return

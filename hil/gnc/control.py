@@ -6,8 +6,12 @@ The switching function of an axis is
 
 with the error ``e``, its rate, a lead time ``tau`` and the acceleration ``a`` that the axis has. Its
 last term is the parabola on which a full-thrust braking ends at rest, so large errors are taken with
-one burst each way; ``tau`` damps and leads lag and noise. Outside the dead band the axis is pushed
-against s, until s is back within ``release`` times the dead band; inside nothing fires.
+one burst each way; ``tau`` damps and leads lag and noise. Inside the dead band nothing fires.
+
+An axis decides once a period. Outside the dead band it then fires against s for as long as takes s
+to zero, ``|s| / (tau a)``, at least one cycle and at most the period. With a period of one cycle, for
+rates that are known without lag, that is plain switching; where rates come late, a period longer
+than their lag keeps the axis from firing again before it can see what it did.
 """
 
 from __future__ import annotations
@@ -23,7 +27,9 @@ CONTROL_PARAMS = np.dtype(
         ("position_lead", "f8"),  # s
         ("attitude_deadband", "f8"),  # rad
         ("attitude_lead", "f8"),  # s
-        ("release", "f8"),  # 0..1 of the dead band
+        ("dt_s", "f8"),
+        ("position_period", "i8"),  # cycles
+        ("attitude_period", "i8"),  # cycles
         ("acceleration", "f8", 3),  # m/s^2 of a force demand along x, y, z
         ("angular_acceleration", "f8", 3),  # rad/s^2 of a torque demand about x, y, z
     ],
@@ -32,25 +38,46 @@ CONTROL_PARAMS = np.dtype(
 
 
 @kernel
-def demand(error, rate, acceleration, deadband, lead, release, before):
-    """Return -1, 0 or 1 for one axis; ``before`` is the demand of the cycle before."""
+def burn(error, rate, acceleration, deadband, lead, period, dt):
+    """Return how many cycles to fire, at most ``period``, negative against a positive s; 0 in the dead band."""
     s = error + lead * rate + rate * abs(rate) / (2.0 * acceleration)
-    if s > deadband or (before < 0 and s > release * deadband):
-        return -1
-    if s < -deadband or (before > 0 and s < -release * deadband):
-        return 1
-    return 0
+    if abs(s) <= deadband:
+        return 0
+    cycles = min(period, max(1, int(abs(s) / (lead * acceleration * dt))))
+    return -cycles if s > 0.0 else cycles
+
+
+@kernel
+def _decide(axis, error, rate, acceleration, deadband, lead, period, dt, command):
+    """Keep up one of the six axes: go on with what it does, or decide anew when its period is over."""
+    if command.until_decision[axis] <= 0:
+        command.cycles_left[axis] = burn(error, rate, acceleration, deadband, lead, period, dt)
+        command.until_decision[axis] = period
+    command.until_decision[axis] -= 1
+    left = command.cycles_left[axis]
+    demand = 0
+    if left > 0:
+        demand = 1
+    elif left < 0:
+        demand = -1
+    command.cycles_left[axis] -= demand
+    if axis < 3:
+        command.force[axis] = demand
+    else:
+        command.torque[axis - 3] = demand
 
 
 @kernel
 def control(params, navigation, reference, command):
-    """Write the six demands of ``command`` (COMMAND), which holds those of the cycle before.
+    """Write the six demands of ``command`` (COMMAND), which holds what the axes are about.
 
     navigation: NAVIGATION; while it is not valid nothing is demanded. reference: REFERENCE.
     """
     if navigation.valid == 0:
         command.force[:] = 0
         command.torque[:] = 0
+        command.cycles_left[:] = 0
+        command.until_decision[:] = 0
         return
     error_h = np.empty(3)
     rate_h = np.empty(3)
@@ -61,21 +88,25 @@ def control(params, navigation, reference, command):
     rate_c = quat.transform(navigation.q_CH, rate_h)
     turn = quat.to_rotation_vector(quat.multiply(navigation.q_CH, quat.conjugate(reference.q_CH)))
     for i in range(3):
-        command.force[i] = demand(
+        _decide(
+            i,
             error_c[i],
             rate_c[i],
             params.acceleration[i],
             params.position_deadband,
             params.position_lead,
-            params.release,
-            command.force[i],
+            params.position_period,
+            params.dt_s,
+            command,
         )
-        command.torque[i] = demand(
+        _decide(
+            3 + i,
             turn[i],
             navigation.w_CH_C[i],
             params.angular_acceleration[i],
             params.attitude_deadband,
             params.attitude_lead,
-            params.release,
-            command.torque[i],
+            params.attitude_period,
+            params.dt_s,
+            command,
         )

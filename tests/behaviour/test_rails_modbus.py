@@ -336,6 +336,20 @@ def test_frozen_drive_is_noticed_and_the_others_are_stopped(bench: Bench) -> Non
         rails.close()
 
 
+def test_fault_stops_the_others_while_one_is_frozen(bench: Bench) -> None:
+    clock = bench.clock
+    with child() as (process, addresses):
+        mixed = config(bench.addresses | {"rails.y": addresses["rails.y"]}, timeout_s=5.0)
+        with opened(mixed, clock) as rails:
+            cycle(rails, clock, 10)
+            bench.emulator.drives[0].trip(2)
+            process.send_signal(signal.SIGSTOP)
+            stopped = wait_for(lambda: Status.QUICK_STOP in bench.state(2).status, 0.8 * WATCHDOG_S)
+            assert stopped
+            with pytest.raises(DriveFault, match=r"rails\.x: fault 2, over-current"):
+                rails.read(clock.now_s())
+
+
 def test_stop_does_not_wait_for_a_frozen_drive(bench: Bench) -> None:
     clock = bench.clock
     with child() as (process, addresses):

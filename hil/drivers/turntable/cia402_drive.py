@@ -12,8 +12,7 @@ from typing import Final, Protocol
 from hil.drivers.turntable import cia402_codec as codec
 from hil.drivers.turntable.cia402_codec import DriveState
 from hil.drivers.turntable.cia402_objects import MappedPdo, ObjectDictionary
-
-Frame = tuple[int, bytes]
+from hil.drivers.turntable.emulated_bus import Frame
 
 _REMOTE = 0x0200  # statusword: the controlword is listened to
 _VOLTAGE = 0x0010

@@ -149,6 +149,8 @@ class Cia402Link:
             frame = port.receive(left_s / self._clock.speed)
             if frame is not None:
                 self._handle(*frame)
+        if not all(self._answered):
+            self._take_pending(port)  # this thread may have slept while the answers came
         self._check_silence(self._clock.now_s())
         if not all(self._answered):
             self._incomplete += 1

@@ -8,11 +8,10 @@ from collections import deque
 from hil.clock import WallClock
 from hil.config.rig import Turntable
 from hil.drivers.board import AxisBoard
-from hil.drivers.lines import PtyBridge
 from hil.drivers.turntable import cia402_codec as codec
-from hil.drivers.turntable.can_port import CanPort
-from hil.drivers.turntable.cia402_drive import EmulatedDrive, Frame
+from hil.drivers.turntable.cia402_drive import EmulatedDrive
 from hil.drivers.turntable.emulated import STEP_S, WATCHDOG_S, EmulatedGimbals
+from hil.drivers.turntable.emulated_bus import BusStation, Frame, SerialStation, Station
 from hil.errors import BadInput
 
 BUS_BYTES_PER_S = 150e3
@@ -54,19 +53,17 @@ class Cia402Emulator:
         for index, node_id in enumerate(config.cia402.node_ids):
             axis = _Axis(self.gimbals, index, config.cia402.counts_per_turn, clock)
             self.drives.append(EmulatedDrive(node_id, axis, WATCHDOG_S))
-        self._bridge: PtyBridge | None = None
-        self._port: CanPort | None = None
+        self._station: Station | None = None
         self._faults: deque[tuple[int, int]] = deque()
 
     def start(self) -> dict[str, str]:
         """Join the bus; return the controller's address of it."""
-        config = self._config
-        if config.interface == "serial":
-            self._bridge = PtyBridge(BUS_BYTES_PER_S, self._clock)
-            config = config.model_copy(update={"channel": self._bridge.device_path})
-        self._port = CanPort("turntable", config)
-        self._send([frame for drive in self.drives for frame in drive.boot()])
-        return {"turntable": self._bridge.path if self._bridge else str(config.channel)}
+        if self._config.interface == "serial":
+            self._station = SerialStation(BUS_BYTES_PER_S, self._clock)
+        else:
+            self._station = BusStation(self._config, self._clock)
+        self._station.send([frame for drive in self.drives for frame in drive.boot()])
+        return {"turntable": self._station.address}
 
     def fail_axis(self, axis: int, code: int) -> None:
         """Let the drive of ``axis`` (0 to 2) report the fault ``code`` of object 0x603F. For any thread."""
@@ -74,40 +71,33 @@ class Cia402Emulator:
 
     def run(self, stop: threading.Event) -> None:
         """Serve the bus until ``stop`` is set."""
-        if self._port is None:
+        station = self._station
+        if station is None:
             raise RuntimeError("start the emulator first")
         stepped_s = self._clock.now_s()
         while not stop.is_set():
-            left_s = stepped_s + STEP_S - self._clock.now_s()
-            frame = self._port.receive(max(0.0, self._clock.wall_s(left_s)))
-            now_s = self._clock.now_s()
-            if frame is None or frame[0] == codec.SYNC_ID or now_s - stepped_s >= STEP_S:
-                self.gimbals.advance(now_s)
-                stepped_s = now_s
-            if frame is not None:
-                for drive in self.drives:
-                    self._send(drive.on_frame(*frame, now_s))
-            self._housekeep(now_s)
+            received = station.receive(stepped_s + STEP_S - self._clock.now_s())
+            stepped_s = self._clock.now_s()
+            self.gimbals.advance(stepped_s)
+            frames = self._housekeep(stepped_s)
+            for frame in received:
+                frames += [answer for drive in self.drives for answer in drive.on_frame(*frame, stepped_s)]
+            station.send(frames)
 
     def close(self) -> None:
         """Leave the bus."""
-        if self._port is not None:
-            self._port.close()
-        if self._bridge is not None:
-            self._bridge.close()
-        self._port = self._bridge = None
+        if self._station is not None:
+            self._station.close()
+        self._station = None
 
-    def _housekeep(self, now_s: float) -> None:
+    def _housekeep(self, now_s: float) -> list[Frame]:
+        frames: list[Frame] = []
         while self._faults:
             axis, code = self._faults.popleft()
-            self._send(self.drives[axis].fail(code))
+            frames += self.drives[axis].fail(code)
         for axis, drive in enumerate(self.drives):
             if self.gimbals.overdue[axis]:
                 self.gimbals.overdue[axis] = False
-                self._send(drive.overdue())
-            self._send(drive.status(now_s))
-
-    def _send(self, frames: list[Frame]) -> None:
-        for frame in frames:
-            assert self._port is not None
-            self._port.send(*frame)
+                frames += drive.overdue()
+            frames += drive.status(now_s)
+        return frames

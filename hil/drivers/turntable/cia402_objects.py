@@ -19,7 +19,7 @@ _WRONG_STATE = 0x08000022
 _UNKNOWN_COMMAND = 0x05040001
 
 _PDOS = (codec.SETPOINT_PDO, codec.CONTROL_PDO, codec.FEEDBACK_PDO, codec.STATUS_PDO)
-_MAPPING_INDICES = range(0x1600, 0x1C00)
+_MAPPING_INDICES = tuple(pdo.mapping_index for pdo in _PDOS)
 _FORMATS = {16: "H", 32: "i"}  # what mappable objects come in
 
 

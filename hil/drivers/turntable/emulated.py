@@ -27,11 +27,11 @@ class EmulatedGimbals:
     def __init__(self, config: Turntable, clock: WallClock, board: AxisBoard) -> None:
         self._axes = ServoAxes(config)
         self._board = board
-        self._t_s = clock.now_s()
         self._braking = [True, True, True]
         self._deadline_s = [math.inf, math.inf, math.inf]
         self.overdue = [False, False, False]
-        self._axes.hold()
+        self._axes.step(0.0)  # compiles the kernel before anyone waits for an answer
+        self._t_s = clock.now_s()
 
     @property
     def position(self) -> Array:

@@ -63,6 +63,7 @@ class ExchangedTurntable:
         self._clock = clock
         self._link = link
         self._box: Latest[AxisFeedback] = Latest(name)
+        self._box.fail(LinkLost(name, "is not open"))
         self._thread: threading.Thread | None = None
         self._wake = threading.Event()
         self._closing = threading.Event()
@@ -91,8 +92,6 @@ class ExchangedTurntable:
         SafetyTrip for a number that is not finite, DeviceError once the link has failed.
         """
         self._box.check()
-        if self._thread is None or self._closing.is_set():
-            raise LinkLost(self.name, "is not open")
         accepted = accepted_setpoint(self.axis_names, position, self._low, self._high)
         for name, value in zip(self.axis_names, rate, strict=True):
             if not np.isfinite(value):
@@ -126,6 +125,7 @@ class ExchangedTurntable:
         self._wake.set()
         if self._thread is not None:
             self._thread.join(_STOP_WALL_S)
+        self._box.fail(LinkLost(self.name, "is closed"))
 
     def _run(self) -> None:
         try:

@@ -1,0 +1,33 @@
+# make demo   sets everything up and flies scheme 1
+# make test   sets everything up and runs all checks: format, lint, types, import layers, tests
+# make slow   runs the long evidence that is left out of "make test"
+# make tidy   formats the sources
+
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: demo test slow tidy
+.DELETE_ON_ERROR:
+
+demo: .venv/ready
+	$(BIN)/hil run scheme-1
+
+test: .venv/ready
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest -m "not slow"
+
+slow: .venv/ready
+	$(BIN)/pytest -m slow --timeout 3600
+
+tidy: .venv/ready
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+# one install for everything; runs again only when what is to be installed has changed
+.venv/ready: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	touch $@

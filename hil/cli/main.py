@@ -1,0 +1,115 @@
+"""``hil``: one command line for everything. Exit codes: 0 done and passed, 1 done but the verdict is
+fail, 2 bad input, 3 safe-stopped by a fault or by the operator, 4 a defect of this program."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from types import FrameType
+from typing import Annotated
+
+import cyclopts
+from cyclopts import App, Parameter
+
+from hil import __version__
+from hil.errors import BadInput, BenchError
+
+PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
+
+app = App(
+    name="hil",
+    help="Hardware-in-the-loop bench controller for spacecraft rendezvous and docking.",
+    version=__version__,
+)
+
+Settings = Annotated[
+    tuple[str, ...],
+    Parameter(name="--set", negative=(), help="Override a key: gnc.control.deadband_m=0.004 or rig.vmu.timeout_s=0.5."),
+]
+
+
+@app.command
+def run(
+    scenario: str,
+    /,
+    *,
+    rig: str = "mock",
+    seed: int = 0,
+    duration: float | None = None,
+    settings: Settings = (),
+    speed: float = 1.0,
+    json: str | None = None,
+) -> int:
+    """Run one closed loop and print its verdict.
+
+    Parameters
+    ----------
+    scenario
+        scheme-1, scheme-2, scheme-3, or the path of a scenario file.
+    rig
+        mock, emulated, or the path of a rig file.
+    seed
+        Of all random numbers: the same seed gives the same run on the mock rig.
+    duration
+        Seconds to run, instead of the scenario's.
+    speed
+        Bench seconds a wall second, on an emulated rig.
+    json
+        File to write the numbers of the run to, - for standard output.
+    """
+    from hil.cli.run import run_command
+
+    return run_command(scenario, rig, seed, duration, settings, speed, json)
+
+
+@app.command
+def emulate(rig: str = "emulated", *, scenario: str = "scheme-1", settings: Settings = (), speed: float = 1.0) -> int:
+    """Start the emulated devices of a rig, say where each one listens, and stay until Ctrl-C.
+
+    Parameters
+    ----------
+    rig
+        emulated, or the path of a rig file.
+    scenario
+        Gives the noise of the emulated vision unit.
+    speed
+        Bench seconds a wall second.
+    """
+    from hil.cli.emulate import emulate_command
+
+    return emulate_command(rig, scenario, settings, speed)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit."""
+    signal.signal(signal.SIGTERM, _as_ctrl_c)
+    sys.exit(execute(sys.argv[1:] if arguments is None else arguments))
+
+
+def execute(arguments: Sequence[str]) -> int:
+    """Run one command; return its exit code. Errors go to standard error, a line each."""
+    try:
+        result = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+    except BadInput as error:
+        return _say(str(error), BAD_INPUT)
+    except cyclopts.CycloptsError as error:
+        return _say(" ".join(str(error).split()), BAD_INPUT)
+    except BenchError as error:
+        return _say(str(error), SAFE_STOPPED)
+    except KeyboardInterrupt:
+        return _say("stopped by the operator", SAFE_STOPPED)
+    except Exception:
+        traceback.print_exc()
+        return _say("this is a defect of hil: please report it with the lines above", DEFECT)
+    return result if isinstance(result, int) else PASSED
+
+
+def _say(text: str, code: int) -> int:
+    print(text, file=sys.stderr)  # noqa: T201
+    return code
+
+
+def _as_ctrl_c(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

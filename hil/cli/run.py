@@ -1,0 +1,131 @@
+"""``hil run``: one closed-loop run, watched while it runs, judged at the end."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from hil.cli.warm_up import warm_up_with_a_word
+from hil.config.load import load_rig, load_scenario
+from hil.errors import BadInput, Problem
+from hil.modes import Mode
+
+_PASSED, _FAILED, _SAFE_STOPPED = 0, 1, 3
+
+
+def run_command(
+    scenario_name: str,
+    rig_name: str,
+    seed: int,
+    duration_s: float | None,
+    settings: Sequence[str],
+    speed: float,
+    json_path: str | None,
+) -> int:
+    """Do ``hil run``; return its exit code. Raises BadInput before anything is started."""
+    _check_options(seed, duration_s, speed, json_path)
+    scenario = load_scenario(scenario_name, settings)
+    rig = load_rig(rig_name, settings)
+    console = Console(stderr=True)
+
+    from hil import build, parameters
+    from hil.report.summary import summarise
+    from hil.report.table import render
+
+    job = build.Job(scenario, rig, seed, scenario.value.duration_s if duration_s is None else duration_s, speed)
+    build.check(job)
+    warm_up_with_a_word(job, console)
+
+    def announce(text: str) -> None:
+        console.print(text, style="dim", highlight=False, soft_wrap=True)
+
+    with _Watch(console) as watch, build.runner(job, watch.tell, announce) as runner:
+        outcome = runner.run()
+    summary, verdict = summarise(
+        outcome,
+        scenario.value,
+        rig_name,
+        seed,
+        parameters.orbit_rate(scenario.value),
+        1.0 / scenario.value.step_s,
+    )
+    if json_path is not None:
+        _write_json(summary, json_path)
+    if json_path != "-":
+        render(summary, verdict, scenario.value.requirements, Console())
+    if outcome.faults:
+        print(f"safe stop: {outcome.stop}", file=sys.stderr)  # noqa: T201
+        return _SAFE_STOPPED
+    return _PASSED if summary["passed"] else _FAILED
+
+
+def _check_options(seed: int, duration_s: float | None, speed: float, json_path: str | None) -> None:
+    problems = []
+    if seed < 0:
+        problems.append(Problem("--seed", "", f"{seed}: must not be negative"))
+    if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0.0):
+        problems.append(Problem("--duration", "", f"{duration_s:g}: must be a time above 0 s"))
+    if not (math.isfinite(speed) and speed > 0.0):
+        problems.append(Problem("--speed", "", f"{speed:g}: must be above 0"))
+    if json_path is not None and json_path != "-" and not Path(json_path).absolute().parent.is_dir():
+        problems.append(Problem("--json", "", f"{json_path}: its folder does not exist"))
+    if problems:
+        raise BadInput(problems)
+
+
+def _write_json(summary: dict[str, Any], path: str) -> None:
+    """Write the whole file or none of it."""
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+    if path == "-":
+        sys.stdout.write(text)
+        return
+    partial = Path(f"{path}.part")
+    partial.write_text(text, encoding="utf-8")
+    os.replace(partial, path)
+
+
+class _Watch:
+    """A progress bar that is drawn by whoever tells it something: no thread of its own beside the loop."""
+
+    _TITLES = {  # noqa: RUF012
+        Mode.PLACING: "moving to the start pose",
+        Mode.ARMED: "waiting for poses",
+        Mode.RUNNING: "closed loop",
+    }
+
+    def __init__(self, console: Console) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=console,
+            auto_refresh=False,
+            transient=True,
+        )
+        self._visible = console.is_terminal
+        self._task = self._progress.add_task("opening the devices", total=1.0)
+
+    def __enter__(self) -> _Watch:
+        if self._visible:
+            self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._visible:
+            self._progress.stop()
+
+    def tell(self, mode: Mode, share: float) -> None:
+        if self._visible:
+            self._progress.update(
+                self._task, description=self._TITLES.get(mode, mode.value), completed=share, refresh=True
+            )

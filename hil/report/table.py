@@ -1,0 +1,120 @@
+"""The verdict as people read it: Table III row by row, beside the paper's Table V."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from hil.config.scenario import Requirements
+from hil.report.paper import TABLE_V
+from hil.report.verdict import ROW_NAMES, Verdict, tolerances
+
+_LABELS = {
+    "position_m": ("distance", ("x - 0.4 m", "y", "z"), "mm", 1e3),
+    "velocity_mps": ("rate", ("x", "y", "z"), "mm/s", 1e3),
+    "attitude_deg": ("angle", ("theta1", "theta2", "theta3"), "deg", 1.0),
+    "rate_degps": ("angular rate", ("omega1", "omega2", "omega3"), "deg/s", 1.0),
+}
+
+
+def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements, console: Console) -> None:
+    """Print the run's verdict and key numbers."""
+    paper = TABLE_V.get(summary["scenario"])
+    if verdict.worst is not None:
+        console.print(_ready_phase(summary, verdict, requirements))
+    _print_times(summary, paper.ready_time_s if paper else None, console)
+    _print_navigation(summary["navigation"], console)
+    thrusters = summary["thrusters"]
+    console.print(
+        f"Thrusters   force demand {_three(thrusters['force_on_time_s'], '.1f')} s, "
+        f"torque demand {_three(thrusters['torque_on_time_s'], '.1f')} s "
+        f"({_three(thrusters['torque_on_time_360_400_s'], '.2f')} s in 360..400 s), "
+        f"{sum(thrusters['thruster_firings'])} firings, propellant {thrusters['propellant_kg']:.3f} kg",
+        highlight=False,
+        soft_wrap=True,
+    )
+    timing = summary["timing"]
+    late = timing["lateness_us"]
+    console.print(
+        f"Timing      {timing['cycles']} cycles at {timing['rate_hz']:g} Hz, {timing['overruns']} overruns, "
+        f"lateness p50 {late['p50']:.0f} p99 {late['p99']:.0f} p99.9 {late['p999']:.0f} max {late['max']:.0f} us",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if timing["overruns"]:
+        console.print(
+            f"            this host could not keep up: {timing['overruns']} cycles came late; try a lower --speed",
+            style="yellow",
+            highlight=False,
+        )
+    word = "[bold green]PASS[/]" if summary["passed"] else "[bold red]FAIL[/]"
+    why = "" if summary["passed"] else f" ({_reason(summary, verdict)})"
+    console.print(f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']}{why}", highlight=False)
+
+
+def _ready_phase(summary: dict[str, Any], verdict: Verdict, requirements: Requirements) -> Table:
+    paper = TABLE_V.get(summary["scenario"])
+    allowed = tolerances(requirements)
+    table = Table(title="Ready phase: largest deviations against Table III", title_justify="left")
+    for column in ("", "axis", "limit", "here", "margin", "Table V", ""):
+        table.add_column(column, justify="left" if column in ("", "axis") else "right")
+    for name in ROW_NAMES:
+        label, axes, unit, scale = _LABELS[name]
+        assert verdict.worst is not None
+        for i, axis in enumerate(axes):
+            limit, here = allowed[name][i] * scale, verdict.worst[name][i] * scale
+            theirs = getattr(paper, name)[i] * scale if paper else None
+            table.add_row(
+                f"{label}, {unit}" if i == 0 else "",
+                axis,
+                f"{limit:.4g}",
+                f"{here:.3g}",
+                f"{100.0 * (1.0 - here / limit):.0f} %",
+                f"{theirs:.4g}" if theirs is not None else "-",
+                "[green]ok[/]" if here <= limit else "[red]out[/]",
+                end_section=i == 2,
+            )
+    return table
+
+
+def _print_times(summary: dict[str, Any], paper_s: float | None, console: Console) -> None:
+    if summary["ready_time_s"] is None:
+        console.print("Ready       never: Table III did not hold for the dwell time", highlight=False)
+        return
+    beside = f" (paper: {paper_s:g} s)" if paper_s is not None else ""
+    console.print(
+        f"Ready       at {summary['ready_time_s']:.2f} s{beside}, "
+        f"Table III holds since {summary['held_since_s']:.2f} s",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _print_navigation(navigation: dict[str, Any], console: Console) -> None:
+    if navigation["position_rmse_m"] is None:
+        console.print("Navigation  no pose came", highlight=False)
+        return
+    bound = navigation["position_bound_m"]
+    angle_bound = navigation["attitude_bound_deg"]
+    console.print(
+        f"Navigation  position rmse {_three([1e3 * v for v in navigation['position_rmse_m']], '.2f')} mm"
+        + (f" (bound {_three([1e3 * v for v in bound], '.2f')})" if bound else "")
+        + f", attitude rmse {_three(navigation['attitude_rmse_deg'], '.4f')} deg"
+        + (f" (bound {_three(angle_bound, '.4f')})" if angle_bound else ""),
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _three(values: list[float], form: str) -> str:
+    return " ".join(format(value, form) for value in values)
+
+
+def _reason(summary: dict[str, Any], verdict: Verdict) -> str:
+    if summary["faults"]:
+        return "safe stop"
+    if verdict.ready_time_s is None:
+        return "the ready phase was not reached"
+    return "left the ready state"

@@ -1,0 +1,39 @@
+"""Fixtures that many test modules share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from hil.config.load import load_rig, load_scenario
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+
+# examples drawn from a fixed seed; no deadline, because a first call may compile a kernel
+settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
+settings.load_profile("hil")
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Return a generator of a fixed seed."""
+    return np.random.default_rng(20240517)
+
+
+@pytest.fixture(scope="session")
+def scheme_1() -> Scenario:
+    """Return the shipped scenario scheme-1."""
+    return load_scenario("scheme-1").value
+
+
+@pytest.fixture(scope="session")
+def scheme_2() -> Scenario:
+    """Return the shipped scenario scheme-2."""
+    return load_scenario("scheme-2").value
+
+
+@pytest.fixture(scope="session")
+def mock_rig() -> Rig:
+    """Return the shipped rig mock."""
+    return load_rig("mock").value
