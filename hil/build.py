@@ -26,6 +26,7 @@ from hil.eye import Eye
 from hil.maths import euler
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
+from hil.priority import ask_for_precedence
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.runner import Runner, Watch
 from hil.stages import Bench, Dss, Gnc, Move, Vision
@@ -71,6 +72,8 @@ def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[
         rails, turntable, vision = _mocks(scenario, rig, job.seed)
         yield _assemble(job, rig, SimulatedRate(clock, scenario.step_s), rails, turntable, vision, 0, watch)
         return
+    if not ask_for_precedence():
+        announce("no right to raise the priority of this process: expect late cycles on a busy computer")
     wall = WallClock(speed=job.speed)
     rate = WallRate(wall, scenario.step_s)
     if rig.kind == "hardware":

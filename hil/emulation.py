@@ -18,6 +18,7 @@ from hil.drivers.board import AxisBoard
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
 from hil.eye import Eye
 from hil.messages import PoseFrame
+from hil.priority import ask_for_precedence
 
 DEVICES = ("rails", "turntable", "vmu")
 _READY_WALL_S = 60.0  # the first start compiles
@@ -62,9 +63,9 @@ class EmulatedDevices:
         return _wired(self._rig, addresses), addresses
 
     def close(self) -> None:
-        """End all of them, together; idempotent."""
+        """End all of them, together and at once: an emulated device has nothing to bring to safety. Idempotent."""
         for process in self.processes:
-            process.ask_to_end()
+            process.kill()
         for process in self.processes:
             process.close()
         self._board.close()
@@ -137,4 +138,5 @@ def make_emulator(device: Literal["rails", "turntable", "vmu"], configuration: d
 
 
 if __name__ == "__main__":
+    ask_for_precedence()
     serve(lambda configuration: make_emulator(sys.argv[1], configuration))  # type: ignore[arg-type]

@@ -67,6 +67,20 @@ class Runner:
 
     def run(self) -> Outcome:
         """Run to the end, to a fault, or to Ctrl-C; the bench stands still whatever happened."""
+        with _no_garbage_collection():
+            stop, faults = self._run()
+        self._modes.go(Mode.SAFE_STOP if faults else Mode.STANDBY)
+        return Outcome(
+            history=self._loop.history[: self._done],
+            stop=stop,
+            faults=faults,
+            mode=self._modes.mode,
+            overruns=self._rate.overruns,
+            limited_cycles=self._loop.bench.limited_cycles,
+            vision_counters=self.source.counters(),
+        )
+
+    def _run(self) -> tuple[str, list[str]]:
         stop = COMPLETED
         faults: list[str] = []
         try:
@@ -82,16 +96,7 @@ class Runner:
             faults.append(stop)
         finally:
             self._shut_down()
-        self._modes.go(Mode.SAFE_STOP if faults else Mode.STANDBY)
-        return Outcome(
-            history=self._loop.history[: self._done],
-            stop=stop,
-            faults=faults,
-            mode=self._modes.mode,
-            overruns=self._rate.overruns,
-            limited_cycles=self._loop.bench.limited_cycles,
-            vision_counters=self.source.counters(),
-        )
+        return stop, faults
 
     def _open(self) -> None:
         self._loop.bench.open(self._rate.now_s())
@@ -145,14 +150,13 @@ class Runner:
 
     def _close_the_loop(self) -> None:
         self._modes.go(Mode.RUNNING)
-        with _no_garbage_collection():
-            self._rate.restart()
-            for k in range(self._cycles):
-                tick = self._rate.wait()
-                run_cycle(self._loop, k, k * self._step_s, tick.now_s, tick.run_zero_s, tick.lateness_s)
-                self._done = k + 1
-                if k % self.WATCH_CYCLES == 0:
-                    self._watch(Mode.RUNNING, k / self._cycles)
+        self._rate.restart()
+        for k in range(self._cycles):
+            tick = self._rate.wait()
+            run_cycle(self._loop, k, k * self._step_s, tick.now_s, tick.run_zero_s, tick.lateness_s)
+            self._done = k + 1
+            if k % self.WATCH_CYCLES == 0:
+                self._watch(Mode.RUNNING, k / self._cycles)
         self._watch(Mode.RUNNING, 1.0)
 
     def _shut_down(self) -> None:
@@ -165,7 +169,7 @@ class Runner:
 
 @contextmanager
 def _no_garbage_collection() -> Iterator[None]:
-    """Keep the collector's pauses out of the loop."""
+    """Keep the collector's pauses away from enabled drives: one full collection can outlast their watchdogs."""
     gc.collect()
     gc.freeze()
     gc.disable()

@@ -155,6 +155,10 @@ class EmulatorProcess:
         """Close the child's stdin, so that it ends; returns at once. Ask all before closing each."""
         self._stdin.close()
 
+    def kill(self) -> None:
+        """End the child at once, as by pulling its plug; ``close`` then only cleans up."""
+        self._process.kill()
+
     def close(self) -> None:
         """End the child, if need be by SIGTERM and then SIGKILL: at most 0.35 s, idempotent."""
         self.ask_to_end()

@@ -48,6 +48,7 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
             f"            this host could not keep up: {timing['overruns']} cycles came late; try a lower --speed",
             style="yellow",
             highlight=False,
+            soft_wrap=True,
         )
     word = "[bold green]PASS[/]" if summary["passed"] else "[bold red]FAIL[/]"
     why = "" if summary["passed"] else f" ({_reason(summary, verdict)})"

@@ -2,8 +2,8 @@
 
 Half duplex, one request line and one reply line, 7-bit ASCII:
 
-    request   >3A SET 12.345678 -1.000000 0.000000 0.500000 0.000000 0.000000*4C21<CR><LF>
-    reply     <3A OK 01 01 81 0000 0000 0008 12.345601 -1.000002 0.000000 0.499873 0.000000 0.000000*9D0E<CR><LF>
+    request   >3A SET 12.345678 -1.000000 0.000000 0.500000 0.000000 0.000000*E630<CR><LF>
+    reply     <3A OK 01 01 81 0000 0000 0008 12.345601 -1.000002 0.000000 0.499873 0.000000 0.000000*A7B9<CR><LF>
 
 ``3A`` is the sequence number (two hex digits, the reply repeats it), the four hex digits after ``*``
 are CRC-16/CCITT-FALSE of all between the first character and ``*``. Axis order roll, pitch, yaw;

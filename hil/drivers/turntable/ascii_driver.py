@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 
 import numpy as np
 import serial
@@ -37,13 +38,13 @@ class AsciiLink:
         self._timeout_s = timeout_s
         self._clock = clock
         self._port: serial.Serial | None = None
-        self._splitter = LineSplitter(codec.REPLY_START)
         self._sequence = 0
         self._stopped = False
         self._reset()
 
     def _reset(self) -> None:
         self._splitter = LineSplitter(codec.REPLY_START)
+        self._lines: deque[bytes] = deque()
         self._heard_s = self._clock.now_s()
         self._broken_in_a_row = 0
         self._counts = {"exchanges": 0, "broken_replies": 0, "unanswered": 0, "stale_replies": 0}
@@ -162,17 +163,19 @@ class AsciiLink:
         arrived_s = self._clock.now_s() + len(request) * _BITS_A_BYTE / self._config.baud
         end_s = arrived_s + reply_s
         while self._clock.now_s() < end_s:
-            for line in self._splitter.feed(self._read()):
-                try:
-                    sequence, words = codec.decode_reply(line)
-                except BrokenLine as error:
-                    self._count_broken(error)
-                    return None
-                if sequence == self._sequence:
-                    self._broken_in_a_row = 0
-                    self._heard_s = self._clock.now_s()
-                    return arrived_s, words
-                self._counts["stale_replies"] += 1
+            if not self._lines:
+                self._lines.extend(self._splitter.feed(self._read()))
+                continue
+            try:
+                sequence, words = codec.decode_reply(self._lines.popleft())
+            except BrokenLine as error:
+                self._count_broken(error)
+                return None
+            if sequence == self._sequence:
+                self._broken_in_a_row = 0
+                self._heard_s = self._clock.now_s()
+                return arrived_s, words
+            self._counts["stale_replies"] += 1
         self._counts["unanswered"] += 1
         self._splitter.clear()
         return None

@@ -1,10 +1,8 @@
-"""Three emulated gimbals: they move with bench time, brake on a ramp, and stop when commands cease."""
+"""Three emulated gimbals: they move with bench time, brake, and stop when commands cease."""
 
 from __future__ import annotations
 
 import math
-
-import numpy as np
 
 from hil.clock import WallClock
 from hil.config.rig import Turntable
@@ -14,6 +12,7 @@ from hil.messages import Array
 
 STEP_S = 0.004  # longest bench time between two looks at the axes; the board is due every 5 ms
 WATCHDOG_S = 0.5
+_SUBSTEP_S = 0.002
 
 
 class EmulatedGimbals:
@@ -51,10 +50,8 @@ class EmulatedGimbals:
         self._deadline_s[axis] = now_s + watchdog_s
 
     def brake(self, axis: int) -> None:
-        """Quick stop of one axis: ramp from its present rate to a stand."""
-        if not self._braking[axis]:
-            self._axes.setpoint[axis] = self._axes.position[axis]
-            self._axes.feedforward[axis] = self._axes.rate[axis]
+        """Quick stop of one axis: slow down as fast as it may, then stand."""
+        self._axes.feedforward[axis] = 0.0
         self._braking[axis] = True
         self._deadline_s[axis] = math.inf
 
@@ -65,19 +62,13 @@ class EmulatedGimbals:
                 if self._deadline_s[axis] <= self._t_s:
                     self.overdue[axis] = True
                     self.brake(axis)
-            step_s = min(STEP_S, now_s - self._t_s)
-            self._ramp(step_s)
+            step_s = min(_SUBSTEP_S, now_s - self._t_s)
+            self._brake_on()
             self._axes.step(step_s)
             self._t_s += step_s
         self._board.write("turntable", self._t_s, self._axes.position, self._axes.rate)
 
-    def _ramp(self, step_s: float) -> None:
-        axes = self._axes
+    def _brake_on(self) -> None:
         for axis in range(3):
-            rate = axes.feedforward[axis]
-            if not self._braking[axis] or rate == 0.0:
-                continue
-            slower = max(0.0, abs(rate) - axes.acceleration_max[axis] * step_s)
-            axes.feedforward[axis] = math.copysign(slower, rate)
-            moved = axes.setpoint[axis] + 0.5 * (rate + axes.feedforward[axis]) * step_s
-            axes.setpoint[axis] = np.clip(moved, axes.low[axis], axes.high[axis])
+            if self._braking[axis] and self._axes.rate[axis] != 0.0:
+                self._axes.setpoint[axis] = self._axes.position[axis]  # no way back to where braking began

@@ -1,0 +1,117 @@
+"""Bad input ends with exit code 2 and one clear line, before anything moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hil.cli.main import execute
+
+HARDWARE = """
+extends = "emulated"
+name = "lab"
+kind = "hardware"
+[rails.modbus]
+x = {{ host = "192.0.2.1", port = 502 }}
+y = {{ host = "192.0.2.2", port = 502 }}
+z = {{ host = "192.0.2.3", port = 502 }}
+[turntable]
+driver = "ascii"
+[turntable.ascii]
+port = "/dev/null"
+[vmu.rs422]
+{vmu}
+"""
+
+
+def _refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Return the one line that the command printed."""
+    assert execute(["run", *arguments]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    lines = printed.err.strip().splitlines()
+    assert len(lines) == 1, printed.err
+    return lines[0]
+
+
+def test_unknown_scenario_names_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    line = _refused(capsys, "scheme-9")
+    assert "scheme-9" in line
+    assert "scheme-1, scheme-2, scheme-3" in line
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("gnc.control.dead_band_m=0.1", ("gnc.control.dead_band_m", "unknown key", "deadband_m")),
+        ("chaser.mass_g=1000.0", ("chaser.mass_g", "mass_kg")),
+        ("chaser.mass_kg=-1.0", ("chaser.mass_kg", "-1", "greater than 0")),
+        ("chaser.mass_kg=nan", ("chaser.mass_kg", "finite")),
+        ("initial.position_m=[nan, 0.0, 0.0]", ("initial.position_m[0]", "finite")),
+        ("initial.position_m=[13.0, 0.0, 0.0]", ("initial.position_m", "rails.x", "12 m")),
+        ("initial.position_m=[5.0, 2.0, 0.0]", ("initial.position_m", "rails.y", "1.5 m")),
+        ("initial.attitude_deg=[80.0, 0.0, 0.0]", ("initial.attitude_deg", "turntable.roll", "60 deg")),
+        ("rig.rails.x.travel_m=[5.0, 1.0]", ("rig.rails.x", "travel_m")),
+        ("rig.vmu.driver=rs422", ("vmu.driver", "mock")),
+        ("gnc.control.deadband_m", ("--set", "gnc.control.deadband_m=0.004")),
+    ],
+)
+def test_bad_setting_is_named_with_what_is_allowed(
+    capsys: pytest.CaptureFixture[str], setting: str, words: tuple[str, ...]
+) -> None:
+    line = _refused(capsys, "scheme-1", "--set", setting)
+    assert all(word in line for word in words), line
+
+
+def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('extends = "scheme-1"\n[chaser]\nmass_kg = -3\ncolour = "red"\n[orbit]\naltitude_km = 200\n')
+    assert execute(["run", str(path)]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 3
+    assert all(line.startswith(f"{path}: ") for line in lines)
+
+
+def test_file_that_is_not_toml_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("mass_kg = = 3\n")
+    assert str(path) in _refused(capsys, str(path))
+
+
+def test_rig_file_without_a_serial_port_is_refused_by_the_key(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "lab.toml"
+    path.write_text(HARDWARE.format(vmu="baud = 460800"))
+    line = _refused(capsys, "scheme-1", "--rig", str(path))
+    assert str(path) in line or "emulated.toml" in line
+    assert "vmu.rs422.port" in line
+
+
+def test_rig_file_with_a_port_that_this_computer_has_not_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "lab.toml"
+    path.write_text(HARDWARE.format(vmu='port = "/dev/ttyHIL7"'))
+    line = _refused(capsys, "scheme-1", "--rig", str(path))
+    assert "vmu.rs422.port" in line
+    assert "/dev/ttyHIL7" in line
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--duration", "-5"),
+        ("--duration", "nan"),
+        ("--seed", "-1"),
+        ("--speed", "0"),
+        ("--speed", "4"),
+        ("--json", "/no/such/folder/run.json"),
+        ("--rig", "nowhere"),
+        ("--no-such-option", "1"),
+        ("--duration", "soon"),
+    ],
+)
+def test_bad_option_is_refused_in_one_line(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]) -> None:
+    assert arguments[0].lstrip("-").split("-")[0] in _refused(capsys, "scheme-1", *arguments).lower()
