@@ -26,7 +26,7 @@ from hil.eye import Eye
 from hil.maths import euler
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
-from hil.priority import ask_for_precedence
+from hil.priority import precedence
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.runner import Runner, Watch
 from hil.stages import Bench, Dss, Gnc, Move, Vision
@@ -72,19 +72,28 @@ def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[
         rails, turntable, vision = _mocks(scenario, rig, job.seed)
         yield _assemble(job, rig, SimulatedRate(clock, scenario.step_s), rails, turntable, vision, 0, watch)
         return
-    if not ask_for_precedence():
-        announce("no right to raise the priority of this process: expect late cycles on a busy computer")
-    wall = WallClock(speed=job.speed)
-    rate = WallRate(wall, scenario.step_s)
+    with precedence() as refused:
+        if refused:
+            announce(refused)
+        wall = WallClock(speed=job.speed)
+        with _wired_rig(job, wall, announce) as wired:
+            rate = WallRate(wall, scenario.step_s)
+            yield _assemble(job, wired, rate, *_drivers(wired, wall), _FRAMES_TO_ARM, watch)
+
+
+@contextmanager
+def _wired_rig(job: Job, clock: WallClock, announce: Callable[[str], None]) -> Iterator[Rig]:
+    """Give the rig with all its wires; an emulated one gets its emulators for as long as this lasts."""
+    rig = job.rig.value
     if rig.kind == "hardware":
-        yield _assemble(job, rig, rate, *_drivers(rig, wall), _FRAMES_TO_ARM, watch)
+        yield rig
         return
-    with EmulatedDevices(scenario, rig, wall, job.seed) as emulated:
+    with EmulatedDevices(job.scenario.value, rig, clock, job.seed) as emulated:
         wired, addresses = emulated.wait_ready()
         for process in emulated.processes:
             wires = ", ".join(f"{n} on {a}" for n, a in addresses.items() if n.split(".")[0] == process.name)
             announce(f"emulator process {process.pid}: {wires}")
-        yield _assemble(job, wired, rate, *_drivers(wired, wall), _FRAMES_TO_ARM, watch)
+        yield wired
 
 
 def warm_up(job: Job) -> None:

@@ -18,7 +18,6 @@ from hil.drivers.board import AxisBoard
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
 from hil.eye import Eye
 from hil.messages import PoseFrame
-from hil.priority import ask_for_precedence
 
 DEVICES = ("rails", "turntable", "vmu")
 _READY_WALL_S = 60.0  # the first start compiles
@@ -138,5 +137,4 @@ def make_emulator(device: Literal["rails", "turntable", "vmu"], configuration: d
 
 
 if __name__ == "__main__":
-    ask_for_precedence()
     serve(lambda configuration: make_emulator(sys.argv[1], configuration))  # type: ignore[arg-type]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.maths import euler, quat
+from hil.maths.arrays import copy_into
 from hil.maths.jit import kernel
 
 BENCH_PARAMS = np.dtype(
@@ -49,7 +50,7 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
 @kernel
 def pose_of_axes(params, rail_m, gimbal_rad, r_CT_H, q_CH):
     """Write the pose ``r_CT_H`` (3,), m, ``q_CH`` (4,) of a bench whose axes stand at the given positions."""
-    q_CH[:] = euler.to_quaternion(gimbal_rad, params.order)
+    copy_into(q_CH, euler.to_quaternion(gimbal_rad, params.order))
     arm = quat.transform_back(q_CH, params.lever_arm)
     for i in range(3):
         r_CT_H[i] = rail_m[i] + arm[i]

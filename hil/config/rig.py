@@ -12,6 +12,9 @@ RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
 
 
+NodeId = Annotated[int, Field(ge=1, le=127)]
+
+
 class BenchGeometry(Strict):
     """Where things are mounted (frames: docs/frames.md)."""
 
@@ -101,8 +104,15 @@ class Cia402(Strict):
     interface: str = "serial"  # a python-can interface
     channel: str | None = None
     bitrate: Annotated[int, Field(gt=0)] = 1_000_000
-    node_ids: tuple[int, int, int] = (1, 2, 3)
-    counts_per_turn: Annotated[int, Field(gt=0)] = 10_000_000
+    baud: Annotated[int, Field(gt=0)] = 1_000_000  # of the adapter, where the interface is a serial one
+    node_ids: tuple[NodeId, NodeId, NodeId] = (1, 2, 3)
+    counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000
+
+    @model_validator(mode="after")
+    def _nodes_differ(self) -> Self:
+        if len(set(self.node_ids)) != len(self.node_ids):
+            raise ValueError(f"node_ids {list(self.node_ids)} must differ from each other")
+        return self
 
 
 class SerialLine(Strict):

@@ -75,10 +75,12 @@ def full_names(device: str, short: tuple[str, str, str]) -> tuple[str, str, str]
     return (f"{device}.{short[0]}", f"{device}.{short[1]}", f"{device}.{short[2]}")
 
 
-def accepted_setpoint(axis_names: tuple[str, str, str], position: Array, low: Array, high: Array) -> Array:
-    """Return ``position`` (3,) cut to the travel; raise SafetyTrip where it is not finite."""
+def accepted_setpoint(
+    axis_names: tuple[str, str, str], values: Array, low: Array, high: Array, quantity: str = "setpoint"
+) -> Array:
+    """Return ``values`` (3,) cut to [low, high]; raise SafetyTrip, naming ``quantity``, where one is not finite."""
     accepted = np.empty(3)
-    bad = cut_to_range(position, low, high, accepted)
+    bad = cut_to_range(values, low, high, accepted)
     if bad >= 0:
-        raise SafetyTrip(axis_names[bad], "setpoint", str(position[bad]), "a finite number")
+        raise SafetyTrip(axis_names[bad], quantity, str(values[bad]), "a finite number")
     return accepted

@@ -65,47 +65,6 @@ class PtyLine:
             os.close(self._master)
 
 
-class PtyBridge:
-    """Two ptys joined byte by byte, both ways, at ``bytes_per_s`` of bench time: a bus of two stations.
-
-    ``path`` is the port for the controller, ``device_path`` the one for the emulated device.
-    """
-
-    def __init__(self, bytes_per_s: float, clock: WallClock) -> None:
-        self._clock = clock
-        self._byte_s = 1.0 / bytes_per_s
-        self._near, self._near_slave, self.path = _open_raw_pty()
-        self._far, self._far_slave, self.device_path = _open_raw_pty()
-        self._stop = threading.Event()
-        self._threads = [
-            threading.Thread(target=self._carry, args=ends, daemon=True, name="pty-bridge")
-            for ends in ((self._near, self._far), (self._far, self._near))
-        ]
-        for thread in self._threads:
-            thread.start()
-
-    def _carry(self, source: int, sink: int) -> None:
-        free_at_s = 0.0
-        while not self._stop.is_set():
-            ready, _, _ = select.select([source], [], [], 0.1)
-            if not ready:
-                continue
-            data = os.read(source, _CHUNK)
-            free_at_s = max(self._clock.now_s(), free_at_s) + len(data) * self._byte_s
-            self._clock.sleep_until(free_at_s)
-            _write_or_lose(sink, data)
-
-    def close(self) -> None:
-        """Let go of the bus; idempotent."""
-        if self._stop.is_set():
-            return
-        self._stop.set()
-        for thread in self._threads:
-            thread.join()
-        for descriptor in (self._near, self._near_slave, self._far, self._far_slave):
-            os.close(descriptor)
-
-
 def _write_or_lose(descriptor: int, data: bytes) -> None:
     """Write ``data`` to a non-blocking ``descriptor``; what it cannot take now is lost, as on a real line."""
     try:

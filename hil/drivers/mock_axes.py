@@ -38,7 +38,7 @@ class MockAxes:
         self._check()
         axes = self._axes
         accepted = accepted_setpoint(self.axis_names, position, axes.low, axes.high)
-        feedforward = accepted_setpoint(self.axis_names, rate, -axes.rate_max, axes.rate_max)
+        feedforward = accepted_setpoint(self.axis_names, rate, -axes.rate_max, axes.rate_max, "rate")
         self._move(now_s)
         if self._stopped:
             return axes.position.copy()

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from hil.maths import quat
+from hil.maths.arrays import copy_into, fill_matrix
 from hil.maths.jit import kernel
 from hil.maths.stations import camera_pose
 
@@ -42,11 +43,11 @@ def see(params, stations, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
     factor = range_factor(params, r_CT_H)
     camera_pose(stations, r_CT_H, q_CH, t_v, q_vt)
     turn = np.empty(3)
-    covariance[:] = 0.0
+    fill_matrix(covariance, 0.0)
     for i in range(3):
         t_v[i] += params.sigma_position * factor * noise[i]
         # exp([e]x) turns the vector, from_rotation_vector the frame: hence the minus
         turn[i] = -params.sigma_angle * factor * noise[3 + i]
         covariance[i, i] = (params.sigma_position * factor) ** 2
         covariance[3 + i, 3 + i] = (params.sigma_angle * factor) ** 2
-    q_vt[:] = quat.multiply(quat.from_rotation_vector(turn), q_vt)
+    copy_into(q_vt, quat.multiply(quat.from_rotation_vector(turn), q_vt))

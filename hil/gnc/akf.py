@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from hil.maths import quat
+from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.maths.jit import kernel
 from hil.maths.kalman import propagate_covariance, update_three
 
@@ -106,9 +107,9 @@ def angle_covariance(q, covariance_turn, out):
 @kernel
 def start(params, pose, state):
     """Start from the first pose: its attitude with its covariance, the drift from ``params``."""
-    state.p[:] = 0.0
+    fill_matrix(state.p, 0.0)
     state.nis = np.nan
-    state.x[0:4] = pose.q_CH
+    copy_into(state.x[0:4], pose.q_CH)
     xi = np.empty((4, 3))
     turn_response(pose.q_CH, xi)
     for i in range(4):
@@ -134,14 +135,14 @@ def transition(params, x, measured_rate, q_next, phi):
     hill_turn[1] = params.orbit_rate * dt  # minus the turn of H, which is -w0 dt about y
     dq_h = quat.from_rotation_vector(hill_turn)
     unit = np.zeros(4)
-    phi[:] = 0.0
+    fill_matrix(phi, 0.0)
     for j in range(4):
-        unit[:] = 0.0
+        fill(unit, 0.0)
         unit[j] = 1.0
         column = quat.multiply(dq_c, quat.multiply(unit, dq_h))
         for i in range(4):
             phi[i, j] = column[i]
-    q_next[:] = quat.multiply(dq_c, quat.multiply(x[0:4], dq_h))
+    copy_into(q_next, quat.multiply(dq_c, quat.multiply(x[0:4], dq_h)))
     xi = np.empty((4, 3))
     turn_response(q_next, xi)
     for i in range(3):
@@ -156,7 +157,7 @@ def predict(params, state, measured_rate):
     q_next = np.empty(4)
     phi = np.empty((7, 7))
     transition(params, state.x, measured_rate, q_next, phi)
-    state.x[0:4] = q_next
+    copy_into(state.x[0:4], q_next)
     quat.normalise(state.x[0:4])
     noise = np.zeros((7, 7))
     gyro = (0.5 * params.dt_s * params.sigma_gyro) ** 2

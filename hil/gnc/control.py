@@ -19,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.maths import quat
+from hil.maths.arrays import fill
 from hil.maths.jit import kernel
 
 CONTROL_PARAMS = np.dtype(
@@ -74,10 +75,10 @@ def control(params, navigation, reference, command):
     navigation: NAVIGATION; while it is not valid nothing is demanded. reference: REFERENCE.
     """
     if navigation.valid == 0:
-        command.force[:] = 0
-        command.torque[:] = 0
-        command.cycles_left[:] = 0
-        command.until_decision[:] = 0
+        fill(command.force, 0)
+        fill(command.torque, 0)
+        fill(command.cycles_left, 0)
+        fill(command.until_decision, 0)
         return
     error_h = np.empty(3)
     rate_h = np.empty(3)

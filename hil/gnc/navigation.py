@@ -11,6 +11,7 @@ from hil.gnc.akf import AKF_PARAMS, AKF_STATE
 from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
 from hil.gnc.vision_only import VISION_ONLY_PARAMS, VISION_ONLY_STATE
 from hil.maths import quat
+from hil.maths.arrays import copy_into, fill
 from hil.maths.jit import kernel
 from hil.maths.kalman import normalised_square
 
@@ -60,10 +61,10 @@ def _fuse(params, state, imu, pose, out):
             akf.error_covariance(state.akf, turn_covariance)
             pkf.update(state.pkf, pose, state.akf.x[0:4], turn_covariance)
     if state.started != 0:
-        out.r_CT_H[:] = state.pkf.x[0:3]
-        out.v_CT_H[:] = state.pkf.x[3:6]
-        out.q_CH[:] = state.akf.x[0:4]
-        out.w_CH_C[:] = state.akf.w_CH_C
+        copy_into(out.r_CT_H, state.pkf.x[0:3])
+        copy_into(out.v_CT_H, state.pkf.x[3:6])
+        copy_into(out.q_CH, state.akf.x[0:4])
+        copy_into(out.w_CH_C, state.akf.w_CH_C)
         pkf.sigma(state.pkf, 0, out.sigma_r_m)
         pkf.sigma(state.pkf, 3, out.sigma_v_mps)
         turn_covariance = np.empty((6, 6))
@@ -84,13 +85,13 @@ def _look(params, state, pose, out):
         vision_only.predict(params.vision_only, state.vision_only)
         if pose.fresh != 0:
             vision_only.update(params.vision_only, state.vision_only, pose)
-    out.r_CT_H[:] = state.vision_only.r_CT_H
-    out.v_CT_H[:] = state.vision_only.v_CT_H
-    out.q_CH[:] = state.vision_only.q_CH
-    out.w_CH_C[:] = state.vision_only.w_CH_C
-    out.sigma_r_m[:] = np.nan
-    out.sigma_v_mps[:] = np.nan
-    out.sigma_attitude_rad[:] = np.nan
+    copy_into(out.r_CT_H, state.vision_only.r_CT_H)
+    copy_into(out.v_CT_H, state.vision_only.v_CT_H)
+    copy_into(out.q_CH, state.vision_only.q_CH)
+    copy_into(out.w_CH_C, state.vision_only.w_CH_C)
+    fill(out.sigma_r_m, np.nan)
+    fill(out.sigma_v_mps, np.nan)
+    fill(out.sigma_attitude_rad, np.nan)
     out.nis_position = np.nan
     out.nis_attitude = np.nan
 

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from hil.maths import quat
+from hil.maths.arrays import fill_matrix
 from hil.maths.jit import kernel
 from hil.maths.kalman import propagate_covariance, update_three
 
@@ -42,7 +43,7 @@ PKF_STATE = np.dtype(
 @kernel
 def start(params, pose, state):
     """Start from the first pose, at rest, the bias from ``params``."""
-    state.p[:] = 0.0
+    fill_matrix(state.p, 0.0)
     state.nis = np.nan
     r = quat.transform_back(pose.q_CH, pose.z_TC_C)
     a = quat.to_matrix(pose.q_CH)
@@ -62,7 +63,7 @@ def start(params, pose, state):
 def transition(params, q_CH, phi):
     """Write the transition matrix ``phi`` (9, 9) for the attitude in mid-step ``q_CH``."""
     a = quat.to_matrix(q_CH)
-    phi[:] = 0.0
+    fill_matrix(phi, 0.0)
     for i in range(6):
         for j in range(6):
             phi[i, j] = params.hill_transition[i, j]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.maths import quat
+from hil.maths.arrays import copy_into
 from hil.maths.jit import kernel
 
 VISION_ONLY_PARAMS = np.dtype(
@@ -47,8 +48,8 @@ def start(pose, state):
         state.last_r[i] = -r[i]
         state.v_CT_H[i] = 0.0
         state.w_CH_C[i] = 0.0
-    state.q_CH[:] = pose.q_CH
-    state.last_q[:] = pose.q_CH
+    copy_into(state.q_CH, pose.q_CH)
+    copy_into(state.last_q, pose.q_CH)
     state.last_t_s = pose.t_s
 
 
@@ -59,7 +60,7 @@ def predict(params, state):
     for i in range(3):
         state.r_CT_H[i] += params.dt_s * state.v_CT_H[i]
         turn[i] = params.dt_s * state.w_CH_C[i]
-    state.q_CH[:] = quat.multiply(quat.from_rotation_vector(turn), state.q_CH)
+    copy_into(state.q_CH, quat.multiply(quat.from_rotation_vector(turn), state.q_CH))
 
 
 @kernel
@@ -82,7 +83,7 @@ def update(params, state, pose):
         state.w_CH_C[i] += to_rate * (turned[i] / elapsed - state.w_CH_C[i])
         state.last_r[i] = r
         off[i] *= to_attitude
-    state.q_CH[:] = quat.multiply(quat.from_rotation_vector(off), state.q_CH)
+    copy_into(state.q_CH, quat.multiply(quat.from_rotation_vector(off), state.q_CH))
     quat.normalise(state.q_CH)
-    state.last_q[:] = pose.q_CH
+    copy_into(state.last_q, pose.q_CH)
     state.last_t_s = pose.t_s

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.maths import quat
+from hil.maths.arrays import copy_into
 from hil.maths.jit import kernel
 
 STATIONS = np.dtype(
@@ -32,8 +33,8 @@ def camera_pose(stations, r_CT_H, q_CH, t_v, q_vt):
     ring_c = quat.transform(q_CH, ring_c)
     for i in range(3):
         ring_c[i] -= stations.camera_station[i]
-    t_v[:] = quat.transform(stations.q_vc, ring_c)
-    q_vt[:] = quat.multiply(stations.q_vc, quat.multiply(q_CH, quat.conjugate(stations.q_th)))
+    copy_into(t_v, quat.transform(stations.q_vc, ring_c))
+    copy_into(q_vt, quat.multiply(stations.q_vc, quat.multiply(q_CH, quat.conjugate(stations.q_th))))
 
 
 @kernel
@@ -44,7 +45,7 @@ def chaser_pose(stations, t_v, q_vt, covariance, pose):
     The attitude error of c is that rotation seen in c; the position picks up its lever arm.
     """
     q_cv = quat.conjugate(stations.q_vc)
-    pose.q_CH[:] = quat.multiply(q_cv, quat.multiply(q_vt, stations.q_th))
+    copy_into(pose.q_CH, quat.multiply(q_cv, quat.multiply(q_vt, stations.q_th)))
     # both orders of multiplication keep unit length up to rounding
     quat.normalise(pose.q_CH)
     ring_c = quat.transform(q_cv, t_v)

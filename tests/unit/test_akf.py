@@ -44,9 +44,7 @@ def xi(q: np.ndarray) -> np.ndarray:
 
 def omega(w: np.ndarray) -> np.ndarray:
     """Return Omega(w) (4, 4) of the bench paper's eq. (3)."""
-    return np.array(
-        [[0, w[2], -w[1], w[0]], [-w[2], 0, w[0], w[1]], [w[1], -w[0], 0, w[2]], [-w[0], -w[1], -w[2], 0]]
-    )
+    return np.array([[0, w[2], -w[1], w[0]], [-w[2], 0, w[0], w[1]], [w[1], -w[0], 0, w[2]], [-w[0], -w[1], -w[2], 0]])
 
 
 def hill_turn(w0: float) -> np.ndarray:
@@ -183,7 +181,9 @@ def test_angle_covariance_is_the_scatter_of_the_angles(rng: np.random.Generator)
     np.testing.assert_allclose(whitened @ whitened.T / len(turns), np.eye(3), atol=0.1)
 
 
-def test_start_has_the_covariance_of_the_first_pose_and_of_the_drift(params: np.record, rng: np.random.Generator) -> None:
+def test_start_has_the_covariance_of_the_first_pose_and_of_the_drift(
+    params: np.record, rng: np.random.Generator
+) -> None:
     q, root = Rotation.random(rng=rng).as_quat(), rng.standard_normal((3, 3))
     state, found = new(akf.AKF_STATE), np.empty((6, 6))
     akf.start(params, pose_of(q, root @ root.T), state)
@@ -220,7 +220,9 @@ def test_errors_are_as_large_as_the_covariance_says(params: np.record, rng: np.r
     found, p = np.empty(6), np.empty((6, 6))
 
     def look(q: np.ndarray) -> np.record:
-        return pose_of(quat.multiply(quat.from_rotation_vector(SIGMA * rng.standard_normal(3)), q), SIGMA**2 * np.eye(3))
+        return pose_of(
+            quat.multiply(quat.from_rotation_vector(SIGMA * rng.standard_normal(3)), q), SIGMA**2 * np.eye(3)
+        )
 
     for _ in range(runs):
         state = new(akf.AKF_STATE)

@@ -92,8 +92,10 @@ def test_motion_agrees_with_two_bodies_in_inertial_space(axis: int) -> None:
 def test_error_of_the_linear_model_grows_with_the_square_of_the_range() -> None:
     r = np.array([0.6, 0.48, 0.64])
     errors = [
-        np.linalg.norm((transition(W0, 1000.0) @ np.concatenate([s * r, np.zeros(3)]))[:3]
-        - after_in_inertial_space(s * r, np.zeros(3), 1000.0)[:3])
+        np.linalg.norm(
+            (transition(W0, 1000.0) @ np.concatenate([s * r, np.zeros(3)]))[:3]
+            - after_in_inertial_space(s * r, np.zeros(3), 1000.0)[:3]
+        )
         for s in (500.0, 1000.0)
     ]
     assert errors[1] / errors[0] == pytest.approx(4.0, rel=0.01)

@@ -34,7 +34,9 @@ def test_short_line_has_a_triangle_with_a_lower_peak() -> None:
 
 
 @given(lengths, speeds, accelerations, accelerations)
-def test_line_ends_at_rest_at_its_length_after_its_duration(length: float, speed: float, up: float, down: float) -> None:
+def test_line_ends_at_rest_at_its_length_after_its_duration(
+    length: float, speed: float, up: float, down: float
+) -> None:
     end = duration(length, speed, up, down)
     np.testing.assert_allclose(at(length, speed, up, down, 0.0), 0.0)
     np.testing.assert_allclose(at(length, speed, up, down, end * (1 + 1e-9)), [length, 0.0, 0.0], rtol=1e-12)

@@ -76,7 +76,12 @@ def test_tumble_agrees_with_an_integrator_of_higher_order(scheme_1: Scenario) ->
     for _ in range(1000):
         kernels.step(params, truth, np.zeros(MAX_THRUSTERS, dtype=np.int64))
     exact = solve_ivp(
-        lambda _, w: np.linalg.solve(J, -np.cross(w, J @ w)), (0.0, 20.0), start, method="DOP853", rtol=1e-12, atol=1e-14
+        lambda _, w: np.linalg.solve(J, -np.cross(w, J @ w)),
+        (0.0, 20.0),
+        start,
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-14,
     ).y[:, -1]
     np.testing.assert_allclose(truth.w_CI_C, exact, atol=1e-10)
 

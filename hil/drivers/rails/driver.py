@@ -87,7 +87,7 @@ class ModbusRails:
         """Hand over the next setpoint; a stopped device stays where it is and returns that place."""
         self._box.check()
         accepted = accepted_setpoint(self.axis_names, position, self._low, self._high)
-        feedforward = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max)
+        feedforward = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
         feedback = self._box.peek()
         if self._stopping and feedback is not None:
             return feedback.position.copy()

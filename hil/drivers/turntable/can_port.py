@@ -21,7 +21,7 @@ class CanPort:
 
     def __init__(self, device: str, config: Cia402) -> None:
         self.device = device
-        options = {"timeout": _FRAME_WALL_S} if config.interface == "serial" else {}
+        options = {"timeout": _FRAME_WALL_S, "baudrate": config.baud} if config.interface == "serial" else {}
         try:
             self.bus = can.Bus(
                 channel=config.channel,

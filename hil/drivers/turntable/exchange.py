@@ -80,7 +80,11 @@ class ExchangedTurntable:
         for event in (self._wake, self._closing, self._stopping, self._stopped):
             event.clear()
         accepted_setpoint(self.axis_names, self._low, self._low, self._high)  # compiles, so that no send has to
-        position = self._link.open()
+        try:
+            position = self._link.open()
+        except DeviceError as error:
+            self._box.fail(error)
+            raise
         self._setpoint = (position, np.zeros(3), now_s)
         self._box.put(AxisFeedback(self._clock.now_s(), position, np.zeros(3)), self._clock.now_s())
         self._thread = threading.Thread(target=self._run, daemon=True, name=f"{self.name}-io")
@@ -94,7 +98,7 @@ class ExchangedTurntable:
         """
         self._box.check()
         accepted = accepted_setpoint(self.axis_names, position, self._low, self._high)
-        wanted_rate = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max)
+        wanted_rate = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
         if self._stopping.is_set():
             standing = self._box.peek()
             return accepted if standing is None else standing.position.copy()

@@ -1,0 +1,260 @@
+"""Scenario and rig files: every fault is found at once and said in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+
+from hil.config.load import load_rig, load_scenario, shipped
+from hil.errors import BadInput, Problem
+
+Write = Callable[..., str]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """Return a function that writes a file that extends a shipped one and returns its path."""
+
+    def put(text: str, extends: str | None = "scheme-1", name: str = "mine.toml") -> str:
+        path = tmp_path / name
+        path.write_text((f'extends = "{extends}"\n' if extends else "") + text, encoding="utf-8")
+        return str(path)
+
+    return put
+
+
+def scenario_problems(path: str, settings: Iterable[str] = ()) -> dict[str, Problem]:
+    """Return the problems of a scenario by their key."""
+    with pytest.raises(BadInput) as caught:
+        load_scenario(path, settings)
+    return {problem.key: problem for problem in caught.value.problems}
+
+
+def rig_problems(path: str, settings: Iterable[str] = ()) -> dict[str, Problem]:
+    with pytest.raises(BadInput) as caught:
+        load_rig(path, settings)
+    return {problem.key: problem for problem in caught.value.problems}
+
+
+def test_every_shipped_file_loads() -> None:
+    assert {"scheme-1", "scheme-2", "scheme-3"} <= set(shipped("scenarios"))
+    for name in shipped("scenarios"):
+        assert load_scenario(name).value.name == name
+    for name in shipped("rigs"):
+        assert load_rig(name).value.name == name
+
+
+def test_schemes_start_and_see_as_table_iv_says() -> None:
+    found = {name: load_scenario(name).value for name in ("scheme-1", "scheme-2", "scheme-3")}
+    starts = {name: (s.initial.position_m, s.initial.attitude_deg) for name, s in found.items()}
+    assert starts["scheme-1"] == ((5.0, -0.3, 0.3), (3.0, 3.0, -3.0))
+    assert starts["scheme-2"] == starts["scheme-3"] == ((10.0, -0.5, 0.5), (5.0, 5.0, -5.0))
+    assert [s.gnc.navigation.sensors for s in found.values()] == ["vision_imu", "vision_imu", "vision"]
+    assert all(s.initial.velocity_mps == s.initial.rate_degps == (0.0, 0.0, 0.0) for s in found.values())
+
+
+def test_every_fault_is_reported_at_once_with_file_key_value_and_what_is_allowed(write: Write) -> None:
+    path = write(
+        """
+        duration_s = -4.0
+        [chaser]
+        mass_kg = -1000.0
+        [gnc.navigation]
+        sensors = "radar"
+        [gnc.control]
+        deadband_mm = 2.0
+        [vmu]
+        sigma_angle_deg = nan
+        """
+    )
+    found = scenario_problems(path)
+    assert set(found) == {
+        "duration_s",
+        "chaser.mass_kg",
+        "gnc.navigation.sensors",
+        "gnc.control.deadband_mm",
+        "vmu.sigma_angle_deg",
+    }
+    assert all(problem.source == path for problem in found.values())
+    assert str(found["chaser.mass_kg"]) == f"{path}: chaser.mass_kg: -1000.0: must be greater than 0"
+    assert "-4.0" in found["duration_s"].message
+    for text in ("radar", "vision_imu", "vision"):
+        assert text in found["gnc.navigation.sensors"].message
+
+
+def test_nan_is_called_not_finite(write: Write) -> None:
+    for number in ("nan", "inf", "-inf"):
+        message = scenario_problems(write(f"[vmu]\nsigma_angle_deg = {number}"))["vmu.sigma_angle_deg"].message
+        assert "finite" in message
+        assert number.lstrip("-") in message.lower()
+
+
+def test_unknown_key_is_refused_with_a_hint(write: Write) -> None:
+    found = scenario_problems(write("[gnc.control]\ndeadbnd_m = 0.002"))
+    assert "did you mean deadband_m?" in found["gnc.control.deadbnd_m"].message
+
+
+def test_unknown_key_that_resembles_nothing_is_refused_with_the_known_ones(write: Write) -> None:
+    message = scenario_problems(write("[orbit]\nxyzzy = 1"))["orbit.xyzzy"].message
+    assert "unknown key" in message
+    assert "altitude_m" in message
+
+
+@pytest.mark.parametrize(
+    ("table", "wrong", "right"),
+    [
+        ("orbit", "altitude_km", "altitude_m"),
+        ("initial", "attitude_rad", "attitude_deg"),
+        ("chaser", "mass_g", "mass_kg"),
+    ],
+)
+def test_wrong_unit_is_refused_with_the_right_one(write: Write, table: str, wrong: str, right: str) -> None:
+    found = scenario_problems(write(f"[{table}]\n{wrong} = 200.0"))
+    assert f"here it is {right}" in found[f"{table}.{wrong}"].message
+
+
+def test_missing_key_is_named_with_its_unit(write: Write) -> None:
+    with pytest.raises(BadInput) as caught:
+        load_scenario(write("[orbit]\n", extends=None))
+    found = {problem.key: problem.message for problem in caught.value.problems}
+    assert found["orbit.altitude_m"] == "is missing: a value in m"
+    assert found["duration_s"] == "is missing: a value in s"
+    assert "chaser" in found
+
+
+def test_whole_numbers_are_taken_for_floats_and_become_floats(write: Write) -> None:
+    value = load_scenario(write("duration_s = 400\n[initial]\nposition_m = [5, 0, 0]")).value
+    assert value.duration_s == 400.0
+    assert type(value.duration_s) is float
+    assert [type(number) for number in value.initial.position_m] == [float] * 3
+
+
+@pytest.mark.parametrize("value", ['"400.0"', "true", "[400.0]", "2024-05-17"])
+def test_what_is_no_number_is_not_taken_for_one(write: Write, value: str) -> None:
+    assert set(scenario_problems(write(f"duration_s = {value}"))) == {"duration_s"}
+
+
+def test_vector_of_the_wrong_length_is_refused(write: Write) -> None:
+    assert any(
+        key.startswith("initial.position_m") for key in scenario_problems(write("[initial]\nposition_m = [5.0, 0.0]"))
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "message"),
+    [
+        ("[chaser]\ninertia_kg_m2 = [[1, 2, 0], [0, 1, 0], [0, 0, 1]]", "chaser", "symmetric"),
+        ("[chaser]\ninertia_kg_m2 = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]", "chaser", "positive definite"),
+        ("[chaser.thrusters]\nposition_m = [[1, 0, 0]]\ndirection = [[1, 1, 0]]", "chaser.thrusters", "unit vector"),
+        ("[chaser.thrusters]\nposition_m = [[1, 0, 0]]", "chaser.thrusters", "one each"),
+    ],
+)
+def test_tables_that_contradict_themselves_are_refused(write: Write, text: str, key: str, message: str) -> None:
+    assert message in scenario_problems(write(text))[key].message
+
+
+def test_unknown_scenario_is_answered_with_the_known_ones() -> None:
+    with pytest.raises(BadInput, match=r"scheme-9: unknown scenario: give .*scheme-1, scheme-2, scheme-3"):
+        load_scenario("scheme-9")
+    with pytest.raises(BadInput, match=r"nowhere\.toml: no such file"):
+        load_scenario("nowhere.toml")
+    with pytest.raises(BadInput, match=r"lab: unknown rig: give .*mock"):
+        load_rig("lab")
+
+
+def test_file_that_is_not_toml_is_named(write: Write) -> None:
+    with pytest.raises(BadInput, match=r"mine\.toml: not TOML: .*line 2"):
+        load_scenario(write("duration_s = = 4"))
+
+
+def test_files_that_extend_each_other_in_a_ring_are_refused(write: Write) -> None:
+    write("", extends="b.toml", name="a.toml")
+    write("", extends="a.toml", name="b.toml")
+    own = write("", extends="own.toml", name="own.toml")
+    for path in (str(Path(own).with_name("a.toml")), own):
+        with pytest.raises(BadInput, match="extend each other in a ring"):
+            load_scenario(path)
+
+
+def test_extends_lays_a_file_over_its_base_key_by_key(write: Write) -> None:
+    base = load_scenario("scheme-1").value
+    value = load_scenario(write("[gnc.control]\ndeadband_m = 0.004")).value
+    assert value.gnc.control.deadband_m == 0.004
+    assert value.gnc.control.lead_s == base.gnc.control.lead_s
+    assert value.chaser == base.chaser
+
+
+def test_fault_of_a_base_is_laid_to_the_base(write: Write) -> None:
+    base = write("[chaser]\nmass_kg = 0.0", name="base.toml")
+    top = write("[orbit]\naltitude_m = 0.0", extends="base.toml", name="top.toml")
+    found = scenario_problems(top)
+    assert found["chaser.mass_kg"].source == base
+    assert found["orbit.altitude_m"].source == top
+
+
+def test_setting_overrides_the_file_and_is_named_as_the_origin() -> None:
+    loaded = load_scenario("scheme-1", ["gnc.control.deadband_m=0.004", "initial.position_m=[4, 0, 0]"])
+    assert loaded.value.gnc.control.deadband_m == 0.004
+    assert loaded.value.initial.position_m == (4.0, 0.0, 0.0)
+    assert loaded.where("gnc.control.deadband_m") == "--set"
+    assert loaded.where("gnc.control.lead_s").endswith("scheme-1.toml")
+
+
+def test_faulty_setting_is_laid_to_the_option_and_not_to_the_file() -> None:
+    found = scenario_problems("scheme-1", ["chaser.mass_kg=-1", "gnc.control.deadband_km=1"])
+    assert found["chaser.mass_kg"].source == found["gnc.control.deadband_km"].source == "--set"
+    assert "-1" in found["chaser.mass_kg"].message
+
+
+def test_setting_takes_a_bare_string() -> None:
+    for text in ("gnc.navigation.sensors=vision", 'gnc.navigation.sensors="vision"', "gnc.navigation.sensors = vision"):
+        assert load_scenario("scheme-1", [text]).value.gnc.navigation.sensors == "vision"
+
+
+@pytest.mark.parametrize("text", ["duration_s", "=4", " = 4"])
+def test_setting_that_is_none_is_refused_with_an_example(text: str) -> None:
+    with pytest.raises(BadInput, match=r"^--set: .*must look like gnc\.control\.deadband_m=0\.004"):
+        load_scenario("scheme-1", [text])
+
+
+def test_setting_below_a_number_is_refused() -> None:
+    with pytest.raises(BadInput, match=r"--set: .*duration_s is not a table"):
+        load_scenario("scheme-1", ["duration_s.longer=4"])
+
+
+def test_settings_of_the_rig_go_to_the_rig_alone() -> None:
+    settings = ["rig.vmu.timeout_s=0.5", "duration_s=100"]
+    assert load_rig("mock", settings).value.vmu.timeout_s == 0.5
+    assert load_scenario("scheme-1", settings).value.duration_s == 100.0
+    found = rig_problems("mock", ["rig.vmu.timeout_s=-1"])
+    assert found["rig.vmu.timeout_s"].source == "--set"
+
+
+@pytest.mark.parametrize(
+    ("setting", "text"),
+    [
+        ("rig.rails.x.travel_m=[2.0, 1.0]", "must rise"),
+        ("rig.rails.x.park_m=99.0", "must lie within travel_m"),
+        ("rig.bench.gimbal_order=zyz", "zyx"),
+        ("rig.bench.camera_axes=[[1,0,0],[0,1,0],[0,0,-1]]", "right-handed"),
+        ("rig.vmu.driver=rs422", "does not go with kind"),
+    ],
+)
+def test_impossible_rig_is_refused(setting: str, text: str) -> None:
+    assert any(text in problem.message for problem in rig_problems("mock", [setting]).values())
+
+
+def test_rig_of_hardware_without_wires_names_each_missing_wire(write: Write) -> None:
+    path = write(
+        'kind = "hardware"\nrails.driver = "modbus"\nturntable.driver = "ascii"\nvmu.driver = "rs422"', extends="mock"
+    )
+    found = rig_problems(path)
+    assert set(found) == {
+        "rails.modbus.x.port",
+        "rails.modbus.y.port",
+        "rails.modbus.z.port",
+        "turntable.ascii.port",
+        "vmu.rs422.port",
+    }
