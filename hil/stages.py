@@ -126,6 +126,7 @@ class Bench:
         self._following_error_max = following_error_max  # m, rad
         self._wanted = new(AXES)
         self._before = new(AXES)
+        self._motion = new(kinematics.MOTION)
         self._next = new(AXES)
         self._next_arrays = tuple(self._next[name] for name in ("rail_m", "rail_mps", "gimbal_rad", "gimbal_radps"))
         self._worst = np.empty(4)
@@ -146,6 +147,7 @@ class Bench:
         """Make the encoders' positions the last setpoint, at rest: nothing jumps at the next command."""
         rest = np.zeros(3)
         kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, self._before)
+        kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, self._motion)
 
     def axes_of(self, r_CT_H: Array, v_CT_H: Array, q_CH: Array, w_CH_C: Array, out: np.record) -> None:
         """Write the axes' positions and rates, unlimited, for a pose of the chaser."""
@@ -158,7 +160,7 @@ class Bench:
 
     def command(self, wanted: np.record, now_s: float, setpoint: np.record) -> None:
         """Send ``wanted`` (AXES), cut to what travel, speed and acceleration allow."""
-        if kinematics.limit_setpoint(self.params, self._before, wanted, self._next):
+        if kinematics.limit_setpoint(self.params, self._motion, wanted, self._next):
             self.limited_cycles += 1
         rail_m, rail_mps, gimbal_rad, gimbal_radps = self._next_arrays
         rail_accepted = self.rails.send(rail_m, rail_mps, now_s)

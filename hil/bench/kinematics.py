@@ -7,6 +7,8 @@ c) away from it, so the carriage goes to ``r_CT_L - R_LC lever_arm``.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hil.maths import euler, quat
@@ -25,6 +27,8 @@ BENCH_PARAMS = np.dtype(
     ],
     align=True,
 )
+
+MOTION = np.dtype([("position", "f8", 6), ("rate", "f8", 6)], align=True)  # rails, then gimbals; rate of the last step
 
 
 @kernel
@@ -57,40 +61,82 @@ def pose_of_axes(params, rail_m, gimbal_rad, r_CT_H, q_CH):
 
 
 @kernel
-def limit_setpoint(params, before, wanted, out):
+def braking_speed(distance, acceleration, dt):
+    """Return the fastest next step, as a speed, after which steps that each lose ``acceleration * dt`` end in time.
+
+    With n further steps the way is ``dt ((n + 1) v - acceleration dt n (n + 1) / 2)``; it must not
+    exceed ``distance``.
+    """
+    loss = acceleration * dt
+    n = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * distance / (loss * dt)) - 1.0) + 1e-9)
+    return (distance / dt + 0.5 * loss * n * (n + 1.0)) / (n + 1.0)
+
+
+@kernel
+def _limit_axis(params, axis, position, rate, wanted):
+    """Return the rate of the next step of one axis, and whether it takes the axis to ``wanted``."""
+    dt, acceleration, fastest = params.dt_s, params.acceleration_max[axis], params.rate_max[axis]
+    target = min(params.high[axis], max(params.low[axis], wanted))
+    step = (target - position) / dt
+    room = params.high[axis] - target if step > 0.0 else target - params.low[axis]
+    slack = 1.0 + 1e-9
+    if (
+        target == wanted
+        and abs(step) <= fastest * slack
+        and abs(step - rate) <= acceleration * dt * slack
+        and abs(step) <= acceleration * dt * slack + braking_speed(room, acceleration, dt)
+    ):
+        return step, True
+    speed = min(fastest, braking_speed(abs(target - position), acceleration, dt))
+    allowed = speed if step > 0.0 else -speed
+    allowed = min(rate + acceleration * dt, max(rate - acceleration * dt, allowed))
+    return min(fastest, max(-fastest, allowed)), False
+
+
+@kernel
+def limit_setpoint(params, motion, wanted, out):
     """Write ``out`` (AXES): the setpoint nearest to ``wanted`` that travel, speed and acceleration allow.
 
-    before: the setpoint of the step before. Returns the number of axes that were limited.
+    motion: MOTION, where the last setpoints are and how fast they went; moved on in place. An axis
+    that is within its limits passes to the last bit; one that is not goes after its target as fast
+    as it may, and brakes in time. Returns the number of axes that were limited.
     """
     limited = 0
     for axis in range(6):
         i = axis % 3
-        if axis < 3:
-            position, target, rate = before.rail_m[i], wanted.rail_m[i], before.rail_mps[i]
-        else:
-            position, target, rate = before.gimbal_rad[i], wanted.gimbal_rad[i], before.gimbal_radps[i]
-        target = min(params.high[axis], max(params.low[axis], target))
-        step = (target - position) / params.dt_s
-        change = params.acceleration_max[axis] * params.dt_s
-        allowed = min(rate + change, max(rate - change, step))
-        allowed = min(params.rate_max[axis], max(-params.rate_max[axis], allowed))
-        position += allowed * params.dt_s
-        position = min(params.high[axis], max(params.low[axis], position))
-        wanted_position = wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i]
-        # an unlimited axis takes the wanted numbers as they are, to the last bit
-        if abs(position - wanted_position) <= 1e-12:
-            position = wanted_position
-            rate_out = wanted.rail_mps[i] if axis < 3 else wanted.gimbal_radps[i]
+        target = wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i]
+        feedforward = wanted.rail_mps[i] if axis < 3 else wanted.gimbal_radps[i]
+        rate, reached = _limit_axis(params, axis, motion.position[axis], motion.rate[axis], target)
+        if not math.isfinite(target):
+            # left as it is: whoever drives the axis refuses it, and the run stops
+            position = target
+        elif reached:
+            position = target
+            feedforward = min(params.rate_max[axis], max(-params.rate_max[axis], feedforward))
         else:
             limited += 1
-            rate_out = allowed
+            position = motion.position[axis] + rate * params.dt_s
+            position = min(params.high[axis], max(params.low[axis], position))
+            feedforward = rate
+        motion.rate[axis] = rate
+        motion.position[axis] = position
         if axis < 3:
             out.rail_m[i] = position
-            out.rail_mps[i] = rate_out
+            out.rail_mps[i] = feedforward
         else:
             out.gimbal_rad[i] = position
-            out.gimbal_radps[i] = rate_out
+            out.gimbal_radps[i] = feedforward
     return limited
+
+
+@kernel
+def start_motion(rail_m, gimbal_rad, motion):
+    """Make ``motion`` (MOTION) stand at the given positions."""
+    for i in range(3):
+        motion.position[i] = rail_m[i]
+        motion.position[3 + i] = gimbal_rad[i]
+        motion.rate[i] = 0.0
+        motion.rate[3 + i] = 0.0
 
 
 @kernel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -32,7 +33,13 @@ def pose_at(t_s: float, r_CT_H: np.ndarray, q: np.ndarray) -> np.record:
     return pose
 
 
-def fly(params: np.record, state: np.record, frames: int, r_CT_H, q_CH) -> None:  # type: ignore[no-untyped-def]
+def fly(
+    params: np.record,
+    state: np.record,
+    frames: int,
+    r_CT_H: Callable[[float], np.ndarray],
+    q_CH: Callable[[float], np.ndarray],
+) -> None:
     """Feed noiseless frames of the motion r_CT_H(t), q_CH(t)."""
     vision_only.start(pose_at(0.0, r_CT_H(0.0), q_CH(0.0)), state)
     for k in range(1, 8 * frames + 1):
