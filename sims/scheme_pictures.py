@@ -1,6 +1,6 @@
 """Figures 6 and 7 of the bench paper for a scheme: relative position, speed, attitude and rate over time.
 
-    python sims/scheme_pictures.py scheme-1 docs/pictures/scheme-1.png
+python sims/scheme_pictures.py scheme-1 docs/pictures/scheme-1.png
 """
 
 from __future__ import annotations

@@ -73,8 +73,11 @@ def braking_speed(distance, acceleration, dt):
 
 
 @kernel
-def _limit_axis(params, axis, position, rate, wanted):
-    """Return the rate of the next step of one axis, and whether it takes the axis to ``wanted``."""
+def _limit_axis(params, axis, position, rate, wanted, wanted_rate):
+    """Return the rate of the next step of one axis, and whether it takes the axis to ``wanted``.
+
+    It does not where the axis would arrive faster than it could change to ``wanted_rate`` in a step.
+    """
     dt, acceleration, fastest = params.dt_s, params.acceleration_max[axis], params.rate_max[axis]
     target = min(params.high[axis], max(params.low[axis], wanted))
     step = (target - position) / dt
@@ -84,6 +87,7 @@ def _limit_axis(params, axis, position, rate, wanted):
         target == wanted
         and abs(step) <= fastest * slack
         and abs(step - rate) <= acceleration * dt * slack
+        and abs(step - wanted_rate) <= acceleration * dt * slack
         and abs(step) <= acceleration * dt * slack + braking_speed(room, acceleration, dt)
     ):
         return step, True
@@ -106,8 +110,8 @@ def limit_setpoint(params, motion, wanted, out):
         i = axis % 3
         target = wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i]
         feedforward = wanted.rail_mps[i] if axis < 3 else wanted.gimbal_radps[i]
-        rate, reached = _limit_axis(params, axis, motion.position[axis], motion.rate[axis], target)
-        if not math.isfinite(target):
+        rate, reached = _limit_axis(params, axis, motion.position[axis], motion.rate[axis], target, feedforward)
+        if not (math.isfinite(target) and math.isfinite(feedforward)):
             # left as it is: whoever drives the axis refuses it, and the run stops
             position = target
         elif reached:

@@ -177,6 +177,8 @@ def test_setpoint_that_is_not_finite_is_passed_on_for_the_driver_to_refuse() -> 
     limit_setpoint(bench(), moving(), wanting(math.nan), out)
     assert np.isnan(out.rail_m).all()
     assert np.isnan(out.gimbal_rad).all()
+    limit_setpoint(bench(), moving(), wanting(0.0, math.nan), out)
+    assert np.isnan(out.rail_mps).all()
 
 
 def test_largest_difference_names_the_axis_and_does_not_miss_nan() -> None:
