@@ -12,6 +12,7 @@ import numpy as np
 from serial.tools import list_ports
 
 from hil import parameters
+from hil.approach_diary import ApproachDiary
 from hil.bench.kinematics import axes_of_pose
 from hil.clock import SimulatedClock, WallClock
 from hil.config.load import Loaded
@@ -25,7 +26,7 @@ from hil.errors import BadInput, Problem
 from hil.eye import Eye
 from hil.maths import euler
 from hil.maths.streams import NormalRows, stream
-from hil.messages import AXES, CYCLE, PoseFrame, new
+from hil.messages import AXES, CYCLE, EventLog, PoseFrame, new
 from hil.priority import precedence
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.runner import Runner, Watch
@@ -130,9 +131,11 @@ def _assemble(
         gnc=Gnc(
             parameters.navigation(scenario),
             parameters.guidance(scenario),
+            parameters.supervision(scenario),
             parameters.control(scenario, strength),
             sets,
             len(scenario.chaser.thrusters.position_m),
+            ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s, EventLog()),
         ),
         history=np.zeros(job.cycles, CYCLE),
     )

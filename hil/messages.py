@@ -17,6 +17,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 MAX_THRUSTERS = 24
+MAX_PHASES = 16
 
 TRUTH = np.dtype(
     [
@@ -78,6 +79,21 @@ REFERENCE = np.dtype(
         ("v_CT_H", "f8", 3),
         ("a_CT_H", "f8", 3),
         ("q_CH", "f8", 4),
+        ("phase", "i8"),  # its number in the list; those after the list are brake, retreat, hold of an abort
+        ("from_H", "f8", 3),  # m, begin of the phase's line
+        ("to_H", "f8", 3),  # m, its end
+    ],
+    align=True,
+)
+
+WATCH = np.dtype(
+    [
+        ("corridor_margin_m", "f8"),  # of the estimate; negative outside
+        ("closing_margin_mps", "f8"),  # allowed minus actual closing rate
+        ("broken_cycles", "i8"),  # for which a limit has been broken on end
+        ("ready_since_s", "f8"),  # since then the estimate is within Table III; nan when it is not
+        ("aborted", "i8"),  # cause, 0 for none
+        ("aborted_at_s", "f8"),
     ],
     align=True,
 )
@@ -89,6 +105,8 @@ COMMAND = np.dtype(
         ("on", "i8", MAX_THRUSTERS),  # 0 or 1 a thruster
         ("cycles_left", "i8", 6),  # of the burn under way, signed; force axes, then torque axes
         ("until_decision", "i8", 6),  # cycles
+        ("owed", "f8", 6),  # m/s, rad/s: change of rate that the reference asked for and was not fired yet
+        ("boost", "i8"),  # 1: force demands open the strong thruster sets
     ],
     align=True,
 )
@@ -111,6 +129,7 @@ CYCLE = np.dtype(
         ("pose", POSE),
         ("navigation", NAVIGATION),
         ("reference", REFERENCE),
+        ("watch", WATCH),
         ("command", COMMAND),
         ("setpoint", AXES),
         ("feedback", AXES),
