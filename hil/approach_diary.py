@@ -29,7 +29,7 @@ class ApproachDiary:
         log.add(0.0, "guidance", f"phase {self._names[0]} begins")
 
     def docking_is_go(self, t_s: float, ready_since_s: float) -> bool:
-        """Return whether the ready state has held for the dwell time up to ``t_s``; ready_since_s nan: it does not hold."""
+        """Return whether the ready state has held for the dwell time up to ``t_s``; since nan: it does not hold."""
         return not self._aborted and bool(t_s - ready_since_s >= self._dwell_s - 1e-9)
 
     def phase_began(self, t_s: float, phase: int) -> None:

@@ -58,7 +58,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.gnc.navigate(now.imu, now.pose, now.navigation)  # 4  AKF and PKF
     loop.gnc.guide(t_s, now.watch, now.reference)  # 5  reference of the present phase
     loop.gnc.supervise(t_s, now.navigation, now.reference, now.watch)  # 6  corridor, closing rate, abort
-    loop.gnc.control(now.navigation, now.reference, now.watch, now.command)  # 7  thrusters on or off
+    loop.gnc.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
     now.cycle.t_s, now.cycle.lateness_s = t_s, lateness_s
     now.cycle.nees_position, now.cycle.nees_attitude = loop.gnc.consistency(now.truth, now.imu)
     loop.history[k] = now.row[0]  # 8  what was known and done at t_s

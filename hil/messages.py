@@ -79,6 +79,7 @@ REFERENCE = np.dtype(
         ("v_CT_H", "f8", 3),
         ("a_CT_H", "f8", 3),
         ("q_CH", "f8", 4),
+        ("boost", "i8"),  # 1 where force demands are to open the strong thruster sets
         ("phase", "i8"),  # its number in the list; those after the list are brake, retreat, hold of an abort
         ("from_H", "f8", 3),  # m, begin of the phase's line
         ("to_H", "f8", 3),  # m, its end
@@ -106,7 +107,7 @@ COMMAND = np.dtype(
         ("cycles_left", "i8", 6),  # of the burn under way, signed; force axes, then torque axes
         ("until_decision", "i8", 6),  # cycles
         ("owed", "f8", 6),  # m/s, rad/s: change of rate that the reference asked for and was not fired yet
-        ("boost", "i8"),  # 1: force demands open the strong thruster sets
+        ("boost", "i8"),  # 1: force demands open the strong thruster sets, as the reference had it
     ],
     align=True,
 )

@@ -20,6 +20,7 @@ from hil.gnc.guidance import APPROACH, FINAL, GUIDANCE_PARAMS, HOLD, RETREAT, WA
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.gnc.supervision import SUPERVISION_PARAMS
 from hil.maths import euler, quat
+from hil.maths.camera import CAMERA
 from hil.maths.stations import STATIONS
 from hil.messages import MAX_THRUSTERS, TRUTH, Array, new
 
@@ -96,6 +97,17 @@ def stations(rig: Rig) -> np.record:
     return params
 
 
+def camera(rig: Rig) -> tuple[np.record, Array]:
+    """Return CAMERA, and the lamps of the ring in t, (n, 3), m."""
+    params = new(CAMERA)
+    settings = rig.vmu.camera
+    params.focal = settings.focal_px
+    params.width = settings.width_px
+    params.height = settings.height_px
+    params.baseline = settings.baseline_m
+    return params, np.array(rig.vmu.leds_m, dtype=float)
+
+
 def navigation(scenario: Scenario) -> np.record:
     """Return NAVIGATION_PARAMS."""
     params = new(NAVIGATION_PARAMS)
@@ -149,6 +161,7 @@ def guidance(scenario: Scenario) -> np.record:
     params.abort_distance = abort.hold_distance_m
     params.abort_speed = abort.speed_mps
     params.abort_acceleration = abort.acceleration_mps2
+    params.brake = abort.brake_mps2
     return params
 
 

@@ -135,11 +135,8 @@ class Gnc:
         if not self.diary.decided:
             self.diary.decide(t_s, watch.ready_since_s)
 
-    def control(self, estimate: np.record, reference: np.record, watch: np.record, command: np.record) -> None:
-        """Write the demands and the thrusters of COMMAND; an abort starts afresh and with the strong sets."""
-        if watch.aborted != supervision.NOT_ABORTED and command.boost == 0:
-            control.rest(command)
-            command.boost = 1
+    def control(self, estimate: np.record, reference: np.record, command: np.record) -> None:
+        """Write the demands and the thrusters of COMMAND."""
         control.control(self._control, estimate, reference, command)
         allocation.select(self._sets, self._n, command)
 

@@ -52,6 +52,7 @@ def run_command(
     summary, verdict = summarise(
         outcome,
         scenario.value,
+        rig.value,
         rig_name,
         seed,
         parameters.orbit_rate(scenario.value),

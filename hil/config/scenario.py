@@ -197,8 +197,9 @@ class Corridor(Strict):
 
 
 class Abort(Strict):
-    """A retreat along the corridor's axis to a hold; ``at_s`` rehearses it."""
+    """Brake, retreat along the corridor's axis, hold; ``at_s`` rehearses it."""
 
+    brake_mps2: Positive
     hold_distance_m: Positive
     speed_mps: Positive
     acceleration_mps2: Positive
@@ -232,7 +233,7 @@ class Gnc(Strict):
 
 
 class Requirements(Strict):
-    """What the ready phase must keep (bench paper Table III); each axis alone."""
+    """What the ready phase must keep (bench paper Table III), each axis alone, and what the run may spend."""
 
     axial_distance_m: Positive
     axial_tolerance_m: Positive
@@ -242,6 +243,7 @@ class Requirements(Strict):
     angle_deg: Positive
     angular_rate_degps: Positive
     dwell_s: Positive
+    propellant_factor: Positive = 3.0  # propellant of the run over the impulsive least of its reference and slews
 
 
 class Scenario(Strict):

@@ -70,7 +70,7 @@ def _decide(params, axis, error, rate, sigma, reference_acceleration, accelerati
         reach = lead * params.correction_rate[axis]
         cut = min(reach, max(-reach, error))
         cycles = burn(cut, rate + command.owed[axis], acceleration, deadband, lead, period, dt)
-        ahead = int(round((command.owed[axis] + reference_acceleration * period * dt) / (acceleration * dt)))
+        ahead = round((command.owed[axis] + reference_acceleration * period * dt) / (acceleration * dt))
         ahead = min(period - cycles, max(-period - cycles, ahead))
         command.owed[axis] -= ahead * acceleration * dt
         command.cycles_left[axis] = cycles + ahead
@@ -105,10 +105,14 @@ def control(params, navigation, reference, command):
     """Write the six demands of ``command`` (COMMAND), which holds what the axes are about.
 
     navigation: NAVIGATION; while it is not valid nothing is demanded. reference: REFERENCE. With
-    ``command.boost`` a force demand counts with the acceleration of the strong thruster sets. The
+    ``reference.boost`` a force demand counts with the acceleration of the strong thruster sets; where
+    it begins or ends, what the axes were about is dropped and they decide at once. The
     sigmas of navigation are taken axis by axis as if c were parallel to H: they do no more than
     widen dead bands.
     """
+    if command.boost != reference.boost:
+        rest(command)
+        command.boost = reference.boost
     if navigation.valid == 0:
         rest(command)
         return

@@ -34,7 +34,8 @@ GUIDANCE_PARAMS = np.dtype(
         ("axis", "f8", 3),  # unit vector from the target outwards, in H
         ("abort_distance", "f8"),  # m, from the target
         ("abort_speed", "f8"),  # m/s
-        ("abort_acceleration", "f8"),  # m/s^2
+        ("abort_acceleration", "f8"),  # m/s^2, of the retreat
+        ("brake", "f8"),  # m/s^2, of the brake before it
     ],
     align=True,
 )
@@ -79,7 +80,7 @@ def _aim(params, state):
     if kind == BRAKE:
         speed = math.sqrt(state.brake_H[0] ** 2 + state.brake_H[1] ** 2 + state.brake_H[2] ** 2)
         for i in range(3):
-            state.to_H[i] += 0.5 * state.brake_H[i] * speed / params.abort_acceleration
+            state.to_H[i] += 0.5 * state.brake_H[i] * speed / params.brake
     elif kind == RETREAT and phase >= params.n_phases:
         _aim_outwards(params, state)
     elif kind != HOLD and kind != WAIT:
@@ -144,7 +145,7 @@ def _ends_at(params, state, go):
     kind = kind_of(params, phase)
     if kind == BRAKE:
         speed = math.sqrt(state.brake_H[0] ** 2 + state.brake_H[1] ** 2 + state.brake_H[2] ** 2)
-        return state.since_s + speed / params.abort_acceleration
+        return state.since_s + speed / params.brake
     if kind == HOLD:
         return state.since_s + params.duration_s[phase]
     if kind == WAIT:
@@ -185,22 +186,21 @@ def reference(params, state, t_s, out):
     copy_into(out.from_H, state.from_H)
     copy_into(out.to_H, state.to_H)
     out.phase = state.phase
+    out.boost = 1 if kind == BRAKE else 0
     for i in range(3):
         out.q_CH[i] = 0.0
     out.q_CH[3] = 1.0
     if kind == BRAKE:
         speed = math.sqrt(state.brake_H[0] ** 2 + state.brake_H[1] ** 2 + state.brake_H[2] ** 2)
-        takes = speed / params.abort_acceleration
+        takes = speed / params.brake
         t = min(since, takes)
         for i in range(3):
-            rate = state.brake_H[i] / takes if since < takes else 0.0
-            out.a_CT_H[i] = -rate
-            out.v_CT_H[i] = state.brake_H[i] - rate * t if since < takes else 0.0
-            out.r_CT_H[i] = state.from_H[i] + state.brake_H[i] * t * (1.0 - 0.5 * t / takes) if takes > 0.0 else (
-                state.from_H[i]
-            )
+            loss = state.brake_H[i] / takes if since < takes else 0.0
+            out.a_CT_H[i] = -loss
+            out.v_CT_H[i] = loss * (takes - t)
+            out.r_CT_H[i] = state.from_H[i] + state.brake_H[i] * t - 0.5 * loss * t * t
         return
-    length = 0.0 if kind == HOLD or kind == WAIT else _length(state)
+    length = 0.0 if kind in (HOLD, WAIT) else _length(state)
     along = np.zeros(3)
     if length > 0.0:
         speed, acceleration, deceleration = _limits(params, state.phase)

@@ -45,7 +45,7 @@ SUPERVISION_PARAMS = np.dtype(
 
 @kernel
 def corridor_margin(params, from_H, to_H, r_CT_H):
-    """Return how far, m, ``r_CT_H`` is inside the corridor about the line from ``from_H`` to ``to_H``; negative outside."""
+    """Return how far, m, ``r_CT_H`` is inside the corridor about the line ``from_H`` to ``to_H``; negative outside."""
     square = 0.0
     along = 0.0
     for i in range(3):
@@ -79,6 +79,14 @@ def closing_margin(params, r_CT_H, v_CT_H):
     distance = math.sqrt(square)
     rate = product / distance if distance > 0.0 else 0.0
     return closing_limit(params, distance) + rate
+
+
+@kernel
+def margins(params, from_H, to_H, r_CT_H, v_CT_H, corridor, closing):
+    """Write ``corridor_margin`` and ``closing_margin`` of each row of the four arrays (n, 3) into (n,)."""
+    for k in range(corridor.shape[0]):
+        corridor[k] = corridor_margin(params, from_H[k], to_H[k], r_CT_H[k])
+        closing[k] = closing_margin(params, r_CT_H[k], v_CT_H[k])
 
 
 @kernel
