@@ -54,7 +54,12 @@ class Job:
 
 def check(job: Job) -> None:
     """Raise BadInput with every fault that shows only when scenario and rig meet."""
-    problems = [*_layout_problems(job.scenario), *_start_problems(job), *_port_problems(job.rig)]
+    problems = [
+        *_layout_problems(job.scenario),
+        *_start_problems(job),
+        *_approach_problems(job.scenario),
+        *_port_problems(job.rig),
+    ]
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
     if problems:
@@ -221,15 +226,21 @@ def _layout_problems(scenario: Loaded[Scenario]) -> list[Problem]:
 
 
 def _start_problems(job: Job) -> list[Problem]:
-    """Return a problem for each axis that cannot take the start pose or the ready point."""
+    """Return a problem for each axis that cannot take the start pose or a point that the approach goes to."""
     scenario, rig = job.scenario.value, job.rig.value
     params = parameters.bench(rig, scenario.step_s)
     ready = scenario.gnc.guidance.ready_point_m
     problems = []
-    for key, position, attitude in (
+    level = (0.0, 0.0, 0.0)
+    poses = [
         ("initial.position_m", scenario.initial.position_m, scenario.initial.attitude_deg),
-        ("gnc.guidance.ready_point_m", ready, (0.0, 0.0, 0.0)),
-    ):
+        ("gnc.guidance.ready_point_m", ready, level),
+    ]
+    for name in scenario.gnc.guidance.sequence:
+        point = scenario.gnc.guidance.phases[name].point_m
+        if point is not None:
+            poses.append((f"gnc.guidance.phases.{name}.point_m", point, level))
+    for key, position, attitude in poses:
         axes = _axes_at(scenario, rig, position, attitude)
         source = job.scenario.where(key)
         for i, (rail, gimbal) in enumerate(zip(RAIL_NAMES, GIMBAL_NAMES, strict=True)):
@@ -244,6 +255,22 @@ def _start_problems(job: Job) -> list[Problem]:
                     f"allowed {least:g} to {most:g} deg"
                 )
                 problems.append(Problem(source, "initial.attitude_deg", text))
+    return problems
+
+
+def _approach_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return a problem for what the approach plans and its own supervision or its thrusters do not allow."""
+    gnc = scenario.value.gnc
+    problems = []
+    limit = gnc.corridor.closing_rate_max_mps
+    for name in gnc.guidance.sequence:
+        phase = gnc.guidance.phases[name]
+        own = phase.speed_mps is not None
+        speed = phase.speed_mps if phase.speed_mps is not None else gnc.guidance.approach_speed_mps
+        if phase.kind in ("approach", "final") and speed >= limit:
+            key = f"gnc.guidance.phases.{name}.speed_mps" if own else "gnc.guidance.approach_speed_mps"
+            text = f"{speed:g}: must be below gnc.corridor.closing_rate_max_mps, {limit:g}"
+            problems.append(Problem(scenario.where(key), key, text))
     return problems
 
 

@@ -158,7 +158,9 @@ def guidance(scenario: Scenario) -> np.record:
         params.duration_s[k] = phase.duration_s or 0.0
         params.until_s[k] = math.inf if phase.until_s is None else phase.until_s
     params.axis = scenario.gnc.corridor.axis
-    params.abort_distance = abort.hold_distance_m
+    axial_start = float(np.dot(scenario.initial.position_m, params.axis))
+    # no farther out than the start, which the bench is known to reach
+    params.abort_distance = min(abort.hold_distance_m, max(0.0, axial_start))
     params.abort_speed = abort.speed_mps
     params.abort_acceleration = abort.acceleration_mps2
     params.brake = abort.brake_mps2

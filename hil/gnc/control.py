@@ -12,7 +12,8 @@ error is approached at that rate and not with one long burst each way.
 An axis decides once a period. Outside the dead band it fires against s for as long as takes s to zero,
 ``|s| / (tau a)``, at least one cycle and at most the period. The dead band is the set one plus
 ``caution`` times the standard deviation of s as navigation knows it: far out, and while the filters
-converge, s is mostly noise, and propellant spent on noise is spent twice.
+converge, s is mostly noise, and propellant spent on noise is spent twice. The brake of an abort
+knows no caution.
 
 The reference's acceleration is fed forward: what it will ask for over the coming period is fired in
 one burn. What was asked for and not yet fired, or fired ahead, is ``owed``; the rate error is counted
@@ -65,7 +66,7 @@ def _decide(params, axis, error, rate, sigma, reference_acceleration, accelerati
     if command.until_decision[axis] <= 0:
         period, lead = params.period[axis], params.lead[axis]
         deadband = params.deadband[axis]
-        if sigma > 0.0:
+        if sigma > 0.0 and command.boost == 0:
             deadband += params.caution[axis] * sigma
         reach = lead * params.correction_rate[axis]
         cut = min(reach, max(-reach, error))

@@ -47,6 +47,7 @@ GUIDANCE_STATE = np.dtype(
         ("from_H", "f8", 3),  # m, where the phase began
         ("to_H", "f8", 3),  # m, where it ends
         ("brake_H", "f8", 3),  # m/s, velocity at the begin of a brake
+        ("abort_range", "f8"),  # m, from the target, to which the abort retreats
     ],
     align=True,
 )
@@ -89,7 +90,7 @@ def _aim(params, state):
 
 @kernel
 def _aim_outwards(params, state):
-    """Write ``state.to_H``: along the docking axis to the abort distance, or no way at all if farther out.
+    """Write ``state.to_H``: along the docking axis until the range is ``state.abort_range``.
 
     On the far side of the target the way is radial, so that the range never falls.
     """
@@ -99,14 +100,14 @@ def _aim_outwards(params, state):
         square += state.from_H[i] ** 2
         axial += state.from_H[i] * params.axis[i]
     distance = math.sqrt(square)
-    if distance >= params.abort_distance or distance == 0.0:
+    if distance >= state.abort_range or distance == 0.0:
         return
-    way = math.sqrt(axial * axial + params.abort_distance**2 - square) - axial
+    way = math.sqrt(axial * axial + state.abort_range**2 - square) - axial
     for i in range(3):
         if axial > 0.0:
             state.to_H[i] = state.from_H[i] + way * params.axis[i]
         else:
-            state.to_H[i] = state.from_H[i] * params.abort_distance / distance
+            state.to_H[i] = state.from_H[i] * state.abort_range / distance
 
 
 @kernel
@@ -120,7 +121,12 @@ def start(params, state):
 
 @kernel
 def start_abort(params, state, t_s, r_CT_H, v_CT_H):
-    """Leave the list at ``t_s``: brake from ``r_CT_H``, m, and ``v_CT_H``, m/s."""
+    """Leave the list at ``t_s``: brake from ``r_CT_H``, m, and ``v_CT_H``, m/s.
+
+    The retreat goes to the abort distance, from farther out back to the range of this moment.
+    """
+    distance = math.sqrt(r_CT_H[0] ** 2 + r_CT_H[1] ** 2 + r_CT_H[2] ** 2)
+    state.abort_range = max(params.abort_distance, distance)
     state.phase = params.n_phases
     state.since_s = t_s
     copy_into(state.from_H, r_CT_H)
