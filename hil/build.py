@@ -259,7 +259,7 @@ def _start_problems(job: Job) -> list[Problem]:
 
 
 def _approach_problems(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return a problem for what the approach plans and its own supervision or its thrusters do not allow."""
+    """Return a problem for each phase that closes in faster than its own supervision allows."""
     gnc = scenario.value.gnc
     problems = []
     limit = gnc.corridor.closing_rate_max_mps

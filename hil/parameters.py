@@ -142,6 +142,16 @@ def navigation(scenario: Scenario) -> np.record:
 PHASE_KINDS = {"approach": APPROACH, "hold": HOLD, "wait": WAIT, "final": FINAL, "retreat": RETREAT}
 
 
+_BRAKE_SHARE = 0.9  # of what the thrusters give: the rest is for control
+
+
+def braking_acceleration(scenario: Scenario) -> float:
+    """Return what the strong sets give along the docking axis with the chaser upright, m/s^2."""
+    _, strength = allocation(scenario.chaser)
+    axis = np.abs(np.array(scenario.gnc.corridor.axis))
+    return float((strength[AXES_OF_A_BODY:] / np.maximum(axis, 1e-12)).min() / scenario.chaser.mass_kg)
+
+
 def guidance(scenario: Scenario) -> np.record:
     """Return GUIDANCE_PARAMS: the phases in the order of the sequence, from the planned start on."""
     params = new(GUIDANCE_PARAMS)
@@ -163,7 +173,7 @@ def guidance(scenario: Scenario) -> np.record:
     params.abort_distance = min(abort.hold_distance_m, max(0.0, axial_start))
     params.abort_speed = abort.speed_mps
     params.abort_acceleration = abort.acceleration_mps2
-    params.brake = abort.brake_mps2
+    params.brake = min(abort.brake_mps2, _BRAKE_SHARE * braking_acceleration(scenario))
     return params
 
 
