@@ -58,5 +58,5 @@ def test_order_to_abort_is_obeyed_in_the_same_cycle() -> None:
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         runner._loop.gnc.order_abort()
         outcome = runner.run()
-    assert outcome.history["watch"]["aborted"][0] == 0  # before the first pose nobody knows from where
+    assert outcome.history["watch"]["aborted"][0] == 3
     assert outcome.history["watch"]["aborted"][-1] == 3
