@@ -53,8 +53,8 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     now = loop.now
     loop.bench.read(bench_s, now.feedback)  # 1  encoders
     loop.bench.check(now.feedback)  # 2  do the axes follow?
-    loop.vision.take(bench_s, run_zero_s, now.pose)  # 3  newest pose of the vision unit
-    loop.gnc.navigate(now.imu, now.pose, now.navigation)  # 4  AKF and PKF
+    loop.vision.take(bench_s, run_zero_s, now.row[0])  # 3  poses of the vision unit
+    loop.gnc.navigate(now.imu, loop.vision, now.navigation)  # 4  AKF and PKF
     loop.gnc.guide(t_s, now.reference)  # 5  reference line
     loop.gnc.control(now.navigation, now.reference, now.command)  # 6  thrusters on or off
     now.cycle.t_s, now.cycle.lateness_s = t_s, lateness_s

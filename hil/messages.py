@@ -17,6 +17,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 MAX_THRUSTERS = 24
+MAX_POSES = 4  # that may arrive in one cycle
 
 TRUTH = np.dtype(
     [
@@ -51,7 +52,7 @@ POSE = np.dtype(
         ("q_CH", "f8", 4),
         ("covariance_attitude", "f8", (3, 3)),  # rad^2, of the small turn of c, in c
         ("t_s", "f8"),  # moment of exposure
-        ("fresh", "i8"),  # 1 in the cycle in which it arrived
+        ("fresh", "i8"),  # how many poses arrived in this cycle; this is the newest of them
     ],
     align=True,
 )

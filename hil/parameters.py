@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.stats import chi2, norm
 
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.config.rig import Rig
@@ -16,6 +17,7 @@ from hil.dynamics.truth import DSS_PARAMS
 from hil.dynamics.vision import VISION_PARAMS
 from hil.gnc.allocation import AXES_OF_A_BODY, thruster_sets, unit_wrenches
 from hil.gnc.control import CONTROL_PARAMS
+from hil.gnc.fusion import AS_PRINTED, MULTIPLICATIVE
 from hil.gnc.guidance import GUIDANCE_PARAMS
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.maths import euler, quat
@@ -101,19 +103,23 @@ def navigation(scenario: Scenario) -> np.record:
     gnc = scenario.gnc
     w0 = orbit_rate(scenario)
     params.sensors = VISION_AND_IMU if gnc.navigation.sensors == "vision_imu" else VISION_ALONE
-    akf = params.akf
+    fusion = params.fusion
+    fusion.attitude_form = AS_PRINTED if gnc.akf.form == "as_printed" else MULTIPLICATIVE
+    akf = fusion.akf
     akf.dt_s = scenario.step_s
     akf.orbit_rate = w0
     akf.sigma_gyro = math.radians(gnc.akf.gyro_noise_degps)
     akf.sigma_drift = math.radians(gnc.akf.gyro_drift_noise_degps2)
     akf.initial_drift = np.radians(gnc.akf.gyro_drift_degps)
+    akf.gate = _gate(gnc.navigation.gate_sigma)
     akf.initial_drift_sigma = math.radians(gnc.akf.initial_drift_sigma_degps)
-    pkf = params.pkf
+    pkf = fusion.pkf
     pkf.dt_s = scenario.step_s
     pkf.hill_transition = transition(w0, scenario.step_s)
     pkf.hill_response = input_response(w0, scenario.step_s)
     pkf.sigma_accelerometer = gnc.pkf.accelerometer_noise_mps2
     pkf.sigma_bias = gnc.pkf.accelerometer_bias_noise_mps3
+    pkf.gate = akf.gate
     pkf.initial_velocity_sigma = gnc.pkf.initial_velocity_sigma_mps
     pkf.initial_bias = gnc.pkf.accelerometer_bias_mps2
     pkf.initial_bias_sigma = gnc.pkf.initial_bias_sigma_mps2
@@ -124,6 +130,11 @@ def navigation(scenario: Scenario) -> np.record:
     look.attitude_lag_s = gnc.vision_only.attitude_lag_s
     look.rate_lag_s = gnc.vision_only.rate_lag_s
     return params
+
+
+def _gate(sigma: float) -> float:
+    """Return the NIS of three components that is as rare as ``sigma`` standard deviations of one."""
+    return float(chi2.isf(2.0 * norm.sf(sigma), 3))
 
 
 def guidance(scenario: Scenario) -> np.record:

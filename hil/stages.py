@@ -15,11 +15,12 @@ from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.errors import SafetyTrip
 from hil.gnc import allocation, control, guidance, navigation
+from hil.gnc.fusion import MEMORY, STEP
 from hil.gnc.navigation import NAVIGATION_STATE
 from hil.maths.profile import along_line, duration
 from hil.maths.stations import chaser_pose
 from hil.maths.streams import NormalRows
-from hil.messages import AXES, Array, PoseFrame, new
+from hil.messages import AXES, MAX_POSES, POSE, Array, new
 
 
 class Dss:
@@ -46,27 +47,33 @@ class Dss:
 
 
 class Vision:
-    """The vision unit's newest pose, brought from the camera to the chaser."""
+    """The poses of the vision unit, brought from the camera to the chaser."""
 
     def __init__(self, source: PoseSource, stations: np.record) -> None:
         self.source = source
         self._stations = stations
+        self.poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
+        self._records = [self.poses[i] for i in range(MAX_POSES)]
+        self.arrived = 0
+        self.dropped = 0  # beyond MAX_POSES in one cycle
 
-    def take(self, bench_s: float, run_zero_s: float, pose: np.record) -> None:
-        """Write the newest frame that came since the last cycle into ``pose``; ``fresh`` says whether one did.
+    def take(self, bench_s: float, run_zero_s: float, row: np.ndarray) -> None:
+        """Bring the frames that came since the last cycle into ``poses``; the newest one also into ``row["pose"]``.
 
         run_zero_s: bench time at which the run's time is zero.
         """
         frames = self.source.poll(bench_s)
-        pose.fresh = 0
-        if frames:
-            self.read(frames[-1], run_zero_s, pose)
-
-    def read(self, frame: PoseFrame, run_zero_s: float, pose: np.record) -> None:
-        """Write ``frame`` into ``pose`` as a fresh one."""
-        chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
-        pose.t_s = frame.t_s - run_zero_s
-        pose.fresh = 1
+        self.dropped += max(0, len(frames) - MAX_POSES)
+        self.arrived = min(len(frames), MAX_POSES)
+        if not frames:
+            row["pose"]["fresh"] = 0
+            return
+        for frame, pose in zip(frames[-MAX_POSES:], self._records, strict=False):
+            chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
+            pose.t_s = frame.t_s - run_zero_s
+        newest = self.poses[: self.arrived]["t_s"].argmax()
+        row["pose"] = self.poses[newest]
+        row["pose"]["fresh"] = self.arrived
 
 
 class Gnc:
@@ -86,11 +93,12 @@ class Gnc:
         self._sets = sets
         self._n = n_thrusters
         self.state = new(NAVIGATION_STATE)
+        self._memory = np.zeros(MEMORY, STEP)
         self._nees = np.empty(2)
 
-    def navigate(self, imu: np.record, pose: np.record, out: np.record) -> None:
-        """Write NAVIGATION from the step's IMU sample and, where fresh, a pose."""
-        navigation.navigate(self._navigation, self.state, imu, pose, out)
+    def navigate(self, imu: np.record, vision: Vision, out: np.record) -> None:
+        """Write NAVIGATION from the step's IMU sample and the poses that came."""
+        navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
 
     def guide(self, t_s: float, out: np.record) -> None:
         """Write REFERENCE for ``t_s`` of the run."""
@@ -103,8 +111,8 @@ class Gnc:
 
     def consistency(self, truth: np.record, imu: np.record) -> Array:
         """Return NEES of position and attitude filter, (2,), nan where there is none; valid until the next call."""
-        if self.state.started and self._navigation.sensors == navigation.VISION_AND_IMU:
-            navigation.normalised_errors(self.state, truth, imu, self._nees)
+        if self.state.fusion.started:
+            navigation.normalised_errors(self.state.fusion.filters, truth, imu, self._nees)
         else:
             self._nees[:] = np.nan
         return self._nees

@@ -84,6 +84,8 @@ def emulate(rig: str = "emulated", *, scenario: str = "scheme-1", settings: Sett
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
+    # also where a shell started this with Ctrl-C ignored: a bench must always be stoppable
+    signal.signal(signal.SIGINT, _as_ctrl_c)
     signal.signal(signal.SIGTERM, _as_ctrl_c)
     sys.exit(execute(sys.argv[1:] if arguments is None else arguments))
 

@@ -102,11 +102,13 @@ class VisionNoise(Strict):
 
 class Navigation(Strict):
     sensors: Literal["vision_imu", "vision"]
+    gate_sigma: Positive  # innovations that are rarer than this many sigma are not let in
 
 
 class AttitudeFilter(Strict):
-    """What the AKF believes of the gyro."""
+    """What the AKF believes of the gyro, and how it takes the attitude's error."""
 
+    form: Literal["multiplicative", "as_printed"]
     gyro_noise_degps: Positive
     gyro_drift_noise_degps2: NotNegative
     gyro_drift_degps: Triple

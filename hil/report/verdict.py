@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.config.scenario import Requirements
-from hil.gnc.akf import angles
+from hil.maths import euler
 from hil.messages import Array
 
+_YAW_PITCH_ROLL = np.array([2, 1, 0])
 ROW_NAMES = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
 
 
@@ -54,7 +55,7 @@ def deviations(history: np.ndarray, requirements: Requirements, orbit_rate: floa
         ],
         axis=1,
     )
-    attitude = np.array([angles(row) for row in q]).reshape(-1, 3)
+    attitude = np.array([euler.from_quaternion(row, _YAW_PITCH_ROLL) for row in q]).reshape(-1, 3)
     rate = truth["w_CI_C"] + orbit_rate * hill_y
     return Deviations(history["t_s"], position, truth["v_CT_H"], np.degrees(attitude), np.degrees(rate))
 
