@@ -67,6 +67,13 @@ def initial_truth(scenario: Scenario) -> np.record:
     return truth
 
 
+def initial_rotation_vector(scenario: Scenario) -> Array:
+    """Return the chaser's initial attitude against H as a rotation vector (3,), rad."""
+    q = euler.to_quaternion(np.radians(scenario.initial.attitude_deg), YAW_PITCH_ROLL)
+    phi: Array = quat.to_rotation_vector(q)
+    return phi
+
+
 def imu(scenario: Scenario) -> np.record:
     """Return IMU_PARAMS."""
     params = new(IMU_PARAMS)

@@ -8,7 +8,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, Literal
 
 import cyclopts
 from cyclopts import App, Parameter
@@ -62,6 +62,39 @@ def run(
     from hil.cli.run import run_command
 
     return run_command(scenario, rig, seed, duration, settings, speed, json)
+
+
+@app.command
+def fusion(
+    *,
+    vmu_noise: Literal["swapped", "printed"] = "swapped",
+    runs: int = 100,
+    seed: int = 0,
+    settings: Settings = (),
+    workers: int = 0,
+    json: str | None = None,
+    figure: str | None = None,
+) -> int:
+    """Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.
+
+    Parameters
+    ----------
+    vmu_noise
+        Table I's rows of the vision unit as the text needs them (swapped) or as printed.
+    runs
+        How many, each with its own noise and initial errors.
+    seed
+        Of all random numbers, whatever the number of workers.
+    workers
+        Processes; 0 takes one a core.
+    json
+        File to write the numbers to, - for standard output.
+    figure
+        Picture of one run's errors with their 3-sigma band, as the paper's Fig. 5 (PNG, PDF or SVG).
+    """
+    from hil.cli.fusion import fusion_command
+
+    return fusion_command(vmu_noise, runs, seed, settings, workers, json, figure)
 
 
 @app.command
