@@ -22,7 +22,7 @@ from hil.drivers.base import AxisGroup, PoseSource
 from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
-from hil.eye import Eye
+from hil.eye import Eye, transport
 from hil.maths import euler
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
@@ -175,7 +175,7 @@ def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGrou
     def pose_at(t_s: float) -> PoseFrame:
         return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
 
-    return rails, turntable, MockVmu(rig.vmu, pose_at)
+    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed))
 
 
 def _drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:

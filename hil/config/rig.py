@@ -149,7 +149,8 @@ class Vmu(Strict):
     driver: Literal["mock", "rs422"]
     timeout_s: Positive = 0.4
     rate_hz: Positive = 6.25
-    processing_s: NotNegative = 0.0  # emulator: exposure to first byte
+    processing_s: NotNegative = 0.0  # from exposure to the first byte
+    clock: Literal["shared", "own"] = "shared"  # time stamps are bench time, or of a clock of the unit's own
     rs422: SerialLine | None = None
 
 

@@ -23,6 +23,10 @@ AngleTriple = tuple[
 ]
 
 
+Delay = Annotated[float, Field(ge=0.0, le=1.0)]
+Share = Annotated[float, Field(ge=0.0, lt=1.0)]
+
+
 class Orbit(Strict):
     """The target's circular orbit about the Moon."""
 
@@ -93,11 +97,16 @@ class Imu(Strict):
 
 
 class VisionNoise(Strict):
-    """Noise of the vision unit: Table I up to ``reference_range_m``, growing in proportion beyond."""
+    """Noise of the vision unit, Table I up to ``reference_range_m`` and growing in proportion beyond, and
+    how its poses travel: they belong to their exposure, however late they come."""
 
     sigma_position_m: Positive
     sigma_angle_deg: Positive
     reference_range_m: Positive
+    latency_s: Delay = 0.0
+    latency_jitter_s: Delay = 0.0
+    duplicate_share: Share = 0.0
+    loss_share: Share = 0.0
 
 
 class Navigation(Strict):
