@@ -23,7 +23,6 @@ _COUNTER_MASK: Final = 0xFFFF_FFFF
 _HALF_COUNTER: Final = 0x8000_0000
 _REMEMBERED: Final = 64  # frames; 10 s of a unit at 6.25 Hz
 _BITS_A_FRAME: Final = 10 * FRAME_BYTES
-_CLOCK_SLACK_S: Final = 1e-3
 
 
 class Rs422Vmu:
@@ -133,7 +132,7 @@ class Rs422Vmu:
 
     def _take(self, decoded: Decoded, received_s: float) -> None:
         exposed_s = self._bench_time(decoded.t_s, received_s)
-        if exposed_s < self._opened_s - _CLOCK_SLACK_S:  # left over in the adapter: its arrival means nothing
+        if not self._own_clock and exposed_s < self._opened_s:  # left over in the adapter: its arrival means nothing
             self._counts["late"] += 1
             return
         in_order = self._in_order(decoded.counter)
