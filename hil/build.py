@@ -23,6 +23,7 @@ from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.eye import Eye, transport
+from hil.gnc.watch import FilterWatch
 from hil.maths import euler
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
@@ -118,6 +119,7 @@ def _assemble(
 ) -> Runner:
     scenario = job.scenario.value
     sets, strength = parameters.allocation(scenario.chaser)
+    navigation = parameters.navigation(scenario)
     loop = Loop(
         dss=Dss(parameters.dss(scenario), parameters.imu(scenario), NormalRows(stream(job.seed, "imu"), IMU_NOISE)),
         bench=Bench(
@@ -128,17 +130,23 @@ def _assemble(
         ),
         vision=Vision(source, parameters.stations(rig)),
         gnc=Gnc(
-            parameters.navigation(scenario),
+            navigation,
             parameters.guidance(scenario),
             parameters.control(scenario, strength),
             sets,
             len(scenario.chaser.thrusters.position_m),
+            FilterWatch(navigation, _shadow_limits(scenario)),
         ),
         history=np.zeros(job.cycles, CYCLE),
     )
     loop.now.row["truth"] = parameters.initial_truth(scenario)
     _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
     return Runner(loop, rate, scenario.step_s, job.cycles, frames_to_arm, watch)
+
+
+def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
+    shadow = scenario.gnc.shadow
+    return (shadow.position_limit_m, math.radians(shadow.attitude_limit_deg)) if shadow.enabled else None
 
 
 def _draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:

@@ -9,7 +9,7 @@ places stay zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -161,20 +161,10 @@ class PoseFrame:
     leds_right: int = 0
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Event:
-    """Something worth a line in the log."""
+    """Something worth a line in the log: when, who, what."""
 
     t_s: float
     source: str
     text: str
-
-
-@dataclass(slots=True)
-class EventLog:
-    """Events of a run in their order."""
-
-    events: list[Event] = field(default_factory=list)
-
-    def add(self, t_s: float, source: str, text: str) -> None:
-        self.events.append(Event(t_s, source, text))

@@ -91,6 +91,7 @@ def vision(scenario: Scenario) -> np.record:
     params.sigma_position = scenario.vmu.sigma_position_m
     params.sigma_angle = math.radians(scenario.vmu.sigma_angle_deg)
     params.reference_range = scenario.vmu.reference_range_m
+    params.reported_scale = scenario.vmu.reported_sigma_scale
     return params
 
 

@@ -17,6 +17,7 @@ from hil.errors import SafetyTrip
 from hil.gnc import allocation, control, guidance, navigation
 from hil.gnc.fusion import MEMORY, STEP
 from hil.gnc.navigation import NAVIGATION_STATE
+from hil.gnc.watch import FilterWatch
 from hil.maths.profile import along_line, duration
 from hil.maths.stations import chaser_pose
 from hil.maths.streams import NormalRows
@@ -86,7 +87,9 @@ class Gnc:
         control_params: np.record,
         sets: np.ndarray,
         n_thrusters: int,
+        watchers: FilterWatch | None = None,
     ) -> None:
+        self._watch = watchers
         self._navigation = navigation_params
         self._guidance = guidance_params
         self._control = control_params
@@ -99,6 +102,8 @@ class Gnc:
     def navigate(self, imu: np.record, vision: Vision, out: np.record) -> None:
         """Write NAVIGATION from the step's IMU sample and the poses that came."""
         navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
+        if self._watch is not None and self._navigation.sensors == navigation.VISION_AND_IMU:
+            self._watch.look(self.state.fusion.cycle - 1, imu, vision.poses[: vision.arrived], out, self._memory)
 
     def guide(self, t_s: float, out: np.record) -> None:
         """Write REFERENCE for ``t_s`` of the run."""

@@ -103,6 +103,7 @@ class VisionNoise(Strict):
     sigma_position_m: Positive
     sigma_angle_deg: Positive
     reference_range_m: Positive
+    reported_sigma_scale: Positive = 1.0  # what the unit says of its noise against what it is
     latency_s: Delay = 0.0
     latency_jitter_s: Delay = 0.0
     duplicate_share: Share = 0.0
@@ -143,6 +144,14 @@ class VisionOnly(Strict):
     rate_lag_s: NotNegative
 
 
+class Shadow(Strict):
+    """filterpy's filters beside the compiled ones, with an alarm when the two part."""
+
+    enabled: bool
+    position_limit_m: Positive
+    attitude_limit_deg: Positive
+
+
 class Guidance(Strict):
     """A straight line from the start to the ready point, rest to rest."""
 
@@ -168,6 +177,7 @@ class Gnc(Strict):
     akf: AttitudeFilter
     pkf: PositionFilter
     vision_only: VisionOnly
+    shadow: Shadow
     guidance: Guidance
     control: Control
 
