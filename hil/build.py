@@ -100,11 +100,33 @@ def _wired_rig(job: Job, clock: WallClock, announce: Callable[[str], None]) -> I
 def warm_up(job: Job) -> None:
     """Call every kernel of the loop once, in memory: nothing compiles once the bench is powered."""
     scenario, rig = job.scenario.value, job.rig.value
+    Move(parameters.bench(rig, scenario.step_s), new(AXES), _start_axes(scenario, rig)).at(0.1, new(AXES))
+    _in_memory(job).run()
+
+
+def warm_up_all_but_navigation(job: Job) -> None:
+    """Call the kernels of every stage but navigation once."""
+    loop = _in_memory(job).loop
+    now = loop.now
+    loop.bench.open(0.0)
+    loop.vision.source.open(0.0)
+    loop.bench.read(0.0, now.feedback)
+    loop.bench.seed(now.feedback)
+    loop.bench.check(now.feedback)
+    loop.vision.take(0.0, 0.0, now.row[0])
+    loop.gnc.guide(0.0, now.reference)
+    loop.gnc.control(now.navigation, now.reference, now.command)
+    loop.dss.step(now.truth, now.command)
+    loop.dss.sample_imu(now.truth, now.imu)
+    loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), 0.0, now.setpoint)
+
+
+def _in_memory(job: Job) -> Runner:
+    """Return a short run of ``job`` on mocks, whatever its rig."""
+    scenario, rig = job.scenario.value, job.rig.value
     few = Job(job.scenario, job.rig, job.seed, _WARM_UP_CYCLES * scenario.step_s, 1.0)
     rate = SimulatedRate(SimulatedClock(), scenario.step_s)
-    runner_in_memory = _assemble(few, rig, rate, *_mocks(scenario, rig, 0), 0, lambda *_: None)
-    Move(parameters.bench(rig, scenario.step_s), new(AXES), _start_axes(scenario, rig)).at(0.1, new(AXES))
-    runner_in_memory.run()
+    return _assemble(few, rig, rate, *_mocks(scenario, rig, 0), 0, lambda *_: None)
 
 
 def _assemble(

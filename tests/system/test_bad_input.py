@@ -38,7 +38,7 @@ def _refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 def test_unknown_scenario_names_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
     line = _refused(capsys, "scheme-9")
     assert "scheme-9" in line
-    assert "scheme-1, scheme-2, scheme-3" in line
+    assert all(name in line for name in ("scheme-1", "scheme-2", "scheme-3"))
 
 
 @pytest.mark.parametrize(
