@@ -87,9 +87,9 @@ class Gnc:
         control_params: np.record,
         sets: np.ndarray,
         n_thrusters: int,
-        watchers: FilterWatch | None = None,
+        watch: FilterWatch | None = None,
     ) -> None:
-        self._watch = watchers
+        self.watch = watch
         self._navigation = navigation_params
         self._guidance = guidance_params
         self._control = control_params
@@ -102,8 +102,8 @@ class Gnc:
     def navigate(self, imu: np.record, vision: Vision, out: np.record) -> None:
         """Write NAVIGATION from the step's IMU sample and the poses that came."""
         navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
-        if self._watch is not None and self._navigation.sensors == navigation.VISION_AND_IMU:
-            self._watch.look(self.state.fusion.cycle - 1, imu, vision.poses[: vision.arrived], out, self._memory)
+        if self.watch is not None and self._navigation.sensors == navigation.VISION_AND_IMU:
+            self.watch.look(self.state.fusion.cycle - 1, imu, vision.poses[: vision.arrived], out, self._memory)
 
     def guide(self, t_s: float, out: np.record) -> None:
         """Write REFERENCE for ``t_s`` of the run."""
