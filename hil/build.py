@@ -19,6 +19,7 @@ from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.cycle import Loop
 from hil.drivers.base import AxisGroup, PoseSource
+from hil.dss_parameters import thruster_draws_shape
 from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
@@ -31,6 +32,7 @@ from hil.priority import precedence
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.runner import Runner, Watch
 from hil.stages import Bench, Dss, Gnc, Move, Vision
+from hil.truth_check import truth_problems
 
 _FRAMES_TO_ARM = 2
 _WARM_UP_CYCLES = 10
@@ -54,7 +56,12 @@ class Job:
 
 def check(job: Job) -> None:
     """Raise BadInput with every fault that shows only when scenario and rig meet."""
-    problems = [*_layout_problems(job.scenario), *_start_problems(job), *_port_problems(job.rig)]
+    problems = [
+        *truth_problems(job.scenario),
+        *_layout_problems(job.scenario),
+        *_start_problems(job),
+        *_port_problems(job.rig),
+    ]
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
     if problems:
@@ -143,7 +150,7 @@ def _assemble(
     sets, strength = parameters.allocation(scenario.chaser)
     navigation = parameters.navigation(scenario)
     loop = Loop(
-        dss=Dss(parameters.dss(scenario), parameters.imu(scenario), NormalRows(stream(job.seed, "imu"), IMU_NOISE)),
+        dss=_dss(scenario, job.seed),
         bench=Bench(
             rails,
             turntable,
@@ -169,6 +176,17 @@ def _assemble(
 def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
     shadow = scenario.gnc.shadow
     return (shadow.position_limit_m, math.radians(shadow.attitude_limit_deg)) if shadow.enabled else None
+
+
+def _dss(scenario: Scenario, seed: int) -> Dss:
+    """Return the simulation with thrusters as chance has built them."""
+    draws = stream(seed, "thrusters").standard_normal(thruster_draws_shape(scenario))
+    return Dss(
+        parameters.dss(scenario, draws),
+        parameters.field(scenario),
+        parameters.imu(scenario),
+        NormalRows(stream(seed, "imu"), IMU_NOISE),
+    )
 
 
 def _draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:

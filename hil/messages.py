@@ -22,10 +22,16 @@ MAX_POSES = 4  # that may arrive in one cycle
 TRUTH = np.dtype(
     [
         ("t_s", "f8"),
-        ("r_CT_H", "f8", 3),  # m, chaser relative to target
+        ("r_CT_H", "f8", 3),  # m, chaser's reference point relative to the target's
         ("v_CT_H", "f8", 3),  # m/s, as seen in H
         ("q_CH", "f8", 4),  # H to c, scalar last
         ("w_CI_C", "f8", 3),  # rad/s, chaser against inertial space
+        ("r_T_I", "f8", 3),  # m, target from the Moon's centre, inertial
+        ("v_T_I", "f8", 3),  # m/s, inertial
+        ("q_HI", "f8", 4),  # inertial to H
+        ("w_HI_H", "f8", 3),  # rad/s, H against inertial space
+        ("eta", "f8"),  # m kg^1/2, bending of the solar array
+        ("eta_rate", "f8"),  # m kg^1/2 / s
         ("mass_kg", "f8"),
         ("open_s", "f8", MAX_THRUSTERS),  # time for which each valve has been open, 0 closed
         ("mean_rate_C", "f8", 3),  # rad/s, mean of w_CI_C over the last step: what a gyro integrates

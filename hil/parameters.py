@@ -10,10 +10,13 @@ from scipy.stats import chi2, norm
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.config.rig import Rig
 from hil.config.scenario import Chaser, Scenario
+from hil.dss_parameters import YAW_PITCH_ROLL as YAW_PITCH_ROLL
+from hil.dss_parameters import dss as dss
+from hil.dss_parameters import field as field
+from hil.dss_parameters import initial_truth as initial_truth
+from hil.dss_parameters import orbit_rate as orbit_rate
 from hil.dynamics.hill import input_response, transition
 from hil.dynamics.imu import IMU_PARAMS
-from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
-from hil.dynamics.truth import DSS_PARAMS
 from hil.dynamics.vision import VISION_PARAMS
 from hil.gnc.allocation import AXES_OF_A_BODY, thruster_sets, unit_wrenches
 from hil.gnc.control import CONTROL_PARAMS
@@ -22,49 +25,7 @@ from hil.gnc.guidance import GUIDANCE_PARAMS
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.maths import euler, quat
 from hil.maths.stations import STATIONS
-from hil.messages import MAX_THRUSTERS, TRUTH, Array, new
-
-MOON_GM_M3PS2 = 4902.801056e9  # LP165P, Konopliv et al. 2001
-MOON_RADIUS_M = 1738.0e3
-YAW_PITCH_ROLL = np.array([2, 1, 0])
-
-
-def orbit_rate(scenario: Scenario) -> float:
-    """Return the rate of the circular orbit, rad/s."""
-    return math.sqrt(MOON_GM_M3PS2 / (MOON_RADIUS_M + scenario.orbit.altitude_m) ** 3)
-
-
-def dss(scenario: Scenario) -> np.record:
-    """Return DSS_PARAMS."""
-    params = new(DSS_PARAMS)
-    thrusters = scenario.chaser.thrusters
-    n = len(thrusters.position_m)
-    params.dt_s = scenario.step_s
-    params.orbit_rate = orbit_rate(scenario)
-    params.inertia = np.array(scenario.chaser.inertia_kg_m2)
-    params.inertia_inverse = np.linalg.inv(params.inertia)
-    params.n_thrusters = n
-    params.thruster_position[:n] = thrusters.position_m
-    params.thruster_direction[:n] = thrusters.direction
-    params.thruster_force[:n] = thrusters.force_n
-    params.minimum_on_s = thrusters.minimum_on_s
-    params.exhaust_speed = thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2
-    return params
-
-
-def initial_truth(scenario: Scenario) -> np.record:
-    """Return TRUTH at the start."""
-    truth = new(TRUTH)
-    initial = scenario.initial
-    truth.r_CT_H = initial.position_m
-    truth.v_CT_H = initial.velocity_mps
-    truth.q_CH = euler.to_quaternion(np.radians(initial.attitude_deg), YAW_PITCH_ROLL)
-    # w_CI = w_CH + A(q) [0, -w0, 0]
-    hill_rate = np.array([0.0, -orbit_rate(scenario), 0.0])
-    truth.w_CI_C = np.radians(initial.rate_degps) + quat.transform(truth.q_CH, hill_rate)
-    truth.mean_rate_C = truth.w_CI_C
-    truth.mass_kg = scenario.chaser.mass_kg
-    return truth
+from hil.messages import MAX_THRUSTERS, Array, new
 
 
 def initial_rotation_vector(scenario: Scenario) -> Array:

@@ -27,8 +27,9 @@ from hil.messages import AXES, MAX_POSES, POSE, Array, new
 class Dss:
     """Dynamics simulation: the truth and the virtual IMU."""
 
-    def __init__(self, params: np.record, imu_params: np.record, imu_noise: NormalRows) -> None:
+    def __init__(self, params: np.record, field: Array, imu_params: np.record, imu_noise: NormalRows) -> None:
         self.params = params
+        self._field = field
         self._imu_params = imu_params
         self._noise = imu_noise
         self._rate = np.empty(3)
@@ -39,11 +40,11 @@ class Dss:
 
     def step(self, truth: np.record, command: np.record) -> None:
         """Move ``truth`` on by one step under the thrusters that ``command`` opens."""
-        truth_kernels.step(self.params, truth, command.on)
+        truth_kernels.step(self.params, self._field, truth, command.on)
 
     def rate_against_hill(self, truth: np.record) -> Array:
         """Return the chaser's rate against H, in c, (3,), rad/s; valid until the next call."""
-        truth_kernels.rate_against_hill(self.params, truth, self._rate)
+        truth_kernels.rate_against_hill(truth, self._rate)
         return self._rate
 
 

@@ -33,7 +33,7 @@ def run_command(
     rig = load_rig(rig_name, settings)
     console = Console(stderr=True)
 
-    from hil import build, parameters
+    from hil import build
     from hil.report.summary import summarise
     from hil.report.table import render
 
@@ -51,7 +51,6 @@ def run_command(
         scenario.value,
         rig_name,
         seed,
-        parameters.orbit_rate(scenario.value),
         1.0 / scenario.value.step_s,
     )
     if json_path is not None:

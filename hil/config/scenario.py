@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import Field, field_validator, model_validator
 
 from hil.config.model import (
     Matrix3,
@@ -14,6 +15,7 @@ from hil.config.model import (
     Strict,
     Triple,
 )
+from hil.config.truth import Orbit, SolarArray, Truth
 from hil.messages import MAX_THRUSTERS
 
 AngleTriple = tuple[
@@ -27,14 +29,8 @@ Delay = Annotated[float, Field(ge=0.0, le=1.0)]
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 
 
-class Orbit(Strict):
-    """The target's circular orbit about the Moon."""
-
-    altitude_m: Positive
-
-
 class Thrusters(Strict):
-    """On/off thrusters, in c; positions from the centre of mass, directions of the force on the vehicle."""
+    """On/off thrusters, in c; positions from the reference point, directions of the force on the vehicle."""
 
     force_n: Positive
     minimum_on_s: NotNegative
@@ -57,21 +53,23 @@ class Chaser(Strict):
     inertia_kg_m2: Matrix3
     thrusters: Thrusters
 
-    @model_validator(mode="after")
-    def _inertia_is_one_of_a_body(self) -> Self:
-        j = self.inertia_kg_m2
-        if any(abs(j[i][k] - j[k][i]) > 1e-9 * abs(j[i][i]) for i in range(3) for k in range(3)):
-            raise ValueError("inertia_kg_m2 must be symmetric")
-        minors = (
-            j[0][0],
-            j[0][0] * j[1][1] - j[0][1] ** 2,
-            j[0][0] * (j[1][1] * j[2][2] - j[1][2] ** 2)
-            - j[0][1] * (j[0][1] * j[2][2] - j[1][2] * j[0][2])
-            + j[0][2] * (j[0][1] * j[1][2] - j[1][1] * j[0][2]),
-        )
-        if min(minors) <= 0.0:
-            raise ValueError("inertia_kg_m2 must be positive definite")
-        return self
+    solar_array: SolarArray | None = None
+
+    @field_validator("inertia_kg_m2")
+    @classmethod
+    def _inertia_is_one_of_a_body(cls, value: Matrix3) -> Matrix3:
+        """A body's inertia is symmetric, not singular, and no principal moment exceeds the sum of the others."""
+        j = np.array(value)
+        shown = [list(row) for row in value]
+        if np.abs(j - j.T).max() > 1e-9 * np.abs(j).max():
+            raise ValueError(f"{shown}: must be symmetric")
+        moments = np.linalg.eigvalsh(j)
+        if moments[0] <= 1e-9 * abs(moments[2]):
+            raise ValueError(f"{shown}: is singular or not positive definite, every principal moment must be above 0")
+        if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
+            largest, others = f"{moments[2]:.6g}", f"{moments[0]:.6g} + {moments[1]:.6g}"
+            raise ValueError(f"{shown}: principal moment {largest} must not exceed the sum of the others, {others}")
+        return value
 
 
 class Initial(Strict):
@@ -202,6 +200,7 @@ class Scenario(Strict):
     duration_s: Positive
     step_s: Positive
     orbit: Orbit
+    truth: Truth = Truth()
     chaser: Chaser
     initial: Initial
     imu: Imu

@@ -17,14 +17,14 @@ _TORQUE_WINDOW_S = (360.0, 400.0)  # bench paper Fig. 8
 
 
 def summarise(
-    outcome: Outcome, scenario: Scenario, rig_name: str, seed: int, orbit_rate: float, rate_hz: float
+    outcome: Outcome, scenario: Scenario, rig_name: str, seed: int, rate_hz: float
 ) -> tuple[dict[str, Any], Verdict]:
     """Return the run's numbers as they go into JSON, and the verdict.
 
     Quantities that the run did not get far enough to have are None.
     """
     history = outcome.history
-    verdict = judge(deviations(history, scenario.requirements, orbit_rate), scenario.requirements)
+    verdict = judge(deviations(history, scenario.requirements), scenario.requirements)
     passed = verdict.passed and outcome.stop == COMPLETED
     summary = {
         "scenario": scenario.name,

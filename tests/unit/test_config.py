@@ -145,8 +145,8 @@ def test_vector_of_the_wrong_length_is_refused(write: Write) -> None:
 @pytest.mark.parametrize(
     ("text", "key", "message"),
     [
-        ("[chaser]\ninertia_kg_m2 = [[1, 2, 0], [0, 1, 0], [0, 0, 1]]", "chaser", "symmetric"),
-        ("[chaser]\ninertia_kg_m2 = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]", "chaser", "positive definite"),
+        ("[chaser]\ninertia_kg_m2 = [[1, 2, 0], [0, 1, 0], [0, 0, 1]]", "chaser.inertia_kg_m2", "symmetric"),
+        ("[chaser]\ninertia_kg_m2 = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]", "chaser.inertia_kg_m2", "positive definite"),
         ("[chaser.thrusters]\nposition_m = [[1, 0, 0]]\ndirection = [[1, 1, 0]]", "chaser.thrusters", "unit vector"),
         ("[chaser.thrusters]\nposition_m = [[1, 0, 0]]", "chaser.thrusters", "one each"),
     ],
