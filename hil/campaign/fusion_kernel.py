@@ -210,7 +210,8 @@ def run_study(study, params, imu_params, line, point, truth, imu, pose, state, m
             _trace(truth, imu, state.filters, trace[cycle - 1])
         if cycle > settled:
             _count(truth, imu, state.filters, weight, result)
-            if cycle % study.frame_cycles == 0 and noisy != 0:
+            # a pose whose attitude the gate kept out has no NIS of its position
+            if cycle % study.frame_cycles == 0 and noisy != 0 and not math.isnan(state.nis_position):
                 result.nis_pkf += state.nis_position
                 result.nis_akf += state.nis_attitude
                 n_nis += 1

@@ -75,7 +75,11 @@ class TurningMoon(sysModel.SysModel):
         state = messaging.SpicePlanetStateMsgPayload()
         state.J2000Current = nanos * 1e-9
         state.J20002Pfix = [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]
-        state.J20002Pfix_dot = [[-self._rate * s, self._rate * c, 0.0], [-self._rate * c, -self._rate * s, 0.0], [0.0] * 3]
+        state.J20002Pfix_dot = [
+            [-self._rate * s, self._rate * c, 0.0],
+            [-self._rate * c, -self._rate * s, 0.0],
+            [0.0] * 3,
+        ]
         state.computeOrient = 1
         state.PlanetName = "moon"
         self.message.write(state, nanos, self.moduleID)
