@@ -1,4 +1,4 @@
-"""Target and chaser in Basilisk (https://avslab.github.io/basilisk), for tests and benchmarks: ImportError without it."""
+"""Target and chaser in Basilisk (https://avslab.github.io/basilisk) for tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from Basilisk.architecture import messaging, sysModel
+from Basilisk.architecture import bskLogging, messaging, sysModel
 from Basilisk.simulation import gravityEffector, spacecraft, svIntegrators
 from Basilisk.utilities import SimulationBaseClass, macros
 
@@ -15,6 +15,7 @@ from hil import dss_parameters
 from hil.config.scenario import Scenario
 
 MASS_KG = 1000.0
+bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)  # a Moon that does not turn is meant so
 
 
 def write_field(scenario: Scenario, path: Path) -> Path:
