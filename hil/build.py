@@ -19,7 +19,6 @@ from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.cycle import Loop
 from hil.drivers.base import AxisGroup, PoseSource
-from hil.dss_parameters import thruster_draws_shape
 from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
@@ -180,7 +179,7 @@ def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
 
 def _dss(scenario: Scenario, seed: int) -> Dss:
     """Return the simulation with thrusters as chance has built them."""
-    draws = stream(seed, "thrusters").standard_normal(thruster_draws_shape(scenario))
+    draws = stream(seed, "thrusters").standard_normal(parameters.thruster_draws_shape(scenario))
     return Dss(
         parameters.dss(scenario, draws),
         parameters.field(scenario),

@@ -15,6 +15,7 @@ from hil.dss_parameters import dss as dss
 from hil.dss_parameters import field as field
 from hil.dss_parameters import initial_truth as initial_truth
 from hil.dss_parameters import orbit_rate as orbit_rate
+from hil.dss_parameters import thruster_draws_shape as thruster_draws_shape
 from hil.dynamics.hill import input_response, transition
 from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.vision import VISION_PARAMS
