@@ -23,14 +23,16 @@ from hil.drivers.base import AxisGroup, PoseSource
 from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
-from hil.eye import Eye
+from hil.eye import Eye, transport
+from hil.gnc.watch import FilterWatch
 from hil.maths import euler
 from hil.maths.streams import NormalRows, stream
-from hil.messages import AXES, CYCLE, EventLog, PoseFrame, new
+from hil.messages import AXES, CYCLE, PoseFrame, new
 from hil.priority import precedence
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.runner import Runner, Watch
 from hil.stages import Bench, Dss, Gnc, Move, Vision
+from hil.truth_check import truth_problems
 
 _FRAMES_TO_ARM = 2
 _WARM_UP_CYCLES = 10
@@ -55,6 +57,7 @@ class Job:
 def check(job: Job) -> None:
     """Raise BadInput with every fault that shows only when scenario and rig meet."""
     problems = [
+        *truth_problems(job.scenario),
         *_layout_problems(job.scenario),
         *_start_problems(job),
         *_approach_problems(job.scenario),
@@ -105,11 +108,34 @@ def _wired_rig(job: Job, clock: WallClock, announce: Callable[[str], None]) -> I
 def warm_up(job: Job) -> None:
     """Call every kernel of the loop once, in memory: nothing compiles once the bench is powered."""
     scenario, rig = job.scenario.value, job.rig.value
+    Move(parameters.bench(rig, scenario.step_s), new(AXES), _start_axes(scenario, rig)).at(0.1, new(AXES))
+    _in_memory(job).run()
+
+
+def warm_up_all_but_navigation(job: Job) -> None:
+    """Call the kernels of every stage but navigation once."""
+    loop = _in_memory(job).loop
+    now = loop.now
+    loop.bench.open(0.0)
+    loop.vision.source.open(0.0)
+    loop.bench.read(0.0, now.feedback)
+    loop.bench.seed(now.feedback)
+    loop.bench.check(now.feedback)
+    loop.vision.take(0.0, 0.0, now.row[0])
+    loop.gnc.guide(0.0, now.supervision, now.reference)
+    loop.gnc.supervise(0.0, now.navigation, now.reference, now.supervision)
+    loop.gnc.control(now.navigation, now.reference, now.command)
+    loop.dss.step(now.truth, now.command)
+    loop.dss.sample_imu(now.truth, now.imu)
+    loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), 0.0, now.setpoint)
+
+
+def _in_memory(job: Job) -> Runner:
+    """Return a short run of ``job`` on mocks, whatever its rig."""
+    scenario, rig = job.scenario.value, job.rig.value
     few = Job(job.scenario, job.rig, job.seed, _WARM_UP_CYCLES * scenario.step_s, 1.0)
     rate = SimulatedRate(SimulatedClock(), scenario.step_s)
-    runner_in_memory = _assemble(few, rig, rate, *_mocks(scenario, rig, 0), 0, lambda *_: None)
-    Move(parameters.bench(rig, scenario.step_s), new(AXES), _start_axes(scenario, rig)).at(0.1, new(AXES))
-    runner_in_memory.run()
+    return _assemble(few, rig, rate, *_mocks(scenario, rig, 0), 0, lambda *_: None)
 
 
 def _assemble(
@@ -124,8 +150,9 @@ def _assemble(
 ) -> Runner:
     scenario = job.scenario.value
     sets, strength = parameters.allocation(scenario.chaser)
+    navigation = parameters.navigation(scenario)
     loop = Loop(
-        dss=Dss(parameters.dss(scenario), parameters.imu(scenario), NormalRows(stream(job.seed, "imu"), IMU_NOISE)),
+        dss=_dss(scenario, job.seed),
         bench=Bench(
             rails,
             turntable,
@@ -134,19 +161,36 @@ def _assemble(
         ),
         vision=Vision(source, parameters.stations(rig)),
         gnc=Gnc(
-            parameters.navigation(scenario),
+            navigation,
             parameters.guidance(scenario),
             parameters.supervision(scenario),
             parameters.control(scenario, strength),
             sets,
             len(scenario.chaser.thrusters.position_m),
-            ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s, EventLog()),
+            ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+            FilterWatch(navigation, _shadow_limits(scenario)),
         ),
         history=np.zeros(job.cycles, CYCLE),
     )
     loop.now.row["truth"] = parameters.initial_truth(scenario)
     _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
     return Runner(loop, rate, scenario.step_s, job.cycles, frames_to_arm, watch)
+
+
+def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
+    shadow = scenario.gnc.shadow
+    return (shadow.position_limit_m, math.radians(shadow.attitude_limit_deg)) if shadow.enabled else None
+
+
+def _dss(scenario: Scenario, seed: int) -> Dss:
+    """Return the simulation with thrusters as chance has built them."""
+    draws = stream(seed, "thrusters").standard_normal(parameters.thruster_draws_shape(scenario))
+    return Dss(
+        parameters.dss(scenario, draws),
+        parameters.field(scenario),
+        parameters.imu(scenario),
+        NormalRows(stream(seed, "imu"), IMU_NOISE),
+    )
 
 
 def _draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:
@@ -183,7 +227,7 @@ def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGrou
     def pose_at(t_s: float) -> PoseFrame:
         return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
 
-    return rails, turntable, MockVmu(rig.vmu, pose_at)
+    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed))
 
 
 def _drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:

@@ -16,7 +16,7 @@ from hil.config.rig import Cia402, Modbus, ModbusAxis, Rig, SerialLine
 from hil.config.scenario import Scenario
 from hil.drivers.board import AxisBoard
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
-from hil.eye import Eye
+from hil.eye import Eye, transport
 from hil.messages import PoseFrame
 
 DEVICES = ("rails", "turntable", "vmu")
@@ -133,7 +133,7 @@ def make_emulator(device: Literal["rails", "turntable", "vmu"], configuration: d
         gimbals, _ = board.read("turntable", t_s)
         return eye.look(rails, gimbals, t_s)
 
-    return VmuEmulator(rig.vmu, clock, pose_at)
+    return VmuEmulator(rig.vmu, clock, pose_at, transport(scenario.vmu, configuration["seed"]))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
+from hil.config.scenario import VisionNoise
+from hil.drivers.vmu.transport import Transport
 from hil.dynamics.vision import VISION_NOISE, see
 from hil.maths.streams import NormalRows, stream
 from hil.messages import Array, PoseFrame
@@ -27,3 +29,10 @@ class Eye:
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
         see(self._vision, self._stations, self._r, self._q, self._noise.take(), t_v, q_vt, covariance)
         return PoseFrame(0, t_s, t_s, t_v, q_vt, covariance, leds_left=0x3F, leds_right=0x3F)
+
+
+def transport(vmu: VisionNoise, seed: int) -> Transport:
+    """Return how the frames of a vision unit that is not there travel."""
+    return Transport(
+        stream(seed, "transport"), vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_share, vmu.loss_share
+    )

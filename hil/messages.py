@@ -9,7 +9,7 @@ places stay zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -18,14 +18,21 @@ Array = npt.NDArray[np.float64]
 
 MAX_THRUSTERS = 24
 MAX_PHASES = 16
+MAX_POSES = 4  # that may arrive in one cycle
 
 TRUTH = np.dtype(
     [
         ("t_s", "f8"),
-        ("r_CT_H", "f8", 3),  # m, chaser relative to target
+        ("r_CT_H", "f8", 3),  # m, chaser's reference point relative to the target's
         ("v_CT_H", "f8", 3),  # m/s, as seen in H
         ("q_CH", "f8", 4),  # H to c, scalar last
         ("w_CI_C", "f8", 3),  # rad/s, chaser against inertial space
+        ("r_T_I", "f8", 3),  # m, target from the Moon's centre, inertial
+        ("v_T_I", "f8", 3),  # m/s, inertial
+        ("q_HI", "f8", 4),  # inertial to H
+        ("w_HI_H", "f8", 3),  # rad/s, H against inertial space
+        ("eta", "f8"),  # m kg^1/2, bending of the solar array
+        ("eta_rate", "f8"),  # m kg^1/2 / s
         ("mass_kg", "f8"),
         ("open_s", "f8", MAX_THRUSTERS),  # time for which each valve has been open, 0 closed
         ("mean_rate_C", "f8", 3),  # rad/s, mean of w_CI_C over the last step: what a gyro integrates
@@ -52,7 +59,7 @@ POSE = np.dtype(
         ("q_CH", "f8", 4),
         ("covariance_attitude", "f8", (3, 3)),  # rad^2, of the small turn of c, in c
         ("t_s", "f8"),  # moment of exposure
-        ("fresh", "i8"),  # 1 in the cycle in which it arrived
+        ("fresh", "i8"),  # how many poses arrived in this cycle; this is the newest of them
     ],
     align=True,
 )
@@ -87,7 +94,7 @@ REFERENCE = np.dtype(
     align=True,
 )
 
-WATCH = np.dtype(
+SUPERVISION = np.dtype(
     [
         ("corridor_margin_m", "f8"),  # of the estimate; negative outside
         ("closing_margin_mps", "f8"),  # allowed minus actual closing rate
@@ -130,7 +137,7 @@ CYCLE = np.dtype(
         ("pose", POSE),
         ("navigation", NAVIGATION),
         ("reference", REFERENCE),
-        ("watch", WATCH),
+        ("supervision", SUPERVISION),
         ("command", COMMAND),
         ("setpoint", AXES),
         ("feedback", AXES),
@@ -180,20 +187,10 @@ class PoseFrame:
     leds_right: int = 0
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Event:
-    """Something worth a line in the log."""
+    """Something worth a line in the log: when, who, what."""
 
     t_s: float
     source: str
     text: str
-
-
-@dataclass(slots=True)
-class EventLog:
-    """Events of a run in their order."""
-
-    events: list[Event] = field(default_factory=list)
-
-    def add(self, t_s: float, source: str, text: str) -> None:
-        self.events.append(Event(t_s, source, text))

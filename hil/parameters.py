@@ -5,66 +5,37 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.stats import chi2, norm
 
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.config.rig import Rig
 from hil.config.scenario import Chaser, Scenario
+from hil.dss_parameters import YAW_PITCH_ROLL as YAW_PITCH_ROLL
+from hil.dss_parameters import dss as dss
+from hil.dss_parameters import field as field
+from hil.dss_parameters import initial_truth as initial_truth
+from hil.dss_parameters import orbit_rate as orbit_rate
+from hil.dss_parameters import thruster_draws_shape as thruster_draws_shape
 from hil.dynamics.hill import input_response, transition
 from hil.dynamics.imu import IMU_PARAMS
-from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
-from hil.dynamics.truth import DSS_PARAMS
 from hil.dynamics.vision import VISION_PARAMS
 from hil.gnc.allocation import AXES_OF_A_BODY, ROWS, thruster_sets, unit_wrenches
 from hil.gnc.control import CONTROL_PARAMS
+from hil.gnc.fusion import AS_PRINTED, MULTIPLICATIVE
 from hil.gnc.guidance import APPROACH, FINAL, GUIDANCE_PARAMS, HOLD, RETREAT, WAIT
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.gnc.supervision import SUPERVISION_PARAMS
 from hil.maths import euler, quat
 from hil.maths.camera import CAMERA
 from hil.maths.stations import STATIONS
-from hil.messages import MAX_THRUSTERS, TRUTH, Array, new
-
-MOON_GM_M3PS2 = 4902.801056e9  # LP165P, Konopliv et al. 2001
-MOON_RADIUS_M = 1738.0e3
-YAW_PITCH_ROLL = np.array([2, 1, 0])
+from hil.messages import MAX_THRUSTERS, Array, new
 
 
-def orbit_rate(scenario: Scenario) -> float:
-    """Return the rate of the circular orbit, rad/s."""
-    return math.sqrt(MOON_GM_M3PS2 / (MOON_RADIUS_M + scenario.orbit.altitude_m) ** 3)
-
-
-def dss(scenario: Scenario) -> np.record:
-    """Return DSS_PARAMS."""
-    params = new(DSS_PARAMS)
-    thrusters = scenario.chaser.thrusters
-    n = len(thrusters.position_m)
-    params.dt_s = scenario.step_s
-    params.orbit_rate = orbit_rate(scenario)
-    params.inertia = np.array(scenario.chaser.inertia_kg_m2)
-    params.inertia_inverse = np.linalg.inv(params.inertia)
-    params.n_thrusters = n
-    params.thruster_position[:n] = thrusters.position_m
-    params.thruster_direction[:n] = thrusters.direction
-    params.thruster_force[:n] = thrusters.force_n
-    params.minimum_on_s = thrusters.minimum_on_s
-    params.exhaust_speed = thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2
-    return params
-
-
-def initial_truth(scenario: Scenario) -> np.record:
-    """Return TRUTH at the start."""
-    truth = new(TRUTH)
-    initial = scenario.initial
-    truth.r_CT_H = initial.position_m
-    truth.v_CT_H = initial.velocity_mps
-    truth.q_CH = euler.to_quaternion(np.radians(initial.attitude_deg), YAW_PITCH_ROLL)
-    # w_CI = w_CH + A(q) [0, -w0, 0]
-    hill_rate = np.array([0.0, -orbit_rate(scenario), 0.0])
-    truth.w_CI_C = np.radians(initial.rate_degps) + quat.transform(truth.q_CH, hill_rate)
-    truth.mean_rate_C = truth.w_CI_C
-    truth.mass_kg = scenario.chaser.mass_kg
-    return truth
+def initial_rotation_vector(scenario: Scenario) -> Array:
+    """Return the chaser's initial attitude against H as a rotation vector (3,), rad."""
+    q = euler.to_quaternion(np.radians(scenario.initial.attitude_deg), YAW_PITCH_ROLL)
+    phi: Array = quat.to_rotation_vector(q)
+    return phi
 
 
 def imu(scenario: Scenario) -> np.record:
@@ -84,6 +55,7 @@ def vision(scenario: Scenario) -> np.record:
     params.sigma_position = scenario.vmu.sigma_position_m
     params.sigma_angle = math.radians(scenario.vmu.sigma_angle_deg)
     params.reference_range = scenario.vmu.reference_range_m
+    params.reported_scale = scenario.vmu.reported_sigma_scale
     return params
 
 
@@ -114,19 +86,23 @@ def navigation(scenario: Scenario) -> np.record:
     gnc = scenario.gnc
     w0 = orbit_rate(scenario)
     params.sensors = VISION_AND_IMU if gnc.navigation.sensors == "vision_imu" else VISION_ALONE
-    akf = params.akf
+    fusion = params.fusion
+    fusion.attitude_form = AS_PRINTED if gnc.akf.form == "as_printed" else MULTIPLICATIVE
+    akf = fusion.akf
     akf.dt_s = scenario.step_s
     akf.orbit_rate = w0
     akf.sigma_gyro = math.radians(gnc.akf.gyro_noise_degps)
     akf.sigma_drift = math.radians(gnc.akf.gyro_drift_noise_degps2)
     akf.initial_drift = np.radians(gnc.akf.gyro_drift_degps)
+    akf.gate = _gate(gnc.navigation.gate_sigma)
     akf.initial_drift_sigma = math.radians(gnc.akf.initial_drift_sigma_degps)
-    pkf = params.pkf
+    pkf = fusion.pkf
     pkf.dt_s = scenario.step_s
     pkf.hill_transition = transition(w0, scenario.step_s)
     pkf.hill_response = input_response(w0, scenario.step_s)
     pkf.sigma_accelerometer = gnc.pkf.accelerometer_noise_mps2
     pkf.sigma_bias = gnc.pkf.accelerometer_bias_noise_mps3
+    pkf.gate = akf.gate
     pkf.initial_velocity_sigma = gnc.pkf.initial_velocity_sigma_mps
     pkf.initial_bias = gnc.pkf.accelerometer_bias_mps2
     pkf.initial_bias_sigma = gnc.pkf.initial_bias_sigma_mps2
@@ -137,6 +113,11 @@ def navigation(scenario: Scenario) -> np.record:
     look.attitude_lag_s = gnc.vision_only.attitude_lag_s
     look.rate_lag_s = gnc.vision_only.rate_lag_s
     return params
+
+
+def _gate(sigma: float) -> float:
+    """Return the NIS of three components that is as rare as ``sigma`` standard deviations of one."""
+    return float(chi2.isf(2.0 * norm.sf(sigma), 3))
 
 
 PHASE_KINDS = {"approach": APPROACH, "hold": HOLD, "wait": WAIT, "final": FINAL, "retreat": RETREAT}

@@ -53,7 +53,7 @@ class Runner:
     WATCH_CYCLES = 50
 
     def __init__(self, loop: Loop, rate: Rate, step_s: float, cycles: int, frames_to_arm: int, watch: Watch) -> None:
-        self._loop = loop
+        self.loop = loop
         self._rate = rate
         self._step_s = step_s
         self._cycles = cycles
@@ -64,7 +64,7 @@ class Runner:
 
     @property
     def source(self) -> PoseSource:
-        return self._loop.vision.source
+        return self.loop.vision.source
 
     def run(self) -> Outcome:
         """Run to the end, to a fault, or to Ctrl-C; the bench stands still whatever happened."""
@@ -72,14 +72,14 @@ class Runner:
             stop, faults = self._run()
         self._modes.go(Mode.SAFE_STOP if faults else Mode.STANDBY)
         return Outcome(
-            history=self._loop.history[: self._done],
+            history=self.loop.history[: self._done],
             stop=stop,
             faults=faults,
             mode=self._modes.mode,
             overruns=self._rate.overruns,
-            limited_cycles=self._loop.bench.limited_cycles,
+            limited_cycles=self.loop.bench.limited_cycles,
             vision_counters=self.source.counters(),
-            events=self._loop.gnc.diary.log.events,
+            events=self.loop.gnc.events(),
         )
 
     def _run(self) -> tuple[str, list[str]]:
@@ -101,14 +101,14 @@ class Runner:
         return stop, faults
 
     def _open(self) -> None:
-        self._loop.bench.open(self._rate.now_s())
+        self.loop.bench.open(self._rate.now_s())
         self.source.open(self._rate.now_s())
         self._modes.go(Mode.STANDBY)
 
     def _place(self) -> None:
         """Move all axes slowly to the start pose and wait until they stand there."""
         self._modes.go(Mode.PLACING)
-        bench, now = self._loop.bench, self._loop.now
+        bench, now = self.loop.bench, self.loop.now
         self._rate.restart()
         tick = self._rate.wait()
         bench.read(tick.now_s, now.feedback)
@@ -134,7 +134,7 @@ class Runner:
                 self._watch(Mode.PLACING, min(1.0, moved_s / move.duration_s))
 
     def _stands_at(self, target: np.record) -> bool:
-        feedback = self._loop.now.feedback
+        feedback = self.loop.now.feedback
         return bool(
             np.abs(feedback.rail_m - target.rail_m).max() < _SETTLED_M
             and np.abs(feedback.gimbal_rad - target.gimbal_rad).max() < _SETTLED_RAD
@@ -147,7 +147,7 @@ class Runner:
         while frames < self._frames_to_arm:
             tick = self._rate.wait()
             frames += len(self.source.poll(tick.now_s))
-            self._loop.bench.read(tick.now_s, self._loop.now.feedback)
+            self.loop.bench.read(tick.now_s, self.loop.now.feedback)
             self._watch(Mode.ARMED, 0.0)
 
     def _close_the_loop(self) -> None:
@@ -155,19 +155,19 @@ class Runner:
         self._rate.restart()
         for k in range(self._cycles):
             tick = self._rate.wait()
-            run_cycle(self._loop, k, k * self._step_s, tick.now_s, tick.run_zero_s, tick.lateness_s)
+            run_cycle(self.loop, k, k * self._step_s, tick.now_s, tick.run_zero_s, tick.lateness_s)
             self._done = k + 1
             if k % self.WATCH_CYCLES == 0:
                 self._watch(Mode.RUNNING, k / self._cycles)
-        self._loop.gnc.finish((self._cycles - 1) * self._step_s, self._loop.now.watch)
+        self.loop.gnc.finish((self._cycles - 1) * self._step_s, self.loop.now.supervision)
         self._watch(Mode.RUNNING, 1.0)
 
     def _shut_down(self) -> None:
         """Stop the bench first, then let go of everything."""
         with _ctrl_c_held_back():
-            self._loop.bench.stop(self._rate.now_s())
+            self.loop.bench.stop(self._rate.now_s())
             self.source.close()
-            self._loop.bench.close()
+            self.loop.bench.close()
 
 
 @contextmanager

@@ -16,19 +16,22 @@ from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.errors import SafetyTrip
 from hil.gnc import allocation, control, guidance, navigation, supervision
+from hil.gnc.fusion import MEMORY, STEP
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.gnc.navigation import NAVIGATION_STATE
+from hil.gnc.watch import FilterWatch
 from hil.maths.profile import along_line, duration
 from hil.maths.stations import chaser_pose
 from hil.maths.streams import NormalRows
-from hil.messages import AXES, Array, PoseFrame, new
+from hil.messages import AXES, MAX_POSES, POSE, Array, Event, new
 
 
 class Dss:
     """Dynamics simulation: the truth and the virtual IMU."""
 
-    def __init__(self, params: np.record, imu_params: np.record, imu_noise: NormalRows) -> None:
+    def __init__(self, params: np.record, field: Array, imu_params: np.record, imu_noise: NormalRows) -> None:
         self.params = params
+        self._field = field
         self._imu_params = imu_params
         self._noise = imu_noise
         self._rate = np.empty(3)
@@ -39,36 +42,42 @@ class Dss:
 
     def step(self, truth: np.record, command: np.record) -> None:
         """Move ``truth`` on by one step under the thrusters that ``command`` opens."""
-        truth_kernels.step(self.params, truth, command.on)
+        truth_kernels.step(self.params, self._field, truth, command.on)
 
     def rate_against_hill(self, truth: np.record) -> Array:
         """Return the chaser's rate against H, in c, (3,), rad/s; valid until the next call."""
-        truth_kernels.rate_against_hill(self.params, truth, self._rate)
+        truth_kernels.rate_against_hill(truth, self._rate)
         return self._rate
 
 
 class Vision:
-    """The vision unit's newest pose, brought from the camera to the chaser."""
+    """The poses of the vision unit, brought from the camera to the chaser."""
 
     def __init__(self, source: PoseSource, stations: np.record) -> None:
         self.source = source
         self._stations = stations
+        self.poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
+        self._records = [self.poses[i] for i in range(MAX_POSES)]
+        self.arrived = 0
+        self.dropped = 0  # beyond MAX_POSES in one cycle
 
-    def take(self, bench_s: float, run_zero_s: float, pose: np.record) -> None:
-        """Write the newest frame that came since the last cycle into ``pose``; ``fresh`` says whether one did.
+    def take(self, bench_s: float, run_zero_s: float, row: np.ndarray) -> None:
+        """Bring the frames that came since the last cycle into ``poses``; the newest one also into ``row["pose"]``.
 
         run_zero_s: bench time at which the run's time is zero.
         """
         frames = self.source.poll(bench_s)
-        pose.fresh = 0
-        if frames:
-            self.read(frames[-1], run_zero_s, pose)
-
-    def read(self, frame: PoseFrame, run_zero_s: float, pose: np.record) -> None:
-        """Write ``frame`` into ``pose`` as a fresh one."""
-        chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
-        pose.t_s = frame.t_s - run_zero_s
-        pose.fresh = 1
+        self.dropped += max(0, len(frames) - MAX_POSES)
+        self.arrived = min(len(frames), MAX_POSES)
+        if not frames:
+            row["pose"]["fresh"] = 0
+            return
+        for frame, pose in zip(frames[-MAX_POSES:], self._records, strict=False):
+            chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
+            pose.t_s = frame.t_s - run_zero_s
+        newest = self.poses[: self.arrived]["t_s"].argmax()
+        row["pose"] = self.poses[newest]
+        row["pose"]["fresh"] = self.arrived
 
 
 class Gnc:
@@ -83,7 +92,9 @@ class Gnc:
         sets: np.ndarray,
         n_thrusters: int,
         diary: ApproachDiary,
+        watch: FilterWatch | None = None,
     ) -> None:
+        self.watch = watch
         self._navigation = navigation_params
         self._guidance = guidance_params
         self._supervision = supervision_params
@@ -92,6 +103,7 @@ class Gnc:
         self._n = n_thrusters
         self.diary = diary
         self.state = new(NAVIGATION_STATE)
+        self._memory = np.zeros(MEMORY, STEP)
         self._flown = new(GUIDANCE_STATE)
         guidance.start(guidance_params, self._flown)
         self._go = self._abort = 0
@@ -105,35 +117,41 @@ class Gnc:
         """Order an abort, from the next cycle on."""
         self._abort = 1
 
-    def navigate(self, imu: np.record, pose: np.record, out: np.record) -> None:
-        """Write NAVIGATION from the step's IMU sample and, where fresh, a pose."""
-        navigation.navigate(self._navigation, self.state, imu, pose, out)
+    def navigate(self, imu: np.record, vision: Vision, out: np.record) -> None:
+        """Write NAVIGATION from the step's IMU sample and the poses that came."""
+        navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
+        if self.watch is not None and self._navigation.sensors == navigation.VISION_AND_IMU:
+            self.watch.look(self.state.fusion.cycle - 1, imu, vision.poses[: vision.arrived], out, self._memory)
 
-    def guide(self, t_s: float, watch: np.record, out: np.record) -> None:
+    def guide(self, t_s: float, found: np.record, out: np.record) -> None:
         """Write REFERENCE for ``t_s`` of the run; moves on to the next phase when its time or its order has come."""
-        held = 0 if self.diary.docking_is_go(t_s, watch.ready_since_s) else 1
-        if guidance.advance(self._guidance, self._flown, t_s, self._go, held):
-            if self._go and not self.diary.decided:
-                self.diary.decide(t_s, watch.ready_since_s)
-            self.diary.phase_began(t_s, self._flown.phase)
-            self._go = 0
-        elif self._go and guidance.kind_of(self._guidance, self._flown.phase) == guidance.WAIT:
-            self.diary.decide(t_s, watch.ready_since_s)
+        held = 0 if self.diary.docking_is_go(t_s, found.ready_since_s) else 1
+        did = guidance.advance(self._guidance, self._flown, t_s, self._go, held)
+        if did != guidance.STAYED:
+            if self._go:
+                self.diary.decide(t_s, found.ready_since_s)
+            if did == guidance.MOVED:
+                self.diary.phase_began(t_s, self._flown.phase)
             self._go = 0
         guidance.reference(self._guidance, self._flown, t_s, out)
 
     def supervise(self, t_s: float, estimate: np.record, reference: np.record, out: np.record) -> None:
-        """Judge corridor, closing rate and ready state; begin an abort where one is called for. Writes WATCH."""
-        if supervision.supervise(self._supervision, t_s, estimate, reference, self._abort, out):
-            guidance.start_abort(self._guidance, self._flown, t_s, estimate.r_CT_H, estimate.v_CT_H)
-            guidance.reference(self._guidance, self._flown, t_s, reference)
+        """Judge corridor, closing rate and ready state; begin an abort where one is called for. Writes SUPERVISION."""
+        if supervision.supervise_and_act(
+            self._supervision, self._guidance, self._flown, t_s, estimate, reference, self._abort, out
+        ):
             self.diary.abort_began(t_s, out)
         self.diary.look(t_s, out.ready_since_s)
 
-    def finish(self, t_s: float, watch: np.record) -> None:
+    def events(self) -> list[Event]:
+        """Return what happened so far, of the approach and of the filters, in the order of time."""
+        alarms = self.watch.events if self.watch is not None else []
+        return sorted([*self.diary.events, *alarms], key=lambda event: event.t_s)
+
+    def finish(self, t_s: float, found: np.record) -> None:
         """Note the docking decision at the end of the run, where none was asked for before."""
         if not self.diary.decided:
-            self.diary.decide(t_s, watch.ready_since_s)
+            self.diary.decide(t_s, found.ready_since_s)
 
     def control(self, estimate: np.record, reference: np.record, command: np.record) -> None:
         """Write the demands and the thrusters of COMMAND."""
@@ -142,8 +160,8 @@ class Gnc:
 
     def consistency(self, truth: np.record, imu: np.record) -> Array:
         """Return NEES of position and attitude filter, (2,), nan where there is none; valid until the next call."""
-        if self.state.started and self._navigation.sensors == navigation.VISION_AND_IMU:
-            navigation.normalised_errors(self.state, truth, imu, self._nees)
+        if self.state.fusion.started:
+            navigation.normalised_errors(self.state.fusion.filters, truth, imu, self._nees)
         else:
             self._nees[:] = np.nan
         return self._nees

@@ -33,6 +33,29 @@ def scheme_2() -> Scenario:
     return load_scenario("scheme-2").value
 
 
+PLAIN = (
+    "truth.relative_motion=hill",
+    "truth.gravity_gradient=false",
+    "truth.solar_pressure=false",
+    "truth.flexible_array=false",
+    "truth.misalignment_sigma_deg=0.0",
+    "truth.force_scatter_sigma=0.0",
+    "truth.centre_of_mass_offset_m=[0.0, 0.0, 0.0]",
+)
+
+
+@pytest.fixture(scope="session")
+def plain_1() -> Scenario:
+    """Return scheme-1 with the linear motion of the bench paper and no disturbance."""
+    return load_scenario("scheme-1", PLAIN).value
+
+
+@pytest.fixture(scope="session")
+def plain_2() -> Scenario:
+    """Return scheme-2 with the linear motion of the bench paper and no disturbance."""
+    return load_scenario("scheme-2", PLAIN).value
+
+
 @pytest.fixture(scope="session")
 def mock_rig() -> Rig:
     """Return the shipped rig mock."""

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
-import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from hil.cli.output import check_json_path, write_json
 from hil.cli.warm_up import warm_up_with_a_word
 from hil.config.load import load_rig, load_scenario
 from hil.errors import BadInput, Problem
@@ -36,7 +33,7 @@ def run_command(
     rig = load_rig(rig_name, settings)
     console = Console(stderr=True)
 
-    from hil import build, parameters
+    from hil import build
     from hil.report.summary import summarise
     from hil.report.table import render
 
@@ -55,11 +52,10 @@ def run_command(
         rig.value,
         rig_name,
         seed,
-        parameters.orbit_rate(scenario.value),
         1.0 / scenario.value.step_s,
     )
     if json_path is not None:
-        _write_json(summary, json_path)
+        write_json(summary, json_path)
     if json_path != "-":
         render(summary, verdict, scenario.value.requirements, Console())
     if outcome.faults:
@@ -76,21 +72,9 @@ def _check_options(seed: int, duration_s: float | None, speed: float, json_path:
         problems.append(Problem("--duration", "", f"{duration_s:g}: must be a time above 0 s"))
     if not (math.isfinite(speed) and speed > 0.0):
         problems.append(Problem("--speed", "", f"{speed:g}: must be above 0"))
-    if json_path is not None and json_path != "-" and not Path(json_path).absolute().parent.is_dir():
-        problems.append(Problem("--json", "", f"{json_path}: its folder does not exist"))
+    problems += check_json_path("--json", json_path)
     if problems:
         raise BadInput(problems)
-
-
-def _write_json(summary: dict[str, Any], path: str) -> None:
-    """Write the whole file or none of it."""
-    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
-    if path == "-":
-        sys.stdout.write(text)
-        return
-    partial = Path(f"{path}.part")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
 
 
 class _Watch:

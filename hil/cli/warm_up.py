@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 
 from rich.console import Console
 
-from hil.build import Job, warm_up
+from hil.build import Job, warm_up, warm_up_all_but_navigation
 from hil.maths.jit import kernels_are_cached, mark_kernels_cached
+
+_NOTICE = "first start: compiling the kernels for this computer, once, about 20 s ..."
+_OTHER_HALF_S = 120.0
 
 
 def warm_up_with_a_word(job: Job, console: Console) -> None:
@@ -16,9 +21,22 @@ def warm_up_with_a_word(job: Job, console: Console) -> None:
         warm_up(job)
         return
     started = time.perf_counter()
-    with console.status("first start: compiling the kernels for this computer, once, about 20 s ..."):
+    with console.status(_NOTICE):
         if not console.is_terminal:
-            console.print("first start: compiling the kernels for this computer, once, about 20 s ...")
+            console.print(_NOTICE, soft_wrap=True)
+        _compile_on_two_cores(job)
         warm_up(job)
     mark_kernels_cached()
     console.print(f"kernels compiled in {time.perf_counter() - started:.1f} s")
+
+
+def _compile_on_two_cores(job: Job) -> None:
+    """Let a child fill the cache with one half of the kernels; what it does not manage is compiled here later."""
+    with subprocess.Popen([sys.executable, "-m", "hil.precompile"], stderr=subprocess.DEVNULL) as child:
+        try:
+            warm_up_all_but_navigation(job)
+            child.wait(_OTHER_HALF_S)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:
+            child.kill()

@@ -64,7 +64,8 @@ def load_rig(name: str, settings: Iterable[str] = ()) -> Loaded[Rig]:
     if loaded.value.kind == "hardware":
         missing = loaded.value.missing_wires()
         if missing:
-            raise BadInput([Problem(loaded.where(key), key, "is missing: the wire to the device") for key in missing])
+            text = "is missing: the wire to the device"
+            raise BadInput([Problem(loaded.where(key), f"rig.{key}", text) for key in missing])
     return loaded
 
 
@@ -109,7 +110,11 @@ def _read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple
         if not isinstance(base_name, str):
             raise BadInput.single(str(path), "extends", f"{base_name!r}: must be a name or a path in quotes")
         beside = path.parent / base_name
-        base_path = beside if beside.suffix == ".toml" and beside.is_file() else _find(base_name, kind)
+        try:
+            base_path = beside if beside.suffix == ".toml" and beside.is_file() else _find(base_name, kind)
+        except BadInput as error:
+            text = f"{base_name!r}: {error.problems[0].message}"
+            raise BadInput.single(str(path), "extends", text) from error
         if base_path.resolve() in chain or base_path.resolve() == path.resolve():
             raise BadInput.single(str(path), "extends", f"{base_name!r}: the files extend each other in a ring")
         base = _read_with_bases(base_path, kind, origin, (*chain, path.resolve()))

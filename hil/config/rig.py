@@ -166,7 +166,8 @@ class Vmu(Strict):
     driver: Literal["mock", "rs422"]
     timeout_s: Positive = 0.4
     rate_hz: Positive = 6.25
-    processing_s: NotNegative = 0.0  # emulator: exposure to first byte
+    processing_s: NotNegative = 0.0  # from exposure to the first byte
+    clock: Literal["shared", "own"] = "shared"  # time stamps are bench time, or of a clock of the unit's own
     camera: Camera = Camera()
     leds_m: Annotated[tuple[Triple, ...], Field(min_length=1)] = _ring(0.12, 0.06)  # in t
     rs422: SerialLine | None = None

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import Field, field_validator, model_validator
 
 from hil.config.model import (
     Matrix3,
@@ -14,6 +15,7 @@ from hil.config.model import (
     Strict,
     Triple,
 )
+from hil.config.truth import Orbit, SolarArray, Truth
 from hil.messages import MAX_PHASES, MAX_THRUSTERS
 
 AngleTriple = tuple[
@@ -23,14 +25,12 @@ AngleTriple = tuple[
 ]
 
 
-class Orbit(Strict):
-    """The target's circular orbit about the Moon."""
-
-    altitude_m: Positive
+Delay = Annotated[float, Field(ge=0.0, le=1.0)]
+Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 
 
 class Thrusters(Strict):
-    """On/off thrusters, in c; positions from the centre of mass, directions of the force on the vehicle."""
+    """On/off thrusters, in c; positions from the reference point, directions of the force on the vehicle."""
 
     force_n: Positive
     minimum_on_s: NotNegative
@@ -53,21 +53,23 @@ class Chaser(Strict):
     inertia_kg_m2: Matrix3
     thrusters: Thrusters
 
-    @model_validator(mode="after")
-    def _inertia_is_one_of_a_body(self) -> Self:
-        j = self.inertia_kg_m2
-        if any(abs(j[i][k] - j[k][i]) > 1e-9 * abs(j[i][i]) for i in range(3) for k in range(3)):
-            raise ValueError("inertia_kg_m2 must be symmetric")
-        minors = (
-            j[0][0],
-            j[0][0] * j[1][1] - j[0][1] ** 2,
-            j[0][0] * (j[1][1] * j[2][2] - j[1][2] ** 2)
-            - j[0][1] * (j[0][1] * j[2][2] - j[1][2] * j[0][2])
-            + j[0][2] * (j[0][1] * j[1][2] - j[1][1] * j[0][2]),
-        )
-        if min(minors) <= 0.0:
-            raise ValueError("inertia_kg_m2 must be positive definite")
-        return self
+    solar_array: SolarArray | None = None
+
+    @field_validator("inertia_kg_m2")
+    @classmethod
+    def _inertia_is_one_of_a_body(cls, value: Matrix3) -> Matrix3:
+        """A body's inertia is symmetric, not singular, and no principal moment exceeds the sum of the others."""
+        j = np.array(value)
+        shown = [list(row) for row in value]
+        if np.abs(j - j.T).max() > 1e-9 * np.abs(j).max():
+            raise ValueError(f"{shown}: must be symmetric")
+        moments = np.linalg.eigvalsh(j)
+        if moments[0] <= 1e-9 * abs(moments[2]):
+            raise ValueError(f"{shown}: is singular or not positive definite, every principal moment must be above 0")
+        if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
+            largest, others = f"{moments[2]:.6g}", f"{moments[0]:.6g} + {moments[1]:.6g}"
+            raise ValueError(f"{shown}: principal moment {largest} must not exceed the sum of the others, {others}")
+        return value
 
 
 class Initial(Strict):
@@ -93,20 +95,28 @@ class Imu(Strict):
 
 
 class VisionNoise(Strict):
-    """Noise of the vision unit: Table I up to ``reference_range_m``, growing in proportion beyond."""
+    """Noise of the vision unit, Table I up to ``reference_range_m`` and growing in proportion beyond, and
+    how its poses travel: they belong to their exposure, however late they come."""
 
     sigma_position_m: Positive
     sigma_angle_deg: Positive
     reference_range_m: Positive
+    reported_sigma_scale: Positive = 1.0  # what the unit says of its noise against what it is
+    latency_s: Delay = 0.0
+    latency_jitter_s: Delay = 0.0
+    duplicate_share: Share = 0.0
+    loss_share: Share = 0.0
 
 
 class Navigation(Strict):
     sensors: Literal["vision_imu", "vision"]
+    gate_sigma: Positive  # innovations that are rarer than this many sigma are not let in
 
 
 class AttitudeFilter(Strict):
-    """What the AKF believes of the gyro."""
+    """What the AKF believes of the gyro, and how it takes the attitude's error."""
 
+    form: Literal["multiplicative", "as_printed"]
     gyro_noise_degps: Positive
     gyro_drift_noise_degps2: NotNegative
     gyro_drift_degps: Triple
@@ -130,6 +140,14 @@ class VisionOnly(Strict):
     velocity_lag_s: NotNegative
     attitude_lag_s: NotNegative
     rate_lag_s: NotNegative
+
+
+class Shadow(Strict):
+    """filterpy's filters beside the compiled ones, with an alarm when the two part."""
+
+    enabled: bool
+    position_limit_m: Positive
+    attitude_limit_deg: Positive
 
 
 class Phase(Strict):
@@ -226,6 +244,7 @@ class Gnc(Strict):
     akf: AttitudeFilter
     pkf: PositionFilter
     vision_only: VisionOnly
+    shadow: Shadow
     guidance: Guidance
     corridor: Corridor
     abort: Abort
@@ -253,6 +272,7 @@ class Scenario(Strict):
     duration_s: Positive
     step_s: Positive
     orbit: Orbit
+    truth: Truth = Truth()
     chaser: Chaser
     initial: Initial
     imu: Imu

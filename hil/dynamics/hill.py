@@ -43,12 +43,13 @@ def input_response(w0: float, t_s: float) -> np.ndarray:
 
     The integral over ``t_s`` of the last three columns of ``transition``.
     """
-    c, s, a = math.cos(w0 * t_s), math.sin(w0 * t_s), w0 * t_s
-    xx = 4.0 * (1.0 - c) / w0**2 - 1.5 * t_s**2
-    xz = 2.0 * (a - s) / w0**2
+    s, a = math.sin(w0 * t_s), w0 * t_s
+    versine = 2.0 * math.sin(0.5 * a) ** 2  # 1 - cos, without its cancellation over a short step
+    xx = 4.0 * versine / w0**2 - 1.5 * t_s**2
+    xz = 2.0 * _angle_less_sine(a) / w0**2
     xdot_x = 4.0 * s / w0 - 3.0 * t_s
-    xdot_z = 2.0 * (1.0 - c) / w0
-    zz = (1.0 - c) / w0**2
+    xdot_z = 2.0 * versine / w0
+    zz = versine / w0**2
     return np.array(
         [
             [xx, 0.0, xz],
@@ -59,3 +60,10 @@ def input_response(w0: float, t_s: float) -> np.ndarray:
             [-xdot_z, 0.0, s / w0],
         ]
     )
+
+
+def _angle_less_sine(a: float) -> float:
+    """Return a - sin(a), by its series where the difference would cancel."""
+    if abs(a) > 0.1:
+        return a - math.sin(a)
+    return a**3 / 6.0 * (1.0 - a**2 / 20.0 * (1.0 - a**2 / 42.0 * (1.0 - a**2 / 72.0)))

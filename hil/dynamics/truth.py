@@ -1,116 +1,274 @@
-"""One step of the truth: relative motion in H and attitude of the chaser under its thrusters.
+"""One step of the truth: relative motion, attitude of the chaser and bending of its array.
 
-The thrust is constant over the step; the motion is integrated with the classical fourth-order
-Runge-Kutta method. The model of relative motion is the one function ``relative_acceleration``.
+Two models of relative motion. NONLINEAR: target and relative vector in inertial axes I under the whole
+gravity field, its difference free of cancellation. HILL: the linear motion in the Hill frame H of a
+circular orbit (bench paper eq. (11)). The axes in which a step is integrated are called F: I or H, and
+the attitude during the step is that of c against F. H is the instantaneous frame of the target's own
+position and velocity; the relative state is turned back into it at the end of each step.
+
+Thrust is constant over the step; everything else is integrated with the classical fourth-order
+Runge-Kutta method. Effects are switched in the parameters; each has its file.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from hil.dynamics import moon_gravity, orbit
+from hil.dynamics.flexible_array import MODE_PARAMS, flexible_acceleration
+from hil.dynamics.gravity_gradient import add_gravity_gradient
 from hil.dynamics.hill import hill_acceleration
+from hil.dynamics.mass_centre import add_lever_terms, shift
+from hil.dynamics.moon_gravity import GRAVITY_PARAMS
 from hil.dynamics.rigid_body import angular_acceleration
+from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
 from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
 from hil.maths import quat
+from hil.maths.arrays import copy_into
 from hil.maths.jit import kernel
 from hil.messages import MAX_THRUSTERS
+
+HILL, NONLINEAR = 0, 1
 
 DSS_PARAMS = np.dtype(
     [
         ("dt_s", "f8"),
-        ("orbit_rate", "f8"),  # rad/s
+        ("relative_motion", "i8"),  # HILL or NONLINEAR
+        ("orbit_rate", "f8"),  # rad/s, mean; the rate of H where the motion is Hill's
         ("inertia", "f8", (3, 3)),  # kg m^2, in c, about the centre of mass
         ("inertia_inverse", "f8", (3, 3)),
+        ("mass_centre", "f8", 3),  # m, from the reference point to the centre of mass, in c
         ("n_thrusters", "i8"),
         ("thruster_position", "f8", (MAX_THRUSTERS, 3)),  # m, from the centre of mass, in c
         ("thruster_direction", "f8", (MAX_THRUSTERS, 3)),  # unit force on the vehicle, in c
         ("thruster_force", "f8", MAX_THRUSTERS),  # N
         ("minimum_on_s", "f8"),
         ("exhaust_speed", "f8"),  # m/s
+        ("mass_loss", "i8"),  # switches: 0 or 1
+        ("gravity_gradient", "i8"),
+        ("solar_pressure", "i8"),
+        ("flexible_array", "i8"),
+        ("gravity", GRAVITY_PARAMS),
+        ("plate", PLATE_PARAMS),
+        ("mode", MODE_PARAMS),
+        ("sun_I", "f8", 3),  # unit vector to the Sun, inertial
     ],
     align=True,
 )
 
-# the integrated state: r 0:3, v 3:6, q 6:10, w 10:13, integral of w 13:16
-_N = 16
+# the integrated state, in axes F: r 0:3, v 3:6, q_CF 6:10, w_CI_C 10:13, integral of w 13:16, integral of the
+# pressure's specific force in c 16:19, eta 19, its rate 20, and in the nonlinear model r_T_I 21:24, v_T_I 24:27
+_N = 27
 
 
 @kernel
-def relative_acceleration(params, y, out):
-    """Write the free relative acceleration in H, (3,), m/s^2, for the state ``y``."""
-    hill_acceleration(y[0:3], y[3:6], params.orbit_rate, out)
-
-
-@kernel
-def _derivative(params, y, specific_force, torque, dy):
-    """Write dy/dt. specific_force: (3,), m/s^2, and torque: (3,), N m, both in c, constant."""
-    relative_acceleration(params, y, dy[3:6])
-    q = y[6:10]
-    force_h = quat.transform_back(q, specific_force)
+def _translate(params, field, t_s, y, dy, nadir_F):
+    """Write the free motion into ``dy`` and the direction to the Moon into ``nadir_F``; return GM/r^3, 1/s^2."""
     for i in range(3):
         dy[i] = y[3 + i]
-        dy[3 + i] += force_h[i]
-        dy[13 + i] = y[10 + i]
-    # rate of c against H, in c: w_CH = w_CI - A(q) [0, -w0, 0] (bench paper eq. (3))
-    a = quat.to_matrix(q)
-    w_ch = np.empty(3)
+        dy[21 + i] = y[24 + i]
+    if params.relative_motion == HILL:
+        hill_acceleration(y[0:3], y[3:6], params.orbit_rate, dy[3:6])
+        nadir_F[0], nadir_F[1], nadir_F[2] = 0.0, 0.0, 1.0
+        for i in range(6):
+            dy[21 + i] = 0.0  # the target's circle is turned exactly, once a step
+        return params.orbit_rate * params.orbit_rate
+    moon_gravity.differential(params.gravity, field, t_s, y[21:24], y[0:3], dy[24:27], dy[3:6])
+    squared = 0.0
     for i in range(3):
-        w_ch[i] = y[10 + i] + a[i, 1] * params.orbit_rate
-    quat.rate_of_change(q, w_ch, dy[6:10])
-    angular_acceleration(params.inertia, params.inertia_inverse, y[10:13], torque, dy[10:13])
+        nadir_F[i] = -(y[21 + i] + y[i])
+        squared += nadir_F[i] * nadir_F[i]
+    distance = np.sqrt(squared)
+    for i in range(3):
+        nadir_F[i] /= distance
+    return params.gravity.gm / (squared * distance)
 
 
 @kernel
-def _integrate(params, y, specific_force, torque, dt):
+def _derivative(params, field, t_s, y, load, sun_F, dy):
+    """Write dy/dt.
+
+    load: specific thrust (3,), m/s^2, the thrust's torque (3,), N m, both in c, and the mass, kg. sun_F: (3,), unit.
+    """
+    force = load[0:3].copy()
+    torque = load[3:6].copy()
+    direction = np.empty(3)
+    rate_squared = _translate(params, field, t_s, y, dy, direction)
+    q = y[6:10]
+    if params.gravity_gradient != 0:
+        add_gravity_gradient(params.inertia, quat.transform(q, direction), rate_squared, torque)
+    for i in range(3):
+        dy[16 + i] = 0.0
+    if params.solar_pressure != 0:
+        pressure_force(params.plate, quat.transform(q, sun_F), direction)
+        arm = params.plate.arm
+        torque[0] += arm[1] * direction[2] - arm[2] * direction[1]
+        torque[1] += arm[2] * direction[0] - arm[0] * direction[2]
+        torque[2] += arm[0] * direction[1] - arm[1] * direction[0]
+        for i in range(3):
+            dy[16 + i] = direction[i] / load[6]
+            force[i] += dy[16 + i]
+    force_f = quat.transform_back(q, force)
+    # rate of c against F, in c: w_CF = w_CI - A(q) w_FI (bench paper eq. (3)); H turns with [0, -w0, 0]
+    frame_rate = params.orbit_rate if params.relative_motion == HILL else 0.0
+    a = quat.to_matrix(q)
+    for i in range(3):
+        dy[3 + i] += force_f[i]
+        dy[13 + i] = y[10 + i]
+        direction[i] = y[10 + i] + a[i, 1] * frame_rate
+    quat.rate_of_change(q, direction, dy[6:10])
+    dy[19], dy[20] = 0.0, 0.0
+    if params.flexible_array != 0:
+        dy[19] = y[20]
+        dy[20] = flexible_acceleration(params.mode, params.inertia, y[10:13], torque, y[19], y[20], dy[10:13])
+    else:
+        angular_acceleration(params.inertia, params.inertia_inverse, y[10:13], torque, dy[10:13])
+
+
+@kernel
+def _integrate(params, field, t_s, y, load, sun_F, dt):
     """Move ``y`` on by ``dt`` with one classical Runge-Kutta step, in place."""
     k = np.empty((4, _N))
     trial = np.empty(_N)
-    _derivative(params, y, specific_force, torque, k[0])
+    _derivative(params, field, t_s, y, load, sun_F, k[0])
     for stage in range(1, 4):
         part = dt if stage == 3 else 0.5 * dt
         for i in range(_N):
             trial[i] = y[i] + part * k[stage - 1, i]
-        _derivative(params, trial, specific_force, torque, k[stage])
+        _derivative(params, field, t_s + part, trial, load, sun_F, k[stage])
     for i in range(_N):
         y[i] += dt / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
 
 
 @kernel
-def step(params, truth, on):
-    """Move ``truth`` (TRUTH) on by one step, in place, with the thruster commands ``on`` (n,), 0 or 1."""
+def _enter(params, truth, y):
+    """Write the integrated state for ``truth``: from H into F, from the reference point to the centre of mass."""
+    r = y[0:3]
+    v = y[3:6]
+    w = np.empty(3)
+    q_ch = truth.q_CH.copy()
+    a = quat.to_matrix(q_ch)
+    for i in range(3):
+        r[i] = truth.r_CT_H[i]
+        v[i] = truth.v_CT_H[i]
+        y[10 + i] = truth.w_CI_C[i]
+        y[13 + i], y[16 + i] = 0.0, 0.0
+        y[21 + i] = truth.r_T_I[i]
+        y[24 + i] = truth.v_T_I[i]
+        w[i] = truth.w_CI_C[i]
+        for j in range(3):
+            w[i] -= a[i, j] * truth.w_HI_H[j]
+    shift(q_ch, params.mass_centre, w, 1.0, r, v)
+    copy_into(y[6:10], q_ch)
+    y[19], y[20] = truth.eta, truth.eta_rate
+    if params.relative_motion != HILL:
+        q_hi = truth.q_HI.copy()
+        w_HI = truth.w_HI_H
+        v[0] += w_HI[1] * r[2] - w_HI[2] * r[1]
+        v[1] += w_HI[2] * r[0] - w_HI[0] * r[2]
+        v[2] += w_HI[0] * r[1] - w_HI[1] * r[0]
+        copy_into(v, quat.transform_back(q_hi, v))
+        copy_into(r, quat.transform_back(q_hi, r))
+        copy_into(y[6:10], quat.multiply(q_ch, q_hi))
+
+
+@kernel
+def _move_frame(params, field, y, truth):
+    """Bring the target and its Hill frame in ``truth`` to the end of the step, ``truth.t_s``."""
+    a = np.empty((3, 3))
+    r = y[21:24]
+    v = y[24:27]
+    rate = np.zeros(3)
+    if params.relative_motion == HILL:
+        orbit.turn_on_circle(r, v, params.orbit_rate * params.dt_s)
+        orbit.hill_frame(r, v, a)
+        rate[1] = -params.orbit_rate
+    else:
+        acceleration = np.empty(3)
+        moon_gravity.acceleration(params.gravity, field, truth.t_s, r, acceleration)
+        orbit.hill_frame(r, v, a)
+        orbit.hill_rate(r, v, acceleration, a, rate)
+    q_hi = orbit.quaternion_near(a, truth.q_HI)
+    copy_into(truth.r_T_I, r)
+    copy_into(truth.v_T_I, v)
+    copy_into(truth.q_HI, q_hi)
+    copy_into(truth.w_HI_H, rate)
+
+
+@kernel
+def _leave(params, y, truth):
+    """Write the relative state of ``truth`` from the integrated one; the frame H is already that of the end."""
+    r = y[0:3]
+    v = y[3:6]
+    q_ch = y[6:10]
+    quat.normalise(q_ch)
+    if params.relative_motion != HILL:
+        q_hi = truth.q_HI.copy()
+        w_HI = truth.w_HI_H
+        copy_into(r, quat.transform(q_hi, r))
+        copy_into(v, quat.transform(q_hi, v))
+        v[0] -= w_HI[1] * r[2] - w_HI[2] * r[1]
+        v[1] -= w_HI[2] * r[0] - w_HI[0] * r[2]
+        v[2] -= w_HI[0] * r[1] - w_HI[1] * r[0]
+        copy_into(q_ch, quat.multiply(q_ch, quat.conjugate(q_hi)))
+    for i in range(3):
+        truth.w_CI_C[i] = y[10 + i]
+    for i in range(4):
+        truth.q_CH[i] = q_ch[i]
+    w = np.empty(3)
+    rate_against_hill(truth, w)
+    shift(q_ch, params.mass_centre, w, -1.0, r, v)
+    for i in range(3):
+        truth.r_CT_H[i] = r[i]
+        truth.v_CT_H[i] = v[i]
+    truth.eta, truth.eta_rate = y[19], y[20]
+
+
+@kernel
+def step(params, field, truth, on):
+    """Move ``truth`` (TRUTH) on by one step, in place, with the thruster commands ``on`` (n,), 0 or 1.
+
+    field: the harmonics, (N + 1, N + 1, 6), as ``moon_gravity.field_table`` gives them.
+    """
     dt = params.dt_s
     n = params.n_thrusters
     fraction = truth.thrust_fraction
     step_valves(on[:n], truth.open_s[:n], params.minimum_on_s, dt, fraction[:n])
-    force = np.empty(3)
-    torque = np.empty(3)
-    wrench(fraction, params.thruster_position, params.thruster_direction, params.thruster_force, n, force, torque)
+    load = np.empty(7)
+    wrench(
+        fraction,
+        params.thruster_position,
+        params.thruster_direction,
+        params.thruster_force,
+        n,
+        load[0:3],
+        load[3:6],
+    )
+    load[6] = truth.mass_kg
+    for i in range(3):
+        load[i] /= truth.mass_kg
     y = np.empty(_N)
-    for i in range(3):
-        force[i] /= truth.mass_kg
-        y[i] = truth.r_CT_H[i]
-        y[3 + i] = truth.v_CT_H[i]
-        y[10 + i] = truth.w_CI_C[i]
-        y[13 + i] = 0.0
-    for i in range(4):
-        y[6 + i] = truth.q_CH[i]
-    _integrate(params, y, force, torque, dt)
-    quat.normalise(y[6:10])
-    for i in range(3):
-        truth.r_CT_H[i] = y[i]
-        truth.v_CT_H[i] = y[3 + i]
-        truth.w_CI_C[i] = y[10 + i]
-        truth.mean_rate_C[i] = y[13 + i] / dt
-        truth.mean_force_C[i] = force[i]
-    for i in range(4):
-        truth.q_CH[i] = y[6 + i]
-    truth.mass_kg -= dt * propellant_flow(fraction, params.thruster_force, params.exhaust_speed, n)
+    _enter(params, truth, y)
+    sun_f = params.sun_I.copy()
+    if params.relative_motion == HILL:
+        sun_f = quat.transform(truth.q_HI, sun_f)
+    _integrate(params, field, truth.t_s, y, load, sun_f, dt)
     truth.t_s += dt
+    _move_frame(params, field, y, truth)
+    w_before = truth.w_CI_C.copy()
+    _leave(params, y, truth)
+    for i in range(3):
+        truth.mean_rate_C[i] = y[13 + i] / dt
+        truth.mean_force_C[i] = load[i] + y[16 + i] / dt
+    add_lever_terms(params.mass_centre, w_before, truth.w_CI_C, dt, truth.mean_force_C)
+    if params.mass_loss != 0:
+        truth.mass_kg -= dt * propellant_flow(fraction, params.thruster_force, params.exhaust_speed, n)
 
 
 @kernel
-def rate_against_hill(params, truth, out):
-    """Write w_CH_C (3,), rad/s: the chaser's rate against H, in c."""
+def rate_against_hill(truth, out):
+    """Write w_CH_C (3,), rad/s: the chaser's rate against H, ``w_CI_C - A(q_CH) w_HI_H``, in c."""
     a = quat.to_matrix(truth.q_CH)
+    w = truth.w_HI_H
     for i in range(3):
-        out[i] = truth.w_CI_C[i] + a[i, 1] * params.orbit_rate
+        out[i] = truth.w_CI_C[i] - (a[i, 0] * w[0] + a[i, 1] * w[1] + a[i, 2] * w[2])

@@ -21,6 +21,7 @@ VISION_PARAMS = np.dtype(
         ("sigma_position", "f8"),  # m
         ("sigma_angle", "f8"),  # rad
         ("reference_range", "f8"),  # m
+        ("reported_scale", "f8"),  # sigmas reported over sigmas that are
     ],
     align=True,
 )
@@ -48,6 +49,6 @@ def see(params, stations, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
         t_v[i] += params.sigma_position * factor * noise[i]
         # exp([e]x) turns the vector, from_rotation_vector the frame: hence the minus
         turn[i] = -params.sigma_angle * factor * noise[3 + i]
-        covariance[i, i] = (params.sigma_position * factor) ** 2
-        covariance[3 + i, 3 + i] = (params.sigma_angle * factor) ** 2
+        covariance[i, i] = (params.reported_scale * params.sigma_position * factor) ** 2
+        covariance[3 + i, 3 + i] = (params.reported_scale * params.sigma_angle * factor) ** 2
     copy_into(q_vt, quat.multiply(quat.from_rotation_vector(turn), q_vt))

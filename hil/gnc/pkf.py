@@ -1,8 +1,12 @@
 """The position Kalman filter: nine states, relative position and velocity in H, accelerometer bias in c.
 
-Bench paper eq. (11) to (16), with ``H = [-R_CH 0 0]`` (the printed "R_c^c" and transpose are
-misprints). The transition of Hill's equations is exact; the accelerometer's sample is the mean over
-the step, so its noise and the bias act through the same response as the thrust.
+Bench paper eq. (11) to (16), with ``H = [-R_CH 0 0]`` (the printed "R_c^c" and transpose are misprints).
+The transition of Hill's equations is exact; the accelerometer's sample is the mean over the step, so
+its noise and the bias act through the same response as the thrust.
+
+The attitude that turns accelerations and poses between c and H is an estimate, and its error lasts from
+frame to frame: at 10 m a hundredth of a degree is 2 mm. This filter therefore carries its correlation
+with the attitude filter's error (Schmidt 1966: considered, not estimated).
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ import numpy as np
 from hil.maths import quat
 from hil.maths.arrays import fill_matrix
 from hil.maths.jit import kernel
-from hil.maths.kalman import propagate_covariance, update_three
+from hil.maths.kalman import invert_symmetric_3
 
 PKF_PARAMS = np.dtype(
     [
@@ -26,6 +30,7 @@ PKF_PARAMS = np.dtype(
         ("initial_velocity_sigma", "f8"),  # m/s
         ("initial_bias", "f8", 3),  # m/s^2
         ("initial_bias_sigma", "f8"),  # m/s^2
+        ("gate", "f8"),  # largest NIS that is let in
     ],
     align=True,
 )
@@ -34,6 +39,7 @@ PKF_STATE = np.dtype(
     [
         ("x", "f8", 9),
         ("p", "f8", (9, 9)),
+        ("c", "f8", (9, 6)),  # covariance with the attitude filter's error
         ("nis", "f8"),
     ],
     align=True,
@@ -41,12 +47,23 @@ PKF_STATE = np.dtype(
 
 
 @kernel
-def start(params, pose, state):
-    """Start from the first pose, at rest, the bias from ``params``."""
+def start(params, pose, attitude_p, state):
+    """Start from the first pose, at rest, the bias from ``params``; ``attitude_p`` (6, 6) as the AKF started with.
+
+    ``r = -A.T z``: the position's error holds the measured attitude's error over the distance.
+    """
     fill_matrix(state.p, 0.0)
+    fill_matrix(state.c, 0.0)
     state.nis = np.nan
     r = quat.transform_back(pose.q_CH, pose.z_TC_C)
     a = quat.to_matrix(pose.q_CH)
+    z = pose.z_TC_C
+    # dr_H = -A.T (dz + theta x z): lever (3, 3) of theta
+    lever = np.zeros((3, 3))
+    for i in range(3):
+        lever[i, 0] = -(a[1, i] * -z[2] + a[2, i] * z[1])
+        lever[i, 1] = -(a[0, i] * z[2] + a[2, i] * -z[0])
+        lever[i, 2] = -(a[0, i] * -z[1] + a[1, i] * z[0])
     for i in range(3):
         state.x[i] = -r[i]
         state.x[3 + i] = 0.0
@@ -55,8 +72,10 @@ def start(params, pose, state):
         state.p[6 + i, 6 + i] = params.initial_bias_sigma**2
         for j in range(3):
             for m in range(3):
+                state.c[i, j] += lever[i, m] * attitude_p[m, j]
                 for n in range(3):
                     state.p[i, j] += a[m, i] * pose.covariance_position[m, n] * a[n, j]
+                    state.p[i, j] += lever[i, m] * attitude_p[m, n] * lever[j, n]
 
 
 @kernel
@@ -77,60 +96,200 @@ def transition(params, q_CH, phi):
 
 
 @kernel
-def predict(params, state, measured_force, q_CH):
+def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi):
     """Carry the state over one step.
 
-    measured_force: accelerometer's sample (3,), m/s^2, in c. q_CH: attitude in mid-step.
+    measured_force: accelerometer's sample (3,), m/s^2, in c. q_CH: attitude in mid-step. attitude_p,
+    attitude_phi: covariance before the step and transition over it, (6, 6), of the attitude filter's error.
     """
     phi = np.empty((9, 9))
     transition(params, q_CH, phi)
-    # phi's bias columns are minus the response to a force in c
+    force = np.empty(3)
+    for i in range(3):
+        force[i] = measured_force[i] - state.x[6 + i]
+    # phi's bias columns b are minus the response to a force in c; a turn theta of c adds b (force x theta)
+    lever = np.zeros((9, 6))
     x = np.zeros(9)
     for i in range(9):
         for j in range(9):
             x[i] += phi[i, j] * state.x[j]
-        if i < 6:
-            for j in range(3):
-                x[i] -= phi[i, 6 + j] * measured_force[j]
-    noise = np.zeros((9, 9))
-    accelerometer = params.sigma_accelerometer**2
     for i in range(6):
-        for j in range(6):
-            for m in range(3):
-                noise[i, j] += accelerometer * phi[i, 6 + m] * phi[j, 6 + m]
-    for i in range(3):
-        noise[6 + i, 6 + i] = (params.dt_s * params.sigma_bias) ** 2
-    propagate_covariance(state.p, phi, noise)
+        b0, b1, b2 = phi[i, 6], phi[i, 7], phi[i, 8]
+        x[i] -= b0 * measured_force[0] + b1 * measured_force[1] + b2 * measured_force[2]
+        lever[i, 0] = b1 * force[2] - b2 * force[1]
+        lever[i, 1] = b2 * force[0] - b0 * force[2]
+        lever[i, 2] = b0 * force[1] - b1 * force[0]
     for i in range(9):
         state.x[i] = x[i]
+    _propagate(params, state, phi, lever, attitude_p, attitude_phi)
     state.nis = np.nan
 
 
 @kernel
-def update(state, pose, q_CH, attitude_covariance):
-    """Fuse the position of ``pose`` (POSE), measured in c.
+def _propagate(params, state, phi, lever, attitude_p, attitude_phi):
+    """Carry ``p`` and ``c`` over the step: joint covariance of this filter's and the attitude filter's error."""
+    mixed = np.zeros((9, 6))  # phi c + lever attitude_p
+    half = np.zeros((9, 9))  # phi p + lever c.T
+    for i in range(9):
+        for j in range(6):
+            total = 0.0
+            for m in range(9):
+                total += phi[i, m] * state.c[m, j]
+            for m in range(3):
+                total += lever[i, m] * attitude_p[m, j]
+            mixed[i, j] = total
+        for j in range(9):
+            total = 0.0
+            for m in range(9):
+                total += phi[i, m] * state.p[m, j]
+            for m in range(3):
+                total += lever[i, m] * state.c[j, m]
+            half[i, j] = total
+    accelerometer = params.sigma_accelerometer**2
+    for i in range(9):
+        for j in range(i, 9):
+            total = 0.0
+            for m in range(9):
+                total += half[i, m] * phi[j, m]
+            for m in range(3):
+                total += mixed[i, m] * lever[j, m]
+                if i < 6 and j < 6:
+                    total += accelerometer * phi[i, 6 + m] * phi[j, 6 + m]
+            if i == j and i >= 6:
+                total += (params.dt_s * params.sigma_bias) ** 2
+            state.p[i, j] = total
+            state.p[j, i] = total
+        for j in range(6):
+            total = 0.0
+            for m in range(6):
+                total += mixed[i, m] * attitude_phi[j, m]
+            state.c[i, j] = total
 
-    q_CH: estimated attitude. attitude_covariance: (3, 3), rad^2, of its small turn: at a distance it
-    moves the expected position by ``turn x r`` and so adds to the measurement's covariance.
+
+@kernel
+def follow_attitude_update(state, keep):
+    """Carry ``c`` through an update of the attitude filter; keep: its ``I - K H`` (6, 6)."""
+    row = np.empty(6)
+    for i in range(9):
+        for j in range(6):
+            total = 0.0
+            for m in range(6):
+                total += state.c[i, m] * keep[j, m]
+            row[j] = total
+        for j in range(6):
+            state.c[i, j] = row[j]
+
+
+@kernel
+def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_turn, gain, out):
+    """Write the innovation (3,), m, its matrices and the gain (9, 3); return the NIS. Nothing is changed.
+
+    z_TC_C: measured position (3,), in c as it stood at the filter's moment; covariance: (3, 3).
+    delta_s: exposure after the filter's moment, a fraction of a step. h: (3, 9). h_turn: (3, 3), of theta.
     """
-    expected = quat.transform(q_CH, state.x[0:3])
     a = quat.to_matrix(q_CH)
-    arm = np.zeros((3, 3))
-    arm[0, 1], arm[0, 2] = -expected[2], expected[1]
-    arm[1, 0], arm[1, 2] = expected[2], -expected[0]
-    arm[2, 0], arm[2, 1] = -expected[1], expected[0]
-    h = np.zeros((3, 9))
-    r = np.empty((3, 3))
-    innovation = np.empty(3)
+    r = np.empty(3)
     for i in range(3):
-        innovation[i] = pose.z_TC_C[i] + expected[i]
+        r[i] = state.x[i] + delta_s * state.x[3 + i]
+    expected = quat.transform(q_CH, r)
+    fill_matrix(h, 0.0)
+    fill_matrix(h_turn, 0.0)
+    h_turn[0, 1], h_turn[0, 2] = expected[2], -expected[1]
+    h_turn[1, 0], h_turn[1, 2] = -expected[2], expected[0]
+    h_turn[2, 0], h_turn[2, 1] = expected[1], -expected[0]
+    for i in range(3):
+        out[i] = z_TC_C[i] + expected[i]
         for j in range(3):
             h[i, j] = -a[i, j]
-            r[i, j] = pose.covariance_position[i, j]
+            h[i, 3 + j] = -delta_s * a[i, j]
+    # with[i, j]: covariance of state i with innovation j; s: of the innovation
+    s = np.empty((3, 3))
+    s_inverse = np.empty((3, 3))
+    reach = np.empty((9, 3))
+    reach_turn = np.empty((3, 3))
+    for i in range(9):
+        for j in range(3):
+            total = 0.0
+            for m in range(6):
+                total += state.p[i, m] * h[j, m]
             for m in range(3):
-                for n in range(3):
-                    r[i, j] += arm[i, m] * attitude_covariance[m, n] * arm[j, n]
-    state.nis = update_three(state.x, state.p, h, r, innovation)
+                total += state.c[i, m] * h_turn[j, m]
+            reach[i, j] = total
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for m in range(6):
+                total += state.c[m, i] * h[j, m]
+            for m in range(3):
+                total += attitude_p[i, m] * h_turn[j, m]
+            reach_turn[i, j] = total
+    for i in range(3):
+        for j in range(3):
+            total = covariance[i, j]
+            for m in range(6):
+                total += h[i, m] * reach[m, j]
+            for m in range(3):
+                total += h_turn[i, m] * reach_turn[m, j]
+            s[i, j] = total
+    invert_symmetric_3(s, s_inverse)
+    nis = 0.0
+    for i in range(9):
+        for j in range(3):
+            gain[i, j] = reach[i, 0] * s_inverse[0, j] + reach[i, 1] * s_inverse[1, j] + reach[i, 2] * s_inverse[2, j]
+    for i in range(3):
+        for j in range(3):
+            nis += out[i] * s_inverse[i, j] * out[j]
+    return nis
+
+
+@kernel
+def update(state, covariance, attitude_p, h, h_turn, gain, innovation):
+    """Fuse an innovation that was let in: Joseph form of the joint covariance, whatever the gain.
+
+    ``p' = L p L.T - L c T.T - T c.T L.T + T attitude_p T.T + K R K.T``, ``c' = L c - T attitude_p`` with
+    ``L = I - K h``, ``T = K h_turn``.
+    """
+    keep = np.zeros((9, 9))
+    turn = np.zeros((9, 3))
+    for i in range(9):
+        for j in range(6):
+            keep[i, j] = -(gain[i, 0] * h[0, j] + gain[i, 1] * h[1, j] + gain[i, 2] * h[2, j])
+        keep[i, i] += 1.0
+        for j in range(3):
+            turn[i, j] = gain[i, 0] * h_turn[0, j] + gain[i, 1] * h_turn[1, j] + gain[i, 2] * h_turn[2, j]
+            state.x[i] += gain[i, j] * innovation[j]
+    mixed = np.empty((9, 6))  # L c - T attitude_p: the new c
+    half = np.empty((9, 9))  # L p - T c.T
+    for i in range(9):
+        for j in range(6):
+            total = 0.0
+            for m in range(9):
+                total += keep[i, m] * state.c[m, j]
+            for m in range(3):
+                total -= turn[i, m] * attitude_p[m, j]
+            mixed[i, j] = total
+        for j in range(9):
+            total = 0.0
+            for m in range(9):
+                total += keep[i, m] * state.p[m, j]
+            for m in range(3):
+                total -= turn[i, m] * state.c[j, m]
+            half[i, j] = total
+    for i in range(9):
+        kr0 = gain[i, 0] * covariance[0, 0] + gain[i, 1] * covariance[1, 0] + gain[i, 2] * covariance[2, 0]
+        kr1 = gain[i, 0] * covariance[0, 1] + gain[i, 1] * covariance[1, 1] + gain[i, 2] * covariance[2, 1]
+        kr2 = gain[i, 0] * covariance[0, 2] + gain[i, 1] * covariance[1, 2] + gain[i, 2] * covariance[2, 2]
+        for j in range(i, 9):
+            total = kr0 * gain[j, 0] + kr1 * gain[j, 1] + kr2 * gain[j, 2]
+            for m in range(9):
+                total += half[i, m] * keep[j, m]
+            for m in range(3):
+                total -= mixed[i, m] * turn[j, m]
+            state.p[i, j] = total
+            state.p[j, i] = total
+    for i in range(9):
+        for j in range(6):
+            state.c[i, j] = mixed[i, j]
 
 
 @kernel

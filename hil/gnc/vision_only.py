@@ -34,14 +34,16 @@ VISION_ONLY_STATE = np.dtype(
         ("last_r", "f8", 3),  # the frame before
         ("last_q", "f8", 4),
         ("last_t_s", "f8"),
+        ("started", "i8"),
     ],
     align=True,
 )
 
 
 @kernel
-def start(pose, state):
+def _start(pose, state):
     """Start from the first pose, at rest."""
+    state.started = 1
     r = quat.transform_back(pose.q_CH, pose.z_TC_C)
     for i in range(3):
         state.r_CT_H[i] = -r[i]
@@ -65,7 +67,10 @@ def predict(params, state):
 
 @kernel
 def update(params, state, pose):
-    """Take a new pose in."""
+    """Take a pose in, the first one as the start; one that is no newer than the last is left out."""
+    if state.started == 0:
+        _start(pose, state)
+        return
     elapsed = pose.t_s - state.last_t_s
     if not elapsed > 0.0:
         return

@@ -11,11 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hil.config.scenario import Requirements
-from hil.gnc.akf import angles
+from hil.maths import euler
 from hil.messages import Array
 
+_YAW_PITCH_ROLL = np.array([2, 1, 0])
 ROW_NAMES = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
 
 
@@ -40,22 +42,15 @@ class Verdict:
     worst: dict[str, Array] | None
 
 
-def deviations(history: np.ndarray, requirements: Requirements, orbit_rate: float) -> Deviations:
-    """Return the deviations of the truth in ``history`` (n,) of CYCLE; orbit_rate: rad/s."""
+def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
+    """Return the deviations of the truth in ``history`` (n,) of CYCLE."""
     truth = history["truth"]
     position = truth["r_CT_H"].copy()
     position[:, 0] -= requirements.axial_distance_m
     q = truth["q_CH"]
-    hill_y = np.stack(  # second column of A(q): w_CH = w_CI + A(q) [0, w0, 0]
-        [
-            2.0 * (q[:, 0] * q[:, 1] + q[:, 2] * q[:, 3]),
-            -(q[:, 0] ** 2) + q[:, 1] ** 2 - q[:, 2] ** 2 + q[:, 3] ** 2,
-            2.0 * (q[:, 1] * q[:, 2] - q[:, 0] * q[:, 3]),
-        ],
-        axis=1,
-    )
-    attitude = np.array([angles(row) for row in q]).reshape(-1, 3)
-    rate = truth["w_CI_C"] + orbit_rate * hill_y
+    attitude = np.array([euler.from_quaternion(row, _YAW_PITCH_ROLL) for row in q]).reshape(-1, 3)
+    # scipy's rotation of the same four numbers takes c to H: w_CH = w_CI - A(q_CH) w_HI
+    rate = truth["w_CI_C"] - Rotation.from_quat(q).apply(truth["w_HI_H"], inverse=True) if len(q) else np.empty((0, 3))
     return Deviations(history["t_s"], position, truth["v_CT_H"], np.degrees(attitude), np.degrees(rate))
 
 

@@ -36,7 +36,10 @@ from hil.drivers.emulator_process import serve
 from hil.drivers.vmu.emulator import VmuEmulator
 from hil.messages import PoseFrame
 pose = PoseFrame(0, 0.0, 0.0, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6) * 1e-4)
-serve(lambda c: VmuEmulator(Vmu.model_validate(c["vmu"], strict=False), WallClock(c["epoch_ns"], c["speed"]), lambda t_s: pose))
+def unit(c):
+    vmu = Vmu.model_validate(c["vmu"], strict=False)
+    return VmuEmulator(vmu, WallClock(c["epoch_ns"], c["speed"]), lambda t_s: pose)
+serve(unit)
 """
 
 
@@ -102,17 +105,42 @@ def test_frames_come_once_and_oldest_first(desk: Desk) -> None:
     assert desk.poll() == []
 
 
-def test_gap_repetition_and_old_frame_are_counted_across_the_wrap(desk: Desk) -> None:
-    desk.send(0xFFFF_FFFE, 0xFFFF_FFFE, 2, 1, 3)
-    frames = desk.poll_until(lambda frames: len(frames) == 3)
-    assert [frame.counter for frame in frames] == [0xFFFF_FFFE, 2, 3]
+def test_gap_repetition_and_overtaken_frame_are_counted_across_the_wrap(desk: Desk) -> None:
+    desk.send(0xFFFF_FFFE, 0xFFFF_FFFE, 2, 1, 1, 3)
+    frames = desk.poll_until(lambda frames: len(frames) == 4)
+    assert [frame.counter for frame in frames] == [0xFFFF_FFFE, 2, 1, 3]
     counters = desk.vmu.counters()
     assert {name: counters[name] for name in ("frames", "lost", "duplicates", "late")} == {
-        "frames": 3,
-        "lost": 3,
-        "duplicates": 1,
+        "frames": 4,
+        "lost": 2,
+        "duplicates": 2,
         "late": 1,
     }
+
+
+def test_frame_from_far_behind_is_dropped(desk: Desk) -> None:
+    desk.send(1000, 1, 1001)
+    assert [frame.counter for frame in desk.poll_until(lambda frames: len(frames) == 2)] == [1000, 1001]
+    assert desk.vmu.counters()["late"] == 1
+
+
+def test_clock_of_the_units_own_is_set_against_bench_time() -> None:
+    clock = WallClock()
+    line = PtyLine(460_800, clock)
+    vmu = Rs422Vmu(config(line.path).model_copy(update={"clock": "own"}), clock)
+    vmu.open(clock.now_s())
+    try:
+        stamps = [9000.0 + 0.01 * i for i in range(5)]
+        started_s = clock.now_s()
+        for counter, stamp_s in enumerate(stamps):
+            clock.sleep_until(started_s + stamp_s - stamps[0])
+            line.write(encode(replace(POSE, counter=counter, t_s=stamp_s)))
+        desk = Desk(clock, line, vmu)
+        frames = desk.poll_until(lambda frames: len(frames) == len(stamps))
+        assert all(started_s - 0.1 < frame.t_s <= frame.received_s for frame in frames)
+    finally:
+        vmu.close()
+        line.close()
 
 
 def test_damaged_frame_is_counted_and_the_next_is_taken(desk: Desk) -> None:

@@ -16,6 +16,7 @@ from hil.maths.streams import NormalRows, stream
 from hil.messages import IMU, MAX_THRUSTERS, TRUTH, new
 
 TS = 0.02
+NO_FIELD = np.zeros((1, 1, 6))  # the linear model reads no gravity field
 
 
 @pytest.fixture
@@ -65,31 +66,31 @@ def test_noise_and_walks_have_the_stated_spread_and_are_white(params: np.record)
     assert np.abs((whitened[1:] * whitened[:-1]).mean(axis=0)).max() < 4.5 / math.sqrt(n)
 
 
-def test_gyro_sees_the_mean_rate_of_a_step_and_not_its_end(scheme_1: Scenario) -> None:
-    dss, truth, imu = parameters.dss(scheme_1), parameters.initial_truth(scheme_1), new(IMU)
+def test_gyro_sees_the_mean_rate_of_a_step_and_not_its_end(plain_1: Scenario) -> None:
+    dss, truth, imu = parameters.dss(plain_1), parameters.initial_truth(plain_1), new(IMU)
     perfect = new(IMU_PARAMS)
     on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
     on[:2] = [1, 0]
     on[5] = 1  # +x at +y and -x at -y: a turn about -z
     before = truth.w_CI_C.copy()
-    truth_kernels.step(dss, truth, on)
+    truth_kernels.step(dss, NO_FIELD, truth, on)
     sample(perfect, truth, np.zeros(12), imu)
     # thrust, and with it the angular acceleration, is constant over the step
     np.testing.assert_allclose(imu.rate_C, 0.5 * (before + truth.w_CI_C), rtol=1e-5)
     assert abs(imu.rate_C[2] - truth.w_CI_C[2]) > 1e-5
 
 
-def test_accelerometer_feels_thrust_and_not_gravity(scheme_1: Scenario) -> None:
-    dss, truth, imu = parameters.dss(scheme_1), parameters.initial_truth(scheme_1), new(IMU)
+def test_accelerometer_feels_thrust_and_not_gravity(plain_1: Scenario) -> None:
+    dss, truth, imu = parameters.dss(plain_1), parameters.initial_truth(plain_1), new(IMU)
     dss.minimum_on_s = 0.0
     on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
-    truth_kernels.step(dss, truth, on)
+    truth_kernels.step(dss, NO_FIELD, truth, on)
     sample(new(IMU_PARAMS), truth, np.zeros(12), imu)
     np.testing.assert_array_equal(imu.force_C, 0.0)
     on[0] = 1
-    truth_kernels.step(dss, truth, on)
+    truth_kernels.step(dss, NO_FIELD, truth, on)
     sample(new(IMU_PARAMS), truth, np.zeros(12), imu)
-    force = scheme_1.chaser.thrusters.force_n / scheme_1.chaser.mass_kg
+    force = plain_1.chaser.thrusters.force_n / plain_1.chaser.mass_kg
     np.testing.assert_allclose(imu.force_C, [force, 0.0, 0.0])
 
 

@@ -120,14 +120,15 @@ def test_tolerances_are_table_iii(required: Requirements) -> None:
 
 
 def test_deviations_are_those_of_the_truth_against_the_ready_state(required: Requirements) -> None:
-    orbit_rate, history = 8e-4, np.zeros(2, CYCLE)
+    w_HI, history = np.array([0.0, -8e-4, 3e-6]), np.zeros(2, CYCLE)
     attitude = Rotation.from_euler("ZYX", [3.0, -2.0, 1.0], degrees=True)
     w_CH = np.radians([0.01, -0.02, 0.03])
     history["t_s"] = [0.0, 0.02]
     truth = history["truth"]
     truth["r_CT_H"], truth["v_CT_H"], truth["q_CH"] = [0.41, -0.01, 0.02], [0.001, 0.002, -0.003], attitude.as_quat()
-    truth["w_CI_C"] = w_CH + attitude.inv().apply([0.0, -orbit_rate, 0.0])
-    found = deviations(history, required, orbit_rate)
+    truth["w_CI_C"] = w_CH + attitude.inv().apply(w_HI)
+    truth["w_HI_H"] = w_HI
+    found = deviations(history, required)
     np.testing.assert_allclose(found.position_m[1], [0.01, -0.01, 0.02])
     np.testing.assert_allclose(found.velocity_mps[1], [0.001, 0.002, -0.003])
     np.testing.assert_allclose(found.attitude_deg[1], [1.0, -2.0, 3.0], atol=1e-12)

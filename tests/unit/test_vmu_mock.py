@@ -9,6 +9,7 @@ from hil.config.rig import Vmu
 from hil.drivers.base import PoseSource
 from hil.drivers.vmu import COUNTERS
 from hil.drivers.vmu.mock import MockVmu
+from hil.drivers.vmu.transport import Transport
 from hil.errors import DriveFault, LinkLost, LinkTimeout
 from hil.messages import PoseFrame
 
@@ -17,8 +18,8 @@ def pose_at(t_s: float) -> PoseFrame:
     return PoseFrame(99, 99.0, 99.0, np.array([t_s, 0.0, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6))
 
 
-def opened(latency_s: float = 0.0, now_s: float = 0.0, **config: float) -> MockVmu:
-    vmu = MockVmu(Vmu.model_validate({"driver": "mock"} | config), pose_at, latency_s)
+def opened(transport: Transport | None = None, now_s: float = 0.0, **config: float) -> MockVmu:
+    vmu = MockVmu(Vmu.model_validate({"driver": "mock"} | config), pose_at, transport)
     vmu.open(now_s)
     return vmu
 
@@ -39,13 +40,25 @@ def test_frame_comes_every_eighth_cycle_however_cycle_times_are_summed() -> None
 
 
 def test_frame_is_exposed_on_the_beat_and_handed_out_after_the_latency() -> None:
-    vmu = opened(latency_s=0.1)
+    vmu = opened(Transport(np.random.default_rng(0), latency_s=0.1))
     assert [len(vmu.poll(t_s)) for t_s in (0.0, 0.08)] == [0, 0]
     (frame,) = vmu.poll(0.1)
     assert (frame.counter, frame.t_s, frame.received_s) == (0, 0.0, 0.1)
     (frame,) = vmu.poll(0.26)
     assert (frame.counter, frame.t_s, frame.t_v[0]) == (1, 0.16, 0.16)
     assert frame.received_s == pytest.approx(0.26)
+
+
+def test_frames_may_come_out_of_order_twice_or_never() -> None:
+    vmu = opened(Transport(np.random.default_rng(3), 0.0, 0.5, duplicate_share=0.3, loss_share=0.2), timeout_s=10.0)
+    frames = [frame for k in range(5001) for frame in vmu.poll(k * 0.02)]
+    counters = [frame.counter for frame in frames]
+    seen = set(counters)
+    assert counters != sorted(counters)
+    assert 0.2 < (len(counters) - len(seen)) / len(seen) < 0.4
+    assert 0.1 < 1.0 - len(seen) / (max(seen) + 1) < 0.3
+    assert all(0.0 <= frame.received_s - frame.t_s <= 0.5 for frame in frames)
+    assert all(frame.t_v[0] == pytest.approx(frame.t_s) for frame in frames)
 
 
 def test_exposures_before_the_opening_do_not_come() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections import deque
+from dataclasses import replace
 from typing import Final
 
 import serial
@@ -13,13 +14,15 @@ from hil.clock import Clock
 from hil.config.rig import SerialLine, Vmu
 from hil.drivers.latest import Latest
 from hil.drivers.vmu import COUNTERS, NAME
-from hil.drivers.vmu.codec import STATUS_NO_POSE, Decoded, Decoder
+from hil.drivers.vmu.codec import FRAME_BYTES, STATUS_NO_POSE, Decoded, Decoder
 from hil.errors import DriveFault, LinkLost, LinkTimeout
 from hil.messages import PoseFrame
 
 _READ_WALL_S: Final = 0.1  # bound of one blocking read; close cuts it short
 _COUNTER_MASK: Final = 0xFFFF_FFFF
 _HALF_COUNTER: Final = 0x8000_0000
+_REMEMBERED: Final = 64  # frames; 10 s of a unit at 6.25 Hz
+_BITS_A_FRAME: Final = 10 * FRAME_BYTES
 
 
 class Rs422Vmu:
@@ -27,12 +30,19 @@ class Rs422Vmu:
 
     Freshness counts frames that are new and usable: one that the CRC or the content check refused,
     a repeated or an older one does not prove that the unit works; one that says "no pose" does.
+    A frame that was overtaken by others is handed on all the same, once: it belongs to its own time.
+
+    Times of exposure are bench time where ``config.clock`` is "shared". A unit with a clock of its own
+    is set against bench time by its fastest frames: the smallest difference of reception and time
+    stamp lately, less line time and ``processing_s``.
     """
 
     def __init__(self, config: Vmu, clock: Clock) -> None:
         self.name = NAME
         self._timeout_s = config.timeout_s
         self._line = config.rs422 or SerialLine()
+        self._own_clock = config.clock == "own"
+        self._fastest_s = config.processing_s + _BITS_A_FRAME / self._line.baud
         self._clock = clock
         self._port: serial.Serial | None = None
         self._reader: threading.Thread | None = None
@@ -43,6 +53,8 @@ class Rs422Vmu:
         self._ending = threading.Event()
         self._heard: Latest[bool] = Latest(self.name)  # when the unit was last heard
         self._newest: int | None = None  # frame counter
+        self._seen: deque[int] = deque(maxlen=_REMEMBERED)  # counters handed on
+        self._offsets: deque[float] = deque(maxlen=_REMEMBERED)  # reception less time stamp
         self._decoder = Decoder()
         self._frames: deque[PoseFrame] = deque()
         self._counts = dict.fromkeys(COUNTERS, 0)
@@ -119,29 +131,46 @@ class Rs422Vmu:
             self._heard.fail(error)
 
     def _take(self, decoded: Decoded, received_s: float) -> None:
-        if not self._is_new(decoded):
+        exposed_s = self._bench_time(decoded.t_s, received_s)
+        if not self._own_clock and exposed_s < self._opened_s:  # left over in the adapter: its arrival means nothing
+            self._counts["late"] += 1
+            return
+        in_order = self._in_order(decoded.counter)
+        if in_order is None:
             return
         if decoded.pose is not None:
             self._counts["frames"] += 1
-            self._frames.append(decoded.pose)
+            self._frames.append(replace(decoded.pose, t_s=exposed_s))
         elif decoded.status == STATUS_NO_POSE:
             self._counts["no_pose"] += 1
         else:
             self._heard.fail(DriveFault(self.name, f"reports fault 0x{decoded.status:02x}"))
-        self._heard.put(True, received_s)
+        if in_order:
+            self._heard.put(True, received_s)
 
-    def _is_new(self, decoded: Decoded) -> bool:
-        """Compare the counter, which wraps, with the newest one; count what is missing, repeated or old."""
-        if decoded.t_s < self._opened_s:  # left over in the adapter: its time of arrival means nothing
-            self._counts["late"] += 1
-            return False
-        ahead = 1 if self._newest is None else (decoded.counter - self._newest) & _COUNTER_MASK
-        if ahead == 0:
+    def _bench_time(self, stamp_s: float, received_s: float) -> float:
+        if not self._own_clock:
+            return stamp_s
+        self._offsets.append(received_s - stamp_s)
+        return stamp_s + min(self._offsets) - self._fastest_s
+
+    def _in_order(self, counter: int) -> bool | None:
+        """Compare the counter, which wraps, with the newest one; count what is missing, repeated or overtaken.
+
+        Returns True for a new frame, False for one that others overtook, None for one to be dropped.
+        """
+        ahead = 1 if self._newest is None else (counter - self._newest) & _COUNTER_MASK
+        if ahead == 0 or counter in self._seen:
             self._counts["duplicates"] += 1
-        elif ahead >= _HALF_COUNTER:
-            self._counts["late"] += 1
-        else:
+            return None
+        if ahead < _HALF_COUNTER:
             self._counts["lost"] += ahead - 1
-            self._newest = decoded.counter
+            self._newest = counter
+            self._seen.append(counter)
             return True
+        self._counts["late"] += 1
+        if _COUNTER_MASK + 1 - ahead > _REMEMBERED:
+            return None  # far behind: the unit began to count anew, or its frames are of another life
+        self._counts["lost"] = max(0, self._counts["lost"] - 1)
+        self._seen.append(counter)
         return False

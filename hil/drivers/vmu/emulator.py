@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 import threading
 from collections.abc import Callable
@@ -12,7 +13,10 @@ from hil.config.rig import SerialLine, Vmu
 from hil.drivers.lines import PtyLine
 from hil.drivers.vmu import NAME
 from hil.drivers.vmu.codec import STATUS_NO_POSE, encode, encode_status
+from hil.drivers.vmu.transport import Transport
 from hil.messages import PoseFrame
+
+_CATCHES_UP = 0.25  # of a frame period: an exposure that is later than this does not take place
 
 
 class VmuEmulator:
@@ -20,15 +24,22 @@ class VmuEmulator:
 
     ``pose_at(t_s)`` is called at each exposure, multiples of 1/rate_hz of bench time, and returns the
     measured pose with its noise (its counter and times are overwritten here), or None when the ring is
-    not seen. One frame is worked on at a time: exposures that fall into it do not take place.
+    not seen. Each frame leaves ``processing_s``, and what ``transport`` draws for it, after its exposure.
     """
 
-    def __init__(self, config: Vmu, clock: WallClock, pose_at: Callable[[float], PoseFrame | None]) -> None:
+    def __init__(
+        self,
+        config: Vmu,
+        clock: WallClock,
+        pose_at: Callable[[float], PoseFrame | None],
+        transport: Transport | None = None,
+    ) -> None:
         self._rate_hz = config.rate_hz
         self._processing_s = config.processing_s
         self._baud = (config.rs422 or SerialLine()).baud
         self._clock = clock
         self._pose_at = pose_at
+        self._transport = transport
         self._line: PtyLine | None = None
         self._counter = 0
 
@@ -39,18 +50,29 @@ class VmuEmulator:
 
     def run(self, stop: threading.Event) -> None:
         """Serve until ``stop`` is set; after ``start``."""
-        if self._line is None:
+        line = self._line
+        if line is None:
             raise RuntimeError("VmuEmulator.run before start")
-        exposure = 0
+        exposure = math.ceil(self._clock.now_s() * self._rate_hz)
+        on_the_way: list[tuple[float, int, bytes]] = []  # a heap by time of sending
+        sent = 0
         while True:
-            exposure = max(exposure + 1, math.ceil(self._clock.now_s() * self._rate_hz))
-            t_s = exposure / self._rate_hz
-            if self._wait(t_s, stop):
+            exposure = max(exposure, math.ceil(self._clock.now_s() * self._rate_hz - _CATCHES_UP))
+            exposed_s = exposure / self._rate_hz
+            if on_the_way and on_the_way[0][0] <= exposed_s:
+                due_s, _, frame = on_the_way[0]
+                if self._wait(due_s, stop):
+                    return
+                heapq.heappop(on_the_way)
+                line.write(frame)
+                continue
+            if self._wait(exposed_s, stop):
                 return
-            frame = self._expose(t_s)
-            if self._wait(t_s + self._processing_s, stop):
-                return
-            self._line.write(frame)
+            frame = self._expose(exposed_s)
+            for delay_s in self._transport.delays() if self._transport else (0.0,):
+                heapq.heappush(on_the_way, (exposed_s + self._processing_s + delay_s, sent, frame))
+                sent += 1
+            exposure += 1
 
     def close(self) -> None:
         """Let go of the line; idempotent. Not while ``run`` is at work."""

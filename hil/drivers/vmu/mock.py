@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import heapq
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
@@ -11,6 +11,7 @@ from typing import Final
 from hil.config.rig import Vmu
 from hil.drivers.latest import Latest
 from hil.drivers.vmu import COUNTERS, NAME
+from hil.drivers.vmu.transport import Transport
 from hil.errors import DeviceError, LinkLost
 from hil.messages import PoseFrame
 
@@ -22,20 +23,23 @@ class MockVmu:
 
     ``pose_at(t_s)`` is called in the first ``poll`` at or after each exposure and returns the measured
     pose (its counter and times are overwritten here), or None when the ring is not seen. The frame is
-    handed out ``latency_s`` after its exposure.
+    handed out after the delay, or the two, that ``transport`` draws for it.
     """
 
-    def __init__(self, config: Vmu, pose_at: Callable[[float], PoseFrame | None], latency_s: float = 0.0) -> None:
+    def __init__(
+        self, config: Vmu, pose_at: Callable[[float], PoseFrame | None], transport: Transport | None = None
+    ) -> None:
         self.name = NAME
         self._rate_hz = config.rate_hz
         self._timeout_s = config.timeout_s
         self._pose_at = pose_at
-        self._latency_s = latency_s
+        self._transport = transport
         self._reset(0.0)
 
     def _reset(self, now_s: float) -> None:
         self._heard: Latest[bool] = Latest(self.name)
-        self._on_the_way: deque[tuple[float, PoseFrame | None]] = deque()
+        self._on_the_way: list[tuple[float, int, PoseFrame | None]] = []  # a heap by time of arrival
+        self._sent = 0
         self._next = math.ceil((now_s - _TIME_SLACK_S) * self._rate_hz)  # number of the next exposure
         self._counter = 0
         self._counts = dict.fromkeys(COUNTERS, 0)
@@ -43,7 +47,7 @@ class MockVmu:
     def open(self, now_s: float) -> None:
         """Start at bench time ``now_s``."""
         self._reset(now_s)
-        self._heard.put(True, now_s)
+        self._heard.put(True, now_s + (self._transport.longest_s if self._transport else 0.0))
 
     def poll(self, now_s: float) -> list[PoseFrame]:
         """Return the frames that came since the last call, oldest first.
@@ -54,7 +58,7 @@ class MockVmu:
         self._expose_until(now_s + _TIME_SLACK_S)
         frames = []
         while self._on_the_way and self._on_the_way[0][0] <= now_s + _TIME_SLACK_S:
-            received_s, frame = self._on_the_way.popleft()
+            received_s, _, frame = heapq.heappop(self._on_the_way)
             self._heard.put(True, received_s)
             self._counts["no_pose" if frame is None else "frames"] += 1
             if frame is not None:
@@ -77,8 +81,10 @@ class MockVmu:
     def _expose_until(self, now_s: float) -> None:
         while (t_s := self._next / self._rate_hz) <= now_s:
             pose = self._pose_at(t_s)
-            received_s = t_s + self._latency_s
-            frame = pose and replace(pose, counter=self._counter, t_s=t_s, received_s=received_s)
-            self._on_the_way.append((received_s, frame))
+            for delay_s in self._transport.delays() if self._transport else (0.0,):
+                received_s = t_s + delay_s
+                frame = pose and replace(pose, counter=self._counter, t_s=t_s, received_s=received_s)
+                heapq.heappush(self._on_the_way, (received_s, self._sent, frame))
+                self._sent += 1
             self._counter = (self._counter + 1) & 0xFFFF_FFFF
             self._next += 1

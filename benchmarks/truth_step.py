@@ -1,0 +1,113 @@
+"""What a step of the truth costs, and the same span in Basilisk where it is installed.
+
+    python benchmarks/truth_step.py [--span-s 400]
+
+One run on one machine: compare the lines with each other, not with those of another computer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from hil import parameters
+from hil.config.load import load_scenario
+from hil.dynamics import moon_gravity
+from hil.dynamics import truth as kernels
+from hil.maths import quat
+from hil.maths.jit import kernel
+from hil.messages import MAX_THRUSTERS
+
+GRAVITY_ALONE = (
+    "truth.gravity_gradient=false",
+    "truth.solar_pressure=false",
+    "truth.flexible_array=false",
+    "truth.centre_of_mass_offset_m=[0.0, 0.0, 0.0]",
+)
+REPEATS = 5
+
+
+@kernel
+def steps(params, field, truth, on, n):
+    """Take ``n`` steps without leaving compiled code, as a campaign does."""
+    for _ in range(n):
+        kernels.step(params, field, truth, on)
+
+
+@kernel
+def pulls(params, field, r, n):
+    """Evaluate the harmonics ``n`` times at places 1 m apart; return a sum, so that nothing is left out."""
+    total = 0.0
+    for i in range(n):
+        x, _, _ = moon_gravity.harmonics(params, field, r[0] + i, r[1], r[2])
+        total += x
+    return total
+
+
+def best_s(work: Callable[[], object]) -> float:
+    """Return the shortest of a few runs, s."""
+    found = []
+    for _ in range(REPEATS):
+        started = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - started)
+    return min(found)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--span-s", type=float, default=400.0)
+    span_s = parser.parse_args().span_s
+    quiet = np.zeros(MAX_THRUSTERS, dtype=np.int64)
+    print(f"{span_s:g} s of flight at 50 Hz, best of {REPEATS}")
+    for title, settings in (
+        ("degree 8, all effects", ()),
+        ("degree 8, gravity alone", GRAVITY_ALONE),
+        ("point mass, gravity alone", (*GRAVITY_ALONE, "truth.gravity_degree=0")),
+        ("Hill, no disturbance", (*GRAVITY_ALONE, "truth.relative_motion=hill")),
+    ):
+        scenario = load_scenario("scheme-2", settings).value
+        params, field, truth = parameters.dss(scenario), parameters.field(scenario), parameters.initial_truth(scenario)
+        n = round(span_s / params.dt_s)
+        steps(params, field, truth, quiet, 1)
+        taken = best_s(lambda: steps(params, field, truth, quiet, n))  # noqa: B023
+        print(f"  {title:28s} {1e6 * taken / n:8.2f} us a step {taken:9.4f} s")
+    scenario = load_scenario("scheme-2").value
+    params, field, r = parameters.dss(scenario), parameters.field(scenario), parameters.initial_truth(scenario).r_T_I
+    pulls(params.gravity, field, r, 1)
+    taken = best_s(lambda: pulls(params.gravity, field, r, 100_000))
+    print(f"  {'harmonics of degree 8':28s} {10.0 * taken:8.2f} us a call")
+    _basilisk(span_s)
+
+
+def _basilisk(span_s: float) -> None:
+    """Fly both under the same field, of a Moon that does not turn, with Basilisk's Runge-Kutta 4 at the same step."""
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracle"))
+    try:
+        from basilisk_pair import Pair, write_field
+    except ImportError:
+        print("  Basilisk is not installed (constraints-oracle.txt): no line for it")
+        return
+    scenario = load_scenario("scheme-2", GRAVITY_ALONE).value
+    params, truth = parameters.dss(scenario), parameters.initial_truth(scenario)
+    a = quat.to_matrix(truth.q_HI)
+    r, v = a.T @ truth.r_CT_H, a.T @ (truth.v_CT_H + np.cross(truth.w_HI_H, truth.r_CT_H))
+    states = [(truth.r_T_I, truth.v_T_I), (truth.r_T_I + r, truth.v_T_I + v)]
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_field(scenario, Path(folder) / "moon.txt")
+        pair = Pair(params, states, path, step_s=scenario.step_s, turning=False)
+        started = time.perf_counter()
+        pair.run_to(span_s)
+        taken = time.perf_counter() - started
+    n = round(span_s / scenario.step_s)
+    print(f"  {'Basilisk, gravity alone':28s} {1e6 * taken / n:8.2f} us a step {taken:9.4f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""``hil fusion``: the bench paper's numerical simulation (IV.A) over many seeds, against the bound."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import chi2
+
+from hil import parameters
+from hil.campaign.fusion_kernel import SNAPSHOTS_S, STUDY_PARAMS, STUDY_RESULT, run_study
+from hil.config.load import load_rig, load_scenario
+from hil.config.scenario import Scenario
+from hil.gnc.fusion import FUSION_STATE, MEMORY, STEP
+from hil.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
+
+Reading = Literal["swapped", "printed"]
+
+VMU_SIGMA = {"swapped": (0.005, 0.033), "printed": (0.033, 0.005)}  # m, deg: Table I's rows, either way round
+INITIAL_SIGMA = (0.1, 0.02, 5e-4, math.radians(3.0), math.radians(1e-5))
+"""m, m/s, m/s^2, rad, rad/s: of position, velocity, bias, attitude and drift at the start."""
+
+TABLE_II_SD = ((0.0037, 0.0039, 0.0039), (0.0304, 0.0315, 0.0312))  # m, deg
+TABLE_II_MAX = ((0.0141, 0.0142, 0.0132), (0.1078, 0.1045, 0.1146))
+
+_TURN_TIME_S = 10.0  # the paper's attitude converges in about 10 s
+_BAND = 0.999
+_BATCH = 20
+
+
+def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float) -> np.record:
+    """Return STUDY_PARAMS for ``scenario``'s line and attitude."""
+    params = new(STUDY_PARAMS)
+    params.cycles = round(SNAPSHOTS_S[-1] / scenario.step_s)
+    params.frame_cycles = round(1.0 / (vmu_rate_hz * scenario.step_s))
+    params.sigma_position = VMU_SIGMA[reading][0]
+    params.sigma_angle = math.radians(VMU_SIGMA[reading][1])
+    params.initial_turn = parameters.initial_rotation_vector(scenario)
+    params.turn_time = _TURN_TIME_S
+    params.initial_sigma = np.repeat(INITIAL_SIGMA, 3)
+    return params
+
+
+class Study:
+    """The parameters of one reading of Table I; each ``run`` is keyed by its number."""
+
+    def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int) -> None:
+        scenario = load_scenario("scheme-2", settings).value
+        self._study = study_params(scenario, reading, load_rig("mock").value.vmu.rate_hz)
+        self._filters = parameters.navigation(scenario).fusion
+        self._imu = parameters.imu(scenario)
+        self._line = parameters.guidance(scenario)
+        self._seed = seed
+
+    def run(self, number: int, result: np.record, trace: Array | None = None, noisy: bool = True) -> None:
+        """Do run ``number``; write STUDY_RESULT. trace: (n, 12), filled for the first n cycles."""
+        run_study(
+            self._study,
+            self._filters,
+            self._imu,
+            self._line,
+            new(REFERENCE),
+            new(TRUTH),
+            new(IMU),
+            new(POSE),
+            new(FUSION_STATE),
+            np.zeros(MEMORY, STEP),
+            np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(number,))),
+            1 if noisy else 0,
+            result,
+            np.empty((0, 12)) if trace is None else trace,
+        )
+
+    def bound(self) -> np.record:
+        """Return STUDY_RESULT whose variance is that of the linear problem along the line."""
+        result = new(STUDY_RESULT)
+        self.run(0, result, noisy=False)
+        return result
+
+
+def run_batch(settings: tuple[str, ...], reading: Reading, seed: int, first: int, count: int) -> np.ndarray:
+    """Return STUDY_RESULT of the runs ``first`` .. ``first + count``, (count,)."""
+    study = Study(settings, reading, seed)
+    results = np.zeros(count, STUDY_RESULT).view(np.recarray)
+    for row in range(count):
+        study.run(first + row, results[row])
+    return results
+
+
+def run_fusion(
+    reading: Reading, runs: int, seed: int, settings: tuple[str, ...], workers: int, watch: Callable[[int], None]
+) -> dict[str, Any]:
+    """Do the study; return its numbers under the names of ``hil fusion --json``.
+
+    watch: told how many runs are done.
+    """
+    bound = Study(settings, reading, seed).bound()
+    batches = [(first, min(_BATCH, runs - first)) for first in range(0, runs, _BATCH)]
+    parts: list[np.ndarray] = []
+    if workers == 1 or len(batches) == 1:
+        for first, count in batches:
+            parts.append(run_batch(settings, reading, seed, first, count))
+            watch(first + count)
+    else:
+        with ProcessPoolExecutor(workers, mp_context=get_context("forkserver")) as pool:
+            waiting = [pool.submit(run_batch, settings, reading, seed, first, count) for first, count in batches]
+            done = 0
+            for future in waiting:
+                parts.append(future.result())
+                done += len(parts[-1])
+                watch(done)
+    return _summary(reading, seed, np.concatenate(parts), bound)
+
+
+def _summary(reading: Reading, seed: int, results: np.ndarray, bound: np.record) -> dict[str, Any]:
+    n = len(results)
+    rmse = np.sqrt(results["square_error"].mean(axis=0))
+    limit = np.sqrt(np.array(bound.variance))
+    return {
+        "vmu_noise": reading,
+        "runs": n,
+        "seed": seed,
+        "position_rmse_m": _list(rmse[:3]),
+        "position_bound_m": _list(limit[:3]),
+        "position_ratio": _list(rmse[:3] / limit[:3]),
+        "position_max_m": _list(results["largest_error"].max(axis=0)[:3]),
+        "attitude_rmse_deg": _list(np.degrees(rmse[3:])),
+        "attitude_bound_deg": _list(np.degrees(limit[3:])),
+        "attitude_ratio": _list(rmse[3:] / limit[3:]),
+        "attitude_max_deg": _list(np.degrees(results["largest_error"].max(axis=0)[3:])),
+        "nees_pkf": _band(results["nees_pkf"][:, -1], 9),
+        "nees_akf": _band(results["nees_akf"][:, -1], 6),
+        "nees_at_s": {
+            f"{t_s:g}": {"pkf": _band(results["nees_pkf"][:, i], 9), "akf": _band(results["nees_akf"][:, i], 6)}
+            for i, t_s in enumerate(SNAPSHOTS_S)
+        },
+        "nis_pkf": _nis(results["nis_pkf"]),
+        "nis_akf": _nis(results["nis_akf"]),
+        "rejected": int(results["rejected"].sum()),
+    }
+
+
+def _band(values: Array, degrees_of_freedom: int) -> dict[str, float]:
+    """Return the mean over the runs with the chi-square band of that mean."""
+    n = len(values)
+    tail = 0.5 * (1.0 - _BAND)
+    low, high = (float(chi2.ppf(p, n * degrees_of_freedom)) / n for p in (tail, 1.0 - tail))
+    return {"mean": float(values.mean()), "low": low, "high": high}
+
+
+def _nis(values: Array) -> dict[str, float]:
+    """Return the mean of three-component NIS over all updates of all runs; values: the mean of each run."""
+    updates = len(values) * round((SNAPSHOTS_S[-1] - SNAPSHOTS_S[0]) * 6.25)
+    tail = 0.5 * (1.0 - _BAND)
+    low, high = (float(chi2.ppf(p, 3 * updates)) / updates for p in (tail, 1.0 - tail))
+    return {"mean": float(values.mean()), "low": low, "high": high}
+
+
+def _list(values: Array) -> list[float]:
+    return [float(value) for value in values]

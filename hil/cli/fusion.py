@@ -1,0 +1,109 @@
+"""``hil fusion``: the numerical simulation of bench paper IV.A over many seeds."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any, Literal
+
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from hil.cli.output import check_json_path, write_json
+from hil.config.load import load_scenario
+from hil.errors import BadInput, Problem
+
+Reading = Literal["swapped", "printed"]
+
+_PASSED, _FAILED = 0, 1
+LARGEST_RATIO = 1.05
+"""RMSE over bound up to which the filters are said to sit on the bound."""
+
+
+def fusion_command(
+    reading: Reading,
+    runs: int,
+    seed: int,
+    settings: Sequence[str],
+    workers: int,
+    json_path: str | None,
+    figure: str | None,
+) -> int:
+    """Do ``hil fusion``; return its exit code."""
+    problems = [
+        Problem(name, "", f"{value}: must be at least {least}")
+        for name, value, least in (("--runs", runs, 1), ("--seed", seed, 0), ("--workers", workers, 0))
+        if value < least
+    ]
+    problems += check_json_path("--json", json_path) + check_json_path("--figure", figure)
+    if problems:
+        raise BadInput(problems)
+    load_scenario("scheme-2", settings)  # says what is wrong with the settings before anything starts
+    from hil.campaign.fusion import Study, run_fusion
+
+    console = Console(stderr=True)
+    with console.status("compiling the kernels where they are not yet"):
+        Study(tuple(settings), reading, seed).bound()
+    done = iter(track(range(runs), "runs", console=console, disable=not console.is_terminal, transient=True))
+    counted = 0
+
+    def watch(finished: int) -> None:
+        nonlocal counted
+        for _ in range(finished - counted):
+            next(done, None)
+        counted = finished
+
+    workers = workers or len(os.sched_getaffinity(0))
+    found = run_fusion(reading, runs, seed, tuple(settings), workers, watch)
+    if json_path is not None:
+        write_json(found, json_path)
+    if figure is not None:
+        from hil.campaign.fusion_figure import draw
+
+        draw(reading, seed, tuple(settings), figure)
+    passed = _passed(found)
+    if json_path != "-":
+        _render(found, passed, Console())
+    return _PASSED if passed else _FAILED
+
+
+def _passed(found: dict[str, Any]) -> bool:
+    ratios = max(*found["position_ratio"], *found["attitude_ratio"])
+    bands = [band for moment in found["nees_at_s"].values() for band in moment.values()]
+    return ratios <= LARGEST_RATIO and all(band["low"] <= band["mean"] <= band["high"] for band in bands)
+
+
+def _render(found: dict[str, Any], passed: bool, console: Console) -> None:
+    from hil.campaign.fusion import TABLE_II_SD
+
+    rows = Table(title=f"Fusion errors over {found['runs']} runs, t >= 100 s, vision noise as {found['vmu_noise']}")
+    for name in ("", "axis", "rmse", "bound", "ratio", "largest", "Table II SD"):
+        rows.add_column(name, justify="right" if name not in ("", "axis") else "left")
+    for quantity, unit, scale, digits, paper in (
+        ("position", "m", 1e3, 3, TABLE_II_SD[0]),
+        ("attitude", "deg", 1.0, 5, TABLE_II_SD[1]),
+    ):
+        for i, axis in enumerate("xyz"):
+            values = [found[f"{quantity}_{kind}_{unit}"][i] * scale for kind in ("rmse", "bound")]
+            largest = found[f"{quantity}_max_{unit}"][i] * scale
+            rows.add_row(
+                f"{quantity}, {'mm' if unit == 'm' else unit}" if i == 0 else "",
+                axis,
+                *(f"{value:.{digits}f}" for value in values),
+                f"{found[f'{quantity}_ratio'][i]:.3f}",
+                f"{largest:.{digits}f}",
+                f"{paper[i] * scale:.{digits}f}",
+                end_section=i == 2,
+            )
+    console.print(rows)
+    for t_s, moment in found["nees_at_s"].items():
+        text = ", ".join(f"{name} {b['mean']:.2f} ({b['low']:.2f} .. {b['high']:.2f})" for name, b in moment.items())
+        console.print(f"NEES at {t_s} s: {text}", highlight=False)
+    text = ", ".join(
+        f"{n} {found[f'nis_{n}']['mean']:.3f} ({found[f'nis_{n}']['low']:.3f} .. {found[f'nis_{n}']['high']:.3f})"
+        for n in ("pkf", "akf")
+    )
+    console.print(f"NIS: {text}; rejected poses {found['rejected']}", highlight=False)
+    word = "[bold green]PASS[/]" if passed else "[bold red]FAIL[/]"
+    console.print(f"{word} (ratio <= {LARGEST_RATIO:g}, NEES in its 99.9 % band)", highlight=False)

@@ -1,0 +1,178 @@
+"""Reads lunar gravity fields: GMAT's ``.cof`` and the SHADR tables of the Planetary Data System (``.tab``, ``.sha``).
+
+A file must hold what it promises: every coefficient from degree 2 to the degree of its header. A part of a
+field would be flown without a word.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hil.messages import Array
+
+SHIPPED = Path(__file__).resolve().parent / "data" / "lp165p_8.tab"
+MOON_GM_M3PS2 = 4902.801056e9  # LP165P, Konopliv et al. 2001 (Icarus 150)
+MOON_RADIUS_M = 1738.0e3  # reference radius of LP165P
+_GM_TOLERANCE = 0.01  # published lunar fields differ by 1e-6
+_KINDS = "a GMAT .cof or a PDS SHADR .tab or .sha file of the Moon"
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][-+]?\d+)?"
+_POTFIELD = re.compile(
+    rf"POTFIELD\s*(\d{{1,3}})\s*(\d{{1,3}})\s+\d+\s+({_NUMBER})\s+({_NUMBER})(?:\s+({_NUMBER}))?\s*$"
+)
+_RECOEF = re.compile(rf"RECOEF\s*(\d{{1,3}})\s*(\d{{1,3}})\s+({_NUMBER})\s*({_NUMBER})?\s*$")
+
+
+class GravityFileError(ValueError):
+    """The file cannot be used; the text says why, and in which line where there is one."""
+
+
+@dataclass(frozen=True)
+class GravityField:
+    """gm: m^3/s^2. radius: m. c, s: (N + 1, N + 1), indexed [n, m], fully normalised, without dimension."""
+
+    gm: float
+    radius: float
+    c: Array
+    s: Array
+
+    @property
+    def degree(self) -> int:
+        return len(self.c) - 1
+
+    def up_to(self, degree: int) -> GravityField:
+        """Return the field cut off after ``degree``; raise GravityFileError where it does not reach so far."""
+        if degree > self.degree:
+            raise GravityFileError(f"goes to degree {self.degree}, too low for degree {degree}")
+        return GravityField(
+            self.gm, self.radius, self.c[: degree + 1, : degree + 1], self.s[: degree + 1, : degree + 1]
+        )
+
+
+def read(path: Path) -> GravityField:
+    """Return the field in ``path``, its kind told by its ending; raise GravityFileError."""
+    reader = {".cof": _read_cof, ".tab": _read_shadr, ".sha": _read_shadr}.get(path.suffix.lower())
+    if reader is None:
+        raise GravityFileError(f"unknown kind {path.suffix or 'without an ending'}: give {_KINDS}")
+    try:
+        text = path.read_text(encoding="ascii")
+    except OSError as error:
+        raise GravityFileError(f"cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise GravityFileError(f"is not a text file: give {_KINDS}") from error
+    field = reader(text)
+    if abs(field.gm / MOON_GM_M3PS2 - 1.0) > _GM_TOLERANCE or not 1.7e6 < field.radius < 1.8e6:
+        found = f"GM {field.gm / 1e9:g} km^3/s^2, radius {field.radius / 1e3:g} km"
+        raise GravityFileError(f"is not of the Moon ({found}): give {_KINDS}")
+    return field
+
+
+class _Coefficients:
+    """Collects coefficients and knows which are missing."""
+
+    def __init__(self, degree: int, order: int) -> None:
+        self._order = order
+        self.c = np.full((degree + 1, degree + 1), np.nan)
+        self.s = np.zeros((degree + 1, degree + 1))
+
+    def put(self, line: int, n: int, m: int, c: float, s: float) -> None:
+        if not (0 <= m <= n < len(self.c)):
+            raise GravityFileError(
+                f"line {line}: degree {n}, order {m} does not fit degree {len(self.c) - 1} of the header"
+            )
+        if not (math.isfinite(c) and math.isfinite(s)):
+            raise GravityFileError(f"line {line}: degree {n}, order {m} is not finite")
+        self.c[n, m], self.s[n, m] = c, s
+
+    def field(self, gm: float, radius: float) -> GravityField:
+        degree = len(self.c) - 1
+        for n in range(2, degree + 1):
+            for m in range(min(n, self._order) + 1):
+                if math.isnan(self.c[n, m]):
+                    raise GravityFileError(
+                        f"is cut: its header promises degree {degree}, degree {n} order {m} is missing"
+                    )
+        self.c[np.isnan(self.c)] = 0.0  # degrees 0 and 1, and orders above the header's
+        return GravityField(gm, radius, self.c, self.s)
+
+
+def _read_cof(text: str) -> GravityField:
+    """GMAT: a POTFIELD line (degree, order, GM in m^3/s^2, radius in m), RECOEF lines, END. Negative S touch C."""
+    found: _Coefficients | None = None
+    gm = radius = 0.0
+    for number, line in enumerate(text.splitlines(), start=1):
+        word = line.split(None, 1)[0] if line.strip() else ""
+        if word.startswith("POTFIELD"):
+            header = _POTFIELD.match(line)
+            if header is None:
+                raise GravityFileError(f"line {number}: not a POTFIELD line of degree, order, GM and radius")
+            if header[5] is not None and _float(header[5]) != 1.0:
+                raise GravityFileError(
+                    f"line {number}: the coefficients are not fully normalised (flag {header[5]}, wanted 1)"
+                )
+            gm, radius = _float(header[3]), _float(header[4])
+            found = _Coefficients(int(header[1]), int(header[2]))
+        elif word.startswith("RECOEF"):
+            row = _RECOEF.match(line)
+            if found is None or row is None or (int(row[2]) > 0 and row[4] is None):
+                raise GravityFileError(
+                    f"line {number}: not a RECOEF line of degree, order, C and S under a POTFIELD line"
+                )
+            found.put(number, int(row[1]), int(row[2]), _float(row[3]), _float(row[4] or "0"))
+        elif word == "END":
+            break
+        elif word not in ("", "COMMENT", "C"):
+            raise GravityFileError(f"line {number}: {word[:20]} is not a word of a GMAT .cof file")
+    else:
+        if found is not None:
+            raise GravityFileError("is cut: there is no END line")
+    if found is None:
+        raise GravityFileError("has no POTFIELD line: not a GMAT .cof file")
+    return found.field(gm, radius)
+
+
+def _read_shadr(text: str) -> GravityField:
+    """PDS: radius in km, GM in km^3/s^2, its sigma, degree, order, normalisation; then rows n, m, C, S (and sigmas)."""
+    lines = text.splitlines()
+    header = _numbers(lines[0], 1) if lines else []
+    if len(header) < 6:
+        raise GravityFileError("line 1: not a SHADR header of radius, GM, its sigma, degree, order, normalisation, ...")
+    degree, order = _whole(header[3], 1), _whole(header[4], 1)
+    if header[5] != 1.0:
+        raise GravityFileError(f"line 1: the coefficients are not fully normalised (state {header[5]:g}, wanted 1)")
+    found = _Coefficients(degree, order)
+    width = 0
+    for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
+        row = _numbers(line, number)
+        width = width or len(row)
+        if len(row) < max(4, width):
+            raise GravityFileError(f"line {number}: is cut: {len(row)} numbers, the rows before have {max(4, width)}")
+        found.put(number, _whole(row[0], number), _whole(row[1], number), row[2], row[3])
+    if not text.endswith("\n") and len(lines) > 2 and len(lines[-1].rstrip()) < len(lines[-2].rstrip()):
+        raise GravityFileError(f"line {len(lines)}: is cut: shorter than the row before, and no end of line")
+    return found.field(header[1] * 1e9, header[0] * 1e3)
+
+
+def _numbers(line: str, number: int) -> list[float]:
+    try:
+        return [_float(word) for word in line.replace(",", " ").split()]
+    except ValueError as error:
+        raise GravityFileError(f"line {number}: not a row of numbers") from error
+
+
+def _whole(value: float, number: int) -> int:
+    if not 0 <= value <= 10_000 or value != int(value):
+        raise GravityFileError(f"line {number}: {value:g} is not a degree or order")
+    return int(value)
+
+
+def _float(word: str) -> float:
+    """Return the number; Fortran writes D for E."""
+    return float(word.replace("D", "E").replace("d", "e"))

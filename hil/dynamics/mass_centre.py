@@ -1,0 +1,41 @@
+"""A centre of mass that is not where it should be.
+
+The truth integrates the centre of mass; the relative state, the cameras and the IMU belong to the vehicle's
+reference point, the origin of c. The two are one where the offset is zero.
+"""
+
+from __future__ import annotations
+
+from hil.maths import quat
+from hil.maths.jit import kernel
+from hil.maths.vectors import cross
+
+
+@kernel
+def shift(q, offset_C, w_C, sign, r, v):
+    """Add ``sign`` times the offset's share to ``r`` (3,), m, and ``v`` (3,), m/s, of a point, in place.
+
+    q: quaternion from the frame F of r and v to c. offset_C: (3,), m, in c. w_C: (3,), rad/s, of c against F, in c.
+    sign: 1.0 from the reference point to the centre of mass, -1.0 back.
+    """
+    across = cross(w_C, offset_C)
+    far = quat.transform_back(q, offset_C)
+    fast = quat.transform_back(q, across)
+    for i in range(3):
+        r[i] += sign * far[i]
+        v[i] += sign * fast[i]
+
+
+@kernel
+def add_lever_terms(offset_C, w_before, w_after, dt, force):
+    """Add to ``force`` (3,), m/s^2, what an accelerometer at the reference point feels and the centre of mass does not.
+
+    The mean over a step of ``-(dw/dt x d + w x (w x d))``, d the offset (3,), m, in c; w_before, w_after: (3,),
+    rad/s, inertial rate at both ends. The first term is exact, the second to the curvature of w in the step.
+    """
+    first = cross(w_before, cross(w_before, offset_C))
+    last = cross(w_after, cross(w_after, offset_C))
+    start = cross(w_before, offset_C)
+    end = cross(w_after, offset_C)
+    for i in range(3):
+        force[i] -= (end[i] - start[i]) / dt + 0.5 * (first[i] + last[i])

@@ -1,0 +1,147 @@
+"""The Moon's gravity: a point mass and fully normalised spherical harmonics.
+
+The harmonics follow Pines (AIAA Journal 11, 1973) in the normalised form of Lundberg and Schutz (Journal
+of Guidance 11, 1988): no angle appears, so there is no singularity at the poles. Order by order, from
+the diagonal up, only two earlier Legendre functions are held. The field holds outside the sphere that
+encloses the Moon.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths.jit import kernel
+
+GRAVITY_PARAMS = np.dtype(
+    [
+        ("gm", "f8"),  # m^3/s^2
+        ("radius", "f8"),  # m, reference radius of the coefficients
+        ("degree", "i8"),  # highest degree in use; below 2 the Moon is a point mass
+        ("rotation", "f8"),  # rad, from inertial x to the Moon's prime meridian at t = 0
+        ("rate", "f8"),  # rad/s, of the Moon-fixed axes about inertial z
+    ],
+    align=True,
+)
+
+FIELD_COLUMNS = 6  # C, S, alpha, beta, coupled C, coupled S
+
+
+def field_table(c, s):
+    """Return the field as the kernel reads it, (N + 1, N + 1, 6), indexed by order m, then degree n.
+
+    c, s: (N + 1, N + 1), indexed [n, m], fully normalised, without dimension. Degree 0, the point mass, is
+    left out. In a place: C, S; the factors of ``A_nm = alpha u A_(n-1)m - beta A_(n-2)m`` (on the diagonal
+    alpha is the one from A_(m-1)(m-1)); and C, S of the order below times the factor of
+    ``dA_n(m-1)/du = factor A_nm``.
+    """
+    size = c.shape[0]
+    table = np.zeros((size, size, FIELD_COLUMNS))
+    for m in range(size):
+        for n in range(m, size):
+            if n > 0:
+                table[m, n, 0], table[m, n, 1] = c[n, m], s[n, m]
+            if n == m and m > 0:
+                table[m, n, 2] = math.sqrt((2 * n + 1) / (2 * n) * (2.0 if m == 1 else 1.0))
+            elif n > m:
+                table[m, n, 2] = math.sqrt((2 * n + 1) * (2 * n - 1) / ((n - m) * (n + m)))
+                lower = (2 * n + 1) * (n + m - 1) * (n - m - 1)
+                table[m, n, 3] = math.sqrt(lower / ((2 * n - 3) * (n + m) * (n - m))) if lower else 0.0
+            if m > 0:
+                factor = math.sqrt((n - m + 1) * (n + m) * (0.5 if m == 1 else 1.0))
+                table[m, n, 4], table[m, n, 5] = factor * c[n, m - 1], factor * s[n, m - 1]
+    return table
+
+
+@kernel
+def harmonics(params, field, x, y, z):
+    """Return the acceleration by the harmonics of degree 1 and above, m/s^2, in Moon-fixed axes, as three floats.
+
+    params: GRAVITY_PARAMS. field: (N + 1, N + 1, 6) of ``field_table``, N >= params.degree. x, y, z: m, Moon-fixed.
+    """
+    r = math.sqrt(x * x + y * y + z * z)
+    s, t, u = x / r, y / r, z / r
+    step = params.radius / r
+    degree = params.degree
+    a1, a2, a3, a4 = 0.0, 0.0, 0.0, 0.0
+    diagonal = params.gm / (r * r)  # GM / r^2 (R / r)^m A_mm
+    real, imaginary = 1.0, 0.0  # (s + i t)^m
+    real_below, imaginary_below = 0.0, 0.0  # (s + i t)^(m - 1)
+    for m in range(degree + 1):
+        if m > 0:
+            diagonal *= step * field[m, m, 2]
+            real_below, imaginary_below = real, imaginary
+            real, imaginary = s * real_below - t * imaginary_below, s * imaginary_below + t * real_below
+        legendre, before = diagonal, 0.0
+        sum_c, sum_s, radial_c, radial_s, coupled_c, coupled_s = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for n in range(m, degree + 1):
+            if n > m:
+                following = step * (field[m, n, 2] * u * legendre - step * field[m, n, 3] * before)
+                before, legendre = legendre, following
+            c, d = legendre * field[m, n, 0], legendre * field[m, n, 1]
+            sum_c += c
+            sum_s += d
+            radial_c += (n + m + 1) * c
+            radial_s += (n + m + 1) * d
+            coupled_c += legendre * field[m, n, 4]
+            coupled_s += legendre * field[m, n, 5]
+        along_u = coupled_c * real_below + coupled_s * imaginary_below
+        a1 += m * (sum_c * real_below + sum_s * imaginary_below)
+        a2 += m * (sum_s * real_below - sum_c * imaginary_below)
+        a3 += along_u
+        a4 -= radial_c * real + radial_s * imaginary + u * along_u
+    return a1 + s * a4, a2 + t * a4, a3 + u * a4
+
+
+@kernel
+def perturbation(params, field, t_s, x, y, z):
+    """Return the harmonics' acceleration, m/s^2, in inertial axes, as three floats, for x, y, z in m, inertial.
+
+    The Moon turns about inertial z, at ``params.rate``; ``t_s`` counts from the start of the run.
+    """
+    if params.degree < 2:
+        return 0.0, 0.0, 0.0
+    angle = params.rotation + params.rate * t_s
+    c, s = math.cos(angle), math.sin(angle)
+    fixed_x, fixed_y, fixed_z = harmonics(params, field, c * x + s * y, c * y - s * x, z)
+    return c * fixed_x - s * fixed_y, s * fixed_x + c * fixed_y, fixed_z
+
+
+@kernel
+def acceleration(params, field, t_s, r, out):
+    """Write the gravity (3,), m/s^2, at ``r`` (3,), m, both in inertial axes with the origin at the Moon's centre."""
+    px, py, pz = perturbation(params, field, t_s, r[0], r[1], r[2])
+    squared = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
+    central = -params.gm / (squared * math.sqrt(squared))
+    out[0] = central * r[0] + px
+    out[1] = central * r[1] + py
+    out[2] = central * r[2] + pz
+
+
+@kernel
+def differential(params, field, t_s, r_T, rho, target, difference):
+    """Write the target's gravity and the chaser's minus the target's, each (3,), m/s^2, inertial.
+
+    r_T: (3,), m, of the target. rho: (3,), m, chaser relative to target. The point mass is taken after
+    Battin (An Introduction to the Mathematics and Methods of Astrodynamics, 1999, section 8.4): with
+    ``q = rho.(rho + 2 r) / r^2`` the difference is ``-GM/r^3 (rho + f(q) (r + rho))`` and nothing cancels.
+    The harmonics are 1e-4 of it; their plain difference is good to 1e-19 m/s^2.
+    """
+    cx, cy, cz = r_T[0] + rho[0], r_T[1] + rho[1], r_T[2] + rho[2]
+    tx, ty, tz = perturbation(params, field, t_s, r_T[0], r_T[1], r_T[2])
+    px, py, pz = perturbation(params, field, t_s, cx, cy, cz)
+    squared = r_T[0] * r_T[0] + r_T[1] * r_T[1] + r_T[2] * r_T[2]
+    q = (
+        rho[0] * (rho[0] + 2.0 * r_T[0]) + rho[1] * (rho[1] + 2.0 * r_T[1]) + rho[2] * (rho[2] + 2.0 * r_T[2])
+    ) / squared
+    power = math.sqrt(1.0 + q)
+    power = power * (1.0 + q)  # (1 + q)^(3/2) = (|r + rho| / |r|)^3
+    f = -q * (3.0 + 3.0 * q + q * q) / (power * (1.0 + power))  # (1 + q)^(-3/2) - 1
+    central = -params.gm / (squared * math.sqrt(squared))
+    target[0] = central * r_T[0] + tx
+    target[1] = central * r_T[1] + ty
+    target[2] = central * r_T[2] + tz
+    difference[0] = central * (rho[0] + f * cx) + (px - tx)
+    difference[1] = central * (rho[1] + f * cy) + (py - ty)
+    difference[2] = central * (rho[2] + f * cz) + (pz - tz)

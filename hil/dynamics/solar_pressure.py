@@ -1,0 +1,43 @@
+"""Radiation pressure of sunlight on the solar array, a flat plate fixed to the hub.
+
+The target has no array in this model, so the force acts on the chaser alone. There is no shadow: neither
+the Moon's nor that of the two vehicles on each other.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths.jit import kernel
+
+SOLAR_PRESSURE_PA = 4.56e-6  # at 1 au: Montenbruck and Gill, Satellite Orbits (2000), section 3.4
+
+PLATE_PARAMS = np.dtype(
+    [
+        ("area", "f8"),  # m^2
+        ("normal", "f8", 3),  # unit vector, in c
+        ("arm", "f8", 3),  # m, from the centre of mass to the plate's centre, in c
+        ("specular", "f8"),  # part of the light that is mirrored
+        ("diffuse", "f8"),  # part of the light that is scattered
+    ],
+    align=True,
+)
+
+
+@kernel
+def pressure_force(plate, sun_C, out):
+    """Write the force (3,), N, in c: ``-P A cos(a) [(1 - rho_s) s + 2 (rho_s cos(a) + rho_d / 3) n]``.
+
+    plate: PLATE_PARAMS. sun_C: (3,), unit vector to the Sun, in c. n is the normal of the lit side, a its angle from
+    the Sun. Source: Wertz, Spacecraft Attitude Determination and Control (1978), section 17.2.2; one plate, both
+    sides alike.
+    """
+    cosine = plate.normal[0] * sun_C[0] + plate.normal[1] * sun_C[1] + plate.normal[2] * sun_C[2]
+    side = math.copysign(1.0, cosine)
+    cosine = abs(cosine)
+    along_sun = -SOLAR_PRESSURE_PA * plate.area * cosine * (1.0 - plate.specular)
+    along_normal = -2.0 * SOLAR_PRESSURE_PA * plate.area * cosine * (plate.specular * cosine + plate.diffuse / 3.0)
+    for i in range(3):
+        out[i] = along_sun * sun_C[i] + along_normal * side * plate.normal[i]

@@ -1,0 +1,201 @@
+"""The attitude Kalman filter as printed: seven additive states (bench paper eq. (3) to (10)).
+
+The quaternion is carried on by the exact transition of a constant rate over the step, which is
+linear in the quaternion, so its Jacobian is the transition itself. The measurement is the three
+3-2-1 angles of eq. (9), whose third line is mended to ``atan2(2 (q3 q4 + q1 q2), ...)``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths import quat
+from hil.maths.arrays import copy_into, fill, fill_matrix
+from hil.maths.jit import kernel
+from hil.maths.kalman import propagate_covariance, update_three
+
+AKF_ADDITIVE_STATE = np.dtype(
+    [
+        ("x", "f8", 7),  # q_CH, gyro drift in rad/s
+        ("p", "f8", (7, 7)),
+        ("w_CH_C", "f8", 3),  # rad/s
+        ("nis", "f8"),
+    ],
+    align=True,
+)
+
+
+@kernel
+def turn_response(q, out):
+    """Write Xi(q) (4, 3): a small turn phi of c changes q by ``Xi phi / 2`` (eq. (6): F12 = -Xi / 2)."""
+    out[0, 0], out[0, 1], out[0, 2] = q[3], -q[2], q[1]
+    out[1, 0], out[1, 1], out[1, 2] = q[2], q[3], -q[0]
+    out[2, 0], out[2, 1], out[2, 2] = -q[1], q[0], q[3]
+    out[3, 0], out[3, 1], out[3, 2] = -q[0], -q[1], -q[2]
+
+
+@kernel
+def angles(q):
+    """Return theta (3,), rad: eq. (9) with its third line mended."""
+    theta = np.empty(3)
+    theta[0] = math.atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), -q[0] * q[0] - q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    theta[1] = math.asin(min(1.0, max(-1.0, 2.0 * (q[1] * q[3] - q[0] * q[2]))))
+    theta[2] = math.atan2(2.0 * (q[2] * q[3] + q[0] * q[1]), q[0] * q[0] - q[1] * q[1] - q[2] * q[2] + q[3] * q[3])
+    return theta
+
+
+@kernel
+def angle_jacobian(q, h):
+    """Write d(theta)/d(q) into ``h[:, 0:4]``, (3, 4): each component of q taken as free."""
+    n1 = 2.0 * (q[0] * q[3] + q[1] * q[2])
+    d1 = -q[0] * q[0] - q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    n3 = 2.0 * (q[2] * q[3] + q[0] * q[1])
+    d3 = q[0] * q[0] - q[1] * q[1] - q[2] * q[2] + q[3] * q[3]
+    s1 = n1 * n1 + d1 * d1
+    s3 = n3 * n3 + d3 * d3
+    h[0, 0] = (d1 * 2.0 * q[3] + n1 * 2.0 * q[0]) / s1
+    h[0, 1] = (d1 * 2.0 * q[2] + n1 * 2.0 * q[1]) / s1
+    h[0, 2] = (d1 * 2.0 * q[1] - n1 * 2.0 * q[2]) / s1
+    h[0, 3] = (d1 * 2.0 * q[0] - n1 * 2.0 * q[3]) / s1
+    sine = 2.0 * (q[1] * q[3] - q[0] * q[2])
+    cosine = math.sqrt(max(1e-12, 1.0 - sine * sine))
+    h[1, 0] = -2.0 * q[2] / cosine
+    h[1, 1] = 2.0 * q[3] / cosine
+    h[1, 2] = -2.0 * q[0] / cosine
+    h[1, 3] = 2.0 * q[1] / cosine
+    h[2, 0] = (d3 * 2.0 * q[1] - n3 * 2.0 * q[0]) / s3
+    h[2, 1] = (d3 * 2.0 * q[0] + n3 * 2.0 * q[1]) / s3
+    h[2, 2] = (d3 * 2.0 * q[3] + n3 * 2.0 * q[2]) / s3
+    h[2, 3] = (d3 * 2.0 * q[2] - n3 * 2.0 * q[3]) / s3
+
+
+@kernel
+def angle_covariance(q, covariance_turn, out):
+    """Write the covariance (3, 3) of theta for a covariance (3, 3), rad^2, of the small turn of c."""
+    h = np.zeros((3, 4))
+    xi = np.empty((4, 3))
+    angle_jacobian(q, h)
+    turn_response(q, xi)
+    e = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for m in range(4):
+                e[i, j] += 0.5 * h[i, m] * xi[m, j]
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for m in range(3):
+                for n in range(3):
+                    total += e[i, m] * covariance_turn[m, n] * e[j, n]
+            out[i, j] = total
+
+
+@kernel
+def start(params, pose, state):
+    """Start from the first pose: its attitude with its covariance, the drift from ``params``."""
+    fill_matrix(state.p, 0.0)
+    state.nis = np.nan
+    copy_into(state.x[0:4], pose.q_CH)
+    xi = np.empty((4, 3))
+    turn_response(pose.q_CH, xi)
+    for i in range(4):
+        for j in range(4):
+            for m in range(3):
+                for n in range(3):
+                    state.p[i, j] += 0.25 * xi[i, m] * pose.covariance_attitude[m, n] * xi[j, n]
+    for i in range(3):
+        state.x[4 + i] = params.initial_drift[i]
+        state.p[4 + i, 4 + i] = params.initial_drift_sigma**2
+        state.w_CH_C[i] = 0.0
+
+
+@kernel
+def transition(params, x, measured_rate, q_next, phi):
+    """Write the quaternion after the step, (4,), and the transition matrix ``phi`` (7, 7)."""
+    dt = params.dt_s
+    turn = np.empty(3)
+    for i in range(3):
+        turn[i] = (measured_rate[i] - x[4 + i]) * dt
+    dq_c = quat.from_rotation_vector(turn)
+    hill_turn = np.zeros(3)
+    hill_turn[1] = params.orbit_rate * dt  # minus the turn of H, which is -w0 dt about y
+    dq_h = quat.from_rotation_vector(hill_turn)
+    unit = np.zeros(4)
+    fill_matrix(phi, 0.0)
+    for j in range(4):
+        fill(unit, 0.0)
+        unit[j] = 1.0
+        column = quat.multiply(dq_c, quat.multiply(unit, dq_h))
+        for i in range(4):
+            phi[i, j] = column[i]
+    copy_into(q_next, quat.multiply(dq_c, quat.multiply(x[0:4], dq_h)))
+    xi = np.empty((4, 3))
+    turn_response(q_next, xi)
+    for i in range(3):
+        phi[4 + i, 4 + i] = 1.0
+        for j in range(4):
+            phi[j, 4 + i] = -0.5 * dt * xi[j, i]
+
+
+@kernel
+def predict(params, state, measured_rate):
+    """Carry the state over one step with the gyro's sample ``measured_rate`` (3,), rad/s, in c."""
+    q_next = np.empty(4)
+    phi = np.empty((7, 7))
+    transition(params, state.x, measured_rate, q_next, phi)
+    copy_into(state.x[0:4], q_next)
+    quat.normalise(state.x[0:4])
+    noise = np.zeros((7, 7))
+    gyro = (0.5 * params.dt_s * params.sigma_gyro) ** 2
+    for i in range(4):
+        for j in range(4):
+            # Xi Xi.T = I - q q.T for a unit quaternion
+            noise[i, j] = -gyro * q_next[i] * q_next[j]
+        noise[i, i] += gyro
+    for i in range(3):
+        noise[4 + i, 4 + i] = (params.dt_s * params.sigma_drift) ** 2
+    propagate_covariance(state.p, phi, noise)
+    a = quat.to_matrix(state.x[0:4])
+    for i in range(3):
+        state.w_CH_C[i] = measured_rate[i] - state.x[4 + i] + a[i, 1] * params.orbit_rate
+    state.nis = np.nan
+
+
+@kernel
+def update(state, q_measured, covariance):
+    """Fuse a measured attitude; covariance: (3, 3), rad^2, of its small turn, in c."""
+    q = state.x[0:4].copy()
+    expected = angles(q)
+    measured = angles(q_measured)
+    innovation = np.empty(3)
+    for i in range(3):
+        difference = measured[i] - expected[i]
+        innovation[i] = difference - 2.0 * math.pi * math.floor(difference / (2.0 * math.pi) + 0.5)
+    h = np.zeros((3, 7))
+    angle_jacobian(q, h)
+    r = np.empty((3, 3))
+    angle_covariance(q, covariance, r)
+    state.nis = update_three(state.x, state.p, h, r, innovation)
+    quat.normalise(state.x[0:4])
+
+
+@kernel
+def error_covariance(state, out):
+    """Write the covariance (6, 6) of the small turn of c, rad, and the drift: the additive one seen in c."""
+    # t takes the seven additive errors to the six: turn = 2 Xi.T dq
+    xi = np.empty((4, 3))
+    turn_response(state.x[0:4], xi)
+    t = np.zeros((6, 7))
+    for i in range(3):
+        for j in range(4):
+            t[i, j] = 2.0 * xi[j, i]
+        t[3 + i, 4 + i] = 1.0
+    for i in range(6):
+        for j in range(6):
+            total = 0.0
+            for m in range(7):
+                for n in range(7):
+                    total += t[i, m] * state.p[m, n] * t[j, n]
+            out[i, j] = total

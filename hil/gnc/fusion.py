@@ -1,0 +1,267 @@
+"""Both filters with a memory, so that a pose is fused at its own time however late it arrives.
+
+The last ``MEMORY`` steps are kept: the IMU's sample of each, the filters as predicted, and the poses of
+that moment. A pose goes to the step nearest to its exposure; the filters go back there and come
+forward again over the same samples and poses. What comes out is what a filter would know that had
+waited for the pose: lateness costs what was not known in the meantime, and nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.gnc import akf, akf_additive, pkf
+from hil.gnc.akf import AKF_PARAMS, AKF_STATE
+from hil.gnc.akf_additive import AKF_ADDITIVE_STATE
+from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
+from hil.maths import quat
+from hil.maths.arrays import copy_into
+from hil.maths.jit import kernel
+from hil.messages import POSE
+
+MEMORY = 64  # steps; at 50 Hz 1.28 s
+POSES_A_STEP = 2
+
+MULTIPLICATIVE = 0
+AS_PRINTED = 1
+
+FUSION_PARAMS = np.dtype([("attitude_form", "i8"), ("akf", AKF_PARAMS), ("pkf", PKF_PARAMS)], align=True)
+
+FILTERS = np.dtype([("akf", AKF_STATE), ("additive", AKF_ADDITIVE_STATE), ("pkf", PKF_STATE)], align=True)
+
+STEP = np.dtype(
+    [
+        ("rate_C", "f8", 3),  # the IMU's sample of the step that ended here
+        ("force_C", "f8", 3),
+        ("predicted", FILTERS),  # before the poses of this moment
+        ("n_poses", "i8"),
+        ("is_start", "i8"),  # the filters were started here
+        ("first", POSE),
+        ("second", POSE),
+    ],
+    align=True,
+)
+
+FUSION_STATE = np.dtype(
+    [
+        ("started", "i8"),
+        ("cycle", "i8"),  # number of the present step
+        ("start_cycle", "i8"),
+        ("filters", FILTERS),
+        ("accepted", "i8"),
+        ("rejected_position", "i8"),  # by the gate on the innovation
+        ("rejected_attitude", "i8"),
+        ("duplicates", "i8"),
+        ("too_late", "i8"),
+        ("in_a_row", "i8"),  # rejections since the last pose that was let in
+        ("nis_position", "f8"),
+        ("nis_attitude", "f8"),
+    ],
+    align=True,
+)
+
+_REOPEN_AFTER = 8  # rejections in a row: then it is the filter that is wrong, and the next pose is let in
+
+
+@kernel
+def _copy_akf(source, target):
+    copy_into(target.x, source.x)
+    copy_into(target.w_CH_C, source.w_CH_C)
+    for i in range(6):
+        for j in range(6):
+            target.p[i, j] = source.p[i, j]
+
+
+@kernel
+def _copy_additive(source, target):
+    copy_into(target.x, source.x)
+    copy_into(target.w_CH_C, source.w_CH_C)
+    for i in range(7):
+        for j in range(7):
+            target.p[i, j] = source.p[i, j]
+
+
+@kernel
+def _copy_pkf(source, target):
+    copy_into(target.x, source.x)
+    for i in range(9):
+        for j in range(9):
+            target.p[i, j] = source.p[i, j]
+        for j in range(6):
+            target.c[i, j] = source.c[i, j]
+
+
+@kernel
+def _copy_filters(params, source, target):
+    _copy_akf(source.akf, target.akf)
+    if params.attitude_form == AS_PRINTED:
+        _copy_additive(source.additive, target.additive)
+    _copy_pkf(source.pkf, target.pkf)
+
+
+@kernel
+def _copy_pose(source, target):
+    copy_into(target.z_TC_C, source.z_TC_C)
+    copy_into(target.q_CH, source.q_CH)
+    target.t_s = source.t_s
+    for i in range(3):
+        for j in range(3):
+            target.covariance_position[i, j] = source.covariance_position[i, j]
+            target.covariance_attitude[i, j] = source.covariance_attitude[i, j]
+
+
+@kernel
+def _start(params, pose, filters):
+    akf.start(params.akf, pose, filters.akf)
+    pkf.start(params.pkf, pose, filters.akf.p, filters.pkf)
+    if params.attitude_form == AS_PRINTED:
+        akf_additive.start(params.akf, pose, filters.additive)
+
+
+@kernel
+def _predict(params, filters, rate_C, force_C):
+    """Carry both filters over one step."""
+    middle = filters.akf.x[0:4].copy()
+    before = filters.akf.p.copy()
+    akf.predict(params.akf, filters.akf, rate_C)
+    if params.attitude_form == AS_PRINTED:
+        akf_additive.predict(params.akf, filters.additive, rate_C)
+        _take_over(filters)
+    for i in range(4):
+        middle[i] += filters.akf.x[i]
+    quat.normalise(middle)
+    pkf.predict(params.pkf, filters.pkf, force_C, middle, before, filters.akf.phi)
+
+
+@kernel
+def _take_over(filters):
+    """Show the additive filter's state, and its covariance as seen in c, where the others look for it."""
+    copy_into(filters.akf.x, filters.additive.x)
+    copy_into(filters.akf.w_CH_C, filters.additive.w_CH_C)
+    akf_additive.error_covariance(filters.additive, filters.akf.p)
+
+
+@kernel
+def _fuse(params, state, pose, moment_s, is_new):
+    """Fuse one pose whose step is at ``moment_s``; count it if it is new."""
+    filters = state.filters
+    delta_s = pose.t_s - moment_s
+    turn = np.empty(3)
+    for i in range(3):
+        turn[i] = -delta_s * filters.akf.w_CH_C[i]
+    # c at the filter's moment, from c at the exposure
+    back = quat.from_rotation_vector(turn)
+    q_measured = quat.multiply(back, pose.q_CH)
+    z = quat.transform(back, pose.z_TC_C)
+    gain_a, innovation_a = np.empty((6, 3)), np.empty(3)
+    gain_p, innovation_p = np.empty((9, 3)), np.empty(3)
+    h, h_turn = np.empty((3, 9)), np.empty((3, 3))
+    nis_a = akf.innovate(filters.akf, q_measured, pose.covariance_attitude, gain_a, innovation_a)
+    open_gate = state.in_a_row >= _REOPEN_AFTER
+    attitude_in = open_gate or nis_a <= params.akf.gate
+    nis_p = np.nan
+    position_in = False
+    if attitude_in:
+        if params.attitude_form == AS_PRINTED:
+            akf_additive.update(filters.additive, q_measured, pose.covariance_attitude)
+            akf.update(filters.akf, pose.covariance_attitude, gain_a, innovation_a)
+            _take_over(filters)
+        else:
+            akf.update(filters.akf, pose.covariance_attitude, gain_a, innovation_a)
+        pkf.follow_attitude_update(filters.pkf, filters.akf.keep)
+        nis_p = pkf.innovate(
+            filters.pkf, z, pose.covariance_position, delta_s, filters.akf.x[0:4], filters.akf.p,
+            h, h_turn, gain_p, innovation_p,
+        )  # fmt: skip
+        position_in = open_gate or nis_p <= params.pkf.gate
+        if position_in:
+            pkf.update(filters.pkf, pose.covariance_position, filters.akf.p, h, h_turn, gain_p, innovation_p)
+    if is_new:
+        state.nis_attitude = nis_a
+        state.nis_position = nis_p
+        if not attitude_in:
+            state.rejected_attitude += 1
+        elif not position_in:
+            state.rejected_position += 1
+        else:
+            state.accepted += 1
+        state.in_a_row = 0 if position_in else state.in_a_row + 1
+
+
+@kernel
+def _place(params, state, memory, pose):
+    """Put a pose into the step nearest to its exposure; return that step's number, or -1 if it has no place."""
+    cycle = math.floor(pose.t_s / params.pkf.dt_s + 0.5)
+    cycle = min(cycle, state.cycle)
+    oldest = max(0, state.cycle - MEMORY + 1)
+    if state.started != 0:
+        oldest = max(oldest, state.start_cycle)
+    if cycle < oldest:
+        state.too_late += 1
+        return -1
+    step = memory[cycle % MEMORY]
+    # the pose that started the filters stands in ``first`` without being counted as one to fuse
+    held = step.n_poses + step.is_start
+    if (held > 0 and abs(step.first.t_s - pose.t_s) < 1e-6) or (held > 1 and abs(step.second.t_s - pose.t_s) < 1e-6):
+        state.duplicates += 1
+        return -1
+    if held >= POSES_A_STEP:
+        state.too_late += 1
+        return -1
+    if held == 0:
+        _copy_pose(pose, step.first)
+    else:
+        _copy_pose(pose, step.second)
+    if state.started == 0:
+        step.is_start = 1
+        state.started = 1
+        state.start_cycle = cycle
+        _start(params, pose, step.predicted)
+    else:
+        step.n_poses += 1
+    return cycle
+
+
+@kernel
+def _fuse_step(params, state, step, moment_s, newest_s):
+    """Fuse all poses that stand in ``step``; the one of exposure ``newest_s`` is counted."""
+    if step.is_start == 0 and step.n_poses > 0:
+        _fuse(params, state, step.first, moment_s, step.first.t_s == newest_s)
+    if step.n_poses + step.is_start > 1:
+        _fuse(params, state, step.second, moment_s, step.second.t_s == newest_s)
+
+
+@kernel
+def advance(params, state, memory, imu):
+    """Begin the next step: keep its IMU sample and carry the filters over it.
+
+    memory: (MEMORY,) of STEP. The very first step has no sample before it.
+    """
+    step = memory[state.cycle % MEMORY]
+    copy_into(step.rate_C, imu.rate_C)
+    copy_into(step.force_C, imu.force_C)
+    step.n_poses = 0
+    step.is_start = 0
+    state.nis_position = np.nan
+    state.nis_attitude = np.nan
+    if state.started != 0:
+        _predict(params, state.filters, step.rate_C, step.force_C)
+        _copy_filters(params, state.filters, step.predicted)
+
+
+@kernel
+def take(params, state, memory, pose):
+    """Fuse a pose (POSE) at its own time: back to its step, and forward again."""
+    first = _place(params, state, memory, pose)
+    if first < 0:
+        return
+    dt = params.pkf.dt_s
+    _copy_filters(params, memory[first % MEMORY].predicted, state.filters)
+    _fuse_step(params, state, memory[first % MEMORY], first * dt, pose.t_s)
+    for cycle in range(first + 1, state.cycle + 1):
+        step = memory[cycle % MEMORY]
+        _predict(params, state.filters, step.rate_C, step.force_C)
+        _copy_filters(params, state.filters, step.predicted)
+        _fuse_step(params, state, step, cycle * dt, pose.t_s)

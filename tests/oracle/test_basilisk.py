@@ -1,0 +1,79 @@
+"""The truth against Basilisk, an independent simulator; how to install it stands in constraints-oracle.txt."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("Basilisk", reason="Basilisk (bsk) is not installed: it belongs to the extra 'oracle'")
+
+from basilisk_pair import Pair, gravity_model, write_field
+
+from hil import parameters
+from hil.config.load import load_scenario
+from hil.config.scenario import Scenario
+from hil.dynamics import moon_gravity
+from hil.dynamics import truth as kernels
+from hil.maths import quat
+from hil.messages import MAX_THRUSTERS
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # Basilisk's own
+QUIET = np.zeros(MAX_THRUSTERS, dtype=np.int64)
+
+
+@pytest.fixture(scope="module")
+def drift() -> Scenario:
+    """Return scheme-2 with gravity alone, on an inclined, mildly eccentric orbit."""
+    return load_scenario(
+        "scheme-2",
+        (
+            "truth.solar_pressure=false",
+            "truth.centre_of_mass_offset_m=[0.0, 0.0, 0.0]",
+            "orbit.eccentricity=0.03",
+            "orbit.moon_rotation_deg=70.0",
+            "initial.velocity_mps=[0.004, -0.006, 0.003]",
+        ),
+    ).value
+
+
+@pytest.fixture(scope="module")
+def field_file(drift: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the field in Basilisk's own form."""
+    return write_field(drift, tmp_path_factory.mktemp("field") / "moon.txt")
+
+
+def inertial_states(truth: np.record) -> list[tuple[Any, Any]]:
+    """Return position and velocity of target and chaser, inertial."""
+    a = quat.to_matrix(truth.q_HI)
+    r = a.T @ truth.r_CT_H
+    v = a.T @ (truth.v_CT_H + np.cross(truth.w_HI_H, truth.r_CT_H))
+    return [(truth.r_T_I, truth.v_T_I), (truth.r_T_I + r, truth.v_T_I + v)]
+
+
+def test_gravity_agrees_to_rounding(drift: Scenario, field_file: Path, rng: np.random.Generator) -> None:
+    params, field = parameters.dss(drift), parameters.field(drift)
+    body = gravity_model(field_file)
+    params.gravity.rotation = params.gravity.rate = 0.0
+    ours = np.empty(3)
+    for _ in range(200):
+        r = rng.standard_normal(3)
+        r *= rng.uniform(1.75e6, 2.5e6) / np.linalg.norm(r)
+        moon_gravity.acceleration(params.gravity, field, 0.0, r, ours)
+        theirs = np.array(body.gravityModel.computeField([[x] for x in r.tolist()], 8, True)).ravel()
+        assert np.linalg.norm(ours - theirs) <= 1e-12 * np.linalg.norm(ours)
+
+
+@pytest.mark.parametrize(("span_s", "tolerance_m"), [(400.0, 1e-6), (7655.0, 1e-3)], ids=["400 s", "an orbit"])
+def test_relative_position_agrees(drift: Scenario, field_file: Path, span_s: float, tolerance_m: float) -> None:
+    params, field, truth = parameters.dss(drift), parameters.field(drift), parameters.initial_truth(drift)
+    assert 2.0 * math.pi / params.orbit_rate == pytest.approx(7655.0, abs=60.0)
+    theirs = Pair(params, inertial_states(truth), field_file, step_s=0.5).run_to(span_s)
+    for _ in range(round(span_s / params.dt_s)):
+        kernels.step(params, field, truth, QUIET)
+    ours = quat.to_matrix(truth.q_HI).T @ truth.r_CT_H
+    assert np.linalg.norm(ours) > 1.0
+    assert np.linalg.norm(ours - theirs) <= tolerance_m
