@@ -12,6 +12,7 @@ import numpy as np
 from serial.tools import list_ports
 
 from hil import parameters
+from hil.approach_diary import ApproachDiary
 from hil.bench.kinematics import axes_of_pose
 from hil.clock import SimulatedClock, WallClock
 from hil.config.load import Loaded
@@ -26,7 +27,7 @@ from hil.eye import Eye, transport
 from hil.gnc.watch import FilterWatch
 from hil.maths import euler
 from hil.maths.streams import NormalRows, stream
-from hil.messages import AXES, CYCLE, PoseFrame, new
+from hil.messages import AXES, CYCLE, EventLog, PoseFrame, new
 from hil.priority import precedence
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.runner import Runner, Watch
@@ -59,6 +60,7 @@ def check(job: Job) -> None:
         *truth_problems(job.scenario),
         *_layout_problems(job.scenario),
         *_start_problems(job),
+        *_approach_problems(job.scenario),
         *_port_problems(job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0:
@@ -120,7 +122,8 @@ def warm_up_all_but_navigation(job: Job) -> None:
     loop.bench.seed(now.feedback)
     loop.bench.check(now.feedback)
     loop.vision.take(0.0, 0.0, now.row[0])
-    loop.gnc.guide(0.0, now.reference)
+    loop.gnc.guide(0.0, now.watch, now.reference)
+    loop.gnc.supervise(0.0, now.navigation, now.reference, now.watch)
     loop.gnc.control(now.navigation, now.reference, now.command)
     loop.dss.step(now.truth, now.command)
     loop.dss.sample_imu(now.truth, now.imu)
@@ -148,6 +151,7 @@ def _assemble(
     scenario = job.scenario.value
     sets, strength = parameters.allocation(scenario.chaser)
     navigation = parameters.navigation(scenario)
+    events = EventLog()
     loop = Loop(
         dss=_dss(scenario, job.seed),
         bench=Bench(
@@ -160,10 +164,12 @@ def _assemble(
         gnc=Gnc(
             navigation,
             parameters.guidance(scenario),
+            parameters.supervision(scenario),
             parameters.control(scenario, strength),
             sets,
             len(scenario.chaser.thrusters.position_m),
-            FilterWatch(navigation, _shadow_limits(scenario)),
+            FilterWatch(navigation, _shadow_limits(scenario), events),
+            ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s, events),
         ),
         history=np.zeros(job.cycles, CYCLE),
     )
@@ -265,15 +271,21 @@ def _layout_problems(scenario: Loaded[Scenario]) -> list[Problem]:
 
 
 def _start_problems(job: Job) -> list[Problem]:
-    """Return a problem for each axis that cannot take the start pose or the ready point."""
+    """Return a problem for each axis that cannot take the start pose or a point that the approach goes to."""
     scenario, rig = job.scenario.value, job.rig.value
     params = parameters.bench(rig, scenario.step_s)
     ready = scenario.gnc.guidance.ready_point_m
     problems = []
-    for key, position, attitude in (
+    level = (0.0, 0.0, 0.0)
+    poses = [
         ("initial.position_m", scenario.initial.position_m, scenario.initial.attitude_deg),
-        ("gnc.guidance.ready_point_m", ready, (0.0, 0.0, 0.0)),
-    ):
+        ("gnc.guidance.ready_point_m", ready, level),
+    ]
+    for name in scenario.gnc.guidance.sequence:
+        point = scenario.gnc.guidance.phases[name].point_m
+        if point is not None:
+            poses.append((f"gnc.guidance.phases.{name}.point_m", point, level))
+    for key, position, attitude in poses:
         axes = _axes_at(scenario, rig, position, attitude)
         source = job.scenario.where(key)
         for i, (rail, gimbal) in enumerate(zip(RAIL_NAMES, GIMBAL_NAMES, strict=True)):
@@ -288,6 +300,22 @@ def _start_problems(job: Job) -> list[Problem]:
                     f"allowed {least:g} to {most:g} deg"
                 )
                 problems.append(Problem(source, "initial.attitude_deg", text))
+    return problems
+
+
+def _approach_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return a problem for each phase that closes in faster than its own supervision allows."""
+    gnc = scenario.value.gnc
+    problems = []
+    limit = gnc.corridor.closing_rate_max_mps
+    for name in gnc.guidance.sequence:
+        phase = gnc.guidance.phases[name]
+        own = phase.speed_mps is not None
+        speed = phase.speed_mps if phase.speed_mps is not None else gnc.guidance.approach_speed_mps
+        if phase.kind in ("approach", "final") and speed >= limit:
+            key = f"gnc.guidance.phases.{name}.speed_mps" if own else "gnc.guidance.approach_speed_mps"
+            text = f"{speed:g}: must be below gnc.corridor.closing_rate_max_mps, {limit:g}"
+            problems.append(Problem(scenario.where(key), key, text))
     return problems
 
 

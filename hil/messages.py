@@ -9,7 +9,7 @@ places stay zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ Array = npt.NDArray[np.float64]
 
 MAX_THRUSTERS = 24
 MAX_POSES = 4  # that may arrive in one cycle
+MAX_PHASES = 16
 
 TRUTH = np.dtype(
     [
@@ -85,6 +86,22 @@ REFERENCE = np.dtype(
         ("v_CT_H", "f8", 3),
         ("a_CT_H", "f8", 3),
         ("q_CH", "f8", 4),
+        ("boost", "i8"),  # 1 where force demands are to open the strong thruster sets
+        ("phase", "i8"),  # its number in the list; those after the list are brake, retreat, hold of an abort
+        ("from_H", "f8", 3),  # m, begin of the phase's line
+        ("to_H", "f8", 3),  # m, its end
+    ],
+    align=True,
+)
+
+WATCH = np.dtype(
+    [
+        ("corridor_margin_m", "f8"),  # of the estimate; negative outside
+        ("closing_margin_mps", "f8"),  # allowed minus actual closing rate
+        ("broken_cycles", "i8"),  # for which a limit has been broken on end
+        ("ready_since_s", "f8"),  # since then the estimate is within Table III; nan when it is not
+        ("aborted", "i8"),  # cause, 0 for none
+        ("aborted_at_s", "f8"),
     ],
     align=True,
 )
@@ -96,6 +113,8 @@ COMMAND = np.dtype(
         ("on", "i8", MAX_THRUSTERS),  # 0 or 1 a thruster
         ("cycles_left", "i8", 6),  # of the burn under way, signed; force axes, then torque axes
         ("until_decision", "i8", 6),  # cycles
+        ("owed", "f8", 6),  # m/s, rad/s: change of rate that the reference asked for and was not fired yet
+        ("boost", "i8"),  # 1: force demands open the strong thruster sets, as the reference had it
     ],
     align=True,
 )
@@ -118,6 +137,7 @@ CYCLE = np.dtype(
         ("pose", POSE),
         ("navigation", NAVIGATION),
         ("reference", REFERENCE),
+        ("watch", WATCH),
         ("command", COMMAND),
         ("setpoint", AXES),
         ("feedback", AXES),
@@ -174,3 +194,13 @@ class Event:
     t_s: float
     source: str
     text: str
+
+
+@dataclass(slots=True)
+class EventLog:
+    """Events of a run in their order."""
+
+    events: list[Event] = field(default_factory=list)
+
+    def add(self, t_s: float, source: str, text: str) -> None:
+        self.events.append(Event(t_s, source, text))

@@ -19,12 +19,14 @@ from hil.dss_parameters import thruster_draws_shape as thruster_draws_shape
 from hil.dynamics.hill import input_response, transition
 from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.vision import VISION_PARAMS
-from hil.gnc.allocation import AXES_OF_A_BODY, thruster_sets, unit_wrenches
+from hil.gnc.allocation import AXES_OF_A_BODY, ROWS, thruster_sets, unit_wrenches
 from hil.gnc.control import CONTROL_PARAMS
 from hil.gnc.fusion import AS_PRINTED, MULTIPLICATIVE
-from hil.gnc.guidance import GUIDANCE_PARAMS
+from hil.gnc.guidance import APPROACH, FINAL, GUIDANCE_PARAMS, HOLD, RETREAT, WAIT
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
+from hil.gnc.supervision import SUPERVISION_PARAMS
 from hil.maths import euler, quat
+from hil.maths.camera import CAMERA
 from hil.maths.stations import STATIONS
 from hil.messages import MAX_THRUSTERS, Array, new
 
@@ -67,6 +69,17 @@ def stations(rig: Rig) -> np.record:
     return params
 
 
+def camera(rig: Rig) -> tuple[np.record, Array]:
+    """Return CAMERA, and the lamps of the ring in t, (n, 3), m."""
+    params = new(CAMERA)
+    settings = rig.vmu.camera
+    params.focal = settings.focal_px
+    params.width = settings.width_px
+    params.height = settings.height_px
+    params.baseline = settings.baseline_m
+    return params, np.array(rig.vmu.leds_m, dtype=float)
+
+
 def navigation(scenario: Scenario) -> np.record:
     """Return NAVIGATION_PARAMS."""
     params = new(NAVIGATION_PARAMS)
@@ -107,19 +120,68 @@ def _gate(sigma: float) -> float:
     return float(chi2.isf(2.0 * norm.sf(sigma), 3))
 
 
+PHASE_KINDS = {"approach": APPROACH, "hold": HOLD, "wait": WAIT, "final": FINAL, "retreat": RETREAT}
+
+
+_BRAKE_SHARE = 0.9  # of what the thrusters give: the rest is for control
+
+
+def braking_acceleration(scenario: Scenario) -> float:
+    """Return what the strong sets give along the docking axis with the chaser upright, m/s^2."""
+    _, strength = allocation(scenario.chaser)
+    axis = np.abs(np.array(scenario.gnc.corridor.axis))
+    return float((strength[AXES_OF_A_BODY:] / np.maximum(axis, 1e-12)).min() / scenario.chaser.mass_kg)
+
+
 def guidance(scenario: Scenario) -> np.record:
-    """Return GUIDANCE_PARAMS: the line from the planned start to the ready point."""
+    """Return GUIDANCE_PARAMS: the phases in the order of the sequence, from the planned start on."""
     params = new(GUIDANCE_PARAMS)
+    settings, abort = scenario.gnc.guidance, scenario.gnc.abort
     params.start = scenario.initial.position_m
-    params.ready = scenario.gnc.guidance.ready_point_m
-    params.speed = scenario.gnc.guidance.approach_speed_mps
-    params.acceleration = scenario.gnc.guidance.acceleration_mps2
-    params.deceleration = scenario.gnc.guidance.deceleration_mps2
+    params.n_phases = len(settings.sequence)
+    for k, name in enumerate(settings.sequence):
+        phase = settings.phases[name]
+        params.kind[k] = PHASE_KINDS[phase.kind]
+        params.point[k] = phase.point_m or settings.ready_point_m
+        params.speed[k] = phase.speed_mps or settings.approach_speed_mps
+        params.acceleration[k] = phase.acceleration_mps2 or settings.acceleration_mps2
+        params.deceleration[k] = phase.deceleration_mps2 or settings.deceleration_mps2
+        params.duration_s[k] = phase.duration_s or 0.0
+        params.until_s[k] = math.inf if phase.until_s is None else phase.until_s
+    params.axis = scenario.gnc.corridor.axis
+    axial_start = float(np.dot(scenario.initial.position_m, params.axis))
+    # no farther out than the start, which the bench is known to reach
+    params.abort_distance = min(abort.hold_distance_m, max(0.0, axial_start))
+    params.abort_speed = abort.speed_mps
+    params.abort_acceleration = abort.acceleration_mps2
+    params.brake = min(abort.brake_mps2, _BRAKE_SHARE * braking_acceleration(scenario))
+    return params
+
+
+def supervision(scenario: Scenario) -> np.record:
+    """Return SUPERVISION_PARAMS."""
+    params = new(SUPERVISION_PARAMS)
+    corridor, wanted = scenario.gnc.corridor, scenario.requirements
+    params.cone = math.tan(math.radians(corridor.half_angle_deg))
+    params.minimum_radius = corridor.minimum_radius_m
+    params.closing_floor = corridor.closing_rate_mps
+    params.closing_slope = corridor.closing_rate_slope_per_s
+    params.closing_greatest = corridor.closing_rate_max_mps
+    params.floor_range = math.hypot(*scenario.gnc.guidance.ready_point_m)
+    params.confidence = corridor.confidence
+    params.persistence = max(1, round(corridor.persistence_s / scenario.step_s))
+    at_s = scenario.gnc.abort.at_s
+    params.abort_at_s = math.inf if at_s is None else at_s
+    params.ready_point = (wanted.axial_distance_m, 0.0, 0.0)
+    params.ready_distance = (wanted.axial_tolerance_m, wanted.radial_distance_m, wanted.radial_distance_m)
+    params.ready_rate = (wanted.axial_rate_mps, wanted.radial_rate_mps, wanted.radial_rate_mps)
+    params.ready_angle = math.radians(wanted.angle_deg)
+    params.ready_angular_rate = math.radians(wanted.angular_rate_degps)
     return params
 
 
 def allocation(chaser: Chaser) -> tuple[np.ndarray, Array]:
-    """Return the thruster sets, int64 (6, 2, MAX_THRUSTERS), and the strength (6,), N and N m, of the six axes.
+    """Return the thruster sets, int64 (ROWS, 2, MAX_THRUSTERS), and the strength (ROWS,), N and N m, of each row.
 
     Raises ValueError where the layout cannot move an axis.
     """
@@ -128,25 +190,32 @@ def allocation(chaser: Chaser) -> tuple[np.ndarray, Array]:
     wrenches = unit_wrenches(
         np.array(thrusters.position_m), np.array(thrusters.direction), np.full(n, thrusters.force_n)
     )
+    sets = np.zeros((ROWS, 2, MAX_THRUSTERS), dtype=np.int64)
     chosen, strength = thruster_sets(wrenches)
-    sets = np.zeros((AXES_OF_A_BODY, 2, MAX_THRUSTERS), dtype=np.int64)
-    sets[:, :, :n] = chosen
-    return sets, strength
+    sets[:AXES_OF_A_BODY, :, :n] = chosen
+    strong, boosted = thruster_sets(wrenches, strong=True)
+    sets[AXES_OF_A_BODY:, :, :n] = strong[:3]
+    return sets, np.concatenate([strength, boosted[:3]])
 
 
 def control(scenario: Scenario, strength: Array) -> np.record:
-    """Return CONTROL_PARAMS; ``strength`` (6,), N and N m, as ``allocation`` gives it."""
+    """Return CONTROL_PARAMS; ``strength`` (ROWS,), N and N m, as ``allocation`` gives it."""
     params = new(CONTROL_PARAMS)
     settings = scenario.gnc.control
-    params.position_deadband = settings.deadband_m
-    params.position_lead = settings.lead_s
-    params.attitude_deadband = math.radians(settings.deadband_deg)
-    params.attitude_lead = settings.attitude_lead_s
-    params.dt_s = scenario.step_s
-    params.position_period = max(1, round(settings.period_s / scenario.step_s))
-    params.attitude_period = max(1, round(settings.attitude_period_s / scenario.step_s))
-    params.acceleration = strength[:3] / scenario.chaser.mass_kg
-    params.angular_acceleration = strength[3:] / np.diag(np.array(scenario.chaser.inertia_kg_m2))
+    step_s = scenario.step_s
+
+    def six(force: float, torque: float) -> list[float]:
+        return [force] * 3 + [torque] * 3
+
+    params.dt_s = step_s
+    params.deadband = six(settings.deadband_m, math.radians(settings.deadband_deg))
+    params.caution = six(settings.caution, settings.attitude_caution)
+    params.lead = six(settings.lead_s, settings.attitude_lead_s)
+    params.correction_rate = six(settings.correction_rate_mps, math.radians(settings.slew_rate_degps))
+    params.period = [max(1, round(s / step_s)) for s in six(settings.period_s, settings.attitude_period_s)]
+    inertia = np.diag(np.array(scenario.chaser.inertia_kg_m2))
+    params.acceleration = np.concatenate([strength[:3] / scenario.chaser.mass_kg, strength[3:6] / inertia])
+    params.boosted_acceleration = strength[6:] / scenario.chaser.mass_kg
     return params
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from hil.cycle import Loop, run_cycle
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, SafetyTrip
-from hil.messages import AXES, new
+from hil.messages import AXES, Event, new
 from hil.modes import Mode, ModeMachine
 from hil.rate import Rate
 from hil.stages import Move
@@ -40,6 +40,7 @@ class Outcome:
     overruns: int = 0
     limited_cycles: int = 0
     vision_counters: dict[str, int] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
 
 
 class Runner:
@@ -78,6 +79,7 @@ class Runner:
             overruns=self._rate.overruns,
             limited_cycles=self.loop.bench.limited_cycles,
             vision_counters=self.source.counters(),
+            events=self.loop.gnc.diary.log.events,
         )
 
     def _run(self) -> tuple[str, list[str]]:
@@ -157,6 +159,7 @@ class Runner:
             self._done = k + 1
             if k % self.WATCH_CYCLES == 0:
                 self._watch(Mode.RUNNING, k / self._cycles)
+        self.loop.gnc.finish((self._cycles - 1) * self._step_s, self.loop.now.watch)
         self._watch(Mode.RUNNING, 1.0)
 
     def _shut_down(self) -> None:

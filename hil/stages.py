@@ -9,13 +9,15 @@ import math
 
 import numpy as np
 
+from hil.approach_diary import ApproachDiary
 from hil.bench import kinematics
 from hil.drivers.base import AxisGroup, PoseSource
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.errors import SafetyTrip
-from hil.gnc import allocation, control, guidance, navigation
+from hil.gnc import allocation, control, guidance, navigation, supervision
 from hil.gnc.fusion import MEMORY, STEP
+from hil.gnc.guidance import GUIDANCE_STATE
 from hil.gnc.navigation import NAVIGATION_STATE
 from hil.gnc.watch import FilterWatch
 from hil.maths.profile import along_line, duration
@@ -79,36 +81,73 @@ class Vision:
 
 
 class Gnc:
-    """Navigation, guidance, control and allocation."""
+    """Navigation, guidance, supervision, control and allocation."""
 
     def __init__(
         self,
         navigation_params: np.record,
         guidance_params: np.record,
+        supervision_params: np.record,
         control_params: np.record,
         sets: np.ndarray,
         n_thrusters: int,
-        watch: FilterWatch | None = None,
+        watch: FilterWatch,
+        diary: ApproachDiary,
     ) -> None:
         self.watch = watch
         self._navigation = navigation_params
         self._guidance = guidance_params
+        self._supervision = supervision_params
         self._control = control_params
         self._sets = sets
         self._n = n_thrusters
+        self.diary = diary
         self.state = new(NAVIGATION_STATE)
         self._memory = np.zeros(MEMORY, STEP)
         self._nees = np.empty(2)
+        self._flown = new(GUIDANCE_STATE)
+        guidance.start(guidance_params, self._flown)
+        self._go = self._abort = 0
+
+    def order_go(self) -> None:
+        """Order the approach to go on from its wait, from the next cycle on."""
+        self._go = 1
+
+    def order_abort(self) -> None:
+        """Order an abort, from the next cycle on."""
+        self._abort = 1
 
     def navigate(self, imu: np.record, vision: Vision, out: np.record) -> None:
         """Write NAVIGATION from the step's IMU sample and the poses that came."""
         navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
-        if self.watch is not None and self._navigation.sensors == navigation.VISION_AND_IMU:
+        if self._navigation.sensors == navigation.VISION_AND_IMU:
             self.watch.look(self.state.fusion.cycle - 1, imu, vision.poses[: vision.arrived], out, self._memory)
 
-    def guide(self, t_s: float, out: np.record) -> None:
-        """Write REFERENCE for ``t_s`` of the run."""
-        guidance.reference(self._guidance, t_s, out)
+    def guide(self, t_s: float, watch: np.record, out: np.record) -> None:
+        """Write REFERENCE for ``t_s`` of the run; moves on to the next phase when its time or its order has come."""
+        held = 0 if self.diary.docking_is_go(t_s, watch.ready_since_s) else 1
+        if guidance.advance(self._guidance, self._flown, t_s, self._go, held):
+            if self._go and not self.diary.decided:
+                self.diary.decide(t_s, watch.ready_since_s)
+            self.diary.phase_began(t_s, self._flown.phase)
+            self._go = 0
+        elif self._go and guidance.kind_of(self._guidance, self._flown.phase) == guidance.WAIT:
+            self.diary.decide(t_s, watch.ready_since_s)
+            self._go = 0
+        guidance.reference(self._guidance, self._flown, t_s, out)
+
+    def supervise(self, t_s: float, estimate: np.record, reference: np.record, out: np.record) -> None:
+        """Judge corridor, closing rate and ready state; begin an abort where one is called for. Writes WATCH."""
+        if supervision.supervise(self._supervision, t_s, estimate, reference, self._abort, out):
+            guidance.start_abort(self._guidance, self._flown, t_s, estimate.r_CT_H, estimate.v_CT_H)
+            guidance.reference(self._guidance, self._flown, t_s, reference)
+            self.diary.abort_began(t_s, out)
+        self.diary.look(t_s, out.ready_since_s)
+
+    def finish(self, t_s: float, watch: np.record) -> None:
+        """Note the docking decision at the end of the run, where none was asked for before."""
+        if not self.diary.decided:
+            self.diary.decide(t_s, watch.ready_since_s)
 
     def control(self, estimate: np.record, reference: np.record, command: np.record) -> None:
         """Write the demands and the thrusters of COMMAND."""

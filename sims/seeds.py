@@ -27,7 +27,9 @@ def fly(scheme: str, seed: int, settings: tuple[str, ...]) -> dict[str, Any]:
     job = build.Job(scenario, load_rig("mock", settings), seed, scenario.value.duration_s, 1.0)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         outcome = runner.run()
-    return summarise(outcome, scenario.value, "mock", seed, 1.0 / scenario.value.step_s)[0]
+    return summarise(
+        outcome, scenario.value, load_rig("mock", settings).value, "mock", seed, 1.0 / scenario.value.step_s
+    )[0]
 
 
 def main(scheme: str, seeds: int, settings: tuple[str, ...]) -> None:

@@ -49,6 +49,7 @@ def run_command(
     summary, verdict = summarise(
         outcome,
         scenario.value,
+        rig.value,
         rig_name,
         seed,
         1.0 / scenario.value.step_s,

@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar, get_args
+from typing import Any, Generic, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -225,10 +225,13 @@ def _unknown_key(model: type[BaseModel], location: list[str]) -> str:
 def _model_at(model: type[BaseModel], location: Sequence[str]) -> type[BaseModel] | None:
     """Return the model of the table at ``location``, None where there is no table."""
     current: type[BaseModel] | None = model
-    for key in location:
+    keys = iter(location)
+    for key in keys:
         if current is None or key not in current.model_fields:
             return None
         annotation = current.model_fields[key].annotation
         candidates = [annotation, *get_args(annotation)]
         current = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
+        if get_origin(annotation) is dict:
+            next(keys, None)  # the name that somebody gave to one of the tables
     return current

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -145,12 +146,30 @@ class Turntable(Strict):
     ascii: SerialLine | None = None
 
 
+class Camera(Strict):
+    """Both cameras of the vision unit."""
+
+    focal_px: Positive = 1200.0
+    width_px: Annotated[int, Field(gt=0)] = 1024
+    height_px: Annotated[int, Field(gt=0)] = 1024
+    baseline_m: Positive = 0.20  # from the left camera to the right one, along x_v
+
+
+def _ring(radius_m: float, raised_m: float) -> tuple[Triple, ...]:
+    """Return six lamps evenly on a circle in t, the first one raised towards the camera."""
+    turns = [math.tau * k / 6 for k in range(6)]
+    flat = [(radius_m * math.cos(turn), radius_m * math.sin(turn), 0.0) for turn in turns]
+    return (radius_m, 0.0, -raised_m), *flat[1:]
+
+
 class Vmu(Strict):
     driver: Literal["mock", "rs422"]
     timeout_s: Positive = 0.4
     rate_hz: Positive = 6.25
     processing_s: NotNegative = 0.0  # from exposure to the first byte
     clock: Literal["shared", "own"] = "shared"  # time stamps are bench time, or of a clock of the unit's own
+    camera: Camera = Camera()
+    leds_m: Annotated[tuple[Triple, ...], Field(min_length=1)] = _ring(0.12, 0.06)  # in t
     rs422: SerialLine | None = None
 
 

@@ -16,7 +16,7 @@ from hil.config.model import (
     Triple,
 )
 from hil.config.truth import Orbit, SolarArray, Truth
-from hil.messages import MAX_THRUSTERS
+from hil.messages import MAX_PHASES, MAX_THRUSTERS
 
 AngleTriple = tuple[
     Annotated[float, Field(gt=-180.0, le=180.0)],
@@ -150,13 +150,78 @@ class Shadow(Strict):
     attitude_limit_deg: Positive
 
 
+class Phase(Strict):
+    """One phase of the approach; what is left away comes from the guidance table."""
+
+    kind: Literal["approach", "hold", "wait", "final", "retreat"]
+    point_m: Triple | None = None  # of a moving phase; left away: the ready point
+    speed_mps: Positive | None = None
+    acceleration_mps2: Positive | None = None
+    deceleration_mps2: Positive | None = None
+    duration_s: NotNegative | None = None  # of a hold
+    until_s: NotNegative | None = None  # of a wait; left away: waits for the order
+
+    @model_validator(mode="after")
+    def _keys_suit_the_kind(self) -> Self:
+        moving = ("point_m", "speed_mps", "acceleration_mps2", "deceleration_mps2")
+        allowed = {"hold": ("duration_s",), "wait": ("until_s",)}.get(self.kind, moving)
+        given = [name for name in (*moving, "duration_s", "until_s") if getattr(self, name) is not None]
+        foreign = [name for name in given if name not in allowed]
+        if foreign:
+            raise ValueError(f'{foreign[0]} does not go with kind = "{self.kind}", which takes: {", ".join(allowed)}')
+        if self.kind == "hold" and self.duration_s is None:
+            raise ValueError('kind = "hold" needs duration_s')
+        if self.kind == "retreat" and self.point_m is None:
+            raise ValueError('kind = "retreat" needs point_m')
+        return self
+
+
 class Guidance(Strict):
-    """A straight line from the start to the ready point, rest to rest."""
+    """The approach as a list of phases from the start on, and the abort that leaves it."""
 
     ready_point_m: Triple
     approach_speed_mps: Positive
     acceleration_mps2: Positive
     deceleration_mps2: Positive
+    slew_s: Positive = 10.0
+    sequence: Annotated[tuple[str, ...], Field(min_length=1, max_length=MAX_PHASES)]
+    phases: dict[str, Phase]
+
+    @model_validator(mode="after")
+    def _sequence_names_phases(self) -> Self:
+        for name in self.sequence:
+            if name not in self.phases:
+                raise ValueError(f'sequence: "{name}" is no phase; phases here: {", ".join(self.phases)}')
+        return self
+
+
+class Corridor(Strict):
+    """Where the chaser may be about the line of its phase, and how fast it may close in."""
+
+    axis: Triple = (1.0, 0.0, 0.0)
+    half_angle_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
+    minimum_radius_m: Positive
+    closing_rate_mps: Positive
+    closing_rate_slope_per_s: NotNegative
+    closing_rate_max_mps: Positive
+    confidence: NotNegative = 3.0
+    persistence_s: NotNegative
+
+    @model_validator(mode="after")
+    def _axis_is_a_unit_vector(self) -> Self:
+        if abs(math.hypot(*self.axis) - 1.0) > 1e-6:
+            raise ValueError(f"axis = {list(self.axis)} must be a unit vector")
+        return self
+
+
+class Abort(Strict):
+    """Brake, retreat along the corridor's axis, hold; ``at_s`` rehearses it."""
+
+    brake_mps2: Positive
+    hold_distance_m: Positive
+    speed_mps: Positive
+    acceleration_mps2: Positive
+    at_s: NotNegative | None = None
 
 
 class Control(Strict):
@@ -165,9 +230,13 @@ class Control(Strict):
     deadband_m: Positive
     lead_s: Positive
     period_s: Positive
+    caution: NotNegative = 0.0
+    correction_rate_mps: Positive = 0.05
     deadband_deg: Positive
     attitude_lead_s: Positive
     attitude_period_s: Positive
+    attitude_caution: NotNegative = 0.0
+    slew_rate_degps: Positive = 0.6
 
 
 class Gnc(Strict):
@@ -177,11 +246,13 @@ class Gnc(Strict):
     vision_only: VisionOnly
     shadow: Shadow
     guidance: Guidance
+    corridor: Corridor
+    abort: Abort
     control: Control
 
 
 class Requirements(Strict):
-    """What the ready phase must keep (bench paper Table III); each axis alone."""
+    """What the ready phase must keep (bench paper Table III), each axis alone, and what the run may spend."""
 
     axial_distance_m: Positive
     axial_tolerance_m: Positive
@@ -191,6 +262,7 @@ class Requirements(Strict):
     angle_deg: Positive
     angular_rate_degps: Positive
     dwell_s: Positive
+    propellant_factor: Positive = 3.0  # propellant of the run over the impulsive least of its reference and slews
 
 
 class Scenario(Strict):

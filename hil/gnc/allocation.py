@@ -3,6 +3,7 @@
 At set-up, every axis and sign gets the set of thrusters that serves it best (``thruster_sets``). In
 the cycle the sets of all demands are laid over each other: a thruster fires when more demands want
 it than want its opposite (``select``), so that demands that pull against each other spend nothing.
+An abort brakes with the strong sets of the force axes: all thrusters that push that way.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from hil.maths.jit import kernel
 from hil.messages import Array
 
 AXES_OF_A_BODY = 6  # force x, y, z, torque x, y, z
+ROWS = 9  # of the sets: the six axes, then force x, y, z once more with the strong sets
 _LARGEST_SET = 4
 _COST_OF_A_THRUSTER = 0.02  # against the unwanted part of the wrench over the wanted one
 
@@ -25,13 +27,14 @@ def unit_wrenches(position_m: Array, direction: Array, force_n: Array) -> Array:
     return np.hstack([force, np.cross(position_m, force)])
 
 
-def thruster_sets(wrenches: Array) -> tuple[np.ndarray, Array]:
+def thruster_sets(wrenches: Array, strong: bool = False) -> tuple[np.ndarray, Array]:
     """Return the best set for each axis and sign, and how strong it is.
 
     wrenches: (n, 6). Returns ``sets``, int64 (6, 2, n) of 0 or 1, second index 0 for the negative
     and 1 for the positive demand, and ``strength`` (6,), N or N m, the weaker of the two signs.
     A set is best whose unwanted force and torque are smallest against the wanted one; a torque
-    counts as the force that the thrusters' mean arm gives it. Raises ValueError where no set of up
+    counts as the force that the thrusters' mean arm gives it. Of sets that are equally clean the
+    smallest is best, with ``strong`` the strongest. Raises ValueError where no set of up
     to four thrusters moves an axis.
     """
     n = len(wrenches)
@@ -56,7 +59,11 @@ def thruster_sets(wrenches: Array) -> tuple[np.ndarray, Array]:
                     f"no thrusters for the {'-' if sign < 0 else '+'}{'FFFTTT'[axis]}{'xyz'[axis % 3]} demand"
                 )
             cost = np.full(len(masks), np.inf)
-            cost[useful] = unwanted[useful] / wanted[useful] + _COST_OF_A_THRUSTER * masks[useful].sum(axis=1)
+            cost[useful] = unwanted[useful] / wanted[useful]
+            if strong:
+                cost[useful] -= _COST_OF_A_THRUSTER * wanted[useful] / wanted.max()
+            else:
+                cost[useful] += _COST_OF_A_THRUSTER * masks[useful].sum(axis=1)
             # equal costs differ by rounding alone: the first of them, whatever the machine
             best = int(np.flatnonzero(cost <= cost.min() + 1e-9)[0])
             sets[axis, sign_index] = masks[best]
@@ -68,14 +75,15 @@ def thruster_sets(wrenches: Array) -> tuple[np.ndarray, Array]:
 def select(sets, n, command):
     """Write ``command.on`` for the n thrusters from ``command.force`` and ``command.torque``.
 
-    sets: int64 (6, 2, MAX_THRUSTERS).
+    sets: int64 (ROWS, 2, MAX_THRUSTERS); with ``command.boost`` force demands take the last three rows.
     """
     for j in range(n):
         votes = 0
         for axis in range(6):
             wanted = command.force[axis] if axis < 3 else command.torque[axis - 3]
+            row = axis + 6 if axis < 3 and command.boost != 0 else axis
             if wanted > 0:
-                votes += sets[axis, 1, j] - sets[axis, 0, j]
+                votes += sets[row, 1, j] - sets[row, 0, j]
             elif wanted < 0:
-                votes += sets[axis, 0, j] - sets[axis, 1, j]
+                votes += sets[row, 0, j] - sets[row, 1, j]
         command.on[j] = 1 if votes > 0 else 0

@@ -6,10 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.dss_parameters import orbit_rate
 from hil.messages import Array
 from hil.rate import lateness_percentiles_us
-from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge
+from hil.report.energy import judge_energy
+from hil.report.field_of_view import judge_field_of_view
+from hil.report.security import judge_security
+from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
 from hil.runner import COMPLETED, Outcome
 
 SETTLED_S = 100.0  # navigation is judged from here on, as in physics of the paper's numerical run
@@ -17,7 +22,7 @@ _TORQUE_WINDOW_S = (360.0, 400.0)  # bench paper Fig. 8
 
 
 def summarise(
-    outcome: Outcome, scenario: Scenario, rig_name: str, seed: int, rate_hz: float
+    outcome: Outcome, scenario: Scenario, rig: Rig, rig_name: str, seed: int, rate_hz: float
 ) -> tuple[dict[str, Any], Verdict]:
     """Return the run's numbers as they go into JSON, and the verdict.
 
@@ -25,18 +30,28 @@ def summarise(
     """
     history = outcome.history
     verdict = judge(deviations(history, scenario.requirements), scenario.requirements)
-    passed = verdict.passed and outcome.stop == COMPLETED
+    aborted = bool(len(history) and history["watch"]["aborted"][-1])
+    passed = verdict.passed and outcome.stop == COMPLETED and not aborted
+    thrusters = _thrusters(history, scenario)
+    parts = {
+        "control_precision": _control_precision(verdict, scenario),
+        "security": judge_security(history, scenario, orbit_rate(scenario)),
+        "energy": judge_energy(history, scenario, sum(thrusters["thruster_firings"])),
+        "field_of_view": judge_field_of_view(history, rig, scenario.step_s),
+    }
     summary = {
         "scenario": scenario.name,
         "seed": seed,
         "rig": rig_name,
         "passed": passed,
+        "passed_all_parts": passed and all(part["passed"] for part in parts.values()),
         "stop": outcome.stop,
         "ready_time_s": verdict.ready_time_s,
         "held_since_s": verdict.held_since_s,
         "ready_phase": {name: _list(verdict.worst[name]) for name in ROW_NAMES} if verdict.worst else None,
+        "verdict": parts,
         "navigation": _navigation(history),
-        "thrusters": _thrusters(history, scenario),
+        "thrusters": thrusters,
         "vision": outcome.vision_counters,
         "bench": _bench(history, outcome),
         "timing": {
@@ -45,9 +60,18 @@ def summarise(
             "overruns": outcome.overruns,
             "lateness_us": lateness_percentiles_us(history["lateness_s"]),
         },
+        "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
         "faults": outcome.faults,
     }
     return summary, verdict
+
+
+def _control_precision(verdict: Verdict, scenario: Scenario) -> dict[str, Any]:
+    """Table III over the ready phase; ``margin``: the least of 1 - deviation / tolerance, None if never ready."""
+    allowed = tolerances(scenario.requirements)
+    worst = verdict.worst
+    margin = None if worst is None else min(float((1.0 - worst[n] / allowed[n]).min()) for n in ROW_NAMES)
+    return {"passed": verdict.passed, "ready_time_s": verdict.ready_time_s, "margin": margin}
 
 
 def _list(values: Array) -> list[float]:

@@ -24,6 +24,7 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     paper = TABLE_V.get(summary["scenario"])
     if verdict.worst is not None:
         console.print(_ready_phase(summary, verdict, requirements))
+    _print_parts(summary["verdict"], console)
     _print_times(summary, paper.ready_time_s if paper else None, console)
     _print_navigation(summary["navigation"], console)
     thrusters = summary["thrusters"]
@@ -80,6 +81,57 @@ def _ready_phase(summary: dict[str, Any], verdict: Verdict, requirements: Requir
     return table
 
 
+def _print_parts(parts: dict[str, Any], console: Console) -> None:
+    """Print a line for each of the four parts of the verdict."""
+    for name, text in (
+        ("control_precision", _precision_text(parts["control_precision"])),
+        ("security", _security_text(parts["security"])),
+        ("energy", _energy_text(parts["energy"])),
+        ("field_of_view", _view_text(parts["field_of_view"])),
+    ):
+        word = "[green]ok  [/]" if parts[name]["passed"] else "[red]fail[/]"
+        console.print(f"{word} {name.replace('_', ' '):<18} {text}", highlight=False, soft_wrap=True)
+
+
+def _precision_text(part: dict[str, Any]) -> str:
+    return "never ready" if part["margin"] is None else f"least margin to Table III {100.0 * part['margin']:.0f} %"
+
+
+def _security_text(part: dict[str, Any]) -> str:
+    if "corridor_margin_m" not in part:
+        return "nothing flown"
+    text = (
+        f"corridor margin {part['corridor_margin_m']:.3f} m, "
+        f"closing-rate margin {1e3 * part['closing_margin_mps']:.1f} mm/s, nearest {part['nearest_m']:.3f} m"
+    )
+    abort = part["abort"]
+    if abort is None:
+        return text
+    drift = abort["drift_from_end"]
+    return (
+        f"{text}; aborted at {abort['at_s']:.2f} s ({abort['cause']}): from {abort['range_m']:.2f} m, nearest "
+        f"{abort['nearest_m']:.2f} m, end {abort['range_at_end_m']:.2f} m, then adrift for an orbit "
+        f"nearest {drift['nearest_m']:.2f} m"
+    )
+
+
+def _energy_text(part: dict[str, Any]) -> str:
+    if "least_propellant_kg" not in part:
+        return "nothing flown"
+    allowed = part["factor"] * part["least_propellant_kg"]
+    return (
+        f"propellant {part['propellant_kg']:.3f} kg, allowed {allowed:.3f} kg "
+        f"({part['factor']:g} x impulsive least), {part['firings']} firings"
+    )
+
+
+def _view_text(part: dict[str, Any]) -> str:
+    if part["at_s"] is None:
+        return "nothing flown"
+    margin = "behind a camera" if part["margin_px"] is None else f"least margin {part['margin_px']:.0f} px"
+    return f"{margin} at {part['at_s']:.2f} s, range {part['range_m']:.2f} m"
+
+
 def _print_times(summary: dict[str, Any], paper_s: float | None, console: Console) -> None:
     if summary["ready_time_s"] is None:
         console.print("Ready       never: Table III did not hold for the dwell time", highlight=False)
@@ -116,6 +168,8 @@ def _three(values: list[float], form: str) -> str:
 def _reason(summary: dict[str, Any], verdict: Verdict) -> str:
     if summary["faults"]:
         return "safe stop"
+    if summary["verdict"]["security"]["abort"] is not None:
+        return "the approach was aborted"
     if verdict.ready_time_s is None:
         return "the ready phase was not reached"
     return "left the ready state"

@@ -71,6 +71,17 @@ def test_unknown_scenario_names_the_known_ones(capsys: pytest.CaptureFixture[str
             ("chaser.inertia_kg_m2", "1900", "sum of the others, 900 + 900"),
         ),
         ("gnc.control.deadband_m", ("--set", "gnc.control.deadband_m=0.004")),
+        (
+            "gnc.guidance.approach_speed_mps=0.05",
+            ("gnc.guidance.approach_speed_mps", "0.05", "closing_rate_max", "0.04"),
+        ),
+        ('gnc.guidance.sequence=["approach", "nowhere"]', ("gnc.guidance", '"nowhere"', "approach, ready")),
+        ("gnc.guidance.phases.ready.until=3.0", ("gnc.guidance.phases.ready.until", "unknown key", "until_s")),
+        ("gnc.guidance.phases.ready.duration_s=3.0", ("gnc.guidance.phases.ready", "duration_s", "wait", "until_s")),
+        ("gnc.guidance.phases.approach.point_m=[13.0, 0.0, 0.0]", ("phases.approach.point_m", "rails.x", "12 m")),
+        ("gnc.corridor.axis=[2.0, 0.0, 0.0]", ("gnc.corridor", "axis", "unit vector")),
+        ("gnc.abort.at_s=-1.0", ("gnc.abort.at_s", "-1", "greater than or equal to 0")),
+        ("rig.vmu.camera.focal_px=0.0", ("vmu.camera.focal_px", "greater than 0")),
     ],
 )
 def test_bad_setting_is_named_with_what_is_allowed(

@@ -115,3 +115,29 @@ def test_layout_without_authority_over_an_axis_is_refused_by_name(missing: int, 
     wrenches[6:, 0] = 1e-3  # every thruster has a force; these stand on long arms
     with pytest.raises(ValueError, match=f"no thrusters for the {text} demand"):
         thruster_sets(np.delete(wrenches, missing, axis=0))
+
+
+def test_strong_sets_push_at_least_as_hard_and_no_less_cleanly(scheme_1: Scenario) -> None:
+    sets, strength = parameters.allocation(scheme_1.chaser)
+    thrusters = scheme_1.chaser.thrusters
+    n = len(thrusters.position_m)
+    wrenches = unit_wrenches(
+        np.array(thrusters.position_m), np.array(thrusters.direction), np.full(n, thrusters.force_n)
+    )
+    assert strength[6] == 2.0 * strength[0] == 20.0  # all four thrusters along x
+    assert (strength[6:] >= strength[:3]).all()
+    for axis in range(3):
+        for sign in (0, 1):
+            usual, strong = (sets[row, sign, :n] @ wrenches for row in (axis, 6 + axis))
+            assert np.linalg.norm(strong[3:]) <= np.linalg.norm(usual[3:]) + 1e-9
+
+
+def test_boost_opens_the_strong_set(scheme_1: Scenario) -> None:
+    sets, _ = parameters.allocation(scheme_1.chaser)
+    command = new(COMMAND)
+    command.force = [1, 0, 0]
+    select(sets, 16, command)
+    assert command.on.sum() == 2
+    command.boost = 1
+    select(sets, 16, command)
+    assert command.on.sum() == 4

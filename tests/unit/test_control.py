@@ -84,8 +84,8 @@ def test_both_signs_of_a_quaternion_demand_the_same(params: np.record) -> None:
 
 
 def test_nothing_fires_inside_the_dead_band(params: np.record) -> None:
-    inside = 0.9 * params.position_deadband
-    command = demanded(params, seen((inside, -inside, inside), [0.4 * params.attitude_deadband, 0.0, 0.0, 1.0]))
+    inside = 0.9 * params.deadband[0]
+    command = demanded(params, seen((inside, -inside, inside), [0.4 * params.deadband[3], 0.0, 0.0, 1.0]))
     np.testing.assert_array_equal([*command.force, *command.torque], 0)
 
 
@@ -121,10 +121,10 @@ def test_switching_line_is_the_braking_parabola_plus_the_lead() -> None:
 
 
 def test_axis_holds_its_decision_for_a_period(params: np.record) -> None:
-    params.position_period = 10
+    params.period[:3] = 10
     command, demands = new(COMMAND), []
-    error = 3.5 * params.position_lead * params.acceleration[1] * params.dt_s  # three cycles of thrust
-    assert error > params.position_deadband
+    error = 3.5 * params.lead[0] * params.acceleration[1] * params.dt_s  # three cycles of thrust
+    assert error > params.deadband[0]
     for k in range(20):
         # the moved chaser is not looked at until the period is over
         control(params, seen((0.0, error if k == 0 or k >= 10 else -0.5, 0.0)), held(), command)
@@ -136,7 +136,7 @@ def test_axis_holds_its_decision_for_a_period(params: np.record) -> None:
 def test_double_integrator_comes_to_rest_with_at_most_one_overshoot(
     params: np.record, period: int, start: float
 ) -> None:
-    params.position_period = period
+    params.period[:3] = period
     command, position, velocity, track = new(COMMAND), start, 0.0, []
     for _ in range(6000):
         navigation = seen((position, 0.0, 0.0))
@@ -146,7 +146,7 @@ def test_double_integrator_comes_to_rest_with_at_most_one_overshoot(
         position += velocity * params.dt_s
         track.append(position)
     found = np.array(track)
-    band = 1.5 * params.position_deadband + params.acceleration[0] * params.dt_s * params.position_lead
+    band = 1.5 * params.deadband[0] + params.acceleration[0] * params.dt_s * params.lead[0]
     assert np.abs(found[4000:]).max() <= band
     outside = np.sign(found[np.abs(found) > band])
     assert np.count_nonzero(np.diff(outside)) <= 1
@@ -159,6 +159,65 @@ def test_attitude_converges_in_about_ten_seconds(params: np.record) -> None:
         navigation = seen(q=Rotation.from_rotvec([turn, 0.0, 0.0]).as_quat())
         navigation.w_CH_C = [rate, 0.0, 0.0]
         control(params, navigation, held(), command)
-        rate += command.torque[0] * params.angular_acceleration[0] * params.dt_s
+        rate += command.torque[0] * params.acceleration[3] * params.dt_s
         turn += rate * params.dt_s
     assert abs(math.degrees(turn)) < 0.1
+
+
+def test_dead_band_is_widened_by_what_navigation_does_not_know(params: np.record) -> None:
+    error = 5.0 * params.deadband[0]
+    navigation = seen((error, 0.0, 0.0))
+    assert demanded(params, navigation).force[0] == -1
+    navigation.sigma_v_mps[0] = error / (params.caution[0] * params.lead[0])
+    assert demanded(params, navigation).force[0] == 0
+    navigation.sigma_v_mps[0] = np.nan  # not known: no widening
+    assert demanded(params, navigation).force[0] == -1
+
+
+def test_brake_of_an_abort_knows_no_caution(params: np.record) -> None:
+    navigation, command, reference = seen((0.02, 0.0, 0.0)), new(COMMAND), held()
+    navigation.sigma_r_m[0] = 1.0
+    control(params, navigation, reference, command)
+    assert command.force[0] == 0
+    reference.boost = 1
+    control(params, navigation, reference, command)
+    assert command.force[0] == -1
+    assert command.boost == 1
+
+
+def test_slew_is_no_faster_than_its_rate(params: np.record) -> None:
+    command, turn, rate, fastest = new(COMMAND), math.radians(20.0), 0.0, 0.0
+    for _ in range(round(30.0 / params.dt_s)):
+        navigation = seen(q=Rotation.from_rotvec([0.0, turn, 0.0]).as_quat())
+        navigation.w_CH_C = [0.0, rate, 0.0]
+        control(params, navigation, held(), command)
+        rate += command.torque[1] * params.acceleration[4] * params.dt_s
+        turn += rate * params.dt_s
+        fastest = max(fastest, abs(rate))
+    pulse = params.acceleration[4] * params.dt_s
+    assert fastest <= params.correction_rate[4] + pulse
+
+
+def test_reference_is_followed_by_feed_forward_alone(params: np.record) -> None:
+    """A perfect estimate under a constant reference acceleration: thrust makes the same change of rate, to a pulse."""
+    command, reference, fired = new(COMMAND), held(), 0
+    position = velocity = 0.0
+    reference.a_CT_H[0] = 0.004
+    for k in range(500):
+        t = k * params.dt_s
+        reference.r_CT_H[0], reference.v_CT_H[0] = 0.5 * 0.004 * t * t, 0.004 * t
+        navigation = seen((position, 0.0, 0.0))
+        navigation.v_CT_H[0] = velocity
+        navigation.sigma_r_m[0] = 1.0  # feedback sees nothing
+        control(params, navigation, reference, command)
+        change = command.force[0] * params.acceleration[0] * params.dt_s
+        position += (velocity + 0.5 * change) * params.dt_s
+        velocity += change
+        fired += abs(int(command.force[0]))
+        assert command.force[0] >= 0
+    wanted = 0.004 * 500 * params.dt_s
+    assert fired * params.acceleration[0] * params.dt_s == pytest.approx(
+        wanted, abs=2.0 * params.acceleration[0] * params.dt_s
+    )
+    # fired ahead by up to a period: half of 0.2 s at the speed's growth, and the last step
+    assert abs(position - reference.r_CT_H[0]) < 0.005

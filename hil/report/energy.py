@@ -1,0 +1,60 @@
+"""Energy: the propellant that was spent against the least that the flown reference and the slews cost.
+
+The least is impulsive: the reference's changes of velocity at once, summed over its line as flown
+(a line from rest to rest at speed v costs 2 v, whatever its ramps), and for each axis the slew of the
+start's attitude error at a steady rate over ``slew_s``, ``J theta / slew_s`` of torque impulse to
+start and the same to stop. Forces and torques are counted with the cleanest thruster set of their
+axis. Orbital motion, which a straight line has to be held against, is not in the least.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hil import parameters
+from hil.config.scenario import Scenario
+from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
+from hil.gnc.allocation import AXES_OF_A_BODY
+from hil.messages import Array
+
+
+def impulsive_delta_v(v_CT_H: Array) -> float:
+    """Return the sum of the reference's changes of velocity, m/s, for its velocities ``v_CT_H`` (n, 3), from rest."""
+    changes = np.diff(np.vstack([np.zeros((1, 3)), v_CT_H]), axis=0)
+    return float(np.linalg.norm(changes, axis=1).sum())
+
+
+def slew_impulse(scenario: Scenario) -> float:
+    """Return the least thrust impulse of the slews, N s: thrust of the set over its torque, times torque impulse."""
+    sets, strength = parameters.allocation(scenario.chaser)
+    inertia = np.diag(np.array(scenario.chaser.inertia_kg_m2))
+    angles = np.abs(np.radians(scenario.initial.attitude_deg))
+    torque_impulse = 2.0 * inertia * angles / scenario.gnc.guidance.slew_s
+    thrust = scenario.chaser.thrusters.force_n * sets[3:AXES_OF_A_BODY].sum(axis=2).min(axis=1)
+    return float((torque_impulse * thrust / strength[3:AXES_OF_A_BODY]).sum())
+
+
+def judge_energy(history: np.ndarray, scenario: Scenario, firings: int) -> dict[str, Any]:
+    """Return ``passed`` and the numbers; delta-v by the rocket equation, as if all thrust had pushed."""
+    exhaust_speed = scenario.chaser.thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2
+    factor = scenario.requirements.propellant_factor
+    if not len(history):
+        return {"passed": False, "propellant_kg": 0.0, "firings": 0, "factor": factor}
+    mass = history["truth"]["mass_kg"]
+    spent = float(mass[0] - mass[-1])
+    line = impulsive_delta_v(history["reference"]["v_CT_H"])
+    slews = slew_impulse(scenario) / float(mass[0])
+    least = float(mass[0]) * -math.expm1(-(line + slews) / exhaust_speed)
+    return {
+        "passed": bool(spent <= factor * least),
+        "propellant_kg": spent,
+        "delta_v_mps": exhaust_speed * math.log(float(mass[0]) / float(mass[-1])),
+        "least_propellant_kg": least,
+        "least_line_mps": line,
+        "least_slews_mps": slews,
+        "factor": factor,
+        "firings": firings,
+    }

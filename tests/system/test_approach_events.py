@@ -1,0 +1,62 @@
+"""Events of the approach: readiness, and the docking decision at the order, at the end, after an abort."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil import build
+from hil.approach_diary import ApproachDiary
+from hil.config.load import load_rig, load_scenario
+from hil.messages import WATCH, EventLog, new
+
+
+@pytest.fixture
+def diary() -> ApproachDiary:
+    """Return the diary of an approach of two phases, ready after 5 s."""
+    return ApproachDiary(("approach", "ready"), 5.0, EventLog())
+
+
+def texts(diary: ApproachDiary) -> list[str]:
+    return [event.text for event in diary.log.events]
+
+
+def test_docking_is_go_after_the_dwell_and_not_before(diary: ApproachDiary) -> None:
+    assert not diary.docking_is_go(100.0, np.nan)
+    assert not diary.docking_is_go(14.9, 10.0)
+    assert diary.docking_is_go(15.0, 10.0)
+
+
+def test_readiness_is_noted_when_it_comes_and_when_it_goes(diary: ApproachDiary) -> None:
+    for t_s, since_s in ((10.0, 10.0), (15.0, 10.0), (16.0, 10.0), (17.0, np.nan), (30.0, 18.0)):
+        diary.look(t_s, since_s)
+    assert [text.partition(":")[0] for text in texts(diary)[1:]] == ["ready", "no longer ready", "ready"]
+
+
+def test_decision_after_an_abort_is_no_go(diary: ApproachDiary) -> None:
+    watch = new(WATCH)
+    watch.aborted, watch.corridor_margin_m = 1, -0.02
+    diary.abort_began(50.0, watch)
+    diary.decide(60.0, 10.0)
+    assert "the corridor was left (corridor margin -0.020 m" in texts(diary)[1]
+    assert texts(diary)[-1] == "docking: no-go, the approach was aborted"
+
+
+def test_order_to_go_on_is_answered_once() -> None:
+    settings = ["initial.position_m=[0.4,0.0,0.0]", "initial.attitude_deg=[0.0,0.0,0.0]"]
+    job = build.Job(load_scenario("scheme-1", settings), load_rig("mock"), 0, 20.0, 1.0)
+    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+        gnc = runner._loop.gnc
+        gnc.order_go()
+        events = runner.run().events
+    decisions = [(event.t_s, event.text) for event in events if event.text.startswith("docking")]
+    assert decisions == [(0.0, "docking: no-go, the ready state does not hold")]
+
+
+def test_order_to_abort_is_obeyed_in_the_same_cycle() -> None:
+    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 2.0, 1.0)
+    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+        runner._loop.gnc.order_abort()
+        outcome = runner.run()
+    assert outcome.history["watch"]["aborted"][0] == 3
+    assert outcome.history["watch"]["aborted"][-1] == 3
