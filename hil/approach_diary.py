@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.messages import EventLog
+from hil.messages import Event
 
 ABORT_CAUSES = ("", "the corridor was left", "the closing rate was too high", "ordered")
 _AFTER_THE_LIST = ("abort: brake", "abort: retreat", "abort: hold")
@@ -19,14 +19,17 @@ class ApproachDiary:
     estimate, for docking to be a go.
     """
 
-    def __init__(self, names: Sequence[str], dwell_s: float, log: EventLog) -> None:
+    def __init__(self, names: Sequence[str], dwell_s: float) -> None:
         self._names = [*names, *_AFTER_THE_LIST]
         self._dwell_s = dwell_s
         self._aborted = False
         self._was_ready = False
         self.decided = False
-        self.log = log
-        log.add(0.0, "guidance", f"phase {self._names[0]} begins")
+        self.events: list[Event] = []
+        self._add(0.0, "guidance", f"phase {self._names[0]} begins")
+
+    def _add(self, t_s: float, source: str, text: str) -> None:
+        self.events.append(Event(t_s, source, text))
 
     def docking_is_go(self, t_s: float, ready_since_s: float) -> bool:
         """Return whether the ready state has held for the dwell time up to ``t_s``; since nan: it does not hold."""
@@ -35,7 +38,7 @@ class ApproachDiary:
     def phase_began(self, t_s: float, phase: int) -> None:
         """Note the phase that now begins."""
         self._was_ready = False
-        self.log.add(t_s, "guidance", f"phase {self._names[phase]} begins")
+        self._add(t_s, "guidance", f"phase {self._names[phase]} begins")
 
     def look(self, t_s: float, ready_since_s: float) -> None:
         """Note the moment at which the ready state has held for the dwell time, and that at which it is lost."""
@@ -44,19 +47,19 @@ class ApproachDiary:
             return
         self._was_ready = ready
         text = f"ready: within Table III for {self._dwell_s:g} s on the estimate" if ready else "no longer ready"
-        self.log.add(t_s, "supervision", text)
+        self._add(t_s, "supervision", text)
 
-    def abort_began(self, t_s: float, watch: np.record) -> None:
+    def abort_began(self, t_s: float, found: np.record) -> None:
         """Note the abort and what the margins were."""
         self._aborted = True
         self._was_ready = False
-        self.log.add(
+        self._add(
             t_s,
             "supervision",
-            f"abort: {ABORT_CAUSES[watch.aborted]} (corridor margin {watch.corridor_margin_m:.3f} m, "
-            f"closing margin {watch.closing_margin_mps:.4f} m/s)",
+            f"abort: {ABORT_CAUSES[found.aborted]} (corridor margin {found.corridor_margin_m:.3f} m, "
+            f"closing margin {found.closing_margin_mps:.4f} m/s)",
         )
-        self.log.add(t_s, "guidance", f"phase {_AFTER_THE_LIST[0]} begins")
+        self._add(t_s, "guidance", f"phase {_AFTER_THE_LIST[0]} begins")
 
     def decide(self, t_s: float, ready_since_s: float) -> None:
         """Note whether docking is a go at ``t_s``: at the order to go on, and at the end of a run without one."""
@@ -67,4 +70,4 @@ class ApproachDiary:
             text = "docking: no-go, the approach was aborted"
         else:
             text = "docking: no-go, the ready state does not hold"
-        self.log.add(t_s, "supervision", text)
+        self._add(t_s, "supervision", text)

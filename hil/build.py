@@ -27,7 +27,7 @@ from hil.eye import Eye, transport
 from hil.gnc.watch import FilterWatch
 from hil.maths import euler
 from hil.maths.streams import NormalRows, stream
-from hil.messages import AXES, CYCLE, EventLog, PoseFrame, new
+from hil.messages import AXES, CYCLE, PoseFrame, new
 from hil.priority import precedence
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.runner import Runner, Watch
@@ -122,8 +122,8 @@ def warm_up_all_but_navigation(job: Job) -> None:
     loop.bench.seed(now.feedback)
     loop.bench.check(now.feedback)
     loop.vision.take(0.0, 0.0, now.row[0])
-    loop.gnc.guide(0.0, now.watch, now.reference)
-    loop.gnc.supervise(0.0, now.navigation, now.reference, now.watch)
+    loop.gnc.guide(0.0, now.supervision, now.reference)
+    loop.gnc.supervise(0.0, now.navigation, now.reference, now.supervision)
     loop.gnc.control(now.navigation, now.reference, now.command)
     loop.dss.step(now.truth, now.command)
     loop.dss.sample_imu(now.truth, now.imu)
@@ -151,7 +151,6 @@ def _assemble(
     scenario = job.scenario.value
     sets, strength = parameters.allocation(scenario.chaser)
     navigation = parameters.navigation(scenario)
-    events = EventLog()
     loop = Loop(
         dss=_dss(scenario, job.seed),
         bench=Bench(
@@ -168,8 +167,8 @@ def _assemble(
             parameters.control(scenario, strength),
             sets,
             len(scenario.chaser.thrusters.position_m),
-            FilterWatch(navigation, _shadow_limits(scenario), events),
-            ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s, events),
+            ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+            FilterWatch(navigation, _shadow_limits(scenario)),
         ),
         history=np.zeros(job.cycles, CYCLE),
     )

@@ -20,15 +20,16 @@ class Blackboard:
         self.row = np.zeros(1, CYCLE)
         records = self.row.view(np.recarray)
         self.cycle: np.record = records[0]
-        for name in ("truth", "imu", "pose", "navigation", "reference", "watch", "command", "setpoint", "feedback"):
-            setattr(self, name, records[name][0])
+        for name in CYCLE.names or ():
+            if CYCLE[name].names:
+                setattr(self, name, records[name][0])
 
     truth: np.record
     imu: np.record
     pose: np.record
     navigation: np.record
     reference: np.record
-    watch: np.record
+    supervision: np.record
     command: np.record
     setpoint: np.record
     feedback: np.record
@@ -56,8 +57,8 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.bench.check(now.feedback)  # 2  do the axes follow?
     loop.vision.take(bench_s, run_zero_s, now.row[0])  # 3  poses of the vision unit
     loop.gnc.navigate(now.imu, loop.vision, now.navigation)  # 4  AKF and PKF
-    loop.gnc.guide(t_s, now.watch, now.reference)  # 5  reference of the present phase
-    loop.gnc.supervise(t_s, now.navigation, now.reference, now.watch)  # 6  corridor, closing rate, abort
+    loop.gnc.guide(t_s, now.supervision, now.reference)  # 5  reference of the present phase
+    loop.gnc.supervise(t_s, now.navigation, now.reference, now.supervision)  # 6  corridor, closing rate, abort
     loop.gnc.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
     now.cycle.t_s, now.cycle.lateness_s = t_s, lateness_s
     now.cycle.nees_position, now.cycle.nees_attitude = loop.gnc.consistency(now.truth, now.imu)

@@ -9,7 +9,7 @@ places stay zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +17,8 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 MAX_THRUSTERS = 24
-MAX_POSES = 4  # that may arrive in one cycle
 MAX_PHASES = 16
+MAX_POSES = 4  # that may arrive in one cycle
 
 TRUTH = np.dtype(
     [
@@ -94,7 +94,7 @@ REFERENCE = np.dtype(
     align=True,
 )
 
-WATCH = np.dtype(
+SUPERVISION = np.dtype(
     [
         ("corridor_margin_m", "f8"),  # of the estimate; negative outside
         ("closing_margin_mps", "f8"),  # allowed minus actual closing rate
@@ -137,7 +137,7 @@ CYCLE = np.dtype(
         ("pose", POSE),
         ("navigation", NAVIGATION),
         ("reference", REFERENCE),
-        ("watch", WATCH),
+        ("supervision", SUPERVISION),
         ("command", COMMAND),
         ("setpoint", AXES),
         ("feedback", AXES),
@@ -194,13 +194,3 @@ class Event:
     t_s: float
     source: str
     text: str
-
-
-@dataclass(slots=True)
-class EventLog:
-    """Events of a run in their order."""
-
-    events: list[Event] = field(default_factory=list)
-
-    def add(self, t_s: float, source: str, text: str) -> None:
-        self.events.append(Event(t_s, source, text))

@@ -79,7 +79,7 @@ class Runner:
             overruns=self._rate.overruns,
             limited_cycles=self.loop.bench.limited_cycles,
             vision_counters=self.source.counters(),
-            events=self.loop.gnc.diary.log.events,
+            events=self.loop.gnc.events(),
         )
 
     def _run(self) -> tuple[str, list[str]]:
@@ -159,7 +159,7 @@ class Runner:
             self._done = k + 1
             if k % self.WATCH_CYCLES == 0:
                 self._watch(Mode.RUNNING, k / self._cycles)
-        self.loop.gnc.finish((self._cycles - 1) * self._step_s, self.loop.now.watch)
+        self.loop.gnc.finish((self._cycles - 1) * self._step_s, self.loop.now.supervision)
         self._watch(Mode.RUNNING, 1.0)
 
     def _shut_down(self) -> None:

@@ -23,7 +23,7 @@ from hil.gnc.watch import FilterWatch
 from hil.maths.profile import along_line, duration
 from hil.maths.stations import chaser_pose
 from hil.maths.streams import NormalRows
-from hil.messages import AXES, MAX_POSES, POSE, Array, new
+from hil.messages import AXES, MAX_POSES, POSE, Array, Event, new
 
 
 class Dss:
@@ -91,8 +91,8 @@ class Gnc:
         control_params: np.record,
         sets: np.ndarray,
         n_thrusters: int,
-        watch: FilterWatch,
         diary: ApproachDiary,
+        watch: FilterWatch | None = None,
     ) -> None:
         self.watch = watch
         self._navigation = navigation_params
@@ -104,10 +104,10 @@ class Gnc:
         self.diary = diary
         self.state = new(NAVIGATION_STATE)
         self._memory = np.zeros(MEMORY, STEP)
-        self._nees = np.empty(2)
         self._flown = new(GUIDANCE_STATE)
         guidance.start(guidance_params, self._flown)
         self._go = self._abort = 0
+        self._nees = np.empty(2)
 
     def order_go(self) -> None:
         """Order the approach to go on from its wait, from the next cycle on."""
@@ -120,34 +120,38 @@ class Gnc:
     def navigate(self, imu: np.record, vision: Vision, out: np.record) -> None:
         """Write NAVIGATION from the step's IMU sample and the poses that came."""
         navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
-        if self._navigation.sensors == navigation.VISION_AND_IMU:
+        if self.watch is not None and self._navigation.sensors == navigation.VISION_AND_IMU:
             self.watch.look(self.state.fusion.cycle - 1, imu, vision.poses[: vision.arrived], out, self._memory)
 
-    def guide(self, t_s: float, watch: np.record, out: np.record) -> None:
+    def guide(self, t_s: float, found: np.record, out: np.record) -> None:
         """Write REFERENCE for ``t_s`` of the run; moves on to the next phase when its time or its order has come."""
-        held = 0 if self.diary.docking_is_go(t_s, watch.ready_since_s) else 1
-        if guidance.advance(self._guidance, self._flown, t_s, self._go, held):
-            if self._go and not self.diary.decided:
-                self.diary.decide(t_s, watch.ready_since_s)
-            self.diary.phase_began(t_s, self._flown.phase)
-            self._go = 0
-        elif self._go and guidance.kind_of(self._guidance, self._flown.phase) == guidance.WAIT:
-            self.diary.decide(t_s, watch.ready_since_s)
+        held = 0 if self.diary.docking_is_go(t_s, found.ready_since_s) else 1
+        did = guidance.advance(self._guidance, self._flown, t_s, self._go, held)
+        if did != guidance.STAYED:
+            if self._go:
+                self.diary.decide(t_s, found.ready_since_s)
+            if did == guidance.MOVED:
+                self.diary.phase_began(t_s, self._flown.phase)
             self._go = 0
         guidance.reference(self._guidance, self._flown, t_s, out)
 
     def supervise(self, t_s: float, estimate: np.record, reference: np.record, out: np.record) -> None:
-        """Judge corridor, closing rate and ready state; begin an abort where one is called for. Writes WATCH."""
-        if supervision.supervise(self._supervision, t_s, estimate, reference, self._abort, out):
-            guidance.start_abort(self._guidance, self._flown, t_s, estimate.r_CT_H, estimate.v_CT_H)
-            guidance.reference(self._guidance, self._flown, t_s, reference)
+        """Judge corridor, closing rate and ready state; begin an abort where one is called for. Writes SUPERVISION."""
+        if supervision.supervise_and_act(
+            self._supervision, self._guidance, self._flown, t_s, estimate, reference, self._abort, out
+        ):
             self.diary.abort_began(t_s, out)
         self.diary.look(t_s, out.ready_since_s)
 
-    def finish(self, t_s: float, watch: np.record) -> None:
+    def events(self) -> list[Event]:
+        """Return what happened so far, of the approach and of the filters, in the order of time."""
+        alarms = self.watch.events if self.watch is not None else []
+        return sorted([*self.diary.events, *alarms], key=lambda event: event.t_s)
+
+    def finish(self, t_s: float, found: np.record) -> None:
         """Note the docking decision at the end of the run, where none was asked for before."""
         if not self.diary.decided:
-            self.diary.decide(t_s, watch.ready_since_s)
+            self.diary.decide(t_s, found.ready_since_s)
 
     def control(self, estimate: np.record, reference: np.record, command: np.record) -> None:
         """Write the demands and the thrusters of COMMAND."""

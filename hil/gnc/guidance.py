@@ -18,6 +18,7 @@ from hil.maths.profile import along_line, duration
 from hil.messages import MAX_PHASES
 
 APPROACH, HOLD, WAIT, FINAL, RETREAT, BRAKE = range(6)
+STAYED, MOVED, REFUSED = range(3)  # what advance did
 _ABORT_PHASES = 3  # brake, retreat, hold: numbered after the phases of the list
 
 GUIDANCE_PARAMS = np.dtype(
@@ -162,11 +163,14 @@ def _ends_at(params, state, go):
 
 @kernel
 def advance(params, state, t_s, go, held):
-    """Move ``state`` on to the phase of ``t_s``; return whether a new one began.
+    """Move ``state`` on to the phase of ``t_s``; return STAYED, MOVED or REFUSED.
 
-    go: 1 at the order to go on. held: 1 where a final phase must not begin.
+    go: 1 at the order to go on, refused where the wait has nothing to go on to. held: 1 where a final
+    phase must not begin.
     """
-    moved = False
+    found = STAYED
+    if go != 0 and kind_of(params, state.phase) == WAIT:
+        found = REFUSED
     ends = _ends_at(params, state, go)
     while ends <= t_s:
         if held != 0 and kind_of(params, state.phase + 1) == FINAL:
@@ -179,9 +183,9 @@ def advance(params, state, t_s, go, held):
         copy_into(state.from_H, state.to_H)
         state.phase += 1
         _aim(params, state)
-        moved = True
+        found = MOVED
         ends = _ends_at(params, state, go)
-    return moved
+    return found
 
 
 @kernel

@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 
+from hil.gnc import guidance
 from hil.maths import quat
 from hil.maths.jit import kernel
 
@@ -115,33 +116,46 @@ def _is_ready(params, navigation):
 
 
 @kernel
-def supervise(params, t_s, navigation, reference, ordered, watch):
-    """Judge the estimate; write ``watch`` (WATCH). Returns whether an abort has to begin now.
+def supervise(params, t_s, navigation, reference, ordered, found):
+    """Judge the estimate; write ``found`` (SUPERVISION). Returns whether an abort has to begin now.
 
     ordered: 1 at the order to abort. Before the first pose nothing is judged; after an abort the
     margins are still written, but lead to nothing.
     """
     if navigation.valid == 0:
-        watch.ready_since_s = np.nan
+        found.ready_since_s = np.nan
         return False
-    watch.corridor_margin_m = corridor_margin(params, reference.from_H, reference.to_H, navigation.r_CT_H)
-    watch.closing_margin_mps = closing_margin(params, navigation.r_CT_H, navigation.v_CT_H)
+    found.corridor_margin_m = corridor_margin(params, reference.from_H, reference.to_H, navigation.r_CT_H)
+    found.closing_margin_mps = closing_margin(params, navigation.r_CT_H, navigation.v_CT_H)
     if not _is_ready(params, navigation):
-        watch.ready_since_s = np.nan
-    elif not watch.ready_since_s <= t_s:
-        watch.ready_since_s = t_s
-    if watch.aborted != NOT_ABORTED:
+        found.ready_since_s = np.nan
+    elif not found.ready_since_s <= t_s:
+        found.ready_since_s = t_s
+    if found.aborted != NOT_ABORTED:
         return False
     cause = NOT_ABORTED
-    if watch.corridor_margin_m < -params.confidence * _largest(navigation.sigma_r_m):
+    if found.corridor_margin_m < -params.confidence * _largest(navigation.sigma_r_m):
         cause = CORRIDOR
-    elif watch.closing_margin_mps < -params.confidence * _largest(navigation.sigma_v_mps):
+    elif found.closing_margin_mps < -params.confidence * _largest(navigation.sigma_v_mps):
         cause = CLOSING_RATE
-    watch.broken_cycles = watch.broken_cycles + 1 if cause != NOT_ABORTED else 0
+    found.broken_cycles = found.broken_cycles + 1 if cause != NOT_ABORTED else 0
     if ordered != 0 or t_s >= params.abort_at_s:
         cause = ORDERED
-    elif watch.broken_cycles < params.persistence:
+    elif found.broken_cycles < params.persistence:
         return False
-    watch.aborted = cause
-    watch.aborted_at_s = t_s
+    found.aborted = cause
+    found.aborted_at_s = t_s
+    return True
+
+
+@kernel
+def supervise_and_act(params, guidance_params, flown, t_s, navigation, reference, ordered, found):
+    """Supervise; where an abort has to begin, begin it in ``flown`` and in ``reference``. Returns whether one did.
+
+    flown: GUIDANCE_STATE. One kernel with both, so that nothing is left to compile when an abort comes.
+    """
+    if not supervise(params, t_s, navigation, reference, ordered, found):
+        return False
+    guidance.start_abort(guidance_params, flown, t_s, navigation.r_CT_H, navigation.v_CT_H)
+    guidance.reference(guidance_params, flown, t_s, reference)
     return True

@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 from scipy.stats import chi2
 
-from hil.messages import EventLog
+from hil.messages import Event
 
 WINDOWS = (64, 512)  # updates that a mean is taken over: quick, and fine
 _TAIL = 1e-6  # of that mean, on either side: what chance may do in a long campaign
@@ -64,8 +64,8 @@ class FilterWatch:
     navigation: NAVIGATION_PARAMS. shadow_limits: largest parting in m and rad, None for no shadow.
     """
 
-    def __init__(self, navigation: np.record, shadow_limits: tuple[float, float] | None, log: EventLog) -> None:
-        self.log = log
+    def __init__(self, navigation: np.record, shadow_limits: tuple[float, float] | None) -> None:
+        self.events: list[Event] = []
         self.largest_parting = (0.0, 0.0)  # m, rad
         self._dt = float(navigation.fusion.pkf.dt_s)
         self._position = [NisMonitor("pkf", window) for window in WINDOWS]
@@ -86,12 +86,9 @@ class FilterWatch:
                 for monitor in monitors if math.isfinite(nis) else ():
                     said = monitor.add(nis)
                     if said:
-                        self.log.add(self._time(cycle), monitor.name, said)
+                        self.events.append(Event(float(round(cycle * self._dt, 6)), monitor.name, said))
         if self._shadow is not None:
             self._compare(cycle, imu, poses, memory)
-
-    def _time(self, cycle: int) -> float:
-        return float(round(cycle * self._dt, 6))
 
     def _compare(self, cycle: int, imu: np.record, poses: np.ndarray, memory: np.ndarray) -> None:
         assert self._shadow is not None
@@ -109,5 +106,5 @@ class FilterWatch:
                 f"parts from the filters by {parting.position:.4f} m and {math.degrees(parting.angle):.4f} deg, "
                 f"allowed {self._limits[0]:g} m and {math.degrees(self._limits[1]):g} deg"
             )
-            self.log.add(self._time(cycle), "shadow", text)
+            self.events.append(Event(float(round(cycle * self._dt, 6)), "shadow", text))
         self._parted = parted

@@ -37,22 +37,21 @@ def slew_impulse(scenario: Scenario) -> float:
     return float((torque_impulse * thrust / strength[3:AXES_OF_A_BODY]).sum())
 
 
-def judge_energy(history: np.ndarray, scenario: Scenario, firings: int) -> dict[str, Any]:
-    """Return ``passed`` and the numbers; delta-v by the rocket equation, as if all thrust had pushed."""
+def judge_energy(v_CT_H: Array, scenario: Scenario, propellant_kg: float, firings: int) -> dict[str, Any]:
+    """Return ``passed`` and the numbers; ``v_CT_H`` (n, 3): velocities of the reference, m/s.
+
+    delta_v_mps is what the rocket equation makes of the propellant, as if all thrust had pushed one way.
+    """
     exhaust_speed = scenario.chaser.thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2
-    factor = scenario.requirements.propellant_factor
-    if not len(history):
-        return {"passed": False, "propellant_kg": 0.0, "firings": 0, "factor": factor}
-    mass = history["truth"]["mass_kg"]
-    spent = float(mass[0] - mass[-1])
-    line = impulsive_delta_v(history["reference"]["v_CT_H"])
-    slews = slew_impulse(scenario) / float(mass[0])
-    least = float(mass[0]) * -math.expm1(-(line + slews) / exhaust_speed)
+    mass_kg, factor = scenario.chaser.mass_kg, scenario.requirements.propellant_factor
+    line = impulsive_delta_v(v_CT_H)
+    slews = slew_impulse(scenario) / mass_kg
+    least_kg = mass_kg * -math.expm1(-(line + slews) / exhaust_speed)
     return {
-        "passed": bool(spent <= factor * least),
-        "propellant_kg": spent,
-        "delta_v_mps": exhaust_speed * math.log(float(mass[0]) / float(mass[-1])),
-        "least_propellant_kg": least,
+        "passed": len(v_CT_H) > 0 and propellant_kg <= factor * least_kg,
+        "propellant_kg": propellant_kg,
+        "delta_v_mps": -exhaust_speed * math.log1p(-propellant_kg / mass_kg),
+        "least_propellant_kg": least_kg,
         "least_line_mps": line,
         "least_slews_mps": slews,
         "factor": factor,

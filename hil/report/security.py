@@ -42,7 +42,7 @@ def drift_over_an_orbit(row: np.void, orbit_rate: float) -> dict[str, Any]:
 
 def judge_security(history: np.ndarray, scenario: Scenario, orbit_rate: float) -> dict[str, Any]:
     """Return ``passed``, the least margins on the truth up to an abort, and what the abort did."""
-    aborted = np.flatnonzero(history["watch"]["aborted"])
+    aborted = np.flatnonzero(history["supervision"]["aborted"])
     approach = history[: aborted[0] + 1] if len(aborted) else history
     if not len(approach):
         return {"passed": False, "abort": None}
@@ -77,7 +77,7 @@ def _abort(after: np.ndarray, scenario: Scenario, orbit_rate: float) -> dict[str
     hold = len(scenario.gnc.guidance.sequence) + 2
     held = np.flatnonzero(after["reference"]["phase"] == hold)
     return {
-        "cause": ABORT_CAUSES[int(after["watch"]["aborted"][0])],
+        "cause": ABORT_CAUSES[int(after["supervision"]["aborted"][0])],
         "at_s": float(after["t_s"][0]),
         "range_m": float(distance[0]),
         "nearest_m": float(distance.min()),

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from hil import parameters
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.dss_parameters import orbit_rate
+from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.messages import Array
 from hil.rate import lateness_percentiles_us
 from hil.report.energy import judge_energy
@@ -30,13 +31,15 @@ def summarise(
     """
     history = outcome.history
     verdict = judge(deviations(history, scenario.requirements), scenario.requirements)
-    aborted = bool(len(history) and history["watch"]["aborted"][-1])
+    aborted = bool(len(history) and history["supervision"]["aborted"][-1])
     passed = verdict.passed and outcome.stop == COMPLETED and not aborted
     thrusters = _thrusters(history, scenario)
     parts = {
         "control_precision": _control_precision(verdict, scenario),
-        "security": judge_security(history, scenario, orbit_rate(scenario)),
-        "energy": judge_energy(history, scenario, sum(thrusters["thruster_firings"])),
+        "security": judge_security(history, scenario, parameters.orbit_rate(scenario)),
+        "energy": judge_energy(
+            history["reference"]["v_CT_H"], scenario, thrusters["propellant_kg"], sum(thrusters["thruster_firings"])
+        ),
         "field_of_view": judge_field_of_view(history, rig, scenario.step_s),
     }
     summary = {
@@ -127,8 +130,16 @@ def _thrusters(history: np.ndarray, scenario: Scenario) -> dict[str, Any]:
         "torque_on_time_360_400_s": _list(step * (command["torque"][window] != 0).sum(axis=0)),
         "thruster_on_time_s": _list(step * fraction.sum(axis=0)),
         "thruster_firings": [int(count) for count in opened.sum(axis=0)],
-        "propellant_kg": float(truth["mass_kg"][0] - truth["mass_kg"][-1]) if len(history) else 0.0,
+        "propellant_kg": _propellant(truth, step * float(fraction.sum()), scenario),
     }
+
+
+def _propellant(truth: np.ndarray, open_s: float, scenario: Scenario) -> float:
+    """Return the mass that was lost, kg; where the truth does not lose any, that of valves open for ``open_s``."""
+    if len(truth) and scenario.truth.mass_loss:
+        return float(truth["mass_kg"][0] - truth["mass_kg"][-1])
+    thrusters = scenario.chaser.thrusters
+    return open_s * thrusters.force_n / (thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2)
 
 
 def _bench(history: np.ndarray, outcome: Outcome) -> dict[str, Any]:

@@ -116,8 +116,6 @@ def _security_text(part: dict[str, Any]) -> str:
 
 
 def _energy_text(part: dict[str, Any]) -> str:
-    if "least_propellant_kg" not in part:
-        return "nothing flown"
     allowed = part["factor"] * part["least_propellant_kg"]
     return (
         f"propellant {part['propellant_kg']:.3f} kg, allowed {allowed:.3f} kg "

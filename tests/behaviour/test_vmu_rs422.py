@@ -36,10 +36,10 @@ from hil.drivers.emulator_process import serve
 from hil.drivers.vmu.emulator import VmuEmulator
 from hil.messages import PoseFrame
 pose = PoseFrame(0, 0.0, 0.0, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6) * 1e-4)
-def make(c):
+def unit(c):
     vmu = Vmu.model_validate(c["vmu"], strict=False)
     return VmuEmulator(vmu, WallClock(c["epoch_ns"], c["speed"]), lambda t_s: pose)
-serve(make)
+serve(unit)
 """
 
 

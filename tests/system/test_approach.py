@@ -32,7 +32,7 @@ def _texts(outcome: Outcome) -> list[str]:
 def test_retreat_is_never_nearer_than_the_trigger_minus_five_centimetres(scenario: str, at_s: float, seed: int) -> None:
     outcome = _run(scenario, seed, at_s + 25.0, f"gnc.abort.at_s={at_s}")
     distance = np.linalg.norm(outcome.history["truth"]["r_CT_H"], axis=1)
-    trigger = int(np.argmax(outcome.history["watch"]["aborted"] != 0))
+    trigger = int(np.argmax(outcome.history["supervision"]["aborted"] != 0))
     assert outcome.history["t_s"][trigger] == pytest.approx(at_s)
     assert distance[trigger:].min() >= distance[trigger] - 0.05
     assert distance[-1] >= distance[trigger] - 0.02

@@ -8,17 +8,17 @@ import pytest
 from hil import build
 from hil.approach_diary import ApproachDiary
 from hil.config.load import load_rig, load_scenario
-from hil.messages import WATCH, EventLog, new
+from hil.messages import SUPERVISION, new
 
 
 @pytest.fixture
 def diary() -> ApproachDiary:
     """Return the diary of an approach of two phases, ready after 5 s."""
-    return ApproachDiary(("approach", "ready"), 5.0, EventLog())
+    return ApproachDiary(("approach", "ready"), 5.0)
 
 
 def texts(diary: ApproachDiary) -> list[str]:
-    return [event.text for event in diary.log.events]
+    return [event.text for event in diary.events]
 
 
 def test_docking_is_go_after_the_dwell_and_not_before(diary: ApproachDiary) -> None:
@@ -34,7 +34,7 @@ def test_readiness_is_noted_when_it_comes_and_when_it_goes(diary: ApproachDiary)
 
 
 def test_decision_after_an_abort_is_no_go(diary: ApproachDiary) -> None:
-    watch = new(WATCH)
+    watch = new(SUPERVISION)
     watch.aborted, watch.corridor_margin_m = 1, -0.02
     diary.abort_began(50.0, watch)
     diary.decide(60.0, 10.0)
@@ -46,7 +46,7 @@ def test_order_to_go_on_is_answered_once() -> None:
     settings = ["initial.position_m=[0.4,0.0,0.0]", "initial.attitude_deg=[0.0,0.0,0.0]"]
     job = build.Job(load_scenario("scheme-1", settings), load_rig("mock"), 0, 20.0, 1.0)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
-        gnc = runner._loop.gnc
+        gnc = runner.loop.gnc
         gnc.order_go()
         events = runner.run().events
     decisions = [(event.t_s, event.text) for event in events if event.text.startswith("docking")]
@@ -56,7 +56,7 @@ def test_order_to_go_on_is_answered_once() -> None:
 def test_order_to_abort_is_obeyed_in_the_same_cycle() -> None:
     job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 2.0, 1.0)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
-        runner._loop.gnc.order_abort()
+        runner.loop.gnc.order_abort()
         outcome = runner.run()
-    assert outcome.history["watch"]["aborted"][0] == 3
-    assert outcome.history["watch"]["aborted"][-1] == 3
+    assert outcome.history["supervision"]["aborted"][0] == 3
+    assert outcome.history["supervision"]["aborted"][-1] == 3

@@ -19,7 +19,7 @@ from hil.gnc.supervision import (
     corridor_margin,
     supervise,
 )
-from hil.messages import NAVIGATION, REFERENCE, WATCH, new
+from hil.messages import NAVIGATION, REFERENCE, SUPERVISION, new
 
 FAR, READY = np.array([5.0, 0.0, 0.0]), np.array([0.4, 0.0, 0.0])
 
@@ -75,7 +75,7 @@ def test_closing_rate_is_the_rate_of_the_range(params: np.record) -> None:
 def test_broken_limit_aborts_after_its_persistence(
     params: np.record, r: tuple[float, float, float], v: tuple[float, float, float], cause: int
 ) -> None:
-    watch = new(WATCH)
+    watch = new(SUPERVISION)
     found = [supervise(params, 0.02 * k, seen(r, v), line(), 0, watch) for k in range(8)]
     assert found == [False] * (params.persistence - 1) + [True] + [False] * (8 - params.persistence)
     assert watch.aborted == cause
@@ -83,14 +83,14 @@ def test_broken_limit_aborts_after_its_persistence(
 
 
 def test_limit_that_is_broken_now_and_then_does_not_abort(params: np.record) -> None:
-    watch = new(WATCH)
+    watch = new(SUPERVISION)
     for k in range(100):
         y = 0.5 if k % params.persistence else 0.0
         assert not supervise(params, 0.02 * k, seen((3.0, y, 0.0)), line(), 0, watch)
 
 
 def test_estimate_that_is_not_sure_does_not_abort(params: np.record) -> None:
-    watch, navigation = new(WATCH), seen((3.0, 0.5, 0.0), (-0.05, 0.0, 0.0))
+    watch, navigation = new(SUPERVISION), seen((3.0, 0.5, 0.0), (-0.05, 0.0, 0.0))
     navigation.sigma_r_m = navigation.sigma_v_mps = 0.2
     for k in range(100):
         assert not supervise(params, 0.02 * k, navigation, line(), 0, watch)
@@ -99,7 +99,7 @@ def test_estimate_that_is_not_sure_does_not_abort(params: np.record) -> None:
 
 
 def test_order_aborts_at_once_and_only_once(params: np.record) -> None:
-    watch = new(WATCH)
+    watch = new(SUPERVISION)
     assert supervise(params, 1.0, seen((3.0, 0.0, 0.0)), line(), 1, watch)
     assert watch.aborted == ORDERED
     assert not supervise(params, 1.02, seen((3.0, 0.0, 0.0)), line(), 1, watch)
@@ -107,13 +107,13 @@ def test_order_aborts_at_once_and_only_once(params: np.record) -> None:
 
 def test_rehearsal_aborts_at_its_time(params: np.record) -> None:
     params.abort_at_s = 1.0
-    watch = new(WATCH)
+    watch = new(SUPERVISION)
     assert not supervise(params, 0.98, seen((3.0, 0.0, 0.0)), line(), 0, watch)
     assert supervise(params, 1.0, seen((3.0, 0.0, 0.0)), line(), 0, watch)
 
 
 def test_ready_since_is_the_begin_of_the_unbroken_stay(params: np.record) -> None:
-    watch = new(WATCH)
+    watch = new(SUPERVISION)
     since = []
     for k, x in enumerate((0.5, 0.42, 0.41, 0.45, 0.4, 0.4)):
         supervise(params, float(k), seen((x, 0.0, 0.0)), line(), 0, watch)
