@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from hil.campaign.fusion import INITIAL_SIGMA, VMU_SIGMA, Reading, Study, run_fusion
+from hil.campaign.fusion import INITIAL_SIGMA, VMU_SIGMA, Reading, Study, run_batch, run_fusion
 from hil.campaign.fusion_kernel import STUDY_RESULT
 from hil.cli.main import execute
 from hil.config.scenario import Scenario
@@ -64,13 +64,16 @@ def test_numbers_do_not_depend_on_the_number_of_workers() -> None:
 
 
 def test_every_run_has_its_own_noise_from_seed_and_number() -> None:
-    errors = []
+    errors, coarse = [], ("step_s=0.08",)
     for seed, number in ((0, 0), (0, 1), (1, 0), (0, 0)):
         result = new(STUDY_RESULT)
-        Study((), "swapped", seed).run(number, result)
+        Study(coarse, "swapped", seed).run(number, result)
         errors.append(tuple(result.square_error))
     assert errors[0] == errors[3]
     assert len(set(errors)) == 3
+    batch = run_batch(coarse, "swapped", 0, 1, 2)
+    assert tuple(batch[0].square_error) == errors[1]
+    assert not np.any(batch[0].square_error == batch[1].square_error)
 
 
 @pytest.mark.parametrize(
