@@ -27,20 +27,22 @@ MODE_PARAMS = np.dtype(
 
 
 @kernel
-def flexible_acceleration(mode, inertia, w, torque, eta, eta_rate, out):
-    """Write dw/dt (3,), rad/s^2, in c; return d2eta/dt2, m kg^1/2 / s^2.
+def add_bending(mode, w, eta, eta_rate, torque):
+    """Add to ``torque`` (3,), N m, what the bent array does to the hub; return its spring and damper, m kg^1/2 / s^2.
 
-    mode: MODE_PARAMS. inertia: (3, 3), J, kg m^2. w: (3,), rad/s, inertial rate. torque: (3,), N m. All in c.
+    mode: MODE_PARAMS. w: (3,), rad/s, inertial rate. All in c. With ``inertia_inverse`` of the mode, Euler's equations
+    then give the hub's dw/dt, and ``bending`` that of the mode.
     """
     d = mode.coupling
-    h0 = inertia[0, 0] * w[0] + inertia[0, 1] * w[1] + inertia[0, 2] * w[2] + d[0] * eta_rate
-    h1 = inertia[1, 0] * w[0] + inertia[1, 1] * w[1] + inertia[1, 2] * w[2] + d[1] * eta_rate
-    h2 = inertia[2, 0] * w[0] + inertia[2, 1] * w[1] + inertia[2, 2] * w[2] + d[2] * eta_rate
     spring = 2.0 * mode.damping * mode.frequency * eta_rate + mode.frequency * mode.frequency * eta
-    m0 = torque[0] - (w[1] * h2 - w[2] * h1) + d[0] * spring
-    m1 = torque[1] - (w[2] * h0 - w[0] * h2) + d[1] * spring
-    m2 = torque[2] - (w[0] * h1 - w[1] * h0) + d[2] * spring
-    g = mode.inertia_inverse
     for i in range(3):
-        out[i] = g[i, 0] * m0 + g[i, 1] * m1 + g[i, 2] * m2
-    return -spring - (d[0] * out[0] + d[1] * out[1] + d[2] * out[2])
+        j, k = (i + 1) % 3, (i + 2) % 3
+        torque[i] += d[i] * spring - (w[j] * d[k] - w[k] * d[j]) * eta_rate
+    return spring
+
+
+@kernel
+def bending(mode, spring, acceleration):
+    """Return d2eta/dt2, m kg^1/2 / s^2, under the hub's dw/dt (3,), rad/s^2, and the ``spring`` of ``add_bending``."""
+    d = mode.coupling
+    return -spring - (d[0] * acceleration[0] + d[1] * acceleration[1] + d[2] * acceleration[2])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -55,20 +56,32 @@ class GravityField:
 
 
 def read(path: Path) -> GravityField:
-    """Return the field in ``path``, its kind told by its ending; raise GravityFileError."""
-    reader = {".cof": _read_cof, ".tab": _read_shadr, ".sha": _read_shadr}.get(path.suffix.lower())
-    if reader is None:
+    """Return the field in ``path``, its kind told by its ending; raise GravityFileError.
+
+    A file that has not changed since is not read again.
+    """
+    if path.suffix.lower() not in _READERS:
         raise GravityFileError(f"unknown kind {path.suffix or 'without an ending'}: give {_KINDS}")
+    try:
+        stamp = path.stat()
+    except OSError as error:
+        raise GravityFileError(f"cannot be read: {error.strerror}") from error
+    return _read(path, stamp.st_mtime_ns, stamp.st_size)
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, _changed_ns: int, _size: int) -> GravityField:
     try:
         text = path.read_text(encoding="ascii")
     except OSError as error:
         raise GravityFileError(f"cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise GravityFileError(f"is not a text file: give {_KINDS}") from error
-    field = reader(text)
+    field = _READERS[path.suffix.lower()](text)
     if abs(field.gm / MOON_GM_M3PS2 - 1.0) > _GM_TOLERANCE or not 1.7e6 < field.radius < 1.8e6:
         found = f"GM {field.gm / 1e9:g} km^3/s^2, radius {field.radius / 1e3:g} km"
         raise GravityFileError(f"is not of the Moon ({found}): give {_KINDS}")
+    field.c.flags.writeable = field.s.flags.writeable = False  # shared by all who ask for this file
     return field
 
 
@@ -176,3 +189,6 @@ def _whole(value: float, number: int) -> int:
 def _float(word: str) -> float:
     """Return the number; Fortran writes D for E."""
     return float(word.replace("D", "E").replace("d", "e"))
+
+
+_READERS = {".cof": _read_cof, ".tab": _read_shadr, ".sha": _read_shadr}

@@ -6,6 +6,8 @@ reference point, the origin of c. The two are one where the offset is zero.
 
 from __future__ import annotations
 
+import numpy as np
+
 from hil.maths import quat
 from hil.maths.jit import kernel
 from hil.maths.vectors import cross
@@ -27,15 +29,16 @@ def shift(q, offset_C, w_C, sign, r, v):
 
 
 @kernel
-def add_lever_terms(offset_C, w_before, w_after, dt, force):
+def add_lever_terms(offset_C, w_before, w_after, w_mean, dt, force):
     """Add to ``force`` (3,), m/s^2, what an accelerometer at the reference point feels and the centre of mass does not.
 
-    The mean over a step of ``-(dw/dt x d + w x (w x d))``, d the offset (3,), m, in c; w_before, w_after: (3,),
-    rad/s, inertial rate at both ends. The first term is exact, the second to the curvature of w in the step.
+    The mean over a step of ``-(dw/dt x d + w x (w x d))``, d the offset (3,), m, in c. w_before, w_after, w_mean: (3,),
+    rad/s, inertial rate at both ends and its mean. The first term is exact, the second to the change of w in a step.
     """
-    first = cross(w_before, cross(w_before, offset_C))
-    last = cross(w_after, cross(w_after, offset_C))
-    start = cross(w_before, offset_C)
-    end = cross(w_after, offset_C)
+    gained = np.empty(3)
     for i in range(3):
-        force[i] -= (end[i] - start[i]) / dt + 0.5 * (first[i] + last[i])
+        gained[i] = (w_after[i] - w_before[i]) / dt
+    turned = cross(gained, offset_C)
+    drawn = cross(w_mean, cross(w_mean, offset_C))
+    for i in range(3):
+        force[i] -= turned[i] + drawn[i]

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.dynamics import moon_gravity, orbit
-from hil.dynamics.flexible_array import MODE_PARAMS, flexible_acceleration
+from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
 from hil.dynamics.gravity_gradient import add_gravity_gradient
 from hil.dynamics.hill import hill_acceleration
 from hil.dynamics.mass_centre import add_lever_terms, shift
@@ -118,11 +118,15 @@ def _derivative(params, field, t_s, y, load, sun_F, dy):
         direction[i] = y[10 + i] + a[i, 1] * frame_rate
     quat.rate_of_change(q, direction, dy[6:10])
     dy[19], dy[20] = 0.0, 0.0
+    spring = 0.0
+    inverse = params.inertia_inverse
+    if params.flexible_array != 0:
+        inverse = params.mode.inertia_inverse
+        spring = add_bending(params.mode, y[10:13], y[19], y[20], torque)
+    angular_acceleration(params.inertia, inverse, y[10:13], torque, dy[10:13])
     if params.flexible_array != 0:
         dy[19] = y[20]
-        dy[20] = flexible_acceleration(params.mode, params.inertia, y[10:13], torque, y[19], y[20], dy[10:13])
-    else:
-        angular_acceleration(params.inertia, params.inertia_inverse, y[10:13], torque, dy[10:13])
+        dy[20] = bending(params.mode, spring, dy[10:13])
 
 
 @kernel
@@ -130,11 +134,13 @@ def _integrate(params, field, t_s, y, load, sun_F, dt):
     """Move ``y`` on by ``dt`` with one classical Runge-Kutta step, in place."""
     k = np.empty((4, _N))
     trial = np.empty(_N)
-    _derivative(params, field, t_s, y, load, sun_F, k[0])
-    for stage in range(1, 4):
-        part = dt if stage == 3 else 0.5 * dt
-        for i in range(_N):
-            trial[i] = y[i] + part * k[stage - 1, i]
+    copy_into(trial, y)
+    part = 0.0
+    for stage in range(4):
+        if stage > 0:
+            part = dt if stage == 3 else 0.5 * dt
+            for i in range(_N):
+                trial[i] = y[i] + part * k[stage - 1, i]
         _derivative(params, field, t_s + part, trial, load, sun_F, k[stage])
     for i in range(_N):
         y[i] += dt / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
@@ -260,7 +266,7 @@ def step(params, field, truth, on):
     for i in range(3):
         truth.mean_rate_C[i] = y[13 + i] / dt
         truth.mean_force_C[i] = load[i] + y[16 + i] / dt
-    add_lever_terms(params.mass_centre, w_before, truth.w_CI_C, dt, truth.mean_force_C)
+    add_lever_terms(params.mass_centre, w_before, truth.w_CI_C, truth.mean_rate_C, dt, truth.mean_force_C)
     if params.mass_loss != 0:
         truth.mass_kg -= dt * propellant_flow(fraction, params.thruster_force, params.exhaust_speed, n)
 

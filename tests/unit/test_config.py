@@ -252,9 +252,9 @@ def test_rig_of_hardware_without_wires_names_each_missing_wire(write: Write) -> 
     )
     found = rig_problems(path)
     assert set(found) == {
-        "rails.modbus.x.port",
-        "rails.modbus.y.port",
-        "rails.modbus.z.port",
-        "turntable.ascii.port",
-        "vmu.rs422.port",
+        "rig.rails.modbus.x.port",
+        "rig.rails.modbus.y.port",
+        "rig.rails.modbus.z.port",
+        "rig.turntable.ascii.port",
+        "rig.vmu.rs422.port",
     }

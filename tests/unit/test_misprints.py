@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from hil import parameters
 from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
-from hil.gnc import akf, pkf
+from hil.gnc import akf_additive, pkf
 from hil.maths import euler, quat
 from hil.messages import POSE, new
 from hil.report.verdict import Deviations, judge, tolerances
@@ -24,7 +24,7 @@ def test_yaw_of_eq_9_has_a_plus_between_its_products(rng: np.random.Generator) -
     for rotation in Rotation.random(50, rng=rng):
         q = rotation.as_quat()
         yaw = rotation.as_euler("ZYX")[0]
-        assert akf.angles(q)[2] == pytest.approx(yaw, abs=1e-9)
+        assert akf_additive.angles(q)[2] == pytest.approx(yaw, abs=1e-9)
         assert euler.from_quaternion(q, YAW_PITCH_ROLL)[2] == pytest.approx(yaw, abs=1e-9)
         printed = math.atan2(2 * (q[2] * q[3] - q[0] * q[1]), q[0] ** 2 - q[1] ** 2 - q[2] ** 2 + q[3] ** 2)
         worst_printed = max(worst_printed, abs(printed - yaw))
@@ -44,16 +44,26 @@ def test_first_two_lines_of_eq_9_belong_to_the_mended_third_one(rng: np.random.G
 
 def test_sensitivity_of_the_position_measurement_is_minus_R_CH_untransposed(scheme_1: Scenario) -> None:
     q = Rotation.from_euler("ZYX", [0.5, -0.4, 0.3]).as_quat()
-    pose, params = new(POSE), parameters.navigation(scheme_1).pkf
+    pose, params = new(POSE), parameters.navigation(scheme_1).fusion.pkf
     r_CT_H = np.array([5.0, -0.3, 0.3])
     pose.q_CH, pose.z_TC_C, pose.covariance_position = q, quat.to_matrix(q) @ -r_CT_H, 1e-4 * np.eye(3)
     state = new(pkf.PKF_STATE)
-    pkf.start(params, pose, state)
+    known = np.zeros((6, 6))
+    pkf.start(params, pose, known, state)
     np.testing.assert_allclose(state.x[:3], r_CT_H, atol=1e-14)
     x, p = state.x.copy(), state.p.copy()
     innovation = np.array([0.01, -0.02, 0.03])
-    pose.z_TC_C += innovation
-    pkf.update(state, pose, q, np.zeros((6, 6)))
+    r, h, h_turn, gain, found = (
+        pose.covariance_position,
+        np.empty((3, 9)),
+        np.empty((3, 3)),
+        np.empty((9, 3)),
+        np.empty(3),
+    )
+    pkf.innovate(state, pose.z_TC_C + innovation, r, 0.0, q, known, h, h_turn, gain, found)
+    pkf.update(state, r, known, h, h_turn, gain, found)
+    np.testing.assert_allclose(found, innovation, atol=1e-14)
+    np.testing.assert_array_equal(h, np.hstack([-quat.to_matrix(q), np.zeros((3, 6))]))
 
     def updated(rotation: np.ndarray) -> np.ndarray:
         h = np.hstack([-rotation, np.zeros((3, 6))])

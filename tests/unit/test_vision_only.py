@@ -41,7 +41,7 @@ def fly(
     q_CH: Callable[[float], np.ndarray],
 ) -> None:
     """Feed noiseless frames of the motion r_CT_H(t), q_CH(t)."""
-    vision_only.start(pose_at(0.0, r_CT_H(0.0), q_CH(0.0)), state)
+    vision_only.update(params, state, pose_at(0.0, r_CT_H(0.0), q_CH(0.0)))
     for k in range(1, 8 * frames + 1):
         vision_only.predict(params, state)
         if k % 8 == 0:
@@ -49,9 +49,13 @@ def fly(
             vision_only.update(params, state, pose_at(t_s, r_CT_H(t_s), q_CH(t_s)))
 
 
-def test_start_stands_at_the_first_pose_at_rest(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("t_s", [0.0, -3.0, 70.0])
+def test_first_pose_starts_it_at_rest_whenever_it_comes(
+    params: np.record, rng: np.random.Generator, t_s: float
+) -> None:
     q, r, state = Rotation.random(rng=rng).as_quat(), np.array([10.0, -0.5, 0.5]), new(vision_only.VISION_ONLY_STATE)
-    vision_only.start(pose_at(0.0, r, q), state)
+    vision_only.update(params, state, pose_at(t_s, r, q))
+    assert (state.started, state.last_t_s) == (1, t_s)
     np.testing.assert_allclose(state.r_CT_H, r, atol=1e-14)
     np.testing.assert_array_equal(state.q_CH, q)
     np.testing.assert_array_equal([*state.v_CT_H, *state.w_CH_C], 0.0)
@@ -86,7 +90,7 @@ def test_velocity_answers_a_sudden_start_as_a_first_order_low_pass(params: np.re
 def test_noise_of_differences_is_smoothed(params: np.record, rng: np.random.Generator) -> None:
     state, identity = new(vision_only.VISION_ONLY_STATE), np.array([0.0, 0.0, 0.0, 1.0])
     found = []
-    vision_only.start(pose_at(0.0, np.array([5.0, 0.0, 0.0]), identity), state)
+    vision_only.update(params, state, pose_at(0.0, np.array([5.0, 0.0, 0.0]), identity))
     for k in range(1, 2000):
         r = np.array([5.0, 0.0, 0.0]) + 0.005 * rng.standard_normal(3)
         vision_only.update(params, state, pose_at(k * FRAME_S, r, identity))
@@ -99,7 +103,7 @@ def test_noise_of_differences_is_smoothed(params: np.record, rng: np.random.Gene
 
 def test_frame_that_is_no_newer_is_left_out(params: np.record) -> None:
     state, identity = new(vision_only.VISION_ONLY_STATE), np.array([0.0, 0.0, 0.0, 1.0])
-    vision_only.start(pose_at(1.0, np.array([5.0, 0.0, 0.0]), identity), state)
+    vision_only.update(params, state, pose_at(1.0, np.array([5.0, 0.0, 0.0]), identity))
     before = state.copy()
     for t_s in (1.0, 0.5, math.nan):
         vision_only.update(params, state, pose_at(t_s, np.array([7.0, 0.0, 0.0]), identity))
