@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from serial.tools import list_ports
 
 from hil import parameters
 from hil.approach_diary import ApproachDiary
-from hil.bench.kinematics import axes_of_pose
 from hil.clock import SimulatedClock, WallClock
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
@@ -24,8 +21,8 @@ from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.eye import Eye, transport
+from hil.fitness import approach_problems, axes_at, layout_problems, port_problems, pose_problems
 from hil.gnc.watch import FilterWatch
-from hil.maths import euler
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
 from hil.priority import precedence
@@ -58,10 +55,10 @@ def check(job: Job) -> None:
     """Raise BadInput with every fault that shows only when scenario and rig meet."""
     problems = [
         *truth_problems(job.scenario),
-        *_layout_problems(job.scenario),
-        *_start_problems(job),
-        *_approach_problems(job.scenario),
-        *_port_problems(job.rig),
+        *layout_problems(job.scenario),
+        *pose_problems(job.scenario, job.rig),
+        *approach_problems(job.scenario),
+        *port_problems(job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
@@ -248,92 +245,4 @@ def _drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSour
 
 
 def _start_axes(scenario: Scenario, rig: Rig) -> np.record:
-    return _axes_at(scenario, rig, scenario.initial.position_m, scenario.initial.attitude_deg)
-
-
-def _axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_deg: Sequence[float]) -> np.record:
-    """Return AXES, at rest, for the chaser at ``position_m`` in H with the 3-2-1 angles ``attitude_deg``."""
-    axes = new(AXES)
-    rest = np.zeros(3)
-    q = euler.to_quaternion(np.radians(attitude_deg), parameters.YAW_PITCH_ROLL)
-    axes_of_pose(parameters.bench(rig, scenario.step_s), np.array(position_m), rest, q, rest, axes)
-    return axes
-
-
-def _layout_problems(scenario: Loaded[Scenario]) -> list[Problem]:
-    try:
-        parameters.allocation(scenario.value.chaser)
-    except ValueError as error:
-        key = "chaser.thrusters.position_m"
-        return [Problem(scenario.where(key), key, str(error))]
-    return []
-
-
-def _start_problems(job: Job) -> list[Problem]:
-    """Return a problem for each axis that cannot take the start pose or a point that the approach goes to."""
-    scenario, rig = job.scenario.value, job.rig.value
-    params = parameters.bench(rig, scenario.step_s)
-    ready = scenario.gnc.guidance.ready_point_m
-    problems = []
-    level = (0.0, 0.0, 0.0)
-    poses = [
-        ("initial.position_m", scenario.initial.position_m, scenario.initial.attitude_deg),
-        ("gnc.guidance.ready_point_m", ready, level),
-    ]
-    for name in scenario.gnc.guidance.sequence:
-        point = scenario.gnc.guidance.phases[name].point_m
-        if point is not None:
-            poses.append((f"gnc.guidance.phases.{name}.point_m", point, level))
-    for key, position, attitude in poses:
-        axes = _axes_at(scenario, rig, position, attitude)
-        source = job.scenario.where(key)
-        for i, (rail, gimbal) in enumerate(zip(RAIL_NAMES, GIMBAL_NAMES, strict=True)):
-            value, low, high = axes.rail_m[i], params.low[i], params.high[i]
-            if not low <= value <= high:
-                text = f"{list(position)}: rails.{rail} would go to {value:.3f} m, allowed {low:g} to {high:g} m"
-                problems.append(Problem(source, key, text))
-            angle, least, most = np.degrees([axes.gimbal_rad[i], params.low[3 + i], params.high[3 + i]])
-            if not least <= angle <= most:
-                text = (
-                    f"{list(attitude)}: turntable.{gimbal} would go to {angle:.2f} deg, "
-                    f"allowed {least:g} to {most:g} deg"
-                )
-                problems.append(Problem(source, "initial.attitude_deg", text))
-    return problems
-
-
-def _approach_problems(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return a problem for each phase that closes in faster than its own supervision allows."""
-    gnc = scenario.value.gnc
-    problems = []
-    limit = gnc.corridor.closing_rate_max_mps
-    for name in gnc.guidance.sequence:
-        phase = gnc.guidance.phases[name]
-        own = phase.speed_mps is not None
-        speed = phase.speed_mps if phase.speed_mps is not None else gnc.guidance.approach_speed_mps
-        if phase.kind in ("approach", "final") and speed >= limit:
-            key = f"gnc.guidance.phases.{name}.speed_mps" if own else "gnc.guidance.approach_speed_mps"
-            text = f"{speed:g}: must be below gnc.corridor.closing_rate_max_mps, {limit:g}"
-            problems.append(Problem(scenario.where(key), key, text))
-    return problems
-
-
-def _port_problems(rig: Loaded[Rig]) -> list[Problem]:
-    """Return a problem for each serial port of a hardware rig that this computer does not have."""
-    value = rig.value
-    if value.kind != "hardware":
-        return []
-    named: list[tuple[str, str | None]] = []
-    if value.turntable.driver == "ascii" and value.turntable.ascii is not None:
-        named.append(("turntable.ascii.port", value.turntable.ascii.port))
-    can = value.turntable.cia402
-    if value.turntable.driver == "cia402" and can is not None and can.interface in ("serial", "slcan"):
-        named.append(("turntable.cia402.channel", can.channel))
-    if value.vmu.rs422 is not None:
-        named.append(("vmu.rs422.port", value.vmu.rs422.port))
-    present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
-    return [
-        Problem(rig.where(key), key, f"{port}: no such port, this computer has {present}")
-        for key, port in named
-        if port is not None and port.startswith("/") and not Path(port).exists()
-    ]
+    return axes_at(scenario, rig, scenario.initial.position_m, scenario.initial.attitude_deg)

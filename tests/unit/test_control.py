@@ -198,26 +198,37 @@ def test_slew_is_no_faster_than_its_rate(params: np.record) -> None:
     assert fastest <= params.correction_rate[4] + pulse
 
 
-def test_reference_is_followed_by_feed_forward_alone(params: np.record) -> None:
+@pytest.mark.parametrize("sigma_m", [1.0, 0.0])  # feedback sees nothing; feedback sees all and finds nothing to do
+def test_reference_is_followed_by_feed_forward_alone(params: np.record, sigma_m: float) -> None:
     """A perfect estimate under a constant reference acceleration: thrust makes the same change of rate, to a pulse."""
     command, reference, fired = new(COMMAND), held(), 0
     position = velocity = 0.0
-    reference.a_CT_H[0] = 0.004
+    reference.a_CT_H[0] = 0.0045  # four and a half pulses a period: something is always owed
     for k in range(500):
         t = k * params.dt_s
-        reference.r_CT_H[0], reference.v_CT_H[0] = 0.5 * 0.004 * t * t, 0.004 * t
+        reference.r_CT_H[0], reference.v_CT_H[0] = 0.5 * 0.0045 * t * t, 0.0045 * t
         navigation = seen((position, 0.0, 0.0))
         navigation.v_CT_H[0] = velocity
-        navigation.sigma_r_m[0] = 1.0  # feedback sees nothing
+        navigation.sigma_r_m[0] = sigma_m
         control(params, navigation, reference, command)
         change = command.force[0] * params.acceleration[0] * params.dt_s
         position += (velocity + 0.5 * change) * params.dt_s
         velocity += change
         fired += abs(int(command.force[0]))
         assert command.force[0] >= 0
-    wanted = 0.004 * 500 * params.dt_s
+    wanted = 0.0045 * 500 * params.dt_s
     assert fired * params.acceleration[0] * params.dt_s == pytest.approx(
         wanted, abs=2.0 * params.acceleration[0] * params.dt_s
     )
     # fired ahead by up to a period: half of 0.2 s at the speed's growth, and the last step
     assert abs(position - reference.r_CT_H[0]) < 0.005
+
+
+def test_feedback_leaves_to_feed_forward_what_is_owed(params: np.record) -> None:
+    command, navigation = new(COMMAND), seen()
+    pulse = params.acceleration[0] * params.dt_s
+    command.owed[0] = 0.45 * pulse  # asked for, too little for a pulse so far
+    navigation.v_CT_H[0] = -0.45 * pulse
+    assert 0.45 * pulse * params.lead[0] > params.deadband[0]
+    control(params, navigation, held(), command)
+    assert command.force[0] == 0
