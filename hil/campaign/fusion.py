@@ -16,6 +16,7 @@ from hil.campaign.fusion_kernel import SNAPSHOTS_S, STUDY_PARAMS, STUDY_RESULT, 
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.gnc.fusion import FUSION_STATE, MEMORY, STEP
+from hil.gnc.guidance import GUIDANCE_STATE
 from hil.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
 
 Reading = Literal["swapped", "printed"]
@@ -50,7 +51,7 @@ class Study:
 
     def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int) -> None:
         scenario = load_scenario("scheme-2", settings).value
-        self._study = study_params(scenario, reading, load_rig("mock").value.vmu.rate_hz)
+        self._study = study_params(scenario, reading, load_rig("mock", settings).value.vmu.rate_hz)
         self._filters = parameters.navigation(scenario).fusion
         self._imu = parameters.imu(scenario)
         self._line = parameters.guidance(scenario)
@@ -63,6 +64,7 @@ class Study:
             self._filters,
             self._imu,
             self._line,
+            new(GUIDANCE_STATE),
             new(REFERENCE),
             new(TRUTH),
             new(IMU),

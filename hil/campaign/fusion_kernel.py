@@ -11,8 +11,7 @@ import math
 import numpy as np
 
 from hil.dynamics.imu import sample
-from hil.gnc import akf, fusion
-from hil.gnc.guidance import reference
+from hil.gnc import akf, akf_additive, fusion, guidance
 from hil.gnc.navigation import normalised_errors
 from hil.maths import quat
 from hil.maths.arrays import copy_into, fill_matrix
@@ -65,11 +64,13 @@ def _attitude(params, t_s):
 
 
 @kernel
-def _move(study, filter_params, imu_params, line, point, cycle, truth):
+def _move(study, filter_params, line, flown, point, cycle, truth):
     """Move ``truth`` on by one step; leave in it what gyro and accelerometer integrate over the step."""
     dt = filter_params.pkf.dt_s
     w0 = filter_params.akf.orbit_rate
-    reference(line, (cycle + 0.5) * dt, point)
+    t_s = (cycle + 0.5) * dt
+    guidance.advance(line, flown, t_s, 0, 1)
+    guidance.reference(line, flown, t_s, point)
     force_h = np.empty(3)
     force_h[0] = point.a_CT_H[0] - 2.0 * w0 * truth.v_CT_H[2]
     force_h[1] = point.a_CT_H[1] + w0 * w0 * truth.r_CT_H[1]
@@ -137,6 +138,8 @@ def _start(study, params, truth, imu, draws, state, memory):
         filters.akf.p[i, i] = study.initial_sigma[9 + i] ** 2
         filters.akf.p[3 + i, 3 + i] = study.initial_sigma[12 + i] ** 2
     copy_into(filters.akf.x[0:4], quat.multiply(quat.from_rotation_vector(turn), truth.q_CH))
+    if params.attitude_form == fusion.AS_PRINTED:
+        akf_additive.spread(filters.akf.x, filters.akf.p, filters.additive)
     state.started = 1
     state.cycle = 1
     memory[0].is_start = 1
@@ -171,16 +174,19 @@ def _trace(truth, imu, filters, row):
 
 
 @kernel
-def run_study(study, params, imu_params, line, point, truth, imu, pose, state, memory, rng, noisy, result, trace):
+def run_study(
+    study, params, imu_params, line, flown, point, truth, imu, pose, state, memory, rng, noisy, result, trace
+):
     """Do one run; write ``result`` (STUDY_RESULT).
 
-    study: STUDY_PARAMS. params: FUSION_PARAMS. imu_params: IMU_PARAMS. line: GUIDANCE_PARAMS. point,
-    truth, imu, pose, state: records to work in, zeroed. memory: (MEMORY,) of fusion.STEP. rng: numpy
+    study: STUDY_PARAMS. params: FUSION_PARAMS. imu_params: IMU_PARAMS. line: GUIDANCE_PARAMS. flown,
+    point, truth, imu, pose, state: records to work in, zeroed. memory: (MEMORY,) of fusion.STEP. rng: numpy
     Generator. noisy: 0 gives the linear covariance along the line, without any noise or error.
     trace: (n, 12), errors and sigmas of position, m, and small turn, rad, of the first n cycles.
     """
     dt = params.pkf.dt_s
-    reference(line, 0.0, point)
+    guidance.start(line, flown)
+    guidance.reference(line, flown, 0.0, point)
     copy_into(truth.r_CT_H, point.r_CT_H)
     copy_into(truth.q_CH, _attitude(study, 0.0))
     draws = np.zeros(15)
@@ -196,7 +202,7 @@ def run_study(study, params, imu_params, line, point, truth, imu, pose, state, m
     n_nis = 0
     for cycle in range(1, study.cycles + 1):
         t_s = cycle * dt
-        _move(study, params, imu_params, line, point, cycle - 1, truth)
+        _move(study, params, line, flown, point, cycle - 1, truth)
         if noisy != 0:
             for i in range(18):
                 noise[i] = rng.standard_normal()

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from hil.cli.output import check_json_path, write_json
-from hil.config.load import load_scenario
+from hil.cli.output import check_json_path, check_picture_path, write_json
+from hil.config.load import load_rig, load_scenario
 from hil.errors import BadInput, Problem
 
 Reading = Literal["swapped", "printed"]
@@ -36,10 +36,11 @@ def fusion_command(
         for name, value, least in (("--runs", runs, 1), ("--seed", seed, 0), ("--workers", workers, 0))
         if value < least
     ]
-    problems += check_json_path("--json", json_path) + check_json_path("--figure", figure)
+    problems += check_json_path("--json", json_path) + check_picture_path("--figure", figure)
     if problems:
         raise BadInput(problems)
-    load_scenario("scheme-2", settings)  # says what is wrong with the settings before anything starts
+    load_scenario("scheme-2", settings)  # these say what is wrong with the settings before anything starts
+    load_rig("mock", settings)
     from hil.campaign.fusion import Study, run_fusion
 
     console = Console(stderr=True)

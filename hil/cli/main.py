@@ -30,17 +30,26 @@ Settings = Annotated[
 ]
 
 
+def _whole_number(_type: object, tokens: Sequence[cyclopts.Token]) -> int:
+    """Return a whole number; cyclopts by itself would cut 1.5 to 1."""
+    return int(tokens[0].value)
+
+
+Whole = Annotated[int, Parameter(converter=_whole_number)]
+Output = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
+
+
 @app.command
 def run(
     scenario: str,
     /,
     *,
     rig: str = "mock",
-    seed: int = 0,
+    seed: Whole = 0,
     duration: float | None = None,
     settings: Settings = (),
     speed: float = 1.0,
-    json: str | None = None,
+    json: Output = None,
 ) -> int:
     """Run one closed loop and print its verdict.
 
@@ -68,11 +77,11 @@ def run(
 def fusion(
     *,
     vmu_noise: Literal["swapped", "printed"] = "swapped",
-    runs: int = 100,
-    seed: int = 0,
+    runs: Whole = 100,
+    seed: Whole = 0,
     settings: Settings = (),
-    workers: int = 0,
-    json: str | None = None,
+    workers: Whole = 0,
+    json: Output = None,
     figure: str | None = None,
 ) -> int:
     """Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.

@@ -10,12 +10,25 @@ from typing import Any
 
 from hil.errors import Problem
 
+PICTURES = (".png", ".pdf", ".svg")
+
 
 def check_json_path(option: str, path: str | None) -> list[Problem]:
-    """Return a problem where ``path`` lies in a folder that does not exist."""
-    if path is None or path == "-" or Path(path).absolute().parent.is_dir():
+    """Return a problem where no file can be written to ``path``, "-" for standard output."""
+    if path is None or path == "-":
         return []
-    return [Problem(option, "", f"{path}: its folder does not exist")]
+    if Path(path).is_dir():
+        return [Problem(option, "", f"{path}: is a folder, give the name of a file")]
+    if not Path(path).absolute().parent.is_dir():
+        return [Problem(option, "", f"{path}: its folder does not exist")]
+    return []
+
+
+def check_picture_path(option: str, path: str | None) -> list[Problem]:
+    """Return a problem where no picture can be written to ``path``."""
+    if path is not None and Path(path).suffix.lower() not in PICTURES:
+        return [Problem(option, "", f"{path}: must end in {', '.join(PICTURES)}")]
+    return check_json_path(option, path)
 
 
 def write_json(content: dict[str, Any], path: str) -> None:

@@ -93,22 +93,39 @@ def angle_covariance(q, covariance_turn, out):
 
 
 @kernel
-def start(params, pose, state):
-    """Start from the first pose: its attitude with its covariance, the drift from ``params``."""
-    fill_matrix(state.p, 0.0)
+def spread(x, p, state):
+    """Take over the state ``x`` (7,) of the multiplicative filter and its covariance ``p`` (6, 6)."""
+    copy_into(state.x, x)
     state.nis = np.nan
-    copy_into(state.x[0:4], pose.q_CH)
     xi = np.empty((4, 3))
-    turn_response(pose.q_CH, xi)
-    for i in range(4):
-        for j in range(4):
-            for m in range(3):
-                for n in range(3):
-                    state.p[i, j] += 0.25 * xi[i, m] * pose.covariance_attitude[m, n] * xi[j, n]
+    turn_response(x, xi)
+    t = np.zeros((7, 6))
     for i in range(3):
-        state.x[4 + i] = params.initial_drift[i]
-        state.p[4 + i, 4 + i] = params.initial_drift_sigma**2
+        for j in range(4):
+            t[j, i] = 0.5 * xi[j, i]
+        t[4 + i, 3 + i] = 1.0
         state.w_CH_C[i] = 0.0
+    for i in range(7):
+        for j in range(7):
+            total = 0.0
+            for m in range(6):
+                for n in range(6):
+                    total += t[i, m] * p[m, n] * t[j, n]
+            state.p[i, j] = total
+
+
+@kernel
+def start(params, pose, state):
+    """Start from the first pose: its attitude with its covariance, the drift from ``params`` (AKF_PARAMS)."""
+    x = np.empty(7)
+    p = np.zeros((6, 6))
+    copy_into(x[0:4], pose.q_CH)
+    for i in range(3):
+        x[4 + i] = params.initial_drift[i]
+        p[3 + i, 3 + i] = params.initial_drift_sigma**2
+        for j in range(3):
+            p[i, j] = pose.covariance_attitude[i, j]
+    spread(x, p, state)
 
 
 @kernel

@@ -24,6 +24,8 @@ from hil.messages import POSE
 MEMORY = 64  # steps; at 50 Hz 1.28 s
 POSES_A_STEP = 2
 
+UNJUDGED, NOTHING, ATTITUDE, WHOLE = range(4)
+
 MULTIPLICATIVE = 0
 AS_PRINTED = 1
 
@@ -40,6 +42,8 @@ STEP = np.dtype(
         ("is_start", "i8"),  # the filters were started here
         ("first", POSE),
         ("second", POSE),
+        ("first_in", "i8"),  # what the gate said when they came: UNJUDGED, or what was let in
+        ("second_in", "i8"),
     ],
     align=True,
 )
@@ -62,6 +66,7 @@ FUSION_STATE = np.dtype(
     align=True,
 )
 
+_AHEAD = 1  # steps by which an exposure may be in the future: stamps and cycles are rounded
 _REOPEN_AFTER = 8  # rejections in a row: then it is the filter that is wrong, and the next pose is let in
 
 
@@ -117,7 +122,7 @@ def _start(params, pose, filters):
     akf.start(params.akf, pose, filters.akf)
     pkf.start(params.pkf, pose, filters.akf.p, filters.pkf)
     if params.attitude_form == AS_PRINTED:
-        akf_additive.start(params.akf, pose, filters.additive)
+        akf_additive.spread(filters.akf.x, filters.akf.p, filters.additive)
 
 
 @kernel
@@ -144,8 +149,11 @@ def _take_over(filters):
 
 
 @kernel
-def _fuse(params, state, pose, moment_s, is_new):
-    """Fuse one pose whose step is at ``moment_s``; count it if it is new."""
+def _fuse(params, state, pose, moment_s, judged):
+    """Fuse one pose whose step is at ``moment_s``; return what of it was let in.
+
+    judged: UNJUDGED for a new pose, which the gate judges and counts; otherwise what it said then.
+    """
     filters = state.filters
     delta_s = pose.t_s - moment_s
     turn = np.empty(3)
@@ -158,42 +166,53 @@ def _fuse(params, state, pose, moment_s, is_new):
     gain_a, innovation_a = np.empty((6, 3)), np.empty(3)
     gain_p, innovation_p = np.empty((9, 3)), np.empty(3)
     h, h_turn = np.empty((3, 9)), np.empty((3, 3))
-    nis_a = akf.innovate(filters.akf, q_measured, pose.covariance_attitude, gain_a, innovation_a)
     open_gate = state.in_a_row >= _REOPEN_AFTER
-    attitude_in = open_gate or nis_a <= params.akf.gate
+    nis_a = akf.innovate(filters.akf, q_measured, pose.covariance_attitude, gain_a, innovation_a)
     nis_p = np.nan
-    position_in = False
-    if attitude_in:
+    found = judged
+    if judged == UNJUDGED:
+        found = ATTITUDE if open_gate or nis_a <= params.akf.gate else NOTHING
+    if found >= ATTITUDE:
         if params.attitude_form == AS_PRINTED:
             akf_additive.update(filters.additive, q_measured, pose.covariance_attitude)
-            akf.update(filters.akf, pose.covariance_attitude, gain_a, innovation_a)
+        akf.update(filters.akf, pose.covariance_attitude, gain_a, innovation_a)
+        if params.attitude_form == AS_PRINTED:
             _take_over(filters)
-        else:
-            akf.update(filters.akf, pose.covariance_attitude, gain_a, innovation_a)
         pkf.follow_attitude_update(filters.pkf, filters.akf.keep)
         nis_p = pkf.innovate(
             filters.pkf, z, pose.covariance_position, delta_s, filters.akf.x[0:4], filters.akf.p,
             h, h_turn, gain_p, innovation_p,
         )  # fmt: skip
-        position_in = open_gate or nis_p <= params.pkf.gate
-        if position_in:
+        if judged == UNJUDGED and (open_gate or nis_p <= params.pkf.gate):
+            found = WHOLE
+        if found == WHOLE:
             pkf.update(filters.pkf, pose.covariance_position, filters.akf.p, h, h_turn, gain_p, innovation_p)
-    if is_new:
-        state.nis_attitude = nis_a
-        state.nis_position = nis_p
-        if not attitude_in:
-            state.rejected_attitude += 1
-        elif not position_in:
-            state.rejected_position += 1
-        else:
-            state.accepted += 1
-        state.in_a_row = 0 if position_in else state.in_a_row + 1
+    if judged == UNJUDGED:
+        _count(state, found, nis_a, nis_p)
+    return found
+
+
+@kernel
+def _count(state, found, nis_attitude, nis_position):
+    """Count a pose that was judged just now."""
+    state.nis_attitude = nis_attitude
+    state.nis_position = nis_position
+    if found == NOTHING:
+        state.rejected_attitude += 1
+    elif found == ATTITUDE:
+        state.rejected_position += 1
+    else:
+        state.accepted += 1
+    state.in_a_row = 0 if found == WHOLE else state.in_a_row + 1
 
 
 @kernel
 def _place(params, state, memory, pose):
     """Put a pose into the step nearest to its exposure; return that step's number, or -1 if it has no place."""
     cycle = math.floor(pose.t_s / params.pkf.dt_s + 0.5)
+    if cycle > state.cycle + _AHEAD:  # a clock that runs ahead: the pose is of no known moment
+        state.too_late += 1
+        return -1
     cycle = min(cycle, state.cycle)
     oldest = max(0, state.cycle - MEMORY + 1)
     if state.started != 0:
@@ -212,8 +231,10 @@ def _place(params, state, memory, pose):
         return -1
     if held == 0:
         _copy_pose(pose, step.first)
+        step.first_in = UNJUDGED
     else:
         _copy_pose(pose, step.second)
+        step.second_in = UNJUDGED
     if state.started == 0:
         step.is_start = 1
         state.started = 1
@@ -225,12 +246,12 @@ def _place(params, state, memory, pose):
 
 
 @kernel
-def _fuse_step(params, state, step, moment_s, newest_s):
-    """Fuse all poses that stand in ``step``; the one of exposure ``newest_s`` is counted."""
+def _fuse_step(params, state, step, moment_s):
+    """Fuse all poses that stand in ``step``."""
     if step.is_start == 0 and step.n_poses > 0:
-        _fuse(params, state, step.first, moment_s, step.first.t_s == newest_s)
+        step.first_in = _fuse(params, state, step.first, moment_s, step.first_in)
     if step.n_poses + step.is_start > 1:
-        _fuse(params, state, step.second, moment_s, step.second.t_s == newest_s)
+        step.second_in = _fuse(params, state, step.second, moment_s, step.second_in)
 
 
 @kernel
@@ -259,9 +280,9 @@ def take(params, state, memory, pose):
         return
     dt = params.pkf.dt_s
     _copy_filters(params, memory[first % MEMORY].predicted, state.filters)
-    _fuse_step(params, state, memory[first % MEMORY], first * dt, pose.t_s)
+    _fuse_step(params, state, memory[first % MEMORY], first * dt)
     for cycle in range(first + 1, state.cycle + 1):
         step = memory[cycle % MEMORY]
         _predict(params, state.filters, step.rate_C, step.force_C)
         _copy_filters(params, state.filters, step.predicted)
-        _fuse_step(params, state, step, cycle * dt, pose.t_s)
+        _fuse_step(params, state, step, cycle * dt)

@@ -162,7 +162,7 @@ def test_number_that_is_not_finite_is_a_safety_trip(driver):
     with served(driver) as (_, device, clock):
         with pytest.raises(SafetyTrip, match=r"turntable\.pitch: setpoint nan"):
             device.send(np.array((0.0, math.nan, 0.0)), np.zeros(3), clock.now_s())
-        with pytest.raises(SafetyTrip, match=r"turntable\.yaw: setpoint inf"):
+        with pytest.raises(SafetyTrip, match=r"turntable\.yaw: rate inf"):
             device.send(np.zeros(3), np.array((0.0, 0.0, math.inf)), clock.now_s())
 
 

@@ -149,7 +149,6 @@ def test_json_to_standard_output_is_all_that_stands_there(capsys: pytest.Capture
     assert json.loads(capsys.readouterr().out)["vmu_noise"] == "printed"
 
 
-@pytest.mark.xfail(strict=True, reason="the study starts the multiplicative filter alone")
 def test_form_of_the_attitude_filter_can_be_set(tmp_path: Path) -> None:
     found = []
     for form in ("multiplicative", "as_printed"):
@@ -157,8 +156,9 @@ def test_form_of_the_attitude_filter_can_be_set(tmp_path: Path) -> None:
         arguments = ["fusion", "--runs", "1", "--set", f"gnc.akf.form={form}", "--json", str(path)]
         assert execute(arguments) in (0, 1)
         found.append(json.loads(path.read_text()))
-    for key in ("position_rmse_m", "attitude_rmse_deg"):
-        np.testing.assert_allclose(found[1][key], found[0][key], rtol=0.02)
+    for key, bound in (("position_rmse_m", "position_bound_m"), ("attitude_rmse_deg", "attitude_bound_deg")):
+        # a start 3 degrees off leaves the two forms a few hundredths of a sigma apart
+        np.testing.assert_allclose(found[1][key], found[0][key], atol=0.03 * max(found[0][bound]), rtol=0.0)
     assert found[0]["attitude_rmse_deg"] != found[1]["attitude_rmse_deg"]
 
 
@@ -192,7 +192,6 @@ def test_bad_input_is_refused_in_one_line(
     ("option", "value"),
     [("--runs", "1.5"), ("--figure", "{folder}/picture.foo"), ("--json", "{folder}"), ("--set", "rig.vmu.colour=3")],
 )
-@pytest.mark.xfail(strict=True, reason="taken, or found out after all runs only")
 def test_bad_input_is_refused_before_the_runs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, value: str
 ) -> None:
@@ -203,7 +202,6 @@ def test_bad_input_is_refused_before_the_runs(
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.xfail(strict=True, reason="the command line takes the dash for an option")
 def test_dash_after_a_space_is_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["fusion", "--runs", "1", "--json", "-"]) in (0, 1)
     assert json.loads(capsys.readouterr().out)["runs"] == 1

@@ -273,7 +273,6 @@ def test_ninth_pose_after_eight_rejections_in_a_row_is_let_in(
     assert (run.counts()[0], sum(run.counts()[1:3]), run.state.in_a_row) == (1, 8, 0)
 
 
-@pytest.mark.xfail(strict=True, reason="the pose let in at the ninth is judged again by the gate, now shut")
 def test_pose_let_in_after_rejections_stays_in_when_an_older_one_comes(
     params: np.record, rng: np.random.Generator
 ) -> None:
