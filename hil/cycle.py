@@ -19,10 +19,14 @@ class Blackboard:
     def __init__(self) -> None:
         self.row = np.zeros(1, CYCLE)
         records = self.row.view(np.recarray)
-        self.cycle: np.record = records[0]
         for name in CYCLE.names or ():
-            if CYCLE[name].names:
-                setattr(self, name, records[name][0])
+            setattr(self, name, records[name][0] if CYCLE[name].names else self.row[name])
+
+    # one number each, arrays of shape (1,): writing into an array is cheaper than into a record
+    t_s: np.ndarray
+    lateness_s: np.ndarray
+    nees_position: np.ndarray
+    nees_attitude: np.ndarray
 
     truth: np.record
     imu: np.record
@@ -60,8 +64,8 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.gnc.guide(t_s, now.supervision, now.reference)  # 5  reference of the present phase
     loop.gnc.supervise(t_s, now.navigation, now.reference, now.supervision)  # 6  corridor, closing rate, abort
     loop.gnc.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
-    now.cycle.t_s, now.cycle.lateness_s = t_s, lateness_s
-    now.cycle.nees_position, now.cycle.nees_attitude = loop.gnc.consistency(now.truth, now.imu)
+    now.t_s[0], now.lateness_s[0] = t_s, lateness_s
+    now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
     loop.history[k] = now.row[0]  # 8  what was known and done at t_s
     loop.dss.step(now.truth, now.command)  # 9  truth one step on
     loop.dss.sample_imu(now.truth, now.imu)  # 10 virtual IMU over that step

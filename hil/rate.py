@@ -26,6 +26,8 @@ class Rate(Protocol):
     """Gives the moment of each cycle; ``cycle`` is its number since ``restart``."""
 
     overruns: int
+    on_the_wall: bool
+    """Whether cycles have deadlines."""
 
     def now_s(self) -> float:
         """Return bench time."""
@@ -44,6 +46,7 @@ class SimulatedRate:
         self._clock = clock
         self._step_s = step_s
         self.overruns = 0
+        self.on_the_wall = False
         self.restart()
 
     def now_s(self) -> float:
@@ -71,6 +74,7 @@ class WallRate:
         self._step_s = step_s
         self._period_ns = round(step_s / clock.speed * 1e9)
         self.overruns = 0
+        self.on_the_wall = True
         self.skipped_periods = 0
         self.restart()
 

@@ -108,6 +108,9 @@ class Gnc:
         guidance.start(guidance_params, self._flown)
         self._go = self._abort = 0
         self._nees = np.empty(2)
+        self._cycle = -1
+        self._fuses = bool(navigation_params.sensors == navigation.VISION_AND_IMU)
+        self._fuses_now = False
 
     def order_go(self) -> None:
         """Order the approach to go on from its wait, from the next cycle on."""
@@ -120,8 +123,10 @@ class Gnc:
     def navigate(self, imu: np.record, vision: Vision, out: np.record) -> None:
         """Write NAVIGATION from the step's IMU sample and the poses that came."""
         navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
-        if self.watch is not None and self._navigation.sensors == navigation.VISION_AND_IMU:
-            self.watch.look(self.state.fusion.cycle - 1, imu, vision.poses[: vision.arrived], out, self._memory)
+        self._cycle += 1
+        self._fuses_now = self._fuses and vision.arrived > 0
+        if self.watch is not None and (self._fuses_now or (self._fuses and self.watch.looks_always)):
+            self.watch.look(self._cycle, imu, vision.poses[: vision.arrived], out, self._memory)
 
     def guide(self, t_s: float, found: np.record, out: np.record) -> None:
         """Write REFERENCE for ``t_s`` of the run; moves on to the next phase when its time or its order has come."""
@@ -159,8 +164,11 @@ class Gnc:
         allocation.select(self._sets, self._n, command)
 
     def consistency(self, truth: np.record, imu: np.record) -> Array:
-        """Return NEES of position and attitude filter, (2,), nan where there is none; valid until the next call."""
-        if self.state.fusion.started:
+        """Return NEES of position and attitude filter, (2,), in cycles with a pose, nan otherwise.
+
+        Valid until the next call.
+        """
+        if self._fuses_now:
             navigation.normalised_errors(self.state.fusion.filters, truth, imu, self._nees)
         else:
             self._nees[:] = np.nan

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import json
 import os
 import select
@@ -61,6 +62,9 @@ def serve(make_emulator: Callable[[dict[str, Any]], Emulator]) -> None:
     emulator = make_emulator(json.loads(line))
     try:
         ready = {"pid": os.getpid(), "addresses": emulator.start()}
+        # what was imported stays: a collection that walks through all of it lasts longer than a drive's watchdog
+        gc.collect()
+        gc.freeze()
         with os.fdopen(announcement, "w") as up:
             up.write(json.dumps(ready) + "\n")
         _run_until(emulator, ended, end)

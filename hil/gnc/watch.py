@@ -79,6 +79,11 @@ class FilterWatch:
         else:
             self._shadow = None
 
+    @property
+    def looks_always(self) -> bool:
+        """Whether ``look`` has something to do in cycles without a pose."""
+        return self._shadow is not None
+
     def look(self, cycle: int, imu: np.record, poses: np.ndarray, estimate: np.record, memory: np.ndarray) -> None:
         """Look at what came in ``cycle`` and what the filters made of it. poses: of POSE, the new ones alone."""
         if len(poses):

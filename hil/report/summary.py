@@ -112,8 +112,9 @@ def _rms(values: Array) -> list[float] | None:
 
 
 def _mean(values: Array) -> float | None:
-    mean = float(np.mean(values))
-    return mean if np.isfinite(mean) else None
+    """Return the mean of what is there, None where nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.mean(known)) if len(known) else None
 
 
 def _thrusters(history: np.ndarray, scenario: Scenario) -> dict[str, Any]:

@@ -72,7 +72,7 @@ class DriveSetup:
         self._map(codec.CONTROL_PDO)
         self._map(codec.FEEDBACK_PDO)
         self._map(codec.STATUS_PDO)
-        self.put(codec.STATUS_PDO.parameter, round(500.0 * timeout_s), 2, subindex=codec.PDO_EVENT_TIMER)
+        self.put(codec.STATUS_PDO.parameter, round(250.0 * timeout_s), 2, subindex=codec.PDO_EVENT_TIMER)
         self.put(codec.SETPOINT_PDO.parameter, round(1000.0 * watchdog_s), 2, subindex=codec.PDO_EVENT_TIMER)
         self.put(codec.ABORT_CONNECTION_OPTION, codec.ABORT_QUICK_STOPS, 2)
         self.put(codec.QUICK_STOP_OPTION, codec.QUICK_STOP_STAYS, 2)
