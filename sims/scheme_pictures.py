@@ -10,7 +10,7 @@ import sys
 import matplotlib as mpl
 import numpy as np
 
-from hil import build, parameters
+from hil import build
 from hil.config.load import load_rig, load_scenario
 from hil.report.verdict import deviations, judge, tolerances
 
@@ -32,7 +32,7 @@ def main(name: str, path: str) -> None:
     with build.runner(job, lambda *_: None, print) as runner:
         history = runner.run().history
     wanted = scenario.value.requirements
-    found = deviations(history, wanted, parameters.orbit_rate(scenario.value))
+    found = deviations(history, wanted)
     verdict = judge(found, wanted)
     figure, axes = plt.subplots(4, 2, figsize=(11, 10), constrained_layout=True, width_ratios=(2, 1))
     for row, (key, label, names) in enumerate(ROWS):
