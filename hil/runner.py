@@ -6,7 +6,7 @@ import gc
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -68,7 +68,7 @@ class Runner:
 
     def run(self) -> Outcome:
         """Run to the end, to a fault, or to Ctrl-C; the bench stands still whatever happened."""
-        with _no_garbage_collection() if self._rate.on_the_wall else nullcontext():
+        with _no_garbage_collection(first=self._rate.on_the_wall):
             stop, faults = self._run()
         self._modes.go(Mode.SAFE_STOP if faults else Mode.STANDBY)
         return Outcome(
@@ -171,10 +171,11 @@ class Runner:
 
 
 @contextmanager
-def _no_garbage_collection() -> Iterator[None]:
+def _no_garbage_collection(first: bool) -> Iterator[None]:
     """Keep the collector's pauses away from enabled drives: one full collection can outlast their watchdogs."""
-    gc.collect()
-    gc.freeze()
+    if first:
+        gc.collect()
+        gc.freeze()
     gc.disable()
     try:
         yield

@@ -6,7 +6,7 @@ import math
 from collections import deque
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammainccinv, gammaincinv
 
 from hil.messages import Event
 
@@ -18,8 +18,8 @@ _SETTLED_TAIL = 0.1  # an alarm ends well inside the band, so that it does not c
 def nis_band(updates: int, tail: float) -> tuple[float, float]:
     """Return the band of the mean of ``updates`` three-component NIS, ``tail`` left out on each side."""
     return (
-        float(chi2.ppf(tail, 3 * updates)) / updates,
-        float(chi2.isf(tail, 3 * updates)) / updates,
+        float(2.0 * gammaincinv(1.5 * updates, tail)) / updates,  # chi-square of 3 a value
+        float(2.0 * gammainccinv(1.5 * updates, tail)) / updates,
     )
 
 
