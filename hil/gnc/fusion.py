@@ -17,7 +17,7 @@ from hil.gnc.akf import AKF_PARAMS, AKF_STATE
 from hil.gnc.akf_additive import AKF_ADDITIVE_STATE
 from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
 from hil.maths import quat
-from hil.maths.arrays import copy_into
+from hil.maths.arrays import copy_into, copy_matrix
 from hil.maths.jit import kernel
 from hil.messages import POSE
 
@@ -71,39 +71,21 @@ _REOPEN_AFTER = 8  # rejections in a row: then it is the filter that is wrong, a
 
 
 @kernel
-def _copy_akf(source, target):
+def _copy_attitude(source, target):
+    """Copy either attitude filter; the two differ in the size of ``p`` alone."""
     copy_into(target.x, source.x)
     copy_into(target.w_CH_C, source.w_CH_C)
-    for i in range(6):
-        for j in range(6):
-            target.p[i, j] = source.p[i, j]
-
-
-@kernel
-def _copy_additive(source, target):
-    copy_into(target.x, source.x)
-    copy_into(target.w_CH_C, source.w_CH_C)
-    for i in range(7):
-        for j in range(7):
-            target.p[i, j] = source.p[i, j]
-
-
-@kernel
-def _copy_pkf(source, target):
-    copy_into(target.x, source.x)
-    for i in range(9):
-        for j in range(9):
-            target.p[i, j] = source.p[i, j]
-        for j in range(6):
-            target.c[i, j] = source.c[i, j]
+    copy_matrix(target.p, source.p)
 
 
 @kernel
 def _copy_filters(params, source, target):
-    _copy_akf(source.akf, target.akf)
+    _copy_attitude(source.akf, target.akf)
     if params.attitude_form == AS_PRINTED:
-        _copy_additive(source.additive, target.additive)
-    _copy_pkf(source.pkf, target.pkf)
+        _copy_attitude(source.additive, target.additive)
+    copy_into(target.pkf.x, source.pkf.x)
+    copy_matrix(target.pkf.p, source.pkf.p)
+    copy_matrix(target.pkf.c, source.pkf.c)
 
 
 @kernel
@@ -111,10 +93,8 @@ def _copy_pose(source, target):
     copy_into(target.z_TC_C, source.z_TC_C)
     copy_into(target.q_CH, source.q_CH)
     target.t_s = source.t_s
-    for i in range(3):
-        for j in range(3):
-            target.covariance_position[i, j] = source.covariance_position[i, j]
-            target.covariance_attitude[i, j] = source.covariance_attitude[i, j]
+    copy_matrix(target.covariance_position, source.covariance_position)
+    copy_matrix(target.covariance_attitude, source.covariance_attitude)
 
 
 @kernel

@@ -25,3 +25,11 @@ def fill_matrix(target, value):
     for i in range(target.shape[0]):
         for j in range(target.shape[1]):
             target[i, j] = value
+
+
+@kernel
+def copy_matrix(target, source):
+    """Write ``source`` (m, n) into ``target`` (m, n)."""
+    for i in range(target.shape[0]):
+        for j in range(target.shape[1]):
+            target[i, j] = source[i, j]
