@@ -1,12 +1,14 @@
 # make demo   sets everything up and flies scheme 1
 # make test   sets everything up and runs all checks: format, lint, types, import layers, tests
 # make slow   runs the long evidence that is left out of "make test"
+# make oracle checks the truth against Basilisk, in an environment of its own
+# make bench  measures what a cycle costs, beside filterpy and Basilisk, in one run
 # make tidy   formats the sources
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test slow tidy
+.PHONY: demo test slow oracle bench tidy
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -22,6 +24,13 @@ test: .venv/ready
 slow: .venv/ready
 	$(BIN)/pytest -m slow --timeout 3600
 
+oracle: .venv-oracle/ready
+	.venv-oracle/bin/python -m pytest tests/oracle
+
+bench: .venv-oracle/ready
+	.venv-oracle/bin/python benchmarks/filters.py
+	.venv-oracle/bin/python benchmarks/truth_step.py
+
 tidy: .venv/ready
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
@@ -30,4 +39,11 @@ tidy: .venv/ready
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+# Basilisk wants an older matplotlib than constraints.txt pins
+.venv-oracle/ready: pyproject.toml constraints-oracle.txt
+	$(PYTHON) -m venv .venv-oracle
+	.venv-oracle/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints-oracle.txt \
+		--editable '.[oracle]'
 	touch $@

@@ -92,7 +92,7 @@ class Gnc:
         sets: np.ndarray,
         n_thrusters: int,
         diary: ApproachDiary,
-        watch: FilterWatch | None = None,
+        watch: FilterWatch,
     ) -> None:
         self.watch = watch
         self._navigation = navigation_params
@@ -125,7 +125,7 @@ class Gnc:
         navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
         self._cycle += 1
         self._fuses_now = self._fuses and vision.arrived > 0
-        if self.watch is not None and (self._fuses_now or (self._fuses and self.watch.looks_always)):
+        if self._fuses_now or (self._fuses and self.watch.looks_always):
             self.watch.look(self._cycle, imu, vision.poses[: vision.arrived], out, self._memory)
 
     def guide(self, t_s: float, found: np.record, out: np.record) -> None:
@@ -150,8 +150,7 @@ class Gnc:
 
     def events(self) -> list[Event]:
         """Return what happened so far, of the approach and of the filters, in the order of time."""
-        alarms = self.watch.events if self.watch is not None else []
-        return sorted([*self.diary.events, *alarms], key=lambda event: event.t_s)
+        return sorted([*self.diary.events, *self.watch.events], key=lambda event: event.t_s)
 
     def finish(self, t_s: float, found: np.record) -> None:
         """Note the docking decision at the end of the run, where none was asked for before."""

@@ -51,7 +51,9 @@ class Study:
 
     def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int) -> None:
         scenario = load_scenario("scheme-2", settings).value
-        self._study = study_params(scenario, reading, load_rig("mock", settings).value.vmu.rate_hz)
+        self.step_s = scenario.step_s
+        self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz
+        self._study = study_params(scenario, reading, self.vmu_rate_hz)
         self._filters = parameters.navigation(scenario).fusion
         self._imu = parameters.imu(scenario)
         self._line = parameters.guidance(scenario)
@@ -100,7 +102,8 @@ def run_fusion(
 
     watch: told how many runs are done.
     """
-    bound = Study(settings, reading, seed).bound()
+    study = Study(settings, reading, seed)
+    bound = study.bound()
     batches = [(first, min(_BATCH, runs - first)) for first in range(0, runs, _BATCH)]
     parts: list[np.ndarray] = []
     if workers == 1 or len(batches) == 1:
@@ -115,11 +118,12 @@ def run_fusion(
                 parts.append(future.result())
                 done += len(parts[-1])
                 watch(done)
-    return _summary(reading, seed, np.concatenate(parts), bound)
+    return _summary(reading, seed, np.concatenate(parts), bound, study.vmu_rate_hz)
 
 
-def _summary(reading: Reading, seed: int, results: np.ndarray, bound: np.record) -> dict[str, Any]:
+def _summary(reading: Reading, seed: int, results: np.ndarray, bound: np.record, vmu_rate_hz: float) -> dict[str, Any]:
     n = len(results)
+    updates = n * round((SNAPSHOTS_S[-1] - SNAPSHOTS_S[0]) * vmu_rate_hz)
     rmse = np.sqrt(results["square_error"].mean(axis=0))
     limit = np.sqrt(np.array(bound.variance))
     return {
@@ -140,8 +144,8 @@ def _summary(reading: Reading, seed: int, results: np.ndarray, bound: np.record)
             f"{t_s:g}": {"pkf": _band(results["nees_pkf"][:, i], 9), "akf": _band(results["nees_akf"][:, i], 6)}
             for i, t_s in enumerate(SNAPSHOTS_S)
         },
-        "nis_pkf": _nis(results["nis_pkf"]),
-        "nis_akf": _nis(results["nis_akf"]),
+        "nis_pkf": _nis(results["nis_pkf"], updates),
+        "nis_akf": _nis(results["nis_akf"], updates),
         "rejected": int(results["rejected"].sum()),
     }
 
@@ -154,9 +158,8 @@ def _band(values: Array, degrees_of_freedom: int) -> dict[str, float]:
     return {"mean": float(values.mean()), "low": low, "high": high}
 
 
-def _nis(values: Array) -> dict[str, float]:
-    """Return the mean of three-component NIS over all updates of all runs; values: the mean of each run."""
-    updates = len(values) * round((SNAPSHOTS_S[-1] - SNAPSHOTS_S[0]) * 6.25)
+def _nis(values: Array, updates: int) -> dict[str, float]:
+    """Return the mean of three-component NIS over all ``updates`` of all runs; values: the mean of each run."""
     tail = 0.5 * (1.0 - _BAND)
     low, high = (float(chi2.ppf(p, 3 * updates)) / updates for p in (tail, 1.0 - tail))
     return {"mean": float(values.mean()), "low": low, "high": high}

@@ -9,7 +9,6 @@ from hil.campaign.fusion import Reading, Study
 from hil.campaign.fusion_kernel import SNAPSHOTS_S, STUDY_RESULT
 from hil.messages import new
 
-_STEPS_A_SECOND = 50
 _COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by the colour-blind
 
 
@@ -18,9 +17,10 @@ def draw(reading: Reading, seed: int, settings: tuple[str, ...], path: str) -> N
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    trace = np.zeros((round(SNAPSHOTS_S[-1] * _STEPS_A_SECOND), 12))
-    Study(settings, reading, seed).run(0, new(STUDY_RESULT), trace)
-    t_s = (1 + np.arange(len(trace))) / _STEPS_A_SECOND
+    study = Study(settings, reading, seed)
+    trace = np.zeros((round(SNAPSHOTS_S[-1] / study.step_s), 12))
+    study.run(0, new(STUDY_RESULT), trace)
+    t_s = (1 + np.arange(len(trace))) * study.step_s
     figure, axes = plt.subplots(3, 2, figsize=(11, 7), sharex=True, constrained_layout=True)
     for column, (title, unit, scale) in enumerate((("position", "mm", 1e3), ("attitude", "deg", 180.0 / np.pi))):
         late = t_s >= 20.0

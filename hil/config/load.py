@@ -104,6 +104,7 @@ def _read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple
         raise BadInput.single(str(path), "", f"not TOML: {error}") from error
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput.single(str(path), "", f"cannot be read: {error}") from error
+    _find_files_beside(table, path.parent)
     base_name = table.pop("extends", None)
     base: Table = {}
     if base_name is not None:
@@ -120,6 +121,15 @@ def _read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple
         base = _read_with_bases(base_path, kind, origin, (*chain, path.resolve()))
     _lay_over(base, table, str(path), origin, "")
     return base
+
+
+def _find_files_beside(table: Table, folder: Path) -> None:
+    """Make the paths under keys that end in ``_file`` count from the folder of the file they stand in."""
+    for key, value in table.items():
+        if isinstance(value, dict):
+            _find_files_beside(value, folder)
+        elif key.endswith("_file") and isinstance(value, str):
+            table[key] = str(folder / value)
 
 
 def _lay_over(base: Table, table: Table, source: str, origin: dict[str, str], prefix: str) -> None:

@@ -258,3 +258,12 @@ def test_rig_of_hardware_without_wires_names_each_missing_wire(write: Write) -> 
         "rig.turntable.ascii.port",
         "rig.vmu.rs422.port",
     }
+
+
+def test_gravity_file_counts_from_the_folder_of_the_file_that_names_it(write: Write, tmp_path: Path) -> None:
+    named = load_scenario(write('[truth]\ngravity_file = "moon.tab"\n')).value.truth.gravity_file
+    assert named == str(tmp_path / "moon.tab")
+    absolute = load_scenario(write('[truth]\ngravity_file = "/fields/moon.tab"\n')).value.truth.gravity_file
+    assert absolute == "/fields/moon.tab"
+    given = load_scenario("scheme-1", ["truth.gravity_file=moon.tab"]).value.truth.gravity_file
+    assert given == "moon.tab"  # on the command line, from the working directory
