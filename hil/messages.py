@@ -10,6 +10,7 @@ places stay zero.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -155,16 +156,29 @@ def new(dtype: np.dtype) -> np.record:
     return record
 
 
+class Homing(IntEnum):
+    """What an axis knows of its place. One with an absolute encoder is always at DONE."""
+
+    NEEDED = 0
+    UNDER_WAY = 1
+    DONE = 2
+    FAILED = 3
+
+
 @dataclass(frozen=True, slots=True)
 class AxisFeedback:
     """What three axes of one device report: the newest sample, and when it was taken.
 
     position: shape (3,), m or rad; rate: shape (3,), m/s or rad/s; t_s: bench time of the sample.
+    homing: of each axis; only at DONE its position means a place on the bench. limit: limit switch that
+    each axis stands on, -1 the low one, 1 the high one, 0 none.
     """
 
     t_s: float
     position: Array
     rate: Array
+    homing: tuple[Homing, Homing, Homing] = (Homing.DONE, Homing.DONE, Homing.DONE)
+    limit: tuple[int, int, int] = (0, 0, 0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,13 @@ class AxisGroup(Protocol):
     axis_names: tuple[str, str, str]
 
     def open(self, now_s: float) -> None:
-        """Connect, enable the drives, and hold the present position. Raises DeviceError."""
+        """Connect, check the identity, enable the drives, and hold the present position. Raises DeviceError."""
+
+    def home(self, now_s: float) -> None:
+        """Let each axis that does not know its place look for its home switch; returns at once.
+
+        ``read`` tells how far it is (AxisFeedback.homing). Setpoints are refused until all are at DONE.
+        """
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Give the drives their next position and its rate; return the position that was accepted.
