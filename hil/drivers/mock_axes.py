@@ -33,6 +33,9 @@ class MockAxes:
         self._stopped = False
         self._error = None
 
+    def home(self, now_s: float) -> None:
+        """Do nothing: these axes know their places."""
+
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Take the setpoint at ``now_s``; a stopped device stays where it is and returns that place."""
         self._check()

@@ -83,6 +83,9 @@ class ModbusRails:
             self.close()
             raise
 
+    def home(self, now_s: float) -> None:
+        """Do nothing: these axes know their places."""
+
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Hand over the next setpoint; a stopped device stays where it is and returns that place."""
         self._box.check()

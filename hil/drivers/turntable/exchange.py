@@ -90,6 +90,9 @@ class ExchangedTurntable:
         self._thread = threading.Thread(target=self._run, daemon=True, name=f"{self.name}-io")
         self._thread.start()
 
+    def home(self, now_s: float) -> None:
+        """Do nothing: these axes know their places."""
+
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Hand over the newest setpoint (3,), rad, and its rate (3,), rad/s; return the accepted position.
 
