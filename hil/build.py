@@ -21,7 +21,7 @@ from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.eye import Eye, transport
-from hil.fitness import approach_problems, axes_at, layout_problems, port_problems, pose_problems
+from hil.fitness import approach_problems, axes_at, flight_problems, port_problems
 from hil.gnc.watch import FilterWatch
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
@@ -55,8 +55,7 @@ def check(job: Job) -> None:
     """Raise BadInput with every fault that shows only when scenario and rig meet."""
     problems = [
         *truth_problems(job.scenario),
-        *layout_problems(job.scenario),
-        *pose_problems(job.scenario, job.rig),
+        *flight_problems(job.scenario, job.rig),
         *approach_problems(job.scenario),
         *port_problems(job.rig),
     ]
