@@ -54,8 +54,7 @@ class Job:
 def check(job: Job) -> None:
     """Raise BadInput with every fault that shows only when scenario and rig meet."""
     problems = [
-        *truth_problems(job.scenario),
-        *flight_problems(job.scenario, job.rig),
+        *(truth_problems(job.scenario) or flight_problems(job.scenario, job.rig)),
         *approach_problems(job.scenario),
         *port_problems(job.rig),
     ]

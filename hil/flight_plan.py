@@ -1,4 +1,4 @@
-"""The run as it is planned: where the reference goes, how the start's attitude is taken out, and every way an abort takes.
+"""The run as it is planned: where the reference goes, how the start's attitude is taken out, where aborts lead.
 
 Nothing here is simulated: the plan is sampled from the guidance that flies it, and what the controller may
 add to it is bounded from its own settings.
@@ -40,6 +40,7 @@ class Moment:
     far_m: float
     point_key: str
     speed_key: str
+    turn_key: str = "initial.attitude_deg"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +114,10 @@ def _drift(scenario: Scenario) -> list[Moment]:
     t_s = float((control.lead + np.abs(motion) / control.acceleration)[motion != 0.0].max())
     moved = start + way[:3], np.zeros(3), turn + way[3:]
     key = "initial.velocity_mps"
+    turn_key = "initial.rate_degps" if way[3:].any() else "initial.attitude_deg"
     return [
         Moment(0.0, None, start, np.array(initial.velocity_mps), turn, 0.0, "initial.position_m", key),
-        Moment(t_s, None, *moved, 0.0, key if way[:3].any() else "initial.position_m", key),
+        Moment(t_s, None, *moved, 0.0, key if way[:3].any() else "initial.position_m", key, turn_key),
     ]
 
 

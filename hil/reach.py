@@ -41,9 +41,7 @@ def reach_problems(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> li
     ]
     r, v = np.array([m.r_CT_H for m in plan]), np.array([m.v_CT_H for m in plan])
     margin = _position_margin(scenario, np.array([m.far_m for m in plan]))
-    asked = reach.envelope(
-        bench, attitudes, r, v, margin, free.speed, free.rate, free.acceleration, free.turning
-    )
+    asked = reach.envelope(bench, attitudes, r, v, margin, free.speed, free.rate, free.acceleration, free.turning)
     found = _Findings(scenario_file, rig, bench, plan)
     found.travel(asked)
     found.speed(asked)
@@ -56,7 +54,7 @@ def reach_problems(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> li
 
 
 def _position_margin(scenario: Scenario, far_m: Array) -> Array:
-    """Return half the band of positions (n, 3), m: Table III at the ready point, wider by a share of the corridor's cone."""
+    """Return half the band of positions (n, 3), m: Table III at the ready point, and a share of the cone beyond."""
     wanted, guidance, corridor = scenario.requirements, scenario.gnc.guidance, scenario.gnc.corridor
     at_ready = np.array([wanted.axial_tolerance_m, wanted.radial_distance_m, wanted.radial_distance_m])
     slope = scenario.reach.corridor_share * math.tan(math.radians(corridor.half_angle_deg))
@@ -74,6 +72,8 @@ class _Findings:
         self._rig = rig
         self._bench = bench
         self._plan = plan
+        self._in_abort = np.array([m.abort_s is not None for m in plan])
+        self._named: set[int] = set()  # axes: what they cannot do after their first problem follows from it
 
     def travel(self, asked: reach.Envelope) -> None:
         over = np.maximum(self._bench.low - asked.low, asked.high - self._bench.high)
@@ -85,18 +85,19 @@ class _Findings:
             low, high = self._bench.low[axis] * scale, self._bench.high[axis] * scale
             self._say(
                 self._point_key(k, axis),
-                f"{AXES_OF_THE_BENCH[axis]} would go to {value:.{digits}f} {unit} (planned {planned:.{digits}f} {unit}) "
-                f"{self._when(k)}, allowed {low:g} to {high:g} {unit} by {_rig_key(axis, 'travel', unit)}",
+                f"{AXES_OF_THE_BENCH[axis]} would go to {value:.{digits}f} {unit} "
+                f"(planned {planned:.{digits}f} {unit}) {self._when(k)}, "
+                f"allowed {low:g} to {high:g} {unit} by {_rig_key(axis, 'travel', unit)}",
             )
 
     def speed(self, asked: reach.Envelope) -> None:
         for axis, k in self._worst(asked.rate - self._bench.rate_max):
             unit, scale, _ = _unit(axis)
-            planned = f"planned {asked.planned_rate[k, axis]:.3g} {unit}/s, " if axis < 3 else ""
+            planned = f"planned {asked.planned_rate[k, axis]:.3g} {unit}/s, the rest is" if axis < 3 else "all of it is"
             self._say(
                 self._rate_key(k, axis),
                 f"{AXES_OF_THE_BENCH[axis]} would go at up to {asked.rate[k, axis] * scale:.3g} {unit}/s "
-                f"({planned}the rest is control) {self._when(k)}, allowed "
+                f"({planned} control) {self._when(k)}, allowed "
                 f"{self._bench.rate_max[axis] * scale:g} {unit}/s by {_rig_key(axis, 'rate_max', f'{unit}ps')}",
             )
 
@@ -105,9 +106,9 @@ class _Findings:
             unit, scale, _ = _unit(axis)
             self._say(
                 "chaser.thrusters.force_n",
-                f"{AXES_OF_THE_BENCH[axis]} would be asked for up to {asked.acceleration[k, axis] * scale:.3g} {unit}/s2 "
-                f"{self._when(k)}, allowed {self._bench.acceleration_max[axis] * scale:g} {unit}/s2 "
-                f"by {_rig_key(axis, 'acceleration_max', f'{unit}ps2')}",
+                f"{AXES_OF_THE_BENCH[axis]} would be asked for up to "
+                f"{asked.acceleration[k, axis] * scale:.3g} {unit}/s2 {self._when(k)}, "
+                f"allowed {self._bench.acceleration_max[axis] * scale:g} {unit}/s2 by {_rig_key(axis, 'acceleration_max', f'{unit}ps2')}",
             )
 
     def start_in_motion(self, start: reach.Attitude, free: Liberty) -> None:
@@ -117,7 +118,7 @@ class _Findings:
         rate = np.abs(own + np.array([*initial.velocity_mps, 0.0, 0.0, 0.0]))
         takes_s = rate / self._bench.acceleration_max
         allowed_s = self._scenario.value.reach.catch_up_s
-        for axis in np.flatnonzero(takes_s > allowed_s):
+        for axis in sorted({int(axis) for axis in np.flatnonzero(takes_s > allowed_s)} - self._named):
             unit, scale, _ = _unit(axis)
             moved = axis < 3 and abs(initial.velocity_mps[axis]) >= abs(own[axis])
             self._say(
@@ -132,23 +133,40 @@ class _Findings:
         k = int(np.argmin(least))
         if least[k] < 0.0:
             self._say(
-                self._point_key(k, 0),
+                self._view_key(k),
                 f"vmu: a lamp of the ring would be {_pixels(least[k])} (planned: {_pixels(planned[k])}) "
                 f"{self._when(k)}, allowed 0 px or more inside both images of "
                 f"{self._rig.vmu.camera.width_px} x {self._rig.vmu.camera.height_px} px",
             )
 
     def _worst(self, over: Array) -> list[tuple[int, int]]:
-        """Return axis and moment of the largest excess, for each axis that has one; not a number is an excess."""
+        """Return axis and moment of the largest excess for each axis that has one, the approach before aborts.
+
+        Not a number is an excess. An axis is named once.
+        """
         over = np.where(np.isfinite(over), over, np.inf)
-        worst = over.argmax(axis=0)
-        return [(axis, int(k)) for axis, k in enumerate(worst) if over[k, axis] > _ROUNDING]
+        found = []
+        for axis in sorted(set(range(6)) - self._named):
+            excess = over[:, axis] > _ROUNDING
+            chosen = excess & ~self._in_abort
+            if excess.any():
+                among = chosen if chosen.any() else excess
+                found.append((axis, int(np.where(among, over[:, axis], -np.inf).argmax())))
+        self._named.update(axis for axis, _ in found)
+        return found
 
     def _point_key(self, k: int, axis: int) -> str:
         moment = self._plan[k]
         if axis < 3:
             return moment.point_key
-        return "initial.attitude_deg" if moment.turn.any() else "reach.attitude_margin_deg"
+        return moment.turn_key if moment.turn.any() else "reach.attitude_margin_deg"
+
+    def _view_key(self, k: int) -> str:
+        """Return the key of what turns the ring out of view: the attitude, or the place beside the docking axis."""
+        moment = self._plan[k]
+        axial = float(moment.r_CT_H @ np.array(self._scenario.value.gnc.corridor.axis))
+        beside = math.acos(min(1.0, abs(axial) / max(float(np.linalg.norm(moment.r_CT_H)), 1e-9)))
+        return moment.turn_key if float(np.linalg.norm(moment.turn)) > beside else moment.point_key
 
     def _rate_key(self, k: int, axis: int) -> str:
         if axis < 3:
