@@ -6,6 +6,7 @@ Each axis and each kind of limit gets one problem at most, at the moment at whic
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.errors import Problem
-from hil.flight_plan import Liberty, Moment, liberty, moments
+from hil.flight_plan import Moment, liberty, moments
 from hil.messages import Array
 
 AXES_OF_THE_BENCH = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" for name in GIMBAL_NAMES))
@@ -23,33 +24,47 @@ _ROUNDING = 1e-9
 _DEGREES = math.degrees(1.0)
 
 
-def reach_problems(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> list[Problem]:
-    """Return a problem for each axis and limit, and for the cameras, that the plan with its dispersion does not keep.
+@dataclass(frozen=True, slots=True)
+class Demands:
+    """What a scenario asks of a bench: the n moments of its plan, and for each of them the bench and its axes."""
 
-    The cameras are looked at only where the axes can go. Raises ValueError where the thruster layout cannot
-    move an axis.
+    plan: list[Moment]
+    attitudes: list[reach.Attitude]
+    margin_m: Array
+    axes: reach.Envelope
+
+
+def demands(scenario: Scenario, rig: Rig) -> Demands:
+    """Return what the plan with its dispersion asks of the axes.
+
+    Raises ValueError where the thruster layout cannot move an axis.
     """
-    scenario, rig = scenario_file.value, rig_file.value
     bench = parameters.bench(rig, scenario.step_s)
     plan = moments(scenario)
     free = liberty(scenario)
     band = math.radians(scenario.reach.attitude_margin_deg)
-    known: dict[bytes, reach.Attitude] = {}
-    attitudes = [
-        known.get(m.turn.tobytes()) or known.setdefault(m.turn.tobytes(), reach.attitude(bench, m.turn, band))
-        for m in plan
-    ]
+    known = {turn: reach.attitude(bench, np.array(turn), band) for turn in {tuple(m.turn) for m in plan}}
+    attitudes = [known[tuple(m.turn)] for m in plan]
     r, v = np.array([m.r_CT_H for m in plan]), np.array([m.v_CT_H for m in plan])
     margin = _position_margin(scenario, np.array([m.far_m for m in plan]))
-    asked = reach.envelope(bench, attitudes, r, v, margin, free.speed, free.rate, free.acceleration, free.turning)
-    found = _Findings(scenario_file, rig, bench, plan)
-    found.travel(asked)
-    found.speed(asked)
-    found.acceleration(asked)
-    found.start_in_motion(attitudes[0], free)
+    axes = reach.envelope(bench, attitudes, r, v, margin, free.speed, free.rate, free.acceleration, free.turning)
+    return Demands(plan, attitudes, margin, axes)
+
+
+def reach_problems(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each axis, and for the cameras, that the plan with its dispersion asks too much of.
+
+    The cameras are looked at only where the axes can go. Raises ValueError where the thruster layout cannot
+    move an axis.
+    """
+    asked = demands(scenario_file.value, rig_file.value)
+    found = _Findings(scenario_file, rig_file.value, asked)
+    found.travel(asked.axes)
+    found.speed(asked.axes)
+    found.acceleration(asked.axes)
+    found.start_in_motion(asked.attitudes[0])
     if not found.problems:
-        camera, leds = parameters.camera(rig)
-        found.view(*reach.view(bench, parameters.stations(rig), camera, leds, attitudes, r, margin))
+        found.view()
     return found.problems
 
 
@@ -66,13 +81,14 @@ def _position_margin(scenario: Scenario, far_m: Array) -> Array:
 class _Findings:
     """Collects the problems and puts them into words."""
 
-    def __init__(self, scenario: Loaded[Scenario], rig: Rig, bench: np.record, plan: list[Moment]) -> None:
+    def __init__(self, scenario: Loaded[Scenario], rig: Rig, asked: Demands) -> None:
         self.problems: list[Problem] = []
         self._scenario = scenario
         self._rig = rig
-        self._bench = bench
-        self._plan = plan
-        self._in_abort = np.array([m.abort_s is not None for m in plan])
+        self._bench = parameters.bench(rig, scenario.value.step_s)
+        self._asked = asked
+        self._plan = asked.plan
+        self._in_abort = np.array([m.abort_s is not None for m in asked.plan])
         self._named: set[int] = set()  # axes: what they cannot do after their first problem follows from it
 
     def travel(self, asked: reach.Envelope) -> None:
@@ -107,11 +123,12 @@ class _Findings:
             self._say(
                 "chaser.thrusters.force_n",
                 f"{AXES_OF_THE_BENCH[axis]} would be asked for up to "
-                f"{asked.acceleration[k, axis] * scale:.3g} {unit}/s2 {self._when(k)}, "
-                f"allowed {self._bench.acceleration_max[axis] * scale:g} {unit}/s2 by {_rig_key(axis, 'acceleration_max', f'{unit}ps2')}",
+                f"{asked.acceleration[k, axis] * scale:.3g} {unit}/s2 {self._when(k)}, allowed "
+                f"{self._bench.acceleration_max[axis] * scale:g} {unit}/s2 "
+                f"by {_rig_key(axis, 'acceleration_max', f'{unit}ps2')}",
             )
 
-    def start_in_motion(self, start: reach.Attitude, free: Liberty) -> None:
+    def start_in_motion(self, start: reach.Attitude) -> None:
         """The bench stands still before the run: each axis has to catch up with a chaser that starts in motion."""
         initial = self._scenario.value.initial
         own = start.turned @ np.radians(initial.rate_degps)
@@ -128,8 +145,12 @@ class _Findings:
                 f"allowed {allowed_s:g} s by reach.catch_up_s",
             )
 
-    def view(self, planned: Array, least: Array) -> None:
+    def view(self) -> None:
         """One problem where a lamp leaves an image."""
+        camera, leds = parameters.camera(self._rig)
+        asked, stations = self._asked, parameters.stations(self._rig)
+        r = np.array([m.r_CT_H for m in self._plan])
+        planned, least = reach.view(self._bench, stations, camera, leds, asked.attitudes, r, asked.margin_m)
         k = int(np.argmin(least))
         if least[k] < 0.0:
             self._say(
