@@ -82,7 +82,7 @@ def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[
         wall = WallClock(speed=job.speed)
         with _wired_rig(job, wall, announce) as wired:
             rate = WallRate(wall, scenario.step_s)
-            yield _assemble(job, wired, rate, *_drivers(wired, wall), _FRAMES_TO_ARM, watch)
+            yield _assemble(job, wired, rate, *drivers(wired, wall), _FRAMES_TO_ARM, watch)
 
 
 @contextmanager
@@ -225,7 +225,7 @@ def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGrou
     return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed))
 
 
-def _drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:
+def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:
     """Return the drivers of a rig with wires."""
     from hil.drivers.rails.driver import ModbusRails
     from hil.drivers.vmu.driver import Rs422Vmu

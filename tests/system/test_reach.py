@@ -115,7 +115,9 @@ def test_scenario_that_the_bench_cannot_follow_is_refused_in_one_line_an_axis(
 def test_refusal_names_the_files_that_disagree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scenario, rig = tmp_path / "wide.toml", tmp_path / "short.toml"
     scenario.write_text('extends = "scheme-1"\nname = "wide"\n[initial]\nposition_m = [5.0, -0.3, 1.2]\n')
-    rig.write_text('extends = "mock"\nname = "short"\n[rails.x]\ntravel_m = [0.45, 12.0]\n[rails.z]\ntravel_m = [-1, 0.8]\n')
+    rig.write_text(
+        'extends = "mock"\nname = "short"\n[rails.x]\ntravel_m = [0.45, 12.0]\n[rails.z]\ntravel_m = [-1, 0.8]\n'
+    )
     assert execute(["run", str(scenario), "--rig", str(rig)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 2
@@ -143,11 +145,10 @@ def test_chaser_without_thrusters_for_an_axis_is_refused_by_its_layout(capsys: p
 
 
 def _random_settings(rng: np.random.Generator) -> tuple[str, ...]:
-    """Return a scenario at random: start, speeds, control, and an abort at any time."""
+    """Return a scenario at random that starts at rest: start, speeds, control, and an abort at any time."""
     position = [rng.uniform(2.0, 8.0), *rng.uniform(-0.5, 0.5, 2)]
     numbers = {
         "initial.attitude_deg": rng.uniform(-8.0, 8.0, 3).tolist(),
-        "initial.rate_degps": rng.uniform(-0.2, 0.2, 3).tolist(),
         "gnc.guidance.approach_speed_mps": rng.uniform(0.01, 0.035),
         "gnc.guidance.acceleration_mps2": rng.uniform(0.002, 0.008),
         "gnc.control.slew_rate_degps": rng.uniform(0.2, 0.6),
@@ -193,7 +194,7 @@ def _limited(rig: Rig, limits: dict[str, np.ndarray], hardest: np.ndarray) -> Ri
 
 
 def _limited_cycles_of_a_random_run(seed: int, scenario: str, duration_s: float) -> int:
-    settings = (*_random_settings(np.random.default_rng(seed)), "reach.catch_up_s=100.0")
+    settings = _random_settings(np.random.default_rng(seed))
     flown, rig = load_scenario(scenario, settings), _barely_enough(scenario, settings)
     assert reach_problems(flown, rig) == []
     job = build.Job(flown, rig, seed, duration_s, 1.0)
@@ -203,9 +204,9 @@ def _limited_cycles_of_a_random_run(seed: int, scenario: str, duration_s: float)
     return outcome.limited_cycles
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_axes_that_are_barely_enough_are_never_limited(seed: int) -> None:
-    assert _limited_cycles_of_a_random_run(seed, "scheme-1", 120.0) == 0
+@pytest.mark.parametrize(("seed", "scenario"), [(0, "scheme-1"), (1, "scheme-2"), (2, "scheme-3")])
+def test_axes_that_are_barely_enough_are_never_limited(seed: int, scenario: str) -> None:
+    assert _limited_cycles_of_a_random_run(seed, scenario, 80.0) == 0
 
 
 @pytest.mark.slow
