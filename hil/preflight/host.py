@@ -50,7 +50,7 @@ def probe_host(folder: Path) -> HostFacts:
         governors=tuple(_text(path) for path in sorted(_GOVERNORS.glob("cpu[0-9]*/cpufreq/scaling_governor"))),
         processors=len(os.sched_getaffinity(0)),
         free_bytes=float(shutil.disk_usage(folder).free),
-        kernel=f"{platform.release()} {platform.version()}",
+        kernel=platform.release(),
         kernel_is_realtime=_text(_REALTIME) == "1" or "PREEMPT_RT" in platform.version(),
         kernels_cached=kernels_are_cached(),
     )

@@ -16,6 +16,7 @@ import numpy as np
 from hil.clock import WallClock
 from hil.messages import Array
 from hil.preflight.check import Check
+from hil.preflight.privileges import PRIORITY, take_fifo, take_memory_lock
 from hil.priority import precedence
 from hil.rate import WallRate, lateness_percentiles_us
 
@@ -34,23 +35,29 @@ class Lateness:
     period_s: float
     cycles: int
     skipped: int
+    scheduling: str
     percentiles_us: dict[str, float]
     histogram: tuple[tuple[float, int], ...]
 
 
-def measure(period_s: float, duration_s: float = DURATION_S) -> Lateness:
-    """Return the lateness of an empty loop. Raises RuntimeError when the process does not come back with it."""
-    program = [sys.executable, "-m", "hil.preflight.lateness", repr(period_s), repr(duration_s)]
+def measure(period_s: float) -> Lateness:
+    """Return the lateness of an empty loop over DURATION_S, with the privileges that this user gets.
+
+    Raises RuntimeError when the process does not come back with it.
+    """
+    program = [sys.executable, "-m", "hil.preflight.lateness", repr(period_s), repr(DURATION_S)]
     try:
-        done = subprocess.run(program, capture_output=True, text=True, timeout=duration_s + _START_S, check=True)
+        done = subprocess.run(program, capture_output=True, text=True, timeout=DURATION_S + _START_S, check=True)
         found = json.loads(done.stdout)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         raise RuntimeError(f"the lateness could not be measured: {error}") from error
-    return _summary(period_s, np.array(found["lateness_s"]), found["skipped"])
+    return summarise(period_s, np.array(found["lateness_s"]), found["skipped"], found["scheduling"])
 
 
-def _summary(period_s: float, lateness_s: Array, skipped: int) -> Lateness:
-    return Lateness(period_s, len(lateness_s), skipped, lateness_percentiles_us(lateness_s), _histogram(lateness_s))
+def summarise(period_s: float, lateness_s: Array, skipped: int, scheduling: str) -> Lateness:
+    """Return the percentiles and the histogram of ``lateness_s`` (n,)."""
+    percentiles = lateness_percentiles_us(lateness_s)
+    return Lateness(period_s, len(lateness_s), skipped, scheduling, percentiles, _histogram(lateness_s))
 
 
 def _histogram(lateness_s: Array) -> tuple[tuple[float, int], ...]:
@@ -70,9 +77,9 @@ def lateness_check(found: Lateness) -> Check:
     allowed_us = SHARE_OF_PERIOD * found.period_s * 1e6
     fine = p["p999"] < allowed_us
     value = (
-        f"p50 {p['p50']:.0f}, p99 {p['p99']:.0f}, p99.9 {p['p999']:.0f}, max {p['max']:.0f} us in {found.cycles} cycles "
-        f"at {1.0 / found.period_s:g} Hz, {found.skipped} periods lost; p99.9 allowed below {allowed_us:.0f} us "
-        f"(10 % of the period)"
+        f"p50 {p['p50']:.0f}, p99 {p['p99']:.0f}, p99.9 {p['p999']:.0f}, max {p['max']:.0f} us under "
+        f"{found.scheduling}, {found.cycles} cycles at {1.0 / found.period_s:g} Hz, {found.skipped} periods lost; "
+        f"p99.9 allowed below {allowed_us:.0f} us ({SHARE_OF_PERIOD:.0%} of the period)"
     )
     advice = "" if fine else "end what else runs here, see scheduling and governor, or take a host of your own"
     return Check("lateness", fine, value, advice)
@@ -93,6 +100,8 @@ def _run(period_s: float, duration_s: float) -> dict[str, object]:
     rate = WallRate(WallClock(), period_s)
     lateness_s = []
     with precedence():
+        scheduling = "SCHED_OTHER" if take_fifo() else f"SCHED_FIFO {PRIORITY}"
+        take_memory_lock()
         gc.collect()
         gc.freeze()
         gc.disable()
@@ -101,7 +110,7 @@ def _run(period_s: float, duration_s: float) -> dict[str, object]:
             before = rate.skipped_periods
             late_s = rate.wait().lateness_s
             lateness_s.append(late_s + (rate.skipped_periods - before) * period_s)
-    return {"lateness_s": lateness_s, "skipped": rate.skipped_periods}
+    return {"lateness_s": lateness_s, "skipped": rate.skipped_periods, "scheduling": scheduling}
 
 
 if __name__ == "__main__":

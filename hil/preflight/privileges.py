@@ -1,7 +1,7 @@
-"""What the operating system grants to a process of this user: tried out in a process that ends at once.
+"""What the operating system grants to a process of this user, tried out in a process that ends at once.
 
-``python -m hil.preflight.privileges`` tries each privilege on itself and prints what was refused; whatever it
-got ends with it.
+``python -m hil.preflight.privileges`` is that process: it takes each privilege and prints what was refused;
+whatever it got ends with it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ def probe_privileges() -> Privileges:
         return Privileges(*[f"could not be tried: {error}"] * 2)
 
 
-def _try_fifo() -> str:
+def take_fifo() -> str:
+    """Put this thread under SCHED_FIFO; return what was refused, "" where it was granted."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except (OSError, AttributeError) as error:
@@ -45,7 +46,8 @@ def _try_fifo() -> str:
     return ""
 
 
-def _try_memory_lock() -> str:
+def take_memory_lock() -> str:
+    """Lock the memory of this process; return what was refused, "" where it was granted."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.mlockall(_MCL_CURRENT_AND_FUTURE) != 0:
@@ -56,4 +58,4 @@ def _try_memory_lock() -> str:
 
 
 if __name__ == "__main__":
-    json.dump({"fifo": _try_fifo(), "memory_lock": _try_memory_lock()}, sys.stdout)
+    json.dump({"fifo": take_fifo(), "memory_lock": take_memory_lock()}, sys.stdout)

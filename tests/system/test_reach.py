@@ -171,7 +171,7 @@ def _barely_enough(scenario: str, settings: tuple[str, ...]) -> Loaded[Rig]:
     hardest = demands(flown, loaded.value).axes.acceleration.max(axis=0) * (1.0 + 1e-6)
     rig = _limited(loaded.value, {}, hardest)
     asked = demands(flown, rig).axes  # the room to brake depends on the acceleration
-    travel = np.stack([asked.low.min(axis=0), asked.high.max(axis=0)]) + [[-1e-6], [1e-6]]
+    travel = np.stack([asked.low.min(axis=0), asked.high.max(axis=0)]) + np.array([[-1e-6], [1e-6]])
     rig = _limited(rig, {"travel": travel, "rate_max": asked.rate.max(axis=0) * (1.0 + 1e-6)}, hardest)
     return Loaded(rig, loaded.source, loaded.origin)
 
