@@ -17,6 +17,7 @@ from hil.errors import Problem
 from hil.maths import euler
 from hil.messages import AXES, new
 from hil.reach import reach_problems
+from hil.wires import wires
 
 
 def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_deg: Sequence[float]) -> np.record:
@@ -56,20 +57,11 @@ def approach_problems(scenario: Loaded[Scenario]) -> list[Problem]:
 
 def port_problems(rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem for each serial port of a hardware rig that this computer does not have."""
-    value = rig.value
-    if value.kind != "hardware":
+    if rig.value.kind != "hardware":
         return []
-    named: list[tuple[str, str | None]] = []
-    if value.turntable.driver == "ascii" and value.turntable.ascii is not None:
-        named.append(("turntable.ascii.port", value.turntable.ascii.port))
-    can = value.turntable.cia402
-    if value.turntable.driver == "cia402" and can is not None and can.interface in ("serial", "slcan"):
-        named.append(("turntable.cia402.channel", can.channel))
-    if value.vmu.rs422 is not None:
-        named.append(("vmu.rs422.port", value.vmu.rs422.port))
     present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
     return [
-        Problem(rig.where(key), key, f"{port}: no such port, this computer has {present}")
-        for key, port in named
-        if port is not None and port.startswith("/") and not Path(port).exists()
+        Problem(rig.where(wire.key), wire.key, f"{wire.address}: no such port, this computer has {present}")
+        for wire in wires(rig.value)
+        if wire.kind == "serial" and wire.address.startswith("/") and not Path(wire.address).exists()
     ]

@@ -13,7 +13,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.drivers.base import AxisGroup, PoseSource
 from hil.emulation import EmulatedDevices
-from hil.errors import DeviceError, LinkTimeout
+from hil.errors import BenchError, DeviceError, LinkTimeout
 from hil.preflight.check import Check
 from hil.preflight.ports import port_checks
 
@@ -85,7 +85,7 @@ def _tried(name: str, start: Callable[[], None], sample: Callable[[], str], let_
     try:
         start()
         return Check(f"device {name}", True, _first(sample))
-    except DeviceError as error:
+    except BenchError as error:
         advice = "is it switched on, and is this its wire (docs/rig.md)? hil emulate shows a device that answers"
         return Check(f"device {name}", False, str(error), advice)
     finally:

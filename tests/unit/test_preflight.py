@@ -24,6 +24,7 @@ from hil.preflight.host import HostFacts, host_checks, probe_host
 from hil.preflight.lateness import Lateness, lateness_check, picture, summarise
 from hil.preflight.privileges import Privileges
 from hil.preflight.run import preflight, reach_check
+from hil.wires import wires
 
 GOOD = HostFacts(
     clock_resolution_s=1e-9,
@@ -125,13 +126,13 @@ def test_histogram_holds_every_cycle_once_in_bins_that_double() -> None:
     assert lines[3].endswith(" 0")
 
 
-def _rig(tmp_path: Path, **wires: str) -> Rig:
+def _rig(tmp_path: Path, **given: str) -> Rig:
     chosen = {
         "channel": "can_none_7",
         "interface": "socketcan",
         "port": str(tmp_path / "ttyNone"),
         "host": "192.0.2.1",
-        **wires,
+        **given,
     }
     path = tmp_path / "lab.toml"
     path.write_text(
@@ -144,7 +145,7 @@ def _rig(tmp_path: Path, **wires: str) -> Rig:
 
 
 def test_wires_of_a_rig_are_those_that_its_drivers_open(tmp_path: Path) -> None:
-    found = ports.wires(_rig(tmp_path))
+    found = wires(_rig(tmp_path))
     assert [(wire.key, wire.kind) for wire in found] == [
         ("rails.modbus.x", "tcp"),
         ("rails.modbus.y", "tcp"),
