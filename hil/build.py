@@ -21,7 +21,7 @@ from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.eye import Eye, transport
-from hil.fitness import approach_problems, axes_at, layout_problems, port_problems, pose_problems
+from hil.fitness import approach_problems, axes_at, flight_problems, port_problems
 from hil.gnc.watch import FilterWatch
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
@@ -54,9 +54,7 @@ class Job:
 def check(job: Job) -> None:
     """Raise BadInput with every fault that shows only when scenario and rig meet."""
     problems = [
-        *truth_problems(job.scenario),
-        *layout_problems(job.scenario),
-        *pose_problems(job.scenario, job.rig),
+        *(truth_problems(job.scenario) or flight_problems(job.scenario, job.rig)),
         *approach_problems(job.scenario),
         *port_problems(job.rig),
     ]
@@ -84,7 +82,7 @@ def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[
         wall = WallClock(speed=job.speed)
         with _wired_rig(job, wall, announce) as wired:
             rate = WallRate(wall, scenario.step_s)
-            yield _assemble(job, wired, rate, *_drivers(wired, wall), _FRAMES_TO_ARM, watch)
+            yield _assemble(job, wired, rate, *drivers(wired, wall), _FRAMES_TO_ARM, watch)
 
 
 @contextmanager
@@ -227,7 +225,7 @@ def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGrou
     return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed))
 
 
-def _drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:
+def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:
     """Return the drivers of a rig with wires."""
     from hil.drivers.rails.driver import ModbusRails
     from hil.drivers.vmu.driver import Rs422Vmu

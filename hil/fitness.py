@@ -11,11 +11,13 @@ from serial.tools import list_ports
 from hil import parameters
 from hil.bench.kinematics import axes_of_pose
 from hil.config.load import Loaded
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.errors import Problem
 from hil.maths import euler
 from hil.messages import AXES, new
+from hil.reach import reach_problems
+from hil.wires import wires
 
 
 def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_deg: Sequence[float]) -> np.record:
@@ -27,47 +29,14 @@ def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_
     return axes
 
 
-def layout_problems(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return a problem where the thrusters cannot move an axis."""
+def flight_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return the problems of ``reach_problems``, or one where the thrusters cannot move an axis of the chaser."""
     try:
         parameters.allocation(scenario.value.chaser)
     except ValueError as error:
         key = "chaser.thrusters.position_m"
         return [Problem(scenario.where(key), key, str(error))]
-    return []
-
-
-def pose_problems(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> list[Problem]:
-    """Return a problem for each axis that cannot take the start pose or a point that the approach goes to."""
-    scenario, rig = scenario_file.value, rig_file.value
-    params = parameters.bench(rig, scenario.step_s)
-    ready = scenario.gnc.guidance.ready_point_m
-    problems = []
-    level = (0.0, 0.0, 0.0)
-    poses = [
-        ("initial.position_m", scenario.initial.position_m, scenario.initial.attitude_deg),
-        ("gnc.guidance.ready_point_m", ready, level),
-    ]
-    for name in scenario.gnc.guidance.sequence:
-        point = scenario.gnc.guidance.phases[name].point_m
-        if point is not None:
-            poses.append((f"gnc.guidance.phases.{name}.point_m", point, level))
-    for key, position, attitude in poses:
-        axes = axes_at(scenario, rig, position, attitude)
-        source = scenario_file.where(key)
-        for i, (rail, gimbal) in enumerate(zip(RAIL_NAMES, GIMBAL_NAMES, strict=True)):
-            value, low, high = axes.rail_m[i], params.low[i], params.high[i]
-            if not low <= value <= high:
-                text = f"{list(position)}: rails.{rail} would go to {value:.3f} m, allowed {low:g} to {high:g} m"
-                problems.append(Problem(source, key, text))
-            angle, least, most = np.degrees([axes.gimbal_rad[i], params.low[3 + i], params.high[3 + i]])
-            if not least <= angle <= most:
-                text = (
-                    f"{list(attitude)}: turntable.{gimbal} would go to {angle:.2f} deg, "
-                    f"allowed {least:g} to {most:g} deg"
-                )
-                problems.append(Problem(source, "initial.attitude_deg", text))
-    return problems
+    return reach_problems(scenario, rig)
 
 
 def approach_problems(scenario: Loaded[Scenario]) -> list[Problem]:
@@ -88,20 +57,11 @@ def approach_problems(scenario: Loaded[Scenario]) -> list[Problem]:
 
 def port_problems(rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem for each serial port of a hardware rig that this computer does not have."""
-    value = rig.value
-    if value.kind != "hardware":
+    if rig.value.kind != "hardware":
         return []
-    named: list[tuple[str, str | None]] = []
-    if value.turntable.driver == "ascii" and value.turntable.ascii is not None:
-        named.append(("turntable.ascii.port", value.turntable.ascii.port))
-    can = value.turntable.cia402
-    if value.turntable.driver == "cia402" and can is not None and can.interface in ("serial", "slcan"):
-        named.append(("turntable.cia402.channel", can.channel))
-    if value.vmu.rs422 is not None:
-        named.append(("vmu.rs422.port", value.vmu.rs422.port))
     present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
     return [
-        Problem(rig.where(key), key, f"{port}: no such port, this computer has {present}")
-        for key, port in named
-        if port is not None and port.startswith("/") and not Path(port).exists()
+        Problem(rig.where(wire.key), wire.key, f"{wire.address}: no such port, this computer has {present}")
+        for wire in wires(rig.value)
+        if wire.kind == "serial" and wire.address.startswith("/") and not Path(wire.address).exists()
     ]

@@ -125,6 +125,33 @@ def emulate(rig: str = "emulated", *, scenario: str = "scheme-1", settings: Sett
     return emulate_command(rig, scenario, settings, speed)
 
 
+@app.command
+def preflight(
+    *,
+    rig: str = "mock",
+    scenario: str = "scheme-1",
+    settings: Settings = (),
+    json: Output = None,
+    devices: Annotated[bool, Parameter(negative=())] = False,
+) -> int:
+    """Check whether this host and a rig can run in real time and reach a scenario; exit code 0 or 1.
+
+    Parameters
+    ----------
+    rig
+        mock, emulated, or the path of a rig file.
+    scenario
+        Gives the rate and the plan that the rig has to follow.
+    json
+        File to write what was found to, - for standard output.
+    devices
+        Also open rails and turntable of a hardware rig: their drives are enabled and hold where they stand.
+    """
+    from hil.cli.preflight import preflight_command
+
+    return preflight_command(rig, scenario, settings, json, devices)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     # also where a shell started this with Ctrl-C ignored: a bench must always be stoppable

@@ -38,7 +38,8 @@ def run_command(
     from hil.report.table import render
 
     job = build.Job(scenario, rig, seed, scenario.value.duration_s if duration_s is None else duration_s, speed)
-    build.check(job)
+    with console.status("checking that the rig can follow the scenario"):
+        build.check(job)
     warm_up_with_a_word(job, console)
 
     def announce(text: str) -> None:

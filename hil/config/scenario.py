@@ -265,6 +265,14 @@ class Requirements(Strict):
     propellant_factor: Positive = 3.0  # propellant of the run over the impulsive least of its reference and slews
 
 
+class Reach(Strict):
+    """How far the chaser may get off its plan, for the check that the bench can follow it (docs/reach.md)."""
+
+    corridor_share: NotNegative = 0.5  # of the corridor's half angle, beside Table III
+    attitude_margin_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 1.0
+    catch_up_s: NotNegative = 0.2
+
+
 class Scenario(Strict):
     """One closed-loop run, whatever the rig."""
 
@@ -279,3 +287,4 @@ class Scenario(Strict):
     vmu: VisionNoise
     gnc: Gnc
     requirements: Requirements
+    reach: Reach = Reach()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -107,10 +108,12 @@ def test_run_whose_bench_does_not_follow_is_stopped_and_names_the_axis(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     path = tmp_path / "run.json"
-    slow = ["--set", "rig.rails.x.rate_max_mps=0.01", "--set", "rig.rails.following_error_max_m=0.002"]
-    code = execute(["run", "scheme-1", "--duration", "30", "--json", str(path), *slow])
+    slow = [f"rig.rails.servo.{key}" for key in ("gain_per_s=0.5", "lag_s=3.0")] + [
+        "rig.rails.following_error_max_m=0.002"
+    ]
+    settings = [text for setting in slow for text in ("--set", setting)]
+    assert execute(["run", "scheme-1", "--duration", "30", "--json", str(path), *settings]) == 3
     result = json.loads(path.read_text())
-    assert result["bench"]["limited_cycles"] > 0
-    assert code in (1, 3)
+    assert re.match(r"rails\.[xyz]: following error 0\.\d+ m, allowed 0\.002 m", result["stop"]), result["stop"]
     assert not result["passed"]
     capsys.readouterr()

@@ -1,0 +1,1 @@
+"""Whether this host and this rig can run in real time and reach a scenario, before anything depends on it."""

@@ -1,0 +1,104 @@
+"""The devices of a rig: each one opened, asked for its identity and a sample, and let go again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from hil import build
+from hil.clock import WallClock
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.drivers.base import AxisGroup, PoseSource
+from hil.emulation import EmulatedDevices
+from hil.errors import BenchError, DeviceError, LinkTimeout
+from hil.preflight.check import Check
+from hil.preflight.ports import port_checks
+
+_FIRST_SAMPLE_S = 5.0
+_POLL_S = 0.01
+
+
+def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[Check]:
+    """Return the checks of the rig's wires and devices; an emulated rig gets its emulators for that long.
+
+    Rails and turntable of a hardware rig are opened only with ``enable_drives``: opening enables their drives,
+    which then hold where they stand.
+    """
+    if rig.kind == "mock":
+        return [Check("devices", None, "in memory: no wires, no devices")]
+    clock = WallClock()
+    if rig.kind == "hardware":
+        return [*port_checks(rig), *device_checks(*build.drivers(rig, clock), clock, enable_drives)]
+    try:
+        with EmulatedDevices(scenario, rig, clock, seed=0) as emulated:
+            wired, _ = emulated.wait_ready()
+            return [*port_checks(wired), *device_checks(*build.drivers(wired, clock), clock, True)]
+    except DeviceError as error:
+        return [Check("emulators", False, str(error), "hil emulate shows what the emulators themselves say")]
+
+
+def device_checks(
+    rails: AxisGroup, turntable: AxisGroup, source: PoseSource, clock: WallClock, enable_drives: bool
+) -> list[Check]:
+    """Return a check for each of the three devices."""
+    checks = []
+    for group, unit in ((rails, "m"), (turntable, "deg")):
+        if enable_drives:
+            checks.append(_axes(group, unit, clock))
+        else:
+            advice = "--devices opens it, which enables its drives: they hold where they stand"
+            checks.append(Check(f"device {group.name}", None, "skipped", advice))
+    checks.append(_source(source, clock))
+    return checks
+
+
+def _axes(group: AxisGroup, unit: str, clock: WallClock) -> Check:
+    def sample() -> str:
+        feedback = group.read(clock.now_s())
+        places = np.degrees(feedback.position) if unit == "deg" else feedback.position
+        names = [name.rpartition(".")[2] for name in group.axis_names]
+        stands = ", ".join(f"{name} {place:.3f}" for name, place in zip(names, places, strict=True))
+        return f"identified, stands at {stands} {unit}"
+
+    def let_go() -> None:
+        group.stop(clock.now_s())
+        group.close()
+
+    return _tried(group.name, lambda: group.open(clock.now_s()), sample, let_go)
+
+
+def _source(source: PoseSource, clock: WallClock) -> Check:
+    def sample() -> str:
+        frames = source.poll(clock.now_s())
+        if not frames:
+            raise LinkTimeout(source.name, "no pose")
+        return f"pose at {np.linalg.norm(frames[-1].t_v):.3f} m from the camera"
+
+    return _tried(source.name, lambda: source.open(clock.now_s()), sample, source.close)
+
+
+def _tried(name: str, start: Callable[[], None], sample: Callable[[], str], let_go: Callable[[], None]) -> Check:
+    """Open a device, wait for its first sample, and let go of it whatever happened."""
+    try:
+        start()
+        return Check(f"device {name}", True, _first(sample))
+    except BenchError as error:
+        advice = "is it switched on, and is this its wire (docs/rig.md)? hil emulate shows a device that answers"
+        return Check(f"device {name}", False, str(error), advice)
+    finally:
+        let_go()
+
+
+def _first(sample: Callable[[], str]) -> str:
+    """Return the first sample; one that is not there yet is waited for."""
+    deadline = time.monotonic() + _FIRST_SAMPLE_S
+    while True:
+        try:
+            return sample()
+        except LinkTimeout:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(_POLL_S)

@@ -1,0 +1,151 @@
+"""The host: facts read from the operating system, and what they mean for a run in real time."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.maths.jit import kernels_are_cached
+from hil.messages import CYCLE
+from hil.preflight.check import Check
+from hil.preflight.privileges import PRIORITY, Privileges, probe_privileges
+
+_CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+_GOVERNORS = Path("/sys/devices/system/cpu")
+_REALTIME = Path("/sys/kernel/realtime")
+_GOOD_CLOCK_SOURCES = ("tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter")
+_COARSEST_CLOCK_S = 1e-6
+_LEAST_FREE_BYTES = 1e9
+_RUNS_THAT_MUST_FIT = 20
+
+
+@dataclass(frozen=True, slots=True)
+class HostFacts:
+    """What there is to know; strings are "" where the system does not tell.
+
+    governors: of each processor that has one. processors: usable by this process.
+    """
+
+    clock_resolution_s: float
+    clock_source: str
+    privileges: Privileges
+    governors: tuple[str, ...]
+    processors: int
+    free_bytes: float
+    kernel: str
+    kernel_is_realtime: bool
+    kernels_cached: bool
+
+
+def probe_host(folder: Path) -> HostFacts:
+    """Return the facts of this host; ``folder`` is where runs are written."""
+    return HostFacts(
+        clock_resolution_s=time.get_clock_info("monotonic").resolution,
+        clock_source=_text(_CLOCK_SOURCE),
+        privileges=probe_privileges(),
+        governors=tuple(_text(path) for path in sorted(_GOVERNORS.glob("cpu[0-9]*/cpufreq/scaling_governor"))),
+        processors=len(os.sched_getaffinity(0)),
+        free_bytes=float(shutil.disk_usage(folder).free),
+        kernel=platform.release(),
+        kernel_is_realtime=_text(_REALTIME) == "1" or "PREEMPT_RT" in platform.version(),
+        kernels_cached=kernels_are_cached(),
+    )
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
+def host_checks(facts: HostFacts, cycles: int, on_hardware: bool) -> list[Check]:
+    """Return what ``facts`` mean for runs of ``cycles`` cycles.
+
+    Only with hardware behind the wires a refused privilege or a sleepy processor fails; elsewhere it is a note.
+    """
+    return [
+        _clock(facts),
+        _clock_source(facts),
+        _scheduling(facts, on_hardware),
+        _memory_lock(facts, on_hardware),
+        _governor(facts, on_hardware),
+        _processors(facts),
+        _disk(facts, cycles),
+        _kernel(facts),
+        _kernel_cache(facts),
+    ]
+
+
+def _clock(facts: HostFacts) -> Check:
+    fine = facts.clock_resolution_s <= _COARSEST_CLOCK_S
+    advice = "" if fine else "use a kernel with high-resolution timers (CONFIG_HIGH_RES_TIMERS)"
+    return Check("clock resolution", fine, f"{facts.clock_resolution_s * 1e9:g} ns, allowed up to 1 us", advice)
+
+
+def _clock_source(facts: HostFacts) -> Check:
+    if not facts.clock_source:
+        return Check("clock source", None, "not exposed")
+    fine = facts.clock_source in _GOOD_CLOCK_SOURCES
+    advice = "" if fine else "slow to read: boot with clocksource=tsc if the processor's counter is stable"
+    return Check("clock source", fine, facts.clock_source, advice)
+
+
+def _scheduling(facts: HostFacts, on_hardware: bool) -> Check:
+    refused = facts.privileges.fifo_refused
+    advice = f"grant CAP_SYS_NICE, or 'rtprio {PRIORITY}' in /etc/security/limits.conf (container: --cap-add=SYS_NICE)"
+    if not refused:
+        return Check("scheduling", True, f"SCHED_FIFO, priority {PRIORITY}")
+    return Check("scheduling", _fails(on_hardware), f"SCHED_FIFO, priority {PRIORITY}: {refused}", advice)
+
+
+def _memory_lock(facts: HostFacts, on_hardware: bool) -> Check:
+    refused = facts.privileges.memory_lock_refused
+    advice = "grant CAP_IPC_LOCK, or 'memlock unlimited' in /etc/security/limits.conf (container: --ulimit memlock=-1)"
+    if not refused:
+        return Check("memory lock", True, "all pages")
+    return Check("memory lock", _fails(on_hardware), refused, advice)
+
+
+def _governor(facts: HostFacts, on_hardware: bool) -> Check:
+    if not facts.governors:
+        return Check("CPU governor", None, "not exposed (virtual machine)")
+    slow = sorted(set(facts.governors) - {"performance"})
+    if not slow:
+        return Check("CPU governor", True, "performance")
+    return Check("CPU governor", _fails(on_hardware), ", ".join(slow), "cpupower frequency-set -g performance")
+
+
+def _processors(facts: HostFacts) -> Check:
+    fine = facts.processors >= 2
+    advice = "" if fine else "give it a second one: the loop needs one for itself while it waits for its deadline"
+    return Check("processors", fine, f"{facts.processors}, wanted 2 or more", advice)
+
+
+def _disk(facts: HostFacts, cycles: int) -> Check:
+    wanted = max(_LEAST_FREE_BYTES, float(_RUNS_THAT_MUST_FIT * cycles * CYCLE.itemsize))
+    fine = facts.free_bytes >= wanted
+    advice = "" if fine else "make room, or run from a folder on another disk"
+    value = f"{facts.free_bytes / 1e9:.1f} GB free, wanted {wanted / 1e9:.1f} GB ({_RUNS_THAT_MUST_FIT} runs)"
+    return Check("disk", fine, value, advice)
+
+
+def _kernel(facts: HostFacts) -> Check:
+    if facts.kernel_is_realtime:
+        return Check("kernel", True, f"{facts.kernel} (PREEMPT_RT)")
+    advice = "a PREEMPT_RT kernel bounds the lateness; without one, judge by what was measured"
+    return Check("kernel", None, f"{facts.kernel} (not PREEMPT_RT)", advice)
+
+
+def _kernel_cache(facts: HostFacts) -> Check:
+    if facts.kernels_cached:
+        return Check("compiled kernels", True, "in the cache")
+    return Check("compiled kernels", None, "not in the cache", "the first run compiles them before anything moves")
+
+
+def _fails(on_hardware: bool) -> bool | None:
+    return False if on_hardware else None

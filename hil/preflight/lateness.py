@@ -1,0 +1,117 @@
+"""How late this host wakes up the loop: measured with the product's own rate keeper in a process of its own.
+
+``python -m hil.preflight.lateness PERIOD_S DURATION_S`` is that process.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.clock import WallClock
+from hil.messages import Array
+from hil.preflight.check import Check
+from hil.preflight.privileges import PRIORITY, take_fifo, take_memory_lock
+from hil.priority import precedence
+from hil.rate import WallRate, lateness_percentiles_us
+
+DURATION_S = 5.0
+SHARE_OF_PERIOD = 0.1
+"""p99.9 of the lateness must stay below this share of the period."""
+
+_START_S = 60.0
+_BAR = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Lateness:
+    """What was measured. histogram: upper edge of a bin, us, and cycles in it; skipped: periods lost whole."""
+
+    period_s: float
+    cycles: int
+    skipped: int
+    scheduling: str
+    percentiles_us: dict[str, float]
+    histogram: tuple[tuple[float, int], ...]
+
+
+def measure(period_s: float) -> Lateness:
+    """Return the lateness of an empty loop over DURATION_S, with the privileges that this user gets.
+
+    Raises RuntimeError when the process does not come back with it.
+    """
+    program = [sys.executable, "-m", "hil.preflight.lateness", repr(period_s), repr(DURATION_S)]
+    try:
+        done = subprocess.run(program, capture_output=True, text=True, timeout=DURATION_S + _START_S, check=True)
+        found = json.loads(done.stdout)
+    except (OSError, ValueError, subprocess.SubprocessError) as error:
+        raise RuntimeError(f"the lateness could not be measured: {error}") from error
+    return summarise(period_s, np.array(found["lateness_s"]), found["skipped"], found["scheduling"])
+
+
+def summarise(period_s: float, lateness_s: Array, skipped: int, scheduling: str) -> Lateness:
+    """Return the percentiles and the histogram of ``lateness_s`` (n,)."""
+    percentiles = lateness_percentiles_us(lateness_s)
+    return Lateness(period_s, len(lateness_s), skipped, scheduling, percentiles, _histogram(lateness_s))
+
+
+def _histogram(lateness_s: Array) -> tuple[tuple[float, int], ...]:
+    """Return bins that double from 1 us, up to the one that holds the latest."""
+    bins: list[tuple[float, int]] = []
+    low, high = -np.inf, 1.0
+    late_us = lateness_s * 1e6
+    while sum(count for _, count in bins) < len(late_us):
+        bins.append((high, int(np.count_nonzero((late_us > low) & (late_us <= high)))))
+        low, high = high, 2.0 * high
+    return tuple(bins)
+
+
+def lateness_check(found: Lateness) -> Check:
+    """Return whether the loop can keep its rate on this host."""
+    p = found.percentiles_us
+    allowed_us = SHARE_OF_PERIOD * found.period_s * 1e6
+    fine = p["p999"] < allowed_us
+    value = (
+        f"p50 {p['p50']:.0f}, p99 {p['p99']:.0f}, p99.9 {p['p999']:.0f}, max {p['max']:.0f} us under "
+        f"{found.scheduling}, {found.cycles} cycles at {1.0 / found.period_s:g} Hz, {found.skipped} periods lost; "
+        f"p99.9 allowed below {allowed_us:.0f} us ({SHARE_OF_PERIOD:.0%} of the period)"
+    )
+    advice = "" if fine else "end what else runs here, see scheduling and governor, or take a host of your own"
+    return Check("lateness", fine, value, advice)
+
+
+def picture(found: Lateness) -> list[str]:
+    """Return the histogram as lines of text; the bars' lengths are in proportion to the logarithm of the counts."""
+    most = max((count for _, count in found.histogram), default=0)
+    lines = []
+    for high, count in found.histogram:
+        bar = "#" * max(1, round(_BAR * np.log1p(count) / np.log1p(most))) if count else ""
+        lines.append(f"up to {high:>7.0f} us {count:>7} {bar}".rstrip())
+    return lines
+
+
+def _run(period_s: float, duration_s: float) -> dict[str, object]:
+    """Keep the rate for ``duration_s``; a lost period counts as lateness of the cycle after it."""
+    rate = WallRate(WallClock(), period_s)
+    lateness_s = []
+    with precedence():
+        scheduling = "SCHED_OTHER" if take_fifo() else f"SCHED_FIFO {PRIORITY}"
+        take_memory_lock()
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        rate.restart()
+        for _ in range(max(1, round(duration_s / period_s))):
+            before = rate.skipped_periods
+            late_s = rate.wait().lateness_s
+            lateness_s.append(late_s + (rate.skipped_periods - before) * period_s)
+    return {"lateness_s": lateness_s, "skipped": rate.skipped_periods, "scheduling": scheduling}
+
+
+if __name__ == "__main__":
+    json.dump(_run(float(sys.argv[1]), float(sys.argv[2])), sys.stdout)

@@ -1,0 +1,36 @@
+"""Which wires the drivers of a rig will open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hil.config.rig import RAIL_NAMES, ModbusAxis, Rig
+
+_SERIAL_CAN = ("serial", "slcan")  # interfaces of python-can that are serial ports
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """One wire of the rig. kind: "serial", "tcp" or "can"; address: path, host:port or interface."""
+
+    key: str
+    kind: str
+    address: str
+
+
+def wires(rig: Rig) -> list[Wire]:
+    """Return the wires that the rig's drivers will open."""
+    found = []
+    if rig.rails.driver == "modbus" and rig.rails.modbus is not None:
+        for name in RAIL_NAMES:
+            axis: ModbusAxis = getattr(rig.rails.modbus, name)
+            found.append(Wire(f"rails.modbus.{name}", "tcp", f"{axis.host}:{axis.port}"))
+    can, line = rig.turntable.cia402, rig.turntable.ascii
+    if rig.turntable.driver == "cia402" and can is not None and can.channel is not None:
+        kind = {"socketcan": "can"}.get(can.interface, "serial" if can.interface in _SERIAL_CAN else "other")
+        found.append(Wire("turntable.cia402.channel", kind, can.channel))
+    if rig.turntable.driver == "ascii" and line is not None and line.port is not None:
+        found.append(Wire("turntable.ascii.port", "serial", line.port))
+    if rig.vmu.driver == "rs422" and rig.vmu.rs422 is not None and rig.vmu.rs422.port is not None:
+        found.append(Wire("vmu.rs422.port", "serial", rig.vmu.rs422.port))
+    return found
