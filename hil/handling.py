@@ -82,7 +82,7 @@ class Handling:
         move = Move(bench.params, now.feedback, target)
         start_s = tick.now_s
         cycle = 0
-        while not self._stands_at(target):
+        while not (self._is_at(target) and bench.stands(tick.now_s, now.feedback)):
             moved_s = tick.now_s - start_s
             if moved_s > move.duration_s + _SETTLE_S:
                 raise SafetyTrip("bench", "start pose", "not reached", f"{_SETTLE_S:g} s after the move")
@@ -96,7 +96,7 @@ class Handling:
                 self._watch(Mode.PLACING, min(1.0, moved_s / move.duration_s))
         return True
 
-    def _stands_at(self, target: np.record) -> bool:
+    def _is_at(self, target: np.record) -> bool:
         feedback = self.loop.now.feedback
         return bool(
             np.abs(feedback.rail_m - target.rail_m).max() < _SETTLED_M

@@ -29,25 +29,26 @@ _SWITCHES: Final = {-1: "low", 1: "high"}
 @dataclass(frozen=True, slots=True)
 class Checks:
     """What is looked at: ``open``: emergency stop and age of feedback; ``homed``: every axis knows its place;
-    ``homing``: none has failed to find it; ``switches``: none stands on a limit switch; ``motion``: age of
-    setpoints, following error, soft limits."""
+    ``homing``: none has failed to find it; ``switches``: none stands on a limit switch; ``commanded``: age of
+    the setpoints; ``following``: following error, soft limits."""
 
     open: bool = True
     homed: bool = False
     homing: bool = False
     switches: bool = False
-    motion: bool = False
+    commanded: bool = False
+    following: bool = False
 
 
-_ALL = Checks(homed=True, switches=True, motion=True)
+_ALL = Checks(homed=True, switches=True, commanded=True, following=True)
 
 CHECKS: Final[dict[Mode, Checks]] = {
     Mode.OFF: Checks(open=False),
     Mode.STANDBY: Checks(),
     Mode.HOMING: Checks(homing=True),  # on its way to the switches, under the drives' own command
-    Mode.JOGGING: Checks(motion=True),  # the jog itself obeys the switches: it may leave one
+    Mode.JOGGING: Checks(commanded=True, following=True),  # the jog itself obeys the switches: it may leave one
     Mode.PLACING: _ALL,
-    Mode.ARMED: Checks(homed=True, switches=True),  # nobody commands: the drives hold the last setpoint
+    Mode.ARMED: Checks(homed=True, switches=True, following=True),  # the drives hold the last setpoint by themselves
     Mode.RUNNING: _ALL,
     Mode.HOLD: _ALL,
     Mode.SAFE_STOP: Checks(open=False),
@@ -106,10 +107,10 @@ class Supervisor:
             return self._not_homed(now_s, rails, turntable)
         if checks.switches and (rails.limit != CLEAR or turntable.limit != CLEAR):
             return self._on_a_switch(now_s, rails, turntable)
-        if checks.motion:
-            if now_s - commanded_s > self.limits.command_age_max_s:
-                age, limit = f"{now_s - commanded_s:.3f} s", f"{self.limits.command_age_max_s:g} s"
-                return Alarm(now_s, "bench", "age of the setpoint", age, limit)
+        if checks.commanded and now_s - commanded_s > self.limits.command_age_max_s:
+            age, limit = f"{now_s - commanded_s:.3f} s", f"{self.limits.command_age_max_s:g} s"
+            return Alarm(now_s, "bench", "age of the setpoint", age, limit)
+        if checks.following:
             breach = guards.first_breach(self._guard, setpoint, feedback, self._breach)
             if breach != guards.NOTHING:
                 return self._breached(now_s, breach)
