@@ -11,27 +11,37 @@ import numpy as np
 
 from hil import parameters
 from hil.approach_diary import ApproachDiary
+from hil.bench.kinematics import MOTION
+from hil.bench.stopping import brake_step
+from hil.bench_stage import Bench, Move
 from hil.clock import SimulatedClock, WallClock
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.cycle import Loop
-from hil.drivers.base import AxisGroup, PoseSource
+from hil.drivers.base import AxisGroup, CountsLosses, PoseSource
 from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.eye import Eye, transport
 from hil.fitness import approach_problems, axes_at, flight_problems, port_problems
 from hil.gnc.watch import FilterWatch
+from hil.handling import Watch
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
+from hil.modes import Mode
+from hil.orders import Operator
 from hil.priority import precedence
 from hil.rate import Rate, SimulatedRate, WallRate
-from hil.runner import Runner, Watch
-from hil.stages import Bench, Dss, Gnc, Move, Vision
+from hil.runner import Runner
+from hil.safety.bucket import LeakyBucket, LinkWatch
+from hil.safety.limits import limits_of
+from hil.safety.supervisor import Supervisor
+from hil.stages import Dss, Gnc, Vision
 from hil.truth_check import truth_problems
 
 _FRAMES_TO_ARM = 2
+_FRAMES_TO_FORGET = 2.0  # in their time one lost frame is forgiven, where the rig file says nothing else
 _WARM_UP_CYCLES = 10
 
 
@@ -65,16 +75,19 @@ def check(job: Job) -> None:
 
 
 @contextmanager
-def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[Runner]:
+def runner(
+    job: Job, watch: Watch, announce: Callable[[str], None], operator: Operator | None = None
+) -> Iterator[Runner]:
     """Give a Runner for ``job``; emulators that it needs are started before and ended after.
 
-    announce: told in a line what is being started. Raises DeviceError when an emulator does not come up.
+    announce: told in a line what is being started. operator: gives the orders; None: the run goes
+    through by itself. Raises DeviceError when an emulator does not come up.
     """
     scenario, rig = job.scenario.value, job.rig.value
     if rig.kind == "mock":
         clock = SimulatedClock()
         rails, turntable, vision = _mocks(scenario, rig, job.seed)
-        yield _assemble(job, rig, SimulatedRate(clock, scenario.step_s), rails, turntable, vision, 0, watch)
+        yield _assemble(job, rig, SimulatedRate(clock, scenario.step_s), rails, turntable, vision, 0, watch, operator)
         return
     with precedence() as refused:
         if refused:
@@ -82,7 +95,7 @@ def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[
         wall = WallClock(speed=job.speed)
         with _wired_rig(job, wall, announce) as wired:
             rate = WallRate(wall, scenario.step_s)
-            yield _assemble(job, wired, rate, *drivers(wired, wall), _FRAMES_TO_ARM, watch)
+            yield _assemble(job, wired, rate, *drivers(wired, wall), _FRAMES_TO_ARM, watch, operator)
 
 
 @contextmanager
@@ -104,6 +117,7 @@ def warm_up(job: Job) -> None:
     """Call every kernel of the loop once, in memory: nothing compiles once the bench is powered."""
     scenario, rig = job.scenario.value, job.rig.value
     Move(parameters.bench(rig, scenario.step_s), new(AXES), _start_axes(scenario, rig)).at(0.1, new(AXES))
+    brake_step(parameters.bench(rig, scenario.step_s), new(MOTION), new(AXES))
     _in_memory(job).run()
 
 
@@ -114,8 +128,10 @@ def warm_up_all_but_navigation(job: Job) -> None:
     loop.bench.open(0.0)
     loop.vision.source.open(0.0)
     loop.bench.read(0.0, now.feedback)
-    loop.bench.seed(now.feedback)
-    loop.bench.check(now.feedback)
+    loop.bench.supervisor.modes.mode = Mode.RUNNING
+    loop.bench.seed_for_run(0.0, now.feedback)
+    loop.bench.check(0.0, now.feedback)
+    loop.bench.brake(0.0, now.setpoint)
     loop.vision.take(0.0, 0.0, now.row[0])
     loop.gnc.guide(0.0, now.supervision, now.reference)
     loop.gnc.supervise(0.0, now.navigation, now.reference, now.supervision)
@@ -142,18 +158,17 @@ def _assemble(
     source: PoseSource,
     frames_to_arm: int,
     watch: Watch,
+    operator: Operator | None = None,
 ) -> Runner:
     scenario = job.scenario.value
+    bench = parameters.bench(rig, scenario.step_s)
+    axis_names = (*rails.axis_names, *turntable.axis_names)
+    supervisor = Supervisor(limits_of(rig, bench), axis_names, _links(rig, rails, turntable, source))
     sets, strength = parameters.allocation(scenario.chaser)
     navigation = parameters.navigation(scenario)
     loop = Loop(
         dss=_dss(scenario, job.seed),
-        bench=Bench(
-            rails,
-            turntable,
-            parameters.bench(rig, scenario.step_s),
-            (rig.rails.following_error_max_m, math.radians(rig.turntable.following_error_max_deg)),
-        ),
+        bench=Bench(rails, turntable, bench, supervisor),
         vision=Vision(source, parameters.stations(rig)),
         gnc=Gnc(
             navigation,
@@ -169,7 +184,24 @@ def _assemble(
     )
     loop.now.row["truth"] = parameters.initial_truth(scenario)
     _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
-    return Runner(loop, rate, scenario.step_s, job.cycles, frames_to_arm, watch)
+    return Runner(loop, rate, scenario.step_s, job.cycles, frames_to_arm, watch, operator)
+
+
+def _links(rig: Rig, rails: AxisGroup, turntable: AxisGroup, source: PoseSource) -> list[LinkWatch]:
+    """Return a leaky bucket for each device that counts what its wire loses."""
+    watches = []
+    for device, config in ((rails, rig.rails), (turntable, rig.turntable)):
+        if isinstance(device, CountsLosses):
+            bucket = LeakyBucket(config.lost_packets_max, config.lost_packets_forget_s)
+            watches.append(LinkWatch(device.name, bucket, device.lost_packets))
+    forget_s = rig.vmu.lost_packets_forget_s or _FRAMES_TO_FORGET / rig.vmu.rate_hz
+    bucket = LeakyBucket(rig.vmu.lost_packets_max, forget_s)
+    return [*watches, LinkWatch(source.name, bucket, lambda: _lost_frames(source.counters()))]
+
+
+def _lost_frames(counters: dict[str, int]) -> int:
+    """Return the frames that did not come whole: one with a bad checksum leaves a gap in the numbers as well."""
+    return max(counters.get("lost", 0), counters.get("crc_errors", 0))
 
 
 def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:

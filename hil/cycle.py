@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.bench_stage import Bench
 from hil.messages import CYCLE
-from hil.stages import Bench, Dss, Gnc, Vision
+from hil.stages import Dss, Gnc, Vision
 
 
 class Blackboard:
@@ -58,7 +59,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     """
     now = loop.now
     loop.bench.read(bench_s, now.feedback)  # 1  encoders
-    loop.bench.check(now.feedback)  # 2  do the axes follow?
+    loop.bench.check(bench_s, now.feedback)  # 2  may the bench go on?
     loop.vision.take(bench_s, run_zero_s, now.row[0])  # 3  poses of the vision unit
     loop.gnc.navigate(now.imu, loop.vision, now.navigation)  # 4  AKF and PKF
     loop.gnc.guide(t_s, now.supervision, now.reference)  # 5  reference of the present phase

@@ -83,4 +83,6 @@ class SafetyTrip(BenchError):
     def __init__(self, device: str, quantity: str, value: str, limit: str) -> None:
         self.device = device
         self.quantity = quantity
+        self.value = value
+        self.limit = limit
         super().__init__(f"{device}: {quantity} {value}, allowed {limit}")

@@ -1,32 +1,32 @@
-"""Runs a scenario on a bench: opens the devices, places the bench, closes the loop, stops the bench first."""
+"""Runs a scenario on a bench as its operator orders: opens, places, closes the loop, stops the bench first."""
 
 from __future__ import annotations
 
 import gc
 import signal
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
 from hil.cycle import Loop, run_cycle
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, SafetyTrip
-from hil.messages import AXES, Event, new
-from hil.modes import Mode, ModeMachine
+from hil.handling import WATCH_CYCLES, Handling, Watch
+from hil.messages import Event
+from hil.modes import Mode
+from hil.orders import Operator, Order, OrderedToStop
 from hil.rate import Rate
-from hil.stages import Move
+from hil.safety.alarms import Alarm, alarm_of
 
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
-_SETTLE_S = 3.0  # after placing, until the axes stand where they should
-_SETTLED_M = 0.001
-_SETTLED_RAD = 0.001
-
-Watch = Callable[[Mode, float], None]
-"""Told now and then what the bench is doing and how far along it is, 0..1."""
+_LINKS_EVERY_S: Final = 0.1
+_PAUSE_S: Final = 0.001
 
 
 @dataclass(slots=True)
@@ -41,25 +41,42 @@ class Outcome:
     limited_cycles: int = 0
     vision_counters: dict[str, int] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
+    alarms: list[Alarm] = field(default_factory=list)
 
 
 class Runner:
-    """One run of ``cycles`` cycles.
+    """One session at the bench, with one run of ``cycles`` cycles.
 
     frames_to_arm: poses that must have come before the loop is closed. ``watch`` is called every
-    ``WATCH_CYCLES`` cycles.
+    ``WATCH_CYCLES`` cycles. operator: gives the orders; without one the run goes through by itself and
+    a fault ends it.
     """
 
-    WATCH_CYCLES = 50
+    WATCH_CYCLES = WATCH_CYCLES
 
-    def __init__(self, loop: Loop, rate: Rate, step_s: float, cycles: int, frames_to_arm: int, watch: Watch) -> None:
+    def __init__(
+        self,
+        loop: Loop,
+        rate: Rate,
+        step_s: float,
+        cycles: int,
+        frames_to_arm: int,
+        watch: Watch,
+        operator: Operator | None = None,
+    ) -> None:
         self.loop = loop
+        self.operator = operator or Operator()
+        self.supervisor = loop.bench.supervisor
         self._rate = rate
         self._step_s = step_s
         self._cycles = cycles
+        self._links_each = max(1, round(_LINKS_EVERY_S / step_s))
         self._frames_to_arm = frames_to_arm
         self._watch = watch
-        self._modes = ModeMachine()
+        self._modes = self.supervisor.modes
+        self._handling = Handling(loop, rate, step_s, self.operator, watch)
+        self._faults: list[str] = []
+        self._events: list[Event] = []
         self._done = 0
 
     @property
@@ -69,98 +86,172 @@ class Runner:
     def run(self) -> Outcome:
         """Run to the end, to a fault, or to Ctrl-C; the bench stands still whatever happened."""
         with _no_garbage_collection(first=self._rate.on_the_wall):
-            stop, faults = self._run()
-        self._modes.go(Mode.SAFE_STOP if faults else Mode.STANDBY)
+            stop = self._run()
+        self._modes.go(Mode.SAFE_STOP if self._faults else Mode.STANDBY)
+        events = sorted([*self.loop.gnc.events(), *self._events], key=lambda event: event.t_s)
         return Outcome(
             history=self.loop.history[: self._done],
             stop=stop,
-            faults=faults,
+            faults=self._faults,
             mode=self._modes.mode,
             overruns=self._rate.overruns,
             limited_cycles=self.loop.bench.limited_cycles,
             vision_counters=self.source.counters(),
-            events=self.loop.gnc.events(),
+            events=events,
+            alarms=list(self.supervisor.alarms.all()),
         )
 
-    def _run(self) -> tuple[str, list[str]]:
-        stop = COMPLETED
-        faults: list[str] = []
+    def _run(self) -> str:
         try:
-            self._open()
-            self._place()
-            self._arm()
-            self._close_the_loop()
-        except BenchError as fault:
-            stop = str(fault)
-            faults.append(stop)
-        except KeyboardInterrupt:
-            stop = STOPPED_BY_OPERATOR
-            faults.append(stop)
+            while self._session():
+                pass
+        except (KeyboardInterrupt, OrderedToStop):
+            self._faults.append(STOPPED_BY_OPERATOR)
         finally:
             self._shut_down()
-        return stop, faults
+        return self._faults[-1] if self._faults else COMPLETED
+
+    def _session(self) -> bool:
+        """Go from opening the devices to the end of the run; after a fault return whether to begin anew."""
+        try:
+            self._open()
+            while (order := self._next_order()) is not None:
+                self._obey(order)
+        except BenchError as fault:
+            self._safe_stop(fault)
+            return self.operator.attended and self._wait_for_reset()
+        return False
 
     def _open(self) -> None:
         self.loop.bench.open(self._rate.now_s())
         self.source.open(self._rate.now_s())
+        self.supervisor.opened()
         self._modes.go(Mode.STANDBY)
 
-    def _place(self) -> None:
-        """Move all axes slowly to the start pose and wait until they stand there."""
-        self._modes.go(Mode.PLACING)
-        bench, now = self.loop.bench, self.loop.now
-        self._rate.restart()
-        tick = self._rate.wait()
-        bench.read(tick.now_s, now.feedback)
-        bench.seed(now.feedback)
-        target = new(AXES)
-        at_rest = np.zeros(3)
-        bench.axes_of(now.truth.r_CT_H, at_rest, now.truth.q_CH, at_rest, target)
-        move = Move(bench.params, now.feedback, target)
-        wanted = new(AXES)
-        start_s = tick.now_s
-        cycle = 0
-        while not self._stands_at(target):
-            moved_s = tick.now_s - start_s
-            if moved_s > move.duration_s + _SETTLE_S:
-                raise SafetyTrip("bench", "start pose", "not reached", f"{_SETTLE_S:g} s after the move")
-            move.at(moved_s + self._step_s, wanted)
-            bench.command(wanted, tick.now_s, now.setpoint)
-            tick = self._rate.wait()
-            bench.read(tick.now_s, now.feedback)
-            bench.check(now.feedback)
-            cycle += 1
-            if cycle % self.WATCH_CYCLES == 0 and move.duration_s > 0.0:
-                self._watch(Mode.PLACING, min(1.0, moved_s / move.duration_s))
+    def _next_order(self) -> Order | None:
+        """Return the next order; None when the run is over, or when nobody is there to give one."""
+        while not self._done:
+            order = self.operator.next(self._modes.mode)
+            if order is not None or not self.operator.attended:
+                return order
+            self._stand_by()
+        return None
 
-    def _stands_at(self, target: np.record) -> bool:
-        feedback = self.loop.now.feedback
-        return bool(
-            np.abs(feedback.rail_m - target.rail_m).max() < _SETTLED_M
-            and np.abs(feedback.gimbal_rad - target.gimbal_rad).max() < _SETTLED_RAD
-        )
+    def _stand_by(self) -> None:
+        """Let one supervised cycle pass in which nothing moves."""
+        tick = self._handling.tick()
+        if self._modes.mode is Mode.ARMED:
+            self.source.poll(tick.now_s)
+        if self._handling.ticks % self.WATCH_CYCLES == 0:
+            self._look_at_links(tick.now_s)
+            self._watch(self._modes.mode, 0.0)
+
+    def _obey(self, order: Order) -> None:
+        match order:
+            case Order.HOME:
+                self._handling.home()
+            case Order.JOG:
+                self._handling.jog()
+            case Order.ARM:
+                self._handling.place()
+                self._arm()
+            case Order.START:
+                self._close_the_loop()
+            case Order.DISARM:
+                self._modes.go(Mode.STANDBY)
+            case Order.STOP:
+                raise OrderedToStop
 
     def _arm(self) -> None:
         """Wait until the vision unit has delivered."""
         self._modes.go(Mode.ARMED)
         frames = 0
         while frames < self._frames_to_arm:
-            tick = self._rate.wait()
+            tick = self._handling.tick()
             frames += len(self.source.poll(tick.now_s))
-            self.loop.bench.read(tick.now_s, self.loop.now.feedback)
             self._watch(Mode.ARMED, 0.0)
 
     def _close_the_loop(self) -> None:
+        self.loop.bench.seed_for_run(self._rate.now_s(), self.loop.now.feedback)
         self._modes.go(Mode.RUNNING)
         self._rate.restart()
+        held_s = 0.0
         for k in range(self._cycles):
             tick = self._rate.wait()
-            run_cycle(self.loop, k, k * self._step_s, tick.now_s, tick.run_zero_s, tick.lateness_s)
+            run_cycle(self.loop, k, k * self._step_s, tick.now_s, tick.run_zero_s + held_s, tick.lateness_s)
             self._done = k + 1
             if k % self.WATCH_CYCLES == 0:
                 self._watch(Mode.RUNNING, k / self._cycles)
+            if k % self._links_each == 0:
+                self._look_at_links(tick.now_s)
+            if self.operator.waiting or self.supervisor.hold_reason:
+                held_s += self._obey_while_running(k * self._step_s)
         self.loop.gnc.finish((self._cycles - 1) * self._step_s, self.loop.now.supervision)
         self._watch(Mode.RUNNING, 1.0)
+
+    def _obey_while_running(self, t_s: float) -> float:
+        """Do what is ordered between two cycles; return for how long, s, the run's time stood."""
+        order = None if self.supervisor.hold_reason else self.operator.take(Mode.RUNNING)
+        if order is Order.STOP:
+            raise OrderedToStop
+        if order is Order.GO:
+            self.loop.gnc.order_go()
+        if order is Order.ABORT:
+            self.loop.gnc.order_abort()
+        if not (self.supervisor.hold_reason or order is Order.HOLD):
+            return 0.0
+        return self._hold(t_s)
+
+    def _hold(self, t_s: float) -> float:
+        reason = self.supervisor.hold_reason or "ordered by the operator"
+        if not self.operator.attended and self.supervisor.hold_reason:
+            raise SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone")
+        self._events.append(Event(t_s, "bench", f"hold: {reason}"))
+        before = self._handling.ticks
+        self._handling.hold(self._handling.tick())
+        held_s = (self._handling.ticks - before) * self._step_s
+        self._events.append(Event(t_s, "bench", f"resumed after {held_s:.2f} s"))
+        return held_s
+
+    def _look_at_links(self, now_s: float) -> None:
+        alarm = self.supervisor.look_at_links(now_s)
+        if alarm is not None:
+            raise alarm.trip()
+
+    def _safe_stop(self, fault: BenchError) -> None:
+        """Stop the bench, remember why, and give no order by itself any more."""
+        with _ctrl_c_held_back():
+            now_s = self._rate.now_s()
+            self.loop.bench.stop(now_s)
+            self.supervisor.alarms.enter(alarm_of(fault, now_s))
+            self._faults.append(str(fault))
+            self._modes.go(Mode.SAFE_STOP)
+            self.operator.drop_plan()
+
+    def _wait_for_reset(self) -> bool:
+        """Wait until the operator resets with the cause gone, then close everything; False once a run has begun.
+
+        The devices are opened anew afterwards: they come back disarmed, in standby.
+        """
+        if self._done:
+            return False
+        while True:
+            tick = self._rate.wait()
+            self.loop.bench.look_at_emergency_input(tick.now_s)
+            order = self.operator.take(Mode.SAFE_STOP)
+            if order is Order.STOP:
+                raise OrderedToStop
+            if order is Order.RESET:
+                refusal = self.supervisor.reset(tick.now_s)
+                if refusal is None:
+                    break
+                self.operator.answers.append(refusal.text)
+            if not self._rate.on_the_wall:
+                time.sleep(_PAUSE_S)  # simulated time does not wait for anybody
+        self._shut_down()
+        self._faults.clear()
+        self._modes.go(Mode.OFF)
+        return True
 
     def _shut_down(self) -> None:
         """Stop the bench first, then let go of everything."""

@@ -10,20 +10,17 @@ import math
 import numpy as np
 
 from hil.approach_diary import ApproachDiary
-from hil.bench import kinematics
-from hil.drivers.base import AxisGroup, PoseSource
+from hil.drivers.base import PoseSource
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
-from hil.errors import SafetyTrip
 from hil.gnc import allocation, control, guidance, navigation, supervision
 from hil.gnc.fusion import MEMORY, STEP
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.gnc.navigation import NAVIGATION_STATE
 from hil.gnc.watch import FilterWatch
-from hil.maths.profile import along_line, duration
 from hil.maths.stations import chaser_pose
 from hil.maths.streams import NormalRows
-from hil.messages import AXES, MAX_POSES, POSE, Array, Event, new
+from hil.messages import MAX_POSES, POSE, Array, Event, new
 
 
 class Dss:
@@ -60,6 +57,8 @@ class Vision:
         self._records = [self.poses[i] for i in range(MAX_POSES)]
         self.arrived = 0
         self.dropped = 0  # beyond MAX_POSES in one cycle
+        self.not_before_s = -math.inf
+        """Frames exposed before this bench time are of another life of the run: they are left out."""
 
     def take(self, bench_s: float, run_zero_s: float, row: np.ndarray) -> None:
         """Bring the frames that came since the last cycle into ``poses``; the newest one also into ``row["pose"]``.
@@ -67,6 +66,8 @@ class Vision:
         run_zero_s: bench time at which the run's time is zero.
         """
         frames = self.source.poll(bench_s)
+        if frames:
+            frames = [frame for frame in frames if frame.t_s >= self.not_before_s]
         self.dropped += max(0, len(frames) - MAX_POSES)
         self.arrived = min(len(frames), MAX_POSES)
         if not frames:
@@ -172,112 +173,3 @@ class Gnc:
         else:
             self._nees[:] = np.nan
         return self._nees
-
-
-class Bench:
-    """Rails and turntable as one machine that carries the chaser's pose."""
-
-    def __init__(
-        self,
-        rails: AxisGroup,
-        turntable: AxisGroup,
-        params: np.record,
-        following_error_max: tuple[float, float],
-    ) -> None:
-        self.rails = rails
-        self.turntable = turntable
-        self.params = params
-        self._following_error_max = following_error_max  # m, rad
-        self._wanted = new(AXES)
-        self._before = new(AXES)
-        self._motion = new(kinematics.MOTION)
-        self._next = new(AXES)
-        self._next_arrays = tuple(self._next[name] for name in ("rail_m", "rail_mps", "gimbal_rad", "gimbal_radps"))
-        self._worst = np.empty(4)
-        self.limited_cycles = 0
-
-    def open(self, now_s: float) -> None:
-        """Open both devices; they hold where they stand."""
-        self.rails.open(now_s)
-        self.turntable.open(now_s)
-
-    def read(self, now_s: float, feedback: np.record) -> None:
-        """Write the encoders' newest values into ``feedback`` (AXES)."""
-        rails = self.rails.read(now_s)
-        turntable = self.turntable.read(now_s)
-        kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, feedback)
-
-    def seed(self, feedback: np.record) -> None:
-        """Make the encoders' positions the last setpoint, at rest: nothing jumps at the next command."""
-        rest = np.zeros(3)
-        kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, self._before)
-        kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, self._motion)
-
-    def axes_of(self, r_CT_H: Array, v_CT_H: Array, q_CH: Array, w_CH_C: Array, out: np.record) -> None:
-        """Write the axes' positions and rates, unlimited, for a pose of the chaser."""
-        kinematics.axes_of_pose(self.params, r_CT_H, v_CT_H, q_CH, w_CH_C, out)
-
-    def follow(self, truth: np.record, w_CH_C: Array, now_s: float, setpoint: np.record) -> None:
-        """Send the axes towards the pose in ``truth``; write what was accepted into ``setpoint``."""
-        self.axes_of(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C, self._wanted)
-        self.command(self._wanted, now_s, setpoint)
-
-    def command(self, wanted: np.record, now_s: float, setpoint: np.record) -> None:
-        """Send ``wanted`` (AXES), cut to what travel, speed and acceleration allow."""
-        if kinematics.limit_setpoint(self.params, self._motion, wanted, self._next):
-            self.limited_cycles += 1
-        rail_m, rail_mps, gimbal_rad, gimbal_radps = self._next_arrays
-        rail_accepted = self.rails.send(rail_m, rail_mps, now_s)
-        gimbal_accepted = self.turntable.send(gimbal_rad, gimbal_radps, now_s)
-        kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, setpoint)
-        kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, self._before)
-
-    def check(self, feedback: np.record) -> None:
-        """Raise SafetyTrip where the axes do not stand where the last setpoint sent them."""
-        kinematics.largest_difference(self._before, feedback, self._worst)
-        rail, rail_axis, gimbal, gimbal_axis = self._worst
-        if not rail <= self._following_error_max[0]:
-            name = self.rails.axis_names[int(rail_axis)]
-            raise SafetyTrip(name, "following error", f"{rail:.4f} m", f"{self._following_error_max[0]:g} m")
-        if not gimbal <= self._following_error_max[1]:
-            name = self.turntable.axis_names[int(gimbal_axis)]
-            limit = math.degrees(self._following_error_max[1])
-            raise SafetyTrip(name, "following error", f"{math.degrees(gimbal):.3f} deg", f"{limit:g} deg")
-
-    def stop(self, now_s: float) -> None:
-        """Bring all axes to a stand; never raises."""
-        self.rails.stop(now_s)
-        self.turntable.stop(now_s)
-
-    def close(self) -> None:
-        """Let go of both devices; never raises."""
-        self.rails.close()
-        self.turntable.close()
-
-
-class Move:
-    """A slow move of all six axes from where they stand to a target, each with a trapezoidal speed."""
-
-    SHARE_OF_LIMITS = 0.5
-
-    def __init__(self, params: np.record, start: np.record, target: np.record) -> None:
-        self._start = np.concatenate([start.rail_m, start.gimbal_rad])
-        self._way = np.concatenate([target.rail_m, target.gimbal_rad]) - self._start
-        self._speed = self.SHARE_OF_LIMITS * params.rate_max
-        self._acceleration = self.SHARE_OF_LIMITS * params.acceleration_max
-        self.duration_s = max(
-            duration(abs(way), speed, acceleration, acceleration)
-            for way, speed, acceleration in zip(self._way, self._speed, self._acceleration, strict=True)
-        )
-
-    def at(self, t_s: float, out: np.record) -> None:
-        """Write the axes (AXES) at ``t_s`` after the start of the move."""
-        along = np.empty(3)
-        for axis, way in enumerate(self._way):
-            along_line(abs(way), self._speed[axis], self._acceleration[axis], self._acceleration[axis], t_s, along)
-            sign = math.copysign(1.0, way)
-            position, rate = self._start[axis] + sign * along[0], sign * along[1]
-            if axis < 3:
-                out.rail_m[axis], out.rail_mps[axis] = position, rate
-            else:
-                out.gimbal_rad[axis - 3], out.gimbal_radps[axis - 3] = position, rate

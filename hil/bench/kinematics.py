@@ -144,23 +144,6 @@ def start_motion(rail_m, gimbal_rad, motion):
 
 
 @kernel
-def largest_difference(setpoint, feedback, out):
-    """Write the largest |setpoint - feedback| of rails, m, and of gimbals, rad, and their axes into ``out`` (4,)."""
-    for i in range(4):
-        out[i] = 0.0
-    for i in range(3):
-        rail = abs(setpoint.rail_m[i] - feedback.rail_m[i])
-        gimbal = abs(setpoint.gimbal_rad[i] - feedback.gimbal_rad[i])
-        # "not <=" also catches nan
-        if not rail <= out[0]:
-            out[0] = rail
-            out[1] = i
-        if not gimbal <= out[2]:
-            out[2] = gimbal
-            out[3] = i
-
-
-@kernel
 def write_axes(rail_m, rail_mps, gimbal_rad, gimbal_radps, out):
     """Write the four arrays (3,) into ``out`` (AXES)."""
     for i in range(3):

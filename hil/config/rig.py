@@ -14,6 +14,7 @@ GIMBAL_NAMES = ("roll", "pitch", "yaw")
 
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
+Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after its drive was off
 
 
 class BenchGeometry(Strict):
@@ -55,7 +56,7 @@ class RailAxis(Strict):
     rate_max_mps: Positive
     acceleration_max_mps2: Positive
     park_m: float = 0.0
-    encoder: Literal["absolute", "incremental"] = "absolute"
+    encoder: Encoder = "absolute"
     home_m: float = 0.0  # place of the home switch
     homing_rate_mps: Positive = 0.05
 
@@ -80,7 +81,7 @@ class GimbalAxis(Strict):
     rate_max_degps: Positive
     acceleration_max_degps2: Positive
     park_deg: float = 0.0
-    encoder: Literal["absolute", "incremental"] = "absolute"
+    encoder: Encoder = "absolute"
     home_deg: float = 0.0  # place of the home switch
     homing_rate_degps: Positive = 5.0
 
@@ -148,7 +149,10 @@ class SerialLine(Strict):
 class Rails(Strict):
     driver: Literal["mock", "modbus"]
     timeout_s: Positive = 0.4
-    following_error_max_m: Positive = 0.05
+    following_error_max_m: Positive = 0.05  # at rest
+    following_error_per_speed_s: NotNegative = 0.0  # m more for each m/s of commanded speed
+    lost_packets_max: Positive = 5.0
+    lost_packets_forget_s: Positive = 1.0  # after which one lost packet is forgiven
     encoder_sigma_m: NotNegative = 0.0  # noise of the emulated encoders
     servo: Servo
     x: RailAxis
@@ -164,7 +168,10 @@ class Rails(Strict):
 class Turntable(Strict):
     driver: Literal["mock", "cia402", "ascii"]
     timeout_s: Positive = 0.4
-    following_error_max_deg: Positive = 2.0
+    following_error_max_deg: Positive = 2.0  # at rest
+    following_error_per_speed_s: NotNegative = 0.0  # deg more for each deg/s of commanded speed
+    lost_packets_max: Positive = 5.0
+    lost_packets_forget_s: Positive = 1.0  # after which one lost packet is forgiven
     encoder_sigma_deg: NotNegative = 0.0  # noise of the emulated encoders
     servo: Servo
     roll: GimbalAxis
@@ -198,11 +205,20 @@ class Vmu(Strict):
     driver: Literal["mock", "rs422"]
     timeout_s: Positive = 0.4
     rate_hz: Positive = 6.25
+    lost_packets_max: Positive = 10.0
+    lost_packets_forget_s: Positive | None = None  # left away: the time of two frames
     processing_s: NotNegative = 0.0  # from exposure to the first byte
     clock: Literal["shared", "own"] = "shared"  # time stamps are bench time, or of a clock of the unit's own
     camera: Camera = Camera()
     leds_m: Annotated[tuple[Triple, ...], Field(min_length=1)] = _ring(0.12, 0.06)  # in t
     rs422: SerialLine | None = None
+
+
+class Safety(Strict):
+    """What the supervisor allows, beside the limits of each device."""
+
+    command_age_max_s: Positive = 0.5  # since the last setpoint, while axes are under command
+    homing_timeout_s: Positive = 120.0  # for all axes together
 
 
 class Rig(Strict):
@@ -214,6 +230,7 @@ class Rig(Strict):
     rails: Rails
     turntable: Turntable
     vmu: Vmu
+    safety: Safety = Safety()
 
     @model_validator(mode="after")
     def _drivers_suit_the_kind(self) -> Self:

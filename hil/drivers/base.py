@@ -54,6 +54,22 @@ class AxisGroup(Protocol):
 
 
 @runtime_checkable
+class Jogs(Protocol):
+    """An axis group that lets an axis be jogged that is not homed, or that stands beyond its travel."""
+
+    def set_jogging(self, on: bool) -> None:
+        """While on, take setpoints of axes that are not homed, and cut none to the travel."""
+
+
+@runtime_checkable
+class CountsLosses(Protocol):
+    """A device whose wire counts what it lost."""
+
+    def lost_packets(self) -> int:
+        """Return how many packets were lost or damaged since ``open``."""
+
+
+@runtime_checkable
 class PoseSource(Protocol):
     """The vision measurement unit."""
 

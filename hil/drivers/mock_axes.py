@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Final
+
+import numpy as np
+
 from hil.config.rig import Rails, Turntable
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names
-from hil.errors import DeviceError, LinkLost
-from hil.messages import Array, AxisFeedback
+from hil.errors import DeviceError, LinkLost, SafetyTrip
+from hil.messages import Array, AxisFeedback, Homing
 
-_BRAKE_STEP_S = 0.002
+HOMED: Final = (Homing.DONE, Homing.DONE, Homing.DONE)
+CLEAR: Final = (0, 0, 0)
+_BRAKE_STEP_S: Final = 0.002
+_SHARE_OF_RATE_TO_HOME: Final = 0.25
+_AT_SWITCH: Final = 1e-4  # m or rad
+_NOWHERE_LOW: Final = np.full(3, -np.finfo(float).max)
+_NOWHERE_HIGH: Final = np.full(3, np.finfo(float).max)
 
 
 class MockAxes:
@@ -16,49 +26,72 @@ class MockAxes:
 
     name: the device; short_names: its axes as in ``RAIL_NAMES`` or ``GIMBAL_NAMES``. The axes move
     when they are asked, up to the time that they are given; time that runs backwards moves nothing.
+
+    An axis with ``encoder = "incremental"`` counts from where it stood when its drive was switched on.
+    ``home`` lets all that need it creep to the low end of their travel, where the home switch is.
     """
 
     def __init__(self, name: str, short_names: tuple[str, str, str], config: Rails | Turntable) -> None:
         self.name = name
         self.axis_names = full_names(name, short_names)
         self._axes = ServoAxes(config)
+        self._incremental = [getattr(config, short).encoder == "incremental" for short in short_names]
+        self._homing = HOMED
+        self._counted_from: Array = np.zeros(3)  # where an encoder that has not been homed has its zero
+        self._limit = CLEAR
+        self._blind: set[int] = set()
+        self._jogging = False
         self._t_s = 0.0
         self._stopped = False
         self._error: DeviceError | None = LinkLost(name, "is not open")
+        self.switch_off_and_on()
 
     def open(self, now_s: float) -> None:
         """Hold the present position."""
         self._axes.hold()
         self._t_s = now_s
         self._stopped = False
+        self._jogging = False
         self._error = None
 
     def home(self, now_s: float) -> None:
-        """Do nothing: these axes know their places."""
+        """Let each axis that is not homed creep to its home switch."""
+        self._check()
+        self._move(now_s)
+        self._set_homing({i: Homing.UNDER_WAY for i, state in enumerate(self._homing) if state != Homing.DONE})
+
+    def set_jogging(self, on: bool) -> None:
+        """While on, take setpoints of axes that are not homed, and cut none to the travel."""
+        self._jogging = on
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Take the setpoint at ``now_s``; a stopped device stays where it is and returns that place."""
         self._check()
         axes = self._axes
-        accepted = accepted_setpoint(self.axis_names, position, axes.low, axes.high)
+        if self._jogging:
+            accepted = accepted_setpoint(self.axis_names, position, _NOWHERE_LOW, _NOWHERE_HIGH)
+        else:
+            self._refuse_without_home()
+            accepted = accepted_setpoint(self.axis_names, position, axes.low, axes.high)
         feedforward = accepted_setpoint(self.axis_names, rate, -axes.rate_max, axes.rate_max, "rate")
         self._move(now_s)
         if self._stopped:
-            return axes.position.copy()
-        axes.setpoint[:] = accepted
+            return self._shown()
+        axes.setpoint[:] = accepted + self._counted_from if self._homing is not HOMED else accepted
         axes.feedforward[:] = feedforward
         return accepted
 
     def read(self, now_s: float) -> AxisFeedback:
-        """Return where the axes are at ``now_s``."""
+        """Return where the axes are at ``now_s``, by their encoders."""
         self._check()
         self._move(now_s)
-        return AxisFeedback(now_s, self._axes.position.copy(), self._axes.rate.copy())
+        return AxisFeedback(now_s, self._shown(), self._axes.rate.copy(), self._homing, self._limit)
 
     def stop(self, now_s: float) -> None:
-        """Brake, then stand."""
+        """Brake, then stand; an axis on its way to its home switch does not get there."""
         self._move(now_s)
         self._stopped = True
+        self._set_homing({i: Homing.NEEDED for i, state in enumerate(self._homing) if state == Homing.UNDER_WAY})
 
     def close(self) -> None:
         self._stopped = True
@@ -68,9 +101,42 @@ class MockAxes:
         """Let every later ``send`` and ``read`` raise ``error``, as after a failure of the link."""
         self._error = error
 
+    def switch_off_and_on(self) -> None:
+        """Take the drives' power away for a moment: incremental encoders begin to count anew, not homed."""
+        self._axes.hold()
+        self._axes.rate[:] = 0.0
+        self._counted_from = np.where(self._incremental, self._axes.position, 0.0)
+        self._homing = HOMED
+        self._set_homing({i: Homing.NEEDED for i, lost in enumerate(self._incremental) if lost})
+
+    def set_limit_switch(self, axis: int, switch: int) -> None:
+        """Let ``axis`` stand on its low (-1), its high (1) or no (0) limit switch."""
+        limit = [*self._limit]
+        limit[axis] = switch
+        self._limit = (limit[0], limit[1], limit[2])
+
+    def hide_home_switch(self, axis: int) -> None:
+        """Let homing of ``axis`` fail when it gets to the end of the rail."""
+        self._blind.add(axis)
+
     def _check(self) -> None:
         if self._error is not None:
             raise self._error
+
+    def _refuse_without_home(self) -> None:
+        if self._homing is HOMED:
+            return
+        for name, state in zip(self.axis_names, self._homing, strict=True):
+            if state != Homing.DONE:
+                raise SafetyTrip(name, "setpoint", "not homed", "homed axes")
+
+    def _set_homing(self, changed: dict[int, Homing]) -> None:
+        states = [changed.get(i, state) for i, state in enumerate(self._homing)]
+        self._homing = HOMED if all(state == Homing.DONE for state in states) else (states[0], states[1], states[2])
+
+    def _shown(self) -> Array:
+        position = self._axes.position.copy()
+        return position if self._homing is HOMED else position - self._counted_from
 
     def _move(self, now_s: float) -> None:
         left_s = now_s - self._t_s
@@ -78,9 +144,29 @@ class MockAxes:
             return
         self._t_s = now_s
         if not self._stopped:
+            if Homing.UNDER_WAY in self._homing:
+                self._creep_home(left_s)
             self._axes.step(left_s)
             return
         while left_s > 0.0 and self._axes.rate.any():
             self._axes.hold()  # no way back to the place where braking began
             self._axes.step(min(left_s, _BRAKE_STEP_S))
             left_s -= _BRAKE_STEP_S
+
+    def _creep_home(self, dt_s: float) -> None:
+        """Let the axes under way go on towards the low end; those that are there know their places now."""
+        axes = self._axes
+        arrived: dict[int, Homing] = {}
+        for axis, state in enumerate(self._homing):
+            if state != Homing.UNDER_WAY:
+                continue
+            if axes.position[axis] - axes.low[axis] > _AT_SWITCH:
+                creep = _SHARE_OF_RATE_TO_HOME * axes.rate_max[axis]
+                axes.setpoint[axis] = max(axes.low[axis], axes.setpoint[axis] - creep * dt_s)
+                axes.feedforward[axis] = 0.0
+            elif axis in self._blind:
+                arrived[axis] = Homing.FAILED
+            else:
+                arrived[axis] = Homing.DONE
+                self._counted_from[axis] = 0.0
+        self._set_homing(arrived)

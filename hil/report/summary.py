@@ -65,6 +65,7 @@ def summarise(
         },
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
         "faults": outcome.faults,
+        "alarms": [alarm.as_json() for alarm in outcome.alarms],
     }
     return summary, verdict
 

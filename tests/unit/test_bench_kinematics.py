@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hil.bench.kinematics import BENCH_PARAMS, MOTION, axes_of_pose, largest_difference, limit_setpoint, pose_of_axes
+from hil.bench.kinematics import BENCH_PARAMS, MOTION, axes_of_pose, limit_setpoint, pose_of_axes
 from hil.maths import quat
 from hil.messages import AXES, new
 
@@ -179,14 +179,3 @@ def test_setpoint_that_is_not_finite_is_passed_on_for_the_driver_to_refuse() -> 
     assert np.isnan(out.gimbal_rad).all()
     limit_setpoint(bench(), moving(), wanting(0.0, math.nan), out)
     assert np.isnan(out.rail_mps).all()
-
-
-def test_largest_difference_names_the_axis_and_does_not_miss_nan() -> None:
-    feedback, out = standing(), np.empty(4)
-    feedback.rail_m, feedback.gimbal_rad = [0.1, -0.3, 0.2], [0.0, 0.1, -0.2]
-    largest_difference(standing(), feedback, out)
-    np.testing.assert_allclose(out, [0.3, 1, 0.2, 2])
-    feedback.rail_m[2] = math.nan
-    largest_difference(standing(), feedback, out)
-    assert math.isnan(out[0])
-    assert out[1] == 2

@@ -1,0 +1,66 @@
+"""Jogging: one axis at a limited speed for as long as a dead-man key is refreshed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.messages import Array
+
+DEAD_MAN_S = 0.2
+SHARE_OF_RATE = 0.1  # of an axis' greatest speed, jogged
+SHARE_OF_RATE_NOT_HOMED = 0.02  # of one that does not know where its ends are
+_FAR = 100.0  # m or rad: further than any axis goes
+
+
+@dataclass(slots=True)
+class DeadMan:
+    """A key that counts as pressed for ``holds_s`` after each refresh."""
+
+    holds_s: float = DEAD_MAN_S
+    refreshed_s: float = -float("inf")
+
+    def refresh(self, now_s: float) -> None:
+        self.refreshed_s = now_s
+
+    def pressed(self, now_s: float) -> bool:
+        """Return whether the last refresh is recent; one from the future does not count."""
+        return 0.0 <= now_s - self.refreshed_s <= self.holds_s
+
+
+class Jog:
+    """Where one axis is to go, and under which limits, while its key is pressed.
+
+    params: BENCH_PARAMS of the bench. axis: 0..2 rails, 3..5 gimbals. direction: 1 or -1. homed:
+    whether the axis knows its place; one that does not has no soft limits and creeps. position (6,):
+    where the axes stand; one that stands beyond its travel may go back, not further out.
+    """
+
+    def __init__(self, params: np.record, axis: int, direction: int, homed: bool, position: Array) -> None:
+        if axis not in range(6) or direction not in (-1, 1):
+            raise ValueError(f"axis {axis}, direction {direction}: allowed 0..5 and -1 or 1")
+        self.axis = axis
+        self.direction = direction
+        self.key = DeadMan()
+        self.params = params.copy()
+        share = SHARE_OF_RATE if homed else SHARE_OF_RATE_NOT_HOMED
+        self.params.rate_max[axis] *= share
+        for i in range(6):
+            low, high = params.low[i], params.high[i]
+            free = i == axis and not homed
+            self.params.low[i] = -_FAR + position[i] if free else min(low, position[i])
+            self.params.high[i] = _FAR + position[i] if free else max(high, position[i])
+        self._target = self.params.high[axis] if direction > 0 else self.params.low[axis]
+
+    def may_move(self, now_s: float, limit: int) -> bool:
+        """Return whether the key is pressed and no switch is in the way (``limit``: -1 low, 1 high, 0 none)."""
+        return self.key.pressed(now_s) and limit != self.direction
+
+    def aim(self, motion: np.record, out: np.record) -> None:
+        """Write the wish, AXES: this axis to its end, the others where MOTION ``motion`` has them."""
+        position = motion.position.copy()
+        position[self.axis] = self._target
+        out.rail_m, out.gimbal_rad = position[:3], position[3:]
+        out.rail_mps = 0.0
+        out.gimbal_radps = 0.0

@@ -1,0 +1,56 @@
+"""The way to a stand: each axis loses as much speed a step as it may, and ends where that takes it."""
+
+from __future__ import annotations
+
+from hil.maths.jit import kernel
+
+
+@kernel
+def slower(rate, loss):
+    """Return ``rate`` brought towards zero by ``loss``, never past it."""
+    if rate > loss:
+        return rate - loss
+    if rate < -loss:
+        return rate + loss
+    return 0.0
+
+
+@kernel
+def brake_step(params, motion, out):
+    """Write the next setpoint, AXES, of axes that are to stand as soon as they may; return how many still move.
+
+    params: BENCH_PARAMS. motion: MOTION, where the last setpoints are and how fast they went; moved on
+    in place. From the speed v an axis goes no further than ``v^2 / (2 acceleration)`` and never turns
+    back. A setpoint that ``limit_setpoint`` gave has this way before it within the travel; it is cut
+    there all the same.
+    """
+    moving = 0
+    for axis in range(6):
+        i = axis % 3
+        rate = slower(motion.rate[axis], params.acceleration_max[axis] * params.dt_s)
+        position = motion.position[axis]
+        if rate != 0.0:
+            moving += 1
+            # from the inside not past an end; from beyond an end not jumping back to it
+            low, high = min(params.low[axis], position), max(params.high[axis], position)
+            position = min(high, max(low, position + rate * params.dt_s))
+        motion.rate[axis] = rate
+        motion.position[axis] = position
+        if axis < 3:
+            out.rail_m[i] = position
+            out.rail_mps[i] = rate
+        else:
+            out.gimbal_rad[i] = position
+            out.gimbal_radps[i] = rate
+    return moving
+
+
+@kernel
+def stopping_distance(rate, acceleration, dt):
+    """Return the way, as a length, that ``brake_step`` goes on from ``rate``: at most ``rate^2 / (2 acceleration)``."""
+    distance = 0.0
+    left = slower(abs(rate), acceleration * dt)
+    while left > 0.0:
+        distance += left * dt
+        left = slower(left, acceleration * dt)
+    return distance

@@ -1,0 +1,1 @@
+"""Deciding whether the bench may go on: no input, no output, time handed in."""

@@ -1,0 +1,264 @@
+"""Orders at a mock bench: homing, arming, hold and resume, jogging, emergency stop and reset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from operated_bench import STEP_S, Script, Session, operate
+
+from hil import parameters
+from hil.config.load import load_rig, load_scenario
+from hil.errors import LinkLost
+from hil.modes import Mode
+from hil.orders import Order
+from hil.report.summary import summarise
+
+LIMITS = parameters.bench(load_rig("mock").value, STEP_S)
+
+
+def idle(_: Session) -> None:
+    """Give no order."""
+
+
+def step_ratios(session: Session) -> tuple[float, float]:
+    """Largest step of a setpoint over what the speed limit allows, and change of step over that of acceleration.
+
+    The axes stand before the first setpoint and after the last.
+    """
+    _, setpoints = session.setpoints()
+    speed = np.diff(setpoints, axis=0) / STEP_S
+    change = np.diff(speed, axis=0, prepend=0.0 * speed[:1]) / STEP_S
+    return float(np.abs(speed / LIMITS.rate_max).max()), float(np.abs(change / LIMITS.acceleration_max).max())
+
+
+def test_plan_goes_through_all_modes_by_itself() -> None:
+    outcome, session = operate(idle, attended=False)
+    assert session.seen_modes == [Mode.STANDBY, Mode.RUNNING]  # the mock stands at the start pose
+    assert outcome.stop == "completed"
+    assert outcome.mode is Mode.STANDBY
+    assert outcome.alarms == []
+
+
+def test_incremental_axes_are_homed_then_placed_and_nothing_jumps() -> None:
+    settings = ('rig.rails.y.encoder="incremental"', 'rig.turntable.yaw.encoder="incremental"')
+    outcome, session = operate(idle, *settings, attended=False)
+    assert session.seen_modes == [Mode.STANDBY, Mode.HOMING, Mode.STANDBY, Mode.PLACING, Mode.RUNNING]
+    assert outcome.stop == "completed"
+    speed, acceleration = step_ratios(session)
+    assert speed <= 1.0 + 1e-6
+    assert acceleration <= 1.0 + 1e-3
+
+
+def test_one_failed_homing_stops_all_axes() -> None:
+    def blind(session: Session) -> None:
+        session.rails.hide_home_switch(1)
+
+    settings = tuple(f'rig.rails.{axis}.encoder="incremental"' for axis in "xyz")
+    outcome, session = operate(idle, *settings, attended=False, prepare=blind)
+    assert outcome.mode is Mode.SAFE_STOP
+    assert outcome.stop == "rails.y: homing failed, allowed every axis finds its switch"
+    assert [alarm.device for alarm in outcome.alarms] == ["rails.y"]
+    session.rails.open(session.now_s)  # x had the longest way: it was stopped on it
+    before = session.rails.read(session.now_s)
+    assert before.position[0] != 0.0
+    assert session.rails.read(session.now_s + 5.0).position == pytest.approx(before.position, abs=1e-3)
+
+
+def test_home_is_lost_when_the_drive_was_off() -> None:
+    def power_cut(session: Session) -> None:
+        if session.once("cut", session.mode is Mode.RUNNING and session.now_s > 1.0):
+            session.rails.switch_off_and_on()
+
+    outcome, _ = operate(power_cut, 'rig.rails.x.encoder="incremental"', attended=False, duration_s=5.0)
+    assert outcome.stop == "rails.x: homing not homed, allowed done"
+    assert outcome.mode is Mode.SAFE_STOP
+
+
+def test_axis_that_is_not_homed_cannot_be_armed() -> None:
+    settings = 'rig.rails.x.encoder="incremental"'
+    outcome, _ = operate(idle, settings, plan=(Order.ARM, Order.START), attended=False)
+    assert outcome.stop == "rails.x: homing not homed, allowed done"
+
+
+def hold_once(mode: Mode, condition: Callable[[Session], bool], length_s: float, rates: list[np.ndarray]) -> Script:
+    """Hold for ``length_s`` when ``condition`` comes in ``mode``; from 2 s on keep the encoders' rates."""
+
+    def script(session: Session) -> None:
+        session.order_once(Order.HOLD, session.mode is mode and condition(session))
+        session.once("held", session.mode is Mode.HOLD)
+        if session.mode is Mode.HOLD and session.since_s("held") > 2.0:
+            rates.append(session.rates())
+        session.order_once(Order.RESUME, session.since_s("held") > length_s)
+
+    return script
+
+
+def test_held_bench_stands_and_the_run_then_completes_with_the_same_verdict() -> None:
+    standing: list[np.ndarray] = []
+    script = hold_once(Mode.RUNNING, lambda session: session.now_s >= 60.0, 10.0, standing)
+    outcome, session = operate(script, duration_s=260.0)
+    assert outcome.stop == "completed"
+    assert session.seen_modes == [Mode.STANDBY, Mode.RUNNING, Mode.HOLD, Mode.RUNNING]
+    assert len(standing) > 390
+    assert np.abs(standing).max() < 1e-6
+    assert len(outcome.history) == 13001  # the run's time stood
+    assert [event.text for event in outcome.events if event.source == "bench"] == [
+        "hold: ordered by the operator",
+        "resumed after 10.04 s",
+    ]
+    speed, acceleration = step_ratios(session)
+    assert speed <= 1.0 + 1e-6
+    assert acceleration <= 1.0 + 1e-3
+    scenario = load_scenario("scheme-1").value
+    summary, verdict = summarise(outcome, scenario, load_rig("mock").value, "mock", 0, 50.0)
+    assert verdict.passed
+    assert verdict.ready_time_s == pytest.approx(160.84, abs=3.0)
+    assert summary["passed_all_parts"]
+
+
+def test_placing_can_be_held_and_goes_on_from_where_it_stood() -> None:
+    standing: list[np.ndarray] = []
+    script = hold_once(Mode.PLACING, lambda session: float(np.abs(session.rates()).max()) > 0.1, 3.0, standing)
+    outcome, session = operate(script, 'rig.rails.y.encoder="incremental"')
+    modes = [Mode.STANDBY, Mode.HOMING, Mode.STANDBY, Mode.PLACING, Mode.HOLD, Mode.PLACING, Mode.RUNNING]
+    assert session.seen_modes == modes
+    assert outcome.stop == "completed"
+    assert np.abs(standing).max() < 1e-6
+    speed, acceleration = step_ratios(session)
+    assert speed <= 1.0 + 1e-6
+    assert acceleration <= 1.0 + 1e-3
+
+
+def test_nobody_is_there_to_resume_an_unattended_run() -> None:
+    def script(session: Session) -> None:
+        if session.mode is Mode.RUNNING:
+            session.runner.supervisor.ask_for_hold("three late cycles")
+
+    outcome, _ = operate(script, attended=False)
+    assert outcome.stop == "bench: hold (three late cycles), allowed in an attended run alone"
+
+
+def test_emergency_stop_leads_to_standby_after_its_reset_and_never_back_to_running() -> None:
+    def script(session: Session) -> None:
+        if session.once("press", session.mode is Mode.STANDBY and session.now_s > 0.5):
+            session.button = True
+        if session.mode is Mode.SAFE_STOP and session.once("reset too early"):
+            session.operator.order(Order.RESET)
+        elif session.mode is Mode.SAFE_STOP and session.operator.answers and session.once("release"):
+            session.button = False
+            session.operator.order(Order.ARM)  # refused here
+            session.operator.order(Order.RESET)
+        if "release" in session.marks and session.mode is Mode.STANDBY:
+            session.order_once(Order.ARM)
+        session.order_once(Order.START, session.mode is Mode.ARMED)
+
+    outcome, session = operate(script, plan=())
+    assert session.seen_modes == [Mode.STANDBY, Mode.SAFE_STOP, Mode.STANDBY, Mode.ARMED, Mode.RUNNING]
+    assert list(session.operator.answers) == [
+        "bench: emergency stop pressed, allowed released",
+        "bench: cannot arm in safe-stop",
+    ]
+    assert outcome.stop == "completed"
+    assert [(a.quantity, a.latched, a.acknowledged) for a in outcome.alarms] == [("emergency stop", False, True)]
+
+
+def test_emergency_stop_in_a_run_ends_it() -> None:
+    def script(session: Session) -> None:
+        session.button = session.mode is Mode.RUNNING and 1.0 < session.now_s < 1.05  # a short press
+
+    outcome, _ = operate(script, duration_s=5.0)
+    assert outcome.mode is Mode.SAFE_STOP
+    assert outcome.stop.startswith("bench: emergency stop")
+    assert len(outcome.history) < 60
+    assert outcome.alarms[0].latched
+
+
+@pytest.mark.parametrize("switch", [-1, 1])
+def test_limit_switch_stops_a_run_by_the_name_of_its_axis(switch: int) -> None:
+    def script(session: Session) -> None:
+        if session.once("switch", session.mode is Mode.RUNNING and session.now_s > 1.0):
+            session.turntable.set_limit_switch(2, switch)
+
+    outcome, _ = operate(script, attended=False, duration_s=5.0)
+    side = "low" if switch < 0 else "high"
+    assert outcome.stop == f"turntable.yaw: limit switch {side}, allowed none"
+
+
+def test_truth_that_is_no_number_stops_the_run() -> None:
+    def script(session: Session) -> None:
+        if session.once("poison", session.mode is Mode.RUNNING and session.now_s > 1.0):
+            session.runner.loop.now.truth.r_CT_H[1] = np.nan
+
+    outcome, _ = operate(script, attended=False, duration_s=5.0)
+    assert outcome.mode is Mode.SAFE_STOP
+    assert "nan" in outcome.stop
+
+
+def jog_script(axis: str, direction: int, press_s: float, end_s: float) -> Script:
+    def script(session: Session) -> None:
+        if session.now_s < press_s:
+            session.operator.jog(axis, direction)
+        session.order_once(Order.STOP, session.now_s > end_s)
+
+    return script
+
+
+def test_jog_runs_while_the_key_is_held_and_stops_when_it_is_let_go() -> None:
+    outcome, session = operate(jog_script("rails.y", 1, 1.0, 4.0), plan=())
+    assert session.seen_modes == [Mode.STANDBY, Mode.JOGGING, Mode.STANDBY]
+    t, setpoints = session.setpoints()
+    way = setpoints[:, 1] - setpoints[0, 1]
+    assert way[t <= 1.0][-1] == pytest.approx(0.05 * 1.0, abs=0.006)  # a tenth of 0.5 m/s
+    assert way[-1] - way[t <= 1.0][-1] == pytest.approx(0.05 * 0.2, abs=0.004)  # the key holds for 0.2 s more
+    moving = t[:-1][np.diff(way) > 0.0]
+    assert moving.max() < 1.0 + 0.2 + 0.05 / 0.6 + 0.1
+    assert not np.delete(setpoints - setpoints[0], 1, axis=1).any()
+    speed, acceleration = step_ratios(session)
+    assert speed <= 0.1 + 1e-6
+    assert acceleration <= 1.0 + 1e-3
+    assert outcome.stop == "stopped by the operator"
+
+
+def test_axis_that_is_not_homed_may_be_jogged_slowly_and_stops_at_its_switch() -> None:
+    def script(session: Session) -> None:
+        session.operator.jog("rails.y", 1)
+        if session.once("switch", session.now_s > 2.0):
+            session.rails.set_limit_switch(1, 1)
+        session.order_once(Order.STOP, session.now_s > 4.0)
+
+    _, session = operate(script, 'rig.rails.y.encoder="incremental"', plan=())
+    assert session.seen_modes == [Mode.STANDBY, Mode.JOGGING]
+    t, setpoints = session.setpoints()
+    speed = np.diff(setpoints[:, 1]) / STEP_S
+    assert speed.max() == pytest.approx(0.02 * 0.5, rel=1e-6)
+    assert not speed[t[1:] > 2.1].any()
+
+
+def test_jog_of_an_unknown_axis_is_refused_in_words() -> None:
+    _, session = operate(jog_script("rails.w", 1, 0.1, 0.5), plan=())
+    assert session.operator.answers[0] == "bench: cannot jog rails.w by 1"
+    assert session.seen_modes == [Mode.STANDBY]
+
+
+def test_link_that_fails_while_armed_leads_to_standby_by_a_reset_and_can_be_armed_again() -> None:
+    def script(session: Session) -> None:
+        if session.once("lose", session.mode is Mode.ARMED):
+            session.rails.fail(LinkLost("rails.x", "connection closed"))
+        session.order_once(Order.RESET, session.mode is Mode.SAFE_STOP)
+        if "reset" in session.marks and session.mode is Mode.STANDBY:
+            session.order_once(Order.STOP, session.now_s > 1.0)
+
+    outcome, session = operate(script, plan=(Order.ARM,))
+    assert session.seen_modes == [Mode.STANDBY, Mode.ARMED, Mode.SAFE_STOP, Mode.STANDBY]
+    assert [alarm.text for alarm in outcome.alarms] == ["rails.x: connection closed"]
+    assert outcome.stop == "stopped by the operator"
+
+
+def test_orders_reach_the_approach() -> None:
+    def script(session: Session) -> None:
+        session.order_once(Order.ABORT, session.mode is Mode.RUNNING and session.now_s > 1.0)
+
+    outcome, _ = operate(script, duration_s=4.0)
+    assert outcome.history["supervision"]["aborted"][-1] != 0
