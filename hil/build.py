@@ -21,18 +21,21 @@ from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.eye import Eye, transport
-from hil.fitness import approach_problems, axes_at, layout_problems, port_problems, pose_problems
+from hil.fitness import approach_problems, axes_at, host_problems, layout_problems, port_problems, pose_problems
+from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.gnc.watch import FilterWatch
+from hil.late_cycles import LateCycles
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
-from hil.priority import precedence
 from hil.rate import Rate, SimulatedRate, WallRate
+from hil.realtime import REAL_TIME, NoPrecedence, Precedence, RealTime
 from hil.runner import Runner, Watch
 from hil.stages import Bench, Dss, Gnc, Move, Vision
 from hil.truth_check import truth_problems
 
 _FRAMES_TO_ARM = 2
 _WARM_UP_CYCLES = 10
+_TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: how long a reader may look away before it misses something
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ def check(job: Job) -> None:
         *pose_problems(job.scenario, job.rig),
         *approach_problems(job.scenario),
         *port_problems(job.rig),
+        *host_problems(job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
@@ -78,13 +82,39 @@ def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[
         rails, turntable, vision = _mocks(scenario, rig, job.seed)
         yield _assemble(job, rig, SimulatedRate(clock, scenario.step_s), rails, turntable, vision, 0, watch)
         return
-    with precedence() as refused:
-        if refused:
-            announce(refused)
+    with RealTime(rig.host.fifo, rig.host.cpu) as realtime:
+        _insist_on_realtime(job.rig, realtime)
+        for grant in realtime.refused():
+            announce(str(grant))
         wall = WallClock(speed=job.speed)
-        with _wired_rig(job, wall, announce) as wired:
+        with _wired_rig(job, wall, announce) as wired, _telemetry() as ring:
             rate = WallRate(wall, scenario.step_s)
-            yield _assemble(job, wired, rate, *_drivers(wired, wall), _FRAMES_TO_ARM, watch)
+            yield _assemble(job, wired, rate, *_drivers(wired, wall), _FRAMES_TO_ARM, watch, realtime, ring)
+
+
+def _insist_on_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
+    """Raise BadInput where hardware would be run by a loop that is not in real time."""
+    host = rig.value.host
+    if rig.value.kind != "hardware" or not host.insist_on_realtime:
+        return
+    key = "host.insist_on_realtime"
+    problems = [
+        Problem(rig.where(key), f"rig.{key}", f"true, but {grant}")
+        for grant in realtime.refused()
+        if grant.name in REAL_TIME
+    ]
+    if problems:
+        raise BadInput(problems)
+
+
+@contextmanager
+def _telemetry() -> Iterator[Ring]:
+    """Give the ring that each cycle's row is put into, for other processes to read."""
+    ring = Ring.create(CYCLE, _TELEMETRY_ROWS)
+    try:
+        yield ring
+    finally:
+        ring.close()
 
 
 @contextmanager
@@ -144,6 +174,8 @@ def _assemble(
     source: PoseSource,
     frames_to_arm: int,
     watch: Watch,
+    precedence: Precedence | None = None,
+    telemetry: Telemetry | None = None,
 ) -> Runner:
     scenario = job.scenario.value
     sets, strength = parameters.allocation(scenario.chaser)
@@ -168,10 +200,14 @@ def _assemble(
             FilterWatch(navigation, _shadow_limits(scenario)),
         ),
         history=np.zeros(job.cycles, CYCLE),
+        telemetry=telemetry or NoTelemetry(),
     )
     loop.now.row["truth"] = parameters.initial_truth(scenario)
     _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
-    return Runner(loop, rate, scenario.step_s, job.cycles, frames_to_arm, watch)
+    late_cycles = LateCycles(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
+    return Runner(
+        loop, rate, precedence or NoPrecedence(), late_cycles, scenario.step_s, job.cycles, frames_to_arm, watch
+    )
 
 
 def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:

@@ -14,9 +14,11 @@ import numpy as np
 from hil.cycle import Loop, run_cycle
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, SafetyTrip
+from hil.late_cycles import LateCycles
 from hil.messages import AXES, Event, new
 from hil.modes import Mode, ModeMachine
-from hil.rate import Rate
+from hil.rate import Rate, Tick
+from hil.realtime import Grant, Precedence
 from hil.stages import Move
 
 COMPLETED = "completed"
@@ -38,6 +40,8 @@ class Outcome:
     faults: list[str] = field(default_factory=list)
     mode: Mode = Mode.OFF
     overruns: int = 0
+    skipped_periods: int = 0
+    privileges: list[Grant] = field(default_factory=list)
     limited_cycles: int = 0
     vision_counters: dict[str, int] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
@@ -47,13 +51,25 @@ class Runner:
     """One run of ``cycles`` cycles.
 
     frames_to_arm: poses that must have come before the loop is closed. ``watch`` is called every
-    ``WATCH_CYCLES`` cycles.
+    ``WATCH_CYCLES`` cycles. ``late_cycles`` judges lost periods, from the first motion on.
     """
 
     WATCH_CYCLES = 50
 
-    def __init__(self, loop: Loop, rate: Rate, step_s: float, cycles: int, frames_to_arm: int, watch: Watch) -> None:
+    def __init__(
+        self,
+        loop: Loop,
+        rate: Rate,
+        precedence: Precedence,
+        late_cycles: LateCycles,
+        step_s: float,
+        cycles: int,
+        frames_to_arm: int,
+        watch: Watch,
+    ) -> None:
         self.loop = loop
+        self.late_cycles = late_cycles
+        self._precedence = precedence
         self._rate = rate
         self._step_s = step_s
         self._cycles = cycles
@@ -77,6 +93,8 @@ class Runner:
             faults=faults,
             mode=self._modes.mode,
             overruns=self._rate.overruns,
+            skipped_periods=self._rate.skipped_periods,
+            privileges=list(self._precedence.grants),
             limited_cycles=self.loop.bench.limited_cycles,
             vision_counters=self.source.counters(),
             events=self.loop.gnc.events(),
@@ -87,9 +105,10 @@ class Runner:
         faults: list[str] = []
         try:
             self._open()
-            self._place()
-            self._arm()
-            self._close_the_loop()
+            with self._precedence.at_the_front():  # after the drivers have started their threads
+                self._place()
+                self._arm()
+                self._close_the_loop()
         except BenchError as fault:
             stop = str(fault)
             faults.append(stop)
@@ -105,12 +124,18 @@ class Runner:
         self.source.open(self._rate.now_s())
         self._modes.go(Mode.STANDBY)
 
+    def _wait(self) -> Tick:
+        """Wait for the next cycle; raise SafetyTrip when too many have come late."""
+        tick = self._rate.wait()
+        self.late_cycles.look(tick)
+        return tick
+
     def _place(self) -> None:
         """Move all axes slowly to the start pose and wait until they stand there."""
         self._modes.go(Mode.PLACING)
         bench, now = self.loop.bench, self.loop.now
         self._rate.restart()
-        tick = self._rate.wait()
+        tick = self._wait()
         bench.read(tick.now_s, now.feedback)
         bench.seed(now.feedback)
         target = new(AXES)
@@ -126,7 +151,7 @@ class Runner:
                 raise SafetyTrip("bench", "start pose", "not reached", f"{_SETTLE_S:g} s after the move")
             move.at(moved_s + self._step_s, wanted)
             bench.command(wanted, tick.now_s, now.setpoint)
-            tick = self._rate.wait()
+            tick = self._wait()
             bench.read(tick.now_s, now.feedback)
             bench.check(now.feedback)
             cycle += 1
@@ -145,7 +170,7 @@ class Runner:
         self._modes.go(Mode.ARMED)
         frames = 0
         while frames < self._frames_to_arm:
-            tick = self._rate.wait()
+            tick = self._wait()
             frames += len(self.source.poll(tick.now_s))
             self.loop.bench.read(tick.now_s, self.loop.now.feedback)
             self._watch(Mode.ARMED, 0.0)
@@ -154,7 +179,7 @@ class Runner:
         self._modes.go(Mode.RUNNING)
         self._rate.restart()
         for k in range(self._cycles):
-            tick = self._rate.wait()
+            tick = self._wait()
             run_cycle(self.loop, k, k * self._step_s, tick.now_s, tick.run_zero_s, tick.lateness_s)
             self._done = k + 1
             if k % self.WATCH_CYCLES == 0:

@@ -7,7 +7,8 @@ import pytest
 
 from hil import rate as rate_module
 from hil.clock import SimulatedClock, WallClock
-from hil.rate import SimulatedRate, WallRate, lateness_percentiles_us
+from hil.late_cycles import lateness_percentiles_us
+from hil.rate import SimulatedRate, WallRate
 
 STEP_S = 0.02
 MS = 1_000_000
