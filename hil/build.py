@@ -78,9 +78,7 @@ def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[
     """
     scenario, rig = job.scenario.value, job.rig.value
     if rig.kind == "mock":
-        clock = SimulatedClock()
-        rails, turntable, vision = _mocks(scenario, rig, job.seed)
-        yield _assemble(job, rig, SimulatedRate(clock, scenario.step_s), rails, turntable, vision, 0, watch)
+        yield in_memory(job, SimulatedRate(SimulatedClock(), scenario.step_s), watch)
         return
     with RealTime(rig.host.fifo, rig.host.cpu) as realtime:
         _insist_on_realtime(job.rig, realtime)
@@ -117,6 +115,18 @@ def _telemetry() -> Iterator[Ring]:
         ring.close()
 
 
+def in_memory(
+    job: Job,
+    rate: Rate,
+    watch: Watch = lambda *_: None,
+    precedence: Precedence | None = None,
+    telemetry: Telemetry | None = None,
+) -> Runner:
+    """Return a Runner of ``job`` on mocks, whatever its rig, kept in time by ``rate``."""
+    devices = _mocks(job.scenario.value, job.rig.value, job.seed)
+    return _assemble(job, job.rig.value, rate, *devices, 0, watch, precedence, telemetry)
+
+
 @contextmanager
 def _wired_rig(job: Job, clock: WallClock, announce: Callable[[str], None]) -> Iterator[Rig]:
     """Give the rig with all its wires; an emulated one gets its emulators for as long as this lasts."""
@@ -136,12 +146,12 @@ def warm_up(job: Job) -> None:
     """Call every kernel of the loop once, in memory: nothing compiles once the bench is powered."""
     scenario, rig = job.scenario.value, job.rig.value
     Move(parameters.bench(rig, scenario.step_s), new(AXES), _start_axes(scenario, rig)).at(0.1, new(AXES))
-    _in_memory(job).run()
+    _a_few_cycles(job).run()
 
 
 def warm_up_all_but_navigation(job: Job) -> None:
     """Call the kernels of every stage but navigation once."""
-    loop = _in_memory(job).loop
+    loop = _a_few_cycles(job).loop
     now = loop.now
     loop.bench.open(0.0)
     loop.vision.source.open(0.0)
@@ -157,12 +167,11 @@ def warm_up_all_but_navigation(job: Job) -> None:
     loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), 0.0, now.setpoint)
 
 
-def _in_memory(job: Job) -> Runner:
+def _a_few_cycles(job: Job) -> Runner:
     """Return a short run of ``job`` on mocks, whatever its rig."""
-    scenario, rig = job.scenario.value, job.rig.value
-    few = Job(job.scenario, job.rig, job.seed, _WARM_UP_CYCLES * scenario.step_s, 1.0)
-    rate = SimulatedRate(SimulatedClock(), scenario.step_s)
-    return _assemble(few, rig, rate, *_mocks(scenario, rig, 0), 0, lambda *_: None)
+    scenario = job.scenario.value
+    few = Job(job.scenario, job.rig, 0, _WARM_UP_CYCLES * scenario.step_s, 1.0)
+    return in_memory(few, SimulatedRate(SimulatedClock(), scenario.step_s))
 
 
 def _assemble(

@@ -23,7 +23,7 @@ def test_burst_trips_and_names_lateness_and_limit() -> None:
     cycles.look(late(10.0, 5))
     with pytest.raises(
         SafetyTrip,
-        match=r"^loop: late cycles lost 6 periods \(the last cycle ended 45\.1 ms after its deadline\), allowed 5 in 1 s$",
+        match=r"^loop: late cycles lost 6 periods \(the last cycle ended 45\.1 ms .*\), allowed 5 in 1 s$",
     ):
         cycles.look(late(10.01))
 
@@ -36,10 +36,12 @@ def test_single_lost_periods_leak_away() -> None:
 
 
 def test_more_than_the_bucket_leaks_trips_in_the_end() -> None:
-    cycles = LateCycles("safe_stop", 5, 1.0)
-    with pytest.raises(SafetyTrip):
-        for k in range(200):
-            cycles.look(late(0.1 * k))
+    cycles = LateCycles("hold", 5, 1.0)
+    trips: list[SafetyTrip] = []
+    cycles.on_hold = trips.append
+    for k in range(200):
+        cycles.look(late(0.1 * k))
+    assert len(trips) == 1
 
 
 def test_none_allowed_trips_at_the_first() -> None:
