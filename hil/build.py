@@ -24,15 +24,17 @@ from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.eye import Eye, transport
-from hil.fitness import approach_problems, axes_at, flight_problems, port_problems
+from hil.fitness import approach_problems, axes_at, flight_problems, host_problems, port_problems
+from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.gnc.watch import FilterWatch
 from hil.handling import Watch
+from hil.late_cycles import LateCycles
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
 from hil.modes import Mode
 from hil.orders import Operator
-from hil.priority import precedence
 from hil.rate import Rate, SimulatedRate, WallRate
+from hil.realtime import REAL_TIME, NoPrecedence, Precedence, RealTime
 from hil.runner import Runner
 from hil.safety.bucket import LeakyBucket, LinkWatch
 from hil.safety.limits import limits_of
@@ -43,6 +45,7 @@ from hil.truth_check import truth_problems
 _FRAMES_TO_ARM = 2
 _FRAMES_TO_FORGET = 2.0  # in their time one lost frame is forgiven, where the rig file says nothing else
 _WARM_UP_CYCLES = 10
+_TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: how long a reader may look away before it misses something
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,7 @@ def check(job: Job) -> None:
         *(truth_problems(job.scenario) or flight_problems(job.scenario, job.rig)),
         *approach_problems(job.scenario),
         *port_problems(job.rig),
+        *host_problems(job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
@@ -85,17 +89,54 @@ def runner(
     """
     scenario, rig = job.scenario.value, job.rig.value
     if rig.kind == "mock":
-        clock = SimulatedClock()
-        rails, turntable, vision = _mocks(scenario, rig, job.seed)
-        yield _assemble(job, rig, SimulatedRate(clock, scenario.step_s), rails, turntable, vision, 0, watch, operator)
+        yield in_memory(job, SimulatedRate(SimulatedClock(), scenario.step_s), watch, operator=operator)
         return
-    with precedence() as refused:
-        if refused:
-            announce(refused)
+    with RealTime(rig.host.fifo, rig.host.cpu) as realtime:
+        _insist_on_realtime(job.rig, realtime)
+        for grant in realtime.refused():
+            announce(str(grant))
         wall = WallClock(speed=job.speed)
-        with _wired_rig(job, wall, announce) as wired:
+        with _wired_rig(job, wall, announce) as wired, _telemetry() as ring:
             rate = WallRate(wall, scenario.step_s)
-            yield _assemble(job, wired, rate, *drivers(wired, wall), _FRAMES_TO_ARM, watch, operator)
+            yield _assemble(job, wired, rate, *drivers(wired, wall), _FRAMES_TO_ARM, watch, operator, realtime, ring)
+
+
+def _insist_on_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
+    """Raise BadInput where hardware would be run by a loop that is not in real time."""
+    host = rig.value.host
+    if rig.value.kind != "hardware" or not host.insist_on_realtime:
+        return
+    key = "host.insist_on_realtime"
+    problems = [
+        Problem(rig.where(key), f"rig.{key}", f"true, but {grant}")
+        for grant in realtime.refused()
+        if grant.name in REAL_TIME
+    ]
+    if problems:
+        raise BadInput(problems)
+
+
+@contextmanager
+def _telemetry() -> Iterator[Ring]:
+    """Give the ring that each cycle's row is put into, for other processes to read."""
+    ring = Ring.create(CYCLE, _TELEMETRY_ROWS)
+    try:
+        yield ring
+    finally:
+        ring.close()
+
+
+def in_memory(
+    job: Job,
+    rate: Rate,
+    watch: Watch = lambda *_: None,
+    precedence: Precedence | None = None,
+    telemetry: Telemetry | None = None,
+    operator: Operator | None = None,
+) -> Runner:
+    """Return a Runner of ``job`` on mocks, whatever its rig, kept in time by ``rate``."""
+    devices = _mocks(job.scenario.value, job.rig.value, job.seed)
+    return _assemble(job, job.rig.value, rate, *devices, 0, watch, operator, precedence, telemetry)
 
 
 @contextmanager
@@ -118,12 +159,12 @@ def warm_up(job: Job) -> None:
     scenario, rig = job.scenario.value, job.rig.value
     Move(parameters.bench(rig, scenario.step_s), new(AXES), _start_axes(scenario, rig)).at(0.1, new(AXES))
     brake_step(parameters.bench(rig, scenario.step_s), new(MOTION), new(AXES))
-    _in_memory(job).run()
+    _a_few_cycles(job).run()
 
 
 def warm_up_all_but_navigation(job: Job) -> None:
     """Call the kernels of every stage but navigation once."""
-    loop = _in_memory(job).loop
+    loop = _a_few_cycles(job).loop
     now = loop.now
     loop.bench.open(0.0)
     loop.vision.source.open(0.0)
@@ -141,12 +182,11 @@ def warm_up_all_but_navigation(job: Job) -> None:
     loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), 0.0, now.setpoint)
 
 
-def _in_memory(job: Job) -> Runner:
+def _a_few_cycles(job: Job) -> Runner:
     """Return a short run of ``job`` on mocks, whatever its rig."""
-    scenario, rig = job.scenario.value, job.rig.value
-    few = Job(job.scenario, job.rig, job.seed, _WARM_UP_CYCLES * scenario.step_s, 1.0)
-    rate = SimulatedRate(SimulatedClock(), scenario.step_s)
-    return _assemble(few, rig, rate, *_mocks(scenario, rig, 0), 0, lambda *_: None)
+    scenario = job.scenario.value
+    few = Job(job.scenario, job.rig, 0, _WARM_UP_CYCLES * scenario.step_s, 1.0)
+    return in_memory(few, SimulatedRate(SimulatedClock(), scenario.step_s))
 
 
 def _assemble(
@@ -159,6 +199,8 @@ def _assemble(
     frames_to_arm: int,
     watch: Watch,
     operator: Operator | None = None,
+    precedence: Precedence | None = None,
+    telemetry: Telemetry | None = None,
 ) -> Runner:
     scenario = job.scenario.value
     bench = parameters.bench(rig, scenario.step_s)
@@ -181,10 +223,23 @@ def _assemble(
             FilterWatch(navigation, _shadow_limits(scenario)),
         ),
         history=np.zeros(job.cycles, CYCLE),
+        telemetry=telemetry or NoTelemetry(),
     )
     loop.now.row["truth"] = parameters.initial_truth(scenario)
     _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
-    return Runner(loop, rate, scenario.step_s, job.cycles, frames_to_arm, watch, operator)
+    late_cycles = LateCycles(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
+    late_cycles.on_hold = lambda trip: supervisor.ask_for_hold(str(trip))
+    return Runner(
+        loop,
+        rate,
+        precedence or NoPrecedence(),
+        late_cycles,
+        scenario.step_s,
+        job.cycles,
+        frames_to_arm,
+        watch,
+        operator,
+    )
 
 
 def _links(rig: Rig, rails: AxisGroup, turntable: AxisGroup, source: PoseSource) -> list[LinkWatch]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.bench_stage import Bench
+from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.messages import CYCLE
 from hil.stages import Dss, Gnc, Vision
 
@@ -42,14 +43,24 @@ class Blackboard:
 
 @dataclass(slots=True)
 class Loop:
-    """The stages, the records between them, and the history that each cycle is written to."""
+    """The stages, the records between them, and where each cycle is written to: history and telemetry."""
 
     dss: Dss
     bench: Bench
     vision: Vision
     gnc: Gnc
     history: np.ndarray
+    telemetry: Telemetry = field(default_factory=NoTelemetry)
     now: Blackboard = field(default_factory=Blackboard)
+    _pages: memoryview = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._pages = self.history.view(np.uint8).data
+
+    def record(self, k: int) -> None:
+        """Write down the present row as that of cycle ``k``, byte by byte: a structured copy costs five times that."""
+        self._pages[k * CYCLE.itemsize : (k + 1) * CYCLE.itemsize] = self.now.row.tobytes()
+        self.telemetry.put(self.now.row)
 
 
 def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float, lateness_s: float) -> None:
@@ -67,7 +78,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.gnc.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
     now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
-    loop.history[k] = now.row[0]  # 8  what was known and done at t_s
+    loop.record(k)  # 8  what was known and done at t_s
     loop.dss.step(now.truth, now.command)  # 9  truth one step on
     loop.dss.sample_imu(now.truth, now.imu)  # 10 virtual IMU over that step
     loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), bench_s, now.setpoint)  # 11 motion

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -53,6 +54,15 @@ def approach_problems(scenario: Loaded[Scenario]) -> list[Problem]:
             text = f"{speed:g}: must be below gnc.corridor.closing_rate_max_mps, {limit:g}"
             problems.append(Problem(scenario.where(key), key, text))
     return problems
+
+
+def host_problems(rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem where the loop is to run on a CPU that this process cannot have."""
+    cpu, present = rig.value.host.cpu, sorted(os.sched_getaffinity(0))
+    if cpu is None or cpu in present:
+        return []
+    text = f"{cpu}: this computer has {', '.join(map(str, present))}"
+    return [Problem(rig.where("host.cpu"), "rig.host.cpu", text)]
 
 
 def port_problems(rig: Loaded[Rig]) -> list[Problem]:

@@ -11,6 +11,7 @@ from hil.bench.jog import Jog
 from hil.bench_stage import Move
 from hil.cycle import Loop
 from hil.errors import SafetyTrip
+from hil.late_cycles import LateCycles
 from hil.messages import AXES, Homing, new
 from hil.modes import Mode
 from hil.orders import JogWish, Operator, Order, OrderedToStop
@@ -29,9 +30,12 @@ Watch = Callable[[Mode, float], None]
 class Handling:
     """Does what an operator orders while the loop is open. Each method returns with the axes at rest."""
 
-    def __init__(self, loop: Loop, rate: Rate, step_s: float, operator: Operator, watch: Watch) -> None:
+    def __init__(
+        self, loop: Loop, rate: Rate, late_cycles: LateCycles, step_s: float, operator: Operator, watch: Watch
+    ) -> None:
         self.loop = loop
         self._rate = rate
+        self._late_cycles = late_cycles
         self._step_s = step_s
         self._operator = operator
         self._watch = watch
@@ -41,7 +45,7 @@ class Handling:
 
     def tick(self) -> Tick:
         """Wait for the next cycle, read the axes, and let the supervisor look."""
-        tick = self._rate.wait()
+        tick = self._late_cycles.wait(self._rate)
         self.ticks += 1
         self.loop.bench.read(tick.now_s, self.loop.now.feedback)
         self.loop.bench.check(tick.now_s, self.loop.now.feedback)

@@ -6,26 +6,35 @@ import time
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
 from hil.clock import SimulatedClock, WallClock
 
 _SPIN_NS = 200_000  # the last of each wait: the kernel's wake-up is coarser than this
+_SPIN_SHARE = 0.5  # of a period at most: the kernel takes the CPU from a real-time thread that never sleeps
 
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One cycle's moment: bench time now, bench time at which the run's time is zero, wall lateness."""
+    """One cycle's moment: bench time now, bench time at which the run's time is zero, wall lateness.
+
+    skipped: periods that the cycle before ate by ending ``overrun_s`` (wall) after this one's deadline.
+    """
 
     now_s: float
     run_zero_s: float
     lateness_s: float
+    skipped: int = 0
+    overrun_s: float = 0.0
 
 
 class Rate(Protocol):
-    """Gives the moment of each cycle; ``cycle`` is its number since ``restart``."""
+    """Gives the moment of each cycle, and counts since ``restart``: executed + skipped_periods == elapsed periods."""
 
+    executed: int
+    """Cycles that were begun."""
     overruns: int
+    """Cycles that ended after the next one's deadline."""
+    skipped_periods: int
+    """Periods in which no cycle was begun, because one before was under way."""
     on_the_wall: bool
     """Whether cycles have deadlines."""
 
@@ -45,7 +54,7 @@ class SimulatedRate:
     def __init__(self, clock: SimulatedClock, step_s: float) -> None:
         self._clock = clock
         self._step_s = step_s
-        self.overruns = 0
+        self.executed = self.overruns = self.skipped_periods = 0
         self.on_the_wall = False
         self.restart()
 
@@ -54,11 +63,11 @@ class SimulatedRate:
 
     def restart(self) -> None:
         self._zero_s = self._clock.now_s()
-        self._cycle = 0
+        self.executed = 0
 
     def wait(self) -> Tick:
-        self._clock.t_s = self._zero_s + self._cycle * self._step_s
-        self._cycle += 1
+        self._clock.t_s = self._zero_s + self.executed * self._step_s
+        self.executed += 1
         return Tick(self._clock.t_s, self._zero_s, 0.0)
 
 
@@ -73,9 +82,9 @@ class WallRate:
         self._clock = clock
         self._step_s = step_s
         self._period_ns = round(step_s / clock.speed * 1e9)
-        self.overruns = 0
+        self._spin_ns = min(_SPIN_NS, int(_SPIN_SHARE * self._period_ns))
+        self.executed = self.overruns = self.skipped_periods = 0
         self.on_the_wall = True
-        self.skipped_periods = 0
         self.restart()
 
     def now_s(self) -> float:
@@ -84,30 +93,28 @@ class WallRate:
     def restart(self) -> None:
         self._deadline_ns = time.monotonic_ns()
         self._zero_s = self._bench_s(self._deadline_ns + self._period_ns)
+        self.executed = self.overruns = self.skipped_periods = 0
 
     def wait(self) -> Tick:
         self._deadline_ns += self._period_ns
         late_ns = time.monotonic_ns() - self._deadline_ns
+        skipped = 0
         if late_ns >= 0:
             skipped = late_ns // self._period_ns + 1
             self.overruns += 1
             self.skipped_periods += skipped
             self._deadline_ns += skipped * self._period_ns
             self._zero_s += skipped * self._step_s
-        left_ns = self._deadline_ns - time.monotonic_ns() - _SPIN_NS
+        left_ns = self._deadline_ns - time.monotonic_ns() - self._spin_ns
         if left_ns > 0:
             time.sleep(left_ns * 1e-9)
         while (now_ns := time.monotonic_ns()) < self._deadline_ns:
             pass
-        return Tick(self._bench_s(now_ns), self._zero_s, (now_ns - self._deadline_ns) * 1e-9)
+        self.executed += 1
+        lateness_s = (now_ns - self._deadline_ns) * 1e-9
+        if not skipped:
+            return Tick(self._bench_s(now_ns), self._zero_s, lateness_s)
+        return Tick(self._bench_s(now_ns), self._zero_s, lateness_s, skipped, late_ns * 1e-9)
 
     def _bench_s(self, monotonic_ns: int) -> float:
         return (monotonic_ns - self._clock.epoch_ns) * 1e-9 * self._clock.speed
-
-
-def lateness_percentiles_us(lateness_s: np.ndarray) -> dict[str, float]:
-    """Return p50, p99, p999 and max in microseconds."""
-    if not len(lateness_s):
-        return {"p50": 0.0, "p99": 0.0, "p999": 0.0, "max": 0.0}
-    p50, p99, p999, largest = np.percentile(lateness_s * 1e6, [50.0, 99.0, 99.9, 100.0])
-    return {"p50": float(p50), "p99": float(p99), "p999": float(p999), "max": float(largest)}

@@ -17,10 +17,12 @@ from hil.cycle import Loop, run_cycle
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, SafetyTrip
 from hil.handling import WATCH_CYCLES, Handling, Watch
+from hil.late_cycles import LateCycles
 from hil.messages import Event
 from hil.modes import Mode
 from hil.orders import Operator, Order, OrderedToStop
 from hil.rate import Rate
+from hil.realtime import Grant, Precedence
 from hil.safety.alarms import Alarm, alarm_of
 
 COMPLETED = "completed"
@@ -38,6 +40,8 @@ class Outcome:
     faults: list[str] = field(default_factory=list)
     mode: Mode = Mode.OFF
     overruns: int = 0
+    skipped_periods: int = 0
+    privileges: list[Grant] = field(default_factory=list)
     limited_cycles: int = 0
     vision_counters: dict[str, int] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
@@ -48,8 +52,8 @@ class Runner:
     """One session at the bench, with one run of ``cycles`` cycles.
 
     frames_to_arm: poses that must have come before the loop is closed. ``watch`` is called every
-    ``WATCH_CYCLES`` cycles. operator: gives the orders; without one the run goes through by itself and
-    a fault ends it.
+    ``WATCH_CYCLES`` cycles. ``late_cycles`` judges lost periods, from the first motion on. operator: gives
+    the orders; without one the run goes through by itself and a fault ends it.
     """
 
     WATCH_CYCLES = WATCH_CYCLES
@@ -58,6 +62,8 @@ class Runner:
         self,
         loop: Loop,
         rate: Rate,
+        precedence: Precedence,
+        late_cycles: LateCycles,
         step_s: float,
         cycles: int,
         frames_to_arm: int,
@@ -67,6 +73,8 @@ class Runner:
         self.loop = loop
         self.operator = operator or Operator()
         self.supervisor = loop.bench.supervisor
+        self.late_cycles = late_cycles
+        self._precedence = precedence
         self._rate = rate
         self._step_s = step_s
         self._cycles = cycles
@@ -74,7 +82,7 @@ class Runner:
         self._frames_to_arm = frames_to_arm
         self._watch = watch
         self._modes = self.supervisor.modes
-        self._handling = Handling(loop, rate, step_s, self.operator, watch)
+        self._handling = Handling(loop, rate, late_cycles, step_s, self.operator, watch)
         self._faults: list[str] = []
         self._events: list[Event] = []
         self._done = 0
@@ -95,6 +103,8 @@ class Runner:
             faults=self._faults,
             mode=self._modes.mode,
             overruns=self._rate.overruns,
+            skipped_periods=self._rate.skipped_periods,
+            privileges=list(self._precedence.grants),
             limited_cycles=self.loop.bench.limited_cycles,
             vision_counters=self.source.counters(),
             events=events,
@@ -115,8 +125,9 @@ class Runner:
         """Go from opening the devices to the end of the run; after a fault return whether to begin anew."""
         try:
             self._open()
-            while (order := self._next_order()) is not None:
-                self._obey(order)
+            with self._precedence.at_the_front():  # after the drivers have started their threads
+                while (order := self._next_order()) is not None:
+                    self._obey(order)
         except BenchError as fault:
             self._safe_stop(fault)
             return self.operator.attended and self._wait_for_reset()
@@ -177,7 +188,7 @@ class Runner:
         self._rate.restart()
         held_s = 0.0
         for k in range(self._cycles):
-            tick = self._rate.wait()
+            tick = self.late_cycles.wait(self._rate)
             run_cycle(self.loop, k, k * self._step_s, tick.now_s, tick.run_zero_s + held_s, tick.lateness_s)
             self._done = k + 1
             if k % self.WATCH_CYCLES == 0:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from hil.config.host import Host, LateCycle
 from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
 
 RAIL_NAMES = ("x", "y", "z")
@@ -231,6 +232,7 @@ class Rig(Strict):
     turntable: Turntable
     vmu: Vmu
     safety: Safety = Safety()
+    host: Host = Host()
 
     @model_validator(mode="after")
     def _drivers_suit_the_kind(self) -> Self:
@@ -242,6 +244,11 @@ class Rig(Strict):
             if (driver == "mock") != (self.kind == "mock"):
                 raise ValueError(f'{device}.driver = "{driver}" does not go with kind = "{self.kind}"')
         return self
+
+    @property
+    def late_cycle(self) -> LateCycle:
+        """What is done about late cycles: the file's word, or what suits the kind of rig."""
+        return self.host.late_cycle or ("safe_stop" if self.kind == "hardware" else "log")
 
     def missing_wires(self) -> list[str]:
         """Return the keys of wires that the chosen drivers need and the file does not name."""

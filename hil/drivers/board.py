@@ -1,66 +1,52 @@
-"""Where the emulated axes are, for emulated cameras to look at: the light path of the emulated bench.
-
-A block of anonymous shared memory that dies with its last user. Each device writes its own slot;
-a sequence number, odd while a write is under way, lets a reader see that it read a whole slot.
-"""
+"""Where the emulated axes are, for emulated cameras to look at: the light path of the emulated bench."""
 
 from __future__ import annotations
 
-import mmap
-import os
 from typing import Final
 
 import numpy as np
 
+from hil.frmn.cell import Block
 from hil.messages import Array
 
-SLOTS: Final = {"rails": 0, "turntable": 1}
-_WORDS: Final = 8  # sequence, t_s, 3 positions, 3 rates
-_TRIES: Final = 1000
-_SIZE: Final = len(SLOTS) * _WORDS * 8
+_AXES: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3)])
+_CELLS: Final = {"rails": _AXES, "turntable": _AXES}
 
 
 class AxisBoard:
-    """Positions (3,) and rates (3,) of rails (m) and turntable (rad) at a moment, s of bench time."""
+    """Positions (3,) and rates (3,) of rails (m) and turntable (rad) at a moment, s of bench time.
+
+    Each device writes its own cell; a device that was killed leaves the last thing it wrote.
+    """
 
     def __init__(self, descriptor: int) -> None:
-        self.descriptor = descriptor
-        self._map = mmap.mmap(descriptor, _SIZE)
-        self._words = np.frombuffer(self._map, dtype=np.float64).reshape(len(SLOTS), _WORDS)
-        self._sequence = np.frombuffer(self._map, dtype=np.int64).reshape(len(SLOTS), _WORDS)[:, 0]
+        self._block = Block(descriptor, _CELLS, "axis-board")
 
     @classmethod
     def create(cls) -> AxisBoard:
         """Make a new board; hand ``descriptor`` to other processes (``pass_fds``)."""
-        descriptor = os.memfd_create("hil-axis-board")
-        os.ftruncate(descriptor, _SIZE)
-        return cls(descriptor)
+        board = cls.__new__(cls)
+        board._block = Block.create(_CELLS, "axis-board")
+        return board
+
+    @property
+    def descriptor(self) -> int:
+        return self._block.descriptor
 
     def write(self, device: str, t_s: float, position: Array, rate: Array) -> None:
-        slot = SLOTS[device]
-        self._sequence[slot] += 1
-        self._words[slot, 1] = t_s
-        self._words[slot, 2:5] = position
-        self._words[slot, 5:8] = rate
-        self._sequence[slot] += 1
+        """Tell where the axes of ``device`` are at ``t_s``."""
+        record = np.empty(1, _AXES)
+        record["position"][0] = position
+        record["rate"][0] = rate
+        self._block[device].write(record, t_s)
 
     def read(self, device: str, t_s: float) -> tuple[Array, Array]:
-        """Return position and rate of ``device`` carried on to ``t_s`` by its rate.
-
-        A device that was killed in the middle of a write leaves the slot half written for good; its
-        words are then returned as they stand.
-        """
-        slot = SLOTS[device]
-        for _ in range(_TRIES):
-            before = self._sequence[slot]
-            words = self._words[slot].copy()
-            if before % 2 == 0 and before == self._sequence[slot]:
-                break
-        return words[2:5] + (t_s - words[1]) * words[5:8], words[5:8]
+        """Return position and rate of ``device`` carried on to ``t_s`` by its rate; zeros before its first word."""
+        record = np.zeros(1, _AXES)
+        _, written_s = self._block[device].read(record)
+        rate = record["rate"][0]
+        return record["position"][0] + (t_s - written_s) * rate, rate
 
     def close(self) -> None:
         """Let go of the block; idempotent."""
-        if not self._map.closed:
-            del self._words, self._sequence
-            self._map.close()
-            os.close(self.descriptor)
+        self._block.close()

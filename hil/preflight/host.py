@@ -12,7 +12,8 @@ from pathlib import Path
 from hil.maths.jit import kernels_are_cached
 from hil.messages import CYCLE
 from hil.preflight.check import Check
-from hil.preflight.privileges import PRIORITY, Privileges, probe_privileges
+from hil.preflight.privileges import Privileges, probe_privileges
+from hil.realtime import FIFO_PRIORITY
 
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNORS = Path("/sys/devices/system/cpu")
@@ -97,10 +98,12 @@ def _clock_source(facts: HostFacts) -> Check:
 
 def _scheduling(facts: HostFacts, on_hardware: bool) -> Check:
     refused = facts.privileges.fifo_refused
-    advice = f"grant CAP_SYS_NICE, or 'rtprio {PRIORITY}' in /etc/security/limits.conf (container: --cap-add=SYS_NICE)"
+    advice = (
+        f"grant CAP_SYS_NICE, or 'rtprio {FIFO_PRIORITY}' in /etc/security/limits.conf (container: --cap-add=SYS_NICE)"
+    )
     if not refused:
-        return Check("scheduling", True, f"SCHED_FIFO, priority {PRIORITY}")
-    return Check("scheduling", _fails(on_hardware), f"SCHED_FIFO, priority {PRIORITY}: {refused}", advice)
+        return Check("scheduling", True, f"SCHED_FIFO, priority {FIFO_PRIORITY}")
+    return Check("scheduling", _fails(on_hardware), f"SCHED_FIFO, priority {FIFO_PRIORITY}: {refused}", advice)
 
 
 def _memory_lock(facts: HostFacts, on_hardware: bool) -> Check:

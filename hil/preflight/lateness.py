@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.clock import WallClock
+from hil.late_cycles import lateness_percentiles_us
 from hil.messages import Array
 from hil.preflight.check import Check
-from hil.preflight.privileges import PRIORITY, take_fifo, take_memory_lock
-from hil.priority import precedence
-from hil.rate import WallRate, lateness_percentiles_us
+from hil.rate import WallRate
+from hil.realtime import FIFO, FIFO_PRIORITY, RealTime
 
 DURATION_S = 5.0
 SHARE_OF_PERIOD = 0.1
@@ -99,9 +99,8 @@ def _run(period_s: float, duration_s: float) -> dict[str, object]:
     """Keep the rate for ``duration_s``; a lost period counts as lateness of the cycle after it."""
     rate = WallRate(WallClock(), period_s)
     lateness_s = []
-    with precedence():
-        scheduling = "SCHED_OTHER" if take_fifo() else f"SCHED_FIFO {PRIORITY}"
-        take_memory_lock()
+    with RealTime() as realtime, realtime.at_the_front():
+        scheduling = f"SCHED_FIFO {FIFO_PRIORITY}" if realtime.granted(FIFO) else "SCHED_OTHER"
         gc.collect()
         gc.freeze()
         gc.disable()

@@ -1,20 +1,18 @@
 """What the operating system grants to a process of this user, tried out in a process that ends at once.
 
-``python -m hil.preflight.privileges`` is that process: it takes each privilege and prints what was refused;
+``python -m hil.preflight.privileges`` is that process: it asks as a run does and prints what was refused;
 whatever it got ends with it.
 """
 
 from __future__ import annotations
 
-import ctypes
 import json
-import os
 import subprocess
 import sys
 from dataclasses import dataclass
 
-PRIORITY = 80
-_MCL_CURRENT_AND_FUTURE = 3
+from hil.realtime import FIFO, MEMORY, RealTime
+
 _TIMEOUT_S = 20.0
 
 
@@ -37,25 +35,7 @@ def probe_privileges() -> Privileges:
         return Privileges(*[f"could not be tried: {error}"] * 2)
 
 
-def take_fifo() -> str:
-    """Put this thread under SCHED_FIFO; return what was refused, "" where it was granted."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    except (OSError, AttributeError) as error:
-        return str(error)
-    return ""
-
-
-def take_memory_lock() -> str:
-    """Lock the memory of this process; return what was refused, "" where it was granted."""
-    try:
-        libc = ctypes.CDLL(None, use_errno=True)
-        if libc.mlockall(_MCL_CURRENT_AND_FUTURE) != 0:
-            return os.strerror(ctypes.get_errno())
-    except (OSError, AttributeError) as error:
-        return str(error)
-    return ""
-
-
 if __name__ == "__main__":
-    json.dump({"fifo": take_fifo(), "memory_lock": take_memory_lock()}, sys.stdout)
+    with RealTime() as asked:
+        refused = {grant.name: grant.detail for grant in asked.refused()}
+    json.dump({"fifo": refused.get(FIFO, ""), "memory_lock": refused.get(MEMORY, "")}, sys.stdout)

@@ -10,8 +10,8 @@ from hil import parameters
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
+from hil.late_cycles import lateness_histogram, lateness_percentiles_us
 from hil.messages import Array
-from hil.rate import lateness_percentiles_us
 from hil.report.energy import judge_energy
 from hil.report.field_of_view import judge_field_of_view
 from hil.report.security import judge_security
@@ -57,17 +57,28 @@ def summarise(
         "thrusters": thrusters,
         "vision": outcome.vision_counters,
         "bench": _bench(history, outcome),
-        "timing": {
-            "rate_hz": rate_hz,
-            "cycles": len(history),
-            "overruns": outcome.overruns,
-            "lateness_us": lateness_percentiles_us(history["lateness_s"]),
-        },
+        "timing": _timing(outcome, rig, rate_hz),
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
         "faults": outcome.faults,
         "alarms": [alarm.as_json() for alarm in outcome.alarms],
     }
     return summary, verdict
+
+
+def _timing(outcome: Outcome, rig: Rig, rate_hz: float) -> dict[str, Any]:
+    """Lateness, lost periods, and what the operating system granted; of the closed loop, where there was one."""
+    lateness_s = outcome.history["lateness_s"]
+    return {
+        "rate_hz": rate_hz,
+        "cycles": len(lateness_s),
+        "overruns": outcome.overruns,
+        "skipped_periods": outcome.skipped_periods,
+        "late_wakeups": int(np.count_nonzero(lateness_s * 1e6 > rig.host.late_wakeup_us)),
+        "lateness_us": lateness_percentiles_us(lateness_s),
+        "lateness_histogram": lateness_histogram(lateness_s),
+        "late_cycle": rig.late_cycle,
+        "privileges": [{"name": g.name, "granted": g.granted, "detail": g.detail} for g in outcome.privileges],
+    }
 
 
 def _control_precision(verdict: Verdict, scenario: Scenario) -> dict[str, Any]:

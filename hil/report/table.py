@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.config.scenario import Requirements
+from hil.realtime import REAL_TIME
 from hil.report.paper import TABLE_V
 from hil.report.verdict import ROW_NAMES, Verdict, tolerances
 
@@ -36,14 +37,23 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
         highlight=False,
         soft_wrap=True,
     )
-    timing = summary["timing"]
+    _print_timing(summary["timing"], console)
+    word = "[bold green]PASS[/]" if summary["passed"] else "[bold red]FAIL[/]"
+    why = "" if summary["passed"] else f" ({_reason(summary, verdict)})"
+    console.print(f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']}{why}", highlight=False)
+
+
+def _print_timing(timing: dict[str, Any], console: Console) -> None:
     late = timing["lateness_us"]
     console.print(
         f"Timing      {timing['cycles']} cycles at {timing['rate_hz']:g} Hz, {timing['overruns']} overruns, "
+        f"{timing['skipped_periods']} periods lost, {timing['late_wakeups']} late wake-ups, "
         f"lateness p50 {late['p50']:.0f} p99 {late['p99']:.0f} p99.9 {late['p999']:.0f} max {late['max']:.0f} us",
         highlight=False,
         soft_wrap=True,
     )
+    if timing["privileges"]:
+        console.print(f"Host        {_host_text(timing['privileges'])}", highlight=False, soft_wrap=True)
     if timing["overruns"]:
         console.print(
             f"            this host could not keep up: {timing['overruns']} cycles came late; try a lower --speed",
@@ -51,9 +61,13 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
             highlight=False,
             soft_wrap=True,
         )
-    word = "[bold green]PASS[/]" if summary["passed"] else "[bold red]FAIL[/]"
-    why = "" if summary["passed"] else f" ({_reason(summary, verdict)})"
-    console.print(f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']}{why}", highlight=False)
+
+
+def _host_text(privileges: list[dict[str, Any]]) -> str:
+    granted = [p["detail"] for p in privileges if p["granted"]]
+    refused = [f"{p['name']} ({p['detail']})" for p in privileges if not p["granted"]]
+    kind = "not in real time" if any(p["name"] in REAL_TIME and not p["granted"] for p in privileges) else "real time"
+    return "; ".join([f"{kind}: {', '.join(granted) or 'nothing granted'}", *(f"refused {r}" for r in refused)])
 
 
 def _ready_phase(summary: dict[str, Any], verdict: Verdict, requirements: Requirements) -> Table:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
+from itertools import zip_longest
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hil import rate as rate_module
 from hil.clock import SimulatedClock, WallClock
-from hil.rate import SimulatedRate, WallRate, lateness_percentiles_us
+from hil.rate import SimulatedRate, WallRate
 
 STEP_S = 0.02
 MS = 1_000_000
@@ -19,6 +22,7 @@ class FakeTime:
     def __init__(self) -> None:
         self.ns = 5_000 * MS
         self.slept_ns: list[int] = []
+        self.oversleeps_ns = 0
 
     def monotonic_ns(self) -> int:
         self.ns += 1_000
@@ -26,7 +30,7 @@ class FakeTime:
 
     def sleep(self, seconds: float) -> None:
         self.slept_ns.append(round(seconds * 1e9))
-        self.ns += self.slept_ns[-1]
+        self.ns += self.slept_ns[-1] + self.oversleeps_ns
 
 
 @pytest.fixture
@@ -121,7 +125,39 @@ def test_simulated_cycle_k_is_exactly_at_k_steps() -> None:
     assert rate.overruns == 0
 
 
-def test_percentiles_are_in_microseconds_and_empty_is_zero() -> None:
-    found = lateness_percentiles_us(np.arange(1001) * 1e-6)
-    assert found == pytest.approx({"p50": 500.0, "p99": 990.0, "p999": 999.0, "max": 1000.0})
-    assert set(lateness_percentiles_us(np.empty(0)).values()) == {0.0}
+@given(st.lists(st.integers(0, 3 * 20 * MS), max_size=60), st.lists(st.integers(0, 50 * MS), max_size=60))
+def test_executed_and_skipped_periods_are_all_that_elapsed(work_ns: list[int], oversleep_ns: list[int]) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        fake = FakeTime()
+        patch.setattr(rate_module, "time", fake)
+        rate = wall_rate(fake)
+        zero_ns = fake.ns
+        skipped = overruns = 0
+        for work, oversleep in zip_longest(work_ns, oversleep_ns, fillvalue=0):
+            fake.oversleeps_ns = oversleep
+            tick = rate.wait()
+            skipped += tick.skipped
+            overruns += tick.skipped > 0
+            assert (tick.overrun_s > 0.0) == (tick.skipped > 0)
+            deadline_ns = fake.ns - tick.lateness_s * 1e9
+            assert rate.executed + rate.skipped_periods == round((deadline_ns - zero_ns) / (20 * MS))
+            # the time of the run is that of the cycles that were executed
+            assert tick.now_s - tick.run_zero_s - tick.lateness_s == pytest.approx((rate.executed - 1) * STEP_S)
+            fake.ns += work
+        assert (rate.skipped_periods, rate.overruns) == (skipped, overruns)
+
+
+def test_restart_begins_a_new_count(fake: FakeTime) -> None:
+    rate = wall_rate(fake)
+    rate.wait()
+    fake.ns += 100 * MS
+    rate.wait()
+    assert rate.overruns == 1
+    rate.restart()
+    assert (rate.executed, rate.overruns, rate.skipped_periods) == (0, 0, 0)
+
+
+def test_wait_never_spins_through_a_whole_period(fake: FakeTime) -> None:
+    rate = WallRate(WallClock(epoch_ns=fake.ns), 0.0002)
+    rate.wait()
+    assert fake.slept_ns == [pytest.approx(100_000, abs=5_000)]

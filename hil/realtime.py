@@ -1,0 +1,240 @@
+"""What the loop asks of the operating system: to run first, to stay in memory, to wake on time.
+
+Every request may be refused; the run goes on without it and its report says so. All of it is undone at the end.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import platform
+import resource
+import struct
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
+from typing import Final, Protocol, Self
+
+from hil.errors import BenchError
+
+FIFO_PRIORITY: Final = 80
+FIFO, NICE, SLICE, MEMORY, SLACK, CPU = "sched_fifo", "nice", "slice", "mlockall", "timer_slack", "cpu"
+REAL_TIME: Final = (FIFO, MEMORY)
+"""Without these a loop is at the mercy of whatever else the computer does."""
+
+_NICE: Final = -15
+_SLICE_NS: Final = 100_000  # the shortest that the scheduler takes: a short slice is an early deadline
+_SLACK_NS: Final = 1
+_SWITCH_INTERVAL_S: Final = 5e-5  # damage limit for the I/O threads that share the loop's interpreter
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2  # linux/mman.h
+_PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30  # linux/prctl.h
+_CAP_IPC_LOCK: Final = 14  # linux/capability.h
+_SYS_SCHED_SETATTR, _SYS_SCHED_GETATTR = {"x86_64": (314, 315)}.get(platform.machine(), (274, 275))
+_SCHED_ATTR: Final = struct.Struct("=IIQiIQQQ")  # linux/sched/types.h: size policy flags nice priority runtime ...
+
+_HINTS: Final = {
+    FIFO: "rtprio 80 in limits.conf, or a container with --cap-add=SYS_NICE",
+    MEMORY: "memlock unlimited in limits.conf, or a container with --ulimit memlock=-1",
+    NICE: "nice -15 in limits.conf, or a container with --cap-add=SYS_NICE",
+    SLICE: "Linux 6.12 or newer",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Grant:
+    """One request: its name, whether it was granted, what was granted or why not, and what would help."""
+
+    name: str
+    granted: bool
+    detail: str
+    hint: str = ""
+
+    def __str__(self) -> str:
+        if self.granted:
+            return self.detail
+        return f"{self.name} refused: {self.detail}" + (f"; would help: {self.hint}" if self.hint else "")
+
+
+class Precedence(Protocol):
+    """What the loop was given, and the place at the front that its thread takes while cycles have deadlines."""
+
+    grants: list[Grant]
+
+    def at_the_front(self) -> AbstractContextManager[None]:
+        """Let the calling thread be the loop's for as long as this lasts. Raises BenchError when that fails."""
+
+
+class NoPrecedence:
+    """For simulated time, which has no deadlines."""
+
+    def __init__(self) -> None:
+        self.grants: list[Grant] = []
+
+    def at_the_front(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
+
+class RealTime:
+    """Asks for everything that makes wake-ups punctual; a context in which the bench is opened, run and closed.
+
+    Entering locks the memory (some 0.5 s: do it before a drive is enabled) and raises the niceness of this
+    process, of the threads and processes that it starts, and finds out whether SCHED_FIFO is allowed.
+    ``at_the_front`` gives the loop's thread alone its real-time priority. Others do not get it: together they
+    can fill a core, and the kernel then takes 50 ms of each second away from all of them.
+
+    fifo: whether to ask for SCHED_FIFO at all. cpu: that the loop's thread is to stay on, None for any.
+    """
+
+    def __init__(self, fifo: bool = True, cpu: int | None = None) -> None:
+        self._fifo = fifo
+        self._cpu = cpu
+        self.grants: list[Grant] = []
+        self._undo: list[Callable[[], object]] = []
+
+    def __enter__(self) -> Self:
+        self.grants.clear()
+        before_s = sys.getswitchinterval()
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
+        self._undo.append(lambda: sys.setswitchinterval(before_s))
+        self._ask(MEMORY, self._lock_memory)
+        self._ask(FIFO, self._try_fifo)
+        self._ask(NICE, self._raise_niceness)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._undo_all()
+
+    def refused(self) -> list[Grant]:
+        """Return what was refused so far."""
+        return [grant for grant in self.grants if not grant.granted]
+
+    def granted(self, name: str) -> bool:
+        """Return whether the request ``name`` was made and granted."""
+        return any(grant.granted for grant in self.grants if grant.name == name)
+
+    @contextmanager
+    def at_the_front(self) -> Iterator[None]:
+        """Give the calling thread its CPU, timer slack and policy; threads that it starts do not inherit the policy."""
+        outside, self._undo = self._undo, []
+        try:
+            if self._cpu is not None:
+                self._ask(CPU, self._stay_on_cpu)
+            self._ask(SLACK, _cut_timer_slack, self._undo)
+            if self.granted(FIFO):
+                self._go_fifo()
+            else:
+                self._ask(SLICE, _shorten_slice, self._undo)
+            yield
+        finally:
+            self._undo_all()
+            self._undo = outside
+
+    def _undo_all(self) -> None:
+        while self._undo:
+            self._undo.pop()()
+
+    def _ask(self, name: str, request: Callable[..., str], *arguments: object) -> None:
+        try:
+            self.grants.append(Grant(name, True, request(*arguments)))
+        except OSError as refusal:
+            self.grants.append(Grant(name, False, _why(refusal), _HINTS.get(name, "")))
+
+    def _lock_memory(self) -> str:
+        """Keep all pages in memory; those to come only where no limit could make a later allocation fail."""
+        free = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY or _has_capability(
+            _CAP_IPC_LOCK
+        )
+        _call("mlockall", _MCL_CURRENT | (_MCL_FUTURE if free else 0))
+        self._undo.append(lambda: _call("munlockall"))
+        return "all memory locked" if free else "the memory of the start locked"
+
+    def _try_fifo(self) -> str:
+        if not self._fifo:
+            raise OSError(errno.ECANCELED, "switched off by host.fifo")
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+        os.sched_setscheduler(0, *before)
+        return f"SCHED_FIFO {FIFO_PRIORITY}"
+
+    def _go_fifo(self) -> None:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+
+        def go_back() -> None:
+            try:
+                os.sched_setscheduler(0, *before)
+            except PermissionError:  # without CAP_SYS_NICE the mark about children stays
+                os.sched_setscheduler(0, before[0] | os.SCHED_RESET_ON_FORK, before[1])
+
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(FIFO_PRIORITY))
+        except OSError as refusal:
+            raise BenchError(f"host: SCHED_FIFO was allowed before and is not any more: {_why(refusal)}") from refusal
+        self._undo.append(go_back)
+
+    def _raise_niceness(self) -> str:
+        before = os.getpriority(os.PRIO_PROCESS, 0)
+        os.setpriority(os.PRIO_PROCESS, 0, min(_NICE, before))
+        self._undo.append(lambda: os.setpriority(os.PRIO_PROCESS, 0, before))
+        return f"niceness {min(_NICE, before)} for drivers and emulators"
+
+    def _stay_on_cpu(self) -> str:
+        assert self._cpu is not None
+        before = os.sched_getaffinity(0)
+        os.sched_setaffinity(0, {self._cpu})
+        self._undo.append(lambda: os.sched_setaffinity(0, before))
+        return f"loop on CPU {self._cpu}"
+
+
+def _cut_timer_slack(undo: list[Callable[[], object]]) -> str:
+    before = _call("prctl", _PR_GET_TIMERSLACK)
+    _call("prctl", _PR_SET_TIMERSLACK, _SLACK_NS)
+    undo.append(lambda: _call("prctl", _PR_SET_TIMERSLACK, before))
+    return f"timer slack {_SLACK_NS} ns"
+
+
+def _shorten_slice(undo: list[Callable[[], object]]) -> str:
+    """Ask the fair scheduler for a short slice, which needs no privilege. Older kernels take the call and ignore it."""
+    before = _slice_ns()
+    _set_slice_ns(_SLICE_NS)
+    if _slice_ns() != _SLICE_NS:
+        raise OSError(errno.ENOSYS, "the kernel keeps its own slice")
+    undo.append(lambda: _set_slice_ns(before))
+    return f"slice {_SLICE_NS / 1e6:g} ms"
+
+
+def _slice_ns() -> int:
+    attributes = ctypes.create_string_buffer(_SCHED_ATTR.size)
+    _call("syscall", _SYS_SCHED_GETATTR, 0, attributes, _SCHED_ATTR.size, 0)
+    return int(_SCHED_ATTR.unpack(attributes.raw)[5])
+
+
+def _set_slice_ns(slice_ns: int) -> None:
+    niceness = os.getpriority(os.PRIO_PROCESS, 0)
+    attributes = _SCHED_ATTR.pack(_SCHED_ATTR.size, os.SCHED_OTHER, 0, niceness, 0, slice_ns, 0, 0)
+    _call("syscall", _SYS_SCHED_SETATTR, 0, attributes, 0)
+
+
+def _has_capability(number: int) -> bool:
+    with open("/proc/self/status", encoding="ascii", errors="replace") as status:
+        effective = next((line.split()[1] for line in status if line.startswith("CapEff:")), "0")
+    return bool(int(effective, 16) >> number & 1)
+
+
+def _call(name: str, *arguments: object) -> int:
+    """Call the C library's ``name``; raise OSError when it fails. Whole numbers go as longs."""
+    library = ctypes.CDLL(None, use_errno=True)
+    longs = [ctypes.c_long(value) if isinstance(value, int) else value for value in arguments]
+    result = int(getattr(library, name)(*longs))
+    if result < 0:
+        code = ctypes.get_errno()
+        raise OSError(code, os.strerror(code))
+    return result
+
+
+def _why(refusal: OSError) -> str:
+    code = errno.errorcode.get(refusal.errno or 0, "")
+    text = refusal.strerror or str(refusal)
+    return text if code in ("", "ECANCELED") else f"{text} ({code})"
