@@ -3,12 +3,13 @@
 # make slow   runs the long evidence that is left out of "make test"
 # make oracle checks the truth against Basilisk, in an environment of its own
 # make bench  measures what a cycle costs, beside filterpy and Basilisk, in one run
+# make lateness measures how punctual the loop is, beside cyclictest, in about 10 minutes
 # make tidy   formats the sources
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test slow oracle bench tidy
+.PHONY: demo test slow oracle bench lateness tidy
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -30,6 +31,9 @@ oracle: .venv-oracle/ready
 bench: .venv-oracle/ready
 	.venv-oracle/bin/python benchmarks/filters.py
 	.venv-oracle/bin/python benchmarks/truth_step.py
+
+lateness: .venv/ready
+	$(BIN)/python benchmarks/lateness.py
 
 tidy: .venv/ready
 	$(BIN)/ruff format .

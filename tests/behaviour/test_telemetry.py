@@ -1,0 +1,57 @@
+"""The rows of the loop, as other processes get them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+
+from hil import build
+from hil.clock import SimulatedClock
+from hil.config.load import load_rig, load_scenario
+from hil.frmn.ring import Ring
+from hil.messages import CYCLE
+from hil.rate import SimulatedRate
+
+READER = """
+import json, sys
+from hil.frmn.ring import Ring
+from hil.messages import CYCLE
+reader, times = Ring(int(sys.argv[1]), CYCLE, 2048).reader(), []
+print("attached", flush=True)
+while not times or times[-1] < float(sys.argv[2]):
+    times += reader.take()["t_s"].tolist()
+print(json.dumps({"times": times, "got": reader.got, "lost": reader.lost}))
+"""
+
+NEAR = ("initial.position_m=[0.7, -0.03, 0.03]", "rig.rails.x.park_m=0.6")
+
+
+def test_reader_gets_the_very_rows_of_the_history() -> None:
+    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 2.0, 1.0)
+    ring = Ring.create(CYCLE, 256)
+    reader = ring.reader()
+    rate = SimulatedRate(SimulatedClock(), job.scenario.value.step_s)
+    history = build.in_memory(job, rate, telemetry=ring).run().history
+    assert len(history) == 101
+    assert reader.take().tobytes() == history.tobytes()
+    ring.close()
+
+
+def test_another_process_attaches_to_a_run_on_wires_and_accounts_for_every_cycle() -> None:
+    job = build.Job(load_scenario("scheme-1", NEAR[:1]), load_rig("emulated", NEAR[1:]), 0, 1.0, 1.0)
+    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+        ring = runner.loop.telemetry
+        assert isinstance(ring, Ring)
+        command = [sys.executable, "-c", READER, str(ring.descriptor), "1.0"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, pass_fds=(ring.descriptor,)) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "attached\n"
+            outcome = runner.run()
+            assert outcome.stop == "completed"
+            found = json.loads(process.communicate(timeout=30.0)[0])
+    assert found["got"] + found["lost"] == len(outcome.history) == 51
+    assert np.isin(found["times"], outcome.history["t_s"]).all()
+    assert found["got"] > 0
