@@ -1,0 +1,292 @@
+"""The I/O process: has the real drivers, and moves what they say and hear through shared memory.
+
+``python -m hil.device_host`` is the child; it gets its configuration from its parent. It watches the
+loop: when the loop's heartbeat ceases it stops all axes by itself, whatever became of the loop.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import socket
+import sys
+import threading
+from typing import Any, Final, Self
+
+import numpy as np
+
+from hil.clock import WallClock
+from hil.config.rig import Rig
+from hil.drivers.base import AxisGroup, PoseSource
+from hil.drivers.emulator_process import EmulatorProcess, serve
+from hil.drivers.remote import cells
+from hil.drivers.remote.cells import AXIS_DEVICES, Exchange
+from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses
+from hil.drivers.remote.requests import Requests
+from hil.errors import BenchError, LinkLost
+
+LOOP_SILENCE_MAX_S: Final = 0.08
+"""Wall time without a heartbeat of the loop after which the axes are stopped."""
+FIFO_PRIORITY: Final = 60
+"""Below the loop's, above everything else: what the loop commands must get out."""
+_PERIOD_WALL_S: Final = 0.001
+_COUNTERS_EVERY: Final = 100  # periods
+_READY_WALL_S: Final = 60.0
+
+
+def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:
+    """Return the drivers of a rig with wires: rails, turntable, vision unit."""
+    from hil.drivers.rails.driver import ModbusRails
+    from hil.drivers.vmu.driver import Rs422Vmu
+
+    turntable: AxisGroup
+    if rig.turntable.driver == "ascii":
+        from hil.drivers.turntable.ascii_driver import AsciiTurntable
+
+        turntable = AsciiTurntable(rig.turntable, clock)
+    else:
+        from hil.drivers.turntable.cia402_driver import Cia402Turntable
+
+        turntable = Cia402Turntable(rig.turntable, clock)
+    return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock)
+
+
+class DeviceHost:
+    """The child's work. ``run`` serves until it is told to stop; then everything is stopped and closed."""
+
+    faults = None
+
+    def __init__(
+        self,
+        axes: dict[str, AxisGroup],
+        poses: PoseSource,
+        exchange: Exchange,
+        requests: socket.socket,
+        clock: WallClock,
+    ) -> None:
+        self._axes = axes
+        self._poses = poses
+        self._exchange = exchange
+        self._requests = requests
+        self._clock = clock
+        self._open: set[str] = set()
+        self._lost_loop = False
+        self._periods = 0
+        self._heartbeat = np.zeros(1, cells.HEARTBEAT)
+        self._loop_heartbeat = np.zeros(1, cells.HEARTBEAT)
+        self._setpoint = np.zeros(1, cells.SETPOINT)
+        self._stop = np.zeros(1, cells.STOP)
+        self._feedback = np.zeros(1, cells.FEEDBACK)
+        self._frame = np.zeros(1, cells.FRAME)
+        self._taken = dict.fromkeys(axes, 0)  # setpoints
+        self._stops = dict.fromkeys(axes, 0)
+        self._shown_s = dict.fromkeys(axes, -1.0)
+
+    def start(self) -> dict[str, str]:
+        """Nothing is opened before the loop asks for it. All threads of the process run at its priority."""
+        with contextlib.suppress(PermissionError):  # the loop's report tells what this host allows
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+        self._beat(self._clock.now_s())
+        threading.Thread(target=self._answer, name="requests", daemon=True).start()
+        return {}
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve until ``stop`` is set."""
+        while not stop.is_set():
+            ready, _, _ = select.select([self._exchange.wake], [], [], _PERIOD_WALL_S)
+            if ready:
+                with contextlib.suppress(BlockingIOError):
+                    os.eventfd_read(self._exchange.wake)
+            now_s = self._clock.now_s()
+            self._beat(now_s)
+            for name in AXIS_DEVICES:
+                self._serve_axes(name, now_s)
+            self._serve_poses(now_s)
+            self._watch_the_loop(now_s)
+            self._periods += 1
+            if self._periods % _COUNTERS_EVERY == 0:
+                self._tell_counters(now_s)
+
+    def close(self) -> None:
+        """Stop all axes, then let go of everything."""
+        now_s = self._clock.now_s()
+        for device in self._axes.values():
+            device.stop(now_s)
+        self._poses.close()
+        for device in self._axes.values():
+            device.close()
+
+    def _beat(self, now_s: float) -> None:
+        self._exchange.block["io"].write(self._heartbeat, now_s)
+
+    def _serve_axes(self, name: str, now_s: float) -> None:
+        device, block = self._axes[name], self._exchange.block
+        number, _ = block[f"{name}.stop"].read(self._stop)
+        if number != self._stops[name]:
+            self._stops[name] = number
+            device.stop(now_s)
+        if name not in self._open:
+            return
+        try:
+            number, sent_s = block[f"{name}.setpoint"].read(self._setpoint)
+            if number != self._taken[name]:
+                self._taken[name] = number
+                device.send(self._setpoint["position"][0], self._setpoint["rate"][0], sent_s)
+            feedback = device.read(now_s)
+        except BenchError as error:
+            self._fail(name, error, now_s)
+            return
+        if feedback.t_s != self._shown_s[name]:
+            self._shown_s[name] = feedback.t_s
+            cells.write_feedback(self._feedback, feedback)
+            block[f"{name}.feedback"].write(self._feedback, now_s)
+
+    def _serve_poses(self, now_s: float) -> None:
+        if "vmu" not in self._open:
+            return
+        try:
+            for frame in self._poses.poll(now_s):
+                cells.write_frame(self._frame, frame)
+                self._exchange.frames.put(self._frame)
+        except BenchError as error:
+            self._fail("vmu", error, now_s)
+
+    def _watch_the_loop(self, now_s: float) -> None:
+        """Stop everything when the loop has gone silent in a time in which it was to be heard."""
+        _, heard_s = self._exchange.block["loop"].read(self._loop_heartbeat)
+        silent_s = (now_s - heard_s) / self._clock.speed
+        if not self._loop_heartbeat["watched"][0] or silent_s <= LOOP_SILENCE_MAX_S:
+            self._lost_loop = False
+            return
+        if self._lost_loop:
+            return
+        self._lost_loop = True
+        for name, device in self._axes.items():
+            device.stop(now_s)
+            silence = LinkLost(name, f"stopped: the loop has been silent for {silent_s:.3f} s")
+            if name in self._open:
+                self._fail(name, silence, now_s)
+
+    def _fail(self, name: str, error: BenchError, now_s: float) -> None:
+        """Tell the loop, once; the device is not asked any more until it is opened again."""
+        self._open.discard(name)
+        self._exchange.block[f"{name}.failure"].write(cells.failure_record(error, name), now_s)
+
+    def _tell_counters(self, now_s: float) -> None:
+        for name, device in (*self._axes.items(), ("vmu", self._poses)):
+            count = getattr(device, "counters", None)
+            if name in self._open and count is not None:
+                self._exchange.block[f"{name}.counters"].write(cells.counters_record(count()), now_s)
+
+    def _answer(self) -> None:
+        """Answer requests one after the other; the end of the socket ends it."""
+        with self._requests, self._requests.makefile("rwb") as lines:
+            for line in lines:
+                request = json.loads(line)
+                answer = self._do(request["do"], request["device"])
+                with contextlib.suppress(OSError):
+                    lines.write(json.dumps(answer).encode() + b"\n")
+                    lines.flush()
+
+    def _do(self, do: str, name: str) -> dict[str, Any]:
+        device = self._poses if name == "vmu" else self._axes[name]
+        now_s = self._clock.now_s()
+        try:
+            if do == "open":
+                self._open.discard(name)
+                device.open(now_s)
+                self._forget(name)
+                self._open.add(name)
+            elif do == "close":
+                self._open.discard(name)
+                self._tell_last_counters(name, now_s)
+                device.close()
+            elif do == "home" and name != "vmu":
+                self._axes[name].home(now_s)
+        except BenchError as error:
+            record = cells.failure_record(error, name)
+            return {"failure": [field.decode(errors="replace") for field in record[0]]}
+        return {}
+
+    def _forget(self, name: str) -> None:
+        """Leave out setpoints from before the opening."""
+        if name in self._axes:
+            self._taken[name] = self._exchange.block[f"{name}.setpoint"].read(self._setpoint)[0]
+            self._shown_s[name] = -1.0
+
+    def _tell_last_counters(self, name: str, now_s: float) -> None:
+        count = getattr(self._poses if name == "vmu" else self._axes[name], "counters", None)
+        if count is not None:
+            self._exchange.block[f"{name}.counters"].write(cells.counters_record(count()), now_s)
+
+
+class IoProcess:
+    """The parent's hold on the I/O process of ``rig``: started, ready, and ended with ``close``."""
+
+    def __init__(self, rig: Rig, clock: WallClock) -> None:
+        self._clock = clock
+        self._rig = rig
+        self._exchange = Exchange.create()
+        here, there = socket.socketpair()
+        configuration = {
+            "rig": rig.model_dump(mode="json"),
+            "epoch_ns": clock.epoch_ns,
+            "speed": clock.speed,
+            "descriptors": self._exchange.descriptors,
+            "requests": there.fileno(),
+        }
+        passed = (*self._exchange.descriptors, there.fileno())
+        try:
+            self._child = EmulatorProcess("io", [sys.executable, "-m", "hil.device_host"], configuration, passed)
+        finally:
+            there.close()
+        self._requests = Requests(here)
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    def wait_ready(self) -> None:
+        """Return once the process serves. Raises DeviceError when it does not come up."""
+        self._child.wait_ready(_READY_WALL_S)
+
+    def devices(self) -> tuple[RemoteAxes, RemoteAxes, RemotePoses]:
+        """Return rails, turntable and vision unit as the loop sees them."""
+        link = IoLink(self._exchange, self._requests, self._clock, self._child.ended)
+        return (
+            RemoteAxes("rails", self._rig.rails, link),
+            RemoteAxes("turntable", self._rig.turntable, link),
+            RemotePoses(self._rig.vmu, link),
+        )
+
+    def close(self) -> None:
+        """End the process; it stops the axes first. Idempotent."""
+        self._child.close()
+        self._requests.close()
+        self._exchange.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def make_host(configuration: dict[str, Any]) -> DeviceHost:
+    """Return the host for the configuration that the parent sent."""
+    rig = Rig.model_validate(configuration["rig"], strict=False)
+    clock = WallClock(configuration["epoch_ns"], configuration["speed"])
+    rails, turntable, poses = drivers(rig, clock)
+    return DeviceHost(
+        {"rails": rails, "turntable": turntable},
+        poses,
+        Exchange.attach(tuple(configuration["descriptors"])),
+        socket.socket(fileno=configuration["requests"]),
+        clock,
+    )
+
+
+if __name__ == "__main__":
+    serve(make_host)
