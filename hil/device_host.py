@@ -26,6 +26,7 @@ from hil.drivers.remote.cells import AXIS_DEVICES, Exchange
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses
 from hil.drivers.remote.requests import Requests
 from hil.errors import BenchError, LinkLost
+from hil.messages import AxisFeedback
 
 LOOP_SILENCE_MAX_S: Final = 0.08
 """Wall time without a heartbeat of the loop after which the axes are stopped."""
@@ -78,16 +79,13 @@ class DeviceHost:
         self._loop_heartbeat = np.zeros(1, cells.HEARTBEAT)
         self._setpoint = np.zeros(1, cells.SETPOINT)
         self._stop = np.zeros(1, cells.STOP)
-        self._feedback = np.zeros(1, cells.FEEDBACK)
         self._frame = np.zeros(1, cells.FRAME)
         self._taken = dict.fromkeys(axes, 0)  # setpoints
         self._stops = dict.fromkeys(axes, 0)
         self._shown_s = dict.fromkeys(axes, -1.0)
 
     def start(self) -> dict[str, str]:
-        """Nothing is opened before the loop asks for it. All threads of the process run at its priority."""
-        with contextlib.suppress(PermissionError):  # the loop's report tells what this host allows
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+        """Nothing is opened before the loop asks for it."""
         self._beat(self._clock.now_s())
         threading.Thread(target=self._answer, name="requests", daemon=True).start()
         return {}
@@ -139,9 +137,13 @@ class DeviceHost:
             self._fail(name, error, now_s)
             return
         if feedback.t_s != self._shown_s[name]:
-            self._shown_s[name] = feedback.t_s
-            cells.write_feedback(self._feedback, feedback)
-            block[f"{name}.feedback"].write(self._feedback, now_s)
+            self._show(name, feedback)
+
+    def _show(self, name: str, feedback: AxisFeedback) -> None:
+        self._shown_s[name] = feedback.t_s
+        record = np.zeros(1, cells.FEEDBACK)
+        cells.write_feedback(record, feedback)
+        self._exchange.block[f"{name}.feedback"].write(record, feedback.t_s)
 
     def _serve_poses(self, now_s: float) -> None:
         if "vmu" not in self._open:
@@ -197,7 +199,8 @@ class DeviceHost:
             if do == "open":
                 self._open.discard(name)
                 device.open(now_s)
-                self._forget(name)
+                if name in self._axes:
+                    self._begin(name)
                 self._open.add(name)
             elif do == "close":
                 self._open.discard(name)
@@ -210,11 +213,10 @@ class DeviceHost:
             return {"failure": [field.decode(errors="replace") for field in record[0]]}
         return {}
 
-    def _forget(self, name: str) -> None:
-        """Leave out setpoints from before the opening."""
-        if name in self._axes:
-            self._taken[name] = self._exchange.block[f"{name}.setpoint"].read(self._setpoint)[0]
-            self._shown_s[name] = -1.0
+    def _begin(self, name: str) -> None:
+        """Leave out setpoints from before the opening, and have feedback there when the opening is answered."""
+        self._taken[name] = self._exchange.block[f"{name}.setpoint"].read(np.zeros(1, cells.SETPOINT))[0]
+        self._show(name, self._axes[name].read(self._clock.now_s()))
 
     def _tell_last_counters(self, name: str, now_s: float) -> None:
         count = getattr(self._poses if name == "vmu" else self._axes[name], "counters", None)
@@ -275,7 +277,9 @@ class IoProcess:
 
 
 def make_host(configuration: dict[str, Any]) -> DeviceHost:
-    """Return the host for the configuration that the parent sent."""
+    """Return the host for the configuration that the parent sent; threads of this process get its priority."""
+    with contextlib.suppress(PermissionError):  # the loop's report tells what this computer allows
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     rails, turntable, poses = drivers(rig, clock)
