@@ -26,7 +26,10 @@ from hil.drivers.remote.requests import Requests
 from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 from hil.messages import AxisFeedback, Homing, PoseFrame
 
-RIG = load_rig("emulated", ['rig.turntable.cia402.channel="nowhere"']).value
+WIRES = ("rig.turntable.cia402.channel=nowhere", "rig.vmu.rs422.port=nowhere") + tuple(
+    f"rig.rails.modbus.{axis}.port=9" for axis in RAIL_NAMES
+)
+RIG = load_rig("emulated", WIRES).value
 
 
 def setpoint(position: np.ndarray) -> np.ndarray:
@@ -219,12 +222,12 @@ def test_an_ended_io_process_is_told_of_at_once(sides: Sides) -> None:
         sides.rails.read(sides.clock.now_s())
 
 
-PARENT = """
+PARENT = f"""
 import sys, time
 from hil.clock import WallClock
 from hil.config.load import load_rig
 from hil.device_host import IoProcess
-io = IoProcess(load_rig("emulated", ['rig.turntable.cia402.channel="nowhere"']).value, WallClock())
+io = IoProcess(load_rig("emulated", {WIRES!r}).value, WallClock())
 io.wait_ready()
 print(io.pid, flush=True)
 time.sleep(60)
