@@ -19,6 +19,7 @@ from hil.clock import WallClock
 from hil.config.load import load_rig
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES
 from hil.device_host import LOOP_SILENCE_MAX_S, DeviceHost, IoProcess
+from hil.drivers.axes import ServoAxes
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.remote.cells import SETPOINT, Exchange
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses
@@ -26,8 +27,10 @@ from hil.drivers.remote.requests import Requests
 from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 from hil.messages import AxisFeedback, Homing, PoseFrame
 
-WIRES = ("rig.turntable.cia402.channel=nowhere", "rig.vmu.rs422.port=nowhere") + tuple(
-    f"rig.rails.modbus.{axis}.port=9" for axis in RAIL_NAMES
+WIRES = (
+    "rig.turntable.cia402.channel=nowhere",
+    "rig.vmu.rs422.port=nowhere",
+    *(f"rig.rails.modbus.{axis}.port=9" for axis in RAIL_NAMES),
 )
 RIG = load_rig("emulated", WIRES).value
 
@@ -100,6 +103,7 @@ class Sides:
 
 @pytest.fixture
 def sides() -> Iterator[Sides]:
+    ServoAxes(RIG.rails).step(0.0)  # compiles
     clock, stop = WallClock(), threading.Event()
     here, there = socket.socketpair()
     memory = Exchange.create()
