@@ -7,12 +7,9 @@ loop: when the loop's heartbeat ceases it stops all axes by itself, whatever bec
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import select
 import socket
 import sys
-import threading
 from typing import Any, Final, Self
 
 import numpy as np
@@ -22,8 +19,9 @@ from hil.config.rig import Rig
 from hil.drivers.base import AxisGroup, PoseSource
 from hil.drivers.emulator_process import EmulatorProcess, serve
 from hil.drivers.remote import cells
-from hil.drivers.remote.cells import AXIS_DEVICES, Exchange
+from hil.drivers.remote.cells import Exchange
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses
+from hil.drivers.remote.host import Host
 from hil.drivers.remote.requests import Requests
 from hil.errors import BenchError, LinkLost
 from hil.messages import AxisFeedback
@@ -32,8 +30,6 @@ LOOP_SILENCE_MAX_S: Final = 0.08
 """Wall time without a heartbeat of the loop after which the axes are stopped."""
 FIFO_PRIORITY: Final = 60
 """Below the loop's, above everything else: what the loop commands must get out."""
-_PERIOD_WALL_S: Final = 0.001
-_COUNTERS_EVERY: Final = 100  # periods
 _READY_WALL_S: Final = 60.0
 
 
@@ -54,10 +50,8 @@ def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSourc
     return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock)
 
 
-class DeviceHost:
-    """The child's work. ``run`` serves until it is told to stop; then everything is stopped and closed."""
-
-    faults = None
+class DeviceHost(Host):
+    """Rails, turntable and vision unit, served for the loop; the axes are stopped when the loop falls silent."""
 
     def __init__(
         self,
@@ -67,16 +61,10 @@ class DeviceHost:
         requests: socket.socket,
         clock: WallClock,
     ) -> None:
+        super().__init__({**axes, "vmu": poses}, exchange, requests, clock, "io", exchange.wake)
         self._axes = axes
         self._poses = poses
-        self._exchange = exchange
-        self._requests = requests
-        self._clock = clock
-        self._open: set[str] = set()
         self._lost_loop = False
-        self._periods = 0
-        self._heartbeat = np.zeros(1, cells.HEARTBEAT)
-        self._loop_heartbeat = np.zeros(1, cells.HEARTBEAT)
         self._setpoint = np.zeros(1, cells.SETPOINT)
         self._stop = np.zeros(1, cells.STOP)
         self._frame = np.zeros(1, cells.FRAME)
@@ -84,48 +72,34 @@ class DeviceHost:
         self._stops = dict.fromkeys(axes, 0)
         self._shown_s = dict.fromkeys(axes, -1.0)
 
-    def start(self) -> dict[str, str]:
-        """Nothing is opened before the loop asks for it."""
-        self._beat(self._clock.now_s())
-        threading.Thread(target=self._answer, name="requests", daemon=True).start()
-        return {}
-
-    def run(self, stop: threading.Event) -> None:
-        """Serve until ``stop`` is set."""
-        while not stop.is_set():
-            ready, _, _ = select.select([self._exchange.wake], [], [], _PERIOD_WALL_S)
-            if ready:
-                with contextlib.suppress(BlockingIOError):
-                    os.eventfd_read(self._exchange.wake)
-            now_s = self._clock.now_s()
-            self._beat(now_s)
-            for name in AXIS_DEVICES:
-                self._serve_axes(name, now_s)
-            self._serve_poses(now_s)
-            self._watch_the_loop(now_s)
-            self._periods += 1
-            if self._periods % _COUNTERS_EVERY == 0:
-                self._tell_counters(now_s)
+    def serve(self, now_s: float) -> None:
+        """Hand over setpoints, feedback and poses; listen for the loop."""
+        for name in self._axes:
+            self._serve_axes(name, now_s)
+        self._serve_poses(now_s)
+        self._watch_the_loop(now_s)
 
     def close(self) -> None:
         """Stop all axes, then let go of everything."""
-        now_s = self._clock.now_s()
+        now_s = self.clock.now_s()
         for device in self._axes.values():
             device.stop(now_s)
-        self._poses.close()
-        for device in self._axes.values():
-            device.close()
+        super().close()
 
-    def _beat(self, now_s: float) -> None:
-        self._exchange.block["io"].write(self._heartbeat, now_s)
+    def begin(self, name: str) -> None:
+        """Leave out setpoints from before the opening, and have feedback there when the opening is answered."""
+        if name in self._axes:
+            before = np.zeros(1, cells.SETPOINT)
+            self._taken[name] = self.exchange.block[f"{name}.setpoint"].read(before)[0]
+            self._show(name, self._axes[name].read(self.clock.now_s()))
 
     def _serve_axes(self, name: str, now_s: float) -> None:
-        device, block = self._axes[name], self._exchange.block
+        device, block = self._axes[name], self.exchange.block
         number, _ = block[f"{name}.stop"].read(self._stop)
         if number != self._stops[name]:
             self._stops[name] = number
             device.stop(now_s)
-        if name not in self._open:
+        if name not in self.served:
             return
         try:
             number, sent_s = block[f"{name}.setpoint"].read(self._setpoint)
@@ -134,7 +108,7 @@ class DeviceHost:
                 device.send(self._setpoint["position"][0], self._setpoint["rate"][0], sent_s)
             feedback = device.read(now_s)
         except BenchError as error:
-            self._fail(name, error, now_s)
+            self.fail(name, error, now_s)
             return
         if feedback.t_s != self._shown_s[name]:
             self._show(name, feedback)
@@ -143,23 +117,22 @@ class DeviceHost:
         self._shown_s[name] = feedback.t_s
         record = np.zeros(1, cells.FEEDBACK)
         cells.write_feedback(record, feedback)
-        self._exchange.block[f"{name}.feedback"].write(record, feedback.t_s)
+        self.exchange.block[f"{name}.feedback"].write(record, feedback.t_s)
 
     def _serve_poses(self, now_s: float) -> None:
-        if "vmu" not in self._open:
+        if "vmu" not in self.served:
             return
         try:
             for frame in self._poses.poll(now_s):
                 cells.write_frame(self._frame, frame)
-                self._exchange.frames.put(self._frame)
+                self.exchange.frames.put(self._frame)
         except BenchError as error:
-            self._fail("vmu", error, now_s)
+            self.fail("vmu", error, now_s)
 
     def _watch_the_loop(self, now_s: float) -> None:
         """Stop everything when the loop has gone silent in a time in which it was to be heard."""
-        _, heard_s = self._exchange.block["loop"].read(self._loop_heartbeat)
-        silent_s = (now_s - heard_s) / self._clock.speed
-        if not self._loop_heartbeat["watched"][0] or silent_s <= LOOP_SILENCE_MAX_S:
+        silent_s = self.silent_s("loop", now_s)
+        if silent_s <= LOOP_SILENCE_MAX_S:
             self._lost_loop = False
             return
         if self._lost_loop:
@@ -167,61 +140,8 @@ class DeviceHost:
         self._lost_loop = True
         for name, device in self._axes.items():
             device.stop(now_s)
-            silence = LinkLost(name, f"stopped: the loop has been silent for {silent_s:.3f} s")
-            if name in self._open:
-                self._fail(name, silence, now_s)
-
-    def _fail(self, name: str, error: BenchError, now_s: float) -> None:
-        """Tell the loop, once; the device is not asked any more until it is opened again."""
-        self._open.discard(name)
-        self._exchange.block[f"{name}.failure"].write(cells.failure_record(error, name), now_s)
-
-    def _tell_counters(self, now_s: float) -> None:
-        for name, device in (*self._axes.items(), ("vmu", self._poses)):
-            count = getattr(device, "counters", None)
-            if name in self._open and count is not None:
-                self._exchange.block[f"{name}.counters"].write(cells.counters_record(count()), now_s)
-
-    def _answer(self) -> None:
-        """Answer requests one after the other; the end of the socket ends it."""
-        with self._requests, self._requests.makefile("rwb") as lines:
-            for line in lines:
-                request = json.loads(line)
-                answer = self._do(request["do"], request["device"])
-                with contextlib.suppress(OSError):
-                    lines.write(json.dumps(answer).encode() + b"\n")
-                    lines.flush()
-
-    def _do(self, do: str, name: str) -> dict[str, Any]:
-        device = self._poses if name == "vmu" else self._axes[name]
-        now_s = self._clock.now_s()
-        try:
-            if do == "open":
-                self._open.discard(name)
-                device.open(now_s)
-                if name in self._axes:
-                    self._begin(name)
-                self._open.add(name)
-            elif do == "close":
-                self._open.discard(name)
-                self._tell_last_counters(name, now_s)
-                device.close()
-            elif do == "home" and name != "vmu":
-                self._axes[name].home(now_s)
-        except BenchError as error:
-            record = cells.failure_record(error, name)
-            return {"failure": [field.decode(errors="replace") for field in record[0]]}
-        return {}
-
-    def _begin(self, name: str) -> None:
-        """Leave out setpoints from before the opening, and have feedback there when the opening is answered."""
-        self._taken[name] = self._exchange.block[f"{name}.setpoint"].read(np.zeros(1, cells.SETPOINT))[0]
-        self._show(name, self._axes[name].read(self._clock.now_s()))
-
-    def _tell_last_counters(self, name: str, now_s: float) -> None:
-        count = getattr(self._poses if name == "vmu" else self._axes[name], "counters", None)
-        if count is not None:
-            self._exchange.block[f"{name}.counters"].write(cells.counters_record(count()), now_s)
+            if name in self.served:
+                self.fail(name, LinkLost(name, f"stopped: the loop has been silent for {silent_s:.3f} s"), now_s)
 
 
 class IoProcess:
