@@ -19,6 +19,7 @@ from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.cycle import Loop
+from hil.device_host import IoProcess
 from hil.drivers.base import AxisGroup, CountsLosses, PoseSource
 from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
@@ -96,9 +97,11 @@ def runner(
         for grant in realtime.refused():
             announce(str(grant))
         wall = WallClock(speed=job.speed)
-        with _wired_rig(job, wall, announce) as wired, _telemetry() as ring:
+        with _wired_rig(job, wall, announce) as wired, IoProcess(wired, wall) as io, _telemetry() as ring:
+            io.wait_ready()
+            announce(f"I/O process {io.pid}")
             rate = WallRate(wall, scenario.step_s)
-            yield _assemble(job, wired, rate, *drivers(wired, wall), _FRAMES_TO_ARM, watch, operator, realtime, ring)
+            yield _assemble(job, wired, rate, *io.devices(), _FRAMES_TO_ARM, watch, operator, realtime, ring)
 
 
 def _insist_on_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
@@ -310,23 +313,6 @@ def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGrou
         return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
 
     return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed))
-
-
-def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:
-    """Return the drivers of a rig with wires."""
-    from hil.drivers.rails.driver import ModbusRails
-    from hil.drivers.vmu.driver import Rs422Vmu
-
-    turntable: AxisGroup
-    if rig.turntable.driver == "ascii":
-        from hil.drivers.turntable.ascii_driver import AsciiTurntable
-
-        turntable = AsciiTurntable(rig.turntable, clock)
-    else:
-        from hil.drivers.turntable.cia402_driver import Cia402Turntable
-
-        turntable = Cia402Turntable(rig.turntable, clock)
-    return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock)
 
 
 def _start_axes(scenario: Scenario, rig: Rig) -> np.record:

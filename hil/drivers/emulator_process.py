@@ -35,7 +35,8 @@ _LAST_WORDS_BYTES: Final = 2000
 class Emulator(Protocol):
     """An emulated device, and the faults that can be switched on in it."""
 
-    faults: Faults
+    @property
+    def faults(self) -> Faults | None: ...
 
     def start(self) -> dict[str, str]:
         """Open the wires; return name -> address."""
@@ -63,10 +64,12 @@ def serve(make_emulator: Callable[[dict[str, Any]], Emulator]) -> None:
     if not line:
         return  # the parent is gone already
     emulator = make_emulator(json.loads(line))
-    control = ControlPort(emulator.faults)
+    control = ControlPort(emulator.faults) if emulator.faults else None
     try:
-        wires = {**emulator.start(), f"{emulator.faults.device}.faults": control.address}
-        ready = {"pid": os.getpid(), "addresses": wires}
+        addresses = emulator.start()
+        if emulator.faults and control:
+            addresses = {**addresses, f"{emulator.faults.device}.faults": control.address}
+        ready = {"pid": os.getpid(), "addresses": addresses}
         # what was imported stays: a collection that walks through all of it lasts longer than a drive's watchdog
         gc.collect()
         gc.freeze()
@@ -74,7 +77,8 @@ def serve(make_emulator: Callable[[dict[str, Any]], Emulator]) -> None:
             up.write(json.dumps(ready) + "\n")
         _run_until(emulator, ended, end)
     finally:
-        control.close()
+        if control:
+            control.close()
         emulator.close()
 
 
@@ -160,6 +164,13 @@ class EmulatorProcess:
             return {str(name): str(address) for name, address in addresses.items()}
         except (ValueError, LookupError, TypeError, AttributeError) as cause:
             raise ProtocolError(self.name, f"emulator announced {self._said!r}{self._last_words()}") from cause
+
+    def ended(self) -> str:
+        """Return how the child ended, "" while it lives; never waits."""
+        code = self._process.poll()
+        if code is None:
+            return ""
+        return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
     def ask_to_end(self) -> None:
         """Close the child's stdin, so that it ends; returns at once. Ask all before closing each."""

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil import build
 from hil.clock import WallClock
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.device_host import drivers
 from hil.drivers.base import AxisGroup, PoseSource
 from hil.emulation import EmulatedDevices
 from hil.errors import BenchError, DeviceError, LinkTimeout
@@ -31,11 +31,11 @@ def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[Check]
         return [Check("devices", None, "in memory: no wires, no devices")]
     clock = WallClock()
     if rig.kind == "hardware":
-        return [*port_checks(rig), *device_checks(*build.drivers(rig, clock), clock, enable_drives)]
+        return [*port_checks(rig), *device_checks(*drivers(rig, clock), clock, enable_drives)]
     try:
         with EmulatedDevices(scenario, rig, clock, seed=0) as emulated:
             wired, _ = emulated.wait_ready()
-            return [*port_checks(wired), *device_checks(*build.drivers(wired, clock), clock, True)]
+            return [*port_checks(wired), *device_checks(*drivers(wired, clock), clock, True)]
     except DeviceError as error:
         return [Check("emulators", False, str(error), "hil emulate shows what the emulators themselves say")]
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,15 +15,20 @@ import pytest
 from hil.clock import SimulatedClock, WallClock
 from hil.config.load import load_rig
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Cia402, Modbus, ModbusAxis, Rails, SerialLine, Turntable
+from hil.device_host import DeviceHost
 from hil.drivers.base import AxisGroup
 from hil.drivers.board import AxisBoard
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator
+from hil.drivers.remote.cells import Exchange
+from hil.drivers.remote.devices import IoLink, RemoteAxes
+from hil.drivers.remote.requests import Requests
 from hil.drivers.turntable.ascii_driver import AsciiTurntable
 from hil.drivers.turntable.ascii_emulator import AsciiTurntableEmulator
 from hil.drivers.turntable.cia402_driver import Cia402Turntable
 from hil.drivers.turntable.cia402_emulator import Cia402Emulator
+from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, SafetyTrip
 
 SPEED = 2.0
@@ -92,6 +98,43 @@ def _on_wires(
         board.close()
 
 
+@contextmanager
+def _behind_the_io_process(config: Rails | Turntable) -> Iterator[Backend]:
+    """The loop's side over shared memory; the host's work is done in a thread, the drives are mocks."""
+    clock, stop = WallClock(speed=SPEED), threading.Event()
+    here, there = socket.socketpair()
+    memory = Exchange.create()
+    axes: dict[str, AxisGroup] = {
+        "rails": MockAxes("rails", RAIL_NAMES, RIG.rails),
+        "turntable": MockAxes("turntable", GIMBAL_NAMES, RIG.turntable),
+    }
+    host = DeviceHost(axes, MockVmu(RIG.vmu, lambda t_s: None), memory, there, clock)
+    host.start()
+    thread = threading.Thread(target=host.run, args=(stop,))
+    thread.start()
+    requests = Requests(here)
+    link = IoLink(memory, requests, clock, lambda: "")
+    device = RemoteAxes("rails" if isinstance(config, Rails) else "turntable", config, link)
+    try:
+        yield Backend(device, clock.now_s, lambda s: _pass(device, clock, s), *_travel(config))
+    finally:
+        device.close()
+        stop.set()
+        thread.join(5.0)
+        host.close()
+        requests.close()
+        memory.close()
+
+
+def _pass(device: RemoteAxes, clock: WallClock, seconds: float) -> None:
+    """Let time pass as a loop does: with a look at the device in each cycle."""
+    end_s = clock.now_s() + seconds
+    while clock.now_s() < end_s:
+        with suppress(DeviceError):
+            device.read(clock.now_s())
+        clock.sleep_until(min(end_s, clock.now_s() + 0.02))
+
+
 def _wire_rails(addresses: dict[str, str]) -> Rails:
     axes = {name: ModbusAxis(port=int(addresses[f"rails.{name}"].rpartition(":")[2])) for name in RAIL_NAMES}
     return RIG.rails.model_copy(update={"modbus": Modbus(**axes)})
@@ -110,6 +153,8 @@ BACKENDS: dict[str, Callable[[], Any]] = {
     "rails-modbus": lambda: _on_wires(RIG.rails, RailsEmulator, _wire_rails, ModbusRails),
     "turntable-mock": lambda: _mock(RIG.turntable),
     "turntable-cia402": lambda: _on_wires(RIG.turntable, Cia402Emulator, _wire_can, Cia402Turntable),
+    "rails-remote": lambda: _behind_the_io_process(RIG.rails),
+    "turntable-remote": lambda: _behind_the_io_process(RIG.turntable),
     "turntable-ascii": lambda: _on_wires(RIG.turntable, AsciiTurntableEmulator, _wire_ascii, AsciiTurntable),
 }
 

@@ -1,0 +1,187 @@
+"""The loop's side of devices that the I/O process serves: AxisGroup and PoseSource over shared memory."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+
+import numpy as np
+
+from hil.clock import Clock
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Turntable, Vmu
+from hil.drivers.axes import ServoAxes
+from hil.drivers.base import accepted_setpoint, full_names
+from hil.drivers.remote import cells
+from hil.drivers.remote.cells import Exchange
+from hil.drivers.remote.requests import Requests
+from hil.errors import DeviceError, LinkLost, LinkTimeout
+from hil.messages import Array, AxisFeedback, PoseFrame
+
+SILENCE_MAX_S = 0.1
+"""Wall time that the I/O process may be silent."""
+
+
+_CLOSE_WALL_S = 1.0
+_LOSSES = ("lost", "retries", "crc_errors", "protocol_errors")
+
+
+class IoLink:
+    """What all devices of one I/O process share: its memory, its requests, and whether it is alive."""
+
+    def __init__(self, exchange: Exchange, requests: Requests, clock: Clock, ended: Callable[[], str]) -> None:
+        self.exchange = exchange
+        self.requests = requests
+        self.clock = clock
+        self._ended = ended
+        self._heartbeat = np.zeros(1, cells.HEARTBEAT)
+
+    def beat(self, now_s: float, watched: bool) -> None:
+        """Tell that the loop is alive; watched: silence from now on means that it is not."""
+        self._heartbeat["watched"] = watched
+        self.exchange.block["loop"].write(self._heartbeat, now_s)
+
+    def check(self, device: str, now_s: float) -> None:
+        """Raise LinkLost, in the name of ``device``, when the I/O process has ended or is silent."""
+        if ended := self._ended():
+            raise LinkLost(device, f"I/O process {ended}")
+        _, beat_s = self.exchange.block["io"].read(self._heartbeat)
+        age_s = (now_s - beat_s) / self.clock.speed
+        if age_s > SILENCE_MAX_S:
+            raise LinkLost(device, f"I/O process has been silent for {age_s:.3f} s, allowed {SILENCE_MAX_S:g} s")
+
+
+class _RemoteDevice:
+    """What axes and pose sources have in common."""
+
+    def __init__(self, name: str, link: IoLink) -> None:
+        self.name = name
+        self._link = link
+        self._block = link.exchange.block
+        self._failure = self._block[f"{name}.failure"]
+        self._failures_before = 0
+        self._record = np.zeros(1, cells.FAILURE)
+        self._is_open = False
+
+    def _open(self, now_s: float) -> None:
+        self._failures_before = self._failure.read(self._record)[0]
+        answer = self._link.requests.ask("open", self.name)
+        if "failure" in answer:
+            kind, device, what = answer["failure"]
+            self._record[0] = (kind.encode(), device.encode(), what.encode())
+            raise cells.failure_of(self._record)
+        self._is_open = True
+
+    def _check(self, now_s: float) -> None:
+        if not self._is_open:
+            raise LinkLost(self.name, "is not open")
+        if self._failure.read(self._record)[0] > self._failures_before:
+            raise cells.failure_of(self._record)
+        self._link.check(self.name, now_s)
+
+    def counters(self) -> dict[str, int]:
+        """Return what the driver counted since ``open``, some 0.1 s old."""
+        record = np.zeros(1, cells.COUNTERS)
+        self._block[f"{self.name}.counters"].read(record)
+        return cells.counters_of(record)
+
+    def lost_packets(self) -> int:
+        """Return how many packets the driver counted as lost or damaged since ``open``."""
+        counted = self.counters()
+        return sum(counted.get(name, 0) for name in _LOSSES)
+
+    def close(self) -> None:
+        """Let the I/O process close the device. Idempotent, never raises."""
+        if not self._is_open:
+            return
+        self._is_open = False
+        with contextlib.suppress(DeviceError):
+            self._link.check(self.name, self._link.clock.now_s())
+            self._link.requests.ask("close", self.name, _CLOSE_WALL_S)
+
+
+class RemoteAxes(_RemoteDevice):
+    """Rails or turntable behind the I/O process. ``read`` is the loop's sign of life: call it in every cycle.
+
+    When the signs cease, the I/O process stops the axes by itself.
+    """
+
+    def __init__(self, name: str, config: Rails | Turntable, link: IoLink) -> None:
+        super().__init__(name, link)
+        short = RAIL_NAMES if isinstance(config, Rails) else GIMBAL_NAMES
+        self.axis_names = full_names(name, short)
+        axes = ServoAxes(config)
+        self._low, self._high, self._rate_max = axes.low, axes.high, axes.rate_max
+        self._timeout_s = config.timeout_s
+        self._setpoint = np.zeros(1, cells.SETPOINT)
+        self._feedback = np.zeros(1, cells.FEEDBACK)
+        self._stop = np.zeros(1, cells.STOP)
+        self._feedback_before = 0
+        self._stopped = False
+
+    def open(self, now_s: float) -> None:
+        """Let the I/O process open the device; the axes hold where they stand. Raises DeviceError."""
+        self.close()
+        self._link.beat(now_s, watched=False)
+        self._feedback_before = self._block[f"{self.name}.feedback"].read(self._feedback)[0]
+        self._stopped = False
+        self._open(now_s)
+
+    def home(self, now_s: float) -> None:
+        """Start homing in the I/O process. Raises DeviceError."""
+        self._check(now_s)
+        self._link.requests.ask("home", self.name)
+
+    def send(self, position: Array, rate: Array, now_s: float) -> Array:
+        """Hand over the newest setpoint; return the accepted position, or where a stopped device stands."""
+        self._check(now_s)
+        accepted = accepted_setpoint(self.axis_names, position, self._low, self._high)
+        wanted_rate = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
+        if self._stopped:
+            return np.array(self._feedback["position"][0])
+        self._setpoint["position"] = accepted
+        self._setpoint["rate"] = np.where(accepted == position, wanted_rate, 0.0)
+        self._block[f"{self.name}.setpoint"].write(self._setpoint, now_s)
+        self._link.exchange.rouse()
+        return accepted
+
+    def read(self, now_s: float) -> AxisFeedback:
+        """Return the newest feedback. Raises LinkTimeout when it is older than ``timeout_s``."""
+        self._check(now_s)
+        self._link.beat(now_s, watched=not self._stopped)
+        number, _ = self._block[f"{self.name}.feedback"].read(self._feedback)
+        if number <= self._feedback_before:
+            raise LinkTimeout(self.name, "has not answered yet")
+        feedback = cells.read_feedback(self._feedback)
+        age_s = now_s - feedback.t_s
+        if age_s > self._timeout_s:
+            raise LinkTimeout(self.name, f"no answer for {age_s:.3f} s, allowed {self._timeout_s:g} s")
+        return feedback
+
+    def stop(self, now_s: float) -> None:
+        """Order the quick stop through the shared memory, so that it takes no time; idempotent, never raises."""
+        if self._stopped or not self._is_open:
+            return
+        self._stopped = True
+        self._link.beat(now_s, watched=False)
+        self._stop["number"] += 1
+        self._block[f"{self.name}.stop"].write(self._stop, now_s)
+        self._link.exchange.rouse()
+
+
+class RemotePoses(_RemoteDevice):
+    """The vision unit behind the I/O process."""
+
+    def __init__(self, config: Vmu, link: IoLink) -> None:
+        super().__init__("vmu", link)
+        self._frames = link.exchange.frames.reader(from_now=True)
+
+    def open(self, now_s: float) -> None:
+        """Let the I/O process open the unit. Raises DeviceError."""
+        self.close()
+        self._frames = self._link.exchange.frames.reader(from_now=True)
+        self._open(now_s)
+
+    def poll(self, now_s: float) -> list[PoseFrame]:
+        """Return the frames that came since the last call, oldest first. Raises DeviceError."""
+        self._check(now_s)
+        return [cells.read_frame(record) for record in self._frames.take()]

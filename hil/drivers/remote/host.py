@@ -1,0 +1,137 @@
+"""What every process that serves devices for the loop does: answers requests, keeps a beat, tells failures."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import socket
+import threading
+from collections.abc import Mapping
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from hil.clock import WallClock
+from hil.drivers.remote import cells
+from hil.drivers.remote.cells import Exchange
+from hil.errors import BenchError
+
+_PERIOD_WALL_S: Final = 0.001
+_COUNTERS_EVERY: Final = 100  # periods
+
+
+class Device(Protocol):
+    """What is common to everything that can be served."""
+
+    def open(self, now_s: float) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Host:
+    """Serves ``devices`` by name from ``run`` until it is told to stop; then all are closed.
+
+    beat: name of the cell of this process' heartbeat. wake: descriptor of the eventfd that rouses it. Subclasses
+    say in ``serve`` what is done in each period.
+    """
+
+    faults = None
+
+    def __init__(
+        self,
+        devices: Mapping[str, Device],
+        exchange: Exchange,
+        requests: socket.socket,
+        clock: WallClock,
+        beat: str,
+        wake: int,
+    ) -> None:
+        self.exchange = exchange
+        self.clock = clock
+        self.served: set[str] = set()
+        self._devices = devices
+        self._requests = requests
+        self._beat = exchange.block[beat]
+        self._wake = wake
+        self._heartbeat = np.zeros(1, cells.HEARTBEAT)
+        self._heard = np.zeros(1, cells.HEARTBEAT)
+
+    def start(self) -> dict[str, str]:
+        """Begin to answer; nothing is opened before the loop asks for it."""
+        self._beat.write(self._heartbeat, self.clock.now_s())
+        threading.Thread(target=self._answer, name="requests", daemon=True).start()
+        return {}
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve until ``stop`` is set."""
+        periods = 0
+        while not stop.is_set():
+            ready, _, _ = select.select([self._wake], [], [], _PERIOD_WALL_S)
+            if ready:
+                with contextlib.suppress(BlockingIOError):
+                    os.eventfd_read(self._wake)
+            now_s = self.clock.now_s()
+            self._beat.write(self._heartbeat, now_s)
+            self.serve(now_s)
+            periods += 1
+            if periods % _COUNTERS_EVERY == 0:
+                for name in tuple(self.served):
+                    self._tell_counters(name, now_s)
+
+    def close(self) -> None:
+        """Let go of all devices."""
+        for device in self._devices.values():
+            device.close()
+
+    def serve(self, now_s: float) -> None:
+        """Do a period's work."""
+        raise NotImplementedError
+
+    def begin(self, name: str) -> None:
+        """Do what is due when a device has been opened, before the loop is told."""
+
+    def silent_s(self, cell: str, now_s: float) -> float:
+        """Return for how long, s of wall time, a process that is to be heard has been silent; 0 where it may be."""
+        _, heard_s = self.exchange.block[cell].read(self._heard)
+        return (now_s - heard_s) / self.clock.speed if self._heard["watched"][0] else 0.0
+
+    def fail(self, name: str, error: BenchError, now_s: float) -> None:
+        """Tell the loop, once; the device is not asked any more until it is opened again."""
+        self.served.discard(name)
+        self.exchange.block[f"{name}.failure"].write(cells.failure_record(error, name), now_s)
+
+    def _tell_counters(self, name: str, now_s: float) -> None:
+        count = getattr(self._devices[name], "counters", None)
+        if count is not None:
+            self.exchange.block[f"{name}.counters"].write(cells.counters_record(count()), now_s)
+
+    def _answer(self) -> None:
+        """Answer requests one after the other; the end of the socket ends it."""
+        with self._requests, self._requests.makefile("rwb") as lines:
+            for line in lines:
+                request = json.loads(line)
+                answer = self._do(request["do"], request["device"])
+                with contextlib.suppress(OSError):
+                    lines.write(json.dumps(answer).encode() + b"\n")
+                    lines.flush()
+
+    def _do(self, do: str, name: str) -> dict[str, Any]:
+        device, now_s = self._devices[name], self.clock.now_s()
+        try:
+            if do == "open":
+                self.served.discard(name)
+                device.open(now_s)
+                self.begin(name)
+                self.served.add(name)
+            elif do == "close":
+                self.served.discard(name)
+                self._tell_counters(name, now_s)
+                device.close()
+            elif do == "home":
+                device.home(now_s)  # type: ignore[attr-defined]
+        except BenchError as error:
+            record = cells.failure_record(error, name)
+            return {"failure": [field.decode(errors="replace") for field in record[0]]}
+        return {}

@@ -1,0 +1,266 @@
+"""The I/O process: what passes through shared memory, and what happens when either side falls silent."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from hil.clock import WallClock
+from hil.config.load import load_rig
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES
+from hil.device_host import LOOP_SILENCE_MAX_S, DeviceHost, IoProcess
+from hil.drivers.axes import ServoAxes
+from hil.drivers.mock_axes import MockAxes
+from hil.drivers.remote.cells import SETPOINT, Exchange
+from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses
+from hil.drivers.remote.requests import Requests
+from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError
+from hil.messages import AxisFeedback, Homing, PoseFrame
+
+WIRES = (
+    "rig.turntable.cia402.channel=nowhere",
+    "rig.vmu.rs422.port=nowhere",
+    *(f"rig.rails.modbus.{axis}.port=9" for axis in RAIL_NAMES),
+)
+RIG = load_rig("emulated", WIRES).value
+
+
+def setpoint(position: np.ndarray) -> np.ndarray:
+    record = np.zeros(1, SETPOINT)
+    record["position"] = position
+    return record
+
+
+class ScriptedVmu:
+    """A pose source that hands out what it is given."""
+
+    name = "vmu"
+
+    def __init__(self) -> None:
+        self.frames: list[PoseFrame] = []
+        self.error: BenchError | None = None
+
+    def open(self, now_s: float) -> None:
+        if self.error:
+            raise self.error
+
+    def poll(self, now_s: float) -> list[PoseFrame]:
+        if self.error:
+            raise self.error
+        frames, self.frames = self.frames, []
+        return frames
+
+    def counters(self) -> dict[str, int]:
+        return {"frames": 7, "crc_errors": 2}
+
+    def close(self) -> None:
+        pass
+
+
+class StoppableAxes(MockAxes):
+    """Mock axes that count how often they were stopped."""
+
+    stops = 0
+
+    def stop(self, now_s: float) -> None:
+        self.stops += 1
+        super().stop(now_s)
+
+
+@dataclass
+class Sides:
+    """A host at work in a thread, and the loop's side of its devices."""
+
+    clock: WallClock
+    axes: dict[str, StoppableAxes]
+    unit: ScriptedVmu
+    rails: RemoteAxes
+    turntable: RemoteAxes
+    vmu: RemotePoses
+    ended: list[str] = field(default_factory=list)
+
+    def wait_until(self, reached: Callable[[], bool], alive: bool = True, limit_s: float = 5.0) -> bool:
+        """Wait until ``reached``; alive: show the host signs of life meanwhile."""
+        end_s = time.monotonic() + limit_s
+        while time.monotonic() < end_s:
+            if reached():
+                return True
+            if alive:
+                self.rails.read(self.clock.now_s())
+            time.sleep(0.005)
+        return False
+
+
+@pytest.fixture
+def sides() -> Iterator[Sides]:
+    ServoAxes(RIG.rails).step(0.0)  # compiles
+    clock, stop = WallClock(), threading.Event()
+    here, there = socket.socketpair()
+    memory = Exchange.create()
+    axes = {
+        "rails": StoppableAxes("rails", RAIL_NAMES, RIG.rails),
+        "turntable": StoppableAxes("turntable", GIMBAL_NAMES, RIG.turntable),
+    }
+    unit = ScriptedVmu()
+    host = DeviceHost(dict(axes), unit, memory, there, clock)
+    host.start()
+    thread = threading.Thread(target=host.run, args=(stop,))
+    thread.start()
+    requests, ended = Requests(here), list[str]()
+    link = IoLink(memory, requests, clock, lambda: ended[0] if ended else "")
+    rails, turntable = RemoteAxes("rails", RIG.rails, link), RemoteAxes("turntable", RIG.turntable, link)
+    made = Sides(clock, axes, unit, rails, turntable, RemotePoses(RIG.vmu, link), ended)
+    try:
+        yield made
+    finally:
+        for device in (rails, turntable, made.vmu):
+            device.close()
+        stop.set()
+        thread.join(5.0)
+        host.close()
+        requests.close()
+        memory.close()
+
+
+def test_feedback_arrives_with_homing_and_switches(sides: Sides) -> None:
+    sides.rails.open(sides.clock.now_s())
+    told = AxisFeedback(
+        0.0, np.array([1.0, 2.0, 3.0]), np.zeros(3), (Homing.DONE, Homing.FAILED, Homing.NEEDED), (0, 1, -1)
+    )
+
+    def read(now_s: float) -> AxisFeedback:
+        return AxisFeedback(now_s, told.position, told.rate, told.homing, told.limit)
+
+    sides.axes["rails"].read = read  # type: ignore[method-assign]
+    assert sides.wait_until(lambda: sides.rails.read(sides.clock.now_s()).limit == (0, 1, -1))
+    found = sides.rails.read(sides.clock.now_s())
+    assert found.homing == told.homing
+    assert np.array_equal(found.position, told.position)
+
+
+def test_frames_arrive_whole_and_once(sides: Sides) -> None:
+    sides.vmu.open(sides.clock.now_s())
+    frame = PoseFrame(
+        5, 1.25, 1.3, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.6, 0.8]), np.arange(36.0).reshape(6, 6), 63, 31
+    )
+    sides.unit.frames = [frame]
+    found: list[PoseFrame] = []
+    sides.wait_until(lambda: bool(found.extend(sides.vmu.poll(sides.clock.now_s())) or found), alive=False)
+    (arrived,) = found
+    for name in ("counter", "t_s", "received_s", "leds_left", "leds_right"):
+        assert getattr(arrived, name) == getattr(frame, name)
+    for name in ("t_v", "q_vt", "covariance"):
+        assert np.array_equal(getattr(arrived, name), getattr(frame, name))
+    assert sides.wait_until(lambda: sides.vmu.counters() == {"frames": 7, "crc_errors": 2}, alive=False)
+
+
+@pytest.mark.parametrize("kind", [LinkLost, LinkTimeout, ProtocolError, DriveFault])
+def test_errors_arrive_as_what_they_are(sides: Sides, kind: type[BenchError]) -> None:
+    sides.rails.open(sides.clock.now_s())
+    sides.axes["rails"].fail(kind("rails.y", "smells of smoke"))  # type: ignore[call-arg, arg-type]
+
+    with pytest.raises(kind, match=r"rails\.y: smells of smoke"):
+        sides.wait_until(lambda: False)
+
+
+def test_an_error_at_opening_is_told_there(sides: Sides) -> None:
+    sides.unit.error = LinkLost("vmu", "cannot open /dev/null")
+    with pytest.raises(LinkLost, match="vmu: cannot open /dev/null"):
+        sides.vmu.open(sides.clock.now_s())
+    with pytest.raises(LinkLost, match="vmu: is not open"):
+        sides.vmu.poll(sides.clock.now_s())
+    sides.unit.error = None
+    sides.vmu.open(sides.clock.now_s())
+    assert sides.vmu.poll(sides.clock.now_s()) == []
+
+
+def test_axes_are_stopped_when_the_loop_falls_silent(sides: Sides) -> None:
+    for device in (sides.rails, sides.turntable):
+        device.open(sides.clock.now_s())
+    assert sides.wait_until(lambda: sides.clock.now_s() > 3.0 * LOOP_SILENCE_MAX_S)
+    assert [device.stops for device in sides.axes.values()] == [0, 0]
+    assert sides.wait_until(lambda: all(device.stops for device in sides.axes.values()), alive=False)
+    with pytest.raises(LinkLost, match="rails: stopped: the loop has been silent for"):
+        sides.rails.read(sides.clock.now_s())
+
+
+def test_silence_before_the_first_cycle_and_after_a_stop_is_no_fault(sides: Sides) -> None:
+    for device in (sides.rails, sides.turntable):
+        device.open(sides.clock.now_s())
+    time.sleep(3.0 * LOOP_SILENCE_MAX_S)
+    assert sides.axes["rails"].stops == 0
+    sides.rails.read(sides.clock.now_s())
+    sides.rails.stop(sides.clock.now_s())
+    assert sides.wait_until(lambda: sides.axes["rails"].stops == 1, alive=False)
+    time.sleep(3.0 * LOOP_SILENCE_MAX_S)
+    assert [device.stops for device in sides.axes.values()] == [1, 0]
+
+
+def test_setpoints_from_before_an_opening_are_left_out(sides: Sides) -> None:
+    rails = sides.rails
+    rails.open(sides.clock.now_s())
+    started = rails.read(sides.clock.now_s()).position
+    rails.stop(sides.clock.now_s())
+    sides.rails._block["rails.setpoint"].write(setpoint(started + 0.4), 0.0)
+    rails.close()
+    rails.open(sides.clock.now_s())
+    until_s = sides.clock.now_s() + 0.3
+    assert sides.wait_until(lambda: sides.clock.now_s() > until_s)
+    assert np.abs(rails.read(sides.clock.now_s()).position - started).max() < 1e-4
+
+
+def test_an_ended_io_process_is_told_of_at_once(sides: Sides) -> None:
+    sides.rails.open(sides.clock.now_s())
+    sides.ended.append("was ended by SIGKILL")
+    with pytest.raises(LinkLost, match="rails: I/O process was ended by SIGKILL"):
+        sides.rails.read(sides.clock.now_s())
+
+
+PARENT = f"""
+import sys, time
+from hil.clock import WallClock
+from hil.config.load import load_rig
+from hil.device_host import IoProcess
+io = IoProcess(load_rig("emulated", {WIRES!r}).value, WallClock())
+io.wait_ready()
+print(io.pid, flush=True)
+time.sleep(60)
+"""
+
+
+def test_the_io_process_ends_with_its_parent() -> None:
+    with subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        parent.kill()
+    end_s = time.monotonic() + 5.0
+    while time.monotonic() < end_s and _lives(pid):
+        time.sleep(0.01)
+    assert not _lives(pid)
+
+
+def test_a_killed_io_process_is_missed() -> None:
+    with IoProcess(RIG, WallClock()) as io:
+        io.wait_ready()
+        rails, _, _ = io.devices()
+        os.kill(io.pid, signal.SIGKILL)
+        with pytest.raises(LinkLost, match="rails: I/O process is gone"):
+            rails.open(0.0)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat", encoding="ascii") as stat:
+            return stat.read().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
