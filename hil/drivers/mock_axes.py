@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -15,7 +16,6 @@ from hil.messages import Array, AxisFeedback, Homing
 HOMED: Final = (Homing.DONE, Homing.DONE, Homing.DONE)
 CLEAR: Final = (0, 0, 0)
 _BRAKE_STEP_S: Final = 0.002
-_SHARE_OF_RATE_TO_HOME: Final = 0.25
 _AT_SWITCH: Final = 1e-4  # m or rad
 _NOWHERE_LOW: Final = np.full(3, -np.finfo(float).max)
 _NOWHERE_HIGH: Final = np.full(3, np.finfo(float).max)
@@ -28,13 +28,16 @@ class MockAxes:
     when they are asked, up to the time that they are given; time that runs backwards moves nothing.
 
     An axis with ``encoder = "incremental"`` counts from where it stood when its drive was switched on.
-    ``home`` lets all that need it creep to the low end of their travel, where the home switch is.
+    ``home`` lets all that need it creep to their home switches.
     """
 
     def __init__(self, name: str, short_names: tuple[str, str, str], config: Rails | Turntable) -> None:
         self.name = name
         self.axis_names = full_names(name, short_names)
         self._axes = ServoAxes(config)
+        scale = 1.0 if isinstance(config, Rails) else math.pi / 180.0
+        self._home = [scale * getattr(config, short).home for short in short_names]
+        self._homing_rate = [scale * getattr(config, short).homing_rate for short in short_names]
         self._incremental = [getattr(config, short).encoder == "incremental" for short in short_names]
         self._homing = HOMED
         self._counted_from: Array = np.zeros(3)  # where an encoder that has not been homed has its zero
@@ -116,7 +119,7 @@ class MockAxes:
         self._limit = (limit[0], limit[1], limit[2])
 
     def hide_home_switch(self, axis: int) -> None:
-        """Let homing of ``axis`` fail when it gets to the end of the rail."""
+        """Let homing of ``axis`` fail when it gets to where its switch should be."""
         self._blind.add(axis)
 
     def _check(self) -> None:
@@ -154,15 +157,15 @@ class MockAxes:
             left_s -= _BRAKE_STEP_S
 
     def _creep_home(self, dt_s: float) -> None:
-        """Let the axes under way go on towards the low end; those that are there know their places now."""
+        """Let the axes under way go on towards their home switches; those that are there know their places now."""
         axes = self._axes
         arrived: dict[int, Homing] = {}
         for axis, state in enumerate(self._homing):
             if state != Homing.UNDER_WAY:
                 continue
-            if axes.position[axis] - axes.low[axis] > _AT_SWITCH:
-                creep = _SHARE_OF_RATE_TO_HOME * axes.rate_max[axis]
-                axes.setpoint[axis] = max(axes.low[axis], axes.setpoint[axis] - creep * dt_s)
+            way = self._home[axis] - axes.setpoint[axis]
+            if abs(self._home[axis] - axes.position[axis]) > _AT_SWITCH:
+                axes.setpoint[axis] += math.copysign(min(abs(way), self._homing_rate[axis] * dt_s), way)
                 axes.feedforward[axis] = 0.0
             elif axis in self._blind:
                 arrived[axis] = Homing.FAILED
