@@ -34,7 +34,7 @@ class Slots:
         """How many records were written since the memory was made."""
         return self._counter[0]
 
-    def put(self, whole: bytes) -> None:
+    def put(self, whole: bytes | memoryview) -> None:
         """Write the next record, all ``size`` bytes of it. One writer only; never waits."""
         number = self._counter[0]
         start = number % self.slots * self.size
