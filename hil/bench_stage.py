@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.bench import kinematics, stopping
 from hil.drivers.base import AxisGroup, Jogs
+from hil.errors import DeviceError
 from hil.maths.profile import along_line, duration
 from hil.messages import AXES, Array, AxisFeedback, new
 from hil.safety.supervisor import Supervisor
@@ -47,7 +48,11 @@ class Bench:
         self.limited_cycles = 0
 
     def open(self, now_s: float) -> None:
-        """Open both devices; they hold where they stand."""
+        """Open both devices; they hold where they stand. Raises SafetyTrip while the emergency stop holds."""
+        self.look_at_emergency_input(now_s)
+        alarm = self.supervisor.refuse_open(now_s)
+        if alarm is not None:
+            raise alarm.trip()
         self.rails.open(now_s)
         self.turntable.open(now_s)
 
@@ -61,9 +66,17 @@ class Bench:
         kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, feedback)
 
     def look_at_emergency_input(self, now_s: float) -> None:
-        """Tell the supervisor the levels of the emergency stop and of its reset, where the bench has them."""
-        if self.emergency_input is not None:
+        """Tell the supervisor the levels of the emergency stop and of its reset, where the bench has them.
+
+        Raises DeviceError where they cannot be read, which counts as pressed.
+        """
+        if self.emergency_input is None:
+            return
+        try:
             self.supervisor.estop.see(*self.emergency_input(now_s))
+        except DeviceError:
+            self.supervisor.estop.see(None)
+            raise
 
     def check(self, now_s: float, feedback: np.record) -> None:
         """Let the supervisor look at what ``read`` found; raise SafetyTrip where it says stop."""

@@ -19,6 +19,7 @@ from hil.rate import Rate, Tick
 from hil.safety.supervisor import HOMED
 
 WATCH_CYCLES: Final = 50
+_LINKS_EVERY_S: Final = 0.1
 _SETTLE_S: Final = 3.0  # after placing, until the axes stand where they should
 _SETTLED_M: Final = 0.001
 _SETTLED_RAD: Final = 0.001
@@ -42,14 +43,24 @@ class Handling:
         self.supervisor = loop.bench.supervisor
         self.modes = self.supervisor.modes
         self.ticks = 0
+        self.links_each = max(1, round(_LINKS_EVERY_S / step_s))
+        """Cycles from one look at the links to the next."""
 
     def tick(self) -> Tick:
-        """Wait for the next cycle, read the axes, and let the supervisor look."""
+        """Wait for the next cycle, read the axes, and let the supervisor look at them and at the links."""
         tick = self._late_cycles.wait(self._rate)
         self.ticks += 1
         self.loop.bench.read(tick.now_s, self.loop.now.feedback)
         self.loop.bench.check(tick.now_s, self.loop.now.feedback)
+        if self.ticks % self.links_each == 0:
+            self.look_at_links(tick.now_s)
         return tick
+
+    def look_at_links(self, now_s: float) -> None:
+        """Raise SafetyTrip where a device has lost too many packets lately."""
+        alarm = self.supervisor.look_at_links(now_s)
+        if alarm is not None:
+            raise alarm.trip()
 
     def home(self) -> None:
         """Let the axes that do not know their places find them; one failure stops all."""

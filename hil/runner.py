@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.cycle import Loop, run_cycle
 from hil.drivers.base import PoseSource
-from hil.errors import BenchError, SafetyTrip
+from hil.errors import BenchError, DeviceError, SafetyTrip
 from hil.handling import WATCH_CYCLES, Handling, Watch
 from hil.late_cycles import LateCycles
 from hil.messages import Event
@@ -27,7 +27,6 @@ from hil.safety.alarms import Alarm, alarm_of
 
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
-_LINKS_EVERY_S: Final = 0.1
 _PAUSE_S: Final = 0.001
 
 
@@ -78,7 +77,6 @@ class Runner:
         self._rate = rate
         self._step_s = step_s
         self._cycles = cycles
-        self._links_each = max(1, round(_LINKS_EVERY_S / step_s))
         self._frames_to_arm = frames_to_arm
         self._watch = watch
         self._modes = self.supervisor.modes
@@ -95,7 +93,9 @@ class Runner:
         """Run to the end, to a fault, or to Ctrl-C; the bench stands still whatever happened."""
         with _no_garbage_collection(first=self._rate.on_the_wall):
             stop = self._run()
-        self._modes.go(Mode.SAFE_STOP if self._faults else Mode.STANDBY)
+        end = Mode.SAFE_STOP if self._faults else Mode.STANDBY
+        if self._modes.mode is not end:
+            self._modes.go(end)
         events = sorted([*self.loop.gnc.events(), *self._events], key=lambda event: event.t_s)
         return Outcome(
             history=self.loop.history[: self._done],
@@ -151,10 +151,8 @@ class Runner:
     def _stand_by(self) -> None:
         """Let one supervised cycle pass in which nothing moves."""
         tick = self._handling.tick()
-        if self._modes.mode is Mode.ARMED:
-            self.source.poll(tick.now_s)
+        self.source.poll(tick.now_s)
         if self._handling.ticks % self.WATCH_CYCLES == 0:
-            self._look_at_links(tick.now_s)
             self._watch(self._modes.mode, 0.0)
 
     def _obey(self, order: Order) -> None:
@@ -193,8 +191,8 @@ class Runner:
             self._done = k + 1
             if k % self.WATCH_CYCLES == 0:
                 self._watch(Mode.RUNNING, k / self._cycles)
-            if k % self._links_each == 0:
-                self._look_at_links(tick.now_s)
+            if k % self._handling.links_each == 0:
+                self._handling.look_at_links(tick.now_s)
             if self.operator.waiting or self.supervisor.hold_reason:
                 held_s += self._obey_while_running(k * self._step_s)
         self.loop.gnc.finish((self._cycles - 1) * self._step_s, self.loop.now.supervision)
@@ -224,11 +222,6 @@ class Runner:
         self._events.append(Event(t_s, "bench", f"resumed after {held_s:.2f} s"))
         return held_s
 
-    def _look_at_links(self, now_s: float) -> None:
-        alarm = self.supervisor.look_at_links(now_s)
-        if alarm is not None:
-            raise alarm.trip()
-
     def _safe_stop(self, fault: BenchError) -> None:
         """Stop the bench, remember why, and give no order by itself any more."""
         with _ctrl_c_held_back():
@@ -248,7 +241,8 @@ class Runner:
             return False
         while True:
             tick = self._rate.wait()
-            self.loop.bench.look_at_emergency_input(tick.now_s)
+            with suppress(DeviceError):  # counts as pressed
+                self.loop.bench.look_at_emergency_input(tick.now_s)
             order = self.operator.take(Mode.SAFE_STOP)
             if order is Order.STOP:
                 raise OrderedToStop

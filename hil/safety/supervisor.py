@@ -116,6 +116,10 @@ class Supervisor:
                 return self._breached(now_s, breach)
         return None
 
+    def refuse_open(self, now_s: float) -> Alarm | None:
+        """Return why no drive may be enabled, None where they may."""
+        return self._emergency_stop(now_s) if self.estop.latched else None
+
     def refuse_motion(
         self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback, feedback: np.record
     ) -> Alarm | None:

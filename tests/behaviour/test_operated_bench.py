@@ -35,7 +35,7 @@ def step_ratios(session: Session) -> tuple[float, float]:
 
 def test_plan_goes_through_all_modes_by_itself() -> None:
     outcome, session = operate(idle, attended=False)
-    assert session.seen_modes == [Mode.STANDBY, Mode.RUNNING]  # the mock stands at the start pose
+    assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.RUNNING]  # the mock stands at the start pose
     assert outcome.stop == "completed"
     assert outcome.mode is Mode.STANDBY
     assert outcome.alarms == []
@@ -44,7 +44,7 @@ def test_plan_goes_through_all_modes_by_itself() -> None:
 def test_incremental_axes_are_homed_then_placed_and_nothing_jumps() -> None:
     settings = ('rig.rails.y.encoder="incremental"', 'rig.turntable.yaw.encoder="incremental"')
     outcome, session = operate(idle, *settings, attended=False)
-    assert session.seen_modes == [Mode.STANDBY, Mode.HOMING, Mode.STANDBY, Mode.PLACING, Mode.RUNNING]
+    assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.HOMING, Mode.STANDBY, Mode.PLACING, Mode.RUNNING]
     assert outcome.stop == "completed"
     speed, acceleration = step_ratios(session)
     assert speed <= 1.0 + 1e-6
@@ -100,7 +100,7 @@ def test_held_bench_stands_and_the_run_then_completes_with_the_same_verdict() ->
     script = hold_once(Mode.RUNNING, lambda session: session.now_s >= 60.0, 10.0, standing)
     outcome, session = operate(script, duration_s=260.0)
     assert outcome.stop == "completed"
-    assert session.seen_modes == [Mode.STANDBY, Mode.RUNNING, Mode.HOLD, Mode.RUNNING]
+    assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.RUNNING, Mode.HOLD, Mode.RUNNING]
     assert len(standing) > 390
     assert np.abs(standing).max() < 1e-6
     assert len(outcome.history) == 13001  # the run's time stood
@@ -122,7 +122,7 @@ def test_placing_can_be_held_and_goes_on_from_where_it_stood() -> None:
     standing: list[np.ndarray] = []
     script = hold_once(Mode.PLACING, lambda session: float(np.abs(session.rates()).max()) > 0.1, 3.0, standing)
     outcome, session = operate(script, 'rig.rails.y.encoder="incremental"')
-    modes = [Mode.STANDBY, Mode.HOMING, Mode.STANDBY, Mode.PLACING, Mode.HOLD, Mode.PLACING, Mode.RUNNING]
+    modes = [Mode.OFF, Mode.STANDBY, Mode.HOMING, Mode.STANDBY, Mode.PLACING, Mode.HOLD, Mode.PLACING, Mode.RUNNING]
     assert session.seen_modes == modes
     assert outcome.stop == "completed"
     assert np.abs(standing).max() < 1e-6
@@ -155,7 +155,15 @@ def test_emergency_stop_leads_to_standby_after_its_reset_and_never_back_to_runni
         session.order_once(Order.START, session.mode is Mode.ARMED)
 
     outcome, session = operate(script, plan=())
-    assert session.seen_modes == [Mode.STANDBY, Mode.SAFE_STOP, Mode.STANDBY, Mode.ARMED, Mode.RUNNING]
+    assert session.seen_modes == [
+        Mode.OFF,
+        Mode.STANDBY,
+        Mode.SAFE_STOP,
+        Mode.OFF,
+        Mode.STANDBY,
+        Mode.ARMED,
+        Mode.RUNNING,
+    ]
     assert list(session.operator.answers) == [
         "bench: emergency stop pressed, allowed released",
         "bench: cannot arm in safe-stop",
@@ -207,7 +215,7 @@ def jog_script(axis: str, direction: int, press_s: float, end_s: float) -> Scrip
 
 def test_jog_runs_while_the_key_is_held_and_stops_when_it_is_let_go() -> None:
     outcome, session = operate(jog_script("rails.y", 1, 1.0, 4.0), plan=())
-    assert session.seen_modes == [Mode.STANDBY, Mode.JOGGING, Mode.STANDBY]
+    assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.JOGGING, Mode.STANDBY]
     t, setpoints = session.setpoints()
     way = setpoints[:, 1] - setpoints[0, 1]
     assert way[t <= 1.0][-1] == pytest.approx(0.05 * 1.0, abs=0.006)  # a tenth of 0.5 m/s
@@ -229,7 +237,7 @@ def test_axis_that_is_not_homed_may_be_jogged_slowly_and_stops_at_its_switch() -
         session.order_once(Order.STOP, session.now_s > 4.0)
 
     _, session = operate(script, 'rig.rails.y.encoder="incremental"', plan=())
-    assert session.seen_modes == [Mode.STANDBY, Mode.JOGGING]
+    assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.JOGGING]
     t, setpoints = session.setpoints()
     speed = np.diff(setpoints[:, 1]) / STEP_S
     assert speed.max() == pytest.approx(0.02 * 0.5, rel=1e-6)
@@ -239,7 +247,7 @@ def test_axis_that_is_not_homed_may_be_jogged_slowly_and_stops_at_its_switch() -
 def test_jog_of_an_unknown_axis_is_refused_in_words() -> None:
     _, session = operate(jog_script("rails.w", 1, 0.1, 0.5), plan=())
     assert session.operator.answers[0] == "bench: cannot jog rails.w by 1"
-    assert session.seen_modes == [Mode.STANDBY]
+    assert session.seen_modes == [Mode.OFF, Mode.STANDBY]
 
 
 def test_link_that_fails_while_armed_leads_to_standby_by_a_reset_and_can_be_armed_again() -> None:
@@ -251,7 +259,7 @@ def test_link_that_fails_while_armed_leads_to_standby_by_a_reset_and_can_be_arme
             session.order_once(Order.STOP, session.now_s > 1.0)
 
     outcome, session = operate(script, plan=(Order.ARM,))
-    assert session.seen_modes == [Mode.STANDBY, Mode.ARMED, Mode.SAFE_STOP, Mode.STANDBY]
+    assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.SAFE_STOP, Mode.OFF, Mode.STANDBY]
     assert [alarm.text for alarm in outcome.alarms] == ["rails.x: connection closed"]
     assert outcome.stop == "stopped by the operator"
 
@@ -262,3 +270,50 @@ def test_orders_reach_the_approach() -> None:
 
     outcome, _ = operate(script, duration_s=4.0)
     assert outcome.history["supervision"]["aborted"][-1] != 0
+
+
+def test_no_drive_is_enabled_while_the_emergency_stop_is_pressed() -> None:
+    def prepare(session: Session) -> None:
+        session.button = True
+
+    outcome, session = operate(idle, attended=False, prepare=prepare)
+    assert outcome.stop == "bench: emergency stop pressed, allowed released and reset"
+    assert session.seen_modes == [Mode.OFF]
+    assert not session.rails.sent
+
+
+def test_emergency_input_that_cannot_be_read_stops_the_bench_and_counts_as_pressed() -> None:
+    def script(session: Session) -> None:
+        if session.mode is Mode.RUNNING and session.now_s > 1.0:
+            raise LinkLost("inputs", "no answer")
+
+    outcome, session = operate(script, attended=False, duration_s=5.0)
+    assert outcome.stop == "inputs: no answer"
+    assert session.runner.supervisor.estop.latched
+
+
+def test_burst_of_lost_frames_stops_a_run_and_single_ones_do_not() -> None:
+    lost = [0]
+
+    def prepare(session: Session) -> None:
+        source = session.runner.source
+        counted = source.counters
+        source.counters = lambda: counted() | {"lost": lost[0]}  # type: ignore[method-assign]
+
+    def single(session: Session) -> None:
+        lost[0] = int(session.now_s)
+
+    def burst(session: Session) -> None:
+        lost[0] = 11 if session.mode is Mode.RUNNING and session.now_s > 1.0 else 0
+
+    assert operate(single, attended=False, duration_s=20.0, prepare=prepare)[0].stop == "completed"
+    outcome, _ = operate(burst, attended=False, duration_s=5.0, prepare=prepare)
+    assert outcome.stop == "vmu: lost packets 11.0, allowed 10 at once, 1 in 0.32 s"
+    assert len(outcome.history) < 60
+
+
+def test_plan_that_ends_before_the_run_leaves_the_bench_in_standby() -> None:
+    for plan in ((), (Order.HOME,), (Order.HOME, Order.ARM)):
+        outcome, _ = operate(idle, plan=plan, attended=False)
+        assert outcome.mode is Mode.STANDBY
+        assert not outcome.faults
