@@ -16,13 +16,21 @@ from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.cycle import Loop
-from hil.drivers.base import AxisGroup, PoseSource
+from hil.drivers.base import AxisGroup, DiscreteIo, PoseSource
 from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.eye import Eye, transport
-from hil.fitness import approach_problems, axes_at, layout_problems, port_problems, pose_problems
+from hil.fitness import (
+    approach_problems,
+    axes_at,
+    layout_problems,
+    line_problems,
+    port_problems,
+    pose_problems,
+)
 from hil.gnc.watch import FilterWatch
+from hil.io_stage import IoStage
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
 from hil.priority import precedence
@@ -59,6 +67,7 @@ def check(job: Job) -> None:
         *pose_problems(job.scenario, job.rig),
         *approach_problems(job.scenario),
         *port_problems(job.rig),
+        *line_problems(job.scenario, job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
@@ -75,8 +84,8 @@ def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[
     scenario, rig = job.scenario.value, job.rig.value
     if rig.kind == "mock":
         clock = SimulatedClock()
-        rails, turntable, vision = _mocks(scenario, rig, job.seed)
-        yield _assemble(job, rig, SimulatedRate(clock, scenario.step_s), rails, turntable, vision, 0, watch)
+        devices = _mocks(scenario, rig, job.seed)
+        yield _assemble(job, rig, SimulatedRate(clock, scenario.step_s), *devices, 0, watch)
         return
     with precedence() as refused:
         if refused:
@@ -142,6 +151,7 @@ def _assemble(
     rails: AxisGroup,
     turntable: AxisGroup,
     source: PoseSource,
+    io: DiscreteIo | None,
     frames_to_arm: int,
     watch: Watch,
 ) -> Runner:
@@ -169,6 +179,8 @@ def _assemble(
         ),
         history=np.zeros(job.cycles, CYCLE),
     )
+    if io is not None and rig.io is not None:
+        loop.lines = IoStage(io, loop.now.command.on[: rig.io.thruster_lines])
     loop.now.row["truth"] = parameters.initial_truth(scenario)
     _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
     return Runner(loop, rate, scenario.step_s, job.cycles, frames_to_arm, watch)
@@ -199,8 +211,9 @@ def _draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> N
     imu.bias_C = np.array(scenario.imu.accelerometer_bias_mps2) + bias_sigma * draws[3:]
 
 
-def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGroup, PoseSource]:
-    """Return mocks of the three devices; the axes stand at the start pose from the beginning."""
+def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None]:
+    """Return mocks of the devices; the axes stand at the start pose from the beginning."""
+    from hil.drivers.io.mock import MockIo
     from hil.drivers.mock_axes import MockAxes
     from hil.drivers.vmu.mock import MockVmu
 
@@ -224,11 +237,13 @@ def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGrou
     def pose_at(t_s: float) -> PoseFrame:
         return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
 
-    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed))
+    io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
+    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io
 
 
-def _drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:
+def _drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None]:
     """Return the drivers of a rig with wires."""
+    from hil.drivers.io.driver import ModbusIo
     from hil.drivers.rails.driver import ModbusRails
     from hil.drivers.vmu.driver import Rs422Vmu
 
@@ -241,7 +256,8 @@ def _drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSour
         from hil.drivers.turntable.cia402_driver import Cia402Turntable
 
         turntable = Cia402Turntable(rig.turntable, clock)
-    return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock)
+    io = ModbusIo(rig.io, clock) if rig.io is not None and rig.has_io else None
+    return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock), io
 
 
 def _start_axes(scenario: Scenario, rig: Rig) -> np.record:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.io_stage import NoLines, SafetyLines
 from hil.messages import CYCLE
 from hil.stages import Bench, Dss, Gnc, Vision
 
@@ -48,6 +49,7 @@ class Loop:
     vision: Vision
     gnc: Gnc
     history: np.ndarray
+    lines: SafetyLines = field(default_factory=NoLines)
     now: Blackboard = field(default_factory=Blackboard)
 
 
@@ -57,6 +59,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     run_zero_s: bench time at which the run's time is zero. lateness_s: how late this cycle woke up.
     """
     now = loop.now
+    loop.lines.look(bench_s)  # 0  emergency stop and safety chain
     loop.bench.read(bench_s, now.feedback)  # 1  encoders
     loop.bench.check(now.feedback)  # 2  do the axes follow?
     loop.vision.take(bench_s, run_zero_s, now.row[0])  # 3  poses of the vision unit
@@ -64,6 +67,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.gnc.guide(t_s, now.supervision, now.reference)  # 5  reference of the present phase
     loop.gnc.supervise(t_s, now.navigation, now.reference, now.supervision)  # 6  corridor, closing rate, abort
     loop.gnc.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
+    loop.lines.mirror(bench_s)  # the same on digital lines
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
     now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
     loop.history[k] = now.row[0]  # 8  what was known and done at t_s

@@ -14,6 +14,7 @@ import numpy as np
 from hil.cycle import Loop, run_cycle
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, SafetyTrip
+from hil.io_stage import chain_kept_closed
 from hil.messages import AXES, Event, new
 from hil.modes import Mode, ModeMachine
 from hil.rate import Rate
@@ -101,8 +102,10 @@ class Runner:
         return stop, faults
 
     def _open(self) -> None:
-        self.loop.bench.open(self._rate.now_s())
-        self.source.open(self._rate.now_s())
+        self.loop.lines.open(self._rate)
+        with chain_kept_closed(self.loop.lines, self._rate):
+            self.loop.bench.open(self._rate.now_s())
+            self.source.open(self._rate.now_s())
         self._modes.go(Mode.STANDBY)
 
     def _place(self) -> None:
@@ -127,6 +130,7 @@ class Runner:
             move.at(moved_s + self._step_s, wanted)
             bench.command(wanted, tick.now_s, now.setpoint)
             tick = self._rate.wait()
+            self.loop.lines.look(tick.now_s)
             bench.read(tick.now_s, now.feedback)
             bench.check(now.feedback)
             cycle += 1
@@ -146,6 +150,7 @@ class Runner:
         frames = 0
         while frames < self._frames_to_arm:
             tick = self._rate.wait()
+            self.loop.lines.look(tick.now_s)
             frames += len(self.source.poll(tick.now_s))
             self.loop.bench.read(tick.now_s, self.loop.now.feedback)
             self._watch(Mode.ARMED, 0.0)
@@ -165,9 +170,12 @@ class Runner:
     def _shut_down(self) -> None:
         """Stop the bench first, then let go of everything."""
         with _ctrl_c_held_back():
-            self.loop.bench.stop(self._rate.now_s())
-            self.source.close()
-            self.loop.bench.close()
+            with chain_kept_closed(self.loop.lines, self._rate):
+                self.loop.bench.stop(self._rate.now_s())
+                self.source.close()
+                self.loop.bench.close()
+            self.loop.lines.stop(self._rate.now_s())
+            self.loop.lines.close()
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from hil.config.io import Io
 from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
 
 RAIL_NAMES = ("x", "y", "z")
@@ -214,16 +215,32 @@ class Rig(Strict):
     rails: Rails
     turntable: Turntable
     vmu: Vmu
+    io: Io | None = None
+
+    @property
+    def has_io(self) -> bool:
+        """Whether the bench has a coupler of digital lines."""
+        return self.io is not None and self.io.driver != "none"
 
     @model_validator(mode="after")
     def _drivers_suit_the_kind(self) -> Self:
-        for device, driver in (
+        drivers: list[tuple[str, str]] = [
             ("rails", self.rails.driver),
             ("turntable", self.turntable.driver),
             ("vmu", self.vmu.driver),
-        ):
+        ]
+        if self.io is not None and self.has_io:
+            drivers.append(("io", self.io.driver))
+        for device, driver in drivers:
             if (driver == "mock") != (self.kind == "mock"):
                 raise ValueError(f'{device}.driver = "{driver}" does not go with kind = "{self.kind}"')
+        return self
+
+    @model_validator(mode="after")
+    def _hardware_says_whether_it_has_io(self) -> Self:
+        if self.kind == "hardware" and self.io is None:
+            text = "[io] is missing: hardware needs emergency stop and safety relay on digital lines"
+            raise ValueError(f'{text}; io.driver = "none" says that it has none')
         return self
 
     def missing_wires(self) -> list[str]:
@@ -238,4 +255,6 @@ class Rig(Strict):
             needed.append(("turntable.ascii.port", self.turntable.ascii and self.turntable.ascii.port))
         if self.vmu.driver == "rs422":
             needed.append(("vmu.rs422.port", self.vmu.rs422 and self.vmu.rs422.port))
+        if self.io is not None and self.io.driver == "modbus":
+            needed.append(("io.port", self.io.port))
         return [key for key, value in needed if value is None]

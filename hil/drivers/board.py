@@ -1,4 +1,4 @@
-"""Where the emulated axes are, for emulated cameras to look at: the light path of the emulated bench.
+"""What emulated devices share: where the axes are, for cameras to look at, and whether the drives may have torque.
 
 A block of anonymous shared memory that dies with its last user. Each device writes its own slot;
 a sequence number, odd while a write is under way, lets a reader see that it read a whole slot.
@@ -12,11 +12,13 @@ from typing import Final
 
 import numpy as np
 
+from hil.clock import WallClock
 from hil.messages import Array
 
-SLOTS: Final = {"rails": 0, "turntable": 1}
+SLOTS: Final = {"rails": 0, "turntable": 1, "chain": 2}
 _WORDS: Final = 8  # sequence, t_s, 3 positions, 3 rates
 _TRIES: Final = 1000
+_CHAIN_AGE_WALL_S: Final = 0.25  # a coupler that is silent for longer is dead, and its outputs are off
 _SIZE: Final = len(SLOTS) * _WORDS * 8
 
 
@@ -57,6 +59,27 @@ class AxisBoard:
             if before % 2 == 0 and before == self._sequence[slot]:
                 break
         return words[2:5] + (t_s - words[1]) * words[5:8], words[5:8]
+
+    def write_chain(self, closed: bool, t_s: float) -> None:
+        """Tell whether the safety chain lets the drives have torque."""
+        self._sequence[SLOTS["chain"]] += 1
+        self._words[SLOTS["chain"], 1:3] = t_s, closed
+        self._sequence[SLOTS["chain"]] += 1
+
+    def chain_closed(self, clock: WallClock) -> bool:
+        """Return the last word on the chain; closed where nobody ever wrote one: a bench without such a device.
+
+        Open where the last word is older than 0.25 s of wall time.
+        """
+        slot = SLOTS["chain"]
+        for _ in range(_TRIES):
+            before = self._sequence[slot]
+            t_s, closed = self._words[slot, 1:3]
+            if before % 2 == 0 and before == self._sequence[slot]:
+                break
+        if before == 0:
+            return True
+        return bool(closed) and clock.wall_s(clock.now_s() - t_s) <= _CHAIN_AGE_WALL_S
 
     def close(self) -> None:
         """Let go of the block; idempotent."""
