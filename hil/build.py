@@ -19,16 +19,17 @@ from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.cycle import Loop
-from hil.device_host import IoProcess
-from hil.drivers.base import AxisGroup, CountsLosses, PoseSource
+from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
 from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.eye import Eye, transport
-from hil.fitness import approach_problems, axes_at, flight_problems, host_problems, port_problems
+from hil.fitness import approach_problems, axes_at, flight_problems, host_problems, line_problems, port_problems
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.gnc.watch import FilterWatch
 from hil.handling import Watch
+from hil.host_processes import TITLES, HostProcesses
+from hil.io_stage import IoStage
 from hil.late_cycles import LateCycles
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
@@ -72,6 +73,7 @@ def check(job: Job) -> None:
         *approach_problems(job.scenario),
         *port_problems(job.rig),
         *host_problems(job.rig),
+        *line_problems(job.scenario, job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
@@ -97,11 +99,12 @@ def runner(
         for grant in realtime.refused():
             announce(str(grant))
         wall = WallClock(speed=job.speed)
-        with _wired_rig(job, wall, announce) as wired, IoProcess(wired, wall) as io, _telemetry() as ring:
-            io.wait_ready()
-            announce(f"I/O process {io.pid}")
+        with _wired_rig(job, wall, announce) as wired, HostProcesses(wired, wall) as hosts, _telemetry() as ring:
+            hosts.wait_ready()
+            for name, pid in hosts.pids.items():
+                announce(f"{TITLES[name]} {pid}")
             rate = WallRate(wall, scenario.step_s)
-            yield _assemble(job, wired, rate, *io.devices(), _FRAMES_TO_ARM, watch, operator, realtime, ring)
+            yield _assemble(job, wired, rate, *hosts.devices(), _FRAMES_TO_ARM, watch, operator, realtime, ring)
 
 
 def _insist_on_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
@@ -199,6 +202,7 @@ def _assemble(
     rails: AxisGroup,
     turntable: AxisGroup,
     source: PoseSource,
+    io: DiscreteIo | None,
     frames_to_arm: int,
     watch: Watch,
     operator: Operator | None = None,
@@ -228,6 +232,10 @@ def _assemble(
         history=np.zeros(job.cycles, CYCLE),
         telemetry=telemetry or NoTelemetry(),
     )
+    if io is not None and rig.io is not None:
+        lines = IoStage(io, loop.now.command.on[: rig.io.thruster_lines])
+        loop.lines = lines
+        loop.bench.emergency_input = lines.emergency_input
     loop.now.row["truth"] = parameters.initial_truth(scenario)
     _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
     late_cycles = LateCycles(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
@@ -287,8 +295,9 @@ def _draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> N
     imu.bias_C = np.array(scenario.imu.accelerometer_bias_mps2) + bias_sigma * draws[3:]
 
 
-def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGroup, PoseSource]:
-    """Return mocks of the three devices; the axes stand at the start pose from the beginning."""
+def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None]:
+    """Return mocks of the devices; the axes stand at the start pose from the beginning."""
+    from hil.drivers.io.mock import MockIo
     from hil.drivers.mock_axes import MockAxes
     from hil.drivers.vmu.mock import MockVmu
 
@@ -312,7 +321,8 @@ def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGrou
     def pose_at(t_s: float) -> PoseFrame:
         return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
 
-    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed))
+    io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
+    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io
 
 
 def _start_axes(scenario: Scenario, rig: Rig) -> np.record:

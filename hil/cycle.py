@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.bench_stage import Bench
 from hil.frmn.ring import NoTelemetry, Telemetry
+from hil.io_stage import NoLines, SafetyLines
 from hil.messages import CYCLE
 from hil.stages import Dss, Gnc, Vision
 
@@ -51,6 +52,7 @@ class Loop:
     gnc: Gnc
     history: np.ndarray
     telemetry: Telemetry = field(default_factory=NoTelemetry)
+    lines: SafetyLines = field(default_factory=NoLines)
     now: Blackboard = field(default_factory=Blackboard)
     _row: memoryview = field(init=False)
     _pages: memoryview = field(init=False)
@@ -71,6 +73,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     run_zero_s: bench time at which the run's time is zero. lateness_s: how late this cycle woke up.
     """
     now = loop.now
+    loop.lines.look(bench_s)  # 0  emergency stop and safety chain
     loop.bench.read(bench_s, now.feedback)  # 1  encoders
     loop.bench.check(bench_s, now.feedback)  # 2  may the bench go on?
     loop.vision.take(bench_s, run_zero_s, now.row[0])  # 3  poses of the vision unit
@@ -78,6 +81,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.gnc.guide(t_s, now.supervision, now.reference)  # 5  reference of the present phase
     loop.gnc.supervise(t_s, now.navigation, now.reference, now.supervision)  # 6  corridor, closing rate, abort
     loop.gnc.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
+    loop.lines.mirror(bench_s)  # the same on digital lines
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
     now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
     loop.record(k)  # 8  what was known and done at t_s

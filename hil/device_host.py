@@ -6,31 +6,20 @@ loop: when the loop's heartbeat ceases it stops all axes by itself, whatever bec
 
 from __future__ import annotations
 
-import contextlib
-import os
 import socket
-import sys
-from typing import Any, Final, Self
+from typing import Any
 
 import numpy as np
 
 from hil.clock import WallClock
 from hil.config.rig import Rig
 from hil.drivers.base import AxisGroup, PoseSource
-from hil.drivers.emulator_process import EmulatorProcess, serve
+from hil.drivers.emulator_process import serve
 from hil.drivers.remote import cells
 from hil.drivers.remote.cells import Exchange
-from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses
-from hil.drivers.remote.host import Host
-from hil.drivers.remote.requests import Requests
+from hil.drivers.remote.host import LOOP_SILENCE_MAX_S, Host, go_first
 from hil.errors import BenchError, LinkLost
 from hil.messages import AxisFeedback
-
-LOOP_SILENCE_MAX_S: Final = 0.08
-"""Wall time without a heartbeat of the loop after which the axes are stopped."""
-FIFO_PRIORITY: Final = 60
-"""Below the loop's, above everything else: what the loop commands must get out."""
-_READY_WALL_S: Final = 60.0
 
 
 def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:
@@ -61,15 +50,13 @@ class DeviceHost(Host):
         requests: socket.socket,
         clock: WallClock,
     ) -> None:
-        super().__init__({**axes, "vmu": poses}, exchange, requests, clock, "io", exchange.wake)
+        super().__init__({**axes, "vmu": poses}, exchange, requests, clock, cells.HOST)
         self._axes = axes
         self._poses = poses
         self._lost_loop = False
         self._setpoint = np.zeros(1, cells.SETPOINT)
-        self._stop = np.zeros(1, cells.STOP)
         self._frame = np.zeros(1, cells.FRAME)
         self._taken = dict.fromkeys(axes, 0)  # setpoints
-        self._stops = dict.fromkeys(axes, 0)
         self._shown_s = dict.fromkeys(axes, -1.0)
 
     def serve(self, now_s: float) -> None:
@@ -95,9 +82,7 @@ class DeviceHost(Host):
 
     def _serve_axes(self, name: str, now_s: float) -> None:
         device, block = self._axes[name], self.exchange.block
-        number, _ = block[f"{name}.stop"].read(self._stop)
-        if number != self._stops[name]:
-            self._stops[name] = number
+        if self.stop_is_new(name):
             device.stop(now_s)
         if name not in self.served:
             return
@@ -131,7 +116,7 @@ class DeviceHost(Host):
 
     def _watch_the_loop(self, now_s: float) -> None:
         """Stop everything when the loop has gone silent in a time in which it was to be heard."""
-        silent_s = self.silent_s("loop", now_s)
+        silent_s = self.silent_s(cells.LOOP, now_s)
         if silent_s <= LOOP_SILENCE_MAX_S:
             self._lost_loop = False
             return
@@ -144,72 +129,15 @@ class DeviceHost(Host):
                 self.fail(name, LinkLost(name, f"stopped: the loop has been silent for {silent_s:.3f} s"), now_s)
 
 
-class IoProcess:
-    """The parent's hold on the I/O process of ``rig``: started, ready, and ended with ``close``."""
-
-    def __init__(self, rig: Rig, clock: WallClock) -> None:
-        self._clock = clock
-        self._rig = rig
-        self._exchange = Exchange.create()
-        here, there = socket.socketpair()
-        configuration = {
-            "rig": rig.model_dump(mode="json"),
-            "epoch_ns": clock.epoch_ns,
-            "speed": clock.speed,
-            "descriptors": self._exchange.descriptors,
-            "requests": there.fileno(),
-        }
-        passed = (*self._exchange.descriptors, there.fileno())
-        try:
-            self._child = EmulatorProcess("io", [sys.executable, "-m", "hil.device_host"], configuration, passed)
-        finally:
-            there.close()
-        self._requests = Requests(here)
-
-    @property
-    def pid(self) -> int:
-        return self._child.pid
-
-    def wait_ready(self) -> None:
-        """Return once the process serves. Raises DeviceError when it does not come up."""
-        self._child.wait_ready(_READY_WALL_S)
-
-    def devices(self) -> tuple[RemoteAxes, RemoteAxes, RemotePoses]:
-        """Return rails, turntable and vision unit as the loop sees them."""
-        link = IoLink(self._exchange, self._requests, self._clock, self._child.ended)
-        return (
-            RemoteAxes("rails", self._rig.rails, link),
-            RemoteAxes("turntable", self._rig.turntable, link),
-            RemotePoses(self._rig.vmu, link),
-        )
-
-    def close(self) -> None:
-        """End the process; it stops the axes first. Idempotent."""
-        self._child.close()
-        self._requests.close()
-        self._exchange.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
 def make_host(configuration: dict[str, Any]) -> DeviceHost:
     """Return the host for the configuration that the parent sent; threads of this process get its priority."""
-    with contextlib.suppress(PermissionError):  # the loop's report tells what this computer allows
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+    go_first()
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     rails, turntable, poses = drivers(rig, clock)
-    return DeviceHost(
-        {"rails": rails, "turntable": turntable},
-        poses,
-        Exchange.attach(tuple(configuration["descriptors"])),
-        socket.socket(fileno=configuration["requests"]),
-        clock,
-    )
+    exchange = Exchange.attach(tuple(configuration["descriptors"]))
+    requests = socket.socket(fileno=configuration["requests"])
+    return DeviceHost({"rails": rails, "turntable": turntable}, poses, exchange, requests, clock)
 
 
 if __name__ == "__main__":

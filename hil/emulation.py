@@ -12,6 +12,7 @@ import numpy as np
 
 from hil import parameters
 from hil.clock import WallClock
+from hil.config.model import Strict
 from hil.config.rig import Cia402, Modbus, ModbusAxis, Rig, SerialLine
 from hil.config.scenario import Scenario
 from hil.drivers.board import AxisBoard
@@ -19,8 +20,12 @@ from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
 from hil.eye import Eye, transport
 from hil.messages import PoseFrame
 
-DEVICES = ("rails", "turntable", "vmu")
 _READY_WALL_S = 60.0  # the first start compiles
+
+
+def devices(rig: Rig) -> tuple[str, ...]:
+    """Return the names of the devices that ``rig`` has."""
+    return ("rails", "turntable", "vmu", *(("io",) if rig.has_io else ()))
 
 
 class EmulatedDevices:
@@ -39,7 +44,7 @@ class EmulatedDevices:
         }
         self.processes: list[EmulatorProcess] = []
         try:
-            for device in DEVICES:
+            for device in devices(rig):
                 program = [sys.executable, "-m", "hil.emulation", device]
                 self.processes.append(EmulatorProcess(device, program, configuration, (self._board.descriptor,)))
         except BaseException:
@@ -78,7 +83,7 @@ class EmulatedDevices:
 
 def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
     """Return ``rig`` with the emulators' addresses in place of its wires."""
-    ports = {}
+    ports: dict[str, ModbusAxis] = {}
     for axis in ("x", "y", "z"):
         host, _, port = addresses[f"rails.{axis}"].rpartition(":")
         given: ModbusAxis = getattr(rig.rails.modbus or Modbus(), axis)
@@ -94,15 +99,23 @@ def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
     vmu = rig.vmu.model_copy(
         update={"rs422": (rig.vmu.rs422 or SerialLine()).model_copy(update={"port": addresses["vmu"]})}
     )
-    return rig.model_copy(update={"rails": rails, "turntable": turntable, "vmu": vmu})
+    wired: dict[str, Strict] = {"rails": rails, "turntable": turntable, "vmu": vmu}
+    if rig.io is not None and rig.has_io:
+        host, _, port = addresses["io"].rpartition(":")
+        wired["io"] = rig.io.model_copy(update={"host": host, "port": int(port)})
+    return rig.model_copy(update=wired)
 
 
-def make_emulator(device: Literal["rails", "turntable", "vmu"], configuration: dict[str, Any]) -> Emulator:
+def make_emulator(device: Literal["rails", "turntable", "vmu", "io"], configuration: dict[str, Any]) -> Emulator:
     """Return the emulator of ``device`` for the configuration that the parent sent."""
     scenario = Scenario.model_validate(configuration["scenario"], strict=False)
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     board = AxisBoard(configuration["board"])
+    if device == "io" and rig.io is not None:
+        from hil.drivers.io.emulator import IoEmulator
+
+        return IoEmulator(rig.io, clock, board.write_chain, configuration["seed"])
     if device == "rails":
         from hil.drivers.rails.emulator import RailsEmulator
 

@@ -16,7 +16,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.errors import Problem
 from hil.maths import euler
-from hil.messages import AXES, new
+from hil.messages import AXES, MAX_THRUSTERS, new
 from hil.reach import reach_problems
 from hil.wires import wires
 
@@ -75,3 +75,21 @@ def port_problems(rig: Loaded[Rig]) -> list[Problem]:
         for wire in wires(rig.value)
         if wire.kind == "serial" and wire.address.startswith("/") and not Path(wire.address).exists()
     ]
+
+
+def line_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem where the digital lines are too few for the thrusters, or the cycle too slow for the relay."""
+    io = rig.value.io
+    if io is None or not rig.value.has_io:
+        return []
+    problems = []
+    count = len(scenario.value.chaser.thrusters.position_m)
+    if 0 < io.thruster_lines < count:
+        key = "io.thruster_lines"
+        text = f"{io.thruster_lines}: allowed {count} to {MAX_THRUSTERS} for the scenario's thrusters, or 0 for none"
+        problems.append(Problem(rig.where(key), f"rig.{key}", text))
+    if io.driver == "modbus" and scenario.value.step_s > 0.5 * io.pump_timeout_s:
+        key = "io.pump_timeout_s"
+        text = f"{io.pump_timeout_s:g}: must be twice the scenario's step_s, {scenario.value.step_s:g}, or more"
+        problems.append(Problem(rig.where(key), f"rig.{key}", text))
+    return problems

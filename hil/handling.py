@@ -50,6 +50,7 @@ class Handling:
         """Wait for the next cycle, read the axes, and let the supervisor look at them and at the links."""
         tick = self._late_cycles.wait(self._rate)
         self.ticks += 1
+        self.loop.lines.look(tick.now_s)
         self.loop.bench.read(tick.now_s, self.loop.now.feedback)
         self.loop.bench.check(tick.now_s, self.loop.now.feedback)
         if self.ticks % self.links_each == 0:

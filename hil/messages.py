@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -179,6 +180,26 @@ class AxisFeedback:
     rate: Array
     homing: tuple[Homing, Homing, Homing] = (Homing.DONE, Homing.DONE, Homing.DONE)
     limit: tuple[int, int, int] = (0, 0, 0)
+
+
+class IoInputs(NamedTuple):
+    """What the digital inputs say: the newest sample, and when it was taken, s of bench time.
+
+    estop_closed: the emergency stop is released. chain_closed: the safety relay lets the drives have
+    torque. open_interlocks: names of the interlocks whose contacts are open.
+    """
+
+    t_s: float
+    estop_closed: bool
+    chain_closed: bool
+    open_interlocks: tuple[str, ...] = ()
+
+
+class IoOutputs(NamedTuple):
+    """What the digital outputs are to be. enable: asks the safety relay to close. thrusters: a byte a line, 0 or 1."""
+
+    enable: bool
+    thrusters: bytes
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from hil.cycle import Loop, run_cycle
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, SafetyTrip
 from hil.handling import WATCH_CYCLES, Handling, Watch
+from hil.io_stage import chain_kept_closed
 from hil.late_cycles import LateCycles
 from hil.messages import Event
 from hil.modes import Mode
@@ -134,8 +135,10 @@ class Runner:
         return False
 
     def _open(self) -> None:
-        self.loop.bench.open(self._rate.now_s())
-        self.source.open(self._rate.now_s())
+        self.loop.lines.open(self._rate)
+        with chain_kept_closed(self.loop.lines, self._rate):
+            self.loop.bench.open(self._rate.now_s())
+            self.source.open(self._rate.now_s())
         self.supervisor.opened()
         self._modes.go(Mode.STANDBY)
 
@@ -261,9 +264,12 @@ class Runner:
     def _shut_down(self) -> None:
         """Stop the bench first, then let go of everything."""
         with _ctrl_c_held_back():
-            self.loop.bench.stop(self._rate.now_s())
-            self.source.close()
-            self.loop.bench.close()
+            with chain_kept_closed(self.loop.lines, self._rate):
+                self.loop.bench.stop(self._rate.now_s())
+                self.source.close()
+                self.loop.bench.close()
+            self.loop.lines.stop(self._rate.now_s())
+            self.loop.lines.close()
 
 
 @contextmanager

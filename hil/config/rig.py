@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.host import Host, LateCycle
+from hil.config.io import Io
 from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
 
 RAIL_NAMES = ("x", "y", "z")
@@ -233,14 +234,23 @@ class Rig(Strict):
     vmu: Vmu
     safety: Safety = Safety()
     host: Host = Host()
+    io: Io | None = None
+
+    @property
+    def has_io(self) -> bool:
+        """Whether the bench has a coupler of digital lines."""
+        return self.io is not None and self.io.driver != "none"
 
     @model_validator(mode="after")
     def _drivers_suit_the_kind(self) -> Self:
-        for device, driver in (
+        drivers: list[tuple[str, str]] = [
             ("rails", self.rails.driver),
             ("turntable", self.turntable.driver),
             ("vmu", self.vmu.driver),
-        ):
+        ]
+        if self.io is not None and self.has_io:
+            drivers.append(("io", self.io.driver))
+        for device, driver in drivers:
             if (driver == "mock") != (self.kind == "mock"):
                 raise ValueError(f'{device}.driver = "{driver}" does not go with kind = "{self.kind}"')
         return self
@@ -249,6 +259,13 @@ class Rig(Strict):
     def late_cycle(self) -> LateCycle:
         """What is done about late cycles: the file's word, or what suits the kind of rig."""
         return self.host.late_cycle or ("safe_stop" if self.kind == "hardware" else "log")
+
+    @model_validator(mode="after")
+    def _hardware_says_whether_it_has_io(self) -> Self:
+        if self.kind == "hardware" and self.io is None:
+            text = "[io] is missing: hardware needs emergency stop and safety relay on digital lines"
+            raise ValueError(f'{text}; io.driver = "none" says that it has none')
+        return self
 
     def missing_wires(self) -> list[str]:
         """Return the keys of wires that the chosen drivers need and the file does not name."""
@@ -262,4 +279,6 @@ class Rig(Strict):
             needed.append(("turntable.ascii.port", self.turntable.ascii and self.turntable.ascii.port))
         if self.vmu.driver == "rs422":
             needed.append(("vmu.rs422.port", self.vmu.rs422 and self.vmu.rs422.port))
+        if self.io is not None and self.io.driver == "modbus":
+            needed.append(("io.port", self.io.port))
         return [key for key, value in needed if value is None]

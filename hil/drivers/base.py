@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.errors import SafetyTrip
 from hil.maths.limits import cut_to_range
-from hil.messages import Array, AxisFeedback, PoseFrame
+from hil.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
@@ -90,6 +90,34 @@ class PoseSource(Protocol):
 
     def close(self) -> None:
         """Let go of the wire. Idempotent, never raises."""
+
+
+@runtime_checkable
+class DiscreteIo(Protocol):
+    """Digital lines: emergency stop, safety chain, charge pump, thrusters. Usable from any process and thread."""
+
+    name: str
+
+    def open(self, now_s: float) -> None:
+        """Connect, check the identity, set all outputs off. Raises DeviceError."""
+
+    def pulse(self, now_s: float) -> None:
+        """Say that whoever watches the bench is alive: the charge pump toggles, at its own period at most.
+
+        Without these calls the pump stops and the safety relay opens. Never raises.
+        """
+
+    def write(self, outputs: IoOutputs, now_s: float) -> None:
+        """Hand over the outputs; thruster lines beyond those given are off. Raises DeviceError once the link failed."""
+
+    def read(self, now_s: float) -> IoInputs:
+        """Return the newest inputs. Raises LinkTimeout when they are too old, DeviceError on failure."""
+
+    def stop(self, now_s: float) -> None:
+        """Set all outputs off and keep them off: the safety relay opens. Bounded, idempotent, never raises."""
+
+    def close(self) -> None:
+        """Let go of the wire, outputs off. Idempotent, never raises."""
 
 
 def full_names(device: str, short: tuple[str, str, str]) -> tuple[str, str, str]:

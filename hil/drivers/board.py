@@ -1,4 +1,4 @@
-"""Where the emulated axes are, for emulated cameras to look at: the light path of the emulated bench."""
+"""What emulated devices share: where the axes are, for cameras to look at, and whether the drives may have torque."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from typing import Final
 
 import numpy as np
 
+from hil.clock import WallClock
 from hil.frmn.cell import Block
 from hil.messages import Array
 
 _AXES: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3)])
-_CELLS: Final = {"rails": _AXES, "turntable": _AXES}
+_CHAIN: Final = np.dtype([("closed", "i8")])
+_CELLS: Final = {"rails": _AXES, "turntable": _AXES, "chain": _CHAIN}
+_CHAIN_AGE_WALL_S: Final = 0.25  # a coupler that is silent for longer is dead, and its outputs are off
 
 
 class AxisBoard:
@@ -46,6 +49,23 @@ class AxisBoard:
         _, written_s = self._block[device].read(record)
         rate = record["rate"][0]
         return record["position"][0] + (t_s - written_s) * rate, rate
+
+    def write_chain(self, closed: bool, t_s: float) -> None:
+        """Tell whether the safety chain lets the drives have torque."""
+        record = np.empty(1, _CHAIN)
+        record["closed"] = closed
+        self._block["chain"].write(record, t_s)
+
+    def chain_closed(self, clock: WallClock) -> bool:
+        """Return the last word on the chain; closed where nobody ever wrote one: a bench without such a device.
+
+        Open where the last word is older than 0.25 s of wall time.
+        """
+        record = np.zeros(1, _CHAIN)
+        number, written_s = self._block["chain"].read(record)
+        if number == 0:
+            return True
+        return bool(record["closed"][0]) and clock.wall_s(clock.now_s() - written_s) <= _CHAIN_AGE_WALL_S
 
     def close(self) -> None:
         """Let go of the block; idempotent."""

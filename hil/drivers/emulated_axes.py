@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -32,7 +33,7 @@ class EmulatedAxes:
     its brake on or holds by current; both stand). What a drive reports are ``position`` and ``rate``: the
     encoder's values, which are not where the axis is once an encoder fails. overdue: axes that braked
     because no command came in time; it is the owner who clears them. chain_closed: whether the safety
-    chain lets the drives have torque.
+    chain lets the drives have torque; left away, ``board`` tells.
     """
 
     def __init__(
@@ -42,7 +43,7 @@ class EmulatedAxes:
         clock: WallClock,
         board: AxisBoard,
         faults: Faults | None = None,
-        chain_closed: ChainClosed = lambda: True,
+        chain_closed: ChainClosed | None = None,
         seed: int = 0,
     ) -> None:
         self.device = device
@@ -55,7 +56,7 @@ class EmulatedAxes:
         self._unit = scale
         self._axes = ServoAxes(config)
         self._board = board
-        self._chain_closed = chain_closed
+        self._chain_closed = chain_closed or partial(board.chain_closed, clock)
         self._sigma = scale * config.encoder_sigma
         self._noise = stream(seed, "encoders")
         self._absolute = [axis.encoder == "absolute" for axis in axes]

@@ -18,18 +18,21 @@ import pytest
 from hil.clock import WallClock
 from hil.config.load import load_rig
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES
-from hil.device_host import LOOP_SILENCE_MAX_S, DeviceHost, IoProcess
+from hil.device_host import DeviceHost
 from hil.drivers.axes import ServoAxes
 from hil.drivers.mock_axes import MockAxes
-from hil.drivers.remote.cells import SETPOINT, Exchange
+from hil.drivers.remote.cells import HOST, SETPOINT, Exchange
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses
+from hil.drivers.remote.host import LOOP_SILENCE_MAX_S
 from hil.drivers.remote.requests import Requests
 from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError
+from hil.host_processes import HostProcesses
 from hil.messages import AxisFeedback, Homing, PoseFrame
 
 WIRES = (
     "rig.turntable.cia402.channel=nowhere",
     "rig.vmu.rs422.port=nowhere",
+    "rig.io.port=9",
     *(f"rig.rails.modbus.{axis}.port=9" for axis in RAIL_NAMES),
 )
 RIG = load_rig("emulated", WIRES).value
@@ -117,7 +120,7 @@ def sides() -> Iterator[Sides]:
     thread = threading.Thread(target=host.run, args=(stop,))
     thread.start()
     requests, ended = Requests(here), list[str]()
-    link = IoLink(memory, requests, clock, lambda: ended[0] if ended else "")
+    link = IoLink(HOST, memory, requests, clock, lambda: ended[0] if ended else "")
     rails, turntable = RemoteAxes("rails", RIG.rails, link), RemoteAxes("turntable", RIG.turntable, link)
     made = Sides(clock, axes, unit, rails, turntable, RemotePoses(RIG.vmu, link), ended)
     try:
@@ -230,10 +233,10 @@ PARENT = f"""
 import sys, time
 from hil.clock import WallClock
 from hil.config.load import load_rig
-from hil.device_host import IoProcess
-io = IoProcess(load_rig("emulated", {WIRES!r}).value, WallClock())
+from hil.host_processes import HostProcesses
+io = HostProcesses(load_rig("emulated", {WIRES!r}).value, WallClock())
 io.wait_ready()
-print(io.pid, flush=True)
+print(io.pids['host'], flush=True)
 time.sleep(60)
 """
 
@@ -250,10 +253,10 @@ def test_the_io_process_ends_with_its_parent() -> None:
 
 
 def test_a_killed_io_process_is_missed() -> None:
-    with IoProcess(RIG, WallClock()) as io:
+    with HostProcesses(RIG, WallClock()) as io:
         io.wait_ready()
-        rails, _, _ = io.devices()
-        os.kill(io.pid, signal.SIGKILL)
+        rails = io.devices()[0]
+        os.kill(io.pids[HOST], signal.SIGKILL)
         with pytest.raises(LinkLost, match="rails: I/O process is gone"):
             rails.open(0.0)
 

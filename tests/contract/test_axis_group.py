@@ -21,7 +21,7 @@ from hil.drivers.board import AxisBoard
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator
-from hil.drivers.remote.cells import Exchange
+from hil.drivers.remote.cells import HOST, Exchange
 from hil.drivers.remote.devices import IoLink, RemoteAxes
 from hil.drivers.remote.requests import Requests
 from hil.drivers.turntable.ascii_driver import AsciiTurntable
@@ -113,7 +113,7 @@ def _behind_the_io_process(config: Rails | Turntable) -> Iterator[Backend]:
     thread = threading.Thread(target=host.run, args=(stop,))
     thread.start()
     requests = Requests(here)
-    link = IoLink(memory, requests, clock, lambda: "")
+    link = IoLink(HOST, memory, requests, clock, lambda: "")
     device = RemoteAxes("rails" if isinstance(config, Rails) else "turntable", config, link)
     try:
         yield Backend(device, clock.now_s, lambda s: _pass(device, clock, s), *_travel(config))

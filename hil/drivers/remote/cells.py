@@ -1,7 +1,7 @@
 """What passes between the loop and the I/O process, and the shared memory that it passes through.
 
-The loop writes setpoints and its heartbeat; the I/O process writes feedback, pose frames, counters,
-errors and its own heartbeat. Nobody waits for anybody.
+The loop writes setpoints, outputs and its heartbeat; the I/O process and the watchdog write feedback, pose
+frames, inputs, counters, errors and their own heartbeats. Nobody waits for anybody.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ import numpy as np
 from hil.errors import BenchError, DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 from hil.frmn.cell import Block
 from hil.frmn.ring import Ring
-from hil.messages import AxisFeedback, Homing, PoseFrame
+from hil.messages import MAX_THRUSTERS, AxisFeedback, Homing, IoInputs, IoOutputs, PoseFrame
 
 AXIS_DEVICES: Final = ("rails", "turntable")
-DEVICES: Final = (*AXIS_DEVICES, "vmu")
+DEVICES: Final = (*AXIS_DEVICES, "vmu", "io")
+LOOP, HOST, GUARD = "loop", "host", "guard"
+"""Cells of the heartbeats: of the loop, of the I/O process, of the watchdog."""
 
 SETPOINT: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3)])
 FEEDBACK: Final = np.dtype(
@@ -40,55 +42,59 @@ FRAME: Final = np.dtype(
         ("leds_right", "i8"),
     ]
 )
+INPUTS: Final = np.dtype([("t_s", "f8"), ("estop_closed", "i8"), ("chain_closed", "i8"), ("interlocks", "S512")])
+OUTPUTS: Final = np.dtype([("enable", "i8"), ("count", "i8"), ("thrusters", "u1", MAX_THRUSTERS)])
 _FRAMES: Final = 256
 _KINDS: Final[dict[str, type[DeviceError]]] = {
     kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError, DriveFault)
 }
 
 LAYOUT: Final = {
-    "loop": HEARTBEAT,
-    "io": HEARTBEAT,
+    LOOP: HEARTBEAT,
+    HOST: HEARTBEAT,
+    GUARD: HEARTBEAT,
     **{f"{device}.setpoint": SETPOINT for device in AXIS_DEVICES},
     **{f"{device}.feedback": FEEDBACK for device in AXIS_DEVICES},
-    **{f"{device}.stop": STOP for device in AXIS_DEVICES},
+    **{f"{device}.stop": STOP for device in (*AXIS_DEVICES, "io")},
+    "io.inputs": INPUTS,
+    "io.outputs": OUTPUTS,
     **{f"{device}.failure": FAILURE for device in DEVICES},
     **{f"{device}.counters": COUNTERS for device in DEVICES},
 }
 
 
 class Exchange:
-    """Both sides' view of the shared memory; ``wake`` rouses the I/O process."""
+    """All sides' view of the shared memory. wakes: descriptors of the eventfds that rouse HOST and GUARD."""
 
-    def __init__(self, block: Block, frames: Ring, wake: int) -> None:
+    def __init__(self, block: Block, frames: Ring, wakes: dict[str, int]) -> None:
         self.block = block
         self.frames = frames
-        self.wake = wake
+        self.wakes = wakes
 
     @classmethod
     def create(cls) -> Exchange:
-        """Make new memory; hand ``descriptors`` to the I/O process (``pass_fds``)."""
-        wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        return cls(Block.create(LAYOUT, "io"), Ring.create(FRAME, _FRAMES, "poses"), wake)
+        """Make new memory; hand ``descriptors`` to the other processes (``pass_fds``)."""
+        wakes = {name: os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC) for name in (HOST, GUARD)}
+        return cls(Block.create(LAYOUT, "io"), Ring.create(FRAME, _FRAMES, "poses"), wakes)
 
     @classmethod
-    def attach(cls, descriptors: tuple[int, int, int]) -> Exchange:
+    def attach(cls, descriptors: tuple[int, int, int, int]) -> Exchange:
         """Join the memory that another process made."""
-        block, frames, wake = descriptors
-        return cls(Block(block, LAYOUT, "io"), Ring(frames, FRAME, _FRAMES, "poses"), wake)
+        block, frames, host, guard = descriptors
+        return cls(Block(block, LAYOUT, "io"), Ring(frames, FRAME, _FRAMES, "poses"), {HOST: host, GUARD: guard})
 
     @property
-    def descriptors(self) -> tuple[int, int, int]:
-        return self.block.descriptor, self.frames.descriptor, self.wake
+    def descriptors(self) -> tuple[int, int, int, int]:
+        return self.block.descriptor, self.frames.descriptor, self.wakes[HOST], self.wakes[GUARD]
 
-    def rouse(self) -> None:
-        """Let the I/O process look at once; never waits."""
-        os.eventfd_write(self.wake, 1)
+    def rouse(self, name: str) -> None:
+        """Let HOST or GUARD look at once; never waits."""
+        os.eventfd_write(self.wakes[name], 1)
 
     def close(self) -> None:
         """Let go of the memory; idempotent."""
-        if self.wake >= 0:
-            os.close(self.wake)
-            self.wake = -1
+        while self.wakes:
+            os.close(self.wakes.popitem()[1])
         self.block.close()
         self.frames.close()
 
@@ -137,6 +143,34 @@ def read_frame(record: np.void) -> PoseFrame:
         int(record["leds_left"]),
         int(record["leds_right"]),
     )
+
+
+def inputs_record(inputs: IoInputs) -> np.ndarray:
+    """Return inputs as INPUTS, shape (1,)."""
+    record = np.zeros(1, INPUTS)
+    names = "\n".join(inputs.open_interlocks).encode()
+    record[0] = (inputs.t_s, inputs.estop_closed, inputs.chain_closed, names)
+    return record
+
+
+def read_inputs(record: np.ndarray) -> IoInputs:
+    """Return what ``record``, shape (1,) of INPUTS, holds."""
+    t_s, estop_closed, chain_closed, names = record[0].item()
+    return IoInputs(t_s, bool(estop_closed), bool(chain_closed), tuple(names.decode().split("\n")) if names else ())
+
+
+def outputs_record(outputs: IoOutputs) -> np.ndarray:
+    """Return outputs as OUTPUTS, shape (1,)."""
+    record = np.zeros(1, OUTPUTS)
+    lines = outputs.thrusters
+    record["enable"], record["count"] = outputs.enable, len(lines)
+    record["thrusters"][0, : len(lines)] = np.frombuffer(lines, np.uint8)
+    return record
+
+
+def read_outputs(record: np.ndarray) -> IoOutputs:
+    """Return what ``record``, shape (1,) of OUTPUTS, holds."""
+    return IoOutputs(bool(record["enable"][0]), record["thrusters"][0].tobytes()[: int(record["count"][0])])
 
 
 def failure_record(error: BenchError, device: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The loop's side of devices that the I/O process serves: AxisGroup and PoseSource over shared memory."""
+"""The loop's side of devices that other processes serve: AxisGroup, PoseSource, DiscreteIo over shared memory."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.clock import Clock
+from hil.config.io import Io
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Turntable, Vmu
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names
@@ -15,10 +16,11 @@ from hil.drivers.remote import cells
 from hil.drivers.remote.cells import Exchange
 from hil.drivers.remote.requests import Requests
 from hil.errors import DeviceError, LinkLost, LinkTimeout
-from hil.messages import Array, AxisFeedback, PoseFrame
+from hil.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 
 SILENCE_MAX_S = 0.1
-"""Wall time that the I/O process may be silent."""
+"""Wall time that the process which serves a device may be silent."""
+_PROCESSES = {cells.HOST: "I/O process", cells.GUARD: "watchdog process"}
 
 
 _CLOSE_WALL_S = 1.0
@@ -26,28 +28,39 @@ _LOSSES = ("lost", "retries", "crc_errors", "protocol_errors")
 
 
 class IoLink:
-    """What all devices of one I/O process share: its memory, its requests, and whether it is alive."""
+    """What all devices of one process share: the memory, its requests, and whether it is alive.
 
-    def __init__(self, exchange: Exchange, requests: Requests, clock: Clock, ended: Callable[[], str]) -> None:
+    name: HOST or GUARD. ended: tells how the process ended, "" while it lives.
+    """
+
+    def __init__(
+        self, name: str, exchange: Exchange, requests: Requests, clock: Clock, ended: Callable[[], str]
+    ) -> None:
         self.exchange = exchange
         self.requests = requests
         self.clock = clock
+        self._name = name
+        self._process = _PROCESSES[name]
         self._ended = ended
         self._heartbeat = np.zeros(1, cells.HEARTBEAT)
 
     def beat(self, now_s: float, watched: bool) -> None:
         """Tell that the loop is alive; watched: silence from now on means that it is not."""
         self._heartbeat["watched"] = watched
-        self.exchange.block["loop"].write(self._heartbeat, now_s)
+        self.exchange.block[cells.LOOP].write(self._heartbeat, now_s)
 
     def check(self, device: str, now_s: float) -> None:
-        """Raise LinkLost, in the name of ``device``, when the I/O process has ended or is silent."""
+        """Raise LinkLost, in the name of ``device``, when its process has ended or is silent."""
         if ended := self._ended():
-            raise LinkLost(device, f"I/O process {ended}")
-        _, beat_s = self.exchange.block["io"].read(self._heartbeat)
+            raise LinkLost(device, f"{self._process} {ended}")
+        _, beat_s = self.exchange.block[self._name].read(self._heartbeat)
         age_s = (now_s - beat_s) / self.clock.speed
         if age_s > SILENCE_MAX_S:
-            raise LinkLost(device, f"I/O process has been silent for {age_s:.3f} s, allowed {SILENCE_MAX_S:g} s")
+            raise LinkLost(device, f"{self._process} has been silent for {age_s:.3f} s, allowed {SILENCE_MAX_S:g} s")
+
+    def rouse(self) -> None:
+        """Let the process look at once."""
+        self.exchange.rouse(self._name)
 
 
 class _RemoteDevice:
@@ -141,7 +154,7 @@ class RemoteAxes(_RemoteDevice):
         self._setpoint["position"] = accepted
         self._setpoint["rate"] = np.where(accepted == position, wanted_rate, 0.0)
         self._block[f"{self.name}.setpoint"].write(self._setpoint, now_s)
-        self._link.exchange.rouse()
+        self._link.rouse()
         return accepted
 
     def read(self, now_s: float) -> AxisFeedback:
@@ -165,7 +178,7 @@ class RemoteAxes(_RemoteDevice):
         self._link.beat(now_s, watched=False)
         self._stop["number"] += 1
         self._block[f"{self.name}.stop"].write(self._stop, now_s)
-        self._link.exchange.rouse()
+        self._link.rouse()
 
 
 class RemotePoses(_RemoteDevice):
@@ -185,3 +198,44 @@ class RemotePoses(_RemoteDevice):
         """Return the frames that came since the last call, oldest first. Raises DeviceError."""
         self._check(now_s)
         return [cells.read_frame(record) for record in self._frames.take()]
+
+
+class RemoteIo(_RemoteDevice):
+    """The digital lines behind the watchdog process, which pulses the charge pump while everybody is alive."""
+
+    def __init__(self, config: Io, link: IoLink) -> None:
+        super().__init__("io", link)
+        self._timeout_s = config.timeout_s
+        self._inputs = np.zeros(1, cells.INPUTS)
+        self._stop = np.zeros(1, cells.STOP)
+
+    def open(self, now_s: float) -> None:
+        """Let the watchdog open the coupler, all outputs off. Raises DeviceError."""
+        self.close()
+        self._open(now_s)
+
+    def pulse(self, now_s: float) -> None:
+        """Do nothing: the watchdog pulses for the loop as long as it hears its heartbeat."""
+
+    def write(self, outputs: IoOutputs, now_s: float) -> None:
+        """Hand over the outputs. Raises DeviceError once the link failed."""
+        self._check(now_s)
+        self._block["io.outputs"].write(cells.outputs_record(outputs), now_s)
+        self._link.rouse()
+
+    def read(self, now_s: float) -> IoInputs:
+        """Return the newest inputs. Raises LinkTimeout when they are too old, DeviceError on failure."""
+        self._check(now_s)
+        self._block["io.inputs"].read(self._inputs)
+        inputs = cells.read_inputs(self._inputs)
+        age_s = now_s - inputs.t_s
+        if age_s > self._timeout_s:
+            raise LinkTimeout(self.name, f"no answer for {age_s:.3f} s, allowed {self._timeout_s:g} s")
+        return inputs
+
+    def stop(self, now_s: float) -> None:
+        """Let the watchdog set all outputs off; takes no time, idempotent, never raises."""
+        if self._is_open:
+            self._stop["number"] += 1
+            self._block["io.stop"].write(self._stop, now_s)
+            self._link.rouse()

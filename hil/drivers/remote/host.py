@@ -18,8 +18,18 @@ from hil.drivers.remote import cells
 from hil.drivers.remote.cells import Exchange
 from hil.errors import BenchError
 
+LOOP_SILENCE_MAX_S: Final = 0.05
+"""Wall time without a heartbeat of a process that is to be heard after which the bench is stopped."""
+FIFO_PRIORITY: Final = 60
+"""Below the loop's, above everything else: what the loop commands must get out."""
 _PERIOD_WALL_S: Final = 0.001
 _COUNTERS_EVERY: Final = 100  # periods
+
+
+def go_first() -> None:
+    """Put this thread, and those it starts, before everything but the loop, where the system allows it."""
+    with contextlib.suppress(PermissionError):  # the loop's report tells what this computer allows
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
 
 
 class Device(Protocol):
@@ -33,8 +43,8 @@ class Device(Protocol):
 class Host:
     """Serves ``devices`` by name from ``run`` until it is told to stop; then all are closed.
 
-    beat: name of the cell of this process' heartbeat. wake: descriptor of the eventfd that rouses it. Subclasses
-    say in ``serve`` what is done in each period.
+    name: HOST or GUARD, the cell of this process' heartbeat. Subclasses say in ``serve`` what is done in each
+    period.
     """
 
     faults = None
@@ -45,18 +55,20 @@ class Host:
         exchange: Exchange,
         requests: socket.socket,
         clock: WallClock,
-        beat: str,
-        wake: int,
+        name: str,
     ) -> None:
         self.exchange = exchange
         self.clock = clock
         self.served: set[str] = set()
         self._devices = devices
         self._requests = requests
-        self._beat = exchange.block[beat]
-        self._wake = wake
+        self._beat = exchange.block[name]
+        self._wake = exchange.wakes[name]
         self._heartbeat = np.zeros(1, cells.HEARTBEAT)
+        self._heartbeat["watched"] = 1
         self._heard = np.zeros(1, cells.HEARTBEAT)
+        self._stop = np.zeros(1, cells.STOP)
+        self._stops: dict[str, int] = {}
 
     def start(self) -> dict[str, str]:
         """Begin to answer; nothing is opened before the loop asks for it."""
@@ -94,8 +106,16 @@ class Host:
 
     def silent_s(self, cell: str, now_s: float) -> float:
         """Return for how long, s of wall time, a process that is to be heard has been silent; 0 where it may be."""
-        _, heard_s = self.exchange.block[cell].read(self._heard)
-        return (now_s - heard_s) / self.clock.speed if self._heard["watched"][0] else 0.0
+        number, heard_s = self.exchange.block[cell].read(self._heard)
+        return (now_s - heard_s) / self.clock.speed if number and self._heard["watched"][0] else 0.0
+
+    def stop_is_new(self, device: str) -> bool:
+        """Return whether the loop has ordered another stop of ``device``."""
+        number, _ = self.exchange.block[f"{device}.stop"].read(self._stop)
+        if number == self._stops.get(device, 0):
+            return False
+        self._stops[device] = number
+        return True
 
     def fail(self, name: str, error: BenchError, now_s: float) -> None:
         """Tell the loop, once; the device is not asked any more until it is opened again."""

@@ -1,0 +1,141 @@
+"""The link to the coupler: every request is bounded, every failure names the device."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from functools import partial
+from typing import Final
+
+from pymodbus.client import AsyncModbusTcpClient
+from pymodbus.exceptions import ConnectionException, ModbusException
+from pymodbus.pdu import ModbusPDU
+
+from hil.clock import WallClock
+from hil.config.io import Io
+from hil.drivers.io import NAME
+from hil.drivers.io.codec import LineMap
+from hil.errors import LinkLost, LinkTimeout, ProtocolError
+
+_LAST_WORD_WALL_S: Final = 0.02
+_IDENTITY: Final = ("vendor", "product", "revision")  # objects 0, 1, 2
+
+# What goes wrong is raised and names the device; pymodbus would add a packet trace on standard error.
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+
+
+class Coupler:
+    """One coupler. Must be made and used inside a running event loop.
+
+    timeout_s: bench time that it has for an answer.
+    """
+
+    def __init__(self, config: Io, lines: LineMap, timeout_s: float, clock: WallClock) -> None:
+        self._lines = lines
+        self._identity = config.identity
+        self._address = f"{config.host}:{config.port}"
+        self._device_id = config.device_id
+        self._timeout_s = timeout_s
+        self._timeout_wall_s = clock.wall_s(timeout_s)
+        self._waits: set[asyncio.Timeout] = set()  # one a request under way
+        self._client = AsyncModbusTcpClient(
+            config.host,
+            port=config.port or 0,
+            timeout=10.0 * self._timeout_wall_s,  # the time-out below comes first: it can tell what happened
+            retries=0,
+            reconnect_delay=0,  # a lost coupler stays lost until the bench is opened again
+            trace_connect=self._on_connection,
+        )
+
+    async def identify(self) -> None:
+        """Connect, and make sure that it is the coupler that the rig file names, where it names one."""
+        try:
+            async with asyncio.timeout(self._timeout_wall_s):
+                connected = await self._client.connect()
+        except TimeoutError as error:
+            raise LinkTimeout(NAME, f"no connection to {self._address} in {self._timeout_s:g} s") from error
+        if not connected:
+            raise LinkLost(NAME, f"no connection to {self._address}: nothing listens there")
+        wanted = [(number, name, getattr(self._identity, name)) for number, name in enumerate(_IDENTITY)]
+        if all(expected is None for _, _, expected in wanted):
+            return
+        reply = await self._ask(
+            partial(self._client.read_device_information, read_code=1, object_id=0, device_id=self._device_id)
+        )
+        objects: dict[int, object] = getattr(reply, "information", {})
+        for number, name, expected in wanted:
+            said = objects.get(number, b"")
+            found = said.decode("ascii", "replace") if isinstance(said, bytes) else str(said)
+            if expected is not None and found != expected:
+                text = f"wrong coupler at {self._address}: {name} {found!r}, expected {expected!r}"
+                raise ProtocolError(NAME, text)
+
+    async def exchange(self, levels: dict[int, bool]) -> dict[int, bool]:
+        """Write the coils, read them back, read the inputs; return the inputs by address.
+
+        Raises ProtocolError where a coil does not read as it was written: the coupler does not work, or
+        somebody else writes to it.
+        """
+        await self.write(levels)
+        for run in self._lines.coil_runs:
+            found = await self._bits(self._client.read_coils, run)
+            for address, level in found.items():
+                if level != levels[address]:
+                    name = self._lines.coil_names[self._lines.coils.index(address)]
+                    raise ProtocolError(NAME, f"output {name} reads {level:d}, written {levels[address]:d}")
+        inputs: dict[int, bool] = {}
+        for run in self._lines.input_runs:
+            inputs |= await self._bits(self._client.read_discrete_inputs, run)
+        return inputs
+
+    async def write(self, levels: dict[int, bool]) -> None:
+        """Write all coils."""
+        for run in self._lines.coil_runs:
+            values = [levels[address] for address in run]
+            await self._ask(partial(self._client.write_coils, run.start, values, device_id=self._device_id))
+
+    async def say_off(self) -> None:
+        """Leave all outputs off, if that can be had in a moment."""
+        with suppress(TimeoutError, ModbusException, LinkLost, LinkTimeout, ProtocolError):  # nothing more can be done
+            async with asyncio.timeout(_LAST_WORD_WALL_S):
+                await self.write(dict.fromkeys(self._lines.coils, False))
+
+    def close(self) -> None:
+        self._client.close()
+
+    async def _bits(self, read: Callable[..., Awaitable[ModbusPDU]], run: range) -> dict[int, bool]:
+        reply = await self._ask(partial(read, run.start, count=len(run), device_id=self._device_id))
+        padded = (len(run) + 7) // 8 * 8  # answers come in whole bytes
+        if len(reply.bits) != padded:
+            raise ProtocolError(NAME, f"{len(reply.bits)} bits came, expected {padded}")
+        return dict(zip(run, reply.bits, strict=False))
+
+    def _on_connection(self, connected: bool) -> None:
+        """End the waiting for a coupler that has hung up: pymodbus would wait on (it calls this)."""
+        if not connected:
+            for wait in self._waits:
+                if not wait.expired():
+                    wait.reschedule(0.0)
+
+    async def _ask(self, request: Callable[[], Awaitable[ModbusPDU]]) -> ModbusPDU:
+        try:
+            async with asyncio.timeout(self._timeout_wall_s) as wait:
+                self._waits.add(wait)
+                try:
+                    reply = await request()
+                finally:
+                    self._waits.discard(wait)
+        except TimeoutError as error:
+            if not self._client.connected:
+                raise LinkLost(NAME, f"{self._address} closed the connection") from error
+            raise LinkTimeout(NAME, f"no answer within {self._timeout_s:g} s") from error
+        except ConnectionException as error:
+            raise LinkLost(NAME, f"{self._address} closed the connection") from error
+        except ModbusException as error:
+            raise ProtocolError(NAME, str(error)) from error
+        if reply.isError():
+            code = getattr(reply, "exception_code", 0)
+            raise ProtocolError(NAME, f"Modbus exception {code} to function {reply.function_code & 0x7F}")
+        return reply

@@ -1,0 +1,181 @@
+"""Driver of the coupler: Modbus TCP, one event loop in one thread of its own.
+
+Every exchange writes all outputs, reads them back, and reads the inputs. It is started by a change of
+an output, and by itself every 20 ms, so that the inputs stay fresh.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from typing import Final
+
+from hil.clock import WallClock
+from hil.config.io import Io
+from hil.drivers.io import NAME
+from hil.drivers.io.codec import LineMap
+from hil.drivers.io.coupler import Coupler
+from hil.drivers.latest import Latest
+from hil.errors import DeviceError, LinkLost, LinkTimeout
+from hil.messages import IoInputs, IoOutputs
+
+IDLE_PERIOD_S: Final = 0.02  # between exchanges while nothing changes
+_OFF: Final = IoOutputs(False, b"")
+_STOP_WAIT_WALL_S: Final = 0.08
+_CLOSE_WAIT_WALL_S: Final = 0.1
+
+
+class ModbusIo:
+    """DiscreteIo on a coupler. May be opened again after ``close``.
+
+    config.timeout_s: longest silence of the coupler. clock: stamps the inputs with bench time, half way
+    between the first request and the last answer of an exchange.
+    """
+
+    def __init__(self, config: Io, clock: WallClock) -> None:
+        self.name = NAME
+        self._config = config
+        self._clock = clock
+        self._lines = LineMap(config)
+        self._box: Latest[IoInputs] = Latest(NAME)
+        self._box.fail(LinkLost(NAME, "is not open"))
+        self._outputs = _OFF
+        self._pump = False
+        self._toggled_s = 0.0
+        self._stopped = True
+        self._is_off = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._loop: asyncio.AbstractEventLoop
+        self._wake: asyncio.Event
+
+    def open(self, now_s: float) -> None:
+        """Connect, check what it is, set all outputs off, read the inputs."""
+        self.close()
+        self._box = Latest(NAME)
+        self._outputs = _OFF
+        self._pump = self._stopped = False
+        self._toggled_s = now_s - self._config.pump_period_s
+        self._is_off.clear()
+        self._wake = asyncio.Event()
+        self._loop = asyncio.new_event_loop()
+        opened: Future[None] = Future()
+        self._thread = threading.Thread(target=self._run, args=(opened,), name="io-modbus", daemon=True)
+        self._thread.start()
+        bound_s = 6.0 * self._config.timeout_s
+        try:
+            opened.result(timeout=self._clock.wall_s(bound_s))
+        except TimeoutError as error:
+            self.close()
+            raise LinkTimeout(NAME, f"not open after {bound_s:g} s") from error
+        except BaseException:
+            self.close()
+            raise
+
+    def pulse(self, now_s: float) -> None:
+        """Toggle the charge pump, unless it was toggled within the pump's period."""
+        if now_s - self._toggled_s >= self._config.pump_period_s and not self._stopped:
+            self._pump = not self._pump
+            self._toggled_s = now_s
+            self._call(self._wake.set)
+
+    def write(self, outputs: IoOutputs, now_s: float) -> None:
+        """Hand over the outputs; once stopped they stay off."""
+        self._box.check()
+        if not self._stopped and outputs != self._outputs:
+            self._outputs = outputs
+            self._call(self._wake.set)
+
+    def read(self, now_s: float) -> IoInputs:
+        """Return the inputs of the newest exchange."""
+        return self._box.get(now_s, self._config.timeout_s)
+
+    def stop(self, now_s: float) -> None:
+        """Set all outputs off; wait until the coupler has it, 0.08 s of wall time at most."""
+        again = self._stopped
+        self._stopped = True
+        self._outputs = _OFF
+        if again or self._thread is None or not self._thread.is_alive():
+            return
+        self._call(self._wake.set)
+        self._is_off.wait(_STOP_WAIT_WALL_S)
+
+    def close(self) -> None:
+        """Leave the outputs off and let go of the wire; 0.1 s of wall time at most."""
+        self._stopped = True
+        self._outputs = _OFF
+        self._box.fail(LinkLost(NAME, "is closed"))
+        if self._thread is None:
+            return
+        self._call(self._cancel)
+        self._thread.join(_CLOSE_WAIT_WALL_S)
+        self._thread = None
+
+    def _call(self, function: Callable[[], object]) -> None:
+        with suppress(RuntimeError):  # the loop has ended; why lies in the box
+            self._loop.call_soon_threadsafe(function)
+
+    # From here on: in the thread.
+
+    def _run(self, opened: Future[None]) -> None:
+        try:
+            with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+                runner.run(self._live(opened))
+            error: DeviceError = LinkLost(NAME, "the thread of the link has ended")
+        except asyncio.CancelledError:
+            error = LinkLost(NAME, "is closed")
+        except DeviceError as problem:
+            error = problem
+        except Exception as problem:
+            error = LinkLost(NAME, f"the thread of the link died: {problem!r}")
+            error.__cause__ = problem
+        self._box.fail(error)
+        self._is_off.set()
+        if not opened.done():
+            opened.set_exception(error)
+
+    def _cancel(self) -> None:
+        for task in asyncio.all_tasks():
+            task.cancel()
+
+    async def _live(self, opened: Future[None]) -> None:
+        # A little less than the box allows, so that silence is reported by what was waited for.
+        timeout_s = max(0.5 * self._config.timeout_s, self._config.timeout_s - 1.5 * IDLE_PERIOD_S)
+        coupler = Coupler(self._config, self._lines, timeout_s, self._clock)
+        try:
+            await coupler.identify()
+            await self._exchange(coupler)
+            opened.set_result(None)
+            idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
+            while True:
+                with suppress(TimeoutError):  # nothing changed: exchange all the same
+                    async with asyncio.timeout(idle_wall_s):
+                        await self._wake.wait()
+                self._wake.clear()
+                await self._exchange(coupler)
+        finally:
+            await coupler.say_off()
+            coupler.close()
+
+    async def _exchange(self, coupler: Coupler) -> None:
+        stopped = self._stopped
+        asked_s = self._clock.now_s()
+        inputs = await coupler.exchange(self._levels())
+        t_s = 0.5 * (asked_s + self._clock.now_s())
+        lines = self._lines
+        open_interlocks = tuple(name for name, address in lines.interlocks.items() if not inputs[address])
+        self._box.put(IoInputs(t_s, inputs[lines.estop], inputs[lines.chain], open_interlocks), t_s)
+        if stopped:
+            self._is_off.set()
+
+    def _levels(self) -> dict[int, bool]:
+        """Return the coils as they are to be, by address."""
+        outputs, coils = self._outputs, self._lines.coils
+        levels = dict.fromkeys(coils, False)
+        if not self._stopped:
+            levels[coils[0]] = self._pump
+            levels[coils[1]] = outputs.enable
+            levels.update((coils[2 + n], bool(on)) for n, on in enumerate(outputs.thrusters[: len(coils) - 2]))
+        return levels

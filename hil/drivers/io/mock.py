@@ -1,0 +1,74 @@
+"""The coupler in memory, in simulated time, with the safety relay behind it."""
+
+from __future__ import annotations
+
+from hil.config.io import Io
+from hil.drivers.io import NAME
+from hil.drivers.io.relay import SafetyRelay
+from hil.errors import DeviceError, LinkLost
+from hil.messages import IoInputs, IoOutputs
+
+_OFF = IoOutputs(False, b"")
+
+
+class MockIo:
+    """A DiscreteIo without a wire. ``pressed`` and ``open_interlocks`` are what people do to the bench."""
+
+    def __init__(self, config: Io) -> None:
+        self.name = NAME
+        self.pressed = False
+        self.open_interlocks: tuple[str, ...] = ()
+        self.outputs = _OFF
+        self._period_s = config.pump_period_s
+        self._pump_timeout_s = config.pump_timeout_s
+        self._error: DeviceError | None = LinkLost(NAME, "is not open")
+
+    def open(self, now_s: float) -> None:
+        """Begin with all outputs off."""
+        self._relay = SafetyRelay(self._pump_timeout_s)
+        self._pump = False
+        self._toggled_s = now_s - self._period_s
+        self.outputs = _OFF
+        self._error = None
+
+    def pulse(self, now_s: float) -> None:
+        """Toggle the charge pump, unless it was toggled within the pump's period."""
+        if self._error is None and now_s - self._toggled_s >= self._period_s:
+            self._pump = not self._pump
+            self._toggled_s = now_s
+            self._advance(now_s)
+
+    def write(self, outputs: IoOutputs, now_s: float) -> None:
+        """Set the outputs."""
+        self._check()
+        self.outputs = outputs
+        self._advance(now_s)
+
+    def read(self, now_s: float) -> IoInputs:
+        """Return the inputs at ``now_s``."""
+        self._check()
+        closed = self._advance(now_s)
+        return IoInputs(now_s, not self.pressed, closed, self.open_interlocks)
+
+    def stop(self, now_s: float) -> None:
+        """Set all outputs off and leave them off."""
+        if self._error is None:
+            self.outputs = _OFF
+            self._advance(now_s)
+
+    def close(self) -> None:
+        """Let go: the outputs of a coupler without a master are off."""
+        self.outputs = _OFF
+        self._error = LinkLost(NAME, "is closed")
+
+    def fail(self, error: DeviceError) -> None:
+        """Let every later ``write`` and ``read`` raise ``error``, as after a failure of the link."""
+        self._error = error
+
+    def _check(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def _advance(self, now_s: float) -> bool:
+        contacts_closed = not (self.pressed or self.open_interlocks)
+        return self._relay.update(now_s, self._pump, self.outputs.enable, contacts_closed)
