@@ -171,6 +171,7 @@ def warm_up(job: Job) -> None:
 def warm_up_all_but_navigation(job: Job) -> None:
     """Call the kernels of every stage but navigation once."""
     loop = _a_few_cycles(job).loop
+    loop.lines.open(SimulatedRate(SimulatedClock(), job.scenario.value.step_s))
     now = loop.now
     loop.bench.open(0.0)
     loop.vision.source.open(0.0)

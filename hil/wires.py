@@ -31,6 +31,8 @@ def wires(rig: Rig) -> list[Wire]:
         found.append(Wire("turntable.cia402.channel", kind, can.channel))
     if rig.turntable.driver == "ascii" and line is not None and line.port is not None:
         found.append(Wire("turntable.ascii.port", "serial", line.port))
+    if rig.io is not None and rig.io.driver == "modbus":
+        found.append(Wire("io", "tcp", f"{rig.io.host}:{rig.io.port}"))
     if rig.vmu.driver == "rs422" and rig.vmu.rs422 is not None and rig.vmu.rs422.port is not None:
         found.append(Wire("vmu.rs422.port", "serial", rig.vmu.rs422.port))
     return found

@@ -139,6 +139,7 @@ def _rig(tmp_path: Path, **given: str) -> Rig:
         'extends = "emulated"\nname = "lab"\nkind = "hardware"\n[rails.modbus]\n'
         + "".join(f'{name} = {{ host = "{chosen["host"]}", port = 502 }}\n' for name in RAIL_NAMES)
         + f'[turntable.cia402]\ninterface = "{chosen["interface"]}"\nchannel = "{chosen["channel"]}"\n'
+        + f'[io]\nhost = "{chosen["host"]}"\nport = 503\n'
         + f'[vmu.rs422]\nport = "{chosen["port"]}"\n'
     )
     return load_rig(str(path)).value
@@ -151,6 +152,7 @@ def test_wires_of_a_rig_are_those_that_its_drivers_open(tmp_path: Path) -> None:
         ("rails.modbus.y", "tcp"),
         ("rails.modbus.z", "tcp"),
         ("turntable.cia402.channel", "can"),
+        ("io", "tcp"),
         ("vmu.rs422.port", "serial"),
     ]
     assert found[0].address == "192.0.2.1:502"

@@ -7,6 +7,7 @@ import json
 import os
 import select
 import socket
+import sys
 import threading
 from collections.abc import Mapping
 from typing import Any, Final, Protocol
@@ -14,6 +15,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from hil.clock import WallClock
+from hil.drivers.base import accepted_setpoint
 from hil.drivers.remote import cells
 from hil.drivers.remote.cells import Exchange
 from hil.errors import BenchError
@@ -22,12 +24,19 @@ LOOP_SILENCE_MAX_S: Final = 0.05
 """Wall time without a heartbeat of a process that is to be heard after which the bench is stopped."""
 FIFO_PRIORITY: Final = 60
 """Below the loop's, above everything else: what the loop commands must get out."""
+_SWITCH_INTERVAL_S: Final = 5e-5
 _PERIOD_WALL_S: Final = 0.001
 _COUNTERS_EVERY: Final = 100  # periods
 
 
 def go_first() -> None:
-    """Put this thread, and those it starts, before everything but the loop, where the system allows it."""
+    """Put this thread, and those it starts, before everything but the loop, where the system allows it.
+
+    Kernels are loaded now: later that would keep the interpreter from every other thread for a tenth of a second.
+    """
+    nothing = np.zeros(3)
+    accepted_setpoint(("", "", ""), nothing, nothing, nothing)
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
     with contextlib.suppress(PermissionError):  # the loop's report tells what this computer allows
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
 
