@@ -20,7 +20,7 @@ from pymodbus.pdu import DecodePDU, ModbusPDU
 
 from hil.clock import WallClock
 from hil.config.io import Io
-from hil.drivers.io.codec import LineMap
+from hil.drivers.io.codec import Function, LineMap
 from hil.drivers.io.coupler import Coupler
 from hil.drivers.io.driver import ModbusIo
 from hil.drivers.io.emulator import IDENTITY, IoEmulator
@@ -277,7 +277,7 @@ def test_a_million_mutated_answers_are_taken_whole_or_refused() -> None:
                 damaged[rng.randrange(len(damaged))] ^= rng.randrange(1, 256)
             raw = bytes(damaged[: rng.randrange(1, 11)] if rng.random() < 0.2 else damaged)
             try:
-                found = await coupler._bits(read, range(2))
+                found = await coupler._bits(Function.READ_INPUTS, read, range(2))
                 accepted += 1
                 assert set(found) == {0, 1}
                 assert raw[:2] in (right[:2], b"\0\0"), raw.hex()  # pymodbus lets a transaction of 0 pass

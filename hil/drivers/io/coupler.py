@@ -16,7 +16,7 @@ from pymodbus.pdu import ModbusPDU
 from hil.clock import WallClock
 from hil.config.io import Io
 from hil.drivers.io import NAME
-from hil.drivers.io.codec import LineMap
+from hil.drivers.io.codec import Function, LineMap
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
 
 _LAST_WORD_WALL_S: Final = 0.02
@@ -64,9 +64,8 @@ class Coupler:
         wanted = [(number, name, getattr(self._identity, name)) for number, name in enumerate(_IDENTITY)]
         if all(expected is None for _, _, expected in wanted):
             return
-        reply = await self._ask(
-            partial(self._client.read_device_information, read_code=1, object_id=0, device_id=self._device_id)
-        )
+        request = partial(self._client.read_device_information, read_code=1, object_id=0, device_id=self._device_id)
+        reply = await self._ask(Function.ENCAPSULATED, request)
         objects: dict[int, object] = getattr(reply, "information", {})
         for number, name, expected in wanted:
             said = objects.get(number, b"")
@@ -83,21 +82,22 @@ class Coupler:
         """
         await self.write(levels)
         for run in self._lines.coil_runs:
-            found = await self._bits(self._client.read_coils, run)
+            found = await self._bits(Function.READ_COILS, self._client.read_coils, run)
             for address, level in found.items():
                 if level != levels[address]:
                     name = self._lines.coil_names[self._lines.coils.index(address)]
                     raise ProtocolError(NAME, f"output {name} reads {level:d}, written {levels[address]:d}")
         inputs: dict[int, bool] = {}
         for run in self._lines.input_runs:
-            inputs |= await self._bits(self._client.read_discrete_inputs, run)
+            inputs |= await self._bits(Function.READ_INPUTS, self._client.read_discrete_inputs, run)
         return inputs
 
     async def write(self, levels: dict[int, bool]) -> None:
         """Write all coils."""
         for run in self._lines.coil_runs:
             values = [levels[address] for address in run]
-            await self._ask(partial(self._client.write_coils, run.start, values, device_id=self._device_id))
+            request = partial(self._client.write_coils, run.start, values, device_id=self._device_id)
+            await self._ask(Function.WRITE_COILS, request)
 
     async def say_off(self) -> None:
         """Leave all outputs off, if that can be had in a moment."""
@@ -112,8 +112,8 @@ class Coupler:
         self._client.close()
         await asyncio.sleep(_HANGS_UP_WALL_S)
 
-    async def _bits(self, read: Callable[..., Awaitable[ModbusPDU]], run: range) -> dict[int, bool]:
-        reply = await self._ask(partial(read, run.start, count=len(run), device_id=self._device_id))
+    async def _bits(self, function: Function, read: Callable[..., Awaitable[ModbusPDU]], run: range) -> dict[int, bool]:
+        reply = await self._ask(function, partial(read, run.start, count=len(run), device_id=self._device_id))
         padded = (len(run) + 7) // 8 * 8  # answers come in whole bytes
         if len(reply.bits) != padded:
             raise ProtocolError(NAME, f"{len(reply.bits)} bits came, expected {padded}")
@@ -135,7 +135,7 @@ class Coupler:
             return ProtocolError(NAME, f"{self._address} sent what cannot be read: {self._garbled}")
         return LinkLost(NAME, f"{self._address} closed the connection")
 
-    async def _ask(self, request: Callable[[], Awaitable[ModbusPDU]]) -> ModbusPDU:
+    async def _ask(self, function: Function, request: Callable[[], Awaitable[ModbusPDU]]) -> ModbusPDU:
         if not self._client.connected:
             raise self._lost()
         try:
@@ -156,4 +156,6 @@ class Coupler:
         if reply.isError():
             code = getattr(reply, "exception_code", 0)
             raise ProtocolError(NAME, f"Modbus exception {code} to function {reply.function_code & 0x7F}")
+        if reply.function_code != function:  # pymodbus takes any
+            raise ProtocolError(NAME, f"answer to function {reply.function_code}, asked for {function:d}")
         return reply
