@@ -21,6 +21,9 @@ z = {{ host = "192.0.2.3", port = 502 }}
 driver = "ascii"
 [turntable.ascii]
 port = "/dev/null"
+[io]
+host = "192.0.2.4"
+port = 502
 [vmu.rs422]
 {vmu}
 """
@@ -55,6 +58,7 @@ def test_unknown_scenario_names_the_known_ones(capsys: pytest.CaptureFixture[str
         ("initial.attitude_deg=[80.0, 0.0, 0.0]", ("initial.attitude_deg", "turntable.roll", "60 deg")),
         ("rig.rails.x.travel_m=[5.0, 1.0]", ("rig.rails.x", "travel_m")),
         ("rig.vmu.driver=rs422", ("vmu.driver", "mock")),
+        ("rig.io.thruster_lines=3", ("rig.io.thruster_lines", "allowed", "or 0 for none")),
         ("orbit.altitude_m=-1000.0", ("orbit.altitude_m", "-1000", "greater than 0")),
         ("orbit.eccentricity=0.2", ("orbit.eccentricity", "0.2", "less than 0.1")),
         ("truth.relative_motion=kepler", ("truth.relative_motion", "kepler", "'hill' or 'nonlinear'")),

@@ -30,7 +30,7 @@ def _started(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str,
         try:
             assert process.stderr is not None
             pids: dict[str, int] = {}
-            while len(pids) < 3:
+            while len(pids) < 4:
                 line = process.stderr.readline()
                 assert line, "ended before the emulators were up"
                 found = re.match(r"emulator process (\d+): (\w+)", line)
@@ -85,7 +85,7 @@ def test_whole_scheme_passes_over_real_wires_at_four_times_the_speed(turntable: 
 
 
 @pytest.mark.parametrize("plug", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "frozen"])
-@pytest.mark.parametrize("device", ["rails", "turntable", "vmu"])
+@pytest.mark.parametrize("device", ["rails", "turntable", "vmu", "io"])
 def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str, plug: signal.Signals) -> None:
     with _started(*NEAR) as (process, pids):
         time.sleep(2.0)
@@ -124,13 +124,13 @@ def test_emulate_says_where_each_device_listens_and_ends_on_ctrl_c() -> None:
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            lines = [process.stdout.readline() for _ in range(9)]
+            lines = [process.stdout.readline() for _ in range(11)]
             pids = {line.split()[0]: int(found[1]) for line in lines if (found := re.search(r"process (\d+)", line))}
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=20)
         finally:
             process.kill()
     assert process.returncode == 0
-    wires = {"rails.x", "rails.y", "rails.z", "turntable", "vmu"}
-    assert set(pids) == wires | {"rails.faults", "turntable.faults", "vmu.faults"}
+    wires = {"rails.x", "rails.y", "rails.z", "turntable", "vmu", "io"}
+    assert set(pids) == wires | {"rails.faults", "turntable.faults", "vmu.faults", "io.faults"}
     assert _none_left(pids)

@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from hil.config.load import load_rig, load_scenario, shipped
+from hil.config.rig import Rig
 from hil.errors import BadInput, Problem
 
 Write = Callable[..., str]
@@ -248,7 +250,9 @@ def test_impossible_rig_is_refused(setting: str, text: str) -> None:
 
 def test_rig_of_hardware_without_wires_names_each_missing_wire(write: Write) -> None:
     path = write(
-        'kind = "hardware"\nrails.driver = "modbus"\nturntable.driver = "ascii"\nvmu.driver = "rs422"', extends="mock"
+        'kind = "hardware"\nrails.driver = "modbus"\nturntable.driver = "ascii"\n'
+        'vmu.driver = "rs422"\nio.driver = "modbus"',
+        extends="mock",
     )
     found = rig_problems(path)
     assert set(found) == {
@@ -257,7 +261,33 @@ def test_rig_of_hardware_without_wires_names_each_missing_wire(write: Write) -> 
         "rig.rails.modbus.z.port",
         "rig.turntable.ascii.port",
         "rig.vmu.rs422.port",
+        "rig.io.port",
     }
+
+
+def test_hardware_says_outright_that_it_has_no_digital_lines() -> None:
+    table = load_rig("emulated").value.model_dump(mode="json") | {"kind": "hardware", "io": None}
+    with pytest.raises(ValidationError, match=r"\[io\] is missing: hardware needs"):
+        Rig.model_validate(table, strict=False)
+    assert not Rig.model_validate(table | {"io": {"driver": "none"}}, strict=False).has_io
+
+
+@pytest.mark.parametrize(
+    ("setting", "text"),
+    [
+        ("rig.io.coils.enable=0", "coils.enable has address 0, which is that of coils.charge_pump"),
+        ("rig.io.coils.thrusters_first=1", "coils.thrusters_first + 0 has address 1, which is that of coils.enable"),
+        ("rig.io.coils.thrusters_first=65530", "must end at 65535"),
+        ("rig.io.interlocks.door=1", "interlocks.door has address 1, which is that of inputs.chain_closed"),
+        ("rig.io.inputs.estop_closed=-1", "greater than or equal to 0"),
+        ("rig.io.thruster_lines=25", "less than or equal to 24"),
+        ("rig.io.pump_period_s=0.03", "allowed up to half of pump_timeout_s, 0.025"),
+        ("rig.io.driver=modbus", "does not go with kind"),
+        ("rig.io.timeout=1.0", "the unit stands in the name, here it is timeout_s"),
+    ],
+)
+def test_impossible_digital_lines_are_refused(setting: str, text: str) -> None:
+    assert any(text in problem.message for problem in rig_problems("mock", [setting]).values())
 
 
 def test_gravity_file_counts_from_the_folder_of_the_file_that_names_it(write: Write, tmp_path: Path) -> None:

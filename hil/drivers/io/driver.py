@@ -19,11 +19,12 @@ from hil.drivers.io import NAME
 from hil.drivers.io.codec import LineMap
 from hil.drivers.io.coupler import Coupler
 from hil.drivers.latest import Latest
-from hil.errors import DeviceError, LinkLost, LinkTimeout
+from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout
 from hil.messages import IoInputs, IoOutputs
 
 IDLE_PERIOD_S: Final = 0.02  # between exchanges while nothing changes
 _OFF: Final = IoOutputs(False, b"")
+_OPENING_TIME_S: Final = 0.5
 _STOP_WAIT_WALL_S: Final = 0.08
 _CLOSE_WAIT_WALL_S: Final = 0.1
 
@@ -146,7 +147,7 @@ class ModbusIo:
         coupler = Coupler(self._config, self._lines, timeout_s, self._clock)
         try:
             await coupler.identify()
-            await self._exchange(coupler)
+            await self._begin(coupler)
             opened.set_result(None)
             idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
             while True:
@@ -156,8 +157,21 @@ class ModbusIo:
                 self._wake.clear()
                 await self._exchange(coupler)
         finally:
-            await coupler.say_off()
-            coupler.close()
+            try:
+                await coupler.say_off()
+            finally:  # close() may cancel this while it speaks
+                await coupler.close()
+
+    async def _begin(self, coupler: Coupler) -> None:
+        """Set all outputs off and see the chain open: a relay whose contacts are welded protects nobody."""
+        deadline_s = self._clock.now_s() + _OPENING_TIME_S
+        await self._exchange(coupler)
+        while (inputs := self._box.peek()) is not None and inputs.chain_closed:
+            if self._clock.now_s() > deadline_s:
+                text = f"the safety chain is closed {_OPENING_TIME_S:g} s after enable went off: contacts or wiring"
+                raise DriveFault(NAME, text)
+            await asyncio.sleep(0.0)
+            await self._exchange(coupler)
 
     async def _exchange(self, coupler: Coupler) -> None:
         stopped = self._stopped

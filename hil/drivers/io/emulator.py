@@ -90,12 +90,13 @@ class IoEmulator:
         self._wire = FaultyWire(self.faults, stream(seed, "wire"))
         self._loop = asyncio.new_event_loop()
         self._server: asyncio.Server | None = None
+        self.connections: set[asyncio.Transport] = set()
         tell(False, clock.now_s())
 
     def start(self) -> dict[str, str]:
         """Listen; return ``{"io": "host:port"}``."""
         self._server = self._loop.run_until_complete(
-            self._loop.create_server(lambda: _Connection(self._exchange), "127.0.0.1", 0)
+            self._loop.create_server(lambda: _Connection(self._exchange, self.connections), "127.0.0.1", 0)
         )
         return {NAME: f"127.0.0.1:{self._server.sockets[0].getsockname()[1]}"}
 
@@ -109,6 +110,8 @@ class IoEmulator:
             return
         if self._server is not None:
             self._server.close()
+        for connection in list(self.connections):
+            connection.close()
         self._loop.run_until_complete(asyncio.sleep(0.01))  # let the connections' own callbacks see their end
         self._loop.close()
 
@@ -139,14 +142,21 @@ def _send(transport: asyncio.Transport, packet: bytes) -> None:
 class _Connection(asyncio.Protocol):
     """Cuts one connection's bytes into requests; hangs up on bytes that are no Modbus TCP."""
 
-    def __init__(self, exchange: Callable[[asyncio.Transport, int, int, bytes], None]) -> None:
+    def __init__(
+        self, exchange: Callable[[asyncio.Transport, int, int, bytes], None], everyone: set[asyncio.Transport]
+    ) -> None:
         self._exchange = exchange
+        self._everyone = everyone
         self._buffer = bytearray()
         self._transport: asyncio.Transport
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
+        self._everyone.add(transport)
+
+    def connection_lost(self, cause: Exception | None) -> None:
+        self._everyone.discard(self._transport)
 
     def data_received(self, data: bytes) -> None:
         self._buffer += data

@@ -1,0 +1,38 @@
+"""The emergency stop pressed in mid-run on the emulated bench: the run ends, and the axes stand."""
+
+from __future__ import annotations
+
+import time
+
+from hil.build import Job, check, warm_up
+from hil.build import runner as make_runner
+from hil.config.load import load_rig, load_scenario
+from hil.drivers.faults import FaultControl
+from hil.modes import Mode
+
+NEAR = ("initial.position_m=[0.7, -0.03, 0.03]", "rig.rails.x.park_m=0.6")
+
+
+def test_emergency_stop_ends_the_run_by_name_and_the_axes_stand() -> None:
+    """It is pressed by the control port."""
+    announced: list[str] = []
+    job = Job(load_scenario("scheme-1", NEAR), load_rig("emulated", NEAR), 1, 20.0, 1.0)
+    check(job)
+    warm_up(job)
+    pressed_s: list[float] = []
+
+    def press_in_mid_run(mode: Mode, share: float) -> None:
+        if mode is Mode.RUNNING and share > 0.0 and not pressed_s:
+            line = next(text for text in announced if ": io" in text)
+            control = FaultControl(line.rpartition("io.faults on ")[2].split(",")[0])
+            assert control.say("on estop") == "ok"
+            control.close()
+            pressed_s.append(time.monotonic())
+
+    with make_runner(job, press_in_mid_run, announced.append) as runner:
+        outcome = runner.run()
+        assert pressed_s, outcome.stop
+        took_s = time.monotonic() - pressed_s[0]
+    assert outcome.stop == "io: emergency stop pressed, allowed released"
+    assert outcome.mode is Mode.SAFE_STOP
+    assert took_s < 3.0
