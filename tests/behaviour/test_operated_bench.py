@@ -317,3 +317,75 @@ def test_plan_that_ends_before_the_run_leaves_the_bench_in_standby() -> None:
         outcome, _ = operate(idle, plan=plan, attended=False)
         assert outcome.mode is Mode.STANDBY
         assert not outcome.faults
+
+
+def test_homing_that_never_ends_stops_the_bench() -> None:
+    settings = ('rig.rails.x.encoder="incremental"', "rig.safety.homing_timeout_s=1.0")
+    outcome, _ = operate(idle, *settings, attended=False)
+    assert outcome.stop == "rails.x: homing not done after 1.0 s, allowed 1 s"
+
+
+def test_resume_ordered_while_the_axes_still_brake_waits_until_they_stand() -> None:
+    def script(session: Session) -> None:
+        session.order_once(Order.HOLD, session.mode is Mode.RUNNING and session.now_s > 30.0)
+        session.order_once(Order.RESUME, session.mode is Mode.HOLD)
+
+    outcome, session = operate(script, duration_s=40.0)
+    assert outcome.stop == "completed"
+    speed, acceleration = step_ratios(session)
+    assert speed <= 1.0 + 1e-6
+    assert acceleration <= 1.0 + 1e-3
+    assert [event.text for event in outcome.events if event.source == "bench"][1] != "resumed after 0.02 s"
+
+
+def test_references_are_seeded_from_the_encoders_on_every_path_into_motion() -> None:
+    seeded: list[Mode] = []
+
+    def prepare(session: Session) -> None:
+        bench = session.runner.loop.bench
+        seed = bench.seed
+
+        def recorded(now_s: float, feedback: np.record) -> None:
+            seeded.append(session.mode)
+            seed(now_s, feedback)
+
+        bench.seed = recorded  # type: ignore[method-assign]
+
+    def script(session: Session) -> None:
+        if session.now_s < 0.5:
+            session.operator.jog("rails.y", 1)
+        elif session.mode is Mode.STANDBY:
+            session.order_once(Order.ARM)
+        session.order_once(Order.START, session.mode is Mode.ARMED)
+        session.order_once(Order.HOLD, session.mode is Mode.RUNNING and session.now_s > 5.0)
+        session.order_once(Order.RESUME, session.mode is Mode.HOLD)
+
+    outcome, _ = operate(script, plan=(), duration_s=10.0, prepare=prepare)
+    assert outcome.stop == "completed"
+    assert seeded == [Mode.STANDBY, Mode.STANDBY, Mode.ARMED, Mode.HOLD]  # jog, placing, start, resume
+
+
+def test_plan_does_not_go_on_by_itself_after_a_reset() -> None:
+    def script(session: Session) -> None:
+        session.button = session.once("press", session.mode is Mode.STANDBY)
+        session.order_once(Order.RESET, session.mode is Mode.SAFE_STOP)
+        session.order_once(Order.STOP, session.mode is Mode.STANDBY and session.since_s("press") > 1.0)
+
+    _, session = operate(script)
+    assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.SAFE_STOP, Mode.OFF, Mode.STANDBY]
+
+
+def test_poses_exposed_before_the_end_of_a_hold_are_left_out() -> None:
+    def script(session: Session) -> None:
+        if session.once("begin", session.mode is Mode.RUNNING and session.now_s > 1.0):
+            session.runner.loop.vision.not_before_s = 3.0
+
+    outcome, _ = operate(script, attended=False, duration_s=5.0)
+    arrived = outcome.history["t_s"][outcome.history["pose"]["fresh"] > 0]
+    assert ((arrived < 1.1) | (arrived >= 3.0)).all()
+    assert (arrived >= 3.0).any()
+
+    standing: list[np.ndarray] = []
+    hold = hold_once(Mode.RUNNING, lambda session: session.now_s >= 2.0, 2.5, standing)
+    _, session = operate(hold, duration_s=4.0)
+    assert session.runner.loop.vision.not_before_s == pytest.approx(session.marks["resume"], abs=0.05)
