@@ -140,7 +140,8 @@ class RealTime:
         try:
             self.grants.append(Grant(name, True, request(*arguments)))
         except OSError as refusal:
-            self.grants.append(Grant(name, False, _why(refusal), _HINTS.get(name, "")))
+            hint = "" if refusal.errno == errno.ECANCELED else _HINTS.get(name, "")
+            self.grants.append(Grant(name, False, _why(refusal), hint))
 
     def _lock_memory(self) -> str:
         """Keep all pages in memory; those to come only where no limit could make a later allocation fail."""

@@ -53,7 +53,7 @@ class Ring:
         return self._records.written
 
     def put(self, row: np.ndarray) -> None:
-        """Write one record, ``row`` of shape (1,): cheapest with one and the same. One writer; never waits."""
+        """Write one record, ``row`` of shape (1,). One writer only; never waits. Cheapest with the same array."""
         if row is not self._row:
             self._row, self._row_bytes = row, row.view(np.uint8).data
         self._records.put(self._row_bytes)

@@ -29,6 +29,8 @@ z = { port = 1 }
 channel = "/dev/null"
 [vmu.rs422]
 port = "/dev/null"
+[io]
+port = 1
 """
 
 

@@ -33,6 +33,6 @@ def test_emergency_stop_ends_the_run_by_name_and_the_axes_stand() -> None:
         outcome = runner.run()
         assert pressed_s, outcome.stop
         took_s = time.monotonic() - pressed_s[0]
-    assert outcome.stop == "io: emergency stop pressed, allowed released"
+    assert outcome.stop == "bench: emergency stop pressed, allowed released and reset"
     assert outcome.mode is Mode.SAFE_STOP
     assert took_s < 3.0
