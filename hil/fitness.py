@@ -92,6 +92,8 @@ def port_problems(rig: Loaded[Rig]) -> list[Problem]:
     if value.kind != "hardware":
         return []
     named: list[tuple[str, str | None]] = []
+    if value.rails.driver == "modbus_rtu" and value.rails.rtu is not None:
+        named.append(("rails.rtu.port", value.rails.rtu.port))
     if value.turntable.driver == "ascii" and value.turntable.ascii is not None:
         named.append(("turntable.ascii.port", value.turntable.ascii.port))
     can = value.turntable.cia402

@@ -18,7 +18,7 @@ from hil.drivers.base import AxisGroup
 from hil.drivers.board import AxisBoard
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.rails.driver import ModbusRails
-from hil.drivers.rails.emulator import RailsEmulator
+from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
 from hil.drivers.turntable.ascii_driver import AsciiTurntable
 from hil.drivers.turntable.ascii_emulator import AsciiTurntableEmulator
 from hil.drivers.turntable.cia402_driver import Cia402Turntable
@@ -27,6 +27,10 @@ from hil.errors import DeviceError, SafetyTrip
 
 SPEED = 2.0
 RIG = load_rig("emulated").value
+RTU_RAILS = load_rig("emulated-rtu").value.rails
+GATEWAY = RIG.rails.model_copy(
+    update={"modbus": Modbus(**{name: ModbusAxis(port=502, device_id=7 + i) for i, name in enumerate(RAIL_NAMES)})}
+)
 
 
 @dataclass
@@ -97,6 +101,19 @@ def _wire_rails(addresses: dict[str, str]) -> Rails:
     return RIG.rails.model_copy(update={"modbus": Modbus(**axes)})
 
 
+def _wire_shared(addresses: dict[str, str]) -> Rails:
+    """All three drives behind one gateway."""
+    port = int(addresses["rails.x"].rpartition(":")[2])
+    assert {address.rpartition(":")[2] for address in addresses.values()} == {str(port)}
+    axes = {name: ModbusAxis(port=port, device_id=7 + i) for i, name in enumerate(RAIL_NAMES)}
+    return RIG.rails.model_copy(update={"modbus": Modbus(**axes)})
+
+
+def _wire_rtu(addresses: dict[str, str]) -> Rails:
+    assert RTU_RAILS.rtu is not None
+    return RTU_RAILS.model_copy(update={"rtu": RTU_RAILS.rtu.model_copy(update={"port": addresses["rails"]})})
+
+
 def _wire_can(addresses: dict[str, str]) -> Turntable:
     return RIG.turntable.model_copy(update={"cia402": Cia402(channel=addresses["turntable"])})
 
@@ -108,6 +125,8 @@ def _wire_ascii(addresses: dict[str, str]) -> Turntable:
 BACKENDS: dict[str, Callable[[], Any]] = {
     "rails-mock": lambda: _mock(RIG.rails),
     "rails-modbus": lambda: _on_wires(RIG.rails, RailsEmulator, _wire_rails, ModbusRails),
+    "rails-modbus-gateway": lambda: _on_wires(GATEWAY, RailsEmulator, _wire_shared, ModbusRails),
+    "rails-modbus-rtu": lambda: _on_wires(RTU_RAILS, RtuRailsEmulator, _wire_rtu, ModbusRails),
     "turntable-mock": lambda: _mock(RIG.turntable),
     "turntable-cia402": lambda: _on_wires(RIG.turntable, Cia402Emulator, _wire_can, Cia402Turntable),
     "turntable-ascii": lambda: _on_wires(RIG.turntable, AsciiTurntableEmulator, _wire_ascii, AsciiTurntable),

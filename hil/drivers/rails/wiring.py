@@ -1,0 +1,48 @@
+"""Which drive is on which wire, as the rig file says; drives that have a wire in common share it."""
+
+from __future__ import annotations
+
+from hil.clock import WallClock
+from hil.config.rig import RAIL_NAMES, Modbus, ModbusAxis, ModbusRtu, Rails
+from hil.drivers.rails.drive import ATTEMPTS, Wire
+from hil.drivers.rails.frames import Counters
+from hil.drivers.rails.line import Line
+from hil.errors import BadInput
+
+_MISSING = "is missing: the wire to the device"
+
+
+def check_wires(config: Rails) -> None:
+    """Raise BadInput where the wire that the driver needs is not named."""
+    if config.driver == "modbus_rtu":
+        if config.rtu is None or config.rtu.port is None:
+            raise BadInput.single("rig", "rails.rtu.port", _MISSING)
+        return
+    for name, axis in zip(RAIL_NAMES, tcp_axes(config), strict=True):
+        if axis.port is None:
+            raise BadInput.single("rig", f"rails.modbus.{name}.port", _MISSING)
+
+
+def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: WallClock) -> list[Wire]:
+    """Return the wires of x, y, z, not connected yet. Inside a running event loop, after ``check_wires``.
+
+    timeout_s: in which each of the drives, also of those that take turns, can be asked ``ATTEMPTS`` times.
+    """
+    if config.driver == "modbus_rtu":
+        rtu = config.rtu or ModbusRtu()
+        line = Line.on_port(rtu.port or "", rtu, config.exchange_s(), counters, clock)
+        attempt_s = timeout_s / (ATTEMPTS * len(rtu.device_ids))
+        return [Wire(line, device_id, attempt_s) for device_id in rtu.device_ids]
+    axes = tcp_axes(config)
+    hosts = [(axis.host, axis.port or 0) for axis in axes]
+    lines = {host: Line.to_host(*host, counters, clock) for host in dict.fromkeys(hosts)}
+    return [
+        Wire(lines[host], axis.device_id, timeout_s / (ATTEMPTS * hosts.count(host)))
+        for host, axis in zip(hosts, axes, strict=True)
+    ]
+
+
+def tcp_axes(config: Rails) -> list[ModbusAxis]:
+    """Return the drives x, y, z as the rig file has them on TCP."""
+    modbus = config.modbus or Modbus()
+    return [modbus.x, modbus.y, modbus.z]
