@@ -94,8 +94,9 @@ def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
 
 def _wired_rails(rails: Rails, addresses: dict[str, str]) -> Rails:
     if rails.driver == "modbus_rtu":
-        line = rails.rtu or ModbusRtu()
-        return rails.model_copy(update={"rtu": line.model_copy(update={"port": addresses["rails"]})})
+        # a pseudo terminal carries no parity bit; the time that it takes is in the emulator's line
+        wire = {"port": addresses["rails"], "parity": "none"}
+        return rails.model_copy(update={"rtu": (rails.rtu or ModbusRtu()).model_copy(update=wire)})
     ports = {}
     for axis in ("x", "y", "z"):
         host, _, port = addresses[f"rails.{axis}"].rpartition(":")

@@ -111,7 +111,8 @@ def _wire_shared(addresses: dict[str, str]) -> Rails:
 
 def _wire_rtu(addresses: dict[str, str]) -> Rails:
     assert RTU_RAILS.rtu is not None
-    return RTU_RAILS.model_copy(update={"rtu": RTU_RAILS.rtu.model_copy(update={"port": addresses["rails"]})})
+    wire = {"port": addresses["rails"], "parity": "none"}  # a pseudo terminal has no parity
+    return RTU_RAILS.model_copy(update={"rtu": RTU_RAILS.rtu.model_copy(update=wire)})
 
 
 def _wire_can(addresses: dict[str, str]) -> Turntable:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import termios
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Final
@@ -138,6 +139,8 @@ class Line:
                 connected = await asyncio.shield(self._connecting)
         except TimeoutError as error:
             raise LinkTimeout(name, f"no connection to {self.label} in {timeout_s:g} s") from error
+        except (OSError, ValueError, termios.error) as error:  # a port that cannot do what it is to be set to
+            raise LinkLost(name, f"no connection to {self.label}: {error}") from error
         if not connected:
             why = "nothing listens there" if self.tcp else "the port cannot be opened"
             raise LinkLost(name, f"no connection to {self.label}: {why}")
