@@ -130,7 +130,7 @@ class ModbusRtu(Strict):
     """Three drives on one serial line; they take turns."""
 
     port: str | None = None
-    baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 115_200
+    baud: Annotated[int, Field(ge=9600, le=4_000_000)] = 115_200
     parity: Literal["none", "even", "odd"] = "even"
     stopbits: Literal[1, 2] = 1
     device_ids: tuple[DeviceId, DeviceId, DeviceId] = (1, 2, 3)  # x, y, z

@@ -62,7 +62,7 @@ def test_registers_between_the_numbers_are_ignored() -> None:
 
 @pytest.mark.parametrize("words", [[0x7F80, 0], [0x7FC0, 1], [0xFF80, 0]])
 def test_number_that_is_not_finite_is_refused(words: list[int]) -> None:
-    with pytest.raises(ValueError, match="register 100 holds .*, expected a finite number"):
+    with pytest.raises(ValueError, match=r"register 100 holds .*, expected a finite number"):
         Block(Number(100, "f32")).decode(words)
 
 

@@ -12,6 +12,7 @@ from hil.drivers.rails.codec import Block, Command, Control, RegisterMap, State,
 from hil.drivers.rails.line import Line
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
 
+CONNECT_TIMEOUT_S: Final = 1.0
 ENABLE_TIMEOUT_S: Final = 2.0  # a holding brake takes some tenths of a second to open
 STOP: Final = Control.ENABLE | Control.QUICK_STOP
 ATTEMPTS: Final = 2
@@ -50,7 +51,7 @@ class Drive:
 
     async def identify(self) -> None:
         """Connect, and make sure that the right kind of drive answers."""
-        await self._line.connect(self.name, ATTEMPTS * self._attempt_s)
+        await self._line.connect(self.name, CONNECT_TIMEOUT_S)
         registers = await self._twice(lambda: self._read(self._map.identity))
         identity = self._decoded(lambda: self._map.decode_identity(registers))
         if problem := self._map.identity_problem(identity):

@@ -23,7 +23,7 @@ from hil.drivers.axes import ServoAxes
 from hil.drivers.base import RAIL_NAMES, accepted_setpoint, full_names
 from hil.drivers.latest import Latest
 from hil.drivers.rails.codec import Control, RegisterMap, State
-from hil.drivers.rails.drive import ENABLE_TIMEOUT_S, STOP, Drive
+from hil.drivers.rails.drive import CONNECT_TIMEOUT_S, ENABLE_TIMEOUT_S, STOP, Drive
 from hil.drivers.rails.frames import new_counters
 from hil.drivers.rails.homing import HomingWatch, limit_switch
 from hil.drivers.rails.wiring import check_wires, make_wires
@@ -83,7 +83,7 @@ class ModbusRails:
         opened: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, args=(opened,), name="rails-modbus", daemon=True)
         self._thread.start()
-        bound_s = ENABLE_TIMEOUT_S + 6.0 * self._timeout_s
+        bound_s = CONNECT_TIMEOUT_S + ENABLE_TIMEOUT_S + 6.0 * self._timeout_s
         try:
             opened.result(timeout=self._clock.wall_s(bound_s))
         except TimeoutError as error:

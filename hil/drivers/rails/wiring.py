@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from hil.clock import WallClock
 from hil.config.rig import RAIL_NAMES, Modbus, ModbusAxis, ModbusRtu, Rails
 from hil.drivers.rails.drive import ATTEMPTS, Wire
@@ -9,7 +11,9 @@ from hil.drivers.rails.frames import Counters
 from hil.drivers.rails.line import Line
 from hil.errors import BadInput
 
-_MISSING = "is missing: the wire to the device"
+# An exchange that waits for one drive keeps the others without a command: their watchdogs must not notice.
+ATTEMPT_MAX_S: Final = 0.2
+_MISSING: Final = "is missing: the wire to the device"
 
 
 def check_wires(config: Rails) -> None:
@@ -31,15 +35,20 @@ def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: WallC
     if config.driver == "modbus_rtu":
         rtu = config.rtu or ModbusRtu()
         line = Line.on_port(rtu.port or "", rtu, config.exchange_s(), counters, clock)
-        attempt_s = timeout_s / (ATTEMPTS * len(rtu.device_ids))
+        attempt_s = _attempt_s(timeout_s, len(rtu.device_ids))
         return [Wire(line, device_id, attempt_s) for device_id in rtu.device_ids]
     axes = tcp_axes(config)
     hosts = [(axis.host, axis.port or 0) for axis in axes]
     lines = {host: Line.to_host(*host, counters, clock) for host in dict.fromkeys(hosts)}
     return [
-        Wire(lines[host], axis.device_id, timeout_s / (ATTEMPTS * hosts.count(host)))
+        Wire(lines[host], axis.device_id, _attempt_s(timeout_s, hosts.count(host)))
         for host, axis in zip(hosts, axes, strict=True)
     ]
+
+
+def _attempt_s(timeout_s: float, drives: int) -> float:
+    """Return how long one of so many drives on a wire may take for one answer, s."""
+    return min(timeout_s / (ATTEMPTS * drives), ATTEMPT_MAX_S)
 
 
 def tcp_axes(config: Rails) -> list[ModbusAxis]:
