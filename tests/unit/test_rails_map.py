@@ -64,7 +64,8 @@ def test_a_drive_without_exchange_numbers_needs_no_registers_for_them(tmp_path: 
     [
         (
             "rails.map.state.echo = { address = 20 }",
-            "lab.toml: rig.rails.map: state.position.address 19: register 20 is state.echo, allowed: registers of its own",
+            "lab.toml: rig.rails.map: state.position.address 19: register 20 is state.echo, "
+            "allowed: registers of its own",
         ),
         (
             "rails.map.identity.version = { address = 5 }",
@@ -131,7 +132,8 @@ def test_a_drive_without_exchange_numbers_needs_no_registers_for_them(tmp_path: 
         ),
         (
             'rails.map.faults = { hot = "motor too hot" }',
-            "lab.toml: rig.rails.map.faults.hot: \"hot\": string should match pattern '^(0x[0-9a-fA-F]{1,8}|[0-9]{1,10})$'",
+            'lab.toml: rig.rails.map.faults.hot: "hot": string should match pattern '
+            "'^(0x[0-9a-fA-F]{1,8}|[0-9]{1,10})$'",
         ),
     ],
 )
