@@ -12,7 +12,8 @@ import numpy as np
 
 from hil import parameters
 from hil.clock import WallClock
-from hil.config.rig import Cia402, Modbus, ModbusAxis, ModbusRtu, Rails, Rig, SerialLine
+from hil.config.rail_wires import ModbusRtu
+from hil.config.rig import Cia402, Modbus, ModbusAxis, Rails, Rig, SerialLine
 from hil.config.scenario import Scenario
 from hil.drivers.board import AxisBoard
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve

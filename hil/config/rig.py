@@ -8,7 +8,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
-from hil.config.rail_map import RailMap, reach, span
+from hil.config.rail_map import RailMap
+from hil.config.rail_wires import ModbusRtu, check_axis, check_line
 
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
@@ -122,36 +123,6 @@ class Modbus(Strict):
     z: ModbusAxis = ModbusAxis()
 
 
-_EXCHANGE_BYTES = 18  # of function 23 on a serial line, request and answer, without the registers
-DeviceId = Annotated[int, Field(ge=1, le=247)]
-
-
-class ModbusRtu(Strict):
-    """Three drives on one serial line; they take turns."""
-
-    port: str | None = None
-    baud: Annotated[int, Field(ge=9600, le=4_000_000)] = 115_200
-    parity: Literal["none", "even", "odd"] = "even"
-    stopbits: Literal[1, 2] = 1
-    device_ids: tuple[DeviceId, DeviceId, DeviceId] = (1, 2, 3)  # x, y, z
-
-    @property
-    def bits_a_byte(self) -> int:
-        """Start bit, eight data bits, parity, stop bits."""
-        return 9 + (self.parity != "none") + self.stopbits
-
-    @property
-    def gap_s(self) -> float:
-        """Silence between two frames: 3.5 characters, 1.75 ms at least (MODBUS over serial line V1.02, 2.5.1.1)."""
-        return max(3.5 * self.bits_a_byte / self.baud, 1.75e-3)
-
-    @model_validator(mode="after")
-    def _devices_differ(self) -> Self:
-        if len(set(self.device_ids)) != len(self.device_ids):
-            raise ValueError(f"device_ids {list(self.device_ids)} must differ from each other")
-        return self
-
-
 class Cia402(Strict):
     """Three CiA 402 drives on one CAN bus, roll, pitch, yaw."""
 
@@ -193,48 +164,22 @@ class Rails(Strict):
     def encoder_sigma(self) -> float:
         return self.encoder_sigma_m
 
-    @model_validator(mode="after")
-    def _map_suits_the_axes(self) -> Self:
-        if self.driver == "mock":
-            return self
-        for name in RAIL_NAMES:
-            axis: RailAxis = getattr(self, name)
-            if axis.encoder == "incremental" and not self.map.homes:
-                raise ValueError(
-                    f'{name}.encoder = "incremental" needs map.control_bits.home and map.status_bits.homed'
-                )
-            for block, register in (("command", self.map.command.position), ("state", self.map.state.position)):
-                low, high = reach(register)
-                if not low <= axis.travel_m[0] < axis.travel_m[1] <= high:
-                    raise ValueError(
-                        f"{name}.travel_m {list(axis.travel_m)}: map.{block}.position ({register.type}, "
-                        f"{register.scale:g} {register.unit} a count) holds {low:g} to {high:g} m"
-                    )
-        return self
-
-    @model_validator(mode="after")
-    def _line_is_fast_enough(self) -> Self:
-        if self.driver == "modbus_rtu" and self.timeout_s < (least_s := 10.0 * self.exchange_s()):
-            baud = (self.rtu or ModbusRtu()).baud
-            raise ValueError(
-                f"timeout_s {self.timeout_s:g}: at {baud} baud three drives that may each be asked twice take longer, "
-                f"allowed {least_s:.2f} or more"
-            )
-        return self
-
     def exchange_s(self) -> float:
         """Return how long the serial line is busy with one exchange, s."""
-        line, blocks = self.rtu or ModbusRtu(), self.map.blocks()
-        byte_s = line.bits_a_byte / line.baud
-        words = len(span(blocks["command"].values())) + len(span(blocks["state"].values()))
-        return byte_s * (_EXCHANGE_BYTES + 2 * words) + 2.0 * line.gap_s
+        return (self.rtu or ModbusRtu()).exchange_s(self.map)
 
     @model_validator(mode="after")
-    def _drives_can_be_told_apart(self) -> Self:
-        wires = [getattr(self.modbus, name) for name in RAIL_NAMES] if self.modbus else []
-        named = [(wire.host, wire.port, wire.device_id) for wire in wires if wire.port is not None]
-        if len(set(named)) != len(named):
-            raise ValueError("modbus: two axes have the same host, port and device_id, allowed: different ones")
+    def _wires_and_map_suit(self) -> Self:
+        if self.driver == "modbus_rtu":
+            check_line((self.rtu or ModbusRtu()).baud, self.exchange_s(), self.timeout_s)
+        for name in RAIL_NAMES if self.driver != "mock" else ():
+            axis: RailAxis = getattr(self, name)
+            check_axis(self.map, name, axis.travel_m, axis.encoder == "incremental")
+        if self.modbus is not None:
+            wires = (self.modbus.x, self.modbus.y, self.modbus.z)
+            named = [(wire.host, wire.port, wire.device_id) for wire in wires if wire.port is not None]
+            if len(set(named)) != len(named):
+                raise ValueError("modbus: two axes have the same host, port and device_id, allowed: different ones")
         return self
 
 

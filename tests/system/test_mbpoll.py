@@ -13,7 +13,10 @@ from contextlib import contextmanager
 import pytest
 
 MBPOLL = shutil.which("mbpoll")
-pytestmark = pytest.mark.skipif(MBPOLL is None, reason="mbpoll is not installed (Debian: apt-get install mbpoll)")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(MBPOLL is None, reason="mbpoll is not installed (Debian: apt-get install mbpoll)"),
+]
 
 
 @contextmanager

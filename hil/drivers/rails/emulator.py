@@ -9,7 +9,8 @@ import threading
 from typing import Final
 
 from hil.clock import WallClock
-from hil.config.rig import ModbusRtu, Rails
+from hil.config.rail_wires import ModbusRtu
+from hil.config.rig import Rails
 from hil.drivers.base import RAIL_NAMES, full_names
 from hil.drivers.board import AxisBoard
 from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes

@@ -19,7 +19,7 @@ from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from hil.clock import WallClock
-from hil.config.rig import ModbusRtu
+from hil.config.rail_wires import ModbusRtu
 from hil.drivers.rails.frames import READ, READ_WRITE, Counters, Expected, Frame, Sieve
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from hil.clock import WallClock
-from hil.config.rig import RAIL_NAMES, Modbus, ModbusAxis, ModbusRtu, Rails
+from hil.config.rail_wires import ModbusRtu
+from hil.config.rig import RAIL_NAMES, Modbus, ModbusAxis, Rails
 from hil.drivers.rails.drive import ATTEMPTS, Wire
 from hil.drivers.rails.frames import Counters
 from hil.drivers.rails.line import Line
