@@ -12,7 +12,7 @@ from hil.config.rail_map import RailMap, reach, span
 DeviceId = Annotated[int, Field(ge=1, le=247)]
 
 _EXCHANGE_BYTES: Final = 18  # of function 23 on a serial line, request and answer, without the registers
-_EXCHANGES_IN_TIMEOUT: Final = 10.0  # three drives, each asked twice, and half as much for their own time
+_EXCHANGES_IN_TIMEOUT: Final = 10.0  # three drives, one of them asked twice, and as much again for their own time
 
 
 class ModbusRtu(Strict):
@@ -48,11 +48,11 @@ class ModbusRtu(Strict):
 
 
 def check_line(baud: int, exchange_s: float, timeout_s: float) -> None:
-    """Raise ValueError where the line is too slow for three drives that may each be asked twice."""
+    """Raise ValueError where the line is too slow for three drives of which one may be asked twice."""
     least_s = _EXCHANGES_IN_TIMEOUT * exchange_s
     if timeout_s < least_s:
         raise ValueError(
-            f"timeout_s {timeout_s:g}: at {baud} baud three drives that may each be asked twice take longer, "
+            f"timeout_s {timeout_s:g}: too short for three drives at {baud} baud, one of them asked twice, "
             f"allowed {least_s:.2f} or more"
         )
 

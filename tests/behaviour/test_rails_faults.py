@@ -16,7 +16,8 @@ from hil.clock import WallClock
 from hil.config.load import load_rig
 from hil.config.rig import Modbus, ModbusAxis, Rails
 from hil.drivers.board import AxisBoard
-from hil.drivers.rails.codec import RegisterMap, Status
+from hil.drivers.emulated_axes import WATCHDOG_S
+from hil.drivers.rails.codec import Command, Control, RegisterMap, Status
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
@@ -278,15 +279,22 @@ def test_a_search_that_is_stopped_has_failed_and_the_axis_stands() -> None:
         assert bench.wait(lambda: abs(bench.read().rate[0]) < 1e-3)
 
 
-def test_a_search_whose_controller_dies_is_ended_by_the_drive() -> None:
+def test_a_search_whose_controller_falls_silent_is_ended_by_the_drive() -> None:
     axes = load_rig("emulated").value.rails
-    with bench_of("emulated", x=axes.x.model_dump() | INCREMENTAL) as bench:
-        bench.open()
-        bench.rails.home(bench.clock.now_s())
-        assert bench.wait(lambda: bench.read().homing[0] is Homing.UNDER_WAY)
-        bench.emulator.faults.on("drop", value=1.0)
-        assert bench.wait(lambda: Status.QUICK_STOP in bench.emulator.drives[0].state(0.0).status)
-        assert bench.wait(lambda: Status.HOMING_FAILED in bench.emulator.drives[0].state(0.0).status)
+    config = axes.model_copy(update={"x": axes.x.model_copy(update=INCREMENTAL)})
+    board = AxisBoard.create()
+    emulator = RailsEmulator(config, WallClock(), board)
+    drive = emulator.drives[0]
+    start_s = 100.0  # in a future that the clock will not reach
+    drive.command(Command(Control.ENABLE | Control.HOME, 1, 0.0, 0.0), start_s)
+    searching = drive.state(start_s + 0.9 * WATCHDOG_S).status
+    assert Status.MOVING in searching
+    assert Status.HOMING_FAILED not in searching
+    ended = drive.state(start_s + WATCHDOG_S + 0.1).status
+    assert Status.QUICK_STOP | Status.HOMING_FAILED in ended
+    assert Status.MOVING not in drive.state(start_s + WATCHDOG_S + 2.0).status
+    emulator.close()
+    board.close()
 
 
 @pytest.mark.parametrize("rig", RIGS)

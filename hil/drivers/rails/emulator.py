@@ -24,6 +24,7 @@ from hil.maths.streams import stream
 FIRMWARE: Final = (1, 0)
 _FAULT: Final = "over-current"  # that a drive reports when none was chosen
 _READ_BYTES: Final = 4096
+_SILENCE_S: Final = 0.02  # much longer than between the bytes of one request, however busy this host is
 _PTY_BITS_A_BYTE: Final = 10  # that PtyLine reckons with
 
 
@@ -200,16 +201,19 @@ class RtuRailsEmulator(_Rails):
         line = self._line
         if line is None:
             raise RuntimeError("start the emulator first")
-        data = b""
+        data, heard_s = b"", 0.0
         while not stop.is_set():
             received = line.read(STEP_S)
             self._advance()
-            data += received
-            used, answers = self._slave.feed(data)
-            # silence ends a frame: what is not a request by then never will be
-            data = data[used:] if received else b""
-            for answer in answers:
-                self._take(answer)
+            if received:
+                now_s = self._clock.now_s()
+                # what was no request before a silence never will be one
+                data = received if now_s - heard_s > _SILENCE_S else data + received
+                heard_s = now_s
+                used, answers = self._slave.feed(data)
+                data = data[used:]
+                for answer in answers:
+                    self._take(answer)
             self._send_what_is_due(line)
 
     def close(self) -> None:

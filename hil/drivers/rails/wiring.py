@@ -31,7 +31,7 @@ def check_wires(config: Rails) -> None:
 def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: WallClock) -> list[Wire]:
     """Return the wires of x, y, z, not connected yet. Inside a running event loop, after ``check_wires``.
 
-    timeout_s: in which each of the drives, also of those that take turns, can be asked ``ATTEMPTS`` times.
+    timeout_s: after which a dead wire is told at the latest.
     """
     if config.driver == "modbus_rtu":
         rtu = config.rtu or ModbusRtu()
@@ -48,8 +48,11 @@ def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: WallC
 
 
 def _attempt_s(timeout_s: float, drives: int) -> float:
-    """Return how long one of so many drives on a wire may take for one answer, s."""
-    return min(timeout_s / (ATTEMPTS * drives), ATTEMPT_MAX_S)
+    """Return how long one of so many drives on a wire may take for one answer, s.
+
+    On a dead wire each of them waits in turn before the first one asks again, and fails by its name.
+    """
+    return min(timeout_s / (drives + ATTEMPTS - 1), ATTEMPT_MAX_S)
 
 
 def tcp_axes(config: Rails) -> list[ModbusAxis]:
