@@ -13,7 +13,8 @@ import numpy as np
 from hil import parameters
 from hil.clock import WallClock
 from hil.config.model import Strict
-from hil.config.rig import Cia402, Modbus, ModbusAxis, Rig, SerialLine
+from hil.config.rail_wires import ModbusRtu
+from hil.config.rig import Cia402, Modbus, ModbusAxis, Rails, Rig, SerialLine
 from hil.config.scenario import Scenario
 from hil.drivers.board import AxisBoard
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
@@ -83,12 +84,7 @@ class EmulatedDevices:
 
 def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
     """Return ``rig`` with the emulators' addresses in place of its wires."""
-    ports: dict[str, ModbusAxis] = {}
-    for axis in ("x", "y", "z"):
-        host, _, port = addresses[f"rails.{axis}"].rpartition(":")
-        given: ModbusAxis = getattr(rig.rails.modbus or Modbus(), axis)
-        ports[axis] = given.model_copy(update={"host": host, "port": int(port)})
-    rails = rig.rails.model_copy(update={"modbus": Modbus(**ports)})
+    rails = _wired_rails(rig.rails, addresses)
     path = addresses["turntable"]
     turntable = rig.turntable.model_copy(
         update={
@@ -106,6 +102,19 @@ def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
     return rig.model_copy(update=wired)
 
 
+def _wired_rails(rails: Rails, addresses: dict[str, str]) -> Rails:
+    if rails.driver == "modbus_rtu":
+        # a pseudo terminal carries no parity bit; the time that it takes is in the emulator's line
+        wire = {"port": addresses["rails"], "parity": "none"}
+        return rails.model_copy(update={"rtu": (rails.rtu or ModbusRtu()).model_copy(update=wire)})
+    ports = {}
+    for axis in ("x", "y", "z"):
+        host, _, port = addresses[f"rails.{axis}"].rpartition(":")
+        given: ModbusAxis = getattr(rails.modbus or Modbus(), axis)
+        ports[axis] = given.model_copy(update={"host": host, "port": int(port)})
+    return rails.model_copy(update={"modbus": Modbus(**ports)})
+
+
 def make_emulator(device: Literal["rails", "turntable", "vmu", "io"], configuration: dict[str, Any]) -> Emulator:
     """Return the emulator of ``device`` for the configuration that the parent sent."""
     scenario = Scenario.model_validate(configuration["scenario"], strict=False)
@@ -117,9 +126,10 @@ def make_emulator(device: Literal["rails", "turntable", "vmu", "io"], configurat
 
         return IoEmulator(rig.io, clock, board.write_chain, configuration["seed"])
     if device == "rails":
-        from hil.drivers.rails.emulator import RailsEmulator
+        from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
 
-        return RailsEmulator(rig.rails, clock, board)
+        kind = RtuRailsEmulator if rig.rails.driver == "modbus_rtu" else RailsEmulator
+        return kind(rig.rails, clock, board, seed=configuration["seed"])
     if device == "turntable" and rig.turntable.driver == "ascii":
         from hil.drivers.turntable.ascii_emulator import AsciiTurntableEmulator
 

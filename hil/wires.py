@@ -25,6 +25,8 @@ def wires(rig: Rig) -> list[Wire]:
         for name in RAIL_NAMES:
             axis: ModbusAxis = getattr(rig.rails.modbus, name)
             found.append(Wire(f"rails.modbus.{name}", "tcp", f"{axis.host}:{axis.port}"))
+    if rig.rails.driver == "modbus_rtu" and rig.rails.rtu is not None and rig.rails.rtu.port is not None:
+        found.append(Wire("rails.rtu.port", "serial", rig.rails.rtu.port))
     can, line = rig.turntable.cia402, rig.turntable.ascii
     if rig.turntable.driver == "cia402" and can is not None and can.channel is not None:
         kind = {"socketcan": "can"}.get(can.interface, "serial" if can.interface in _SERIAL_CAN else "other")

@@ -136,6 +136,7 @@ def _lay_over(base: Table, table: Table, source: str, origin: dict[str, str], pr
     for key, value in table.items():
         dotted = f"{prefix}{key}"
         if isinstance(value, dict) and isinstance(base.get(key), dict):
+            origin[dotted] = source  # what does not go together in a table is told of the last file that touched it
             _lay_over(base[key], value, source, origin, f"{dotted}.")
         else:
             base[key] = value

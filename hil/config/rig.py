@@ -10,6 +10,8 @@ from pydantic import Field, model_validator
 from hil.config.host import Host, LateCycle
 from hil.config.io import Io
 from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
+from hil.config.rail_map import RailMap
+from hil.config.rail_wires import ModbusRtu, check_axis, check_line
 
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
@@ -149,7 +151,7 @@ class SerialLine(Strict):
 
 
 class Rails(Strict):
-    driver: Literal["mock", "modbus"]
+    driver: Literal["mock", "modbus", "modbus_rtu"]
     timeout_s: Positive = 0.4
     following_error_max_m: Positive = 0.05  # at rest
     following_error_per_speed_s: NotNegative = 0.0  # m more for each m/s of commanded speed
@@ -161,10 +163,30 @@ class Rails(Strict):
     y: RailAxis
     z: RailAxis
     modbus: Modbus | None = None
+    rtu: ModbusRtu | None = None
+    map: RailMap = RailMap()
 
     @property
     def encoder_sigma(self) -> float:
         return self.encoder_sigma_m
+
+    def exchange_s(self) -> float:
+        """Return how long the serial line is busy with one exchange, s."""
+        return (self.rtu or ModbusRtu()).exchange_s(self.map)
+
+    @model_validator(mode="after")
+    def _wires_and_map_suit(self) -> Self:
+        if self.driver == "modbus_rtu":
+            check_line((self.rtu or ModbusRtu()).baud, self.exchange_s(), self.timeout_s)
+        for name in RAIL_NAMES if self.driver != "mock" else ():
+            axis: RailAxis = getattr(self, name)
+            check_axis(self.map, name, axis.travel_m, axis.encoder == "incremental")
+        if self.modbus is not None:
+            wires = (self.modbus.x, self.modbus.y, self.modbus.z)
+            named = [(wire.host, wire.port, wire.device_id) for wire in wires if wire.port is not None]
+            if len(set(named)) != len(named):
+                raise ValueError("modbus: two axes have the same host, port and device_id, allowed: different ones")
+        return self
 
 
 class Turntable(Strict):
@@ -273,6 +295,8 @@ class Rig(Strict):
         if self.rails.driver == "modbus":
             wires = self.rails.modbus
             needed += [(f"rails.modbus.{axis}.port", wires and getattr(wires, axis).port) for axis in RAIL_NAMES]
+        if self.rails.driver == "modbus_rtu":
+            needed.append(("rails.rtu.port", self.rails.rtu and self.rails.rtu.port))
         if self.turntable.driver == "cia402":
             needed.append(("turntable.cia402.channel", self.turntable.cia402 and self.turntable.cia402.channel))
         if self.turntable.driver == "ascii":

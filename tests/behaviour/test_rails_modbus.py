@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 
 from hil.clock import WallClock
+from hil.config.rail_map import RailMap
 from hil.config.rig import Rails
 from hil.drivers.base import AxisGroup
 from hil.drivers.board import AxisBoard
 from hil.drivers.emulated_axes import WATCHDOG_S
-from hil.drivers.rails import emulator as emulator_module
-from hil.drivers.rails.codec import DRIVE_MAP, Command, Control, State, Status
+from hil.drivers.rails.codec import Command, Control, State, Status
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator
 from hil.errors import BadInput, BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
@@ -264,17 +264,18 @@ def test_nobody_listening_is_told_with_the_address(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "what"),
+    ("vendor", "firmware_min", "what"),
     [
-        ("FIRMWARE", (2, 7), "firmware 2.7, expected 1.x"),
-        ("DRIVE_MAP", dataclasses.replace(DRIVE_MAP, vendor=0xBAD), "vendor 0x00000BAD, expected 0x48494C52"),
+        (0x48494C52, (2, 0), "firmware 1.0, expected 2.x"),
+        (0x48494C52, (1, 4), "firmware 1.0, expected 1.4 or newer"),
+        (0xBAD, (1, 0), "vendor 0x48494C52, expected 0x00000BAD"),
     ],
 )
-def test_wrong_drive_is_refused_untouched(monkeypatch: pytest.MonkeyPatch, name: str, value: object, what: str) -> None:
-    monkeypatch.setattr(emulator_module, name, value)
+def test_wrong_drive_is_refused_untouched(vendor: int, firmware_min: tuple[int, int], what: str) -> None:
     with emulated() as bench:
+        expected = config(bench.addresses).model_copy(update={"map": RailMap(vendor=vendor, firmware_min=firmware_min)})
         with pytest.raises(ProtocolError, match=rf"rails\.\w: wrong drive at 127.0.0.1:\d+: {what}"):
-            ModbusRails(config(bench.addresses), bench.clock).open(bench.clock.now_s())
+            ModbusRails(expected, bench.clock).open(bench.clock.now_s())
         assert all(bench.state(axis).echo == 0 for axis in range(3))
 
 
@@ -373,10 +374,10 @@ def test_wire_carries_the_documented_bytes(bench: Bench) -> None:
     identity = "0007 0000 0006 01 03 0020 0003", "0007 0000 0009 01 03 06 4849 4c52 0100"
     enable = (
         "0008 0000 0017 01 17 0010 0007 0000 0006 0c 0001 002a 000f4240 00000000",
-        "0008 0000 0011 01 17 0e 0003 0000 002a 000f4240 00000000",
+        "0008 0000 0011 01 17 0e 0043 0000 002a 000f4240 00000000",
     )
     quick_stop = "0009 0000 0006 01 06 0000 0003", "0009 0000 0006 01 06 0000 0003"
-    state = "000a 0000 0006 01 03 0010 0003", "000a 0000 0009 01 03 06 0013 0000 002a"
+    state = "000a 0000 0006 01 03 0010 0003", "000a 0000 0009 01 03 06 0053 0000 002a"
     write_to_state = "000b 0000 0006 01 06 0010 0000", "000b 0000 0003 01 86 02"
     with socket.create_connection(("127.0.0.1", bench.port("x")), timeout=2.0) as wire:
         for request, answer in (identity, enable, quick_stop, state, write_to_state):
@@ -393,7 +394,7 @@ def test_drive_stops_by_itself_when_commands_cease() -> None:
     assert Status.MOVING in moving.status
     assert Status.QUICK_STOP not in drive.state(0.09 + WATCHDOG_S).status
     stopped = drive.state(2.0)
-    assert stopped.status == Status.READY | Status.ENABLED | Status.QUICK_STOP
+    assert stopped.status == Status.READY | Status.ENABLED | Status.QUICK_STOP | Status.HOMED
     assert stopped.position_m < 2.9
     drive.command(Command(Control.ENABLE, 2, 3.0, 0.0), 2.1)
     assert drive.state(2.3).position_m == pytest.approx(stopped.position_m, abs=1e-4)

@@ -20,7 +20,7 @@ from hil.drivers.base import AxisGroup
 from hil.drivers.board import AxisBoard
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.rails.driver import ModbusRails
-from hil.drivers.rails.emulator import RailsEmulator
+from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
 from hil.drivers.remote.cells import HOST, Exchange
 from hil.drivers.remote.devices import IoLink, RemoteAxes
 from hil.drivers.remote.requests import Requests
@@ -33,6 +33,10 @@ from hil.errors import DeviceError, SafetyTrip
 
 SPEED = 2.0
 RIG = load_rig("emulated").value
+RTU_RAILS = load_rig("emulated-rtu").value.rails
+GATEWAY = RIG.rails.model_copy(
+    update={"modbus": Modbus(**{name: ModbusAxis(port=502, device_id=7 + i) for i, name in enumerate(RAIL_NAMES)})}
+)
 
 
 @dataclass
@@ -140,6 +144,20 @@ def _wire_rails(addresses: dict[str, str]) -> Rails:
     return RIG.rails.model_copy(update={"modbus": Modbus(**axes)})
 
 
+def _wire_shared(addresses: dict[str, str]) -> Rails:
+    """All three drives behind one gateway."""
+    port = int(addresses["rails.x"].rpartition(":")[2])
+    assert {address.rpartition(":")[2] for address in addresses.values()} == {str(port)}
+    axes = {name: ModbusAxis(port=port, device_id=7 + i) for i, name in enumerate(RAIL_NAMES)}
+    return RIG.rails.model_copy(update={"modbus": Modbus(**axes)})
+
+
+def _wire_rtu(addresses: dict[str, str]) -> Rails:
+    assert RTU_RAILS.rtu is not None
+    wire = {"port": addresses["rails"], "parity": "none"}  # a pseudo terminal has no parity
+    return RTU_RAILS.model_copy(update={"rtu": RTU_RAILS.rtu.model_copy(update=wire)})
+
+
 def _wire_can(addresses: dict[str, str]) -> Turntable:
     return RIG.turntable.model_copy(update={"cia402": Cia402(channel=addresses["turntable"])})
 
@@ -151,6 +169,8 @@ def _wire_ascii(addresses: dict[str, str]) -> Turntable:
 BACKENDS: dict[str, Callable[[], Any]] = {
     "rails-mock": lambda: _mock(RIG.rails),
     "rails-modbus": lambda: _on_wires(RIG.rails, RailsEmulator, _wire_rails, ModbusRails),
+    "rails-modbus-gateway": lambda: _on_wires(GATEWAY, RailsEmulator, _wire_shared, ModbusRails),
+    "rails-modbus-rtu": lambda: _on_wires(RTU_RAILS, RtuRailsEmulator, _wire_rtu, ModbusRails),
     "turntable-mock": lambda: _mock(RIG.turntable),
     "turntable-cia402": lambda: _on_wires(RIG.turntable, Cia402Emulator, _wire_can, Cia402Turntable),
     "rails-remote": lambda: _behind_the_io_process(RIG.rails),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.drivers.rails.codec import DRIVE_MAP, Block, Command, Control, Identity, Number, State, Status, fault_text
+from hil.drivers.rails.codec import DRIVE_MAP, Block, Command, Control, Identity, Number, State, Status
 
 
 def test_command_fills_its_registers() -> None:
@@ -48,9 +48,22 @@ def test_float_registers_carry_si() -> None:
     assert block.decode(registers) == (1.0, 0.1, -0.005)
 
 
-def test_gap_in_a_block_is_refused() -> None:
-    with pytest.raises(ValueError, match="register 3 does not follow"):
-        Block(Number(0, "i32"), Number(3, "u16"))
+def test_low_word_may_come_first() -> None:
+    block = Block(Number(100, "f32"), Number(102, "i32", 1000.0), Number(104, "u16"), little=True)
+    assert block.encode((1.0, 65.537, 7.0)) == [0x0000, 0x3F80, 0x0001, 0x0001, 7]
+    assert block.decode([0x0000, 0x3F80, 0x0001, 0x0002, 7]) == (1.0, 131.073, 7.0)
+
+
+def test_registers_between_the_numbers_are_ignored() -> None:
+    block = Block(Number(20, "u16"), Number(10, "i16"))
+    assert (block.address, block.count) == (10, 11)
+    assert block.decode([0xFFFF, *[9] * 9, 5]) == (5.0, -1.0)
+
+
+@pytest.mark.parametrize("words", [[0x7F80, 0], [0x7FC0, 1], [0xFF80, 0]])
+def test_number_that_is_not_finite_is_refused(words: list[int]) -> None:
+    with pytest.raises(ValueError, match=r"register 100 holds .*, expected a finite number"):
+        Block(Number(100, "f32")).decode(words)
 
 
 def test_number_too_large_for_its_registers_is_refused() -> None:
@@ -59,5 +72,5 @@ def test_number_too_large_for_its_registers_is_refused() -> None:
 
 
 def test_fault_code_is_readable() -> None:
-    assert fault_text(3) == "fault 3, motor too hot"
-    assert fault_text(99) == "fault 99, not in the list of fault codes"
+    assert DRIVE_MAP.fault_text(3) == "fault 3, motor too hot"
+    assert DRIVE_MAP.fault_text(99) == "fault 99, not in the list of fault codes"

@@ -1,15 +1,20 @@
 """Register map of a rail drive: numbers in SI on one side, Modbus holding registers on the other.
 
+Which registers, and how their numbers are written, stands in ``hil/config/rail_map.py``; a rig file may
+replace any of it. The default, which the emulated drives have:
+
 ======= ======= ====== ========== ================================================================
 address name    form   one count  meaning
 ======= ======= ====== ========== ================================================================
 command block, written in every exchange
-0       control u16    bits       0 enable, 1 quick stop, 7 fault reset (with enable clear)
+0       control u16    bits       0 enable, 1 quick stop, 2 look for the home switch (as long as it
+                                  is set), 7 fault reset (with enable clear)
 1       number  u16    1          of the exchange; comes back as the echo
 2-3     target  i32    1 um       setpoint of the position
 4-5     rate    i32    1 um/s     velocity feed-forward
 state block, read in every exchange
-16      status  u16    bits       0 ready, 1 enabled, 2 moving, 3 fault, 4 quick stop active, 5 limit
+16      status  u16    bits       0 ready, 1 enabled, 2 moving, 3 fault, 4 quick stop active, 5 limit,
+                                  6 homed, 7 homing failed, 8 low limit, 9 high limit
 17      fault   u16    1          fault code, 0 without a fault
 18      echo    u16    1          number of the exchange that was taken last
 19-20   place   i32    1 um       measured position
@@ -25,28 +30,30 @@ after it, until a command with enable clear. Functions: 3 (read), 6 and 16 (writ
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntFlag
-from typing import Final, Literal
+from typing import Final
 
-Form = Literal["u16", "i16", "u32", "i32", "f32", "f64"]
+from hil.config.rail_map import WORDS, AnyRegister, NumberType, RailMap, counts_per_si, span
 
-_STRUCT_CODES: Final[dict[Form, str]] = {"u16": "H", "i16": "h", "u32": "I", "i32": "i", "f32": "f", "f64": "d"}
+_STRUCT_CODES: Final[dict[NumberType, str]] = {"u16": "H", "i16": "h", "u32": "I", "i32": "i", "f32": "f", "f64": "d"}
 _FLOATS: Final = ("f32", "f64")
 
 
 class Control(IntFlag):
-    """Bits of the control word."""
+    """What the controller asks for. The bits on the wire are the map's."""
 
     ENABLE = 1 << 0
     QUICK_STOP = 1 << 1
+    HOME = 1 << 2
     FAULT_RESET = 1 << 7
 
 
 class Status(IntFlag):
-    """Bits of the status word."""
+    """What the drive tells. The bits on the wire are the map's."""
 
     READY = 1 << 0
     ENABLED = 1 << 1
@@ -54,21 +61,10 @@ class Status(IntFlag):
     FAULT = 1 << 3
     QUICK_STOP = 1 << 4
     LIMIT = 1 << 5
-
-
-FAULTS: Final = {
-    1: "following error too large",
-    2: "over-current",
-    3: "motor too hot",
-    4: "encoder signal lost",
-    5: "supply voltage out of range",
-    6: "brake does not open",
-}
-
-
-def fault_text(code: int) -> str:
-    """Return a fault code as people read it: ``fault 3, motor too hot``."""
-    return f"fault {code}, {FAULTS.get(code, 'not in the list of fault codes')}"
+    HOMED = 1 << 6
+    HOMING_FAILED = 1 << 7
+    LIMIT_LOW = 1 << 8
+    LIMIT_HIGH = 1 << 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,43 +72,54 @@ class Number:
     """One number of a block: its first register, how it is written, and counts to one SI unit."""
 
     address: int
-    form: Form
+    form: NumberType
     counts_per_unit: float = 1.0
 
 
 class Block:
-    """Numbers that lie one after the other and travel in one transaction."""
+    """Numbers that travel in one transaction; registers between them are spare. little: low word first."""
 
-    def __init__(self, *numbers: Number) -> None:
-        self.address = numbers[0].address
+    def __init__(self, *numbers: Number, little: bool = False) -> None:
         self._numbers = numbers
-        self._layout = struct.Struct(">" + "".join(_STRUCT_CODES[number.form] for number in numbers))
-        self.count = self._layout.size // 2
+        self.address = min(number.address for number in numbers)
+        self.count = max(number.address + WORDS[number.form] for number in numbers) - self.address
+        self._step = -1 if little else 1
         self._words = struct.Struct(f">{self.count}H")
-        expected = self.address
-        for number in numbers:
-            if number.address != expected:
-                raise ValueError(f"register {number.address} does not follow its neighbour, which ends at {expected}")
-            expected += struct.calcsize(_STRUCT_CODES[number.form]) // 2
+        self._places = [
+            (
+                slice(number.address - self.address, number.address - self.address + WORDS[number.form]),
+                struct.Struct(">" + _STRUCT_CODES[number.form]),
+                struct.Struct(f">{WORDS[number.form]}H"),
+            )
+            for number in numbers
+        ]
 
     def encode(self, values: Sequence[float]) -> list[int]:
-        """Return the registers for ``values`` (SI, in the order of the numbers)."""
-        counts = [
-            value * number.counts_per_unit if number.form in _FLOATS else round(value * number.counts_per_unit)
-            for number, value in zip(self._numbers, values, strict=True)
-        ]
-        try:
-            return list(self._words.unpack(self._layout.pack(*counts)))
-        except struct.error as error:
-            raise ValueError(f"{tuple(values)} does not fit registers from {self.address}: {error}") from error
+        """Return the registers for ``values`` (SI, in the order of the numbers); ValueError where one does not fit."""
+        registers = [0] * self.count
+        for number, (place, layout, words), value in zip(self._numbers, self._places, values, strict=True):
+            count = value * number.counts_per_unit
+            try:
+                data = layout.pack(count if number.form in _FLOATS else round(count))
+            except (struct.error, OverflowError, ValueError) as error:
+                raise ValueError(f"{tuple(values)} does not fit registers from {self.address}: {error}") from error
+            registers[place] = words.unpack(data)[:: self._step]
+        return registers
 
     def decode(self, registers: Sequence[int]) -> tuple[float, ...]:
-        """Return the values (SI) in ``count`` registers; words without a unit stay whole numbers."""
-        counts = self._layout.unpack(self._words.pack(*registers))
-        return tuple(
-            count if number.counts_per_unit == 1.0 else count / number.counts_per_unit
-            for number, count in zip(self._numbers, counts, strict=True)
-        )
+        """Return the values (SI) in ``count`` registers; words without a unit stay whole numbers.
+
+        Raises ValueError when the registers are too many, too few, or hold a number that is not finite.
+        """
+        if len(registers) != self.count:
+            raise ValueError(f"{len(registers)} registers came, expected {self.count}")
+        values = []
+        for number, (place, layout, words) in zip(self._numbers, self._places, strict=True):
+            (count,) = layout.unpack(words.pack(*registers[place][:: self._step]))
+            if not math.isfinite(count):
+                raise ValueError(f"register {number.address} holds {count}, expected a finite number")
+            values.append(count if number.counts_per_unit == 1.0 else count / number.counts_per_unit)
+        return tuple(values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,33 +151,52 @@ class Identity:
     firmware: tuple[int, int]
 
 
-@dataclass(frozen=True, slots=True)
 class RegisterMap:
     """Where a drive keeps its numbers, and which drive it is.
 
-    command: control, number, position, rate. state: status, fault, echo, position, rate. identity:
-    vendor, firmware version. Drives of another vendor or another major firmware version are refused.
+    echo_at: place of the echo in the state block, None when the drive echoes no numbers; numbers: how many
+    exchange numbers there are. Drives of another vendor, another major firmware version or an older minor
+    one are refused.
     """
 
-    command: Block
-    state: Block
-    identity: Block
-    vendor: int
-    firmware_major: int
+    def __init__(self, config: RailMap) -> None:
+        self.config = config
+        blocks = config.blocks()
+        self.command = self._block(blocks["command"])
+        self.state = self._block(blocks["state"])
+        self.identity = self._block(blocks["identity"])
+        extent = span(blocks["state"].values())
+        self.echo_at = config.state.echo.address - extent.start if config.numbered else None
+        self.numbers = 1 << 16
+        self._control_bits = _bits(Control, config.control_bits.model_dump())
+        self._status_bits = _bits(Status, config.status_bits.model_dump())
+        self._faults = {int(code, 0): text for code, text in config.faults.items()}
 
     def encode_command(self, command: Command) -> list[int]:
-        return self.command.encode((command.control, command.number, command.position_m, command.rate_mps))
+        number = (command.number,) if self.config.numbered else ()
+        control = _to_wire(command.control, self._control_bits)
+        return self.command.encode((control, *number, command.position_m, command.rate_mps))
 
     def decode_command(self, registers: Sequence[int]) -> Command:
-        control, number, position, rate = self.command.decode(registers)
-        return Command(Control(int(control)), int(number), position, rate)
+        control, *number, position, rate = self.command.decode(registers)
+        return Command(
+            Control(_from_wire(int(control), self._control_bits)), int(number[0]) if number else 0, position, rate
+        )
 
     def encode_state(self, state: State) -> list[int]:
-        return self.state.encode((state.status, state.fault, state.echo, state.position_m, state.rate_mps))
+        echo = (state.echo,) if self.config.numbered else ()
+        status = _to_wire(state.status, self._status_bits)
+        return self.state.encode((status, state.fault, *echo, state.position_m, state.rate_mps))
 
     def decode_state(self, registers: Sequence[int]) -> State:
-        status, fault, echo, position, rate = self.state.decode(registers)
-        return State(Status(int(status)), int(fault), int(echo), position, rate)
+        status, fault, *echo, position, rate = self.state.decode(registers)
+        return State(
+            Status(_from_wire(int(status), self._status_bits)),
+            int(fault),
+            int(echo[0]) if echo else 0,
+            position,
+            rate,
+        )
 
     def encode_identity(self, identity: Identity) -> list[int]:
         major, minor = identity.firmware
@@ -182,21 +208,39 @@ class RegisterMap:
 
     def identity_problem(self, identity: Identity) -> str | None:
         """Return what is wrong with the drive's identity, None if nothing."""
-        if identity.vendor != self.vendor:
-            return f"vendor 0x{identity.vendor:08X}, expected 0x{self.vendor:08X}"
-        if identity.firmware[0] != self.firmware_major:
-            return f"firmware {identity.firmware[0]}.{identity.firmware[1]}, expected {self.firmware_major}.x"
+        vendor, least = self.config.vendor, self.config.firmware_min
+        if identity.vendor != vendor:
+            return f"vendor 0x{identity.vendor:08X}, expected 0x{vendor:08X}"
+        if identity.firmware[0] != least[0]:
+            return f"firmware {identity.firmware[0]}.{identity.firmware[1]}, expected {least[0]}.x"
+        if identity.firmware[1] < least[1]:
+            return f"firmware {identity.firmware[0]}.{identity.firmware[1]}, expected {least[0]}.{least[1]} or newer"
         return None
 
+    def fault_text(self, code: int) -> str:
+        """Return a fault code as people read it: ``fault 3, motor too hot``."""
+        return f"fault {code}, {self._faults.get(code, 'not in the list of fault codes')}"
 
-_UM: Final = 1e6  # counts to one metre
+    def fault_code(self, text: str) -> int:
+        """Return the code of the fault that is called ``text``, the highest one in the list where none is."""
+        return next((code for code, known in self._faults.items() if known == text), max(self._faults, default=1))
 
-DRIVE_MAP: Final = RegisterMap(
-    command=Block(Number(0, "u16"), Number(1, "u16"), Number(2, "i32", _UM), Number(4, "i32", _UM)),
-    state=Block(
-        Number(16, "u16"), Number(17, "u16"), Number(18, "u16"), Number(19, "i32", _UM), Number(21, "i32", _UM)
-    ),
-    identity=Block(Number(32, "u32"), Number(34, "u16")),
-    vendor=0x48494C52,
-    firmware_major=1,
-)
+    def _block(self, registers: dict[str, AnyRegister]) -> Block:
+        numbers = (Number(each.address, each.type, counts_per_si(each)) for each in registers.values())
+        return Block(*numbers, little=self.config.word_order == "little")
+
+
+def _bits(flags: type[Control] | type[Status], table: dict[str, int]) -> list[tuple[int, int]]:
+    """Return (flag, bit on the wire) of every flag that the drive has."""
+    return [(int(flags[name.upper()]), 1 << bit) for name, bit in table.items() if bit >= 0]
+
+
+def _to_wire(flags: int, bits: list[tuple[int, int]]) -> int:
+    return sum(wire for flag, wire in bits if flags & flag)
+
+
+def _from_wire(word: int, bits: list[tuple[int, int]]) -> int:
+    return sum(flag for flag, wire in bits if word & wire)
+
+
+DRIVE_MAP: Final = RegisterMap(RailMap())

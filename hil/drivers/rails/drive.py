@@ -1,163 +1,181 @@
-"""The link to one rail drive: every request is bounded, every failure names the axis."""
+"""The link to one rail drive: every request is bounded, one lost answer is forgiven, every failure names the axis."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
-from typing import Final
-
-from pymodbus.client import AsyncModbusTcpClient
-from pymodbus.exceptions import ConnectionException, ModbusException
-from pymodbus.pdu import ModbusPDU
+from dataclasses import dataclass
+from typing import Final, TypeVar
 
 from hil.clock import WallClock
-from hil.drivers.rails.codec import DRIVE_MAP, Block, Command, Control, State, Status, fault_text
-from hil.errors import DriveFault, LinkLost, LinkTimeout, ProtocolError
+from hil.drivers.rails.codec import Block, Command, Control, RegisterMap, State, Status
+from hil.drivers.rails.line import Line
+from hil.errors import DriveFault, LinkTimeout, ProtocolError
 
+CONNECT_TIMEOUT_S: Final = 1.0
 ENABLE_TIMEOUT_S: Final = 2.0  # a holding brake takes some tenths of a second to open
 STOP: Final = Control.ENABLE | Control.QUICK_STOP
+ATTEMPTS: Final = 2
 _ENABLE_POLL_S: Final = 0.005
-_LAST_WORD_WALL_S: Final = 0.02
-_NUMBERS: Final = 1 << 16
+_RATE_MARGIN: Final = 1.5  # an axis may overshoot its highest rate by so much
+_PLACE_MARGIN_M: Final = 0.01  # encoder noise, servo ripple, jitter of the time stamps
 
-# What goes wrong is raised and names the axis; pymodbus would add a packet trace on standard error.
-logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+_Result = TypeVar("_Result")
+
+
+@dataclass(frozen=True)
+class Wire:
+    """Where a drive is: its line, and who it is there. attempt_s: bench time for one answer."""
+
+    line: Line
+    device_id: int
+    attempt_s: float
 
 
 class Drive:
-    """One drive. Must be made and used inside a running event loop.
+    """One drive. Must be made and used inside a running event loop. rate_max_mps: highest rate of its axis."""
 
-    timeout_s: bench time that the drive has for an answer.
-    """
-
-    def __init__(self, name: str, host: str, port: int, device_id: int, timeout_s: float, clock: WallClock) -> None:
+    def __init__(self, name: str, wire: Wire, register_map: RegisterMap, rate_max_mps: float, clock: WallClock) -> None:
         self.name = name
         self.failed = False
-        self._address = f"{host}:{port}"
-        self._device_id = device_id
-        self._map = DRIVE_MAP
+        self.moment_s = 0.0  # of the newest state, bench time
+        self._line = wire.line
+        self._device_id = wire.device_id
+        self._attempt_s = wire.attempt_s
+        self._map = register_map
+        self._rate_max = rate_max_mps
         self._clock = clock
-        self._timeout_s = timeout_s
-        self._timeout_wall_s = clock.wall_s(timeout_s)
         self._number = 0
         self._identified = False
-        self._waits: set[asyncio.Timeout] = set()  # one a request under way
-        self._client = AsyncModbusTcpClient(
-            host,
-            port=port,
-            timeout=10.0 * self._timeout_wall_s,  # the time-out below comes first: it can tell what happened
-            retries=0,
-            reconnect_delay=0,  # a lost drive stays lost until the bench is opened again
-            trace_connect=self._on_connection,
-        )
+        self._last: tuple[float, float] | None = None  # bench time, position
 
     async def identify(self) -> None:
         """Connect, and make sure that the right kind of drive answers."""
-        try:
-            async with asyncio.timeout(self._timeout_wall_s):
-                connected = await self._client.connect()
-        except TimeoutError as error:
-            raise LinkTimeout(self.name, f"no connection to {self._address} in {self._timeout_s:g} s") from error
-        if not connected:
-            raise LinkLost(self.name, f"no connection to {self._address}: nothing listens there")
-        identity = self._map.decode_identity(await self._read(self._map.identity))
+        await self._line.connect(self.name, CONNECT_TIMEOUT_S)
+        registers = await self._twice(lambda: self._read(self._map.identity))
+        identity = self._decoded(lambda: self._map.decode_identity(registers))
         if problem := self._map.identity_problem(identity):
-            raise ProtocolError(self.name, f"wrong drive at {self._address}: {problem}")
+            raise ProtocolError(self.name, f"wrong drive at {self._line.label}: {problem}")
         self._identified = True
 
     async def enable(self) -> float:
         """Clear what an earlier run left, then switch on; return the position that is held, m."""
-        state = self._map.decode_state(await self._read(self._map.state))
-        state = await self.exchange(Control.FAULT_RESET, state.position_m)
+        first = await self._twice(self._look)
+        self._last = self._clock.now_s(), first.position_m
+        state = await self.exchange(Control.FAULT_RESET, first.position_m)
         deadline_s = self._clock.now_s() + ENABLE_TIMEOUT_S
         while True:
             held_m = state.position_m
             state = await self.exchange(Control.ENABLE, held_m)
             if state.status & Status.FAULT:
-                raise DriveFault(self.name, fault_text(state.fault))
+                raise DriveFault(self.name, self._map.fault_text(state.fault))
             if state.status & Status.ENABLED:
                 return held_m
             if self._clock.now_s() > deadline_s:
                 raise DriveFault(self.name, f"not enabled {ENABLE_TIMEOUT_S:g} s after the command")
             await asyncio.sleep(self._clock.wall_s(_ENABLE_POLL_S))
 
-    async def exchange(self, control: Control, position_m: float, rate_mps: float = 0.0) -> State:
-        """Write one command and read the state that follows it, in one transaction."""
-        command = self._next(control, position_m, rate_mps)
-        state = self._map.decode_state(await self._ask(lambda: self._send(command), self._map.state))
-        if state.echo != command.number:
-            raise ProtocolError(self.name, f"echo {state.echo}, expected {command.number}")
+    async def exchange(
+        self,
+        control: Control,
+        position_m: float,
+        rate_mps: float = 0.0,
+        problem: Callable[[State], str | None] = lambda _: None,
+    ) -> State:
+        """Write one command and read the state that follows it, in one transaction.
+
+        A state with a ``problem``, or a place that the axis cannot have reached, is asked for once more, as
+        a lost answer is: TCP carries no check sum of the drive's own. What comes twice is true.
+        """
+        seen: list[State] = []
+        attempts = 0
+
+        async def attempt() -> State:
+            nonlocal attempts
+            attempts += 1
+            state = await self._transact(self._next(control, position_m, rate_mps))
+            seen.append(state)
+            if attempts < ATTEMPTS and (problem(state) or self._jumped(state, self._last)):
+                raise ProtocolError(self.name, "a doubtful answer")
+            return state
+
+        state = await self._twice(attempt)
+        if self._jumped(state, self._last) and (
+            len(seen) < 2 or self._jumped(state, (self.moment_s, seen[0].position_m))
+        ):
+            raise ProtocolError(self.name, f"position {state.position_m:.6g} m cannot be true: too far from the last")
+        self._last = self.moment_s, state.position_m
         return state
 
-    def check(self, state: State, stopping: bool) -> None:
-        """Raise DriveFault when the drive is not in the state that it was commanded to."""
+    def forget_place(self) -> None:
+        """Take the next position as it comes: homing moves the axis' zero."""
+        self._last = None
+
+    def problem(self, state: State, stopping: bool) -> str | None:
+        """Return why the drive is not in the state that it was commanded to, None where it is."""
         if state.status & Status.FAULT:
-            raise DriveFault(self.name, fault_text(state.fault))
+            return self._map.fault_text(state.fault)
         if stopping:
-            return
+            return None
         if state.status & Status.QUICK_STOP:
-            raise DriveFault(self.name, "made a quick stop of its own (its watchdog or its stop input)")
+            return "made a quick stop of its own (its watchdog or its stop input)"
         if not state.status & Status.ENABLED:
-            raise DriveFault(self.name, "switched itself off")
+            return "switched itself off"
+        return None
 
     async def stop_blindly(self) -> None:
         """Leave a quick stop on the wire without waiting for an answer: the drive may be unable to give one."""
-        if not self._identified:
-            return
-        with suppress(TimeoutError, ModbusException):  # the wire is gone; nothing more can be done from here
-            async with asyncio.timeout(_LAST_WORD_WALL_S):
-                await self._send(self._next(STOP, 0.0, 0.0), answer=False)
-
-    def close(self) -> None:
-        self._client.close()
+        if self._identified:
+            await self._line.leave(self._device_id, *self._transfer(self._next(STOP, 0.0, 0.0)))
 
     def _next(self, control: Control, position_m: float, rate_mps: float) -> Command:
-        self._number = (self._number + 1) % _NUMBERS
+        self._number = (self._number + 1) % self._map.numbers
         return Command(control, self._number, position_m, rate_mps)
 
-    def _send(self, command: Command, answer: bool = True) -> Awaitable[ModbusPDU]:
-        return self._client.readwrite_registers(
-            read_address=self._map.state.address,
-            read_count=self._map.state.count,
-            write_address=self._map.command.address,
-            values=self._map.encode_command(command),
-            device_id=self._device_id,
-            no_response_expected=not answer,
+    def _transfer(self, command: Command) -> tuple[tuple[int, list[int]], tuple[int, int]]:
+        command_block, state_block = self._map.command, self._map.state
+        return (command_block.address, self._map.encode_command(command)), (state_block.address, state_block.count)
+
+    async def _transact(self, command: Command) -> State:
+        echo = None if self._map.echo_at is None else (self._map.echo_at, command.number)
+        registers = await self._line.write_and_read(
+            self.name, self._device_id, *self._transfer(command), echo, self._attempt_s
         )
+        self.moment_s = self._line.moment_s
+        return self._decoded(lambda: self._map.decode_state(registers))
+
+    async def _look(self) -> State:
+        registers = await self._read(self._map.state)
+        return self._decoded(lambda: self._map.decode_state(registers))
 
     async def _read(self, block: Block) -> list[int]:
-        return await self._ask(
-            lambda: self._client.read_holding_registers(block.address, count=block.count, device_id=self._device_id),
-            block,
-        )
+        return await self._line.read(self.name, self._device_id, block.address, block.count, self._attempt_s)
 
-    def _on_connection(self, connected: bool) -> None:
-        """End the waiting for a drive that has hung up: pymodbus would wait on (it calls this)."""
-        if not connected:
-            for wait in self._waits:
-                if not wait.expired():
-                    wait.reschedule(0.0)
-
-    async def _ask(self, request: Callable[[], Awaitable[ModbusPDU]], block: Block) -> list[int]:
+    async def _twice(self, attempt: Callable[[], Awaitable[_Result]]) -> _Result:
+        """Return what one of two attempts gives; the second one's error counts."""
         try:
-            async with asyncio.timeout(self._timeout_wall_s) as wait:
-                self._waits.add(wait)
-                try:
-                    reply = await request()
-                finally:
-                    self._waits.discard(wait)
-        except TimeoutError as error:
-            if not self._client.connected:
-                raise LinkLost(self.name, f"{self._address} closed the connection") from error
-            raise LinkTimeout(self.name, f"no answer within {self._timeout_s:g} s") from error
-        except ConnectionException as error:
-            raise LinkLost(self.name, f"{self._address} closed the connection") from error
-        except ModbusException as error:
+            return await attempt()
+        except LinkTimeout:
+            if not self._line.tcp and self._map.echo_at is None:
+                raise  # a late answer could not be told from the one to the second request
+        except ProtocolError:
+            pass
+        self._line.counters["retries"] += 1
+        try:
+            return await attempt()
+        except LinkTimeout as error:
+            raise LinkTimeout(self.name, f"no answer within {ATTEMPTS * self._attempt_s:.3g} s, asked twice") from error
+
+    def _decoded(self, decode: Callable[[], _Result]) -> _Result:
+        try:
+            return decode()
+        except ValueError as error:
+            self._line.counters["protocol_errors"] += 1
             raise ProtocolError(self.name, str(error)) from error
-        if reply.isError():
-            raise ProtocolError(self.name, f"Modbus exception {reply.exception_code} at register {block.address}")
-        if len(reply.registers) != block.count:
-            raise ProtocolError(self.name, f"{len(reply.registers)} registers came, expected {block.count}")
-        return list(reply.registers)
+
+    def _jumped(self, state: State, before: tuple[float, float] | None) -> bool:
+        """Whether the axis cannot have come from where it was ``before`` (bench time, m)."""
+        if before is None:
+            return False
+        way_m = _RATE_MARGIN * self._rate_max * (self._clock.now_s() - before[0]) + _PLACE_MARGIN_M
+        return abs(state.position_m - before[1]) > way_m or abs(state.rate_mps) > 2.0 * _RATE_MARGIN * self._rate_max

@@ -1,8 +1,9 @@
-"""Driver of the rails: three drives on Modbus TCP, one event loop in one thread of its own.
+"""Driver of the rails: three drives on Modbus TCP or RTU, one event loop in one thread of its own.
 
-Every exchange is one transaction (function 23) a drive, all three at once. It is started by ``send``,
-and by itself every 20 ms while no setpoint comes, so that feedback stays fresh and the drives hold
-the last setpoint. Once one drive has failed the others are stopped at once.
+Every exchange is one transaction (function 23) a drive, all three at once; those that share a wire take
+turns. It is started by ``send``, and by itself every 20 ms while no setpoint comes, so that feedback stays
+fresh and the drives hold the last setpoint. One lost or damaged answer is asked for again; once one drive
+has failed the others are stopped at once.
 """
 
 from __future__ import annotations
@@ -17,14 +18,17 @@ from typing import Final, TypeVar
 import numpy as np
 
 from hil.clock import WallClock
-from hil.config.rig import Modbus, Rails
+from hil.config.rig import Rails
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import RAIL_NAMES, accepted_setpoint, full_names
 from hil.drivers.latest import Latest
-from hil.drivers.rails.codec import Control, State
-from hil.drivers.rails.drive import ENABLE_TIMEOUT_S, STOP, Drive
-from hil.errors import BadInput, DeviceError, LinkLost, LinkTimeout
-from hil.messages import Array, AxisFeedback
+from hil.drivers.rails.codec import Control, RegisterMap, State
+from hil.drivers.rails.drive import CONNECT_TIMEOUT_S, ENABLE_TIMEOUT_S, STOP, Drive
+from hil.drivers.rails.frames import new_counters
+from hil.drivers.rails.homing import HomingWatch, limit_switch
+from hil.drivers.rails.wiring import check_wires, make_wires
+from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, SafetyTrip
+from hil.messages import Array, AxisFeedback, Homing
 
 IDLE_PERIOD_S: Final = 0.02  # between exchanges while nobody sends
 _STOP_WAIT_WALL_S: Final = 0.08
@@ -43,9 +47,13 @@ class ModbusRails:
     def __init__(self, config: Rails, clock: WallClock) -> None:
         self.name = "rails"
         self.axis_names = full_names(self.name, RAIL_NAMES)
+        check_wires(config)
+        self._config = config
         self._timeout_s = config.timeout_s
         self._clock = clock
-        self._wires = _wires(config)
+        self._map = RegisterMap(config.map)
+        self._counters = new_counters()
+        self._homing = HomingWatch(config)
         limits = ServoAxes(config)
         self._low, self._high, self._rate_max = limits.low, limits.high, limits.rate_max
         self._box: Latest[AxisFeedback] = Latest(self.name)
@@ -65,6 +73,8 @@ class ModbusRails:
         """Connect to the three drives, check what they are, enable them where they stand."""
         self.close()
         self._box = Latest(self.name)
+        self._counters = new_counters()
+        self._homing = HomingWatch(self._config)
         self._serving = self._stopping = self._stop_was_called = False
         self._stop_task = None
         self._all_stopped.clear()
@@ -73,7 +83,7 @@ class ModbusRails:
         opened: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, args=(opened,), name="rails-modbus", daemon=True)
         self._thread.start()
-        bound_s = ENABLE_TIMEOUT_S + 6.0 * self._timeout_s
+        bound_s = CONNECT_TIMEOUT_S + ENABLE_TIMEOUT_S + 6.0 * self._timeout_s
         try:
             opened.result(timeout=self._clock.wall_s(bound_s))
         except TimeoutError as error:
@@ -84,16 +94,24 @@ class ModbusRails:
             raise
 
     def home(self, now_s: float) -> None:
-        """Do nothing: these axes know their places."""
+        """Let each axis with an incremental encoder look for its home switch, unless it knows its place."""
+        self._box.check()
+        self._call(self._begin_homing)
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
-        """Hand over the next setpoint; a stopped device stays where it is and returns that place."""
+        """Hand over the next setpoint; a stopped device stays where it is and returns that place.
+
+        Raises SafetyTrip as well while an axis has not been homed.
+        """
         self._box.check()
         accepted = accepted_setpoint(self.axis_names, position, self._low, self._high)
         feedforward = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
         feedback = self._box.peek()
         if self._stopping and feedback is not None:
             return feedback.position.copy()
+        for axis, homing in enumerate(self._homing.state):
+            if homing is not Homing.DONE:
+                raise SafetyTrip(self.axis_names[axis], "setpoint", "before homing", "once the axis is homed")
         self._setpoint = (accepted.tolist(), feedforward.tolist(), now_s)
         self._call(self._wake.set)
         return accepted
@@ -121,6 +139,14 @@ class ModbusRails:
         self._call(self._cancel)
         self._thread.join(_CLOSE_WAIT_WALL_S)
         self._thread = None
+
+    def counters(self) -> dict[str, int]:
+        """Return what was counted on the wires since ``open``.
+
+        exchanges: requests that were answered; retries: asked again; protocol_errors: damaged, impossible or
+        refusing answers; late: answers to an older request; duplicates: answers that came twice.
+        """
+        return dict(self._counters)
 
     def _call(self, function: Callable[[], object]) -> None:
         with suppress(RuntimeError):  # the loop has ended; why lies in the box
@@ -151,8 +177,11 @@ class ModbusRails:
     async def _live(self, opened: Future[None]) -> None:
         # A little less than the box allows, so that a silent drive is reported by its own name.
         timeout_s = max(0.5 * self._timeout_s, self._timeout_s - 1.5 * IDLE_PERIOD_S)
-        wires = zip(self.axis_names, self._wires, strict=True)
-        self._drives = [Drive(name, *wire, timeout_s, self._clock) for name, wire in wires]
+        wires = make_wires(self._config, timeout_s, self._counters, self._clock)
+        self._drives = [
+            Drive(name, wire, self._map, float(rate_max), self._clock)
+            for name, wire, rate_max in zip(self.axis_names, wires, self._rate_max, strict=True)
+        ]
         try:
             await _all(drive.identify() for drive in self._drives)
             held = await _all(drive.enable() for drive in self._drives)
@@ -164,8 +193,8 @@ class ModbusRails:
             await self._serve()
         finally:
             await asyncio.gather(*(drive.stop_blindly() for drive in self._drives))
-            for drive in self._drives:
-                drive.close()
+            for wire in wires:
+                wire.line.close()
 
     async def _serve(self) -> None:
         idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
@@ -177,14 +206,19 @@ class ModbusRails:
             await self._exchange_all()
 
     async def _exchange_all(self) -> None:
-        asked_s = self._clock.now_s()
         states = await asyncio.gather(*(self._exchange(index) for index in range(len(self._drives))))
-        t_s = 0.5 * (asked_s + self._clock.now_s())
         answers = [state for state in states if state is not None]
         if len(answers) == len(self._drives):
+            t_s = sum(drive.moment_s for drive in self._drives) / len(self._drives)
             position = np.array([state.position_m for state in answers])
             rate = np.array([state.rate_mps for state in answers])
-            self._box.put(AxisFeedback(t_s, position, rate), t_s)
+            homing = self._homing.state
+            limit = (self._limit(0, answers), self._limit(1, answers), self._limit(2, answers))
+            self._box.put(AxisFeedback(t_s, position, rate, (homing[0], homing[1], homing[2]), limit), t_s)
+
+    def _limit(self, axis: int, states: list[State]) -> int:
+        middle_m = 0.5 * float(self._low[axis] + self._high[axis])
+        return limit_switch(states[axis].status, states[axis].position_m, middle_m)
 
     async def _exchange(self, index: int) -> State | None:
         """Exchange with one drive; whatever is wrong with it ends the run of all."""
@@ -193,16 +227,38 @@ class ModbusRails:
             return None
         stopping = self._stopping
         position_m, rate_mps = self._wanted(index)
+        seeking = not stopping and self._homing.seeks(index)
+        control = STOP if stopping else Control.ENABLE | Control.HOME if seeking else Control.ENABLE
+        if seeking:
+            drive.forget_place()
+
+        def problem(state: State) -> str | None:  # a stop may come while this exchange is under way
+            return drive.problem(state, stopping or self._stopping)
+
         try:
-            state = await drive.exchange(STOP if stopping else Control.ENABLE, position_m, rate_mps)
-            drive.check(state, stopping)
+            state = await drive.exchange(control, position_m, rate_mps, problem)
+            if why := problem(state):
+                raise DriveFault(drive.name, why)
         except DeviceError as error:
             drive.failed = self._stopping = True
             self._box.fail(error)
             self._begin_stop()
             await drive.stop_blindly()
             return None
+        if self._homing.heard(index, state, seeking) or seeking:
+            self._stand_at(index, state.position_m)
         return state
+
+    def _begin_homing(self) -> None:
+        self._homing.begin()
+        self._wake.set()
+
+    def _stand_at(self, index: int, position_m: float) -> None:
+        """Make the place that an axis reports its setpoint: homing has moved its zero."""
+        position, rate, sent_s = self._setpoint
+        moved, stood = list(position), list(rate)
+        moved[index], stood[index] = position_m, 0.0
+        self._setpoint = (moved, stood, sent_s)
 
     def _wanted(self, index: int) -> tuple[float, float]:
         """Return position and rate; without a new setpoint the rate ends: the axis stands at the last one."""
@@ -211,6 +267,7 @@ class ModbusRails:
         return position[index], rate[index] if fresh else 0.0
 
     def _begin_stop(self) -> None:
+        self._homing.abort()
         if self._serving and (self._stop_task is None or self._stop_task.done()):
             self._stop_task = asyncio.get_running_loop().create_task(self._stop_all())
 
@@ -218,18 +275,6 @@ class ModbusRails:
         # Not a part of the exchange under way: that one may be waiting for a drive that is dead.
         await asyncio.gather(*(self._exchange(index) for index in range(len(self._drives))))
         self._all_stopped.set()
-
-
-def _wires(config: Rails) -> list[tuple[str, int, int]]:
-    """Return host, port and device id of the drives x, y, z."""
-    modbus = config.modbus or Modbus()
-    wires = []
-    for name in RAIL_NAMES:
-        wire = getattr(modbus, name)
-        if wire.port is None:
-            raise BadInput.single("rig", f"rails.modbus.{name}.port", "is missing: the wire to the device")
-        wires.append((wire.host, wire.port, wire.device_id))
-    return wires
 
 
 async def _all(steps: Iterable[Awaitable[_Result]]) -> list[_Result]:

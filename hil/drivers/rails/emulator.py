@@ -1,108 +1,98 @@
-"""Emulated rails: three Modbus TCP servers with the servo's dynamics behind them."""
+"""Emulated rails on the wire: three drives on Modbus TCP, or on one serial line, with the servo's dynamics."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
+import contextlib
+import heapq
 import threading
-from functools import partial
 from typing import Final
 
-from pymodbus.constants import ExcCodes
-from pymodbus.server import ModbusTcpServer
-from pymodbus.simulator import DataType, SimData, SimDevice
-
 from hil.clock import WallClock
-from hil.config.rig import Modbus, Rails
+from hil.config.rail_wires import ModbusRtu
+from hil.config.rig import Rails
 from hil.drivers.base import RAIL_NAMES, full_names
 from hil.drivers.board import AxisBoard
-from hil.drivers.emulated_axes import STEP_S, EmulatedAxes
-from hil.drivers.rails.codec import DRIVE_MAP, Block, Command, Control, Identity, State, Status
+from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
+from hil.drivers.faults import FaultyWire
+from hil.drivers.lines import PtyLine
+from hil.drivers.rails.codec import Identity, RegisterMap
+from hil.drivers.rails.slave import TORQUE_OFF, EmulatedDrive, Slave
+from hil.drivers.rails.wiring import tcp_axes
+from hil.maths.streams import stream
 
 FIRMWARE: Final = (1, 0)
-
-logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a controller that hangs up is no error here
-
-
-class EmulatedDrive:
-    """One axis: what the drive's firmware does with commands. No I/O; time is handed in."""
-
-    def __init__(self, axes: EmulatedAxes, index: int) -> None:
-        self._axes = axes
-        self._index = index
-        self._enabled = False
-        self._quick_stop = False
-        self._fault = 0
-        self._echo = 0
-
-    @property
-    def held(self) -> bool:
-        """Whether the axis brakes or stands, whatever setpoint it was given."""
-        return not self._enabled or self._quick_stop or self._fault != 0
-
-    def trip(self, fault: int) -> None:
-        """Let the drive report a fault (codec.FAULTS) and stop."""
-        self._fault = fault
-        self._axes.brake(self._index)
-
-    def command(self, command: Command, now_s: float) -> None:
-        """Take what the controller wrote."""
-        self._axes.advance(now_s)
-        self._echo = command.number
-        self._enabled = bool(command.control & Control.ENABLE)
-        if not self._enabled:
-            self._quick_stop = False
-            if command.control & Control.FAULT_RESET:
-                self._fault = 0
-        if command.control & Control.QUICK_STOP:
-            self._quick_stop = True
-        if self.held:
-            self._axes.brake(self._index)
-        else:
-            self._axes.follow(self._index, command.position_m, command.rate_mps, now_s)
-
-    def supervise(self) -> None:
-        """Make a quick stop when the controller has gone silent."""
-        if self._axes.overdue[self._index]:
-            self._axes.overdue[self._index] = False
-            self._quick_stop = True
-
-    def state(self, now_s: float) -> State:
-        """Return what the drive reports."""
-        self._axes.advance(now_s)
-        self.supervise()
-        axes, i = self._axes, self._index
-        status = Status.READY if self._fault == 0 else Status.FAULT
-        if self._enabled and self._fault == 0:
-            status |= Status.ENABLED
-        if axes.moving(i):
-            status |= Status.MOVING
-        if self._quick_stop:
-            status |= Status.QUICK_STOP
-        if axes.limit[i]:
-            status |= Status.LIMIT
-        return State(status, self._fault, self._echo, float(axes.position[i]), float(axes.rate[i]))
+_FAULT: Final = "over-current"  # that a drive reports when none was chosen
+_READ_BYTES: Final = 4096
+_SILENCE_S: Final = 0.02  # much longer than between the bytes of one request, however busy this host is
+_PTY_BITS_A_BYTE: Final = 10  # that PtyLine reckons with
 
 
-class RailsEmulator:
-    """Three drives on 127.0.0.1, ports by the system; their places go to ``board`` every 4 ms of bench time."""
+class _Rails:
+    """The three drives, whatever their wire. seed: of everything that chance decides in them."""
 
-    def __init__(self, config: Rails, clock: WallClock, board: AxisBoard) -> None:
-        wires = config.modbus or Modbus()
-        self._device_ids = [getattr(wires, name).device_id for name in RAIL_NAMES]
+    def __init__(
+        self,
+        config: Rails,
+        clock: WallClock,
+        board: AxisBoard,
+        chain_closed: ChainClosed = lambda: True,
+        seed: int = 0,
+    ) -> None:
+        self._config = config
         self._clock = clock
-        self._axes = EmulatedAxes("rails", config, clock, board)
+        self._map = RegisterMap(config.map)
+        self._identity = Identity(config.map.vendor, max(FIRMWARE, config.map.firmware_min))
+        self._axes = EmulatedAxes("rails", config, clock, board, chain_closed=chain_closed, seed=seed)
         self.faults = self._axes.faults
+        self._wire = FaultyWire(self.faults, stream(seed, "wire"))
+        torque_off = self._map.fault_code(TORQUE_OFF)
+        self.drives = [EmulatedDrive(self._axes, index, torque_off) for index in range(len(RAIL_NAMES))]
+
+    def _advance(self) -> None:
+        """Bring axes and drives to now."""
+        now_s = self._clock.now_s()
+        self._axes.advance(now_s)
+        for name, drive in zip(RAIL_NAMES, self.drives, strict=True):
+            code = self.faults.take("drive_fault", name)
+            if code is not None:
+                drive.trip(int(code) or self._map.fault_code(_FAULT))
+            drive.supervise(now_s)
+
+
+class RailsEmulator(_Rails):
+    """Three drives on 127.0.0.1, ports by the system; those with one host and port in the rig file share one.
+
+    Their places go to the board every 4 ms of bench time.
+    """
+
+    def __init__(
+        self,
+        config: Rails,
+        clock: WallClock,
+        board: AxisBoard,
+        chain_closed: ChainClosed = lambda: True,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(config, clock, board, chain_closed, seed)
         self._loop = asyncio.new_event_loop()
-        self._servers: list[ModbusTcpServer] = []
-        self.drives = [EmulatedDrive(self._axes, index) for index in range(len(RAIL_NAMES))]
+        self._ports: list[_TcpPort] = []
 
     def start(self) -> dict[str, str]:
         """Listen; return axis name -> "host:port"."""
-        self._servers = self._loop.run_until_complete(self._listen())
-        ports = [server.transport.sockets[0].getsockname()[1] for server in self._servers]  # type: ignore[attr-defined]
         names = full_names("rails", RAIL_NAMES)
-        return {name: f"127.0.0.1:{port}" for name, port in zip(names, ports, strict=True)}
+        groups: dict[object, list[int]] = {}
+        axes = tcp_axes(self._config)
+        for index, axis in enumerate(axes):
+            groups.setdefault(index if axis.port is None else (axis.host, axis.port), []).append(index)
+        addresses: dict[str, str] = {}
+        for group in groups.values():
+            drives = {axes[index].device_id: self.drives[index] for index in group}
+            port = _TcpPort(Slave(drives, self._map, self._identity, self._clock, tcp=True), self._wire, self._clock)
+            self._loop.run_until_complete(port.listen())
+            self._ports.append(port)
+            addresses |= {names[index]: f"127.0.0.1:{port.number}" for index in group}
+        return {name: addresses[name] for name in names}
 
     def run(self, stop: threading.Event) -> None:
         """Serve until ``stop`` is set."""
@@ -115,66 +105,129 @@ class RailsEmulator:
         self._loop.run_until_complete(self._shut_down())
         self._loop.close()
 
-    async def _listen(self) -> list[ModbusTcpServer]:
-        servers = []
-        for drive, device_id in zip(self.drives, self._device_ids, strict=True):
-            server = ModbusTcpServer(_device(drive, device_id, self._clock), address=("127.0.0.1", 0))
-            await server.serve_forever(background=True)
-            servers.append(server)
-        return servers
-
     async def _serve(self, stop: threading.Event) -> None:
         tick_wall_s = self._clock.wall_s(STEP_S)
         while not stop.is_set():
-            self._axes.advance(self._clock.now_s())
-            for drive in self.drives:
-                drive.supervise()
+            self._advance()
+            down = self.faults.value("link_down") is not None
+            for port in self._ports:
+                await (port.hang_up() if down else port.listen())
             await asyncio.sleep(tick_wall_s)
 
     async def _shut_down(self) -> None:
-        for server in self._servers:
-            await server.shutdown()
-        await asyncio.sleep(0.01)  # let the connections' own callbacks see their end
+        for port in self._ports:
+            await port.hang_up()
+        await asyncio.sleep(0.01)  # let the connections' own tasks see their end
 
 
-def _device(drive: EmulatedDrive, device_id: int, clock: WallClock) -> SimDevice:
-    """Return the register file of one drive; every access ends in ``drive``."""
+class _TcpPort:
+    """A listening port and its connections; each answer passes the faulty wire."""
 
-    def registers(block: Block, values: list[int], readonly: bool) -> SimData:
-        return SimData(block.address, values=values, datatype=DataType.REGISTERS, readonly=readonly)
+    def __init__(self, slave: Slave, wire: FaultyWire, clock: WallClock) -> None:
+        self.number = 0
+        self._slave = slave
+        self._wire = wire
+        self._clock = clock
+        self._server: asyncio.Server | None = None
+        self._writers: set[asyncio.StreamWriter] = set()
 
-    identity = DRIVE_MAP.encode_identity(Identity(DRIVE_MAP.vendor, FIRMWARE))
-    return SimDevice(
-        id=device_id,
-        simdata=[
-            registers(DRIVE_MAP.command, [0] * DRIVE_MAP.command.count, readonly=False),
-            registers(DRIVE_MAP.state, [0] * DRIVE_MAP.state.count, readonly=True),
-            registers(DRIVE_MAP.identity, identity, readonly=True),
-        ],
-        action=partial(_access, drive, clock),
-    )
+    async def listen(self) -> None:
+        """Take connections, always on the same port; nothing to do when it is listening."""
+        if self._server is None:
+            self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.number)
+            self.number = self._server.sockets[0].getsockname()[1]
+
+    async def hang_up(self) -> None:
+        """Close every connection and refuse new ones."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        for writer in self._writers:
+            writer.transport.abort()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._writers.add(writer)
+        data = b""
+        try:
+            with contextlib.suppress(ConnectionError):
+                while received := await reader.read(_READ_BYTES):
+                    data += received
+                    used, answers = self._slave.feed(data)
+                    data = data[used:]
+                    for answer in answers:
+                        self._send(writer, answer)
+        finally:
+            self._writers.discard(writer)
+            writer.transport.abort()
+
+    def _send(self, writer: asyncio.StreamWriter, answer: bytes) -> None:
+        for delay_s, packet in self._wire.passed(answer):
+            if delay_s > 0.0:
+                asyncio.get_running_loop().call_later(self._clock.wall_s(delay_s), self._write, writer, packet)
+            else:
+                self._write(writer, packet)
+
+    def _write(self, writer: asyncio.StreamWriter, packet: bytes) -> None:
+        if writer in self._writers:
+            writer.write(packet)
 
 
-async def _access(
-    drive: EmulatedDrive,
-    clock: WallClock,
-    function: int,
-    start: int,
-    address: int,
-    count: int,
-    registers: list[int],
-    values: list[int] | list[bool] | None,
-) -> ExcCodes | None:
-    """Take a write, or bring the state block up to date before it is read (pymodbus calls this)."""
-    if values is None:
-        _place(registers, start, DRIVE_MAP.state, DRIVE_MAP.encode_state(drive.state(clock.now_s())))
-        return None
-    block = DRIVE_MAP.command
-    written = registers[block.address - start : block.address - start + block.count]
-    written[address - block.address : address - block.address + count] = [int(value) for value in values]
-    drive.command(DRIVE_MAP.decode_command(written), clock.now_s())
-    return None
+class RtuRailsEmulator(_Rails):
+    """Three drives on one serial line, a pseudo terminal that takes as long as the real one."""
 
+    def __init__(
+        self,
+        config: Rails,
+        clock: WallClock,
+        board: AxisBoard,
+        chain_closed: ChainClosed = lambda: True,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(config, clock, board, chain_closed, seed)
+        self._rtu = config.rtu or ModbusRtu()
+        drives = dict(zip(self._rtu.device_ids, self.drives, strict=True))
+        self._slave = Slave(drives, self._map, self._identity, clock, tcp=False)
+        self._line: PtyLine | None = None
+        self._on_the_way: list[tuple[float, int, bytes]] = []  # a heap by time of sending
+        self._sent = 0
 
-def _place(registers: list[int], start: int, block: Block, values: list[int]) -> None:
-    registers[block.address - start : block.address - start + block.count] = values
+    def start(self) -> dict[str, str]:
+        """Open the line; return its path."""
+        self._line = PtyLine(round(self._rtu.baud * _PTY_BITS_A_BYTE / self._rtu.bits_a_byte), self._clock)
+        return {"rails": self._line.path}
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve the line until ``stop`` is set."""
+        line = self._line
+        if line is None:
+            raise RuntimeError("start the emulator first")
+        data, heard_s = b"", 0.0
+        while not stop.is_set():
+            received = line.read(STEP_S)
+            self._advance()
+            if received:
+                now_s = self._clock.now_s()
+                # what was no request before a silence never will be one
+                data = received if now_s - heard_s > _SILENCE_S else data + received
+                heard_s = now_s
+                used, answers = self._slave.feed(data)
+                data = data[used:]
+                for answer in answers:
+                    self._take(answer)
+            self._send_what_is_due(line)
+
+    def close(self) -> None:
+        """Close the line; idempotent."""
+        if self._line is not None:
+            self._line.close()
+        self._line = None
+
+    def _take(self, answer: bytes) -> None:
+        for delay_s, packet in self._wire.passed(answer):
+            heapq.heappush(self._on_the_way, (self._clock.now_s() + delay_s, self._sent, packet))
+            self._sent += 1
+
+    def _send_what_is_due(self, line: PtyLine) -> None:
+        while self._on_the_way and self._on_the_way[0][0] <= self._clock.now_s():
+            line.write(heapq.heappop(self._on_the_way)[2])
+            self._advance()

@@ -1,0 +1,244 @@
+"""Register map of the rail drives as a rig file may give it: ``[rails.map]``.
+
+Each number has its holding register, the way it is written, and what one count means. The defaults are the
+map of the emulated drives; a rig file names what is different in its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import Field, StringConstraints, model_validator
+
+from hil.config.model import Positive, Strict
+
+NumberType = Literal["u16", "i16", "u32", "i32", "f32", "f64"]
+Unit = Literal["m", "mm", "um", "m/s", "mm/s", "um/s"]
+
+WORDS: Final[dict[NumberType, int]] = {"u16": 1, "i16": 1, "u32": 2, "i32": 2, "f32": 2, "f64": 4}
+READ_MAX: Final = 125  # registers that function 23 reads at most
+WRITE_MAX: Final = 121  # registers that it writes at most
+_PER_SI: Final[dict[str, float]] = {"m": 1.0, "mm": 1e3, "um": 1e6}
+
+Address = Annotated[int, Field(ge=0, le=65535)]
+Bit = Annotated[int, Field(ge=-1, le=31)]  # -1: the drive has no such bit
+FaultCode = Annotated[str, StringConstraints(pattern=r"^(0x[0-9a-fA-F]{1,8}|[0-9]{1,10})$")]
+
+
+class WordRegister(Strict):
+    """A word of bits, a code or a counter."""
+
+    address: Address
+    type: Literal["u16", "u32"] = "u16"
+
+
+class CounterRegister(WordRegister):
+    """One register that counts to 65535 and starts again at 0."""
+
+    type: Literal["u16"] = "u16"
+
+
+class PositionRegister(Strict):
+    """A length: ``scale`` units to one count."""
+
+    address: Address
+    type: NumberType = "i32"
+    unit: Literal["m", "mm", "um"] = "um"
+    scale: Positive = 1.0
+
+
+class RateRegister(Strict):
+    """A speed: ``scale`` units to one count."""
+
+    address: Address
+    type: NumberType = "i32"
+    unit: Literal["m/s", "mm/s", "um/s"] = "um/s"
+    scale: Positive = 1.0
+
+
+AnyRegister = WordRegister | PositionRegister | RateRegister
+
+
+def counts_per_si(register: AnyRegister) -> float:
+    """Return the counts to one m or m/s; 1 for a word."""
+    if isinstance(register, WordRegister):
+        return 1.0
+    return _PER_SI[register.unit.removesuffix("/s")] / register.scale
+
+
+class _Block(Strict):
+    """Registers that travel in one transaction."""
+
+    def registers(self) -> dict[str, AnyRegister]:
+        """Return the numbers of the block by name."""
+        return {name: getattr(self, name) for name in type(self).model_fields}
+
+
+class CommandBlock(_Block):
+    """What is written in every exchange; its registers follow one another without a gap."""
+
+    control: WordRegister = WordRegister(address=0)
+    number: CounterRegister = CounterRegister(address=1)
+    position: PositionRegister = PositionRegister(address=2)
+    rate: RateRegister = RateRegister(address=4)
+
+
+class StateBlock(_Block):
+    """What is read in every exchange; registers between its numbers are read and ignored."""
+
+    status: WordRegister = WordRegister(address=16)
+    fault: WordRegister = WordRegister(address=17)
+    echo: CounterRegister = CounterRegister(address=18)
+    position: PositionRegister = PositionRegister(address=19)
+    rate: RateRegister = RateRegister(address=21)
+
+
+class IdentityBlock(_Block):
+    """What is read when the drive is opened; version: major * 256 + minor."""
+
+    vendor: WordRegister = WordRegister(address=32, type="u32")
+    version: WordRegister = WordRegister(address=34)
+
+
+class ControlBits(Strict):
+    """Bits of the control word."""
+
+    enable: Bit = 0
+    quick_stop: Bit = 1
+    home: Bit = 2
+    fault_reset: Bit = 7
+
+
+class StatusBits(Strict):
+    """Bits of the status word."""
+
+    ready: Bit = 0
+    enabled: Bit = 1
+    moving: Bit = 2
+    fault: Bit = 3
+    quick_stop: Bit = 4
+    limit: Bit = 5
+    homed: Bit = 6
+    homing_failed: Bit = 7
+    limit_low: Bit = 8
+    limit_high: Bit = 9
+
+
+FAULT_TEXTS: Final = {
+    "1": "following error too large",
+    "2": "over-current",
+    "3": "motor too hot",
+    "4": "encoder signal lost",
+    "5": "supply voltage out of range",
+    "6": "brake does not open",
+    "7": "safe torque off",
+}
+
+
+class RailMap(Strict):
+    """Where a rail drive keeps its numbers, and which drive it is.
+
+    word_order: of a number in several registers, "big" has the high word first. numbered: whether the drive
+    echoes the number of each exchange (``command.number``, ``state.echo``).
+    """
+
+    word_order: Literal["big", "little"] = "big"
+    numbered: bool = True
+    vendor: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = 0x48494C52
+    firmware_min: tuple[Annotated[int, Field(ge=0, le=255)], Annotated[int, Field(ge=0, le=255)]] = (1, 0)
+    command: CommandBlock = CommandBlock()
+    state: StateBlock = StateBlock()
+    identity: IdentityBlock = IdentityBlock()
+    control_bits: ControlBits = ControlBits()
+    status_bits: StatusBits = StatusBits()
+    faults: Mapping[FaultCode, str] = FAULT_TEXTS
+
+    @property
+    def homes(self) -> bool:
+        """Whether these drives can be told to look for their home switches, and tell the outcome."""
+        return self.control_bits.home >= 0 and self.status_bits.homed >= 0
+
+    def blocks(self) -> dict[str, dict[str, AnyRegister]]:
+        """Return the numbers of each block by name, those of unnumbered exchanges left out."""
+        unused = () if self.numbered else ("number", "echo")
+        return {
+            name: {key: register for key, register in block.registers().items() if key not in unused}
+            for name, block in (("command", self.command), ("state", self.state), ("identity", self.identity))
+        }
+
+    @model_validator(mode="after")
+    def _modbus_can_carry_it(self) -> Self:
+        taken: dict[int, str] = {}
+        for name, registers in self.blocks().items():
+            for key, register in registers.items():
+                _take(taken, register, f"{name}.{key}")
+        for name, registers in self.blocks().items():
+            extent = span(registers.values())
+            most = WRITE_MAX if name == "command" else READ_MAX
+            if len(extent) > most:
+                raise ValueError(f"{name}: {len(extent)} registers in one transaction, allowed 1 to {most}")
+            for word in extent:
+                owner = taken.get(word)
+                if owner is None and name == "command":
+                    raise ValueError(f"{name}: register {word} would be written and is no number, allowed: no gap")
+                if owner is not None and not owner.startswith(f"{name}."):
+                    raise ValueError(f"{name}: register {word} in its midst is {owner}, allowed: its own numbers")
+        return self
+
+    @model_validator(mode="after")
+    def _bits_fit_their_words(self) -> Self:
+        _check_bits("control_bits", self.control_bits, self.command.control, ("enable", "quick_stop"))
+        _check_bits("status_bits", self.status_bits, self.state.status, ("enabled", "fault"))
+        return self
+
+
+def span(registers: Iterable[AnyRegister]) -> range:
+    """Return the registers from the first to the last one of a block."""
+    words = [_words(register) for register in registers]
+    return range(min(each.start for each in words), max(each.stop for each in words))
+
+
+def _words(register: AnyRegister) -> range:
+    return range(register.address, register.address + WORDS[register.type])
+
+
+def _take(taken: dict[int, str], register: AnyRegister, key: str) -> None:
+    """Note whose the words of ``register`` are; refuse what is taken."""
+    words = _words(register)
+    if words.stop > 65536:
+        raise ValueError(f"{key}.address {register.address}: {register.type} ends beyond 65535, the last register")
+    for word in words:
+        if word in taken:
+            raise ValueError(
+                f"{key}.address {register.address}: register {word} is {taken[word]}, allowed: registers of its own"
+            )
+        taken[word] = key
+
+
+def _check_bits(table: str, bits: Strict, word: WordRegister, needed: tuple[str, ...]) -> None:
+    taken: dict[int, str] = {}
+    highest = 16 * WORDS[word.type] - 1
+    for name in type(bits).model_fields:
+        bit: int = getattr(bits, name)
+        if bit < 0 and name in needed:
+            raise ValueError(f"{table}.{name} {bit}: the drive must have it, allowed 0 to {highest}")
+        if bit > highest:
+            raise ValueError(f"{table}.{name} {bit}: the word is {word.type}, allowed 0 to {highest}")
+        if bit >= 0 and bit in taken:
+            raise ValueError(f"{table}.{name} {bit}: this bit is {taken[bit]}, allowed: a bit of its own, or -1")
+        taken[bit] = name
+
+
+_LIMITS: Final[dict[str, tuple[float, float]]] = {
+    "u16": (0.0, 2.0**16 - 1),
+    "i16": (-(2.0**15), 2.0**15 - 1),
+    "u32": (0.0, 2.0**32 - 1),
+    "i32": (-(2.0**31), 2.0**31 - 1),
+}
+
+
+def reach(register: AnyRegister) -> tuple[float, float]:
+    """Return the least and the greatest value, m or m/s, that the register holds."""
+    low, high = _LIMITS.get(register.type, (-1e9, 1e9))
+    return low / counts_per_si(register), high / counts_per_si(register)

@@ -1,0 +1,180 @@
+"""Modbus answers out of a stream of bytes, TCP and RTU: none that is not the awaited one is taken. No I/O.
+
+An answer counts only with the device, the function, the length and the transaction (TCP) or the check sum
+(RTU) that belong to the request under way, and with its exchange number where the drive echoes one. What is
+found instead is counted: damaged bytes, answers that came late, answers that came twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+from pymodbus.framer import FramerRTU
+
+READ: Final = 3
+READ_WRITE: Final = 23
+_ERROR: Final = 0x80
+_MBAP: Final = 7  # bytes of a TCP header: transaction, protocol, length, device
+_CRC: Final = 2
+
+Counters = dict[str, int]
+
+
+def new_counters() -> Counters:
+    """Return what is counted on the wires of one driver, all zero."""
+    return {"exchanges": 0, "retries": 0, "protocol_errors": 0, "late": 0, "duplicates": 0}
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """The answer to the request under way. echo: place among the registers, and value, of the number to come back."""
+
+    device_id: int
+    function: int
+    count: int  # registers
+    transaction: int = 0  # TCP only
+    echo: tuple[int, int] | None = None
+
+    def is_answered_by(self, frame: Frame) -> bool:
+        if (frame.device_id, frame.transaction) != (self.device_id, self.transaction):
+            return False
+        if frame.function == self.function | _ERROR:
+            return True
+        if frame.function != self.function or len(frame.registers) != self.count:
+            return False
+        return self.echo is None or frame.registers[self.echo[0]] == self.echo[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One sound answer. registers: of a reading function; exception: code of an error answer, else 0."""
+
+    device_id: int
+    function: int
+    registers: tuple[int, ...]
+    exception: int = 0
+    transaction: int = 0
+
+
+Measure = Callable[[bytes, int], int]
+
+
+def measure_rtu(data: bytes, start: int) -> int:
+    """Return the length of the sound RTU answer at ``start``; 0: too short to tell; -1: there is none."""
+    left = len(data) - start
+    if left < 2:
+        return 0
+    size = 5
+    if data[start + 1] in (READ, READ_WRITE):
+        if left < 3:
+            return 0
+        if not _even_and_full(data[start + 2]):
+            return -1
+        size = 3 + data[start + 2] + _CRC
+    elif data[start + 1] not in (READ | _ERROR, READ_WRITE | _ERROR):
+        return -1
+    if left < size:
+        return 0
+    end = start + size
+    return size if FramerRTU.check_CRC(data[start : end - _CRC], int.from_bytes(data[end - _CRC : end], "big")) else -1
+
+
+def measure_tcp(data: bytes, start: int) -> int:
+    """The same for a TCP answer, whose header must agree with what follows it."""
+    left = len(data) - start
+    if left < _MBAP + 2:
+        return 0
+    if data[start + 2] or data[start + 3]:
+        return -1
+    length = int.from_bytes(data[start + 4 : start + 6], "big")
+    function, content = data[start + _MBAP], data[start + _MBAP + 1]
+    if function in (READ, READ_WRITE):
+        if length != 3 + content or not _even_and_full(content):
+            return -1
+    elif function not in (READ | _ERROR, READ_WRITE | _ERROR) or length != 3:
+        return -1
+    size = _MBAP - 1 + length
+    return size if left >= size else 0
+
+
+def split(data: bytes, measure: Measure) -> tuple[int, list[bytes], int]:
+    """Return how many bytes of ``data`` are done with, the sound answers in it, and how many bytes were skipped.
+
+    An answer behind garbage is found as soon as it is complete, even where the garbage looks like the
+    beginning of a longer one.
+    """
+    frames = []
+    at = done = sound = 0
+    waiting = False
+    while at < len(data):
+        size = measure(data, at)
+        if size > 0:
+            frames.append(data[at : at + size])
+            sound += size
+            at += size
+            done, waiting = at, False
+            continue
+        waiting = waiting or size == 0
+        at += 1
+        if not waiting:
+            done = at
+    return done, frames, done - sound
+
+
+def parse(frame: bytes, tcp: bool) -> Frame:
+    """Return what stands in a sound answer."""
+    transaction = int.from_bytes(frame[:2], "big") if tcp else 0
+    body = frame[_MBAP - 1 :] if tcp else frame[:-_CRC]
+    if body[1] & _ERROR:
+        return Frame(body[0], body[1], (), body[2], transaction)
+    words = tuple(int.from_bytes(body[at : at + 2], "big") for at in range(3, len(body), 2))
+    return Frame(body[0], body[1], words, 0, transaction)
+
+
+@dataclass(slots=True)
+class Sieve:
+    """Lets through the one answer that is awaited, and counts everything else.
+
+    expect is set with each request and is None between them. damaged: what was wrong with the bytes that came
+    since then, "" for nothing.
+    """
+
+    tcp: bool
+    counters: Counters
+    expect: Expected | None = None
+    damaged: str = ""
+    _last: Frame | None = field(default=None)
+
+    def await_(self, expected: Expected | None) -> None:
+        """Begin with a request; None: it needs no answer."""
+        self.expect = expected
+        self.damaged = ""
+
+    def feed(self, data: bytes) -> tuple[int, Frame | None]:
+        """Return how many bytes are done with, and the awaited answer if it is among them."""
+        used, frames, skipped = split(data, measure_tcp if self.tcp else measure_rtu)
+        if skipped:
+            self.counters["protocol_errors"] += 1
+            self.damaged = f"{skipped} bytes that are no answer: {data[:24].hex(' ')}"
+        answer = None
+        for raw in frames:
+            frame = parse(raw, self.tcp)
+            if self.expect is not None and self.expect.is_answered_by(frame):
+                answer = self._last = frame
+                self.expect = None
+            else:
+                self._count_stray(frame)
+        return used, answer
+
+    def _count_stray(self, frame: Frame) -> None:
+        last = self._last
+        if last is not None and (frame.device_id, frame.function) == (last.device_id, last.function) and frame == last:
+            self.counters["duplicates"] += 1
+        else:
+            self.counters["late"] += 1
+
+
+def _even_and_full(byte_count: int) -> bool:
+    return byte_count % 2 == 0 and 2 <= byte_count <= 250

@@ -1,0 +1,61 @@
+"""Which drive is on which wire, as the rig file says; drives that have a wire in common share it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hil.clock import WallClock
+from hil.config.rail_wires import ModbusRtu
+from hil.config.rig import RAIL_NAMES, Modbus, ModbusAxis, Rails
+from hil.drivers.rails.drive import ATTEMPTS, Wire
+from hil.drivers.rails.frames import Counters
+from hil.drivers.rails.line import Line
+from hil.errors import BadInput
+
+# An exchange that waits for one drive keeps the others without a command: their watchdogs must not notice.
+ATTEMPT_MAX_S: Final = 0.2
+_MISSING: Final = "is missing: the wire to the device"
+
+
+def check_wires(config: Rails) -> None:
+    """Raise BadInput where the wire that the driver needs is not named."""
+    if config.driver == "modbus_rtu":
+        if config.rtu is None or config.rtu.port is None:
+            raise BadInput.single("rig", "rails.rtu.port", _MISSING)
+        return
+    for name, axis in zip(RAIL_NAMES, tcp_axes(config), strict=True):
+        if axis.port is None:
+            raise BadInput.single("rig", f"rails.modbus.{name}.port", _MISSING)
+
+
+def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: WallClock) -> list[Wire]:
+    """Return the wires of x, y, z, not connected yet. Inside a running event loop, after ``check_wires``.
+
+    timeout_s: after which a dead wire is told at the latest.
+    """
+    if config.driver == "modbus_rtu":
+        rtu = config.rtu or ModbusRtu()
+        line = Line.on_port(rtu.port or "", rtu, config.exchange_s(), counters, clock)
+        attempt_s = _attempt_s(timeout_s, len(rtu.device_ids))
+        return [Wire(line, device_id, attempt_s) for device_id in rtu.device_ids]
+    axes = tcp_axes(config)
+    hosts = [(axis.host, axis.port or 0) for axis in axes]
+    lines = {host: Line.to_host(*host, counters, clock) for host in dict.fromkeys(hosts)}
+    return [
+        Wire(lines[host], axis.device_id, _attempt_s(timeout_s, hosts.count(host)))
+        for host, axis in zip(hosts, axes, strict=True)
+    ]
+
+
+def _attempt_s(timeout_s: float, drives: int) -> float:
+    """Return how long one of so many drives on a wire may take for one answer, s.
+
+    On a dead wire each of them waits in turn before the first one asks again, and fails by its name.
+    """
+    return min(timeout_s / (drives + ATTEMPTS - 1), ATTEMPT_MAX_S)
+
+
+def tcp_axes(config: Rails) -> list[ModbusAxis]:
+    """Return the drives x, y, z as the rig file has them on TCP."""
+    modbus = config.modbus or Modbus()
+    return [modbus.x, modbus.y, modbus.z]
