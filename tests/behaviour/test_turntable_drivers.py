@@ -31,7 +31,7 @@ PARK_DEG = (3.0, -2.0, 0.5)
 PATIENCE_WALL_S = 3.0
 
 
-def turntable(driver, address=None, interface="serial", timeout_s=0.4, **of_axes):
+def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=None, **of_axes):
     axes = [
         GimbalAxis(travel_deg=(-60.0, 60.0), rate_max_degps=40.0, acceleration_max_degps2=80.0, park_deg=park, **of_axes)
         for park in PARK_DEG
@@ -43,31 +43,42 @@ def turntable(driver, address=None, interface="serial", timeout_s=0.4, **of_axes
         roll=axes[0],
         pitch=axes[1],
         yaw=axes[2],
-        cia402=Cia402(interface=interface, channel=address),
+        cia402=Cia402(interface=interface, channel=address, **(cia402 or {})),
         ascii=AsciiTurntableLine(port=address, protocol="acu" if driver == "acu" else "hil-ascii"),
     )
 
 
 @contextlib.contextmanager
-def served(driver, interface="serial", channel=None, speed=2.0, prepare=lambda emulator: None):
-    """Yield an emulator in a thread, an open driver and their clock."""
-    clock, board = WallClock(speed=speed), AxisBoard.create()
-    emulator = EMULATORS[driver](turntable(driver, channel, interface), clock, board)
+def emulated(driver, clock, interface="serial", channel=None, prepare=lambda emulator: None, chain=lambda: True, **rig):
+    """Yield an emulator in a thread, and its address."""
+    board = AxisBoard.create()
+    emulator = EMULATORS[driver](turntable(driver, channel, interface, **rig), clock, board, chain_closed=chain)
     prepare(emulator)
     address = emulator.start()["turntable"]
     stop = threading.Event()
     thread = threading.Thread(target=emulator.run, args=(stop,))
     thread.start()
-    device = DRIVERS[driver](turntable(driver, address, interface), clock)
     try:
-        device.open(clock.now_s())
-        yield emulator, device, clock
+        yield emulator, address
     finally:
-        device.close()
         stop.set()
         thread.join()
         emulator.close()
         board.close()
+
+
+@contextlib.contextmanager
+def served(driver, interface="serial", channel=None, speed=2.0, **rig):
+    """Yield an emulator in a thread, an open driver and their clock."""
+    clock = WallClock(speed=speed)
+    with emulated(driver, clock, interface, channel, **rig) as (emulator, address):
+        rig = {key: value for key, value in rig.items() if key not in ("prepare", "chain")}
+        device = DRIVERS[driver](turntable(driver, address, interface, **rig), clock)
+        try:
+            device.open(clock.now_s())
+            yield emulator, device, clock
+        finally:
+            device.close()
 
 
 def eventually(condition, patience_s=PATIENCE_WALL_S):

@@ -1,4 +1,4 @@
-"""A slow move of three axes from rest to rest: setpoints for drives that have no profiles of their own."""
+"""A slow move of axes from rest to rest: setpoints for drives that have no profiles of their own."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hil.messages import Array
 
 
 class Glide:
-    """From ``start`` to ``goal``, at most at ``rate`` and ``acceleration``, all (3,); begins at ``start_s``."""
+    """From ``start`` to ``goal``, at most at ``rate`` and ``acceleration``, all (n,); begins at ``start_s``."""
 
     def __init__(self, start: Array, goal: Array, rate: Array, acceleration: Array, start_s: float) -> None:
         self._start = start.copy()
@@ -20,9 +20,9 @@ class Glide:
         self._at = np.empty(3)
 
     def at(self, t_s: float) -> tuple[Array, Array]:
-        """Return position and rate, (3,) each, due at ``t_s``."""
-        position, rate = self._start.copy(), np.zeros(3)
-        for axis in range(3):
+        """Return position and rate, (n,) each, due at ``t_s``."""
+        position, rate = self._start.copy(), np.zeros(len(self._start))
+        for axis in range(len(position)):
             limit = float(self._acceleration[axis])
             length = abs(float(self._way[axis]))
             along_line(length, float(self._rate[axis]), limit, limit, t_s - self._start_s, self._at)
