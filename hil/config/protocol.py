@@ -123,7 +123,7 @@ class ErrorReply(Strict):
     """How the controller refuses; ``{error}`` is the number that ``names`` explain."""
 
     reply: str
-    names: Names = {}
+    names: Names = Field(default_factory=dict)
 
 
 class StatusBits(Strict):
@@ -145,7 +145,7 @@ class FaultNames(Strict):
     """What an axis' fault number means. flags: each bit is a fault; code: the number is one."""
 
     kind: Literal["flags", "code"] = "code"
-    names: Names = {}
+    names: Names = Field(default_factory=dict)
 
 
 class EmulatorWords(Strict):
@@ -230,7 +230,9 @@ class Protocol(Strict):
         allowed = [*(["axis"] if step.each_axis else []), *(setpoints if action == "set" else [])]
         _check_template(f"{key}: send", step.send, allowed)
         if step.reply not in self.replies:
-            raise ValueError(f"{key}: reply {step.reply!r}: allowed are the names in [replies]: {_listed(self.replies)}")
+            raise ValueError(
+                f"{key}: reply {step.reply!r}: allowed are the names in [replies]: {_listed(self.replies)}"
+            )
         _check_template(f"replies.{step.reply}", self.replies[step.reply], [*_axis_fields(step.each_axis), *OF_DEVICE])
 
     def _check_report(self) -> None:

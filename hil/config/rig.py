@@ -157,7 +157,7 @@ class AsciiTurntableLine(SerialLine):
     """The turntable controller's serial port, and the command set that it speaks."""
 
     protocol: str = "hil-ascii"  # a shipped protocol file by its name, or the path of one
-    identity: dict[Literal["model", "serial", "firmware"], str] = {}  # what it must say of itself
+    identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)  # what it must say
 
 
 class Rails(Strict):

@@ -33,7 +33,9 @@ PATIENCE_WALL_S = 3.0
 
 def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=None, **of_axes):
     axes = [
-        GimbalAxis(travel_deg=(-60.0, 60.0), rate_max_degps=40.0, acceleration_max_degps2=80.0, park_deg=park, **of_axes)
+        GimbalAxis(
+            travel_deg=(-60.0, 60.0), rate_max_degps=40.0, acceleration_max_degps2=80.0, park_deg=park, **of_axes
+        )
         for park in PARK_DEG
     ]
     return Turntable(

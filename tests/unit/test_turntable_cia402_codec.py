@@ -23,6 +23,7 @@ class Axis:
         self.brakes = 0
         self.known = Homing.DONE
         self.switch = 0
+        self.in_motion = False
         self.without_torque = False
 
     def feedback(self) -> tuple[int, int]:
@@ -39,6 +40,9 @@ class Axis:
 
     def homing(self) -> Homing:
         return self.known
+
+    def moving(self) -> bool:
+        return self.in_motion
 
     def limit(self) -> int:
         return self.switch
@@ -175,7 +179,9 @@ def test_homing_begins_with_bit_4_and_the_statusword_tells_how_it_goes():
     drive.on_frame(0x601, bytes.fromhex("2b 40 60 00 1f 00 00 00"), 0.0)
     assert axis.known is Homing.UNDER_WAY
     assert statusword(drive) == "4b 41 60 00 37 02 00 00"
-    axis.known = Homing.DONE
+    axis.known, axis.in_motion = Homing.DONE, True
+    assert statusword(drive) == "4b 41 60 00 37 12 00 00"  # homing attained, not at a stand yet
+    axis.in_motion = False
     assert statusword(drive) == "4b 41 60 00 37 16 00 00"  # homing attained, target reached
     axis.known = Homing.FAILED
     assert statusword(drive) == "4b 41 60 00 37 26 00 00"  # homing error
@@ -211,7 +217,12 @@ def test_torque_that_the_safety_chain_takes_is_a_fault_by_name():
 
 def test_string_longer_than_a_frame_comes_in_segments():
     drive = EmulatedDrive(1, Axis(), 0.5)
-    requests = ["40 0a 10 00 00 00 00 00", "60 00 00 00 00 00 00 00", "70 00 00 00 00 00 00 00", "60 00 00 00 00 00 00 00"]
+    requests = [
+        "40 0a 10 00 00 00 00 00",
+        "60 00 00 00 00 00 00 00",
+        "70 00 00 00 00 00 00 00",
+        "60 00 00 00 00 00 00 00",
+    ]
     replies = [drive.on_frame(0x601, bytes.fromhex(request), 0.0)[0][1] for request in requests]
     assert replies[0].hex(" ") == "41 0a 10 00 12 00 00 00"  # 18 bytes
     assert [reply[0] for reply in replies[1:]] == [0x00, 0x10, 0x07]  # toggle bit; the last one holds 4 bytes

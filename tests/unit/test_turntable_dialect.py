@@ -41,7 +41,9 @@ def test_setpoint_is_one_line_of_degrees_with_checksum():
 
 def test_report_gives_flags_positions_and_rates():
     positions, rates = [math.radians(a) for a in (12.345601, -1.000002, 0.0)], [math.radians(0.499873), 0.0, 0.0]
-    expected = axes("status", (1, 1, 0x81)) | axes("fault", (0, 0, 8)) | axes("position", positions) | axes("rate", rates)
+    expected = (
+        axes("status", (1, 1, 0x81)) | axes("fault", (0, 0, 8)) | axes("position", positions) | axes("rate", rates)
+    )
     sequence, told = read(HIL, "set", REPORT)
     assert (sequence, told) == (0x3A, expected)
     assert HIL.reply(0x3A, line_of(HIL, "status"), DEVICE, told) == REPORT + b"\r\n"

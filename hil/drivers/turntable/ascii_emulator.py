@@ -49,6 +49,7 @@ class AsciiTurntableEmulator:
         self._lane = FaultyLane(self.faults, stream(seed, "wire"))
         self.splitter = self.dialect.requests.splitter()
         self._enabled = [False, False, False]
+        self._searching = [False, False, False]  # until the axis stands again
         self._quick_stopped = False
         self.fault = [0, 0, 0]
         self._frozen: dict[Key, Value] | None = None
@@ -119,6 +120,7 @@ class AsciiTurntableEmulator:
             elif line.action == "clear_faults":
                 self.fault[i] = 0
             elif line.action == "home" and self.gimbals.homing[i] is not Homing.DONE:
+                self._searching[i] = True
                 self.gimbals.home(i)
 
     def _follow(self, axis: int, position_rad: float, rate_radps: float) -> None:
@@ -132,6 +134,7 @@ class AsciiTurntableEmulator:
     def _pass_time(self) -> None:
         self.gimbals.advance(self._clock.now_s())
         for axis, name in enumerate(GIMBAL_NAMES):
+            self._searching[axis] &= self.gimbals.homing[axis] is Homing.UNDER_WAY or self.gimbals.moving(axis)
             switched = self.faults.take("drive_fault", name)
             if switched is not None:
                 self._fail(axis, round(switched) or self._words.drive_fault)
@@ -154,7 +157,7 @@ class AsciiTurntableEmulator:
             "moving": self.gimbals.moving(axis),
             "homed": homing is Homing.DONE,
             "not_homed": homing is not Homing.DONE,
-            "homing": homing is Homing.UNDER_WAY,
+            "homing": self._searching[axis],
             "homing_failed": homing is Homing.FAILED,
             "limit_low": limit < 0,
             "limit_high": limit > 0,

@@ -97,10 +97,11 @@ class Conversation:
         return request
 
     def ask(
-        self, line: Line, axis: int, values: Mapping[Key, Value], reply_s: float = REPLY_S
+        self, line: Line, axis: int, values: Mapping[Key, Value], reply_s: float = REPLY_S, settle: bool = True
     ) -> tuple[float, dict[Key, Value]] | None:
         """Return when the controller had the request, bench s, and what its reply tells; None without a good one.
 
+        settle: without sequence numbers, wait after a lost answer; not for what has to go out at once.
         Raises Refused for an error reply, ProtocolError for a burst of broken ones, LinkLost.
         """
         self._drop_left_over()
@@ -120,7 +121,8 @@ class Conversation:
                 return arrived_s, told
         self.counts["lost"] += 1
         self._splitter.clear()
-        self._settle()
+        if settle:
+            self._settle()
         return None
 
     def _take(self, text: bytes, line: Line, axis: int) -> dict[Key, Value] | None:
@@ -145,7 +147,7 @@ class Conversation:
         self._lines.clear()
 
     def _settle(self) -> None:
-        """Without sequence numbers: listen until a late answer would have come, so that it is not taken for the next."""
+        """Without sequence numbers: listen until a late answer has come, so that it cannot pass for the next."""
         if self.dialect.has_sequence:
             return
         end_s = self._clock.now_s() + _SETTLE_S

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+from collections import deque
+from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -61,6 +64,7 @@ class Cia402Link:
         self._listening = False
         self._passive = False  # the drives go by themselves: setpoints are not passed on
         self._stopped = False
+        self._errands: deque[Callable[[], None]] = deque()
         self._exchanges = 0
         self._lost = 0
 
@@ -69,6 +73,7 @@ class Cia402Link:
         self._port = CanPort(self.device, self._wire)
         self._exchanges = self._lost = 0
         self._passive = self._stopped = self._listening = False
+        self._errands.clear()
         try:
             return self._set_up(self._port)
         except DeviceError:
@@ -99,8 +104,7 @@ class Cia402Link:
         """Send one cycle's setpoints and SYNC, take the answers."""
         port = self._open_port()
         self._take_pending(port)
-        for node in self._nodes:
-            node.go_on_homing()
+        self._run_one_errand(port)
         if self._exchanges % _CONTROL_EVERY == 0:
             self._send_controlwords(port)
         self._exchanges += 1
@@ -117,15 +121,25 @@ class Cia402Link:
     def home(self) -> None:
         """Let the drives that do not know their places look for their home switches."""
         for node in self._nodes:
-            node.begin_homing()
-        self._send_controlwords(self._open_port())
+            if node.homing is not Homing.DONE:
+                node.homing = Homing.UNDER_WAY
+                self._errands.append(node.begin_homing)
 
     def move_to(self, position: Array, rate: Array) -> None:
         """Let the drives go to position (3,), rad, at most at rate (3,), rad/s, by their own profiles."""
         self._passive = True
         for node, angle, speed in zip(self._nodes, position, rate, strict=True):
-            node.begin_profile(codec.counts_from_rad(angle, self._scale), codec.counts_from_rad(speed, self._scale))
-        self._send_controlwords(self._open_port())
+            goal = codec.counts_from_rad(angle, self._scale), codec.counts_from_rad(speed, self._scale)
+            self._errands.append(partial(node.begin_profile, *goal))
+
+    def _run_one_errand(self, port: CanPort) -> None:
+        """Do something slow with one drive only: the others must not wait for their next setpoint for too long."""
+        for node in self._nodes:
+            if node.homing_is_over:
+                self._errands.append(node.end_homing)
+        if self._errands and not self._stopped:
+            self._errands.popleft()()
+            self._send_controlwords(port)
 
     def quick_stop(self) -> None:
         """Send the quick-stop controlword to all nodes and repeat it from now on."""

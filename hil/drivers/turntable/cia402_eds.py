@@ -74,12 +74,21 @@ def _homing_needs() -> list[Need]:
     ]
 
 
-_MAPPED: Final = (codec.CONTROLWORD, codec.STATUSWORD, codec.POSITION_ACTUAL, codec.VELOCITY_ACTUAL, codec.TARGET_POSITION)
+_MAPPED: Final = (
+    codec.CONTROLWORD,
+    codec.STATUSWORD,
+    codec.POSITION_ACTUAL,
+    codec.VELOCITY_ACTUAL,
+    codec.TARGET_POSITION,
+)
 _PROFILE: Final = (codec.PROFILE_VELOCITY, codec.PROFILE_ACCELERATION, codec.PROFILE_DECELERATION)
 
 
 class Eds:
-    """A data sheet that was read; ``variables`` by index and sub-index. ``homing``: an axis has to look for its home switch."""
+    """A data sheet that was read; ``variables`` by index and sub-index.
+
+    homing: an axis has to look for its home switch. Raises BadInput with everything that the driver misses.
+    """
 
     def __init__(self, path: Path, homing: bool = False) -> None:
         self.path = path
@@ -126,7 +135,7 @@ class Eds:
 
 def _read(path: Path) -> canopen.ObjectDictionary:
     try:
-        dictionary = import_eds(str(path), None)
+        dictionary: canopen.ObjectDictionary = import_eds(str(path), None)
     except OSError as error:
         raise BadInput.single(str(path), "", f"cannot be read: {error}") from error
     except (configparser.Error, ValueError, KeyError, TypeError) as error:
@@ -137,7 +146,7 @@ def _read(path: Path) -> canopen.ObjectDictionary:
 
 
 def _variables(dictionary: canopen.ObjectDictionary) -> dict[tuple[int, int], ODVariable]:
-    found = {}
+    found: dict[tuple[int, int], ODVariable] = {}
     for entry in dictionary.values():
         members = [entry] if isinstance(entry, ODVariable) else list(entry.values())
         found |= {(variable.index, variable.subindex): variable for variable in members}

@@ -47,6 +47,9 @@ class _Axis:
     def homing(self) -> Homing:
         return self._gimbals.homing[self._axis]
 
+    def moving(self) -> bool:
+        return self._gimbals.moving(self._axis)
+
     def limit(self) -> int:
         return self._gimbals.limit[self._axis]
 

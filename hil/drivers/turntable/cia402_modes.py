@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.drivers.turntable import cia402_codec as codec
 from hil.drivers.turntable.cia402_objects import ObjectDictionary
-from hil.drivers.turntable.glide import Glide
+from hil.drivers.turntable.glide import Glide, compile_glide
 from hil.messages import Homing
 
 _BIT_4 = 0x10  # of the controlword: start
@@ -18,7 +18,7 @@ _CLOSE_COUNTS = 50
 _HOMING_WORD = {
     Homing.NEEDED: codec.TARGET_REACHED,  # stands, and was not asked yet
     Homing.UNDER_WAY: 0,
-    Homing.DONE: codec.TARGET_REACHED | codec.HOMING_ATTAINED,
+    Homing.DONE: codec.HOMING_ATTAINED,
     Homing.FAILED: codec.TARGET_REACHED | codec.HOMING_ERROR,
 }
 
@@ -41,6 +41,9 @@ class AxisPort(Protocol):
     def homing(self) -> Homing:
         """Return how far that is."""
 
+    def moving(self) -> bool:
+        """Return whether the axis moves."""
+
     def limit(self) -> int:
         """Return the limit switch that the axis stands on: -1, 0, 1."""
 
@@ -57,6 +60,7 @@ class Motion:
         self._glide: Glide | None = None
         self._goal = 0
         self._taken = False
+        compile_glide()
 
     @property
     def mode(self) -> int:
@@ -103,7 +107,8 @@ class Motion:
     def statusword(self) -> int:
         """Return the bits that depend on the mode."""
         if self.mode == codec.HOMING:
-            return _HOMING_WORD[self._axis.homing()]
+            stands = self._axis.homing() is Homing.DONE and not self._axis.moving()
+            return _HOMING_WORD[self._axis.homing()] | codec.TARGET_REACHED * stands
         if self.mode == codec.PROFILE_POSITION:
             there = self._glide is not None and abs(self._axis.feedback()[0] - self._goal) <= _CLOSE_COUNTS
             return codec.SETPOINT_TAKEN * self._taken | codec.TARGET_REACHED * there
@@ -111,6 +116,7 @@ class Motion:
 
     def _plan(self, now_s: float) -> None:
         self._goal = self._objects.value(codec.TARGET_POSITION)
-        limits = [float(self._objects.value(i)) for i in (codec.PROFILE_VELOCITY, codec.PROFILE_ACCELERATION)]
-        start = float(self._axis.feedback()[0])
-        self._glide = Glide(*(np.array([value]) for value in (start, float(self._goal), *limits)), now_s)
+        speed = np.array([float(self._objects.value(codec.PROFILE_VELOCITY))])
+        acceleration = np.array([float(self._objects.value(codec.PROFILE_ACCELERATION))])
+        start = np.array([float(self._axis.feedback()[0])])
+        self._glide = Glide(start, np.array([float(self._goal)]), speed, acceleration, now_s)

@@ -26,7 +26,9 @@ class Node:
     that the drive denies when it is asked by SDO, is counted and left out; a burst of them is an error.
     """
 
-    def __init__(self, name: str, node_id: int, config: Turntable, axis: GimbalAxis, wire: Cia402, clock: Clock) -> None:
+    def __init__(
+        self, name: str, node_id: int, config: Turntable, axis: GimbalAxis, wire: Cia402, clock: Clock
+    ) -> None:
         self.name = name
         self.node_id = node_id
         self._axis = axis
@@ -70,26 +72,27 @@ class Node:
         return self._asked.enable(codec.counts_from_rad(_STANDSTILL_RADPS, self._wire.counts_per_turn))
 
     def begin_homing(self) -> None:
-        """Let a drive that does not know its place look for its home switch."""
-        if self.homing is Homing.DONE:
-            return
-        self._asked.choose_mode(codec.HOMING)
+        """Let the drive look for its home switch."""
+        self._asked.choose_mode(codec.HOMING)  # statuswords from before, of other meaning, are gone with its replies
         self.mode = codec.HOMING
-        self.homing = Homing.UNDER_WAY
         self._homing_found = None
         self.controlword = codec.START_HOMING
 
-    def go_on_homing(self) -> None:
-        """Between exchanges: take what the statusword said; a drive that found its place goes back to setpoints."""
+    @property
+    def homing_is_over(self) -> bool:
+        """Whether the drive has said, since ``begin_homing``, that it found its place or did not."""
+        return self.homing is Homing.UNDER_WAY and self._homing_found is not None
+
+    def end_homing(self) -> None:
+        """Take what the drive said; one that found its place goes back to setpoints, where it stands."""
+        if not self.homing_is_over:
+            return
         if self._homing_found is Homing.DONE:
             self.target = self._asked.back_to_setpoints()
             self.mode = codec.CYCLIC_SYNCHRONOUS_POSITION
             self.controlword = codec.ENABLE_OPERATION
             self._placed_s = None
-            self.homing = Homing.DONE
-        elif self._homing_found is Homing.FAILED:
-            self.homing = Homing.FAILED
-        self._homing_found = None
+        self.homing = self._homing_found or Homing.FAILED
 
     def begin_profile(self, target: int, speed: int) -> None:
         """Let the drive go to ``target``, counts, by a profile of its own, at most at ``speed``, counts/s."""

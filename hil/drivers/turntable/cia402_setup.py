@@ -27,6 +27,7 @@ REPLY_WALL_S = 0.3
 _ENABLE_WALL_S = 2.0
 _RESET_WALL_S = 0.3
 _POLL_WALL_S = 0.002
+_SDO_BYTES = 8
 _NO_SUCH_OBJECT = 0x06020000
 _NOT_MAPPABLE = 0x06040041
 
@@ -37,7 +38,7 @@ logging.getLogger("canopen").addHandler(logging.NullHandler())
 Handler = Callable[[int, bytes], None]
 
 
-class PortNetwork(canopen.Network):  # type: ignore[misc]
+class PortNetwork(canopen.Network):
     """What canopen's clients send through: our own port."""
 
     def __init__(self, port: CanPort) -> None:
@@ -64,7 +65,7 @@ class _PumpedClient(SdoClient):
         end_s = time.monotonic() + REPLY_WALL_S
         while self.responses.empty() and (left_s := end_s - time.monotonic()) > 0.0:
             frame = self._port.receive(left_s)
-            if frame is not None and frame[0] == self.tx_cobid:
+            if frame is not None and frame[0] == self.tx_cobid and len(frame[1]) == _SDO_BYTES:
                 self.on_response(frame[0], bytearray(frame[1]), 0.0)
             elif frame is not None:
                 self._others(*frame)

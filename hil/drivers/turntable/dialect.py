@@ -46,7 +46,7 @@ class Form:
             self.pattern = r"[+-]?\d{1,12}" + (r"(?:\.\d{1,12})?" if angle.decimals else "")
         elif name in ("status", "fault", "error"):
             self._whole = getattr(fields, name)
-            length = "{%d}" % self._whole.digits if self._whole.digits else "{1,10}"
+            length = f"{{{self._whole.digits}}}" if self._whole.digits else "{1,10}"
             self.pattern = ("[0-9A-F]" if self._whole.base == 16 else r"\d") + length
         else:
             self.pattern = r"[ -~]*?" if name == "ignore" else r"[!-~]+?"
@@ -147,7 +147,9 @@ class Dialect:
         self._error = Template(protocol, protocol.errors.reply) if protocol.errors else None
         self._errors = numbers("errors.names", protocol.error_names)
         self._faults = numbers("faults.names", protocol.faults.names)
-        self.set_tells_all = {(name, axis) for name in ("position", "status") for axis in AXIS_NAMES} <= protocol.gives("set")
+        self.set_tells_all = {(name, axis) for name in ("position", "status") for axis in AXIS_NAMES} <= protocol.gives(
+            "set"
+        )
 
     def request(self, sequence: int, line: Line, axis: int, values: Mapping[Key, Value]) -> bytes:
         """Return a request."""
@@ -173,7 +175,9 @@ class Dialect:
         """Return the reply that says no, b"" where the command set has none."""
         if self._error is None:
             return b""
-        return self.replies.encode(sequence, self._error.write({("error", DEVICE): number, ("ignore", DEVICE): ""}, DEVICE))
+        return self.replies.encode(
+            sequence, self._error.write({("error", DEVICE): number, ("ignore", DEVICE): ""}, DEVICE)
+        )
 
     def take_reply(self, body: str, line: Line, axis: int) -> dict[Key, Value]:
         """Return the values in a reply's body. Raises BrokenLine, or Refused for an error reply."""

@@ -17,7 +17,7 @@ from hil.config.rig import Turntable
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import GIMBAL_NAMES, accepted_setpoint, full_names
 from hil.drivers.latest import Latest
-from hil.drivers.turntable.glide import Glide
+from hil.drivers.turntable.glide import Glide, compile_glide
 from hil.errors import DeviceError, LinkLost
 from hil.messages import Array, AxisFeedback, Homing
 
@@ -98,6 +98,7 @@ class ExchangedTurntable:
             event.clear()
         self._goal = self._glide = None
         accepted_setpoint(self.axis_names, self._low, self._low, self._high)  # compiles, so that no send has to
+        compile_glide()
         try:
             feedback = self._link.open()
         except DeviceError as error:

@@ -65,7 +65,11 @@ class Framing:
         sequence = 0
         if self._digits:
             head = text[: self._digits]
-            if not _HEX.fullmatch(head) or len(head) < self._digits or text[self._digits :][: len(self._space)] != self._space:
+            if (
+                not _HEX.fullmatch(head)
+                or len(head) < self._digits
+                or text[self._digits :][: len(self._space)] != self._space
+            ):
                 raise BrokenLine(f"no sequence number: {line!r}")
             sequence = int(head, 16)
             text = text[self._digits + len(self._space) :]

@@ -30,3 +30,9 @@ class Glide:
             position[axis] += sign * self._at[0]
             rate[axis] = sign * self._at[1]
         return position, rate
+
+
+def compile_glide() -> None:
+    """Compile the kernel of a glide before anyone waits for one."""
+    one = np.ones(1)
+    Glide(np.zeros(1), one, one, one, 0.0).at(0.5)
