@@ -58,8 +58,8 @@ def test_burst_ends_in_an_error_that_names_the_device(driver, fault, value):
         error = error_of(device, clock, PATIENCE_WALL_S)
         assert isinstance(error, DeviceError)
         assert str(error).startswith("turntable")
+        emulator.faults.clear()
         with pytest.raises(DeviceError):  # for good: a link that has returned must be opened anew
-            emulator.faults.clear()
             device.read(clock.now_s())
         device.close()
         eventually(lambda: not device._thread.is_alive())

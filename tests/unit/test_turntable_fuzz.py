@@ -114,8 +114,18 @@ def test_mutated_frames_of_the_serial_can_wire(count):
         frames = [(dice.randrange(0x800), dice.randbytes(dice.randrange(9))) for _ in range(3)]
         wire = [encode_serial(frame) for frame in frames]
         found = cutter.feed(mutated(dice, wire[0]) + b"".join(wire))
-        assert frames[-1] in found or cutter.feed(bytes(20))  # held back by what looks like the head of a frame
+        if frames[-1] not in found:  # held back by what looks like the head of a frame, until more bytes come
+            found += cutter.feed(bytes(20))
+        assert frames[-1] in found
         assert all(identifier <= 0x7FF and len(data) <= 8 for identifier, data in found)
+
+
+def raised_by(function, argument) -> DeviceError | None:
+    try:
+        function(argument)
+    except DeviceError as error:
+        return error
+    return None
 
 
 class Drive:
@@ -157,11 +167,10 @@ def test_mutated_pdo_emergency_and_heartbeat_frames(count):
             node.answered = False
             node.on_feedback(goods[node.on_feedback])
         node.answered = False
-        try:
-            handler(mutated(dice, goods[handler])[:8])
-        except DriveFault as fault:
-            assert "has restarted" in str(fault)  # the only thing that the drive is not asked to confirm
-        except DeviceError as error:
+        error = raised_by(handler, mutated(dice, goods[handler])[:8])
+        if isinstance(error, DriveFault):
+            assert "has restarted" in str(error)  # the only thing that the drive is not asked to confirm
+        if error is not None:
             assert str(error).startswith("turntable.roll")
             node.reset()
             node.position = 1000
@@ -196,13 +205,8 @@ def test_mutated_sdo_replies(count, monkeypatch):
     setup = DriveSetup(port, PortNetwork(port), 1, "turntable.roll", Eds(SHIPPED), lambda *_: None)
     for _ in range(count // 10):  # ten mutated bytes a transfer
         index = dice.choice([codec.DEVICE_TYPE, codec.MODE_DISPLAY, codec.HEARTBEAT_PRODUCER, codec.FIRMWARE])
-        try:
-            if index == codec.FIRMWARE:
-                setup._text(index)
-            else:
-                setup.get(index, 1)
-        except DeviceError as error:
-            assert str(error).startswith("turntable.roll")
+        error = raised_by(setup._text if index == codec.FIRMWARE else lambda i: setup.get(i, 1), index)
+        assert error is None or str(error).startswith("turntable.roll")
 
 
 @pytest.mark.parametrize("count", COUNTS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -135,13 +136,15 @@ class Eds:
 
 def _read(path: Path) -> canopen.ObjectDictionary:
     try:
-        dictionary: canopen.ObjectDictionary = import_eds(str(path), None)
+        text = path.read_text(encoding="latin-1")  # makers write umlauts as they like
     except OSError as error:
         raise BadInput.single(str(path), "", f"cannot be read: {error}") from error
+    if "[DeviceInfo]" not in text:
+        raise BadInput.single(str(path), "", "not an EDS file: section [DeviceInfo] is missing")
+    try:
+        dictionary: canopen.ObjectDictionary = import_eds(io.StringIO(text), None)
     except (configparser.Error, ValueError, KeyError, TypeError) as error:
         raise BadInput.single(str(path), "", f"not an EDS file: {error}") from error
-    if not len(dictionary):
-        raise BadInput.single(str(path), "", "not an EDS file: it describes no objects")
     return dictionary
 
 
