@@ -21,7 +21,15 @@ from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.eye import Eye, transport
-from hil.fitness import approach_problems, axes_at, layout_problems, port_problems, pose_problems
+from hil.fitness import (
+    approach_problems,
+    axes_at,
+    layout_problems,
+    port_problems,
+    pose_problems,
+    turntable_problems,
+    turntable_warnings,
+)
 from hil.gnc.watch import FilterWatch
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
@@ -59,6 +67,7 @@ def check(job: Job) -> None:
         *pose_problems(job.scenario, job.rig),
         *approach_problems(job.scenario),
         *port_problems(job.rig),
+        *turntable_problems(job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
@@ -81,6 +90,8 @@ def runner(job: Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[
     with precedence() as refused:
         if refused:
             announce(refused)
+        for line in turntable_warnings(rig):
+            announce(line)
         wall = WallClock(speed=job.speed)
         with _wired_rig(job, wall, announce) as wired:
             rate = WallRate(wall, scenario.step_s)
