@@ -139,7 +139,7 @@ class AsciiLink:
 
     def _ask(self, line: Line, axis: int, values: Told, reply_s: float = REPLY_S) -> tuple[float, Told] | None:
         try:
-            return self._wire.ask(line, axis, values, reply_s, settle=line.action != "quick_stop")
+            return self._wire.ask(line, axis, values, reply_s, patient=line.action != "quick_stop")
         except Refused as refused:
             raise ProtocolError(self._name(axis), f"refuses {line.send.text!r}: {refused.text}") from refused
 

@@ -15,7 +15,7 @@ from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 BURST: Final = 4  # broken replies in a row that end the link
 REPLY_S: Final = 0.05  # bench time that one reply may take
-_SETTLE_S: Final = 0.1  # without sequence numbers: how long to listen for an answer that is late
+_PATIENCE_S: Final = 0.1  # without sequence numbers: how much longer an answer is waited for
 _WRITE_WALL_S: Final = 0.3
 _BITS_A_BYTE: Final = 10
 _REMEMBERED: Final = 16  # sequence numbers that were answered
@@ -27,7 +27,7 @@ class Conversation:
 
     A reply counts when its checksum is right, its sequence number is that of the request, its form is that
     of the protocol file and, in a line for one axis, the axis is the one that was asked. Without
-    sequence numbers nothing is sent after a lost answer until the line has been silent for a while.
+    sequence numbers an answer that comes still later than the longer wait for it passes for a new one.
     """
 
     def __init__(self, device: str, port: str, baud: int, timeout_s: float, dialect: Dialect, clock: Clock) -> None:
@@ -87,7 +87,9 @@ class Conversation:
         """Raise LinkTimeout when the controller has not answered for too long."""
         silent_s = self._clock.now_s() - self._heard_s
         if silent_s > self._timeout_s:
-            raise LinkTimeout(self.device, f"no reply for {silent_s:.3f} s, allowed {self._timeout_s:g} s")
+            raise LinkTimeout(
+                self.device, f"no reply for {silent_s:.3f} s, allowed {self._timeout_s:g} s{self._hint()}"
+            )
 
     def tell(self, line: Line, axis: int, values: Mapping[Key, Value]) -> bytes:
         """Send a request without waiting for the reply; return it."""
@@ -97,18 +99,20 @@ class Conversation:
         return request
 
     def ask(
-        self, line: Line, axis: int, values: Mapping[Key, Value], reply_s: float = REPLY_S, settle: bool = True
+        self, line: Line, axis: int, values: Mapping[Key, Value], reply_s: float = REPLY_S, patient: bool = True
     ) -> tuple[float, dict[Key, Value]] | None:
         """Return when the controller had the request, bench s, and what its reply tells; None without a good one.
 
-        settle: without sequence numbers, wait after a lost answer; not for what has to go out at once.
-        Raises Refused for an error reply, ProtocolError for a burst of broken ones, LinkLost.
+        patient: without sequence numbers, wait longer for a late answer, which would pass for that to the next
+        request; not for what has to go out at once. Raises Refused for an error reply, ProtocolError for a
+        burst of broken ones, LinkLost.
         """
         self._drop_left_over()
         request = self.tell(line, axis, values)
         arrived_s = self._clock.now_s() + len(request) * _BITS_A_BYTE / self._baud
         end_s = arrived_s + reply_s
-        while self._clock.now_s() < end_s:
+        last_s = end_s if self.dialect.has_sequence or not patient else end_s + _PATIENCE_S
+        while self._clock.now_s() < last_s:
             if not self._lines:
                 self._lines.extend(self._splitter.feed(self._read()))
                 continue
@@ -118,12 +122,16 @@ class Conversation:
                 self._count_broken(error)
                 return None
             if told is not None:
+                self.counts["late"] += self._clock.now_s() > end_s
                 return arrived_s, told
         self.counts["lost"] += 1
         self._splitter.clear()
-        if settle:
-            self._settle()
         return None
+
+    def _hint(self) -> str:
+        """Return what did come, for whoever looks for the fault."""
+        seen = ", ".join(f"{name} {count}" for name, count in self.counts.items() if count)
+        return f" (since open: {seen})" if seen else ""
 
     def _take(self, text: bytes, line: Line, axis: int) -> dict[Key, Value] | None:
         """Return what a reply tells, None for one to another request."""
@@ -145,18 +153,6 @@ class Conversation:
             self._lines.extend(self._splitter.feed(self._read()))
         self.counts["duplicates"] += len(self._lines)
         self._lines.clear()
-
-    def _settle(self) -> None:
-        """Without sequence numbers: listen until a late answer has come, so that it cannot pass for the next."""
-        if self.dialect.has_sequence:
-            return
-        end_s = self._clock.now_s() + _SETTLE_S
-        while self._clock.now_s() < end_s:
-            found = self._splitter.feed(self._read())
-            self.counts["late"] += len(found)
-            if found:
-                break
-        self._splitter.clear()
 
     def _count_broken(self, error: BrokenLine) -> None:
         self.counts["protocol_errors"] += 1

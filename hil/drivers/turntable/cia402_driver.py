@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -24,8 +25,7 @@ from hil.messages import Array, AxisFeedback, Homing
 
 _ANSWER_S: Final = 0.04  # bench time within which the answers to one SYNC count
 _WATCHDOG_S: Final = 0.5  # drives quick-stop when setpoints cease for longer
-_OLD_FRAMES: Final = 64
-_OLD_FRAME_WALL_S: Final = 0.005
+_OLD_FRAMES_WALL_S: Final = 0.005
 _CONTROL_EVERY: Final = 5  # exchanges: the controlword is repeated, so that a lost frame heals
 
 
@@ -91,9 +91,9 @@ class Cia402Link:
             node.protocol_errors = node.surplus = 0
         port.send(codec.NMT_ID, bytes((codec.NMT_START, 0)))
         counts = [node.enable() for node in self._nodes]
-        for _ in range(_OLD_FRAMES):  # statuswords from before all were enabled
-            if port.receive(_OLD_FRAME_WALL_S) is None:
-                break
+        end_s = time.monotonic() + _OLD_FRAMES_WALL_S
+        while (left_s := end_s - time.monotonic()) > 0.0:  # statuswords from before all were enabled
+            port.receive(left_s)
         for node, position in zip(self._nodes, counts, strict=True):
             node.reset()
             node.target = node.position = position
