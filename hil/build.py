@@ -24,7 +24,16 @@ from hil.dynamics.imu import IMU_NOISE
 from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.eye import Eye, transport
-from hil.fitness import approach_problems, axes_at, flight_problems, host_problems, line_problems, port_problems
+from hil.fitness import (
+    approach_problems,
+    axes_at,
+    flight_problems,
+    host_problems,
+    line_problems,
+    port_problems,
+    turntable_problems,
+    turntable_warnings,
+)
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.gnc.watch import FilterWatch
 from hil.handling import Watch
@@ -74,6 +83,7 @@ def check(job: Job) -> None:
         *port_problems(job.rig),
         *host_problems(job.rig),
         *line_problems(job.scenario, job.rig),
+        *turntable_problems(job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
@@ -98,6 +108,8 @@ def runner(
         _insist_on_realtime(job.rig, realtime)
         for grant in realtime.refused():
             announce(str(grant))
+        for line in turntable_warnings(rig):
+            announce(line)
         wall = WallClock(speed=job.speed)
         with _wired_rig(job, wall, announce) as wired, HostProcesses(wired, wall) as hosts, _telemetry() as ring:
             hosts.wait_ready()

@@ -14,7 +14,7 @@ from hil import parameters
 from hil.clock import WallClock
 from hil.config.model import Strict
 from hil.config.rail_wires import ModbusRtu
-from hil.config.rig import Cia402, Modbus, ModbusAxis, Rails, Rig, SerialLine
+from hil.config.rig import AsciiTurntableLine, Cia402, Modbus, ModbusAxis, Rails, Rig, SerialLine
 from hil.config.scenario import Scenario
 from hil.drivers.board import AxisBoard
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
@@ -89,7 +89,7 @@ def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
     turntable = rig.turntable.model_copy(
         update={
             "cia402": (rig.turntable.cia402 or Cia402()).model_copy(update={"channel": path}),
-            "ascii": (rig.turntable.ascii or SerialLine()).model_copy(update={"port": path}),
+            "ascii": (rig.turntable.ascii or AsciiTurntableLine()).model_copy(update={"port": path}),
         }
     )
     vmu = rig.vmu.model_copy(
@@ -133,11 +133,11 @@ def make_emulator(device: Literal["rails", "turntable", "vmu", "io"], configurat
     if device == "turntable" and rig.turntable.driver == "ascii":
         from hil.drivers.turntable.ascii_emulator import AsciiTurntableEmulator
 
-        return AsciiTurntableEmulator(rig.turntable, clock, board)
+        return AsciiTurntableEmulator(rig.turntable, clock, board, seed=configuration["seed"])
     if device == "turntable":
         from hil.drivers.turntable.cia402_emulator import Cia402Emulator
 
-        return Cia402Emulator(rig.turntable, clock, board)
+        return Cia402Emulator(rig.turntable, clock, board, seed=configuration["seed"])
     from hil.drivers.vmu.emulator import VmuEmulator
 
     def make_eye() -> Eye:

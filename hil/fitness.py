@@ -11,10 +11,10 @@ from serial.tools import list_ports
 
 from hil import parameters
 from hil.bench.kinematics import axes_of_pose
-from hil.config.load import Loaded
-from hil.config.rig import Rig
+from hil.config.load import Loaded, load_protocol
+from hil.config.rig import GIMBAL_NAMES, Rig
 from hil.config.scenario import Scenario
-from hil.errors import Problem
+from hil.errors import BadInput, Problem
 from hil.maths import euler
 from hil.messages import AXES, MAX_THRUSTERS, new
 from hil.reach import reach_problems
@@ -63,6 +63,27 @@ def host_problems(rig: Loaded[Rig]) -> list[Problem]:
         return []
     text = f"{cpu}: this computer has {', '.join(map(str, present))}"
     return [Problem(rig.where("host.cpu"), "rig.host.cpu", text)]
+
+
+def turntable_problems(rig: Loaded[Rig]) -> list[Problem]:
+    """Return the problems of the protocol file or EDS that the turntable's driver goes by."""
+    config = rig.value.turntable
+    try:
+        if config.driver == "ascii" and config.ascii is not None:
+            load_protocol(config.ascii.protocol)
+        elif config.driver == "cia402" and config.cia402 is not None:
+            from hil.drivers.turntable.cia402_eds import Eds  # not without need: canopen takes its time
+
+            Eds.of(config.cia402, homing=any(getattr(config, name).encoder == "incremental" for name in GIMBAL_NAMES))
+    except BadInput as error:
+        return list(error.problems)
+    return []
+
+
+def turntable_warnings(rig: Rig) -> list[str]:
+    """Return a line for each protection that the turntable's command set goes without."""
+    config = rig.turntable
+    return load_protocol(config.ascii.protocol).value.warnings() if config.driver == "ascii" and config.ascii else []
 
 
 def port_problems(rig: Loaded[Rig]) -> list[Problem]:

@@ -1,4 +1,4 @@
-"""Reads scenario and rig files; finds every fault of a file and says each in one line."""
+"""Reads scenario, rig and protocol files; finds every fault of a file and says each in one line."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from hil.config.model import Strict
+from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.errors import BadInput, Problem
@@ -32,7 +33,7 @@ def configs_folder() -> Path:
 
 
 def shipped(kind: str) -> list[str]:
-    """Return the names of the shipped files of ``kind``: "scenarios" or "rigs"."""
+    """Return the names of the shipped files of ``kind``: "scenarios", "rigs" or "protocols"."""
     return sorted(path.stem for path in (configs_folder() / kind).glob("*.toml"))
 
 
@@ -69,6 +70,11 @@ def load_rig(name: str, settings: Iterable[str] = ()) -> Loaded[Rig]:
     return loaded
 
 
+def load_protocol(name: str) -> Loaded[Protocol]:
+    """Return the command set ``name`` (shipped, or a path); raise BadInput."""
+    return _load(name, "protocols", Protocol, (), prefix="")
+
+
 def _load(name: str, kind: str, model: type[Model], settings: Sequence[str], prefix: str) -> Loaded[Model]:
     path = _find(name, kind)
     origin: dict[str, str] = {}
@@ -90,7 +96,7 @@ def _find(name: str, kind: str) -> Path:
     path = Path(name)
     if path.suffix == ".toml" and path.is_file():
         return path
-    what = "scenario" if kind == "scenarios" else "rig"
+    what = kind.removesuffix("s")
     reason = "no such file" if path.suffix == ".toml" else f"unknown {what}"
     names = ", ".join(shipped(kind))
     raise BadInput.single(name, "", f"{reason}: give {names} or the path of a {what} file (*.toml)")
@@ -124,11 +130,11 @@ def _read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple
 
 
 def _find_files_beside(table: Table, folder: Path) -> None:
-    """Make the paths under keys that end in ``_file`` count from the folder of the file they stand in."""
+    """Make paths count from the folder of the file they stand in: keys that end in ``_file``, a protocol's path."""
     for key, value in table.items():
         if isinstance(value, dict):
             _find_files_beside(value, folder)
-        elif key.endswith("_file") and isinstance(value, str):
+        elif isinstance(value, str) and (key.endswith("_file") or (key == "protocol" and value.endswith(".toml"))):
             table[key] = str(folder / value)
 
 

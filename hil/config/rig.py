@@ -19,6 +19,7 @@ GIMBAL_NAMES = ("roll", "pitch", "yaw")
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
 Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after its drive was off
+Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 
 
 class BenchGeometry(Strict):
@@ -135,6 +136,13 @@ class Cia402(Strict):
     baud: Annotated[int, Field(gt=0)] = 1_000_000  # of the adapter, where the interface is a serial one
     node_ids: tuple[NodeId, NodeId, NodeId] = (1, 2, 3)
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000
+    eds_file: str | None = None  # of the drives; the emulated drive's, shipped with the driver, when not given
+    heartbeat_s: Annotated[float, Field(ge=0.01, le=60.0)] = 0.05  # how often a drive says that it lives
+    homing_method: Annotated[int, Field(ge=-128, le=37)] = 24  # object 0x6098; 24: home switch, positive start
+    vendor_id: Unsigned32 | None = None  # object 0x1018, what the drives must be; not given: any
+    product_code: Unsigned32 | None = None
+    revision_min: Unsigned32 | None = None
+    firmware: str | None = None  # object 0x100A
 
     @model_validator(mode="after")
     def _nodes_differ(self) -> Self:
@@ -148,6 +156,13 @@ class SerialLine(Strict):
 
     port: str | None = None
     baud: Annotated[int, Field(gt=0)] = 460_800
+
+
+class AsciiTurntableLine(SerialLine):
+    """The turntable controller's serial port, and the command set that it speaks."""
+
+    protocol: str = "hil-ascii"  # a shipped protocol file by its name, or the path of one
+    identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)  # what it must say
 
 
 class Rails(Strict):
@@ -202,7 +217,7 @@ class Turntable(Strict):
     pitch: GimbalAxis
     yaw: GimbalAxis
     cia402: Cia402 | None = None
-    ascii: SerialLine | None = None
+    ascii: AsciiTurntableLine | None = None
 
     @property
     def encoder_sigma(self) -> float:

@@ -34,7 +34,7 @@ class NoisyLine:
         number = 0
         while not self._stop.is_set():
             if select.select([self._near], [], [], 0.02)[0]:
-                for line in self._emulator._splitter.feed(os.read(self._near, 4096)):
+                for line in self._emulator.splitter.feed(os.read(self._near, 4096)):
                     number += 1
                     os.write(self._near, self._spoil(number, self._emulator.answer(line)))
 
@@ -63,7 +63,7 @@ def test_ascii_broken_reply_is_counted_and_asked_for_again():
         return b"\x00?" + reply.replace(b".", b",", 1) if number % 7 == 0 else reply
 
     with noisy_ascii(every_seventh) as (device, clock):
-        eventually(lambda: device.counters()["broken_replies"] >= 2)
+        eventually(lambda: device.counters()["protocol_errors"] >= 2)
         eventually(lambda: device.counters()["exchanges"] >= 20)
         device.read(clock.now_s())
         assert device.counters()["skipped_bytes"] >= 4
@@ -81,7 +81,7 @@ def test_ascii_late_reply_is_not_taken_for_the_next_one():
         return reply + reply if number == 12 else reply
 
     with noisy_ascii(repeated) as (device, clock):
-        eventually(lambda: device.counters()["stale_replies"] == 1)
+        eventually(lambda: device.counters()["duplicates"] == 1)
         eventually(lambda: device.counters()["exchanges"] >= 20)
-        assert device.counters()["broken_replies"] == 0
+        assert device.counters()["protocol_errors"] == 0
         device.read(clock.now_s())

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from hil.clock import WallClock
-from hil.config.rig import Cia402, GimbalAxis, SerialLine, Servo, Turntable
+from hil.config.rig import AsciiTurntableLine, Cia402, GimbalAxis, Servo, Turntable
 from hil.drivers.board import AxisBoard
 from hil.drivers.turntable.ascii_driver import AsciiTurntable
 from hil.drivers.turntable.ascii_emulator import AsciiTurntableEmulator
@@ -25,49 +25,62 @@ from hil.drivers.turntable.cia402_driver import Cia402Turntable
 from hil.drivers.turntable.cia402_emulator import Cia402Emulator
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, SafetyTrip
 
-DRIVERS = {"cia402": Cia402Turntable, "ascii": AsciiTurntable}
-EMULATORS = {"cia402": Cia402Emulator, "ascii": AsciiTurntableEmulator}
+DRIVERS = {"cia402": Cia402Turntable, "ascii": AsciiTurntable, "acu": AsciiTurntable}
+EMULATORS = {"cia402": Cia402Emulator, "ascii": AsciiTurntableEmulator, "acu": AsciiTurntableEmulator}
 PARK_DEG = (3.0, -2.0, 0.5)
 PATIENCE_WALL_S = 3.0
 
 
-def turntable(driver, address=None, interface="serial", timeout_s=0.4):
+def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=None, **of_axes):
     axes = [
-        GimbalAxis(travel_deg=(-60.0, 60.0), rate_max_degps=40.0, acceleration_max_degps2=80.0, park_deg=park)
+        GimbalAxis(
+            travel_deg=(-60.0, 60.0), rate_max_degps=40.0, acceleration_max_degps2=80.0, park_deg=park, **of_axes
+        )
         for park in PARK_DEG
     ]
     return Turntable(
-        driver=driver,
+        driver="cia402" if driver == "cia402" else "ascii",
         timeout_s=timeout_s,
         servo=Servo(gain_per_s=30.0, lag_s=0.006),
         roll=axes[0],
         pitch=axes[1],
         yaw=axes[2],
-        cia402=Cia402(interface=interface, channel=address),
-        ascii=SerialLine(port=address),
+        cia402=Cia402(interface=interface, channel=address, **(cia402 or {})),
+        ascii=AsciiTurntableLine(port=address, protocol="acu" if driver == "acu" else "hil-ascii"),
     )
 
 
 @contextlib.contextmanager
-def served(driver, interface="serial", channel=None, speed=2.0, prepare=lambda emulator: None):
-    """Yield an emulator in a thread, an open driver and their clock."""
-    clock, board = WallClock(speed=speed), AxisBoard.create()
-    emulator = EMULATORS[driver](turntable(driver, channel, interface), clock, board)
+def emulated(driver, clock, interface="serial", channel=None, prepare=lambda emulator: None, chain=lambda: True, **rig):
+    """Yield an emulator in a thread, and its address."""
+    board = AxisBoard.create()
+    emulator = EMULATORS[driver](turntable(driver, channel, interface, **rig), clock, board, chain_closed=chain)
     prepare(emulator)
     address = emulator.start()["turntable"]
     stop = threading.Event()
     thread = threading.Thread(target=emulator.run, args=(stop,))
     thread.start()
-    device = DRIVERS[driver](turntable(driver, address, interface), clock)
     try:
-        device.open(clock.now_s())
-        yield emulator, device, clock
+        yield emulator, address
     finally:
-        device.close()
         stop.set()
         thread.join()
         emulator.close()
         board.close()
+
+
+@contextlib.contextmanager
+def served(driver, interface="serial", channel=None, speed=2.0, **rig):
+    """Yield an emulator in a thread, an open driver and their clock."""
+    clock = WallClock(speed=speed)
+    with emulated(driver, clock, interface, channel, **rig) as (emulator, address):
+        rig = {key: value for key, value in rig.items() if key not in ("prepare", "chain")}
+        device = DRIVERS[driver](turntable(driver, address, interface, **rig), clock)
+        try:
+            device.open(clock.now_s())
+            yield emulator, device, clock
+        finally:
+            device.close()
 
 
 def eventually(condition, patience_s=PATIENCE_WALL_S):
@@ -81,7 +94,7 @@ def watchdog_trips(emulator):
     """Return how many of roll and yaw stopped because their setpoints ceased."""
     if isinstance(emulator, Cia402Emulator):
         return sum(emulator.drives[axis].objects[0x603F].value == 0x8250 for axis in (0, 2))
-    return sum(emulator._faults[axis] == 0x0080 for axis in (0, 2))
+    return sum(emulator.fault[axis] == emulator._words.command_timeout for axis in (0, 2))
 
 
 def error_of(device, clock, patience_s=PATIENCE_WALL_S):
@@ -98,7 +111,7 @@ def error_of(device, clock, patience_s=PATIENCE_WALL_S):
     raise AssertionError("the device did not fail")
 
 
-@pytest.fixture(params=["cia402", "ascii"])
+@pytest.fixture(params=["cia402", "ascii", "acu"])
 def driver(request):
     return request.param
 
@@ -203,13 +216,14 @@ def test_close_stops_moving_axes_and_a_new_open_holds_them(driver):
     [
         ("cia402", 0x3210, r"turntable\.pitch: fault 0x3210 \(DC link over-voltage\)"),
         ("ascii", 0x0020, r"turntable\.pitch: following error"),
+        ("acu", 3, r"turntable\.pitch: encoder"),
     ],
 )
 def test_drive_fault_is_named_and_stops_the_other_axes(driver, code, text):
     with served(driver) as (emulator, device, clock):
         device.send(np.radians((50.0, -50.0, 50.0)), np.zeros(3), clock.now_s())
         eventually(lambda: np.abs(emulator.gimbals.rate).min() > math.radians(10.0))
-        emulator.fail_axis(1, code)
+        emulator.faults.on("drive_fault", "pitch", code)
         with pytest.raises(DriveFault, match=text):
             raise error_of(device, clock)
         eventually(lambda: np.abs(emulator.gimbals.rate).max() < 1e-3)
@@ -275,7 +289,7 @@ import json, sys, threading
 from hil.clock import WallClock
 from hil.config.rig import Turntable
 from hil.drivers.board import AxisBoard
-from hil.drivers.turntable.{driver}_emulator import {emulator}
+from {module} import {emulator}
 emulator = {emulator}(Turntable.model_validate_json(sys.argv[1]), WallClock(int(sys.argv[2])), AxisBoard.create())
 print(json.dumps(emulator.start()), flush=True)
 emulator.run(threading.Event())
@@ -287,7 +301,7 @@ emulator.run(threading.Event())
 )
 def test_dead_device_is_noticed_in_time_and_left_quickly(driver, number, kinds):
     clock = WallClock()
-    script = CHILD.format(driver=driver, emulator=EMULATORS[driver].__name__)
+    script = CHILD.format(module=EMULATORS[driver].__module__, emulator=EMULATORS[driver].__name__)
     argv = [sys.executable, "-c", script, turntable(driver).model_dump_json(), str(clock.epoch_ns)]
     with subprocess.Popen(argv, stdout=subprocess.PIPE) as child:
         try:

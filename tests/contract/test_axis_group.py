@@ -14,7 +14,16 @@ import pytest
 
 from hil.clock import SimulatedClock, WallClock
 from hil.config.load import load_rig
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Cia402, Modbus, ModbusAxis, Rails, SerialLine, Turntable
+from hil.config.rig import (
+    GIMBAL_NAMES,
+    RAIL_NAMES,
+    AsciiTurntableLine,
+    Cia402,
+    Modbus,
+    ModbusAxis,
+    Rails,
+    Turntable,
+)
 from hil.device_host import DeviceHost
 from hil.drivers.base import AxisGroup
 from hil.drivers.board import AxisBoard
@@ -162,8 +171,15 @@ def _wire_can(addresses: dict[str, str]) -> Turntable:
     return RIG.turntable.model_copy(update={"cia402": Cia402(channel=addresses["turntable"])})
 
 
-def _wire_ascii(addresses: dict[str, str]) -> Turntable:
-    return RIG.turntable.model_copy(update={"driver": "ascii", "ascii": SerialLine(port=addresses["turntable"])})
+def _ascii(protocol: str) -> Any:
+    def wired(port: str | None) -> Turntable:
+        return RIG.turntable.model_copy(
+            update={"driver": "ascii", "ascii": AsciiTurntableLine(port=port, protocol=protocol)}
+        )
+
+    return _on_wires(
+        wired(None), AsciiTurntableEmulator, lambda addresses: wired(addresses["turntable"]), AsciiTurntable
+    )
 
 
 BACKENDS: dict[str, Callable[[], Any]] = {
@@ -175,7 +191,8 @@ BACKENDS: dict[str, Callable[[], Any]] = {
     "turntable-cia402": lambda: _on_wires(RIG.turntable, Cia402Emulator, _wire_can, Cia402Turntable),
     "rails-remote": lambda: _behind_the_io_process(RIG.rails),
     "turntable-remote": lambda: _behind_the_io_process(RIG.turntable),
-    "turntable-ascii": lambda: _on_wires(RIG.turntable, AsciiTurntableEmulator, _wire_ascii, AsciiTurntable),
+    "turntable-hil-ascii": lambda: _ascii("hil-ascii"),
+    "turntable-acu": lambda: _ascii("acu"),
 }
 
 

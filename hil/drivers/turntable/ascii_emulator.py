@@ -1,52 +1,64 @@
-"""Emulated serial turntable controller: the ASCII protocol on a paced pty, three gimbals behind it."""
+"""Emulated serial turntable controller: any protocol file on a paced pty, three gimbals behind it."""
 
 from __future__ import annotations
 
-import math
 import threading
-from collections import deque
-
-import numpy as np
+from typing import Final
 
 from hil.clock import WallClock
-from hil.config.rig import Turntable
+from hil.config.load import load_protocol
+from hil.config.rig import GIMBAL_NAMES, Turntable
 from hil.drivers.board import AxisBoard
-from hil.drivers.emulated_axes import STEP_S, EmulatedAxes
+from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
 from hil.drivers.lines import PtyLine
-from hil.drivers.turntable import ascii_codec as codec
-from hil.drivers.turntable.ascii_codec import BrokenLine, LineSplitter, Report
+from hil.drivers.turntable.dialect import DEVICE, Dialect, Key, Line, Refused, Value
+from hil.drivers.turntable.faulty_lane import FaultyLane
+from hil.drivers.turntable.frames import BrokenLine
 from hil.errors import BadInput
+from hil.maths.streams import stream
+from hil.messages import Homing
 
-_IDENTITY = ("EMULATED-3AX", "0001", "3")
-_COMMAND_TIMEOUT = 0x0080
-_UNKNOWN, _ARGUMENTS, _REFUSED = codec.ERRORS
+_ALL: Final = (0, 1, 2)
 
 
 class AsciiTurntableEmulator:
-    """Controller of roll, pitch, yaw on ``config.ascii``; serve it with ``run`` in a process of its own."""
+    """Controller of roll, pitch, yaw on ``config.ascii``; serve it with ``run`` in a process of its own.
 
-    def __init__(self, config: Turntable, clock: WallClock, board: AxisBoard) -> None:
+    Faults of the wire hit its replies; a dead wire brings no requests either.
+    """
+
+    def __init__(
+        self,
+        config: Turntable,
+        clock: WallClock,
+        board: AxisBoard,
+        chain_closed: ChainClosed = lambda: True,
+        seed: int = 0,
+    ) -> None:
         if config.ascii is None:
             raise BadInput.single("rig", "turntable.ascii", "is missing")
+        protocol = load_protocol(config.ascii.protocol).value
         self._baud = config.ascii.baud
         self._clock = clock
-        self.gimbals = EmulatedAxes("turntable", config, clock, board)
+        self._bits = protocol.status
+        self._words = protocol.emulator
+        self._has_flags = protocol.faults.kind == "flags"
+        self.dialect = Dialect(protocol)
+        self.gimbals = EmulatedAxes("turntable", config, clock, board, chain_closed=chain_closed, seed=seed)
         self.faults = self.gimbals.faults
-        self._splitter = LineSplitter(codec.REQUEST_START)
+        self._lane = FaultyLane(self.faults, stream(seed, "wire"))
+        self.splitter = self.dialect.requests.splitter()
         self._enabled = [False, False, False]
+        self._searching = [False, False, False]  # until the axis stands again
         self._quick_stopped = False
-        self._faults = [0, 0, 0]
-        self._injected: deque[tuple[int, int]] = deque()
+        self.fault = [0, 0, 0]
+        self._frozen: dict[Key, Value] | None = None
         self._line: PtyLine | None = None
 
     def start(self) -> dict[str, str]:
         """Open the line; return the controller's port of it."""
         self._line = PtyLine(self._baud, self._clock)
         return {"turntable": self._line.path}
-
-    def fail_axis(self, axis: int, flags: int) -> None:
-        """Let ``axis`` (0 to 2) report fault ``flags`` (see FAULT_FLAGS). For any thread."""
-        self._injected.append((axis, flags))
 
     def run(self, stop: threading.Event) -> None:
         """Serve the line until ``stop`` is set."""
@@ -55,13 +67,16 @@ class AsciiTurntableEmulator:
             raise RuntimeError("start the emulator first")
         while not stop.is_set():
             data = line.read(STEP_S)
-            self.gimbals.advance(self._clock.now_s())
-            self._housekeep()
-            for request in self._splitter.feed(data) if data else ():
+            if self.faults.value("link_down") is not None:
+                data = b""
+            self._pass_time()
+            for request in self.splitter.feed(data) if data else ():
                 reply = self.answer(request)
                 if reply:
-                    line.write(reply)
-                    self.gimbals.advance(self._clock.now_s())
+                    self._lane.put(reply, self._clock.now_s())
+            for reply in self._lane.due(self._clock.now_s()):
+                line.write(reply)
+                self._pass_time()
 
     def close(self) -> None:
         """Close the line."""
@@ -69,81 +84,97 @@ class AsciiTurntableEmulator:
             self._line.close()
         self._line = None
 
-    def answer(self, line: bytes) -> bytes:
+    def answer(self, text: bytes) -> bytes:
         """Do what one request line says; return the reply line, b"" for a line that is broken."""
         try:
-            sequence, word, words = codec.decode_request(line)
+            sequence, line, axis, values = self.dialect.take_request(text)
         except BrokenLine:
             return b""  # whose sequence number could not be trusted: the controller says nothing
-        command = codec.COMMANDS.get(word)
-        if command is None:
-            return codec.encode_answer(sequence, "ERR", str(_UNKNOWN))
-        try:
-            numbers = codec.decode_numbers(command, words)
-        except BrokenLine:
-            return codec.encode_answer(sequence, "ERR", str(_ARGUMENTS))
-        if command is codec.IDENTIFY:
-            return codec.encode_answer(sequence, codec.IDENTIFY.answer, *_IDENTITY)
-        if command is codec.ENABLE and not self._may_enable():
-            return codec.encode_answer(sequence, "ERR", str(_REFUSED))
-        self._do(command, numbers)
-        return codec.encode_report(sequence, self._report())
+        except Refused as refused:
+            return self.dialect.refusal(int(str(refused), 16), self._words.unknown)
+        if self._refuses(line.action, axis):
+            return self.dialect.refusal(sequence, self._words.refused)
+        self._do(line, axis, values)
+        return self.dialect.reply(sequence, line, axis, self._told())
 
-    def _do(self, command: codec.Command, numbers: tuple[float, ...]) -> None:
-        if command is codec.SET:
-            self._follow(np.radians(numbers[:3]).tolist(), np.radians(numbers[3:]).tolist())
-        elif command is codec.HOLD:
-            self._follow(self.gimbals.position.tolist(), [0.0, 0.0, 0.0])
-        elif command is codec.ENABLE:
-            self._enabled = [True, True, True]
-            self._quick_stopped = False
-            self._follow(self.gimbals.position.tolist(), [0.0, 0.0, 0.0])
-        elif command is codec.QUICK_STOP:
-            self._brake_all()
-        elif command is codec.CLEAR_FAULTS:
-            self._faults = [0, 0, 0]
+    def _refuses(self, action: str, axis: int) -> bool:
+        axes = _ALL if axis == DEVICE else (axis,)
+        if action == "enable":
+            return any(self.fault[i] or self.gimbals.moving(i) or self.gimbals.torque_off for i in axes)
+        return action == "home" and not all(self._enabled[i] for i in axes)
 
-    def _follow(self, position_rad: list[float], rate_radps: list[float]) -> None:
-        now_s = self._clock.now_s()
-        for axis in range(3):
-            if self._enabled[axis]:
-                self.gimbals.follow(axis, position_rad[axis], rate_radps[axis], now_s)
+    def _do(self, line: Line, axis: int, values: dict[Key, Value]) -> None:
+        for i in _ALL if axis == DEVICE else (axis,):
+            if line.action == "set":
+                position = values.get(("position", i), self.gimbals.position[i])
+                self._follow(i, float(position), float(values.get(("rate", i), 0.0)))
+            elif line.action == "enable":
+                self._enabled[i] = True
+                self._quick_stopped = False
+                self._follow(i, float(self.gimbals.position[i]), 0.0)
+            elif line.action == "hold":
+                self._follow(i, float(self.gimbals.position[i]), 0.0)
+            elif line.action == "quick_stop":
+                self._quick_stopped = True
+                self._disable(i)
+            elif line.action == "clear_faults":
+                self.fault[i] = 0
+            elif line.action == "home" and self.gimbals.homing[i] is not Homing.DONE:
+                self._searching[i] = True
+                self.gimbals.home(i)
 
-    def _may_enable(self) -> bool:
-        return not any(self._faults) and not any(self.gimbals.moving(axis) for axis in range(3))
+    def _follow(self, axis: int, position_rad: float, rate_radps: float) -> None:
+        if self._enabled[axis]:
+            self.gimbals.follow(axis, position_rad, rate_radps, self._clock.now_s())
 
-    def _brake_all(self) -> None:
-        self._enabled = [False, False, False]
-        self._quick_stopped = True
-        for axis in range(3):
-            self.gimbals.brake(axis)
+    def _disable(self, axis: int) -> None:
+        self._enabled[axis] = False
+        self.gimbals.brake(axis)
 
-    def _housekeep(self) -> None:
-        while self._injected:
-            axis, flags = self._injected.popleft()
-            self._faults[axis] |= flags
-            self._enabled[axis] = False
-            self.gimbals.brake(axis)
-        for axis, overdue in enumerate(self.gimbals.overdue):
-            if overdue:
+    def _pass_time(self) -> None:
+        self.gimbals.advance(self._clock.now_s())
+        for axis, name in enumerate(GIMBAL_NAMES):
+            self._searching[axis] &= self.gimbals.homing[axis] is Homing.UNDER_WAY or self.gimbals.moving(axis)
+            switched = self.faults.take("drive_fault", name)
+            if switched is not None:
+                self._fail(axis, round(switched) or self._words.drive_fault)
+            if self.gimbals.overdue[axis]:
                 self.gimbals.overdue[axis] = False
-                self._faults[axis] |= _COMMAND_TIMEOUT
-                self._enabled[axis] = False
+                self._fail(axis, self._words.command_timeout)
+            if self.gimbals.torque_off and self._enabled[axis]:
+                self._fail(axis, self._words.torque_off)
+
+    def _fail(self, axis: int, number: int) -> None:
+        self.fault[axis] = self.fault[axis] | number if self._has_flags else self.fault[axis] or number
+        self._disable(axis)
 
     def _status(self, axis: int) -> int:
-        return (
-            codec.ENABLED * self._enabled[axis]
-            | codec.QUICK_STOPPED * self._quick_stopped
-            | codec.MOVING * self.gimbals.moving(axis)
-            | codec.FAULT * bool(self._faults[axis])
-        )
+        homing, limit = self.gimbals.homing[axis], self.gimbals.limit[axis]
+        shown = {
+            "enabled": self._enabled[axis],
+            "fault": self.fault[axis] != 0,
+            "quick_stopped": self._quick_stopped,
+            "moving": self.gimbals.moving(axis),
+            "homed": homing is Homing.DONE,
+            "not_homed": homing is not Homing.DONE,
+            "homing": self._searching[axis],
+            "homing_failed": homing is Homing.FAILED,
+            "limit_low": limit < 0,
+            "limit_high": limit > 0,
+        }
+        return sum(getattr(self._bits, name) or 0 for name, on in shown.items() if on)
 
-    def _report(self) -> Report:
-        roll, pitch, yaw = (math.degrees(angle) for angle in self.gimbals.position)
-        rates = [math.degrees(rate) for rate in self.gimbals.rate]
-        return Report(
-            (self._status(0), self._status(1), self._status(2)),
-            (self._faults[0], self._faults[1], self._faults[2]),
-            (roll, pitch, yaw),
-            (rates[0], rates[1], rates[2]),
-        )
+    def _told(self) -> dict[Key, Value]:
+        """Return everything that a reply may tell; for ever the same once the device is frozen."""
+        if self._frozen is not None and self.faults.value("freeze") is not None:
+            return self._frozen
+        words = self._words
+        told: dict[Key, Value] = {("model", DEVICE): words.model, ("serial", DEVICE): words.serial}
+        told |= {("firmware", DEVICE): words.firmware, ("ignore", DEVICE): ""}
+        for axis in _ALL:
+            told["position", axis] = float(self.gimbals.position[axis])
+            told["rate", axis] = float(self.gimbals.rate[axis])
+            told["status", axis] = self._status(axis)
+            told["fault", axis] = self.fault[axis]
+        self._frozen = told
+        return told

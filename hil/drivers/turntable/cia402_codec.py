@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
+from hil.messages import Homing
+
 NMT_ID: Final = 0x000
 SYNC_ID: Final = 0x080
 EMCY_ID: Final = 0x080  # these and the following + node id
@@ -32,7 +34,9 @@ NMT_RESET_COMMUNICATION: Final = 0x82
 DEVICE_TYPE: Final = 0x1000
 ERROR_REGISTER: Final = 0x1001
 DEVICE_PROFILE: Final = 402  # low half of the device type
-IDENTITY: Final = 0x1018
+FIRMWARE: Final = 0x100A
+HEARTBEAT_PRODUCER: Final = 0x1017  # ms
+IDENTITY: Final = 0x1018  # 1 vendor, 2 product, 3 revision
 ABORT_CONNECTION_OPTION: Final = 0x6007
 ABORT_QUICK_STOPS: Final = 3
 ERROR_CODE: Final = 0x603F
@@ -42,13 +46,34 @@ QUICK_STOP_OPTION: Final = 0x605A
 QUICK_STOP_STAYS: Final = 6  # slow down on the quick-stop ramp, stay in quick stop active
 MODE: Final = 0x6060
 MODE_DISPLAY: Final = 0x6061
+PROFILE_POSITION: Final = 1
+HOMING: Final = 6
 CYCLIC_SYNCHRONOUS_POSITION: Final = 8
+MODE_NAMES: Final = {
+    PROFILE_POSITION: "profile position",
+    HOMING: "homing",
+    CYCLIC_SYNCHRONOUS_POSITION: "cyclic synchronous position",
+}
 POSITION_ACTUAL: Final = 0x6064
 VELOCITY_ACTUAL: Final = 0x606C
 TARGET_POSITION: Final = 0x607A
+PROFILE_VELOCITY: Final = 0x6081
+PROFILE_ACCELERATION: Final = 0x6083
+PROFILE_DECELERATION: Final = 0x6084
+HOMING_METHOD: Final = 0x6098
+HOMING_SPEEDS: Final = 0x6099  # 1 towards the switch, 2 towards its edge
+HOMING_ACCELERATION: Final = 0x609A
 VELOCITY_OFFSET: Final = 0x60B1
+DIGITAL_INPUTS: Final = 0x60FD
 
 RPDO_TIMEOUT: Final = 0x8250
+TORQUE_OFF: Final = 0x5441
+OVER_CURRENT: Final = 0x2310
+
+BOOT_UP: Final = 0x00  # NMT states, as a heartbeat shows them
+STOPPED: Final = 0x04
+OPERATIONAL: Final = 0x05
+PRE_OPERATIONAL: Final = 0x7F
 
 SHUTDOWN: Final = 0x06
 SWITCH_ON: Final = 0x07
@@ -56,6 +81,16 @@ ENABLE_OPERATION: Final = 0x0F
 DISABLE_VOLTAGE: Final = 0x00
 QUICK_STOP: Final = 0x02
 FAULT_RESET: Final = 0x80
+START_HOMING: Final = 0x1F  # controlword bit 4 in homing mode, the drive being enabled
+NEW_SETPOINT: Final = 0x3F  # bits 4 and 5 in profile position mode: go to the target at once
+
+TARGET_REACHED: Final = 0x0400  # statusword
+SETPOINT_TAKEN: Final = 0x1000  # in profile position mode
+HOMING_ATTAINED: Final = 0x1000  # in homing mode
+HOMING_ERROR: Final = 0x2000
+
+LOW_LIMIT: Final = 0x1  # digital inputs
+HIGH_LIMIT: Final = 0x2
 
 
 class DriveState(Enum):
@@ -114,7 +149,8 @@ SETPOINT_PDO: Final = Pdo(0x1400, 0x1600, RPDO1_ID, 1, ((TARGET_POSITION, 32), (
 SETPOINT_PDO_PLAIN: Final = Pdo(0x1400, 0x1600, RPDO1_ID, 1, ((TARGET_POSITION, 32),))
 CONTROL_PDO: Final = Pdo(0x1401, 0x1601, RPDO2_ID, 255, ((CONTROLWORD, 16),))
 FEEDBACK_PDO: Final = Pdo(0x1800, 0x1A00, TPDO1_ID, 1, ((POSITION_ACTUAL, 32), (VELOCITY_ACTUAL, 32)))
-STATUS_PDO: Final = Pdo(0x1801, 0x1A01, TPDO2_ID, 255, ((STATUSWORD, 16),))
+STATUS_PDO: Final = Pdo(0x1801, 0x1A01, TPDO2_ID, 255, ((STATUSWORD, 16), (DIGITAL_INPUTS, 32)))
+STATUS_PDO_PLAIN: Final = Pdo(0x1801, 0x1A01, TPDO2_ID, 255, ((STATUSWORD, 16),))
 
 PDO_EVENT_TIMER: Final = 5  # sub-index, ms: a TPDO is sent, an RPDO is due at least this often
 PDO_INVALID: Final = 1 << 31  # bit of the identifier entry: this PDO does not exist
@@ -123,6 +159,7 @@ _SETPOINT = struct.Struct("<ii")
 _SETPOINT_PLAIN = struct.Struct("<i")
 _FEEDBACK = struct.Struct("<ii")
 _WORD = struct.Struct("<H")
+_STATUS = struct.Struct("<HI")
 _EMCY = struct.Struct("<HB5s")
 
 
@@ -157,9 +194,25 @@ def encode_control(controlword: int) -> bytes:
     return _WORD.pack(controlword)
 
 
-def decode_status(data: bytes) -> int:
-    """Return the statusword of STATUS_PDO. Raises ValueError on a wrong length."""
-    return int(_unpack(_WORD, data)[0])
+def decode_status(data: bytes) -> tuple[int, int]:
+    """Return statusword and digital inputs of STATUS_PDO, 0 for those of STATUS_PDO_PLAIN. Raises ValueError."""
+    if len(data) == _WORD.size:
+        return int(_unpack(_WORD, data)[0]), 0
+    statusword, inputs = _unpack(_STATUS, data)
+    return statusword, inputs
+
+
+def homing_of(statusword: int) -> Homing:
+    """Return what the statusword of a drive in homing mode, which was told to start, says of it."""
+    if statusword & HOMING_ERROR:
+        return Homing.FAILED
+    both = HOMING_ATTAINED | TARGET_REACHED
+    return Homing.DONE if statusword & both == both else Homing.UNDER_WAY
+
+
+def limit_of(inputs: int) -> int:
+    """Return which limit switch the digital inputs show: -1 the low one, 1 the high one, 0 none."""
+    return int(bool(inputs & HIGH_LIMIT)) - int(bool(inputs & LOW_LIMIT))
 
 
 def encode_emergency(error_code: int, error_register: int) -> bytes:
@@ -179,14 +232,14 @@ def _unpack(layout: struct.Struct, data: bytes) -> tuple[int, ...]:
 
 
 FAULT_NAMES: Final = {
-    0x2310: "continuous over-current",
+    OVER_CURRENT: "continuous over-current",
     0x2320: "short circuit",
     0x3210: "DC link over-voltage",
     0x3220: "DC link under-voltage",
     0x4210: "device over-temperature",
     0x4310: "drive over-temperature",
     0x5113: "logic supply too low",
-    0x5441: "safe torque off",
+    TORQUE_OFF: "safe torque off",
     0x6010: "software watchdog",
     0x6320: "parameter error",
     0x7121: "motor blocked",

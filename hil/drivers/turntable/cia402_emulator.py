@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
 
 from hil.clock import WallClock
-from hil.config.rig import Turntable
+from hil.config.rig import GIMBAL_NAMES, Turntable
 from hil.drivers.board import AxisBoard
-from hil.drivers.emulated_axes import STEP_S, WATCHDOG_S, EmulatedAxes
+from hil.drivers.emulated_axes import STEP_S, WATCHDOG_S, ChainClosed, EmulatedAxes
 from hil.drivers.turntable import cia402_codec as codec
 from hil.drivers.turntable.cia402_drive import EmulatedDrive
-from hil.drivers.turntable.emulated_bus import BusStation, Frame, SerialStation, Station
+from hil.drivers.turntable.emulated_bus import BusStation, SerialStation, Station
+from hil.drivers.turntable.serial_can import Frame
 from hil.errors import BadInput
+from hil.maths.streams import stream
+from hil.messages import Homing
 
 BUS_BYTES_PER_S = 150e3
 """A frame of 8 data bytes is 19 bytes in python-can's serial framing and about 125 us at 1 Mbit/s."""
@@ -39,36 +41,54 @@ class _Axis:
     def brake(self) -> None:
         self._gimbals.brake(self._axis)
 
+    def home(self) -> None:
+        self._gimbals.home(self._axis)
+
+    def homing(self) -> Homing:
+        return self._gimbals.homing[self._axis]
+
+    def moving(self) -> bool:
+        return self._gimbals.moving(self._axis)
+
+    def limit(self) -> int:
+        return self._gimbals.limit[self._axis]
+
+    def torque_off(self) -> bool:
+        return self._gimbals.torque_off
+
 
 class Cia402Emulator:
     """Drives of roll, pitch, yaw on ``config.cia402.node_ids``; serve them with ``run`` in a process of their own."""
 
-    def __init__(self, config: Turntable, clock: WallClock, board: AxisBoard) -> None:
+    def __init__(
+        self,
+        config: Turntable,
+        clock: WallClock,
+        board: AxisBoard,
+        chain_closed: ChainClosed = lambda: True,
+        seed: int = 0,
+    ) -> None:
         if config.cia402 is None:
             raise BadInput.single("rig", "turntable.cia402", "is missing")
         self._config = config.cia402
         self._clock = clock
-        self.gimbals = EmulatedAxes("turntable", config, clock, board)
+        self.gimbals = EmulatedAxes("turntable", config, clock, board, chain_closed=chain_closed, seed=seed)
         self.faults = self.gimbals.faults
         self.drives = []
         for index, node_id in enumerate(config.cia402.node_ids):
             axis = _Axis(self.gimbals, index, config.cia402.counts_per_turn, clock)
             self.drives.append(EmulatedDrive(node_id, axis, WATCHDOG_S))
+        self._wire_noise = stream(seed, "wire")
         self._station: Station | None = None
-        self._faults: deque[tuple[int, int]] = deque()
 
     def start(self) -> dict[str, str]:
         """Join the bus; return the controller's address of it."""
         if self._config.interface == "serial":
-            self._station = SerialStation(BUS_BYTES_PER_S, self._clock)
+            self._station = SerialStation(BUS_BYTES_PER_S, self._clock, self.faults, self._wire_noise)
         else:
-            self._station = BusStation(self._config, self._clock)
+            self._station = BusStation(self._config, self._clock, self.faults, self._wire_noise)
         self._station.send([frame for drive in self.drives for frame in drive.boot()])
         return {"turntable": self._station.address}
-
-    def fail_axis(self, axis: int, code: int) -> None:
-        """Let the drive of ``axis`` (0 to 2) report the fault ``code`` of object 0x603F. For any thread."""
-        self._faults.append((axis, code))
 
     def run(self, stop: threading.Event) -> None:
         """Serve the bus until ``stop`` is set."""
@@ -93,12 +113,12 @@ class Cia402Emulator:
 
     def _housekeep(self, now_s: float) -> list[Frame]:
         frames: list[Frame] = []
-        while self._faults:
-            axis, code = self._faults.popleft()
-            frames += self.drives[axis].fail(code)
-        for axis, drive in enumerate(self.drives):
+        for axis, (name, drive) in enumerate(zip(GIMBAL_NAMES, self.drives, strict=True)):
+            code = self.faults.take("drive_fault", name)
+            if code is not None:
+                frames += drive.fail(round(code) or codec.OVER_CURRENT)
             if self.gimbals.overdue[axis]:
                 self.gimbals.overdue[axis] = False
                 frames += drive.overdue()
-            frames += drive.status(now_s)
+            frames += drive.advance(now_s)
         return frames

@@ -20,6 +20,7 @@ _UNKNOWN_COMMAND = 0x05040001
 
 _PDOS = (codec.SETPOINT_PDO, codec.CONTROL_PDO, codec.FEEDBACK_PDO, codec.STATUS_PDO)
 _MAPPING_INDICES = tuple(pdo.mapping_index for pdo in _PDOS)
+_MODES = (codec.PROFILE_POSITION, codec.HOMING, codec.CYCLIC_SYNCHRONOUS_POSITION)
 _FORMATS = {16: "H", 32: "i"}  # what mappable objects come in
 
 
@@ -32,13 +33,17 @@ class _Refused(Exception):
 
 @dataclass(slots=True)
 class Object:
-    """One entry: ``size`` in bytes; ``allowed`` low bytes of values that may be written, empty: all."""
+    """One entry: ``size`` in bytes; ``allowed`` low bytes of values that may be written, empty: all.
+
+    text: of a string, which has no value.
+    """
 
     size: int
     value: int = 0
     writable: bool = False
     allowed: tuple[int, ...] = ()
     mappable: bool = False
+    text: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +68,7 @@ class ObjectDictionary:
 
     def __init__(self, watchdog_ms: int) -> None:
         self.entries = _drive_objects() | _pdo_objects(watchdog_ms)
+        self._string = b""  # what is left to send of one
 
     def __getitem__(self, index: int) -> Object:
         return self.entries[(index, 0)]
@@ -96,6 +102,8 @@ class ObjectDictionary:
         try:
             if command & 0xE0 == 0x40:
                 return self._upload(index, subindex), None
+            if command & 0xE0 == 0x60:
+                return self._next_segment(command & 0x10), None
             if command & 0xE2 != 0x22:
                 raise _Refused(_UNKNOWN_COMMAND)
             size = 4 - (command >> 2 & 3) if command & 1 else 4
@@ -105,8 +113,17 @@ class ObjectDictionary:
 
     def _upload(self, index: int, subindex: int) -> bytes:
         entry = self._find(index, subindex)
+        if entry.text:
+            self._string = entry.text
+            return _SDO.pack(0x41, index, subindex, len(entry.text).to_bytes(4, "little"))
         data = (entry.value & (1 << 8 * entry.size) - 1).to_bytes(entry.size, "little")
         return _SDO.pack(0x43 | (4 - entry.size) << 2, index, subindex, data)
+
+    def _next_segment(self, toggle: int) -> bytes:
+        segment, self._string = self._string[:7], self._string[7:]
+        if not segment:
+            raise _Refused(_UNKNOWN_COMMAND)
+        return bytes((toggle | (7 - len(segment)) << 1 | (not self._string),)) + segment.ljust(7, b"\0")
 
     def _download(self, index: int, subindex: int, data: bytes, operational: bool) -> bytes:
         entry = self._find(index, subindex)
@@ -141,6 +158,8 @@ def _drive_objects() -> dict[tuple[int, int], Object]:
     return {
         (codec.DEVICE_TYPE, 0): Object(4, 0x0002_0192),  # servo drive, profile 402
         (codec.ERROR_REGISTER, 0): Object(1),
+        (codec.FIRMWARE, 0): Object(0, text=b"emulated drive 1.0"),
+        (codec.HEARTBEAT_PRODUCER, 0): Object(2, 0, True),
         (codec.IDENTITY, 0): Object(1, 4),
         (codec.IDENTITY, 1): Object(4, 0x0000_0B0B),  # vendor, product, revision, serial number
         (codec.IDENTITY, 2): Object(4, 0x0001_0402),
@@ -151,12 +170,21 @@ def _drive_objects() -> dict[tuple[int, int], Object]:
         (codec.CONTROLWORD, 0): Object(2, 0, True, mappable=True),
         (codec.STATUSWORD, 0): Object(2, mappable=True),
         (codec.QUICK_STOP_OPTION, 0): Object(2, 2, True, (codec.QUICK_STOP_STAYS,)),
-        (codec.MODE, 0): Object(1, 0, True, (codec.CYCLIC_SYNCHRONOUS_POSITION,)),
+        (codec.MODE, 0): Object(1, 0, True, _MODES),
         (codec.MODE_DISPLAY, 0): Object(1),
         (codec.POSITION_ACTUAL, 0): Object(4, mappable=True),
         (codec.VELOCITY_ACTUAL, 0): Object(4, mappable=True),
         (codec.TARGET_POSITION, 0): Object(4, 0, True, mappable=True),
+        (codec.PROFILE_VELOCITY, 0): Object(4, 0, True),
+        (codec.PROFILE_ACCELERATION, 0): Object(4, 0, True),
+        (codec.PROFILE_DECELERATION, 0): Object(4, 0, True),
+        (codec.HOMING_METHOD, 0): Object(1, 0, True),
+        (codec.HOMING_SPEEDS, 0): Object(1, 2),
+        (codec.HOMING_SPEEDS, 1): Object(4, 0, True),
+        (codec.HOMING_SPEEDS, 2): Object(4, 0, True),
+        (codec.HOMING_ACCELERATION, 0): Object(4, 0, True),
         (codec.VELOCITY_OFFSET, 0): Object(4, 0, True, mappable=True),
+        (codec.DIGITAL_INPUTS, 0): Object(4, mappable=True),
     }
 
 
