@@ -26,8 +26,8 @@ def emulate_command(rig_name: str, scenario_name: str, settings: Sequence[str], 
             for name, address in addresses.items():
                 if name.split(".")[0] == process.name:
                     console.print(f"{name} on {address} (process {process.pid})", highlight=False)
-        console.print("Ctrl-C ends them")
         try:
+            console.print("Ctrl-C ends them")
             signal.pause()
         except KeyboardInterrupt:
             console.print("ended")

@@ -50,13 +50,23 @@ class Servo(Strict):
 
 
 class RailAxis(Strict):
-    """One rail."""
+    """One rail. An incremental encoder must find its home switch before the axis knows its place."""
 
     travel_m: tuple[float, float]
     rate_max_mps: Positive
     acceleration_max_mps2: Positive
     park_m: float = 0.0
     encoder: Encoder = "absolute"
+    home_m: float = 0.0  # place of the home switch
+    homing_rate_mps: Positive = 0.05
+
+    @property
+    def home(self) -> float:
+        return self.home_m
+
+    @property
+    def homing_rate(self) -> float:
+        return self.homing_rate_mps
 
     @model_validator(mode="after")
     def _park_is_on_the_rail(self) -> Self:
@@ -65,13 +75,23 @@ class RailAxis(Strict):
 
 
 class GimbalAxis(Strict):
-    """One axis of the turntable."""
+    """One axis of the turntable. An incremental encoder must find its home switch before the axis knows its place."""
 
     travel_deg: tuple[float, float]
     rate_max_degps: Positive
     acceleration_max_degps2: Positive
     park_deg: float = 0.0
     encoder: Encoder = "absolute"
+    home_deg: float = 0.0  # place of the home switch
+    homing_rate_degps: Positive = 5.0
+
+    @property
+    def home(self) -> float:
+        return self.home_deg
+
+    @property
+    def homing_rate(self) -> float:
+        return self.homing_rate_degps
 
     @model_validator(mode="after")
     def _park_is_in_range(self) -> Self:
@@ -133,11 +153,16 @@ class Rails(Strict):
     following_error_per_speed_s: NotNegative = 0.0  # m more for each m/s of commanded speed
     lost_packets_max: Positive = 5.0
     lost_packets_forget_s: Positive = 1.0  # after which one lost packet is forgiven
+    encoder_sigma_m: NotNegative = 0.0  # noise of the emulated encoders
     servo: Servo
     x: RailAxis
     y: RailAxis
     z: RailAxis
     modbus: Modbus | None = None
+
+    @property
+    def encoder_sigma(self) -> float:
+        return self.encoder_sigma_m
 
 
 class Turntable(Strict):
@@ -147,12 +172,17 @@ class Turntable(Strict):
     following_error_per_speed_s: NotNegative = 0.0  # deg more for each deg/s of commanded speed
     lost_packets_max: Positive = 5.0
     lost_packets_forget_s: Positive = 1.0  # after which one lost packet is forgiven
+    encoder_sigma_deg: NotNegative = 0.0  # noise of the emulated encoders
     servo: Servo
     roll: GimbalAxis
     pitch: GimbalAxis
     yaw: GimbalAxis
     cia402: Cia402 | None = None
     ascii: SerialLine | None = None
+
+    @property
+    def encoder_sigma(self) -> float:
+        return self.encoder_sigma_deg
 
 
 class Camera(Strict):

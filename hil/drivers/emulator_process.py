@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol
 
+from hil.drivers.faults import ControlPort, Faults
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 _PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
@@ -32,7 +33,9 @@ _LAST_WORDS_BYTES: Final = 2000
 
 
 class Emulator(Protocol):
-    """An emulated device."""
+    """An emulated device, and the faults that can be switched on in it."""
+
+    faults: Faults
 
     def start(self) -> dict[str, str]:
         """Open the wires; return name -> address."""
@@ -60,8 +63,10 @@ def serve(make_emulator: Callable[[dict[str, Any]], Emulator]) -> None:
     if not line:
         return  # the parent is gone already
     emulator = make_emulator(json.loads(line))
+    control = ControlPort(emulator.faults)
     try:
-        ready = {"pid": os.getpid(), "addresses": emulator.start()}
+        wires = {**emulator.start(), f"{emulator.faults.device}.faults": control.address}
+        ready = {"pid": os.getpid(), "addresses": wires}
         # what was imported stays: a collection that walks through all of it lasts longer than a drive's watchdog
         gc.collect()
         gc.freeze()
@@ -69,6 +74,7 @@ def serve(make_emulator: Callable[[dict[str, Any]], Emulator]) -> None:
             up.write(json.dumps(ready) + "\n")
         _run_until(emulator, ended, end)
     finally:
+        control.close()
         emulator.close()
 
 

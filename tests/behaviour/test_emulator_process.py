@@ -13,15 +13,18 @@ from pathlib import Path
 import pytest
 
 from hil.drivers.emulator_process import EmulatorProcess
+from hil.drivers.faults import FaultControl
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 CHILD = """
 import sys, time
 from hil.drivers.emulator_process import serve
+from hil.drivers.faults import WIRE, Faults
 
 class Emulator:
     def __init__(self, configuration):
         self.c = configuration
+        self.faults = Faults("vmu", WIRE)
     def start(self):
         print("chatter on stdout")
         print("chatter on stderr", file=sys.stderr)
@@ -80,7 +83,7 @@ def wait_gone(pid: int, wall_s: float = 3.0) -> None:
 def test_several_start_side_by_side_and_tell_their_addresses() -> None:
     children = [start(port=f"/dev/{i}") for i in range(3)]
     try:
-        assert [child.wait_ready(20.0) for child in children] == [{"vmu": f"/dev/{i}"} for i in range(3)]
+        assert [child.wait_ready(20.0)["vmu"] for child in children] == [f"/dev/{i}" for i in range(3)]
         assert len({child.pid for child in children}) == 3
     finally:
         for child in children:
@@ -90,9 +93,16 @@ def test_several_start_side_by_side_and_tell_their_addresses() -> None:
 
 
 def test_chatter_does_not_reach_the_terminal(child: EmulatorProcess, capfd: pytest.CaptureFixture[str]) -> None:
-    assert child.wait_ready(1.0) == {"vmu": "p"}
+    assert child.wait_ready(1.0)["vmu"] == "p"
     child.close()
     assert capfd.readouterr() == ("", "")
+
+
+def test_faults_are_switched_at_the_address_that_the_child_tells(child: EmulatorProcess) -> None:
+    control = FaultControl(child.wait_ready(20.0)["vmu.faults"])
+    assert control.say("on drop 0.5") == "ok"
+    assert control.say("list") == "drop 0.5"
+    control.close()
 
 
 def test_closed_child_closes_its_emulator_and_exits_with_zero(tmp_path: Path) -> None:

@@ -21,10 +21,11 @@ from hil.clock import WallClock
 from hil.config.rig import Rails
 from hil.drivers.base import AxisGroup
 from hil.drivers.board import AxisBoard
+from hil.drivers.emulated_axes import WATCHDOG_S
 from hil.drivers.rails import emulator as emulator_module
 from hil.drivers.rails.codec import DRIVE_MAP, Command, Control, State, Status
 from hil.drivers.rails.driver import ModbusRails
-from hil.drivers.rails.emulator import WATCHDOG_S, RailsEmulator
+from hil.drivers.rails.emulator import RailsEmulator
 from hil.errors import BadInput, BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 
 TIMEOUT_S = 0.2
@@ -390,7 +391,7 @@ def test_drive_stops_by_itself_when_commands_cease() -> None:
     drive.command(Command(Control.ENABLE, 1, 3.0, 0.0), 0.1)
     moving = drive.state(0.5)
     assert Status.MOVING in moving.status
-    assert Status.QUICK_STOP not in drive.state(0.1 + WATCHDOG_S).status
+    assert Status.QUICK_STOP not in drive.state(0.09 + WATCHDOG_S).status
     stopped = drive.state(2.0)
     assert stopped.status == Status.READY | Status.ENABLED | Status.QUICK_STOP
     assert stopped.position_m < 2.9

@@ -124,12 +124,13 @@ def test_emulate_says_where_each_device_listens_and_ends_on_ctrl_c() -> None:
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            lines = [process.stdout.readline() for _ in range(6)]
+            lines = [process.stdout.readline() for _ in range(9)]
             pids = {line.split()[0]: int(found[1]) for line in lines if (found := re.search(r"process (\d+)", line))}
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=20)
         finally:
             process.kill()
     assert process.returncode == 0
-    assert set(pids) == {"rails.x", "rails.y", "rails.z", "turntable", "vmu"}
+    wires = {"rails.x", "rails.y", "rails.z", "turntable", "vmu"}
+    assert set(pids) == wires | {"rails.faults", "turntable.faults", "vmu.faults"}
     assert _none_left(pids)

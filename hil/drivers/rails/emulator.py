@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-from collections.abc import Callable
 from functools import partial
 from typing import Final
 
@@ -15,34 +14,26 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 from hil.clock import WallClock
 from hil.config.rig import Modbus, Rails
-from hil.drivers.axes import ServoAxes
 from hil.drivers.base import RAIL_NAMES, full_names
 from hil.drivers.board import AxisBoard
+from hil.drivers.emulated_axes import STEP_S, EmulatedAxes
 from hil.drivers.rails.codec import DRIVE_MAP, Block, Command, Control, Identity, State, Status
 
-WATCHDOG_S: Final = 0.5  # longest silence of the controller while enabled
-TICK_S: Final = 0.004
 FIRMWARE: Final = (1, 0)
-_MOVING_MPS: Final = 1e-4
 
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a controller that hangs up is no error here
 
 
 class EmulatedDrive:
-    """One axis: what the drive's firmware does with commands. No I/O; time is handed in.
+    """One axis: what the drive's firmware does with commands. No I/O; time is handed in."""
 
-    advance: moves all three axes on to a bench time.
-    """
-
-    def __init__(self, axes: ServoAxes, index: int, advance: Callable[[float], None]) -> None:
+    def __init__(self, axes: EmulatedAxes, index: int) -> None:
         self._axes = axes
         self._index = index
-        self._advance = advance
         self._enabled = False
         self._quick_stop = False
         self._fault = 0
         self._echo = 0
-        self._last_command_s = 0.0
 
     @property
     def held(self) -> bool:
@@ -52,12 +43,12 @@ class EmulatedDrive:
     def trip(self, fault: int) -> None:
         """Let the drive report a fault (codec.FAULTS) and stop."""
         self._fault = fault
+        self._axes.brake(self._index)
 
     def command(self, command: Command, now_s: float) -> None:
         """Take what the controller wrote."""
-        self._advance(now_s)
+        self._axes.advance(now_s)
         self._echo = command.number
-        self._last_command_s = now_s
         self._enabled = bool(command.control & Control.ENABLE)
         if not self._enabled:
             self._quick_stop = False
@@ -65,33 +56,32 @@ class EmulatedDrive:
                 self._fault = 0
         if command.control & Control.QUICK_STOP:
             self._quick_stop = True
-        if not self.held:
-            self._axes.setpoint[self._index] = command.position_m
-            self._axes.feedforward[self._index] = command.rate_mps
-
-    def supervise(self, now_s: float) -> None:
-        """Brake where the axis must not follow; make a quick stop when the controller has gone silent."""
-        if self._enabled and now_s - self._last_command_s > WATCHDOG_S:
-            self._quick_stop = True
         if self.held:
-            self._axes.setpoint[self._index] = self._axes.position[self._index]
-            self._axes.feedforward[self._index] = 0.0
+            self._axes.brake(self._index)
+        else:
+            self._axes.follow(self._index, command.position_m, command.rate_mps, now_s)
+
+    def supervise(self) -> None:
+        """Make a quick stop when the controller has gone silent."""
+        if self._axes.overdue[self._index]:
+            self._axes.overdue[self._index] = False
+            self._quick_stop = True
 
     def state(self, now_s: float) -> State:
         """Return what the drive reports."""
-        self._advance(now_s)
+        self._axes.advance(now_s)
+        self.supervise()
         axes, i = self._axes, self._index
-        position, rate = float(axes.position[i]), float(axes.rate[i])
         status = Status.READY if self._fault == 0 else Status.FAULT
         if self._enabled and self._fault == 0:
             status |= Status.ENABLED
-        if abs(rate) > _MOVING_MPS:
+        if axes.moving(i):
             status |= Status.MOVING
         if self._quick_stop:
             status |= Status.QUICK_STOP
-        if not axes.low[i] < position < axes.high[i]:
+        if axes.limit[i]:
             status |= Status.LIMIT
-        return State(status, self._fault, self._echo, position, rate)
+        return State(status, self._fault, self._echo, float(axes.position[i]), float(axes.rate[i]))
 
 
 class RailsEmulator:
@@ -101,18 +91,14 @@ class RailsEmulator:
         wires = config.modbus or Modbus()
         self._device_ids = [getattr(wires, name).device_id for name in RAIL_NAMES]
         self._clock = clock
-        self._board = board
-        self._axes = ServoAxes(config)
-        self._t_s = 0.0
+        self._axes = EmulatedAxes("rails", config, clock, board)
+        self.faults = self._axes.faults
         self._loop = asyncio.new_event_loop()
         self._servers: list[ModbusTcpServer] = []
-        self.drives = [EmulatedDrive(self._axes, index, self._advance) for index in range(len(RAIL_NAMES))]
+        self.drives = [EmulatedDrive(self._axes, index) for index in range(len(RAIL_NAMES))]
 
     def start(self) -> dict[str, str]:
         """Listen; return axis name -> "host:port"."""
-        self._axes.step(0.0)  # compile now, not in the first exchange
-        self._t_s = self._clock.now_s()
-        self._publish()
         self._servers = self._loop.run_until_complete(self._listen())
         ports = [server.transport.sockets[0].getsockname()[1] for server in self._servers]  # type: ignore[attr-defined]
         names = full_names("rails", RAIL_NAMES)
@@ -138,29 +124,17 @@ class RailsEmulator:
         return servers
 
     async def _serve(self, stop: threading.Event) -> None:
-        tick_wall_s = self._clock.wall_s(TICK_S)
+        tick_wall_s = self._clock.wall_s(STEP_S)
         while not stop.is_set():
-            self._advance(self._clock.now_s())
+            self._axes.advance(self._clock.now_s())
+            for drive in self.drives:
+                drive.supervise()
             await asyncio.sleep(tick_wall_s)
 
     async def _shut_down(self) -> None:
         for server in self._servers:
             await server.shutdown()
         await asyncio.sleep(0.01)  # let the connections' own callbacks see their end
-
-    def _advance(self, now_s: float) -> None:
-        if now_s <= self._t_s:
-            return
-        while self._t_s < now_s:
-            step_s = min(TICK_S, now_s - self._t_s)
-            self._t_s += step_s
-            for drive in self.drives:
-                drive.supervise(self._t_s)
-            self._axes.step(step_s)
-        self._publish()
-
-    def _publish(self) -> None:
-        self._board.write("rails", self._t_s, self._axes.position, self._axes.rate)
 
 
 def _device(drive: EmulatedDrive, device_id: int, clock: WallClock) -> SimDevice:

@@ -11,14 +11,13 @@ import numpy as np
 from hil.clock import WallClock
 from hil.config.rig import Turntable
 from hil.drivers.board import AxisBoard
+from hil.drivers.emulated_axes import STEP_S, EmulatedAxes
 from hil.drivers.lines import PtyLine
 from hil.drivers.turntable import ascii_codec as codec
 from hil.drivers.turntable.ascii_codec import BrokenLine, LineSplitter, Report
-from hil.drivers.turntable.emulated import STEP_S, WATCHDOG_S, EmulatedGimbals
 from hil.errors import BadInput
 
 _IDENTITY = ("EMULATED-3AX", "0001", "3")
-_STANDSTILL_RADPS = 2e-3
 _COMMAND_TIMEOUT = 0x0080
 _UNKNOWN, _ARGUMENTS, _REFUSED = codec.ERRORS
 
@@ -31,7 +30,8 @@ class AsciiTurntableEmulator:
             raise BadInput.single("rig", "turntable.ascii", "is missing")
         self._baud = config.ascii.baud
         self._clock = clock
-        self.gimbals = EmulatedGimbals(config, clock, board)
+        self.gimbals = EmulatedAxes("turntable", config, clock, board)
+        self.faults = self.gimbals.faults
         self._splitter = LineSplitter(codec.REQUEST_START)
         self._enabled = [False, False, False]
         self._quick_stopped = False
@@ -107,13 +107,10 @@ class AsciiTurntableEmulator:
         now_s = self._clock.now_s()
         for axis in range(3):
             if self._enabled[axis]:
-                self.gimbals.follow(axis, position_rad[axis], rate_radps[axis], now_s, WATCHDOG_S)
+                self.gimbals.follow(axis, position_rad[axis], rate_radps[axis], now_s)
 
     def _may_enable(self) -> bool:
-        return not any(self._faults) and not any(self._moving(axis) for axis in range(3))
-
-    def _moving(self, axis: int) -> bool:
-        return bool(abs(self.gimbals.rate[axis]) > _STANDSTILL_RADPS)
+        return not any(self._faults) and not any(self.gimbals.moving(axis) for axis in range(3))
 
     def _brake_all(self) -> None:
         self._enabled = [False, False, False]
@@ -137,7 +134,7 @@ class AsciiTurntableEmulator:
         return (
             codec.ENABLED * self._enabled[axis]
             | codec.QUICK_STOPPED * self._quick_stopped
-            | codec.MOVING * self._moving(axis)
+            | codec.MOVING * self.gimbals.moving(axis)
             | codec.FAULT * bool(self._faults[axis])
         )
 

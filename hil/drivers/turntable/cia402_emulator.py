@@ -8,9 +8,9 @@ from collections import deque
 from hil.clock import WallClock
 from hil.config.rig import Turntable
 from hil.drivers.board import AxisBoard
+from hil.drivers.emulated_axes import STEP_S, WATCHDOG_S, EmulatedAxes
 from hil.drivers.turntable import cia402_codec as codec
 from hil.drivers.turntable.cia402_drive import EmulatedDrive
-from hil.drivers.turntable.emulated import STEP_S, WATCHDOG_S, EmulatedGimbals
 from hil.drivers.turntable.emulated_bus import BusStation, Frame, SerialStation, Station
 from hil.errors import BadInput
 
@@ -21,7 +21,7 @@ BUS_BYTES_PER_S = 150e3
 class _Axis:
     """One gimbal as its drive sees it: counts."""
 
-    def __init__(self, gimbals: EmulatedGimbals, axis: int, counts_per_turn: int, clock: WallClock) -> None:
+    def __init__(self, gimbals: EmulatedAxes, axis: int, counts_per_turn: int, clock: WallClock) -> None:
         self._gimbals = gimbals
         self._axis = axis
         self._scale = counts_per_turn
@@ -48,7 +48,8 @@ class Cia402Emulator:
             raise BadInput.single("rig", "turntable.cia402", "is missing")
         self._config = config.cia402
         self._clock = clock
-        self.gimbals = EmulatedGimbals(config, clock, board)
+        self.gimbals = EmulatedAxes("turntable", config, clock, board)
+        self.faults = self.gimbals.faults
         self.drives = []
         for index, node_id in enumerate(config.cia402.node_ids):
             axis = _Axis(self.gimbals, index, config.cia402.counts_per_turn, clock)

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from hil.clock import WallClock
 from hil.config.rig import SerialLine, Vmu
+from hil.drivers.faults import WIRE, Faults
 from hil.drivers.lines import PtyLine
 from hil.drivers.vmu import NAME
 from hil.drivers.vmu.codec import STATUS_NO_POSE, encode, encode_status
@@ -40,6 +41,7 @@ class VmuEmulator:
         self._clock = clock
         self._pose_at = pose_at
         self._transport = transport
+        self.faults = Faults(NAME, WIRE)
         self._line: PtyLine | None = None
         self._counter = 0
 

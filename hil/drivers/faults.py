@@ -1,0 +1,230 @@
+"""Faults that can be switched on in an emulated device while it runs, and the port where that is done.
+
+The control port speaks lines of text (``nc 127.0.0.1 PORT`` will do); each gets one line back:
+
+    on drop 0.2       one packet in five is lost          off drop
+    on stuck y        the y axis stands still             off stuck y
+    on jump y 0.05    its encoder jumps by 50 mm, once    clear          all faults off
+    list              what is on                          help           what can be switched on here
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import socket
+import threading
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of fault. of_axis: it hits one axis. value: what its number means, "" when it has none.
+
+    once: it happens when it is switched on, and is over then.
+    """
+
+    text: str
+    of_axis: bool = False
+    value: str = ""
+    default: float = 1.0
+    high: float = math.inf
+    once: bool = False
+
+
+WIRE: Final = {
+    "drop": Kind("packets are lost", value="share", high=1.0),
+    "corrupt": Kind("bits of packets are flipped", value="share", high=1.0),
+    "delay": Kind("packets come late", value="s", default=0.2, high=10.0),
+    "duplicate": Kind("packets come twice", value="share", high=1.0),
+    "freeze": Kind("the device sends its last values for ever"),
+    "link_down": Kind("the wire is dead"),
+}
+AXIS: Final = {
+    "stuck": Kind("the axis stands still, whatever it is told", of_axis=True),
+    "jump": Kind("the encoder jumps", of_axis=True, value="m or deg", default=0.1, once=True),
+    "reversed": Kind("the encoder counts the wrong way", of_axis=True),
+    "drive_fault": Kind("the drive reports a fault", of_axis=True, value="code", default=0.0, once=True),
+}
+
+
+class Faults:
+    """Which faults of ``device`` are on. Any thread may switch; the emulator looks.
+
+    kinds: name -> Kind of what this device can have. axes: short names of its axes.
+    """
+
+    def __init__(self, device: str, kinds: dict[str, Kind], axes: Sequence[str] = ()) -> None:
+        self.device = device
+        self.kinds = kinds
+        self.axes = tuple(axes)
+        self._lock = threading.Lock()
+        self._on: dict[tuple[str, str], float] = {}
+
+    def on(self, kind: str, axis: str = "", value: float | None = None) -> None:
+        """Switch a fault on; ValueError, with the sentence for the user, where there is no such fault."""
+        known = self._kind(kind, axis)
+        size = known.default if value is None else value
+        if not (math.isfinite(size) and size <= known.high and (size >= 0.0 or known.once)):
+            allowed = f"0 to {known.high:g}" if math.isfinite(known.high) else "a finite number"
+            raise ValueError(f"{kind} {size:g}: allowed {allowed}")
+        with self._lock:
+            self._on[kind, axis] = size
+
+    def off(self, kind: str, axis: str = "") -> None:
+        self._kind(kind, axis)
+        with self._lock:
+            self._on.pop((kind, axis), None)
+
+    def clear(self) -> None:
+        with self._lock:
+            self._on.clear()
+
+    def value(self, kind: str, axis: str = "") -> float | None:
+        """Return the number that belongs to a fault that is on, None for one that is off."""
+        return self._on.get((kind, axis))
+
+    def take(self, kind: str, axis: str = "") -> float | None:
+        """The same, and switch it off: for what happens once."""
+        if not self._on:
+            return None
+        with self._lock:
+            return self._on.pop((kind, axis), None)
+
+    def shown(self) -> str:
+        """Return what is on, in one line."""
+        with self._lock:
+            found = [f"{kind} {axis} {value:g}".replace("  ", " ") for (kind, axis), value in self._on.items()]
+        return ", ".join(found) or "none"
+
+    def obey(self, line: str) -> str:
+        """Do what a line of the control port says; return the line that answers it."""
+        word, *words = line.split() or [""]
+        try:
+            if word in ("on", "off") and words:
+                kind, *rest = words
+                axis = rest.pop(0) if kind in self.kinds and self.kinds[kind].of_axis and rest else ""
+                value = float(rest.pop(0)) if word == "on" and rest else None
+                if rest:
+                    return f"error: {' '.join(rest)}: too much"
+                if word == "off":
+                    self.off(kind, axis)
+                else:
+                    self.on(kind, axis, value)
+                return "ok"
+        except ValueError as error:
+            return f"error: {error}"
+        if line.strip() == "clear":
+            self.clear()
+            return "ok"
+        if line.strip() == "list":
+            return self.shown()
+        return f"error: allowed: on FAULT, off FAULT, clear, list; faults: {self._menu()}"
+
+    def _kind(self, kind: str, axis: str) -> Kind:
+        known = self.kinds.get(kind)
+        if known is None:
+            raise ValueError(f"unknown fault {kind!r}, {self.device} has: {self._menu()}")
+        if known.of_axis and axis not in self.axes:
+            raise ValueError(f"{kind} {axis!r}: give an axis, one of {', '.join(self.axes)}")
+        return known
+
+    def _menu(self) -> str:
+        def entry(name: str, kind: Kind) -> str:
+            axis = f" {'|'.join(self.axes)}" if kind.of_axis else ""
+            return f"{name}{axis}" + (f" [{kind.value}]" if kind.value else "")
+
+        return ", ".join(entry(name, kind) for name, kind in self.kinds.items())
+
+
+class FaultyWire:
+    """One direction of a device's wire: what was sent, as it arrives under the faults that are on."""
+
+    def __init__(self, faults: Faults, generator: np.random.Generator) -> None:
+        self._faults = faults
+        self._generator = generator
+
+    def passed(self, packet: bytes) -> list[tuple[float, bytes]]:
+        """Return (delay in s of bench time, packet) of everything that arrives of one packet: none, one or two."""
+        value = self._faults.value
+        if value("link_down") is not None or self._strikes(value("drop")):
+            return []
+        if self._strikes(value("corrupt")):
+            packet = self._corrupted(packet)
+        copies = 2 if self._strikes(value("duplicate")) else 1
+        return [(value("delay") or 0.0, packet)] * copies
+
+    def _strikes(self, share: float | None) -> bool:
+        return share is not None and self._generator.random() < share
+
+    def _corrupted(self, packet: bytes) -> bytes:
+        """Flip one bit in each of one to three bytes."""
+        damaged = bytearray(packet)
+        for _ in range(int(self._generator.integers(1, 4)) if damaged else 0):
+            damaged[int(self._generator.integers(len(damaged)))] ^= 1 << int(self._generator.integers(8))
+        return bytes(damaged)
+
+
+class ControlPort:
+    """Listens on 127.0.0.1, a port by the system, and lets people switch ``faults``; a thread of its own."""
+
+    def __init__(self, faults: Faults) -> None:
+        self._faults = faults
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = "{}:{}".format(*self._listener.getsockname())
+        self._thread = threading.Thread(target=self._listen, name="control port", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Hang up; idempotent."""
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)  # wakes accept
+        self._listener.close()
+
+    def _listen(self) -> None:
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        with connection, connection.makefile("rw", encoding="utf-8", errors="replace") as lines:
+            try:
+                for line in lines:
+                    lines.write(self._faults.obey(line) + "\n")
+                    lines.flush()
+            except OSError:
+                return
+
+
+class FaultControl:
+    """The other end of a control port, for tests, consoles and the fault matrix."""
+
+    def __init__(self, address: str, timeout_s: float = 5.0) -> None:
+        host, _, port = address.rpartition(":")
+        self._socket = socket.create_connection((host, int(port)), timeout_s)
+        self._lines = self._socket.makefile("rw", encoding="utf-8")
+
+    def say(self, line: str) -> str:
+        """Send one line; return its answer. ValueError where the device refuses."""
+        self._lines.write(line + "\n")
+        self._lines.flush()
+        answer = self._lines.readline().rstrip("\n")
+        if answer.startswith("error: "):
+            raise ValueError(answer.removeprefix("error: "))
+        return answer
+
+    def close(self) -> None:
+        self._lines.close()
+        self._socket.close()
+
+
+def kinds(*groups: dict[str, Kind], without: Iterable[str] = ()) -> dict[str, Kind]:
+    """Return the union of groups of faults."""
+    return {name: kind for group in groups for name, kind in group.items() if name not in set(without)}
