@@ -183,6 +183,7 @@ def _assemble(
             FilterWatch(navigation, _shadow_limits(scenario)),
         ),
         history=np.zeros(job.cycles, CYCLE),
+        bench_now_s=rate.now_s,
     )
     loop.now.row["truth"] = parameters.initial_truth(scenario)
     _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)

@@ -47,6 +47,11 @@ class Handling:
         self.loop.bench.check(tick.now_s, self.loop.now.feedback)
         return tick
 
+    def begin(self) -> Tick:
+        """Count the cycles anew and take the first one: no deadline of before counts."""
+        self._rate.restart()
+        return self.tick()
+
     def home(self) -> None:
         """Let the axes that do not know their places find them; one failure stops all."""
         bench = self.loop.bench
@@ -67,8 +72,7 @@ class Handling:
 
     def place(self) -> None:
         """Move all axes slowly to the start pose and wait until they stand there."""
-        self._rate.restart()
-        tick = self.tick()
+        tick = self.begin()
         self.loop.bench.seed_for_run(tick.now_s, self.loop.now.feedback)
         self.modes.go(Mode.PLACING)
         while not self._move_to_start(tick):
@@ -145,8 +149,7 @@ class Handling:
         if wish is None:
             return
         bench, now = self.loop.bench, self.loop.now
-        self._rate.restart()
-        tick = self.tick()
+        tick = self.begin()
         jog = self._begin_jog(wish, tick)
         if jog is None:
             self._operator.jog_ended()
