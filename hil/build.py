@@ -68,12 +68,26 @@ def check(job: Job) -> None:
         *layout_problems(job.scenario),
         *pose_problems(job.scenario, job.rig),
         *approach_problems(job.scenario),
-        *port_problems(job.rig),
+        *_rig_problems(job),
     ]
-    if job.rig.value.kind == "mock" and job.speed != 1.0:
-        problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
     if problems:
         raise BadInput(problems)
+
+
+def check_rig(job: Job) -> None:
+    """Raise BadInput with every fault that keeps the rig's axes from being moved, whatever for."""
+    problems = _rig_problems(job)
+    if job.rig.value.kind == "mock":  # stands at the start pose from the beginning
+        problems += pose_problems(job.scenario, job.rig)
+    if problems:
+        raise BadInput(problems)
+
+
+def _rig_problems(job: Job) -> list[Problem]:
+    problems = [*port_problems(job.rig)]
+    if job.rig.value.kind == "mock" and job.speed != 1.0:
+        problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
+    return problems
 
 
 @contextmanager

@@ -75,7 +75,8 @@ class Point:
 class SweepFit:
     """Delay of a slowly moving axis, s, below zero where it is ahead of its time.
 
-    bandwidth_hz: -3 dB or a quarter turn of lag, None where that lies beyond the sines. residual: the largest of the points'.
+    bandwidth_hz: -3 dB or a quarter turn of lag, None where that lies beyond the sines.
+    residual: the largest of the points'.
     """
 
     delay_s: float

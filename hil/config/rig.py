@@ -14,7 +14,8 @@ GIMBAL_NAMES = ("roll", "pitch", "yaw")
 
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
-Lead = Annotated[float, Field(ge=-0.2, le=0.2)]  # s; below zero for an axis that is ahead of its time
+LEAD_MAX_S = 0.2
+Lead = Annotated[float, Field(ge=-LEAD_MAX_S, le=LEAD_MAX_S)]  # s; below zero for an axis that is ahead of its time
 Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after its drive was off
 
 
