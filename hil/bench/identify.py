@@ -76,7 +76,7 @@ class SweepFit:
     """Delay of a slowly moving axis, s, below zero where it is ahead of its time.
 
     bandwidth_hz: -3 dB or a quarter turn of lag, None where that lies beyond the sines.
-    residual: the largest of the points'.
+    residual: the largest of the points that the delay is taken from.
     """
 
     delay_s: float
@@ -178,24 +178,29 @@ def fit_sweep(points: Sequence[Point], setpoint_age_s: float = 0.0) -> SweepFit:
         Point(p.frequency_hz, p.gain, float(phase), p.phase_sigma_rad, p.residual)
         for p, phase in zip(points, phases, strict=True)
     )
-    delay_s, sigma_s = _delay(unwrapped)
+    slow = _slow(unwrapped)
+    delay_s, sigma_s = _delay(slow)
     return SweepFit(
         delay_s=delay_s,
         delay_sigma_s=sigma_s,
         bandwidth_hz=_bandwidth(unwrapped, setpoint_age_s),
-        residual=max(point.residual for point in points),
+        residual=max(point.residual for point in slow),
         points=unwrapped,
     )
 
 
-def _delay(points: Sequence[Point]) -> tuple[float, float]:
+def _slow(points: Sequence[Point]) -> Sequence[Point]:
+    """Return the points that tell the slope of the phase at standstill, two at least."""
+    fastest_hz = DELAY_FREQUENCIES * points[0].frequency_hz * (1.0 + 1e-9)
+    slow = [p for p in points if abs(p.phase_rad) <= DELAY_PHASE_RAD and p.frequency_hz <= fastest_hz]
+    return slow if len(slow) >= 2 else points[:2]
+
+
+def _delay(slow: Sequence[Point]) -> tuple[float, float]:
     """Return the delay towards standstill, s, and its standard deviation.
 
     The phase is taken for ``-w delay - c w^3``; the second term is the first bend that lags give it.
     """
-    fastest_hz = DELAY_FREQUENCIES * points[0].frequency_hz * (1.0 + 1e-9)
-    slow = [p for p in points if abs(p.phase_rad) <= DELAY_PHASE_RAD and p.frequency_hz <= fastest_hz]
-    slow = slow if len(slow) >= 2 else list(points[:2])
     w = math.tau * np.array([p.frequency_hz for p in slow])
     weight = 1.0 / np.hypot([p.phase_sigma_rad for p in slow], _FLAT_RAD)
     basis = -np.column_stack([w, w**3]) if len(slow) > 2 else -w[:, None]

@@ -144,16 +144,8 @@ def _base(rig_name: str, out_path: str) -> str:
 
 def _print(results: Sequence[AxisResult], rig: Loaded[Rig], console: Console) -> None:
     table = Table(title=f"Axes of {rig.value.name}", title_justify="left", box=box.SIMPLE_HEAD)
-    table.add_column("axis")
-    for column in (
-        "delay\nms",
-        "band-\nwidth Hz",
-        "residual",
-        "step: dead\ntime ms",
-        "band-\nwidth Hz",
-        "residual",
-        "",
-    ):
+    table.add_column("axis", no_wrap=True)
+    for column in ("delay\nms", "bandwidth\nHz", "residual", "step: dead time\nms", "bandwidth\nHz", ""):
         table.add_column(column, justify="right", no_wrap=True)
     for result in results:
         step, sweep = result.step, result.sweep
@@ -161,11 +153,10 @@ def _print(results: Sequence[AxisResult], rig: Loaded[Rig], console: Console) ->
         table.add_row(
             result.axis,
             f"{1e3 * sweep.delay_s:.2f} +- {1e3 * sweep.delay_sigma_s:.2f}",
-            beyond if sweep.bandwidth_hz is None else f"{sweep.bandwidth_hz:.2f}",
+            beyond if sweep.bandwidth_hz is None else f"{sweep.bandwidth_hz:.1f}",
             f"{100.0 * sweep.residual:.1f} %",
             f"{1e3 * step.delay_s:.1f} +- {1e3 * step.delay_sigma_s:.1f}",
-            f"{step.bandwidth_hz:.1f} +- {step.bandwidth_sigma_hz:.1f}",
-            f"{100.0 * step.residual:.1f} %",
+            f"{step.bandwidth_hz:.1f}",
             "[green]ok[/]" if result.passed else "[red]fail[/]",
         )
     console.print(table)
