@@ -65,6 +65,11 @@ class Bench:
         self.seen = rails, turntable
         kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, feedback)
 
+    def sampled_s(self, zero_s: float) -> tuple[float, float]:
+        """Return when rails and turntable had the values of the last ``read``, counted from bench time ``zero_s``."""
+        rails, turntable = self.seen
+        return rails.t_s - zero_s, turntable.t_s - zero_s
+
     def look_at_emergency_input(self, now_s: float) -> None:
         """Tell the supervisor the levels of the emergency stop and of its reset, where the bench has them.
 
@@ -114,9 +119,9 @@ class Bench:
         self.command(self._wanted, now_s, setpoint)
 
     def command(self, wanted: np.record, now_s: float, setpoint: np.record, params: np.record | None = None) -> None:
-        """Send ``wanted`` (AXES), cut to what travel, speed and acceleration allow.
+        """Send ``wanted`` (AXES), ahead by each axis' lead, cut to what travel, speed and acceleration allow.
 
-        params: BENCH_PARAMS with other limits, for a jog.
+        params: BENCH_PARAMS with other limits or leads, for a jog or a measurement.
         """
         limits = self.params if params is None else params
         if kinematics.limit_setpoint(limits, self.motion, wanted, self._next):

@@ -80,6 +80,23 @@ def check(job: Job) -> None:
     problems = [
         *(truth_problems(job.scenario) or flight_problems(job.scenario, job.rig)),
         *approach_problems(job.scenario),
+        *_rig_problems(job),
+    ]
+    if problems:
+        raise BadInput(problems)
+
+
+def check_rig(job: Job) -> None:
+    """Raise BadInput with every fault that keeps the rig's axes from being moved, whatever for."""
+    problems = _rig_problems(job)
+    if job.rig.value.kind == "mock":  # stands at the start pose from the beginning
+        problems += flight_problems(job.scenario, job.rig)
+    if problems:
+        raise BadInput(problems)
+
+
+def _rig_problems(job: Job) -> list[Problem]:
+    problems = [
         *port_problems(job.rig),
         *host_problems(job.rig),
         *line_problems(job.scenario, job.rig),
@@ -87,8 +104,7 @@ def check(job: Job) -> None:
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
-    if problems:
-        raise BadInput(problems)
+    return problems
 
 
 @contextmanager
@@ -244,6 +260,7 @@ def _assemble(
         ),
         history=np.zeros(job.cycles, CYCLE),
         telemetry=telemetry or NoTelemetry(),
+        bench_now_s=rate.now_s,
     )
     if io is not None and rig.io is not None:
         lines = IoStage(io, loop.now.command.on[: rig.io.thruster_lines])

@@ -5,6 +5,7 @@ thrusters on/off -> truth (DSS) -> rails and turntable -> cameras (VMU) -> AKF, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,6 +28,9 @@ class Blackboard:
 
     # one number each, arrays of shape (1,): writing into an array is cheaper than into a record
     t_s: np.ndarray
+    sampled_s: np.ndarray  # (1, 2)
+    received_s: np.ndarray
+    commanded_s: np.ndarray
     lateness_s: np.ndarray
     nees_position: np.ndarray
     nees_attitude: np.ndarray
@@ -51,6 +55,8 @@ class Loop:
     vision: Vision
     gnc: Gnc
     history: np.ndarray
+    bench_now_s: Callable[[], float]
+    """Bench time, for the stamp of the thrusters' command."""
     telemetry: Telemetry = field(default_factory=NoTelemetry)
     lines: SafetyLines = field(default_factory=NoLines)
     now: Blackboard = field(default_factory=Blackboard)
@@ -82,6 +88,8 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.gnc.supervise(t_s, now.navigation, now.reference, now.supervision)  # 6  corridor, closing rate, abort
     loop.gnc.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
     loop.lines.mirror(bench_s)  # the same on digital lines
+    now.commanded_s[0] = loop.bench_now_s() - run_zero_s
+    now.sampled_s[0, 0], now.sampled_s[0, 1] = loop.bench.sampled_s(run_zero_s)
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
     now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
     loop.record(k)  # 8  what was known and done at t_s

@@ -63,6 +63,11 @@ class Handling:
         if alarm is not None:
             raise alarm.trip()
 
+    def begin(self) -> Tick:
+        """Count the cycles anew and take the first one: no deadline of before counts."""
+        self._rate.restart()
+        return self.tick()
+
     def home(self) -> None:
         """Let the axes that do not know their places find them; one failure stops all."""
         bench = self.loop.bench
@@ -83,8 +88,7 @@ class Handling:
 
     def place(self) -> None:
         """Move all axes slowly to the start pose and wait until they stand there."""
-        self._rate.restart()
-        tick = self.tick()
+        tick = self.begin()
         self.loop.bench.seed_for_run(tick.now_s, self.loop.now.feedback)
         self.modes.go(Mode.PLACING)
         while not self._move_to_start(tick):
@@ -161,8 +165,7 @@ class Handling:
         if wish is None:
             return
         bench, now = self.loop.bench, self.loop.now
-        self._rate.restart()
-        tick = self.tick()
+        tick = self.begin()
         jog = self._begin_jog(wish, tick)
         if jog is None:
             self._operator.jog_ended()

@@ -143,6 +143,9 @@ CYCLE = np.dtype(
         ("command", COMMAND),
         ("setpoint", AXES),
         ("feedback", AXES),
+        ("sampled_s", "f8", 2),  # when the encoders of rails and turntable had these values, time of the run
+        ("received_s", "f8"),  # last byte of the pose's frame; stays as it is in cycles without one
+        ("commanded_s", "f8"),  # when the thrusters' command was there
         ("lateness_s", "f8"),
         ("nees_position", "f8"),
         ("nees_attitude", "f8"),

@@ -234,4 +234,5 @@ def bench(rig: Rig, step_s: float) -> np.record:
         *(a.acceleration_max_mps2 for a in rails),
         *(math.radians(a.acceleration_max_degps2) for a in gimbals),
     ]
+    params.lead = [a.lead_s for a in (*rails, *gimbals)]
     return params

@@ -113,6 +113,18 @@ class Runner:
             alarms=list(self.supervisor.alarms.all()),
         )
 
+    @contextmanager
+    def axes_alone(self) -> Iterator[Handling]:
+        """Open the axes without the vision unit, give what moves them; at the end they are stopped first."""
+        with _no_garbage_collection(first=self._rate.on_the_wall):
+            try:
+                self.loop.bench.open(self._rate.now_s())
+                self.supervisor.opened()
+                self._modes.go(Mode.STANDBY)
+                yield self._handling
+            finally:
+                self._shut_down()
+
     def _run(self) -> str:
         try:
             while self._session():

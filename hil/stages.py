@@ -73,12 +73,14 @@ class Vision:
         if not frames:
             row["pose"]["fresh"] = 0
             return
-        for frame, pose in zip(frames[-MAX_POSES:], self._records, strict=False):
+        frames = frames[-MAX_POSES:]
+        for frame, pose in zip(frames, self._records, strict=False):
             chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
             pose.t_s = frame.t_s - run_zero_s
         newest = self.poses[: self.arrived]["t_s"].argmax()
         row["pose"] = self.poses[newest]
         row["pose"]["fresh"] = self.arrived
+        row["received_s"] = frames[newest].received_s - run_zero_s
 
 
 class Gnc:

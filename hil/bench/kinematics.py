@@ -24,6 +24,7 @@ BENCH_PARAMS = np.dtype(
         ("high", "f8", 6),
         ("rate_max", "f8", 6),
         ("acceleration_max", "f8", 6),
+        ("lead", "f8", 6),  # s, by which each axis is commanded ahead of its time
     ],
     align=True,
 )
@@ -98,9 +99,22 @@ def _limit_axis(params, axis, position, rate, wanted, wanted_rate):
 
 
 @kernel
+def ahead(position, rate, lead):
+    """Return where an axis that goes on at ``rate`` is after ``lead``, s; without a lead ``position`` to the last bit.
+
+    An axis that follows its setpoint ``lead`` late is then where it should be, but for half its
+    acceleration times ``lead`` squared.
+    """
+    if lead == 0.0:
+        return position
+    return position + rate * lead
+
+
+@kernel
 def limit_setpoint(params, motion, wanted, out):
     """Write ``out`` (AXES): the setpoint nearest to ``wanted`` that travel, speed and acceleration allow.
 
+    ``wanted`` (AXES) is first taken ahead by the lead of each axis, so that the limits hold for what is sent.
     motion: MOTION, where the last setpoints are and how fast they went; moved on in place. An axis
     that is within its limits passes to the last bit; one that is not goes after its target as fast
     as it may, and brakes in time. Returns the number of axes that were limited.
@@ -108,8 +122,8 @@ def limit_setpoint(params, motion, wanted, out):
     limited = 0
     for axis in range(6):
         i = axis % 3
-        target = wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i]
         feedforward = wanted.rail_mps[i] if axis < 3 else wanted.gimbal_radps[i]
+        target = ahead(wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i], feedforward, params.lead[axis])
         rate, reached = _limit_axis(params, axis, motion.position[axis], motion.rate[axis], target, feedforward)
         if not (math.isfinite(target) and math.isfinite(feedforward)):
             # left as it is: whoever drives the axis refuses it, and the run stops

@@ -152,6 +152,42 @@ def preflight(
     return preflight_command(rig, scenario, settings, json, devices)
 
 
+@app.command
+def identify(
+    rig: str = "emulated",
+    *,
+    axis: Annotated[tuple[str, ...], Parameter(negative=())] = (),
+    out: Output = None,
+    json: Output = None,
+    yes: Annotated[bool, Parameter(negative=())] = False,
+    scenario: str = "scheme-1",
+    settings: Settings = (),
+    speed: float = 1.0,
+) -> int:
+    """Move one axis at a time, a few millimetres or tenths of a degree, and measure its delay and bandwidth.
+
+    Parameters
+    ----------
+    rig
+        mock, emulated, or the path of a rig file.
+    axis
+        rails.x, turntable.yaw ...; may be given more than once. Without it all six, one after the other.
+    out
+        Rig file (*.toml) to write: it extends this rig by the leads that make up for the delays.
+    json
+        File to write the numbers to, - for standard output.
+    yes
+        The bench is clear: needed for a rig of hardware.
+    scenario
+        Gives its step, which is the cycle of the bench, and where a mock rig stands.
+    speed
+        Bench seconds a wall second, on an emulated rig.
+    """
+    from hil.cli.identify import identify_command
+
+    return identify_command(rig, axis, out, json, yes, scenario, settings, speed)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     # also where a shell started this with Ctrl-C ignored: a bench must always be stoppable

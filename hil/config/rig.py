@@ -18,6 +18,8 @@ GIMBAL_NAMES = ("roll", "pitch", "yaw")
 
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
+LEAD_MAX_S = 0.2
+Lead = Annotated[float, Field(ge=-LEAD_MAX_S, le=LEAD_MAX_S)]  # s; below zero for an axis that is ahead of its time
 Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after its drive was off
 Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 
@@ -64,6 +66,7 @@ class RailAxis(Strict):
     encoder: Encoder = "absolute"
     home_m: float = 0.0  # place of the home switch
     homing_rate_mps: Positive = 0.05
+    lead_s: Lead = 0.0  # by which setpoints are taken ahead; hil identify measures it
 
     @property
     def home(self) -> float:
@@ -89,6 +92,7 @@ class GimbalAxis(Strict):
     encoder: Encoder = "absolute"
     home_deg: float = 0.0  # place of the home switch
     homing_rate_degps: Positive = 5.0
+    lead_s: Lead = 0.0  # by which setpoints are taken ahead; hil identify measures it
 
     @property
     def home(self) -> float:

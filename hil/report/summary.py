@@ -12,8 +12,10 @@ from hil.config.scenario import Scenario
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.late_cycles import lateness_histogram, lateness_percentiles_us
 from hil.messages import Array
+from hil.report.bench_error import judge_bench_error
 from hil.report.energy import judge_energy
 from hil.report.field_of_view import judge_field_of_view
+from hil.report.latency import measure_latency
 from hil.report.security import judge_security
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
 from hil.runner import COMPLETED, Outcome
@@ -56,7 +58,8 @@ def summarise(
         "navigation": _navigation(history),
         "thrusters": thrusters,
         "vision": outcome.vision_counters,
-        "bench": _bench(history, outcome),
+        "bench": _bench(history, outcome) | judge_bench_error(history, rig, scenario.step_s, SETTLED_S),
+        "latency": measure_latency(history, scenario.step_s),
         "timing": _timing(outcome, rig, rate_hz),
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
         "faults": outcome.faults,

@@ -37,6 +37,7 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
         highlight=False,
         soft_wrap=True,
     )
+    _print_bench(summary["bench"], summary["latency"], console)
     _print_timing(summary["timing"], console)
     word = "[bold green]PASS[/]" if summary["passed"] else "[bold red]FAIL[/]"
     why = "" if summary["passed"] else f" ({_reason(summary, verdict)})"
@@ -171,6 +172,30 @@ def _print_navigation(navigation: dict[str, Any], console: Console) -> None:
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _print_bench(bench: dict[str, Any], latency: dict[str, Any], console: Console) -> None:
+    """Print how well the bench showed the truth, and how long pose and setpoint took."""
+    way, turn = bench["pose_error_mm"], bench["pose_error_deg"]
+    if way["rms"] is not None and turn["rms"] is not None:
+        share = bench["share_of_navigation_error"]
+        console.print(
+            f"Bench       camera off by rms {way['rms']:.3f} max {way['max']:.3f} mm, "
+            f"rms {turn['rms']:.4f} max {turn['max']:.4f} deg"
+            + (f", {100.0 * share:.0f} % of the navigation error" if share is not None else ""),
+            highlight=False,
+            soft_wrap=True,
+        )
+    parts = [
+        f"{name} p50 {times['p50']:.2f} p99 {times['p99']:.2f} max {times['max']:.2f} ms"
+        for name, times in (
+            ("pose to command", latency["pose_to_command_ms"]),
+            ("setpoint to encoder", latency["setpoint_to_encoder_ms"]),
+        )
+        if times["p50"] is not None
+    ]
+    if parts:
+        console.print(f"Latency     {', '.join(parts)}", highlight=False, soft_wrap=True)
 
 
 def _three(values: list[float], form: str) -> str:

@@ -1,0 +1,96 @@
+"""How far the camera of the bench was from where the truth had it, by the encoders, in each cycle.
+
+Truth and encoders belong to moments of their own: a row's truth is of ``t_s``, its feedback was taken
+at ``sampled_s``, on wires most of a cycle earlier. The encoders are brought to the truth's moments first.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hil import parameters
+from hil.bench.view import camera_errors
+from hil.config.rig import Rig
+from hil.messages import Array
+
+_TIME_SLACK_S = 1e-6
+
+
+def judge_bench_error(history: np.ndarray, rig: Rig, step_s: float, settled_s: float) -> dict[str, Any]:
+    """Return the pose error at the left camera, and its share of the navigation error.
+
+    ``pose_error_mm`` and ``pose_error_deg``: rms and max over the run. ``share_of_navigation_error`` and
+    ``share_of_attitude_error``: rms of the pose error by rms of the estimate's error, both from
+    ``settled_s`` on (all, where the run ended before). What the run did not have is None.
+    """
+    rows, rail_m, gimbal_rad = encoders_at_truth(history)
+    if not len(rows):
+        none = {"rms": None, "max": None}
+        return {"pose_error_mm": none, "pose_error_deg": none} | _shares(None, None)
+    truth = rows["truth"]
+    distance, angle = np.empty(len(rows)), np.empty(len(rows))
+    camera_errors(
+        parameters.bench(rig, step_s),
+        parameters.stations(rig),
+        rail_m,
+        gimbal_rad,
+        np.ascontiguousarray(truth["r_CT_H"]),
+        np.ascontiguousarray(truth["q_CH"]),
+        distance,
+        angle,
+    )
+    return {
+        "pose_error_mm": _rms_and_max(1e3 * distance),
+        "pose_error_deg": _rms_and_max(np.degrees(angle)),
+    } | _navigation_shares(rows, distance, angle, settled_s)
+
+
+def encoders_at_truth(history: np.ndarray) -> tuple[np.ndarray, Array, Array]:
+    """Return the rows (n,) of which the encoders are known at ``t_s``, and rails, m, and gimbals, rad, (n, 3) then."""
+    if not len(history):
+        return history, np.empty((0, 3)), np.empty((0, 3))
+    sampled_s, feedback = history["sampled_s"], history["feedback"]
+    t_s = history["t_s"]
+    first = sampled_s.min(axis=0).max() - _TIME_SLACK_S
+    last = sampled_s.max(axis=0).min() + _TIME_SLACK_S
+    rows = history[(t_s >= first) & (t_s <= last)]
+    rail_m = _at(rows["t_s"], sampled_s[:, 0], feedback["rail_m"])
+    return rows, rail_m, _at(rows["t_s"], sampled_s[:, 1], feedback["gimbal_rad"])
+
+
+def _at(t_s: Array, sampled_s: Array, values: Array) -> Array:
+    """Return ``values`` (m, 3), known at ``sampled_s`` (m,), at the moments ``t_s`` (n,): shape (n, 3)."""
+    when, first = np.unique(sampled_s, return_index=True)
+    return np.column_stack([np.interp(t_s, when, values[first, i]) for i in range(3)])
+
+
+def _rms_and_max(values: Array) -> dict[str, float | None]:
+    if not np.isfinite(values).all():
+        return {"rms": None, "max": None}
+    return {"rms": float(np.sqrt(np.mean(values**2))), "max": float(values.max())}
+
+
+def _navigation_shares(rows: np.ndarray, distance: Array, angle: Array, settled_s: float) -> dict[str, float | None]:
+    known = rows["navigation"]["valid"] == 1
+    late = known & (rows["t_s"] >= settled_s)
+    chosen = late if late.any() else known
+    if not chosen.any():
+        return _shares(None, None)
+    truth, estimate = rows["truth"][chosen], rows["navigation"][chosen]
+    offset = np.linalg.norm(truth["r_CT_H"] - estimate["r_CT_H"], axis=1)
+    cosine = np.abs(np.sum(truth["q_CH"] * estimate["q_CH"], axis=1))
+    turn = 2.0 * np.arccos(np.minimum(1.0, cosine))
+    return _shares(_ratio(distance[chosen], offset), _ratio(angle[chosen], turn))
+
+
+def _shares(position: float | None, attitude: float | None) -> dict[str, float | None]:
+    return {"share_of_navigation_error": position, "share_of_attitude_error": attitude}
+
+
+def _ratio(error: Array, whole: Array) -> float | None:
+    """Return rms by rms, None where that is no number."""
+    below = float(np.sqrt(np.mean(whole**2)))
+    above = float(np.sqrt(np.mean(error**2)))
+    return above / below if below > 0.0 and np.isfinite(above) and np.isfinite(below) else None
