@@ -46,26 +46,34 @@ def setpoint_to_encoder_s(history: np.ndarray, step_s: float) -> Array:
     found = []
     window = max(_LEAST_SAMPLES, round(_WINDOW_S / step_s))
     for axis in range(6):
-        setpoint, rate, t_s, encoder = _of_axis(rows, axis)
-        for k in range(0, len(rows) - window, window):
+        t_s, behind, speed = _of_axis(rows, axis)
+        for k in range(0, len(t_s) - window + 1, window):
             part = slice(k, k + window)
-            behind = np.interp(t_s[part], rows["t_s"], setpoint) - encoder[part]
-            speed = np.interp(t_s[part], rows["t_s"], rate)
-            square = float(speed @ speed)
-            if not square >= window * _SLOWEST[axis // 3] ** 2:
-                continue
-            delay = float(behind @ speed) / square
-            rest = behind - delay * speed
-            if math.sqrt(float(rest @ rest) / (window - 1) / square) <= _SIGMA_MAX_S:
-                found.append(delay + step_s)
-    return np.array(found)
+            found += _delay_of_window(behind[part], speed[part], axis)
+    return np.array(found) + step_s
 
 
-def _of_axis(rows: np.ndarray, axis: int) -> tuple[Array, Array, Array, Array]:
-    """Return setpoint and its rate by row, and the moments and values of the encoder."""
+def _delay_of_window(behind: Array, speed: Array, axis: int) -> list[float]:
+    """Return the delay, s, of a window as a list of one; of none where it is too slow or does not fit."""
+    square = float(speed @ speed)
+    if not square >= len(speed) * _SLOWEST[axis // 3] ** 2:
+        return []
+    delay = float(behind @ speed) / square
+    rest = behind - delay * speed
+    sigma = math.sqrt(float(rest @ rest) / (len(speed) - 1) / square)
+    return [delay] if sigma <= _SIGMA_MAX_S else []
+
+
+def _of_axis(rows: np.ndarray, axis: int) -> tuple[Array, Array, Array]:
+    """Return the moments of the encoder's samples, how far it was behind the setpoint then, and its speed."""
     i, place, rate = (axis, "rail_m", "rail_mps") if axis < 3 else (axis - 3, "gimbal_rad", "gimbal_radps")
-    setpoint, feedback = rows["setpoint"], rows["feedback"]
-    return setpoint[place][:, i], setpoint[rate][:, i], rows["sampled_s"][:, axis // 3], feedback[place][:, i]
+    told, went, told_s = rows["setpoint"], rows["feedback"][place][:, i], rows["t_s"]
+    known = rows["sampled_s"][:, axis // 3] >= (told_s[0] if len(rows) else 0.0)
+    t_s = rows["sampled_s"][known, axis // 3]
+    if not len(t_s):
+        return t_s, t_s, t_s
+    behind = np.interp(t_s, told_s, told[place][:, i]) - went[known]
+    return t_s, behind, np.interp(t_s, told_s, told[rate][:, i])
 
 
 def _percentiles(values: Array) -> dict[str, float | None]:
