@@ -176,8 +176,11 @@ class Decoder:
 
 def _decode_identity(raw: bytes) -> Identity:
     vendor, serial, major, minor = _IDENTITY_BODY.unpack_from(raw, len(IDENTITY_HEADER))
-    texts = [text.rstrip(b"\0").decode("ascii", "replace") for text in (vendor, serial)]
-    return Identity(*texts, f"{major}.{minor}")
+    return Identity(_text(vendor), _text(serial), f"{major}.{minor}")
+
+
+def _text(padded: bytes) -> str:
+    return padded.rstrip(b"\0").decode("ascii", "replace")
 
 
 def _decode(raw: bytes, received_s: float) -> Decoded | None:
