@@ -156,7 +156,7 @@ def make_emulator(device: Literal["rails", "turntable", "vmu", "io"], configurat
         gimbals, _ = board.read("turntable", t_s)
         return eye.look(rails, gimbals, t_s)
 
-    return VmuEmulator(rig.vmu, clock, pose_at, transport(scenario.vmu, configuration["seed"]))
+    return VmuEmulator(rig.vmu, clock, pose_at, transport(scenario.vmu, configuration["seed"]), configuration["seed"])
 
 
 if __name__ == "__main__":

@@ -244,6 +244,14 @@ def _ring(radius_m: float, raised_m: float) -> tuple[Triple, ...]:
     return (radius_m, 0.0, -raised_m), *flat[1:]
 
 
+class VmuIdentity(Strict):
+    """What the unit must say it is; what is left away is not asked for."""
+
+    vendor: str | None = None
+    serial: str | None = None
+    firmware: str | None = None  # "1.4"
+
+
 class Vmu(Strict):
     driver: Literal["mock", "rs422"]
     timeout_s: Positive = 0.4
@@ -254,6 +262,7 @@ class Vmu(Strict):
     clock: Literal["shared", "own"] = "shared"  # time stamps are bench time, or of a clock of the unit's own
     camera: Camera = Camera()
     leds_m: Annotated[tuple[Triple, ...], Field(min_length=1)] = _ring(0.12, 0.06)  # in t
+    identity: VmuIdentity = VmuIdentity()
     rs422: SerialLine | None = None
 
 

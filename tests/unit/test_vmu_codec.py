@@ -15,8 +15,10 @@ from hil.drivers.vmu.codec import (
     STATUS_NO_POSE,
     Decoded,
     Decoder,
+    Identity,
     crc16,
     encode,
+    encode_identity,
     encode_status,
 )
 from hil.messages import PoseFrame
@@ -172,22 +174,66 @@ def test_good_frame_after_garbage_is_found_by_the_second_frame_at_the_latest() -
         assert counters_of(decoder.feed(garbage + encode(pose(1)) + encode(pose(2)), 0.0)) == [1, 2]
 
 
+IDENTITY_TRANSCRIPT = bytes.fromhex(
+    "eb 90 12 22"
+    "61 63 6d 65 00 00 00 00 00 00 00 00 00 00 00 00"
+    "56 4d 55 2d 30 30 30 37 00 00 00 00 00 00 00 00"
+    "01 04"
+    "60 37"
+)
+
+
+def test_identity_is_encoded_to_the_transcript_and_back() -> None:
+    identity = Identity("acme", "VMU-0007", "1.4")
+    assert encode_identity(identity) == IDENTITY_TRANSCRIPT
+    decoder = Decoder()
+    assert counters_of(decoder.feed(TRANSCRIPT + IDENTITY_TRANSCRIPT + encode(pose(8)), 0.0)) == [7, 8]
+    assert decoder.identity == identity
+    assert (decoder.skipped_bytes, decoder.crc_errors) == (0, 0)
+
+
+def test_damaged_identity_is_no_identity() -> None:
+    damaged = bytearray(IDENTITY_TRANSCRIPT)
+    damaged[22] ^= 1
+    decoder = Decoder()
+    assert counters_of(decoder.feed(bytes(damaged) + encode(pose(8)), 0.0)) == [8]
+    assert (decoder.identity, decoder.crc_errors) == (None, 1)
+
+
+@pytest.mark.parametrize("length", [0, 34, 154, 156, 255])
+def test_frame_of_a_length_that_its_type_does_not_have_is_counted_as_such(length: int) -> None:
+    broken = bytearray(TRANSCRIPT)
+    broken[3] = length
+    decoder = Decoder()
+    assert counters_of(decoder.feed(bytes(broken) + encode(pose(8)), 0.0)) == [8]
+    assert (decoder.wrong_length, decoder.crc_errors, decoder.skipped_bytes) == (1, 0, FRAME_BYTES)
+
+
 @pytest.mark.slow
 def test_a_million_mutated_frames_hide_no_good_one() -> None:
-    """Every thousandth frame is good. Of frames damaged at random one in 2^16 passes the CRC: about 15 here."""
+    """Every thousandth frame is good and comes out at once. Of damaged ones one in 2^16 passes the CRC: about 15."""
     rng = random.Random(22)
     decoder = Decoder()
-    good = passed = 0
+    right = (TRANSCRIPT, TRANSCRIPT, TRANSCRIPT, IDENTITY_TRANSCRIPT)
+    passed = 0
     for i in range(1_000_000):
-        raw = bytearray(TRANSCRIPT)
+        raw = bytearray(rng.choice(right))
         for _ in range(rng.randrange(1, 20)):
-            raw[rng.randrange(4, FRAME_BYTES)] ^= rng.randrange(1, 256)
+            place = rng.randrange(len(raw))
+            raw[place] ^= rng.randrange(1, 256)
+        if bytes(raw) in right:
+            continue  # mended by chance
         if rng.random() < 0.3:
-            del raw[rng.randrange(FRAME_BYTES) :]
-        if i % 1000 == 999:
-            raw += encode(pose(i))
-        for frame in decoder.feed(bytes(raw), 0.0):
-            good += frame.counter % 1000 == 999 and frame.pose is not None
-            passed += 1
-    assert good == 1000
-    assert passed + decoder.invalid - good < 60
+            del raw[rng.randrange(len(raw)) :]
+        if rng.random() < 0.1:
+            place = rng.randrange(len(raw) + 1)
+            raw[place:place] = rng.randbytes(rng.randrange(40))
+        good = i % 1000 == 999
+        found = decoder.feed(bytes(raw) + encode(pose(i)) * good, 0.0)
+        if good:
+            assert found, i
+            assert (found[-1].counter, found[-1].pose is not None) == (i, True)
+        passed += len(found) - good
+    assert passed + decoder.invalid < 60
+    assert decoder.crc_errors > 500_000
+    assert decoder.wrong_length > 1000

@@ -6,6 +6,24 @@ from typing import Final
 
 NAME: Final = "vmu"
 
-# What every backend counts since ``open``. frames: poses handed out. lost: gaps of the unit's frame
-# counter, so frames refused by CRC or content are in it too. late: not newer than one already seen.
-COUNTERS: Final = ("frames", "no_pose", "crc_errors", "skipped_bytes", "invalid", "lost", "duplicates", "late")
+COUNTERS: Final = (
+    "frames",
+    "no_pose",
+    "crc_errors",
+    "wrong_length",
+    "skipped_bytes",
+    "invalid",
+    "lost",
+    "duplicates",
+    "late",
+    "clock_jumps",
+)
+"""What every backend counts since ``open``.
+
+frames: poses handed out. no_pose: frames in which the unit says that it has none. crc_errors: wrong
+checksum; frames cut short are in it. wrong_length: sync and type of a frame beside a length that it does
+not have. skipped_bytes: what belongs to no frame. invalid: right checksum, impossible content. lost: gaps
+of the unit's frame counter, so frames refused by checksum or content are in it too. duplicates: repeated
+ones. late: overtaken by others, or left over from before ``open``. clock_jumps: frames dropped because
+their time of exposure cannot be.
+"""

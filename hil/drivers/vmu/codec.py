@@ -19,6 +19,18 @@ offset bytes type           content
 158    1     u8             status: 0 good, 1 no pose (offsets 16 to 157 void), else a fault code
 159    2     u16            CRC-16/CCITT-FALSE of offsets 2 to 158
 ====== ===== ============== ====================================================================
+
+An identity frame, 40 bytes, comes when the unit starts and once a second:
+
+====== ===== ============== ====================================================================
+0      2     bytes          sync, EB 90
+2      1     u8             version (high nibble, 1) and type (low nibble, 2 = identity)
+3      1     u8             length of what stands between here and the CRC, 34
+4      16    ASCII          vendor, filled up with zeros
+20     16    ASCII          serial number, filled up with zeros
+36     2     2 x u8         firmware, major and minor
+38     2     u16            CRC-16/CCITT-FALSE of offsets 2 to 37
+====== ===== ============== ====================================================================
 """
 
 from __future__ import annotations
@@ -40,10 +52,16 @@ _BODY: Final = struct.Struct("<IQ3d4d21f3B")
 _CRC: Final = struct.Struct("<H")
 _SYNC: Final = b"\xeb\x90"
 _POSE_VERSION_1: Final = 0x11
+_IDENTITY_VERSION_1: Final = 0x12
 # Type and length never vary, so they are searched for together with the sync: no length that came
 # over the wire is ever trusted.
 HEADER: Final = _SYNC + bytes([_POSE_VERSION_1, _BODY.size])
 FRAME_BYTES: Final = len(HEADER) + _BODY.size + _CRC.size
+_IDENTITY_BODY: Final = struct.Struct("<16s16sBB")
+IDENTITY_HEADER: Final = _SYNC + bytes([_IDENTITY_VERSION_1, _IDENTITY_BODY.size])
+IDENTITY_BYTES: Final = len(IDENTITY_HEADER) + _IDENTITY_BODY.size + _CRC.size
+_SIZES: Final = {HEADER: FRAME_BYTES, IDENTITY_HEADER: IDENTITY_BYTES}
+_TYPES: Final = (_POSE_VERSION_1, _IDENTITY_VERSION_1)
 
 _UPPER: Final = np.triu_indices(6)
 _DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # of the upper triangle, row by row
@@ -59,6 +77,16 @@ class Decoded:
     t_s: float
     status: int
     pose: PoseFrame | None
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What a unit says it is; vendor and serial number up to 16 ASCII characters."""
+
+    vendor: str
+    serial: str
+    firmware: str
+    """Major and minor number, ``1.4``."""
 
 
 def crc16(data: bytes) -> int:
@@ -77,6 +105,13 @@ def encode_status(counter: int, t_s: float, status: int) -> bytes:
     return _frame(counter, t_s, _VOID, 0, 0, status)
 
 
+def encode_identity(identity: Identity) -> bytes:
+    """Return the bytes of the frame in which a unit says what it is."""
+    major, minor = (int(part) for part in identity.firmware.split("."))
+    frame = IDENTITY_HEADER + _IDENTITY_BODY.pack(identity.vendor.encode(), identity.serial.encode(), major, minor)
+    return frame + _CRC.pack(crc16(frame[len(_SYNC) :]))
+
+
 def _frame(counter: int, t_s: float, numbers: tuple[float, ...], left: int, right: int, status: int) -> bytes:
     frame = HEADER + _BODY.pack(counter, round(t_s * 1e6), *numbers, left, right, status)
     return frame + _CRC.pack(crc16(frame[len(_SYNC) :]))
@@ -93,6 +128,8 @@ class Decoder:
         self.crc_errors = 0
         self.skipped_bytes = 0
         self.invalid = 0  # right CRC, impossible content
+        self.wrong_length = 0  # sync and a known type, but not the length that this type has
+        self.identity: Identity | None = None  # the newest one that came
         self._buffer = bytearray()
 
     def feed(self, data: bytes, received_s: float) -> list[Decoded]:
@@ -100,31 +137,50 @@ class Decoder:
         self._buffer += data
         frames = []
         start = self._skip_to_header(0)
-        while start + FRAME_BYTES <= len(self._buffer):
-            raw = bytes(self._buffer[start : start + FRAME_BYTES])
-            if _CRC.unpack_from(raw, FRAME_BYTES - _CRC.size)[0] != crc16(raw[len(_SYNC) : -_CRC.size]):
+        while start + (size := self._size_at(start)) <= len(self._buffer):
+            raw = bytes(self._buffer[start : start + size])
+            if _CRC.unpack_from(raw, size - _CRC.size)[0] != crc16(raw[len(_SYNC) : -_CRC.size]):
                 self.crc_errors += 1
                 self.skipped_bytes += len(_SYNC)
                 start = self._skip_to_header(start + len(_SYNC))
                 continue
-            decoded = _decode(raw, received_s)
-            if decoded is None:
+            start += size
+            if size == IDENTITY_BYTES:
+                self.identity = _decode_identity(raw)
+            elif (decoded := _decode(raw, received_s)) is None:
                 self.invalid += 1
             else:
                 frames.append(decoded)
-            start = self._skip_to_header(start + FRAME_BYTES)
+            start = self._skip_to_header(start)
         del self._buffer[:start]
         return frames
 
+    def _size_at(self, start: int) -> int:
+        """Return the size of the frame whose header begins at ``start``; of a pose's where the header is not whole."""
+        return _SIZES.get(bytes(self._buffer[start : start + len(HEADER)]), FRAME_BYTES)
+
     def _skip_to_header(self, start: int) -> int:
         """Return where the next header, or the beginning of one at the end of the buffer, stands."""
-        found = self._buffer.find(HEADER, start)
-        if found < 0:
-            end = len(self._buffer)
-            tails = (n for n in range(len(HEADER) - 1, 0, -1) if self._buffer.endswith(HEADER[:n], start))
-            found = end - next(tails, 0)
+        buffer, place = self._buffer, start
+        while (place := buffer.find(_SYNC[:1], place)) >= 0:
+            head = bytes(buffer[place : place + len(HEADER)])
+            if any(header.startswith(head) for header in _SIZES):
+                break
+            if len(head) == len(HEADER) and head.startswith(_SYNC) and head[2] in _TYPES:
+                self.wrong_length += 1
+            place += 1
+        found = place if place >= 0 else len(buffer)
         self.skipped_bytes += found - start
         return found
+
+
+def _decode_identity(raw: bytes) -> Identity:
+    vendor, serial, major, minor = _IDENTITY_BODY.unpack_from(raw, len(IDENTITY_HEADER))
+    return Identity(_text(vendor), _text(serial), f"{major}.{minor}")
+
+
+def _text(padded: bytes) -> str:
+    return padded.rstrip(b"\0").decode("ascii", "replace")
 
 
 def _decode(raw: bytes, received_s: float) -> Decoded | None:

@@ -15,14 +15,19 @@ from hil.config.rig import SerialLine, Vmu
 from hil.drivers.latest import Latest
 from hil.drivers.vmu import COUNTERS, NAME
 from hil.drivers.vmu.codec import FRAME_BYTES, STATUS_NO_POSE, Decoded, Decoder
-from hil.errors import DriveFault, LinkLost, LinkTimeout
+from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 from hil.messages import PoseFrame
 
+_LOOK_WALL_S: Final = 0.01
 _READ_WALL_S: Final = 0.1  # bound of one blocking read; close cuts it short
 _COUNTER_MASK: Final = 0xFFFF_FFFF
 _HALF_COUNTER: Final = 0x8000_0000
 _REMEMBERED: Final = 64  # frames; 10 s of a unit at 6.25 Hz
 _BITS_A_FRAME: Final = 10 * FRAME_BYTES
+_CLOCKS_AGREE_S: Final = 0.001  # a shared clock may be off by this
+_OLDEST_S: Final = 5.0  # no frame takes longer from exposure to arrival
+_JUMP_S: Final = 0.5  # a clock of the unit's own that goes off by more than this at once has jumped
+_IDENTITY_WAIT_S: Final = 2.5  # the unit says what it is once a second
 
 
 class Rs422Vmu:
@@ -41,6 +46,7 @@ class Rs422Vmu:
         self.name = NAME
         self._timeout_s = config.timeout_s
         self._line = config.rs422 or SerialLine()
+        self._expected = config.identity
         self._own_clock = config.clock == "own"
         self._fastest_s = config.processing_s + _BITS_A_FRAME / self._line.baud
         self._clock = clock
@@ -60,7 +66,11 @@ class Rs422Vmu:
         self._counts = dict.fromkeys(COUNTERS, 0)
 
     def open(self, now_s: float) -> None:
-        """Open the port and start to read; the time-out runs from ``now_s``. Raises LinkLost."""
+        """Open the port and start to read; the time-out runs from ``now_s``. Raises LinkLost.
+
+        Where the rig file names an identity, waits for the unit to say what it is: ProtocolError for
+        another one, LinkTimeout where it does not say.
+        """
         self.close()
         self._reset(now_s)
         if self._line.port is None:
@@ -76,6 +86,26 @@ class Rs422Vmu:
         self._heard.put(True, now_s)
         self._reader = threading.Thread(target=self._read, args=(self._port,), name="vmu-reader", daemon=True)
         self._reader.start()
+        try:
+            self._check_identity(now_s)
+        except DeviceError:
+            self.close()
+            raise
+
+    def _check_identity(self, now_s: float) -> None:
+        """Wait until the unit has said what it is, where the rig file names what it expects."""
+        wanted = {name: text for name, text in self._expected.model_dump().items() if text is not None}
+        if not wanted:
+            return
+        while (found := self._decoder.identity) is None:
+            self._heard.check()
+            if self._clock.now_s() - now_s > _IDENTITY_WAIT_S:
+                raise LinkTimeout(self.name, f"did not say what it is in {_IDENTITY_WAIT_S:g} s{self._hint()}")
+            self._ending.wait(_LOOK_WALL_S)
+        for name, text in wanted.items():
+            if getattr(found, name) != text:
+                raise ProtocolError(self.name, f"wrong unit: {name} {getattr(found, name)!r}, expected {text!r}")
+        self._heard.put(True, self._clock.now_s())
 
     def poll(self, now_s: float) -> list[PoseFrame]:
         """Return the frames that came since the last call, oldest first; never waits.
@@ -96,6 +126,7 @@ class Rs422Vmu:
             "crc_errors": decoder.crc_errors,
             "skipped_bytes": decoder.skipped_bytes,
             "invalid": decoder.invalid,
+            "wrong_length": decoder.wrong_length,
         }
 
     def close(self) -> None:
@@ -131,13 +162,16 @@ class Rs422Vmu:
             self._heard.fail(error)
 
     def _take(self, decoded: Decoded, received_s: float) -> None:
-        exposed_s = self._bench_time(decoded.t_s, received_s)
-        if not self._own_clock and exposed_s < self._opened_s:  # left over in the adapter: its arrival means nothing
+        if self._left_over(decoded.t_s, received_s):
             self._counts["late"] += 1
+            return
+        if self._clock_jumped(decoded.t_s, received_s):
+            self._counts["clock_jumps"] += 1
             return
         in_order = self._in_order(decoded.counter)
         if in_order is None:
             return
+        exposed_s = self._bench_time(decoded.t_s, received_s)
         if decoded.pose is not None:
             self._counts["frames"] += 1
             self._frames.append(replace(decoded.pose, t_s=exposed_s))
@@ -147,6 +181,17 @@ class Rs422Vmu:
             self._heard.fail(DriveFault(self.name, f"reports fault 0x{decoded.status:02x}"))
         if in_order:
             self._heard.put(True, received_s)
+
+    def _left_over(self, stamp_s: float, received_s: float) -> bool:
+        """Whether a frame waited in the adapter since before ``open``: its arrival means nothing."""
+        return not self._own_clock and stamp_s < self._opened_s and received_s < self._opened_s + _OLDEST_S
+
+    def _clock_jumped(self, stamp_s: float, received_s: float) -> bool:
+        """Whether a time of exposure cannot be: after the arrival, long before it, or far off its neighbours'."""
+        age_s = received_s - stamp_s
+        if not self._own_clock:
+            return not -_CLOCKS_AGREE_S <= age_s <= _OLDEST_S
+        return bool(self._offsets) and abs(age_s - min(self._offsets)) > _JUMP_S
 
     def _bench_time(self, stamp_s: float, received_s: float) -> float:
         if not self._own_clock:

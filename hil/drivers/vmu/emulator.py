@@ -7,16 +7,21 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Final
 
 from hil.clock import WallClock
 from hil.config.rig import SerialLine, Vmu
-from hil.drivers.faults import WIRE, Faults
+from hil.drivers.faults import WIRE, Faults, FaultyWire, Kind, kinds
 from hil.drivers.lines import PtyLine
 from hil.drivers.vmu import NAME
-from hil.drivers.vmu.codec import STATUS_NO_POSE, encode, encode_status
+from hil.drivers.vmu.codec import STATUS_NO_POSE, Identity, encode, encode_identity, encode_status
 from hil.drivers.vmu.transport import Transport
+from hil.maths.streams import stream
 from hil.messages import PoseFrame
 
+IDENTITY: Final = Identity("hil", "VMU-0001", "1.4")
+IDENTITY_PERIOD_S: Final = 1.0
+CLOCK: Final = {"clock_jump": Kind("the unit's clock is off", value="s", default=10.0)}
 _CATCHES_UP = 0.25  # of a frame period: an exposure that is later than this does not take place
 
 
@@ -34,6 +39,7 @@ class VmuEmulator:
         clock: WallClock,
         pose_at: Callable[[float], PoseFrame | None],
         transport: Transport | None = None,
+        seed: int = 0,
     ) -> None:
         self._rate_hz = config.rate_hz
         self._processing_s = config.processing_s
@@ -41,7 +47,11 @@ class VmuEmulator:
         self._clock = clock
         self._pose_at = pose_at
         self._transport = transport
-        self.faults = Faults(NAME, WIRE)
+        self.faults = Faults(NAME, kinds(WIRE, CLOCK))
+        self._wire = FaultyWire(self.faults, stream(seed, "wire"))
+        self._frame = b""  # the newest one
+        self._on_the_way: list[tuple[float, int, bytes]] = []  # a heap by time of sending
+        self._sent = 0
         self._line: PtyLine | None = None
         self._counter = 0
 
@@ -56,25 +66,32 @@ class VmuEmulator:
         if line is None:
             raise RuntimeError("VmuEmulator.run before start")
         exposure = math.ceil(self._clock.now_s() * self._rate_hz)
-        on_the_way: list[tuple[float, int, bytes]] = []  # a heap by time of sending
-        sent = 0
+        identify_s = self._clock.now_s()
         while True:
             exposure = max(exposure, math.ceil(self._clock.now_s() * self._rate_hz - _CATCHES_UP))
             exposed_s = exposure / self._rate_hz
-            if on_the_way and on_the_way[0][0] <= exposed_s:
-                due_s, _, frame = on_the_way[0]
-                if self._wait(due_s, stop):
+            if self._on_the_way and self._on_the_way[0][0] <= exposed_s:
+                if self._wait(self._on_the_way[0][0], stop):
                     return
-                heapq.heappop(on_the_way)
-                line.write(frame)
+                packet = heapq.heappop(self._on_the_way)[2]
+                if self.faults.value("link_down") is None:
+                    line.write(packet)
                 continue
             if self._wait(exposed_s, stop):
                 return
+            if exposed_s >= identify_s:
+                self._send(encode_identity(IDENTITY), exposed_s)
+                identify_s = exposed_s + IDENTITY_PERIOD_S
             frame = self._expose(exposed_s)
             for delay_s in self._transport.delays() if self._transport else (0.0,):
-                heapq.heappush(on_the_way, (exposed_s + self._processing_s + delay_s, sent, frame))
-                sent += 1
+                self._send(frame, exposed_s + self._processing_s + delay_s)
             exposure += 1
+
+    def _send(self, frame: bytes, due_s: float) -> None:
+        """Put ``frame`` on its way, as the wire's faults let it through."""
+        for delay_s, packet in self._wire.passed(frame):
+            heapq.heappush(self._on_the_way, (due_s + delay_s, self._sent, packet))
+            self._sent += 1
 
     def close(self) -> None:
         """Let go of the line; idempotent. Not while ``run`` is at work."""
@@ -83,12 +100,17 @@ class VmuEmulator:
             self._line = None
 
     def _expose(self, t_s: float) -> bytes:
+        if self.faults.value("freeze") is not None and self._frame:
+            return self._frame  # counter and time as they were
         counter = self._counter
         self._counter = (counter + 1) & 0xFFFF_FFFF
         pose = self._pose_at(t_s)
+        stamp_s = max(0.0, t_s + (self.faults.value("clock_jump") or 0.0))
         if pose is None:
-            return encode_status(counter, t_s, STATUS_NO_POSE)
-        return encode(replace(pose, counter=counter, t_s=t_s))
+            self._frame = encode_status(counter, stamp_s, STATUS_NO_POSE)
+        else:
+            self._frame = encode(replace(pose, counter=counter, t_s=stamp_s))
+        return self._frame
 
     def _wait(self, t_s: float, stop: threading.Event) -> bool:
         """Wait until bench time ``t_s``; return True at once when ``stop`` is set."""
