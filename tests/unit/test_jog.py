@@ -66,13 +66,14 @@ def test_homed_axis_brakes_for_the_end_of_its_travel() -> None:
     assert places[-1, 0] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_axis_beyond_its_travel_goes_back_without_a_jump_and_not_further_out() -> None:
-    start = [1.2, 0.0, 0.0, 0.0, 0.0, 0.0]
-    inward = jogged(Jog(bench(), 0, -1, True, np.array(start)), start, 100)
-    assert np.abs(np.diff(inward[:, 0])).max() <= 0.05 * DT * (1 + 1e-9)
-    assert inward[-1, 0] < 1.2
-    outward = jogged(Jog(bench(), 0, 1, True, np.array(start)), start, 100)
-    assert outward[:, 0].max() == 1.2
+@pytest.mark.parametrize("side", [-1, 1])
+def test_axis_beyond_its_travel_goes_back_without_a_jump_and_not_further_out(side: int) -> None:
+    start = [1.2 * side, 0.0, 0.0, 0.0, 0.0, 0.0]
+    inward = side * jogged(Jog(bench(), 0, -side, True, np.array(start)), start, 100)[:, 0]
+    assert np.abs(np.diff(inward)).max() <= 0.05 * DT * (1 + 1e-9)
+    assert inward[-1] < 1.2
+    outward = side * jogged(Jog(bench(), 0, side, True, np.array(start)), start, 100)[:, 0]
+    assert outward.max() == 1.2
 
 
 def test_switch_blocks_its_own_direction_alone() -> None:
