@@ -95,8 +95,8 @@ class Bench:
 
 
 @contextmanager
-def bench_of(rig: str, speed: float = 1.0, **changes: object) -> Iterator[Bench]:
-    clock, board, stop, chain = WallClock(speed=speed), AxisBoard.create(), threading.Event(), [True]
+def bench_of(rig: str, **changes: object) -> Iterator[Bench]:
+    clock, board, stop, chain = WallClock(), AxisBoard.create(), threading.Event(), [True]
     config = Rails.model_validate(load_rig(rig).value.rails.model_dump() | {"timeout_s": TIMEOUT_S} | changes)
     make = RtuRailsEmulator if rig == "emulated-rtu" else RailsEmulator
     emulator = make(config, clock, board, chain_closed=lambda: chain[0], seed=3)
@@ -255,7 +255,7 @@ def test_an_open_safety_chain_is_a_fault_by_name_until_it_is_closed(bench: Bench
 def test_axes_that_do_not_know_their_place_are_homed(rig: str) -> None:
     axes = load_rig(rig).value.rails
     changes = {name: getattr(axes, name).model_dump() | INCREMENTAL | {"park_m": 0.2} for name in ("x", "z")}
-    with bench_of(rig, speed=2.0, **changes) as bench:
+    with bench_of(rig, **changes) as bench:
         bench.open()
         assert bench.read().homing == (Homing.NEEDED, Homing.DONE, Homing.NEEDED)
         with pytest.raises(SafetyTrip, match=r"rails\.x: setpoint before homing, allowed once the axis is homed"):
