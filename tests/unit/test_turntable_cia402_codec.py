@@ -236,3 +236,13 @@ def test_limit_switches_are_bits_of_the_digital_inputs():
     ((_, reply),) = drive.on_frame(0x601, bytes.fromhex("40 fd 60 00 00 00 00 00"), 0.0)
     assert reply.hex(" ") == "43 fd 60 00 01 00 00 00"
     assert [codec.limit_of(bits) for bits in (0, 1, 2, 4)] == [0, -1, 1, 0]
+
+
+@pytest.mark.parametrize(("place", "byte"), [(0, 0xAB), (5, 9), (7, 0x09), (18, 0xBA)])
+def test_serial_frame_whose_start_length_identifier_or_end_is_spoilt_is_skipped(place, byte):
+    good = encode_serial((0x181, bytes(range(8))))
+    spoilt = bytearray(good)
+    spoilt[place] = byte
+    cutter = SerialFrames()
+    assert cutter.feed(bytes(spoilt) + good) == [(0x181, bytes(range(8)))]
+    assert cutter.skipped_bytes == len(good)
