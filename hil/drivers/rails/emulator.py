@@ -36,7 +36,7 @@ class _Rails:
         config: Rails,
         clock: WallClock,
         board: AxisBoard,
-        chain_closed: ChainClosed = lambda: True,
+        chain_closed: ChainClosed | None = None,
         seed: int = 0,
     ) -> None:
         self._config = config
@@ -71,7 +71,7 @@ class RailsEmulator(_Rails):
         config: Rails,
         clock: WallClock,
         board: AxisBoard,
-        chain_closed: ChainClosed = lambda: True,
+        chain_closed: ChainClosed | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__(config, clock, board, chain_closed, seed)
@@ -180,7 +180,7 @@ class RtuRailsEmulator(_Rails):
         config: Rails,
         clock: WallClock,
         board: AxisBoard,
-        chain_closed: ChainClosed = lambda: True,
+        chain_closed: ChainClosed | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__(config, clock, board, chain_closed, seed)

@@ -32,7 +32,7 @@ class AsciiTurntableEmulator:
         config: Turntable,
         clock: WallClock,
         board: AxisBoard,
-        chain_closed: ChainClosed = lambda: True,
+        chain_closed: ChainClosed | None = None,
         seed: int = 0,
     ) -> None:
         if config.ascii is None:

@@ -65,7 +65,7 @@ class Cia402Emulator:
         config: Turntable,
         clock: WallClock,
         board: AxisBoard,
-        chain_closed: ChainClosed = lambda: True,
+        chain_closed: ChainClosed | None = None,
         seed: int = 0,
     ) -> None:
         if config.cia402 is None:
