@@ -120,6 +120,53 @@ def runner(
     if rig.kind == "mock":
         yield in_memory(job, SimulatedRate(SimulatedClock(), scenario.step_s), watch, operator=operator)
         return
+    with wired_bench(job, announce) as bench:
+        yield bench.runner(watch, operator)
+
+
+class WiredBench:
+    """A bench on wires with all its processes up; each ``runner`` is a session at it, one after the other.
+
+    pids: of every process, by the name of its device, or HOST and GUARD. addresses: where the emulators
+    listen, with the ports where their faults are switched. board: where the emulated axes are.
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        rig: Rig,
+        clock: WallClock,
+        realtime: RealTime,
+        hosts: HostProcesses,
+        telemetry: Ring,
+        emulated: EmulatedDevices | None,
+        addresses: dict[str, str],
+    ) -> None:
+        self.addresses = addresses
+        self.board = emulated.board if emulated else None
+        self.pids = {**(emulated.pids if emulated else {}), **hosts.pids}
+        self._job = job
+        self._rig = rig
+        self._clock = clock
+        self._realtime = realtime
+        self._devices = hosts.devices()
+        self._telemetry = telemetry
+
+    def runner(self, watch: Watch = lambda *_: None, operator: Operator | None = None) -> Runner:
+        """Return a Runner of the job."""
+        rate = WallRate(self._clock, self._job.scenario.value.step_s)
+        return _assemble(
+            self._job, self._rig, rate, *self._devices, _FRAMES_TO_ARM, watch, operator, self._realtime, self._telemetry
+        )
+
+
+@contextmanager
+def wired_bench(job: Job, announce: Callable[[str], None] = lambda _: None) -> Iterator[WiredBench]:
+    """Give the bench of ``job``'s rig, which is not a mock; its processes are ended after.
+
+    announce: told in a line what is being started. Raises DeviceError when a process does not come up.
+    """
+    rig = job.rig.value
     with RealTime(rig.host.fifo, rig.host.cpu) as realtime:
         _insist_on_realtime(job.rig, realtime)
         for grant in realtime.refused():
@@ -127,12 +174,15 @@ def runner(
         for line in turntable_warnings(rig):
             announce(line)
         wall = WallClock(speed=job.speed)
-        with _wired_rig(job, wall, announce) as wired, HostProcesses(wired, wall) as hosts, _telemetry() as ring:
+        with (
+            _emulated(job, wall, announce) as (wired, emulated, addresses),
+            HostProcesses(wired, wall) as hosts,
+            _telemetry() as ring,
+        ):
             hosts.wait_ready()
             for name, pid in hosts.pids.items():
                 announce(f"{TITLES[name]} {pid}")
-            rate = WallRate(wall, scenario.step_s)
-            yield _assemble(job, wired, rate, *hosts.devices(), _FRAMES_TO_ARM, watch, operator, realtime, ring)
+            yield WiredBench(job, wired, wall, realtime, hosts, ring, emulated, addresses)
 
 
 def _insist_on_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
@@ -174,18 +224,20 @@ def in_memory(
 
 
 @contextmanager
-def _wired_rig(job: Job, clock: WallClock, announce: Callable[[str], None]) -> Iterator[Rig]:
+def _emulated(
+    job: Job, clock: WallClock, announce: Callable[[str], None]
+) -> Iterator[tuple[Rig, EmulatedDevices | None, dict[str, str]]]:
     """Give the rig with all its wires; an emulated one gets its emulators for as long as this lasts."""
     rig = job.rig.value
     if rig.kind == "hardware":
-        yield rig
+        yield rig, None, {}
         return
     with EmulatedDevices(job.scenario.value, rig, clock, job.seed) as emulated:
         wired, addresses = emulated.wait_ready()
         for process in emulated.processes:
             wires = ", ".join(f"{n} on {a}" for n, a in addresses.items() if n.split(".")[0] == process.name)
             announce(f"emulator process {process.pid}: {wires}")
-        yield wired
+        yield wired, emulated, addresses
 
 
 def warm_up(job: Job) -> None:

@@ -33,7 +33,7 @@ class EmulatedDevices:
     """Starts an emulator process for each device of ``rig`` and keeps them until ``close``."""
 
     def __init__(self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int) -> None:
-        self._board = AxisBoard.create()
+        self.board = AxisBoard.create()
         self._rig = rig
         configuration = {
             "scenario": scenario.model_dump(mode="json"),
@@ -41,13 +41,13 @@ class EmulatedDevices:
             "epoch_ns": clock.epoch_ns,
             "speed": clock.speed,
             "seed": seed,
-            "board": self._board.descriptor,
+            "board": self.board.descriptor,
         }
         self.processes: list[EmulatorProcess] = []
         try:
             for device in devices(rig):
                 program = [sys.executable, "-m", "hil.emulation", device]
-                self.processes.append(EmulatorProcess(device, program, configuration, (self._board.descriptor,)))
+                self.processes.append(EmulatorProcess(device, program, configuration, (self.board.descriptor,)))
         except BaseException:
             self.close()
             raise
@@ -73,7 +73,7 @@ class EmulatedDevices:
             process.kill()
         for process in self.processes:
             process.close()
-        self._board.close()
+        self.board.close()
 
     def __enter__(self) -> Self:
         return self

@@ -91,6 +91,10 @@ class Runner:
     def source(self) -> PoseSource:
         return self.loop.vision.source
 
+    def now_s(self) -> float:
+        """Return bench time; for any thread."""
+        return self._rate.now_s()
+
     def run(self) -> Outcome:
         """Run to the end, to a fault, or to Ctrl-C; the bench stands still whatever happened."""
         with _no_garbage_collection(first=self._rate.on_the_wall):
