@@ -6,6 +6,7 @@ loop: when the loop's heartbeat ceases it stops all axes by itself, whatever bec
 
 from __future__ import annotations
 
+import signal
 import socket
 from typing import Any
 
@@ -141,4 +142,4 @@ def make_host(configuration: dict[str, Any]) -> DeviceHost:
 
 
 if __name__ == "__main__":
-    serve(make_host)
+    serve(make_host, when_orphaned=signal.SIGTERM)

@@ -7,7 +7,7 @@ leads of the rig file are left out while measuring; what is found is the lead th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -212,14 +212,11 @@ class Identification:
         return self._bench.stands(tick.now_s, self._now.feedback)
 
     def _aim(self, axis: int, centre: Array, place: float, rate: float) -> None:
-        self._wanted.rail_m, self._wanted.gimbal_rad = centre[:3], centre[3:]
-        self._wanted.rail_mps, self._wanted.gimbal_radps = np.zeros(3), np.zeros(3)
-        if axis < 3:
-            self._wanted.rail_m[axis] += place
-            self._wanted.rail_mps[axis] = rate
-        else:
-            self._wanted.gimbal_rad[axis - 3] += place
-            self._wanted.gimbal_radps[axis - 3] = rate
+        position, speed = centre.copy(), np.zeros(6)
+        position[axis] += place
+        speed[axis] = rate
+        self._wanted.rail_m, self._wanted.gimbal_rad = position[:3], position[3:]
+        self._wanted.rail_mps, self._wanted.gimbal_radps = speed[:3], speed[3:]
 
     def _next(self, before: Tick, counts: bool = True) -> Tick:
         """Take the next cycle, supervised as in a run."""
@@ -232,14 +229,11 @@ class Identification:
         return tick
 
 
-def _of_axis(axes: np.record, axis: int) -> Iterator[float]:
-    """Give position and rate of one axis of AXES."""
+def _of_axis(axes: np.record, axis: int) -> tuple[float, float]:
+    """Return position and rate of one axis of AXES."""
     if axis < 3:
-        yield float(axes.rail_m[axis])
-        yield float(axes.rail_mps[axis])
-    else:
-        yield float(axes.gimbal_rad[axis - 3])
-        yield float(axes.gimbal_radps[axis - 3])
+        return float(axes.rail_m[axis]), float(axes.rail_mps[axis])
+    return float(axes.gimbal_rad[axis - 3]), float(axes.gimbal_radps[axis - 3])
 
 
 def _middle(series: Series, sine: _Sine) -> Series:

@@ -7,6 +7,7 @@ torque from the drives; when the watchdog itself dies the pulses cease, and the 
 
 from __future__ import annotations
 
+import signal
 import socket
 from typing import Any
 
@@ -94,4 +95,4 @@ def make_watchdog(configuration: dict[str, Any]) -> Watchdog:
 
 
 if __name__ == "__main__":
-    serve(make_watchdog)
+    serve(make_watchdog, when_orphaned=signal.SIGTERM)

@@ -143,9 +143,15 @@ def _base(rig_name: str, out_path: str) -> str:
 
 
 def _print(results: Sequence[AxisResult], rig: Loaded[Rig], console: Console) -> None:
-    table = Table(title=f"Axes of {rig.value.name}", title_justify="left", box=box.SIMPLE_HEAD)
+    table = Table(
+        title=f"Axes of {rig.value.name}",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        collapse_padding=True,
+        pad_edge=False,
+    )
     table.add_column("axis", no_wrap=True)
-    for column in ("delay\nms", "bandwidth\nHz", "residual", "step: dead time\nms", "bandwidth\nHz", ""):
+    for column in ("delay\nms", "band-\nwidth Hz", "residual", "step: dead\ntime ms", "band-\nwidth Hz", ""):
         table.add_column(column, justify="right", no_wrap=True)
     for result in results:
         step, sweep = result.step, result.sweep

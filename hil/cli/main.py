@@ -23,6 +23,7 @@ app = App(
     name="hil",
     help="Hardware-in-the-loop bench controller for spacecraft rendezvous and docking.",
     version=__version__,
+    suppress_keyboard_interrupt=False,  # Ctrl-C has the exit code of a safe stop
 )
 
 Settings = Annotated[

@@ -48,14 +48,15 @@ class Emulator(Protocol):
         """Let go of the wires."""
 
 
-def serve(make_emulator: Callable[[dict[str, Any]], Emulator]) -> None:
+def serve(make_emulator: Callable[[dict[str, Any]], Emulator], when_orphaned: int = signal.SIGKILL) -> None:
     """Be the child: build the emulator from the line on stdin, announce it, run it until stdin ends or SIGTERM.
 
+    when_orphaned: the signal that the kernel sends when the parent dies. SIGTERM lets the child stop what it drives.
     An error of the emulator ends the process by traceback. SIGINT is left to the parent, which stops the
     bench before its devices go. What the emulator prints goes to stderr: stdout is for the announcement.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, when_orphaned)
     announcement = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     ended, end = os.pipe()

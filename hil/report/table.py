@@ -182,7 +182,7 @@ def _print_bench(bench: dict[str, Any], latency: dict[str, Any], console: Consol
         console.print(
             f"Bench       camera off by rms {way['rms']:.3f} max {way['max']:.3f} mm, "
             f"rms {turn['rms']:.4f} max {turn['max']:.4f} deg"
-            + (f", {100.0 * share:.0f} % of the navigation error" if share is not None else ""),
+            + (f", {100.0 * share:.1f} % of the navigation error" if share is not None else ""),
             highlight=False,
             soft_wrap=True,
         )

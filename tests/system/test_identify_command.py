@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -92,6 +97,31 @@ def test_hardware_does_not_move_before_somebody_says_yes(tmp_path: Path, capsys:
     assert "clear the bench, then add --yes" in capsys.readouterr().err
 
 
+def test_ctrl_c_on_an_emulated_rig_ends_as_a_safe_stop_and_leaves_no_emulator() -> None:
+    command = [sys.executable, "-m", "hil", "identify", "emulated", "--axis", "rails.y"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stderr is not None
+            pids: list[int] = []
+            while len(pids) < 3:
+                line = process.stderr.readline()
+                assert line, "ended before the emulators were up"
+                found = re.match(r"emulator process (\d+):", line)
+                pids += [int(found[1])] if found else []
+            time.sleep(1.5)  # wherever this falls, in opening or in moving
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=30.0)
+        finally:
+            process.kill()
+    assert process.returncode == 3
+    assert errors.strip().splitlines()[-1] == "stopped by the operator"
+    deadline = time.monotonic() + 5.0
+    while any(Path(f"/proc/{pid}").exists() for pid in pids):
+        assert time.monotonic() < deadline, "an emulator is left"
+        time.sleep(0.02)
+
+
+@pytest.mark.slow
 def test_axis_is_measured_over_a_wire(tmp_path: Path) -> None:
     numbers = tmp_path / "numbers.json"
     code = execute(["identify", "emulated", "--axis", "rails.y", "--speed", "3", "--json", str(numbers)])
