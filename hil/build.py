@@ -37,10 +37,15 @@ from hil.priority import precedence
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.runner import Runner, Watch
 from hil.stages import Bench, Dss, Gnc, Move, Vision
+from hil.target_stage import PlacedTarget
 from hil.truth_check import truth_problems
 
 _FRAMES_TO_ARM = 2
 _WARM_UP_CYCLES = 10
+
+
+_Devices = tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None, AxisGroup | None]
+"""Rails, turntable, vision unit, digital lines, what moves the target."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +157,7 @@ def _assemble(
     turntable: AxisGroup,
     source: PoseSource,
     io: DiscreteIo | None,
+    target: AxisGroup | None,
     frames_to_arm: int,
     watch: Watch,
 ) -> Runner:
@@ -181,6 +187,8 @@ def _assemble(
     )
     if io is not None and rig.io is not None:
         loop.lines = IoStage(io, loop.now.command.on[: rig.io.thruster_lines])
+    if target is not None and rig.moved_target is not None:
+        loop.target = PlacedTarget(target, rig.moved_target)
     loop.now.row["truth"] = parameters.initial_truth(scenario)
     _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
     return Runner(loop, rate, scenario.step_s, job.cycles, frames_to_arm, watch)
@@ -211,7 +219,7 @@ def _draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> N
     imu.bias_C = np.array(scenario.imu.accelerometer_bias_mps2) + bias_sigma * draws[3:]
 
 
-def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None]:
+def _mocks(scenario: Scenario, rig: Rig, seed: int) -> _Devices:
     """Return mocks of the devices; the axes stand at the start pose from the beginning."""
     from hil.drivers.io.mock import MockIo
     from hil.drivers.mock_axes import MockAxes
@@ -238,10 +246,11 @@ def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGrou
         return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
-    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io
+    target = MockAxes("target", RAIL_NAMES, rig.moved_target) if rig.moved_target else None
+    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io, target
 
 
-def _drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None]:
+def _drivers(rig: Rig, clock: WallClock) -> _Devices:
     """Return the drivers of a rig with wires."""
     from hil.drivers.io.driver import ModbusIo
     from hil.drivers.rails.driver import ModbusRails
@@ -257,7 +266,8 @@ def _drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSour
 
         turntable = Cia402Turntable(rig.turntable, clock)
     io = ModbusIo(rig.io, clock) if rig.io is not None and rig.has_io else None
-    return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock), io
+    target = ModbusRails(rig.moved_target, clock, "target") if rig.moved_target else None
+    return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock), io, target
 
 
 def _start_axes(scenario: Scenario, rig: Rig) -> np.record:

@@ -13,7 +13,7 @@ import numpy as np
 from hil import parameters
 from hil.clock import WallClock
 from hil.config.model import Strict
-from hil.config.rig import Cia402, Modbus, ModbusAxis, Rig, SerialLine
+from hil.config.rig import RAIL_NAMES, Cia402, Modbus, ModbusAxis, Rails, Rig, SerialLine
 from hil.config.scenario import Scenario
 from hil.drivers.board import AxisBoard
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
@@ -25,7 +25,7 @@ _READY_WALL_S = 60.0  # the first start compiles
 
 def devices(rig: Rig) -> tuple[str, ...]:
     """Return the names of the devices that ``rig`` has."""
-    return ("rails", "turntable", "vmu", *(("io",) if rig.has_io else ()))
+    return ("rails", "turntable", "vmu", *(("io",) if rig.has_io else ()), *(("target",) if rig.moved_target else ()))
 
 
 class EmulatedDevices:
@@ -83,12 +83,7 @@ class EmulatedDevices:
 
 def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
     """Return ``rig`` with the emulators' addresses in place of its wires."""
-    ports: dict[str, ModbusAxis] = {}
-    for axis in ("x", "y", "z"):
-        host, _, port = addresses[f"rails.{axis}"].rpartition(":")
-        given: ModbusAxis = getattr(rig.rails.modbus or Modbus(), axis)
-        ports[axis] = given.model_copy(update={"host": host, "port": int(port)})
-    rails = rig.rails.model_copy(update={"modbus": Modbus(**ports)})
+    rails = _wired_rails(rig.rails, "rails", addresses)
     path = addresses["turntable"]
     turntable = rig.turntable.model_copy(
         update={
@@ -103,10 +98,23 @@ def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
     if rig.io is not None and rig.has_io:
         host, _, port = addresses["io"].rpartition(":")
         wired["io"] = rig.io.model_copy(update={"host": host, "port": int(port)})
+    if rig.moved_target is not None:
+        wired["target_manipulator"] = _wired_rails(rig.moved_target, "target", addresses)
     return rig.model_copy(update=wired)
 
 
-def make_emulator(device: Literal["rails", "turntable", "vmu", "io"], configuration: dict[str, Any]) -> Emulator:
+def _wired_rails(config: Rails, name: str, addresses: dict[str, str]) -> Rails:
+    ports: dict[str, ModbusAxis] = {}
+    for axis in RAIL_NAMES:
+        host, _, port = addresses[f"{name}.{axis}"].rpartition(":")
+        given: ModbusAxis = getattr(config.modbus or Modbus(), axis)
+        ports[axis] = given.model_copy(update={"host": host, "port": int(port)})
+    return config.model_copy(update={"modbus": Modbus(**ports)})
+
+
+def make_emulator(
+    device: Literal["rails", "turntable", "vmu", "io", "target"], configuration: dict[str, Any]
+) -> Emulator:
     """Return the emulator of ``device`` for the configuration that the parent sent."""
     scenario = Scenario.model_validate(configuration["scenario"], strict=False)
     rig = Rig.model_validate(configuration["rig"], strict=False)
@@ -116,10 +124,10 @@ def make_emulator(device: Literal["rails", "turntable", "vmu", "io"], configurat
         from hil.drivers.io.emulator import IoEmulator
 
         return IoEmulator(rig.io, clock, board.write_chain, configuration["seed"])
-    if device == "rails":
+    if device in ("rails", "target"):
         from hil.drivers.rails.emulator import RailsEmulator
 
-        return RailsEmulator(rig.rails, clock, board)
+        return RailsEmulator(rig.moved_target or rig.rails if device == "target" else rig.rails, clock, board, device)
     if device == "turntable" and rig.turntable.driver == "ascii":
         from hil.drivers.turntable.ascii_emulator import AsciiTurntableEmulator
 

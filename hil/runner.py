@@ -105,6 +105,7 @@ class Runner:
         self.loop.lines.open(self._rate)
         with chain_kept_closed(self.loop.lines, self._rate):
             self.loop.bench.open(self._rate.now_s())
+            self.loop.target.open(self._rate.now_s())
             self.source.open(self._rate.now_s())
         self._modes.go(Mode.STANDBY)
 
@@ -137,6 +138,14 @@ class Runner:
             if cycle % self.WATCH_CYCLES == 0 and move.duration_s > 0.0:
                 self._watch(Mode.PLACING, min(1.0, moved_s / move.duration_s))
 
+        self.loop.target.place(self._rate, self._stand_by)
+
+    def _stand_by(self, now_s: float) -> None:
+        """Look after the chaser's axes, which hold, while the target's move."""
+        self.loop.lines.look(now_s)
+        self.loop.bench.read(now_s, self.loop.now.feedback)
+        self.loop.bench.check(self.loop.now.feedback)
+
     def _stands_at(self, target: np.record) -> bool:
         feedback = self.loop.now.feedback
         return bool(
@@ -151,6 +160,7 @@ class Runner:
         while frames < self._frames_to_arm:
             tick = self._rate.wait()
             self.loop.lines.look(tick.now_s)
+            self.loop.target.look(tick.now_s)
             frames += len(self.source.poll(tick.now_s))
             self.loop.bench.read(tick.now_s, self.loop.now.feedback)
             self._watch(Mode.ARMED, 0.0)
@@ -172,8 +182,10 @@ class Runner:
         with _ctrl_c_held_back():
             with chain_kept_closed(self.loop.lines, self._rate):
                 self.loop.bench.stop(self._rate.now_s())
+                self.loop.target.stop(self._rate.now_s())
                 self.source.close()
                 self.loop.bench.close()
+                self.loop.target.close()
             self.loop.lines.stop(self._rate.now_s())
             self.loop.lines.close()
 

@@ -15,7 +15,7 @@ import numpy as np
 from hil.clock import WallClock
 from hil.messages import Array
 
-SLOTS: Final = {"rails": 0, "turntable": 1, "chain": 2}
+SLOTS: Final = {"rails": 0, "turntable": 1, "chain": 2, "target": 3}
 _WORDS: Final = 8  # sequence, t_s, 3 positions, 3 rates
 _TRIES: Final = 1000
 _CHAIN_AGE_WALL_S: Final = 0.25  # a coupler that is silent for longer is dead, and its outputs are off

@@ -37,11 +37,11 @@ class ModbusRails:
     """AxisGroup of the rails (m, m/s). May be opened again after ``close``.
 
     config.timeout_s: longest silence of a drive. clock: stamps feedback with bench time, half way
-    between request and answer.
+    between request and answer. name: of the device, for errors.
     """
 
-    def __init__(self, config: Rails, clock: WallClock) -> None:
-        self.name = "rails"
+    def __init__(self, config: Rails, clock: WallClock, name: str = "rails") -> None:
+        self.name = name
         self.axis_names = full_names(self.name, RAIL_NAMES)
         self._timeout_s = config.timeout_s
         self._clock = clock

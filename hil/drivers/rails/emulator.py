@@ -87,11 +87,12 @@ class EmulatedDrive:
 class RailsEmulator:
     """Three drives on 127.0.0.1, ports by the system; their places go to ``board`` every 4 ms of bench time."""
 
-    def __init__(self, config: Rails, clock: WallClock, board: AxisBoard) -> None:
+    def __init__(self, config: Rails, clock: WallClock, board: AxisBoard, name: str = "rails") -> None:
+        self._name = name
         wires = config.modbus or Modbus()
         self._device_ids = [getattr(wires, name).device_id for name in RAIL_NAMES]
         self._clock = clock
-        self._axes = EmulatedAxes("rails", config, clock, board)
+        self._axes = EmulatedAxes(name, config, clock, board)
         self.faults = self._axes.faults
         self._loop = asyncio.new_event_loop()
         self._servers: list[ModbusTcpServer] = []
@@ -101,7 +102,7 @@ class RailsEmulator:
         """Listen; return axis name -> "host:port"."""
         self._servers = self._loop.run_until_complete(self._listen())
         ports = [server.transport.sockets[0].getsockname()[1] for server in self._servers]  # type: ignore[attr-defined]
-        names = full_names("rails", RAIL_NAMES)
+        names = full_names(self._name, RAIL_NAMES)
         return {name: f"127.0.0.1:{port}" for name, port in zip(names, ports, strict=True)}
 
     def run(self, stop: threading.Event) -> None:
