@@ -51,12 +51,17 @@ from hil.safety.bucket import LeakyBucket, LinkWatch
 from hil.safety.limits import limits_of
 from hil.safety.supervisor import Supervisor
 from hil.stages import Dss, Gnc, Vision
+from hil.target_stage import PlacedTarget
 from hil.truth_check import truth_problems
 
 _FRAMES_TO_ARM = 2
 _FRAMES_TO_FORGET = 2.0  # in their time one lost frame is forgiven, where the rig file says nothing else
 _WARM_UP_CYCLES = 10
 _TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: how long a reader may look away before it misses something
+
+
+_Devices = tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None, AxisGroup | None]
+"""Rails, turntable, vision unit, digital lines, what moves the target."""
 
 
 @dataclass(frozen=True)
@@ -284,6 +289,7 @@ def _assemble(
     turntable: AxisGroup,
     source: PoseSource,
     io: DiscreteIo | None,
+    target: AxisGroup | None,
     frames_to_arm: int,
     watch: Watch,
     operator: Operator | None = None,
@@ -318,6 +324,8 @@ def _assemble(
         lines = IoStage(io, loop.now.command.on[: rig.io.thruster_lines])
         loop.lines = lines
         loop.bench.emergency_input = lines.emergency_input
+    if target is not None and rig.moved_target is not None:
+        loop.target = PlacedTarget(target, rig.moved_target)
     loop.now.row["truth"] = parameters.initial_truth(scenario)
     _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
     late_cycles = LateCycles(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
@@ -377,7 +385,7 @@ def _draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> N
     imu.bias_C = np.array(scenario.imu.accelerometer_bias_mps2) + bias_sigma * draws[3:]
 
 
-def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None]:
+def _mocks(scenario: Scenario, rig: Rig, seed: int) -> _Devices:
     """Return mocks of the devices; the axes stand at the start pose from the beginning."""
     from hil.drivers.io.mock import MockIo
     from hil.drivers.mock_axes import MockAxes
@@ -404,7 +412,8 @@ def _mocks(scenario: Scenario, rig: Rig, seed: int) -> tuple[AxisGroup, AxisGrou
         return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
-    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io
+    target = MockAxes("target", RAIL_NAMES, rig.moved_target) if rig.moved_target else None
+    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io, target
 
 
 def _start_axes(scenario: Scenario, rig: Rig) -> np.record:

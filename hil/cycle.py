@@ -15,6 +15,7 @@ from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.io_stage import NoLines, SafetyLines
 from hil.messages import CYCLE
 from hil.stages import Dss, Gnc, Vision
+from hil.target_stage import FixedTarget, Target
 
 
 class Blackboard:
@@ -59,6 +60,7 @@ class Loop:
     """Bench time, for the stamp of the thrusters' command."""
     telemetry: Telemetry = field(default_factory=NoTelemetry)
     lines: SafetyLines = field(default_factory=NoLines)
+    target: Target = field(default_factory=FixedTarget)
     now: Blackboard = field(default_factory=Blackboard)
     _row: memoryview = field(init=False)
     _pages: memoryview = field(init=False)
@@ -82,6 +84,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.lines.look(bench_s)  # 0  emergency stop and safety chain
     loop.bench.read(bench_s, now.feedback)  # 1  encoders
     loop.bench.check(bench_s, now.feedback)  # 2  may the bench go on?
+    loop.target.look(bench_s)  # does the target stay where it was placed?
     loop.vision.take(bench_s, run_zero_s, now.row[0])  # 3  poses of the vision unit
     loop.gnc.navigate(now.imu, loop.vision, now.navigation)  # 4  AKF and PKF
     loop.gnc.guide(t_s, now.supervision, now.reference)  # 5  reference of the present phase

@@ -23,8 +23,8 @@ from hil.errors import BenchError, LinkLost
 from hil.messages import AxisFeedback
 
 
-def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource]:
-    """Return the drivers of a rig with wires: rails, turntable, vision unit."""
+def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource, AxisGroup | None]:
+    """Return the drivers of a rig with wires: rails, turntable, vision unit, what moves the target."""
     from hil.drivers.rails.driver import ModbusRails
     from hil.drivers.vmu.driver import Rs422Vmu
 
@@ -37,7 +37,8 @@ def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSourc
         from hil.drivers.turntable.cia402_driver import Cia402Turntable
 
         turntable = Cia402Turntable(rig.turntable, clock)
-    return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock)
+    target = ModbusRails(rig.moved_target, clock, "target") if rig.moved_target else None
+    return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock), target
 
 
 class DeviceHost(Host):
@@ -135,10 +136,11 @@ def make_host(configuration: dict[str, Any]) -> DeviceHost:
     go_first()
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
-    rails, turntable, poses = drivers(rig, clock)
+    rails, turntable, poses, target = drivers(rig, clock)
+    axes = {"rails": rails, "turntable": turntable} | ({"target": target} if target is not None else {})
     exchange = Exchange.attach(tuple(configuration["descriptors"]))
     requests = socket.socket(fileno=configuration["requests"])
-    return DeviceHost({"rails": rails, "turntable": turntable}, poses, exchange, requests, clock)
+    return DeviceHost(axes, poses, exchange, requests, clock)
 
 
 if __name__ == "__main__":

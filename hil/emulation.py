@@ -14,7 +14,7 @@ from hil import parameters
 from hil.clock import WallClock
 from hil.config.model import Strict
 from hil.config.rail_wires import ModbusRtu
-from hil.config.rig import AsciiTurntableLine, Cia402, Modbus, ModbusAxis, Rails, Rig, SerialLine
+from hil.config.rig import RAIL_NAMES, AsciiTurntableLine, Cia402, Modbus, ModbusAxis, Rails, Rig, SerialLine
 from hil.config.scenario import Scenario
 from hil.drivers.board import AxisBoard
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
@@ -26,7 +26,7 @@ _READY_WALL_S = 60.0  # the first start compiles
 
 def devices(rig: Rig) -> tuple[str, ...]:
     """Return the names of the devices that ``rig`` has."""
-    return ("rails", "turntable", "vmu", *(("io",) if rig.has_io else ()))
+    return ("rails", "turntable", "vmu", *(("io",) if rig.has_io else ()), *(("target",) if rig.moved_target else ()))
 
 
 class EmulatedDevices:
@@ -84,7 +84,7 @@ class EmulatedDevices:
 
 def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
     """Return ``rig`` with the emulators' addresses in place of its wires."""
-    rails = _wired_rails(rig.rails, addresses)
+    rails = _wired_rails(rig.rails, "rails", addresses)
     path = addresses["turntable"]
     turntable = rig.turntable.model_copy(
         update={
@@ -99,23 +99,27 @@ def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
     if rig.io is not None and rig.has_io:
         host, _, port = addresses["io"].rpartition(":")
         wired["io"] = rig.io.model_copy(update={"host": host, "port": int(port)})
+    if rig.moved_target is not None:
+        wired["target_manipulator"] = _wired_rails(rig.moved_target, "target", addresses)
     return rig.model_copy(update=wired)
 
 
-def _wired_rails(rails: Rails, addresses: dict[str, str]) -> Rails:
+def _wired_rails(rails: Rails, name: str, addresses: dict[str, str]) -> Rails:
     if rails.driver == "modbus_rtu":
         # a pseudo terminal carries no parity bit; the time that it takes is in the emulator's line
-        wire = {"port": addresses["rails"], "parity": "none"}
+        wire = {"port": addresses[name], "parity": "none"}
         return rails.model_copy(update={"rtu": (rails.rtu or ModbusRtu()).model_copy(update=wire)})
-    ports = {}
-    for axis in ("x", "y", "z"):
-        host, _, port = addresses[f"rails.{axis}"].rpartition(":")
+    ports: dict[str, ModbusAxis] = {}
+    for axis in RAIL_NAMES:
+        host, _, port = addresses[f"{name}.{axis}"].rpartition(":")
         given: ModbusAxis = getattr(rails.modbus or Modbus(), axis)
         ports[axis] = given.model_copy(update={"host": host, "port": int(port)})
     return rails.model_copy(update={"modbus": Modbus(**ports)})
 
 
-def make_emulator(device: Literal["rails", "turntable", "vmu", "io"], configuration: dict[str, Any]) -> Emulator:
+def make_emulator(
+    device: Literal["rails", "turntable", "vmu", "io", "target"], configuration: dict[str, Any]
+) -> Emulator:
     """Return the emulator of ``device`` for the configuration that the parent sent."""
     scenario = Scenario.model_validate(configuration["scenario"], strict=False)
     rig = Rig.model_validate(configuration["rig"], strict=False)
@@ -125,11 +129,12 @@ def make_emulator(device: Literal["rails", "turntable", "vmu", "io"], configurat
         from hil.drivers.io.emulator import IoEmulator
 
         return IoEmulator(rig.io, clock, board.write_chain, configuration["seed"])
-    if device == "rails":
+    if device in ("rails", "target"):
         from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
 
-        kind = RtuRailsEmulator if rig.rails.driver == "modbus_rtu" else RailsEmulator
-        return kind(rig.rails, clock, board, seed=configuration["seed"])
+        config = rig.moved_target or rig.rails if device == "target" else rig.rails
+        kind = RtuRailsEmulator if config.driver == "modbus_rtu" else RailsEmulator
+        return kind(config, clock, board, seed=configuration["seed"], name=device)
     if device == "turntable" and rig.turntable.driver == "ascii":
         from hil.drivers.turntable.ascii_emulator import AsciiTurntableEmulator
 

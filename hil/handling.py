@@ -50,12 +50,16 @@ class Handling:
         """Wait for the next cycle, read the axes, and let the supervisor look at them and at the links."""
         tick = self._late_cycles.wait(self._rate)
         self.ticks += 1
-        self.loop.lines.look(tick.now_s)
-        self.loop.bench.read(tick.now_s, self.loop.now.feedback)
-        self.loop.bench.check(tick.now_s, self.loop.now.feedback)
+        self.look(tick.now_s)
         if self.ticks % self.links_each == 0:
             self.look_at_links(tick.now_s)
         return tick
+
+    def look(self, now_s: float) -> None:
+        """Read the axes and let the supervisor look at them; raises BenchError."""
+        self.loop.lines.look(now_s)
+        self.loop.bench.read(now_s, self.loop.now.feedback)
+        self.loop.bench.check(now_s, self.loop.now.feedback)
 
     def look_at_links(self, now_s: float) -> None:
         """Raise SafetyTrip where a device has lost too many packets lately."""

@@ -65,8 +65,8 @@ class HostProcesses:
         for child in self._children.values():
             child.process.wait_ready(_READY_WALL_S)
 
-    def devices(self) -> tuple[RemoteAxes, RemoteAxes, RemotePoses, DiscreteIo | None]:
-        """Return rails, turntable, vision unit and digital lines as the loop sees them."""
+    def devices(self) -> tuple[RemoteAxes, RemoteAxes, RemotePoses, DiscreteIo | None, RemoteAxes | None]:
+        """Return rails, turntable, vision unit, digital lines and what moves the target, as the loop sees them."""
         rig, link = self._rig, self._children[cells.HOST].link
         guard = self._children.get(cells.GUARD)
         lines = RemoteIo(rig.io, guard.link) if guard is not None and rig.io is not None else None
@@ -75,6 +75,7 @@ class HostProcesses:
             RemoteAxes("turntable", rig.turntable, link),
             RemotePoses(rig.vmu, link),
             lines,
+            RemoteAxes("target", rig.moved_target, link) if rig.moved_target is not None else None,
         )
 
     def close(self) -> None:

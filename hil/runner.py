@@ -155,6 +155,7 @@ class Runner:
         self.loop.lines.open(self._rate)
         with chain_kept_closed(self.loop.lines, self._rate):
             self.loop.bench.open(self._rate.now_s())
+            self.loop.target.open(self._rate.now_s())
             self.source.open(self._rate.now_s())
         self.supervisor.opened()
         self._modes.go(Mode.STANDBY)
@@ -182,6 +183,7 @@ class Runner:
             case Order.JOG:
                 self._handling.jog()
             case Order.ARM:
+                self.loop.target.place(self._rate, self._handling.look)
                 self._handling.place()
                 self._arm()
             case Order.START:
@@ -197,6 +199,7 @@ class Runner:
         frames = 0
         while frames < self._frames_to_arm:
             tick = self._handling.tick()
+            self.loop.target.look(tick.now_s)
             frames += len(self.source.poll(tick.now_s))
             self._watch(Mode.ARMED, 0.0)
 
@@ -303,8 +306,10 @@ class Runner:
         with _ctrl_c_held_back():
             with chain_kept_closed(self.loop.lines, self._rate):
                 self.loop.bench.stop(self._rate.now_s())
+                self.loop.target.stop(self._rate.now_s())
                 self.source.close()
                 self.loop.bench.close()
+                self.loop.target.close()
             self.loop.lines.stop(self._rate.now_s())
             self.loop.lines.close()
 

@@ -37,4 +37,8 @@ def wires(rig: Rig) -> list[Wire]:
         found.append(Wire("io", "tcp", f"{rig.io.host}:{rig.io.port}"))
     if rig.vmu.driver == "rs422" and rig.vmu.rs422 is not None and rig.vmu.rs422.port is not None:
         found.append(Wire("vmu.rs422.port", "serial", rig.vmu.rs422.port))
+    if (target := rig.moved_target) is not None and target.driver == "modbus" and target.modbus is not None:
+        for name in RAIL_NAMES:
+            axis = getattr(target.modbus, name)
+            found.append(Wire(f"target_manipulator.modbus.{name}", "tcp", f"{axis.host}:{axis.port}"))
     return found

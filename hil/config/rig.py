@@ -208,6 +208,22 @@ class Rails(Strict):
         return self
 
 
+class TargetManipulator(Rails):
+    """What carries the target: three axes like the rails, placed before a run and held during it."""
+
+    driver: Literal["none", "mock", "modbus"]  # type: ignore[assignment]
+    place_m: Triple = (0.0, 0.0, 0.0)
+    held_within_m: Positive = 0.005
+
+    @model_validator(mode="after")
+    def _the_place_can_be_reached(self) -> Self:
+        for name, place in zip(RAIL_NAMES, self.place_m, strict=True):
+            low, high = getattr(self, name).travel_m
+            if not low <= place <= high:
+                raise ValueError(f"place_m: {name} {place:g}, allowed {low:g} to {high:g}")
+        return self
+
+
 class Turntable(Strict):
     driver: Literal["mock", "cia402", "ascii"]
     timeout_s: Positive = 0.4
@@ -285,6 +301,13 @@ class Rig(Strict):
     safety: Safety = Safety()
     host: Host = Host()
     io: Io | None = None
+    target_manipulator: TargetManipulator | None = None
+
+    @property
+    def moved_target(self) -> TargetManipulator | None:
+        """What carries the target; None where nothing moves it."""
+        target = self.target_manipulator
+        return None if target is None or target.driver == "none" else target
 
     @property
     def has_io(self) -> bool:
@@ -300,6 +323,8 @@ class Rig(Strict):
         ]
         if self.io is not None and self.has_io:
             drivers.append(("io", self.io.driver))
+        if self.moved_target is not None:
+            drivers.append(("target_manipulator", self.moved_target.driver))
         for device, driver in drivers:
             if (driver == "mock") != (self.kind == "mock"):
                 raise ValueError(f'{device}.driver = "{driver}" does not go with kind = "{self.kind}"')
@@ -333,4 +358,9 @@ class Rig(Strict):
             needed.append(("vmu.rs422.port", self.vmu.rs422 and self.vmu.rs422.port))
         if self.io is not None and self.io.driver == "modbus":
             needed.append(("io.port", self.io.port))
+        if (target := self.moved_target) is not None and target.driver == "modbus":
+            wires = target.modbus
+            needed += [
+                (f"target_manipulator.modbus.{axis}.port", wires and getattr(wires, axis).port) for axis in RAIL_NAMES
+            ]
         return [key for key, value in needed if value is None]

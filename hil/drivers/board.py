@@ -12,7 +12,7 @@ from hil.messages import Array
 
 _AXES: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3)])
 _CHAIN: Final = np.dtype([("closed", "i8")])
-_CELLS: Final = {"rails": _AXES, "turntable": _AXES, "chain": _CHAIN}
+_CELLS: Final = {"rails": _AXES, "turntable": _AXES, "target": _AXES, "chain": _CHAIN}
 _CHAIN_AGE_WALL_S: Final = 0.25  # a coupler that is silent for longer is dead, and its outputs are off
 
 

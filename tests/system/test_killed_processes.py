@@ -67,6 +67,7 @@ def lab_file(path: Path, wired: Rig) -> str:
         'extends = "emulated"\nname = "lab"\nkind = "hardware"\n'
         f"[rails.modbus]\n{rails}"
         f'[turntable.cia402]\nchannel = "{wired.turntable.cia402.channel}"\n'
+        '[vmu]\nclock = "own"\n'
         f'[vmu.rs422]\nport = "{wired.vmu.rs422.port}"\n'
         f"[io]\nport = {wired.io.port}\n"
         '[host]\ninsist_on_realtime = false\nlate_cycle = "log"\n'

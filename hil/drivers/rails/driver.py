@@ -41,11 +41,11 @@ class ModbusRails:
     """AxisGroup of the rails (m, m/s). May be opened again after ``close``.
 
     config.timeout_s: longest silence of a drive. clock: stamps feedback with bench time, half way
-    between request and answer.
+    between request and answer. name: of the device, for errors.
     """
 
-    def __init__(self, config: Rails, clock: WallClock) -> None:
-        self.name = "rails"
+    def __init__(self, config: Rails, clock: WallClock, name: str = "rails") -> None:
+        self.name = name
         self.axis_names = full_names(self.name, RAIL_NAMES)
         check_wires(config)
         self._config = config

@@ -38,12 +38,13 @@ class _Rails:
         board: AxisBoard,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
+        name: str = "rails",
     ) -> None:
         self._config = config
         self._clock = clock
         self._map = RegisterMap(config.map)
         self._identity = Identity(config.map.vendor, max(FIRMWARE, config.map.firmware_min))
-        self._axes = EmulatedAxes("rails", config, clock, board, chain_closed=chain_closed, seed=seed)
+        self._axes = EmulatedAxes(name, config, clock, board, chain_closed=chain_closed, seed=seed)
         self.faults = self._axes.faults
         self._wire = FaultyWire(self.faults, stream(seed, "wire"))
         torque_off = self._map.fault_code(TORQUE_OFF)
@@ -73,14 +74,15 @@ class RailsEmulator(_Rails):
         board: AxisBoard,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
+        name: str = "rails",
     ) -> None:
-        super().__init__(config, clock, board, chain_closed, seed)
+        super().__init__(config, clock, board, chain_closed, seed, name)
         self._loop = asyncio.new_event_loop()
         self._ports: list[_TcpPort] = []
 
     def start(self) -> dict[str, str]:
         """Listen; return axis name -> "host:port"."""
-        names = full_names("rails", RAIL_NAMES)
+        names = full_names(self.faults.device, RAIL_NAMES)
         groups: dict[object, list[int]] = {}
         axes = tcp_axes(self._config)
         for index, axis in enumerate(axes):
@@ -182,8 +184,9 @@ class RtuRailsEmulator(_Rails):
         board: AxisBoard,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
+        name: str = "rails",
     ) -> None:
-        super().__init__(config, clock, board, chain_closed, seed)
+        super().__init__(config, clock, board, chain_closed, seed, name)
         self._rtu = config.rtu or ModbusRtu()
         drives = dict(zip(self._rtu.device_ids, self.drives, strict=True))
         self._slave = Slave(drives, self._map, self._identity, clock, tcp=False)
@@ -194,7 +197,7 @@ class RtuRailsEmulator(_Rails):
     def start(self) -> dict[str, str]:
         """Open the line; return its path."""
         self._line = PtyLine(round(self._rtu.baud * _PTY_BITS_A_BYTE / self._rtu.bits_a_byte), self._clock)
-        return {"rails": self._line.path}
+        return {self.faults.device: self._line.path}
 
     def run(self, stop: threading.Event) -> None:
         """Serve the line until ``stop`` is set."""

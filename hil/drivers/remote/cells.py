@@ -17,7 +17,7 @@ from hil.frmn.cell import Block
 from hil.frmn.ring import Ring
 from hil.messages import MAX_THRUSTERS, AxisFeedback, Homing, IoInputs, IoOutputs, PoseFrame
 
-AXIS_DEVICES: Final = ("rails", "turntable")
+AXIS_DEVICES: Final = ("rails", "turntable", "target")
 DEVICES: Final = (*AXIS_DEVICES, "vmu", "io")
 LOOP, HOST, GUARD = "loop", "host", "guard"
 """Cells of the heartbeats: of the loop, of the I/O process, of the watchdog."""
