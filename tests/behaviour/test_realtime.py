@@ -23,14 +23,14 @@ extends = "emulated"
 kind = "hardware"
 [rails.modbus]
 x = { port = 1 }
-y = { port = 1 }
-z = { port = 1 }
+y = { port = 2 }
+z = { port = 3 }
 [turntable.cia402]
 channel = "/dev/null"
 [vmu.rs422]
 port = "/dev/null"
 [io]
-port = 1
+port = 4
 """
 
 
