@@ -91,6 +91,10 @@ class Runner:
     def source(self) -> PoseSource:
         return self.loop.vision.source
 
+    @property
+    def rate(self) -> Rate:
+        return self._rate
+
     def now_s(self) -> float:
         """Return bench time; for any thread."""
         return self._rate.now_s()
@@ -122,7 +126,9 @@ class Runner:
         """Open the axes without the vision unit, give what moves them; at the end they are stopped first."""
         with _no_garbage_collection(first=self._rate.on_the_wall):
             try:
-                self.loop.bench.open(self._rate.now_s())
+                self.loop.lines.open(self._rate)
+                with chain_kept_closed(self.loop.lines, self._rate):
+                    self.loop.bench.open(self._rate.now_s())
                 self.supervisor.opened()
                 self._modes.go(Mode.STANDBY)
                 yield self._handling
