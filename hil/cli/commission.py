@@ -18,6 +18,7 @@ from hil.cli.warm_up import warm_up_with_a_word
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.errors import BadInput, Problem
+from hil.fitness import flight_problems
 
 _SIGNED, _FAILED = 0, 1
 _YES: Final = {"y", "yes"}
@@ -51,14 +52,14 @@ def commission_command(
     console = Console(stderr=True)
     with console.status("checking that the rig can follow the scenario"):
         build.check_rig(job)
-        if problems := build.flight_problems(scenario, rig):
+        if problems := flight_problems(scenario, rig):
             raise BadInput(problems)
     warm_up_with_a_word(job, console)
     dialogue: Dialogue = Scripted(show=_show(Console())) if unattended else Terminal(Console())
     before = signed_before(rig.value)
     chosen = [k for k, name in enumerate(AXES) if name in axes or not axes]
     others = [k for k, name in enumerate(AXES) if name in before]
-    by = by or (None if unattended else _asked_name()) or "nobody (--yes)"
+    who = by or ("nobody (--yes)" if unattended else _asked_name())
     if rig.value.kind == "hardware" and not dialogue.ask(
         "The axes will move. Is the bench clear of people, and the emergency stop in your hand?"
     ):
@@ -77,7 +78,7 @@ def commission_command(
     if out_path is None:
         dialogue.tell("all steps passed; nothing was written, because there is no --out")
         return _SIGNED
-    text = as_toml(found, rig.value, base_of(rig_name, out_path), by, day or _today())
+    text = as_toml(found, rig.value, base_of(rig_name, out_path), who, day or _today())
     Path(out_path).write_text(text, encoding="utf-8")
     left = [name for k, name in enumerate(AXES) if k not in chosen and k not in others]
     dialogue.tell(
@@ -132,7 +133,10 @@ def _check_rig(rig: Loaded[Rig], unattended: bool) -> None:
 
 
 def _asked_name() -> str:
-    return Console().input("Your name, for the sign-off: ").strip()
+    with suppress(EOFError):
+        if name := Console().input("Your name, for the sign-off: ").strip():
+            return name
+    raise BadInput.single("--by", "", "is missing: somebody must look at the bench and sign")
 
 
 def _show(console: Console) -> Callable[[str], None]:
@@ -150,8 +154,10 @@ class Terminal:
         self._console.print(text, highlight=False, soft_wrap=True, markup=False)
 
     def ask(self, question: str) -> bool:
-        """Ask until the answer is y or n."""
-        while True:
-            answer = self._console.input(f"{question} [y/n] ", markup=False).strip().lower()
-            if answer in _YES | _NO:
-                return answer in _YES
+        """Ask until the answer is y or n; where nobody can type, it is no."""
+        with suppress(EOFError):
+            while True:
+                answer = self._console.input(f"{question} [y/n] ", markup=False).strip().lower()
+                if answer in _YES | _NO:
+                    return answer in _YES
+        return False

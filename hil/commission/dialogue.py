@@ -46,15 +46,12 @@ class Scripted:
 def ask_meanwhile(dialogue: Dialogue, question: str, meanwhile: Callable[[], None]) -> bool:
     """Ask in a thread of its own and do ``meanwhile`` over and over until the answer is there.
 
-    The caller's thread hears Ctrl-C all the time. No answer, because nobody is there to type, is a no.
+    The caller's thread hears Ctrl-C all the time.
     """
     answers: list[bool] = []
 
     def wait() -> None:
-        try:
-            answers.append(dialogue.ask(question))
-        except EOFError:
-            answers.append(False)
+        answers.append(dialogue.ask(question))
 
     thread = threading.Thread(target=wait, name="question", daemon=True)
     thread.start()
