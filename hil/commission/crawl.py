@@ -23,6 +23,7 @@ QUARTER: Final = 0.25
 _DEVIATION_M: Final = 0.005  # between command and encoder at a crawl, before the axis is stopped
 _DEVIATION_RAD: Final = math.radians(0.5)
 _SETTLE_S: Final = 3.0
+_REST_S: Final = 0.2
 
 
 @dataclass(frozen=True)
@@ -109,12 +110,19 @@ class Crawler:
             if watched is not None:
                 self._insist_on_following(watched, start, begun)
         deviations = np.array(errors)
+        self._rest()
         return Followed(
             np.abs(deviations).max(axis=0),
             np.sqrt(np.mean(deviations**2, axis=0)),
             fastest,
             self.encoders() - begun,
         )
+
+    def _rest(self) -> None:
+        """Give the servos a moment at the end of a move: a standstill is slow, not settled."""
+        begun_s = self._tick.now_s
+        while self._tick.now_s - begun_s < _REST_S:
+            self._step()
 
     def _move(self, start: Array, target: Array, rates: Array) -> Move:
         """Return a move whose axes go no faster than ``rates`` (6,)."""

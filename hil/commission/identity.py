@@ -9,6 +9,8 @@ import numpy as np
 from hil.commission.dialogue import Dialogue
 from hil.config.rig import Rig
 from hil.errors import LinkTimeout
+from hil.handling import Handling
+from hil.io_stage import chain_kept_closed
 from hil.runner import Runner
 
 _FIRST_FRAME_S: Final = 5.0
@@ -32,18 +34,19 @@ def _turntable(rig: Rig) -> str:
     return _as_asked(asked)
 
 
-def see_vision_unit(runner: Runner, rig: Rig, dialogue: Dialogue) -> None:
-    """Open the vision unit, wait for a frame, and let go of it. Raises DeviceError; LinkTimeout where none comes."""
-    source, rate = runner.source, runner.rate
-    begun_s = now_s = rate.now_s()
-    try:
-        source.open(now_s)
-        while not (frames := source.poll(now_s)):
-            if now_s - begun_s > _FIRST_FRAME_S:
-                raise LinkTimeout(source.name, f"no pose within {_FIRST_FRAME_S:g} s")
-            now_s = rate.wait().now_s
-    finally:
-        source.close()
+def see_vision_unit(runner: Runner, handling: Handling, rig: Rig, dialogue: Dialogue) -> None:
+    """Open the vision unit beside axes that stand, and wait for a frame; it is closed with the bench.
+
+    Raises DeviceError; LinkTimeout where no frame comes.
+    """
+    source = runner.source
+    with chain_kept_closed(runner.loop.lines, runner.rate):
+        source.open(runner.now_s())
+    begun_s = now_s = handling.begin().now_s
+    while not (frames := source.poll(now_s)):
+        if now_s - begun_s > _FIRST_FRAME_S:
+            raise LinkTimeout(source.name, f"no pose within {_FIRST_FRAME_S:g} s")
+        now_s = handling.tick().now_s
     asked = rig.vmu.identity.model_dump(exclude_none=True)
     distance_m = float(np.linalg.norm(frames[-1].t_v))
     dialogue.tell(f"vmu: {_as_asked(asked)}, sees the target at {distance_m:.3f} m")

@@ -84,8 +84,8 @@ class Commissioning:
         self._title("emergency stop")
         EmergencyStopTrial(self._runner.loop.lines, self._runner.rate, self._dialogue, self._button).run()
         self._title("identity of the devices")
-        see_vision_unit(self._runner, self._rig, self._dialogue)
         with self._runner.axes_alone() as handling:
+            see_vision_unit(self._runner, handling, self._rig, self._dialogue)
             for line in expected_identity(self._rig):
                 self._dialogue.tell(line)
             crawler = self._under_command(handling)
@@ -99,7 +99,6 @@ class Commissioning:
 
     def _under_command(self, handling: Handling) -> Crawler:
         crawler = Crawler(handling, self._dialogue)
-        handling.begin()
         homing = [state.name.lower().replace("_", " ") for group in self._bench.seen for state in group.homing]
         needed = [name for name, state in zip(self._bench.axis_names, homing, strict=True) if state != "done"]
         if needed:
