@@ -54,7 +54,9 @@ class ModbusIo:
 
     def open(self, now_s: float) -> None:
         """Connect, check what it is, set all outputs off, read the inputs."""
+        bound_s = 6.0 * self._config.timeout_s
         self.close()
+        self._await_the_thread_before(bound_s)
         self._box = Latest(NAME)
         self._outputs = _OFF
         self._pump = self._stopped = False
@@ -65,7 +67,6 @@ class ModbusIo:
         opened: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, args=(opened,), name="io-modbus", daemon=True)
         self._thread.start()
-        bound_s = 6.0 * self._config.timeout_s
         try:
             opened.result(timeout=self._clock.wall_s(bound_s))
         except TimeoutError as error:
@@ -112,6 +113,13 @@ class ModbusIo:
             return
         self._call(self._cancel)
         self._thread.join(_CLOSE_WAIT_WALL_S)
+
+    def _await_the_thread_before(self, bound_s: float) -> None:
+        """Wait until the thread of a life before is gone: on a busy computer ``close`` does not see its end."""
+        if self._thread is not None:
+            self._thread.join(self._clock.wall_s(bound_s))
+            if self._thread.is_alive():
+                raise LinkTimeout(NAME, f"not closed after {bound_s:g} s")
         self._thread = None
 
     def _call(self, function: Callable[[], object]) -> None:
