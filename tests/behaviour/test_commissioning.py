@@ -278,3 +278,30 @@ def test_emergency_stop_ends_the_waiting_for_an_answer() -> None:
     with pytest.raises(SafetyTrip, match="emergency stop pressed"):
         commissioned((X,), answer=answer, prepare=lambda _runner, _trial, button: buttons.append(button))
     answered.set()
+
+
+def test_ctrl_c_at_a_question_stops_the_axes_first() -> None:
+    calls: list[list[str]] = []
+    asked, answered = threading.Event(), threading.Event()
+
+    def answer(question: str) -> bool:
+        if "Has the carriage moved" in question:
+            asked.set()
+            answered.wait(60.0)
+        return True
+
+    def interrupt(runner: Runner, trial: Trial, _: Button) -> None:
+        calls.append(trial.calls)
+        read = runner.loop.bench.read
+
+        def read_or_stop(now_s: float, feedback: np.record) -> None:
+            if asked.is_set():
+                raise KeyboardInterrupt
+            read(now_s, feedback)
+
+        runner.loop.bench.read = read_or_stop  # type: ignore[method-assign]
+
+    with pytest.raises(KeyboardInterrupt):
+        commissioned((X,), answer=answer, prepare=interrupt)
+    answered.set()
+    assert calls == [["stop", "close"]]

@@ -27,6 +27,7 @@ from hil.runner import Runner
 
 X, Y, YAW = 0, 1, 5
 SPEED = 2.0
+_BETWEEN_SESSIONS_S = 0.4  # the I/O process may still be at the stop of the one before
 SIGNED = ("rails.x", "rails.z", "turntable.roll", "turntable.pitch")
 RIG = """
 extends = "emulated"
@@ -59,6 +60,7 @@ def commission(bench: WiredBench, axis: int) -> tuple[StepFailed, Runner]:
     """Commission one axis, which does not pass; return why, and the session."""
     assert bench.board is not None
     technician = EmulatedTechnician(bench.board, bench.addresses)
+    time.sleep(_BETWEEN_SESSIONS_S)
     runner = bench.runner()
     rig = load_rig("emulated").value
     steps = Commissioning(runner, rig, Scripted(), [axis], button=technician, witness=technician.place)
@@ -73,8 +75,20 @@ def commission(bench: WiredBench, axis: int) -> tuple[StepFailed, Runner]:
         ("rails: on reversed y", Y, "rails.y: sign", "by the encoder; encoder and motor do not turn the same way"),
         ("rails: on mirrored y", Y, "rails.y: sign", "by the eye; motor and encoder are both the wrong way round"),
         ("rails: on scaled y 1.1", Y, "rails.y: scale", "+18.* mm by the eye; set the counts a turn"),
-        ("turntable: on scaled yaw 0.9", YAW, "turntable.yaw: scale", "+2.2.* deg by the eye; set the counts a turn"),
-        ("rails: on stuck y", Y, "rails.y: following", "by the encoder; the axis does not follow"),
+        pytest.param(
+            "turntable: on scaled yaw 0.9",
+            YAW,
+            "turntable.yaw: scale",
+            "+2.2.* deg by the eye; set the counts a turn",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "rails: on stuck y",
+            Y,
+            "rails.y: following",
+            "by the encoder; the axis does not follow",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_axis_that_is_wired_wrongly_is_named_with_what_to_do(
@@ -135,8 +149,9 @@ def test_whole_path_ends_in_a_rig_file_that_is_signed_off(rig_file: Path, capsys
     assert 0.0 < (rig.sign_off.axes["turntable.yaw"].following_error_max_deg or 0.0) < 0.5
 
 
+@pytest.mark.slow
 def test_ctrl_c_at_a_question_ends_as_a_safe_stop() -> None:
-    command = [sys.executable, "-m", "hil", "commission", "emulated", "--axis", "rails.y", "--by", "T"]
+    command = [sys.executable, "-m", "hil", "commission", "emulated", "--axis", "rails.y", "--by", "T", "--speed", "2"]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, text=True, **pipes) as process:  # type: ignore[call-overload]
         try:
