@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from hil.causes import cause_behind
 from hil.cycle import Loop, run_cycle
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, SafetyTrip
@@ -29,7 +30,6 @@ from hil.safety.alarms import Alarm, alarm_of
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
 _PAUSE_S: Final = 0.001
-_ESTOP_COMES_S: Final = 0.06  # bench time: the coupler is asked every 20 ms
 
 
 @dataclass(slots=True)
@@ -256,30 +256,13 @@ class Runner:
         with _ctrl_c_held_back():
             now_s = self._rate.now_s()
             self.loop.bench.stop(now_s)
-            cause = self._cause(fault)
+            cause = cause_behind(fault, self.loop, self._rate)
             self.supervisor.alarms.enter(alarm_of(cause, now_s))
             if cause is not fault:
                 self.supervisor.alarms.enter(alarm_of(fault, now_s))
             self._faults.append(str(cause))
             self._modes.go(Mode.SAFE_STOP)
             self.operator.drop_plan()
-
-    def _cause(self, fault: BenchError) -> BenchError:
-        """Return what lies behind ``fault``: an emergency stop takes the torque, and the drives may complain first."""
-        bench, start_s = self.loop.bench, self._rate.now_s()
-        now_s = start_s
-        while bench.emergency_input is not None and now_s - start_s < _ESTOP_COMES_S:
-            try:
-                bench.look_at_emergency_input(now_s)
-            except DeviceError:
-                break
-            if (alarm := self.supervisor.refuse_open(now_s)) is not None:
-                return alarm.trip()
-            if not self._rate.on_the_wall:
-                break
-            time.sleep(_PAUSE_S)
-            now_s = self._rate.now_s()
-        return fault
 
     def _wait_for_reset(self) -> bool:
         """Wait until the operator resets with the cause gone, then close everything; False once a run has begun.

@@ -18,6 +18,8 @@ from hil.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
+TORQUE_OFF = "safe torque off"
+"""How every drive's driver calls the fault of a drive from which the safety chain has taken the torque."""
 
 
 @runtime_checkable

@@ -14,8 +14,10 @@ from hil.device_host import drivers
 from hil.drivers.base import AxisGroup, PoseSource
 from hil.emulation import EmulatedDevices
 from hil.errors import BenchError, DeviceError, LinkTimeout
+from hil.io_stage import IoStage, chain_kept_closed
 from hil.preflight.check import Check
 from hil.preflight.ports import port_checks
+from hil.rate import WallRate
 
 _FIRST_SAMPLE_S = 5.0
 _POLL_S = 0.01
@@ -31,13 +33,39 @@ def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[Check]
         return [Check("devices", None, "in memory: no wires, no devices")]
     clock = WallClock()
     if rig.kind == "hardware":
-        return [*port_checks(rig), *device_checks(*drivers(rig, clock)[:3], clock, enable_drives)]
+        return [*port_checks(rig), *_devices(rig, scenario, clock, enable_drives)]
     try:
         with EmulatedDevices(scenario, rig, clock, seed=0) as emulated:
             wired, _ = emulated.wait_ready()
-            return [*port_checks(wired), *device_checks(*drivers(wired, clock)[:3], clock, True)]
+            return [*port_checks(wired), *_devices(wired, scenario, clock, enable_drives=True)]
     except DeviceError as error:
         return [Check("emulators", False, str(error), "hil emulate shows what the emulators themselves say")]
+
+
+def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool) -> list[Check]:
+    """Return the checks of the devices, with the safety chain closed for those that are enabled."""
+    rails, turntable, source, _ = drivers(rig, clock)
+    if rig.io is None or not rig.has_io:
+        return device_checks(rails, turntable, source, clock, enable_drives)
+    if not enable_drives:
+        advice = "--devices opens it, which closes the safety chain"
+        skipped = Check("device io", None, "skipped", advice)
+        return [skipped, *device_checks(rails, turntable, source, clock, enable_drives)]
+    from hil.drivers.io.driver import ModbusIo
+
+    rate = WallRate(clock, scenario.step_s)
+    lines = IoStage(ModbusIo(rig.io, clock), np.zeros(rig.io.thruster_lines, dtype=np.int64))
+    try:
+        lines.open(rate)
+        with chain_kept_closed(lines, rate):
+            fine = Check("device io", True, "identified, emergency stop released, safety chain closes")
+            return [fine, *device_checks(rails, turntable, source, clock, enable_drives)]
+    except BenchError as error:
+        advice = "release the emergency stop, close the interlocks, check the coupler's wire (docs/safety.md)"
+        return [Check("device io", False, str(error), advice)]
+    finally:
+        lines.stop(clock.now_s())
+        lines.close()
 
 
 def device_checks(

@@ -33,7 +33,7 @@ WIRES = (
     "rig.turntable.cia402.channel=nowhere",
     "rig.vmu.rs422.port=nowhere",
     "rig.io.port=9",
-    *(f"rig.rails.modbus.{axis}.port=9" for axis in RAIL_NAMES),
+    *(f"rig.rails.modbus.{axis}.port={port}" for port, axis in enumerate(RAIL_NAMES, 9)),
 )
 RIG = load_rig("emulated", WIRES).value
 

@@ -24,14 +24,14 @@ kind = "hardware"
 sign_off.waived = true
 [rails.modbus]
 x = { port = 1 }
-y = { port = 1 }
-z = { port = 1 }
+y = { port = 2 }
+z = { port = 3 }
 [turntable.cia402]
 channel = "/dev/null"
 [vmu.rs422]
 port = "/dev/null"
 [io]
-port = 1
+port = 4
 """
 
 

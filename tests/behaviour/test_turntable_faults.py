@@ -80,8 +80,10 @@ def test_dead_wire_is_a_time_out_and_the_drives_stop_by_themselves(driver):
 def test_answers_that_come_late_are_counted_and_not_taken_for_new_ones(driver):
     with served(driver, speed=SPEED, timeout_s=2.0) as (emulator, device, clock):
         before = device.counters()
+        # a PDO bears no number: one that is late by whole exchanges leaves nothing but a gap
+        told = ("late", "lost") if driver == "cia402" else ("late",)
         emulator.faults.on("delay", value=0.08)
-        eventually(lambda: device.counters()["late"] > before["late"], PATIENCE_WALL_S)
+        eventually(lambda: any(device.counters()[name] > before[name] for name in told), PATIENCE_WALL_S)
         emulator.faults.off("delay")
         exchanges = device.counters()["exchanges"]
         eventually(lambda: device.counters()["exchanges"] > exchanges + 10, PATIENCE_WALL_S)

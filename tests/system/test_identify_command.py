@@ -21,11 +21,12 @@ extends = "emulated"
 name = "lab"
 kind = "hardware"
 rails.modbus.x.port = 502
-rails.modbus.y.port = 502
-rails.modbus.z.port = 502
+rails.modbus.y.port = 503
+rails.modbus.z.port = 504
 turntable.driver = "ascii"
 turntable.ascii.port = "/dev/null"
 vmu.rs422.port = "/dev/null"
+io.port = 505
 """
 
 

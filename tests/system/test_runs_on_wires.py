@@ -58,7 +58,7 @@ def _none_left(pids: dict[str, int]) -> bool:
     return True
 
 
-@pytest.mark.parametrize("turntable", ["cia402", "ascii"])
+@pytest.mark.parametrize("turntable", ["cia402", pytest.param("ascii", marks=pytest.mark.slow)])
 def test_approach_passes_over_real_wires(turntable: str, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     options = ("--set", f"rig.turntable.driver={turntable}", "--duration", "30", "--json", str(path))
@@ -84,7 +84,10 @@ def test_whole_scheme_passes_over_real_wires_at_four_times_the_speed(turntable: 
     assert _none_left(pids)
 
 
-@pytest.mark.parametrize("plug", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "frozen"])
+@pytest.mark.parametrize(
+    "plug",
+    [pytest.param(signal.SIGKILL, id="killed"), pytest.param(signal.SIGSTOP, id="frozen", marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize("device", ["rails", "turntable", "vmu", "io"])
 def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str, plug: signal.Signals) -> None:
     with _started(*NEAR) as (process, pids):

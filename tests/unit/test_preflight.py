@@ -137,9 +137,11 @@ def _rig(tmp_path: Path, **given: str) -> Rig:
     path = tmp_path / "lab.toml"
     path.write_text(
         'extends = "emulated"\nname = "lab"\nkind = "hardware"\n[rails.modbus]\n'
-        + "".join(f'{name} = {{ host = "{chosen["host"]}", port = 502 }}\n' for name in RAIL_NAMES)
+        + "".join(
+            f'{name} = {{ host = "{chosen["host"]}", port = {port} }}\n' for port, name in enumerate(RAIL_NAMES, 502)
+        )
         + f'[turntable.cia402]\ninterface = "{chosen["interface"]}"\nchannel = "{chosen["channel"]}"\n'
-        + f'[io]\nhost = "{chosen["host"]}"\nport = 503\n'
+        + f'[io]\nhost = "{chosen["host"]}"\nport = 505\n'
         + f'[vmu.rs422]\nport = "{chosen["port"]}"\n'
     )
     return load_rig(str(path)).value

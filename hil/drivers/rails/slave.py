@@ -7,7 +7,7 @@ import logging
 import math
 from collections.abc import Coroutine, Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 from pymodbus.constants import ExcCodes
 from pymodbus.exceptions import ModbusException
@@ -17,11 +17,10 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from pymodbus.simulator.simcore import SimCore
 
 from hil.clock import WallClock
+from hil.drivers.base import TORQUE_OFF as TORQUE_OFF
 from hil.drivers.emulated_axes import WATCHDOG_S, EmulatedAxes
 from hil.drivers.rails.codec import Block, Command, Control, Identity, RegisterMap, State, Status
 from hil.messages import Homing
-
-TORQUE_OFF: Final = "safe torque off"
 
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a controller that hangs up is no error here
 

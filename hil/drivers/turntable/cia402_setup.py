@@ -165,12 +165,13 @@ class DriveSetup:
         state = self._state()
         if state is DriveState.ENABLED:
             self.put(codec.CONTROLWORD, codec.QUICK_STOP, 2)
-        elif state is DriveState.FAULT:
-            self._reset_fault()
         while (state := self._state()) is not DriveState.ENABLED:
             if time.monotonic() > end_s:
                 title = state.title if state else "an undefined state"
                 raise LinkTimeout(self.axis, f"not enabled within {_ENABLE_WALL_S:g} s, is in {title}")
+            if state is DriveState.FAULT:  # from before, or the torque came back only now
+                self._reset_fault()
+                continue
             moving = state is DriveState.QUICK_STOP_ACTIVE and abs(self.get(codec.VELOCITY_ACTUAL, 4)) > standstill
             if state is DriveState.SWITCHED_ON:
                 self.put(codec.TARGET_POSITION, self.get(codec.POSITION_ACTUAL, 4), 4)
@@ -183,7 +184,7 @@ class DriveSetup:
         return codec.state_of(self.statusword())
 
     def _reset_fault(self) -> None:
-        """Reset a fault left over from before, once; raise DriveFault when it stays."""
+        """Reset a fault; raise DriveFault when it stays."""
         code = self.fault_code()
         self.put(codec.CONTROLWORD, codec.DISABLE_VOLTAGE, 2)  # the reset acts on a rising bit
         self.put(codec.CONTROLWORD, codec.FAULT_RESET, 2)
