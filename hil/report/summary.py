@@ -63,7 +63,7 @@ def summarise(
         "bench": _bench(history, outcome) | judge_bench_error(history, rig, scenario.step_s, SETTLED_S),
         "latency": measure_latency(history, scenario.step_s),
         "timing": _timing(outcome, rig, rate_hz),
-        "sign_off": _sign_off(rig),
+        "sign_off": sign_off_summary(rig),
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
         "faults": outcome.faults,
         "alarms": [alarm.as_json() for alarm in outcome.alarms],
@@ -71,7 +71,7 @@ def summarise(
     return summary, verdict
 
 
-def _sign_off(rig: Rig) -> dict[str, Any] | None:
+def sign_off_summary(rig: Rig) -> dict[str, Any] | None:
     """Who commissioned the rig, and whether that was waived; None where no hardware moves."""
     if rig.kind != "hardware":
         return None

@@ -39,13 +39,13 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     )
     _print_bench(summary["bench"], summary["latency"], console)
     _print_timing(summary["timing"], console)
-    _print_sign_off(summary["sign_off"], console)
+    print_sign_off(summary["sign_off"], console)
     word = "[bold green]PASS[/]" if summary["passed"] else "[bold red]FAIL[/]"
     why = "" if summary["passed"] else f" ({_reason(summary, verdict)})"
     console.print(f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']}{why}", highlight=False)
 
 
-def _print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
+def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
     """Print who commissioned the hardware, or that somebody waived it."""
     if sign_off is None:
         return

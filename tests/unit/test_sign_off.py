@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from hil.cli.main import execute
 from hil.commission.file import as_toml, signed_before
 from hil.commission.steps import AxisFound, Found
 from hil.config.digest import motion_digest
 from hil.config.load import load_rig
+from hil.config.rig import Rig
 from hil.fitness import sign_off_gap, sign_off_problems
+from hil.report.summary import sign_off_summary
+from hil.report.table import print_sign_off
 
 NAMES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
 WIRES = """
@@ -69,6 +74,29 @@ def test_hardware_without_a_sign_off_is_refused_in_a_line(lab: Path) -> None:
 
 def test_waiver_is_an_override(lab: Path) -> None:
     assert sign_off_problems(load_rig(str(lab), ["rig.sign_off.waived=true"])) == []
+
+
+def test_run_refuses_hardware_before_anything_is_opened(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["run", "scheme-1", "--rig", str(lab)]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith(f"{lab}: rig.sign_off: is missing: commission it with hil commission")
+    changed = ["--set", "rig.rails.x.rate_max_mps=0.45"]
+    assert execute(["run", "scheme-1", "--rig", str(signed(lab)), *changed]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "the rig was changed after it was signed off" in line
+
+
+def test_report_of_hardware_says_who_signed_or_that_it_was_waived(lab: Path, mock_rig: Rig) -> None:
+    told = io.StringIO()
+    console = Console(file=told, width=200)
+    for rig in (load_rig(str(signed(lab))).value, load_rig(str(lab), ["rig.sign_off.waived=true"]).value, mock_rig):
+        print_sign_off(sign_off_summary(rig), console)
+    signed_line, waived_line = told.getvalue().strip().splitlines()
+    assert signed_line == 'Sign-off    2026-03-01 by A. "Tech" Nician'
+    assert waived_line == "Sign-off    waived (rig.sign_off.waived); the sign-off is not complete, left: " + ", ".join(
+        NAMES
+    )
+    assert sign_off_summary(mock_rig) is None
 
 
 @pytest.mark.parametrize("rig", ["mock", "emulated", "emulated-rtu"])
