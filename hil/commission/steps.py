@@ -107,7 +107,13 @@ class Commissioning:
         crawler.begin()
         if needed:
             places = ", ".join(self._place(crawler, self._bench.axis_names.index(name)) for name in needed)
-            self._insist(crawler, needed[0], "homing", f"Homed: {places}. Is that where they are?", "rig.*.home_m")
+            self._insist(
+                crawler,
+                needed[0],
+                "homing",
+                f"Homed: {places}. Is that where they are?",
+                "home_m or home_deg in the rig file, and at the home switch",
+            )
         return crawler
 
     def _sign_and_scale(self, crawler: Crawler, axis: int) -> AxisFound:
