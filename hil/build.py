@@ -31,6 +31,7 @@ from hil.fitness import (
     host_problems,
     line_problems,
     port_problems,
+    sign_off_problems,
     turntable_problems,
     turntable_warnings,
 )
@@ -87,7 +88,7 @@ def check(job: Job) -> None:
         *approach_problems(job.scenario),
         *_rig_problems(job),
     ]
-    if problems:
+    if problems := problems or sign_off_problems(job.rig):
         raise BadInput(problems)
 
 

@@ -11,8 +11,9 @@ from serial.tools import list_ports
 
 from hil import parameters
 from hil.bench.kinematics import axes_of_pose
+from hil.config.digest import motion_digest
 from hil.config.load import Loaded, load_protocol
-from hil.config.rig import GIMBAL_NAMES, Rig
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.errors import BadInput, Problem
 from hil.maths import euler
@@ -114,3 +115,29 @@ def line_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
         text = f"{io.pump_timeout_s:g}: must be twice the scenario's step_s, {scenario.value.step_s:g}, or more"
         problems.append(Problem(rig.where(key), f"rig.{key}", text))
     return problems
+
+
+def sign_off_problems(rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem where hardware was not commissioned as it stands in its file, and nobody waived that."""
+    found = rig.value.sign_off
+    if rig.value.kind != "hardware" or (found is not None and found.waived):
+        return []
+    reason = sign_off_gap(rig.value)
+    advice = f"commission it with hil commission {rig.source}, or set rig.sign_off.waived=true"
+    return [Problem(rig.source, "rig.sign_off", f"{reason}: {advice}")] if reason else []
+
+
+def sign_off_gap(rig: Rig) -> str:
+    """Return why the rig does not count as signed off, "" where it does. Raises BadInput for an unreadable file."""
+    found = rig.sign_off
+    if found is None:
+        return "is missing"
+    if found.digest is None:
+        digest = motion_digest(rig)
+        names = [f"rails.{name}" for name in RAIL_NAMES] + [f"turntable.{name}" for name in GIMBAL_NAMES]
+        signed = {name for name, axis in found.axes.items() if axis.digest == digest}
+        left = ", ".join(name for name in names if name not in signed)
+        return f"is not complete, left: {left or 'the dry run'}"
+    if found.digest != motion_digest(rig):
+        return f"does not hold: the rig was changed after it was signed off on {found.date}"
+    return ""

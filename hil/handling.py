@@ -20,7 +20,7 @@ from hil.safety.supervisor import HOMED
 
 WATCH_CYCLES: Final = 50
 _LINKS_EVERY_S: Final = 0.1
-_SETTLE_S: Final = 3.0  # after placing, until the axes stand where they should
+_SETTLE_S: Final = 3.0  # after placing or homing, until the axes stand where they should
 _SETTLED_M: Final = 0.001
 _SETTLED_RAD: Final = 0.001
 
@@ -88,7 +88,17 @@ class Handling:
             if self.ticks % WATCH_CYCLES == 0:
                 done = sum(state is Homing.DONE for group in bench.seen for state in group.homing)
                 self._watch(Mode.HOMING, done / 6.0)
+        self._await_standstill()
         self.modes.go(Mode.STANDBY)
+
+    def _await_standstill(self) -> None:
+        """Return once all axes stand: one that has just passed its home switch still brakes."""
+        tick = self.tick()
+        begun_s = tick.now_s
+        while not self.loop.bench.stands(tick.now_s, self.loop.now.feedback):
+            if tick.now_s - begun_s > _SETTLE_S:
+                raise SafetyTrip("bench", "standstill", "not reached", f"{_SETTLE_S:g} s after homing")
+            tick = self.tick()
 
     def place(self) -> None:
         """Move all axes slowly to the start pose and wait until they stand there."""

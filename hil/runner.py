@@ -91,6 +91,10 @@ class Runner:
     def source(self) -> PoseSource:
         return self.loop.vision.source
 
+    @property
+    def rate(self) -> Rate:
+        return self._rate
+
     def now_s(self) -> float:
         """Return bench time; for any thread."""
         return self._rate.now_s()

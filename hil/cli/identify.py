@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from hil.cli.output import check_json_path, write_json
+from hil.cli.output import base_of, check_json_path, check_rig_path, write_json
 from hil.cli.warm_up import warm_up_with_a_word
-from hil.config.load import Loaded, load_rig, load_scenario, shipped
+from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.errors import BadInput, Problem
 from hil.identification import AxisResult, Identification
@@ -68,11 +67,7 @@ def _check_options(axes: Sequence[str], out_path: str | None, json_path: str | N
     problems = [Problem("--axis", "", f"{a}: unknown, give {', '.join(AXES)}") for a in axes if a not in AXES]
     if not (math.isfinite(speed) and speed > 0.0):
         problems.append(Problem("--speed", "", f"{speed:g}: must be above 0"))
-    if out_path is not None and not out_path.endswith(".toml"):
-        problems.append(Problem("--out", "", f"{out_path}: must end in .toml"))
-    elif out_path is not None and Path(out_path).exists():
-        problems.append(Problem("--out", "", f"{out_path}: exists already, give a new name"))
-    problems += check_json_path("--out", out_path)
+    problems += check_rig_path("--out", out_path)
     problems += check_json_path("--json", json_path)
     if problems:
         raise BadInput(problems)
@@ -125,7 +120,7 @@ def as_toml(results: Sequence[AxisResult], rig_name: str, out_path: str, setting
     """Return a rig file that lays the leads over the rig they were measured on; axes that failed stay as they are."""
     lines = ["# Leads that make up for the delays of the axes, measured by hil identify."]
     lines += [f"# measured with --set {text}" for text in settings]
-    lines += ["", f'extends = "{_base(rig_name, out_path)}"']
+    lines += ["", f'extends = "{base_of(rig_name, out_path)}"']
     for result in results:
         if result.passed:
             lead = f"lead_s = {result.lead_s:.4f} # +- {1e3 * result.sweep.delay_sigma_s:.2f} ms"
@@ -133,13 +128,6 @@ def as_toml(results: Sequence[AxisResult], rig_name: str, out_path: str, setting
         else:
             lines += ["", f"# {result.axis}: {result.reason}"]
     return "\n".join(lines) + "\n"
-
-
-def _base(rig_name: str, out_path: str) -> str:
-    """Return what ``extends`` needs to find the rig from beside the file at ``out_path``."""
-    if rig_name in shipped("rigs"):
-        return rig_name
-    return Path(os.path.relpath(Path(rig_name).resolve(), Path(out_path).resolve().parent)).as_posix()
 
 
 def _print(results: Sequence[AxisResult], rig: Loaded[Rig], console: Console) -> None:

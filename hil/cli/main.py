@@ -189,6 +189,48 @@ def identify(
     return identify_command(rig, axis, out, json, yes, scenario, settings, speed)
 
 
+@app.command
+def commission(
+    rig: str = "emulated",
+    *,
+    axis: Annotated[tuple[str, ...], Parameter(negative=())] = (),
+    out: Output = None,
+    by: str | None = None,
+    date: str | None = None,
+    limits: Annotated[bool, Parameter(negative=())] = False,
+    yes: Annotated[bool, Parameter(negative=())] = False,
+    scenario: str = "scheme-1",
+    settings: Settings = (),
+    speed: float = 1.0,
+) -> int:
+    """Take a rig from its emergency stop, one axis at a time, to a slow dry run, and sign it off.
+
+    Parameters
+    ----------
+    rig
+        emulated, or the path of a rig file.
+    axis
+        rails.x, turntable.yaw ...; may be given more than once. Without it all six, one after the other.
+    out
+        Rig file (*.toml) to write: it extends this rig by the sign-off that a run on hardware needs.
+    by
+        Who looks at the bench; asked for where it is left away.
+    date
+        Of the sign-off, 2026-03-01; today where it is left away.
+    limits
+        Also approach both ends of each axis' travel.
+    yes
+        Answer every question with yes: for emulated rigs alone.
+    scenario
+        Gives the cycle of the bench and the start pose of the dry run.
+    speed
+        Bench seconds a wall second, on an emulated rig.
+    """
+    from hil.cli.commission import commission_command
+
+    return commission_command(rig, axis, out, by, date, limits, yes, scenario, settings, speed)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     # also where a shell started this with Ctrl-C ignored: a bench must always be stoppable

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from hil.config.load import shipped
 from hil.errors import Problem
 
 PICTURES = (".png", ".pdf", ".svg")
@@ -40,3 +41,19 @@ def write_json(content: dict[str, Any], path: str) -> None:
     partial = Path(f"{path}.part")
     partial.write_text(text, encoding="utf-8")
     os.replace(partial, path)
+
+
+def check_rig_path(option: str, path: str | None) -> list[Problem]:
+    """Return a problem where no new rig file can be written to ``path``."""
+    if path is not None and not path.endswith(".toml"):
+        return [Problem(option, "", f"{path}: must end in .toml")]
+    if path is not None and Path(path).exists():
+        return [Problem(option, "", f"{path}: exists already, give a new name")]
+    return check_json_path(option, path)
+
+
+def base_of(rig_name: str, out_path: str) -> str:
+    """Return what ``extends`` needs to find the rig from beside the file at ``out_path``."""
+    if rig_name in shipped("rigs"):
+        return rig_name
+    return Path(os.path.relpath(Path(rig_name).resolve(), Path(out_path).resolve().parent)).as_posix()

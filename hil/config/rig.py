@@ -12,6 +12,7 @@ from hil.config.io import Io
 from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
 from hil.config.rail_map import RailMap
 from hil.config.rail_wires import ModbusRtu, check_axis, check_line
+from hil.config.sign_off import SignOff
 
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
@@ -302,6 +303,7 @@ class Rig(Strict):
     host: Host = Host()
     io: Io | None = None
     target_manipulator: TargetManipulator | None = None
+    sign_off: SignOff | None = None
 
     @property
     def moved_target(self) -> TargetManipulator | None:

@@ -65,7 +65,8 @@ class EmulatedAxes:
         self.homing = [Homing.DONE if known else Homing.NEEDED for known in self._absolute]
         # an incremental encoder counts from where it was switched on
         self._offset = np.where(self._absolute, 0.0, -self._axes.position)
-        self._sign = np.ones(3)
+        self._gear = np.ones(3)  # what the drive takes for the axis' way, as a share of it
+        self._count = np.ones(3)  # what the encoder counts: the same, but for one that is reversed
         self._wanted = np.zeros(3)  # as the encoder counts
         self._braking = [True, True, True]
         self._deadline_s = [math.inf, math.inf, math.inf]
@@ -104,7 +105,7 @@ class EmulatedAxes:
         if self.torque_off or self.homing[axis] is Homing.UNDER_WAY:
             return
         self._wanted[axis] = position
-        self._axes.feedforward[axis] = rate
+        self._axes.feedforward[axis] = rate / self._gear[axis]
         self._braking[axis] = False
         self._deadline_s[axis] = now_s + watchdog_s
 
@@ -167,7 +168,8 @@ class EmulatedAxes:
     def _regulate(self, axis: int) -> None:
         """Let the drive's position loop act on what its encoder says: one that counts backwards makes it run away."""
         place = self._axes.position[axis]
-        self._axes.setpoint[axis] = place + self._wanted[axis] - (self._sign[axis] * place + self._offset[axis])
+        error = self._wanted[axis] - (self._count[axis] * place + self._offset[axis])
+        self._axes.setpoint[axis] = place + error / self._gear[axis]
 
     def _search(self, axis: int) -> None:
         """One step of the way to the home switch."""
@@ -175,7 +177,7 @@ class EmulatedAxes:
         way = home - place
         if abs(way) <= self._homing_rate[axis] * _SUBSTEP_S:
             self._offset[axis] = 0.0
-            self._sign[axis] = 1.0
+            self._count[axis] = 1.0
             self.homing[axis] = Homing.DONE
             self._wanted[axis] = home
             self._axes.setpoint[axis] = home
@@ -200,14 +202,21 @@ class EmulatedAxes:
             jump = self.faults.take("jump", name)
             if jump is not None:
                 self._offset[axis] += self._unit * jump
-            sign = -1.0 if self.faults.value("reversed", name) is not None else 1.0
-            if sign != self._sign[axis]:  # from here on it counts the other way
-                self._offset[axis] += (self._sign[axis] - sign) * axes.position[axis]
-                self._sign[axis] = sign
+            self._gear[axis], count = self._geared(name)
+            if count != self._count[axis]:  # from here on it counts otherwise
+                self._offset[axis] += (self._count[axis] - count) * axes.position[axis]
+                self._count[axis] = count
         if self.faults.value("freeze") is None:
             noise = self._sigma * self._noise.standard_normal(3) if self._sigma > 0.0 else 0.0
-            self.position = self._sign * axes.position + self._offset + noise
-            self.rate = self._sign * axes.rate
+            self.position = self._count * axes.position + self._offset + noise
+            self.rate = self._count * axes.rate
+
+    def _geared(self, name: str) -> tuple[float, float]:
+        """Return how the drive takes the axis' way, and how the encoder counts it, under the faults that are on."""
+        gear = self.faults.value("scaled", name) or 1.0
+        if self.faults.value("mirrored", name) is not None:
+            gear = -gear
+        return gear, -gear if self.faults.value("reversed", name) is not None else gear
 
     def _publish(self) -> None:
         self._board.write(self.device, self._t_s, self._axes.position, self._axes.rate)

@@ -48,6 +48,8 @@ AXIS: Final = {
     "stuck": Kind("the axis stands still, whatever it is told", of_axis=True),
     "jump": Kind("the encoder jumps", of_axis=True, value="m or deg", default=0.1, once=True),
     "reversed": Kind("the encoder counts the wrong way", of_axis=True),
+    "mirrored": Kind("motor and encoder are both the wrong way round", of_axis=True),
+    "scaled": Kind("the drive counts so many times the way that the axis goes", of_axis=True, value="factor"),
     "drive_fault": Kind("the drive reports a fault", of_axis=True, value="code", default=0.0, once=True),
 }
 

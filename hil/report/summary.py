@@ -9,7 +9,9 @@ import numpy as np
 from hil import parameters
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.sign_off import SignOff
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
+from hil.fitness import sign_off_gap
 from hil.late_cycles import lateness_histogram, lateness_percentiles_us
 from hil.messages import Array
 from hil.report.bench_error import judge_bench_error
@@ -61,11 +63,20 @@ def summarise(
         "bench": _bench(history, outcome) | judge_bench_error(history, rig, scenario.step_s, SETTLED_S),
         "latency": measure_latency(history, scenario.step_s),
         "timing": _timing(outcome, rig, rate_hz),
+        "sign_off": sign_off_summary(rig),
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
         "faults": outcome.faults,
         "alarms": [alarm.as_json() for alarm in outcome.alarms],
     }
     return summary, verdict
+
+
+def sign_off_summary(rig: Rig) -> dict[str, Any] | None:
+    """Who commissioned the rig, and whether that was waived; None where no hardware moves."""
+    if rig.kind != "hardware":
+        return None
+    found, gap = rig.sign_off or SignOff(), sign_off_gap(rig)
+    return {"valid": not gap, "gap": gap, "waived": found.waived, "date": found.date, "by": found.by}
 
 
 def _timing(outcome: Outcome, rig: Rig, rate_hz: float) -> dict[str, Any]:

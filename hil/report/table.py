@@ -39,9 +39,22 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     )
     _print_bench(summary["bench"], summary["latency"], console)
     _print_timing(summary["timing"], console)
+    print_sign_off(summary["sign_off"], console)
     word = "[bold green]PASS[/]" if summary["passed"] else "[bold red]FAIL[/]"
     why = "" if summary["passed"] else f" ({_reason(summary, verdict)})"
     console.print(f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']}{why}", highlight=False)
+
+
+def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
+    """Print who commissioned the hardware, or that somebody waived it."""
+    if sign_off is None:
+        return
+    if sign_off["waived"]:
+        text = f"waived (rig.sign_off.waived); the sign-off {sign_off['gap'] or 'holds'}"
+        console.print(f"Sign-off    {text}", style="yellow", highlight=False, soft_wrap=True, markup=False)
+    else:
+        text = f"{sign_off['date']} by {sign_off['by']}"
+        console.print(f"Sign-off    {text}", highlight=False, soft_wrap=True, markup=False)
 
 
 def _print_timing(timing: dict[str, Any], console: Console) -> None:

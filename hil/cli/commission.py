@@ -1,0 +1,163 @@
+"""``hil commission``: from the emergency stop to a slow dry run, and a rig file that is signed off."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from datetime import date, datetime
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+
+from hil.cli.identify import AXES
+from hil.cli.output import base_of, check_rig_path
+from hil.cli.warm_up import warm_up_with_a_word
+from hil.config.load import Loaded, load_rig, load_scenario
+from hil.config.rig import Rig
+from hil.errors import BadInput, Problem
+from hil.fitness import flight_problems
+
+_SIGNED, _FAILED = 0, 1
+_YES: Final = {"y", "yes"}
+_NO: Final = {"n", "no"}
+
+
+def commission_command(
+    rig_name: str,
+    axes: Sequence[str],
+    out_path: str | None,
+    by: str | None,
+    day: str | None,
+    ends: bool,
+    unattended: bool,
+    scenario_name: str,
+    settings: Sequence[str],
+    speed: float,
+) -> int:
+    """Do ``hil commission``; return its exit code. Raises BadInput before anything is started."""
+    _check_options(axes, out_path, by, day, settings, speed)
+    scenario, rig = load_scenario(scenario_name, settings), load_rig(rig_name, settings)
+    _check_rig(rig, unattended)
+
+    from hil import build
+    from hil.commission.dialogue import Dialogue, Scripted, StepFailed
+    from hil.commission.emulated import EmulatedTechnician
+    from hil.commission.file import as_toml, signed_before
+    from hil.commission.steps import Commissioning
+
+    job = build.Job(scenario, rig, 0, scenario.value.step_s, speed)
+    console = Console(stderr=True)
+    with console.status("checking that the rig can follow the scenario"):
+        build.check_rig(job)
+        if problems := flight_problems(scenario, rig):
+            raise BadInput(problems)
+    warm_up_with_a_word(job, console)
+    dialogue: Dialogue = Scripted(show=_show(Console())) if unattended else Terminal(Console())
+    before = signed_before(rig.value)
+    chosen = [k for k, name in enumerate(AXES) if name in axes or not axes]
+    others = [k for k, name in enumerate(AXES) if name in before]
+    who = by or ("nobody (--yes)" if unattended else _asked_name())
+    if rig.value.kind == "hardware" and not dialogue.ask(
+        "The axes will move. Is the bench clear of people, and the emergency stop in your hand?"
+    ):
+        return _failed("nothing was moved", console)
+    with build.wired_bench(
+        job, lambda text: console.print(text, style="dim", highlight=False, soft_wrap=True)
+    ) as bench:
+        emulated = EmulatedTechnician(bench.board, bench.addresses) if bench.board is not None else None
+        button = emulated if emulated is not None and rig.value.has_io else None
+        witness = emulated.place if emulated is not None else None
+        steps = Commissioning(bench.runner(), rig.value, dialogue, chosen, others, ends, button, witness)
+        try:
+            found = steps.run()
+        except StepFailed as failure:
+            return _failed(str(failure), console)
+    if out_path is None:
+        dialogue.tell("all steps passed; nothing was written, because there is no --out")
+        return _SIGNED
+    text = as_toml(found, rig.value, base_of(rig_name, out_path), who, day or _today())
+    Path(out_path).write_text(text, encoding="utf-8")
+    left = [name for k, name in enumerate(AXES) if k not in chosen and k not in others]
+    dialogue.tell(
+        f"{out_path}: {len(chosen)} axes signed, left: {', '.join(left)}"
+        if left
+        else f"{out_path}: the rig is signed off"
+    )
+    return _SIGNED
+
+
+def _failed(text: str, console: Console) -> int:
+    console.print(text, style="red", highlight=False, soft_wrap=True, markup=False)
+    console.print("not signed", style="red", highlight=False)
+    return _FAILED
+
+
+def _check_options(
+    axes: Sequence[str], out_path: str | None, by: str | None, day: str | None, settings: Sequence[str], speed: float
+) -> None:
+    problems = [Problem("--axis", "", f"{a}: unknown, give {', '.join(AXES)}") for a in axes if a not in AXES]
+    if not (math.isfinite(speed) and speed > 0.0):
+        problems.append(Problem("--speed", "", f"{speed:g}: must be above 0"))
+    if by is not None and not by.strip():
+        problems.append(Problem("--by", "", "is empty, give a name"))
+    if day is not None and not _is_day(day):
+        problems.append(Problem("--date", "", f"{day}: must look like 2026-03-01"))
+    if out_path is not None:
+        changed = [text for text in settings if text.startswith("rig.")]
+        advice = "a sign-off holds for the rig file as it stands, write it into that"
+        problems += [Problem("--set", text, f"not together with --out: {advice}") for text in changed]
+    problems += check_rig_path("--out", out_path)
+    if problems:
+        raise BadInput(problems)
+
+
+def _is_day(text: str) -> bool:
+    with suppress(ValueError):
+        return re.fullmatch(r"\d{4}-\d{2}-\d{2}", text) is not None and bool(date.fromisoformat(text))
+    return False
+
+
+def _today() -> str:
+    return datetime.now().astimezone().date().isoformat()
+
+
+def _check_rig(rig: Loaded[Rig], unattended: bool) -> None:
+    """Raise BadInput where there is nothing to commission, or nobody to look."""
+    if rig.value.kind == "mock":
+        raise BadInput.single(rig.where("kind"), "rig.kind", '"mock": there are no devices to commission')
+    if rig.value.kind == "hardware" and unattended:
+        raise BadInput.single("--yes", "", f"{rig.value.name} is hardware: somebody must look at it and answer")
+
+
+def _asked_name() -> str:
+    with suppress(EOFError):
+        if name := Console().input("Your name, for the sign-off: ").strip():
+            return name
+    raise BadInput.single("--by", "", "is missing: somebody must look at the bench and sign")
+
+
+def _show(console: Console) -> Callable[[str], None]:
+    return lambda text: console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+
+class Terminal:
+    """A technician at a terminal; yes and no are typed."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def tell(self, text: str) -> None:
+        """Print a line."""
+        self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+    def ask(self, question: str) -> bool:
+        """Ask until the answer is y or n; where nobody can type, it is no."""
+        with suppress(EOFError):
+            while True:
+                answer = self._console.input(f"{question} [y/n] ", markup=False).strip().lower()
+                if answer in _YES | _NO:
+                    return answer in _YES
+        return False

@@ -1,0 +1,39 @@
+"""A fingerprint of everything in a rig that decides how it moves: a sign-off holds for one such fingerprint."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, Final
+
+from hil.config.load import load_protocol
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+
+_TABLES: Final = ("kind", "bench", "rails", "turntable", "io", "safety", "target_manipulator")
+
+
+def motion_digest(rig: Rig) -> str:
+    """Return "sha256:..." over the tables that matter for motion, and over the files that they name.
+
+    Left out are the leads, which ``hil identify`` measures on a rig that is signed off already: a setpoint is cut
+    to the limits after its lead. Raises BadInput where a protocol file cannot be read.
+    """
+    table = rig.model_dump(mode="json", include=set(_TABLES))
+    for device, names in (("rails", RAIL_NAMES), ("turntable", GIMBAL_NAMES), ("target_manipulator", RAIL_NAMES)):
+        for name in names if table[device] is not None else ():
+            del table[device][name]["lead_s"]
+    _put_files_for_paths(rig, table["turntable"])
+    text = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def _put_files_for_paths(rig: Rig, turntable: dict[str, Any]) -> None:
+    """Replace the paths of protocol file and EDS by what stands in the files: a path depends on the present folder."""
+    if rig.turntable.ascii is not None:
+        protocol = load_protocol(rig.turntable.ascii.protocol).value
+        turntable["ascii"]["protocol"] = protocol.model_dump(mode="json")
+    if rig.turntable.cia402 is not None and rig.turntable.cia402.eds_file is not None:
+        eds = Path(rig.turntable.cia402.eds_file)
+        known = eds.is_file()
+        turntable["cia402"]["eds_file"] = hashlib.sha256(eds.read_bytes()).hexdigest() if known else "missing"

@@ -1,0 +1,35 @@
+"""Rig files, table ``[sign_off]``: who commissioned the rig as it stands, and what was found of each axis."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from hil.config.model import NotNegative, Strict
+
+AxisName = Literal["rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw"]
+Day = Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$")]
+Digest = Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$")]
+
+
+class AxisSignOff(Strict):
+    """One axis that was found in order."""
+
+    date: Day
+    by: str
+    digest: Digest  # of the rig that it was found in order with
+    scale_error: float  # of the encoder, against the command
+    following_error_max_m: NotNegative | None = None  # rails, at a crawl
+    following_error_max_deg: NotNegative | None = None  # turntable, at a crawl
+
+
+class SignOff(Strict):
+    """Written by ``hil commission``; ``digest`` stands there once all axes and the dry run have passed."""
+
+    waived: bool = False  # hardware runs without a valid sign-off; each run's report says so
+    date: Day | None = None
+    by: str | None = None
+    hil: str | None = None  # version of this program
+    digest: Digest | None = None
+    axes: dict[AxisName, AxisSignOff] = Field(default_factory=dict)

@@ -1,0 +1,307 @@
+"""The steps of commissioning on a mock bench: what each one finds, and that nothing moves on after a failure."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil import build
+from hil.commission.dialogue import Scripted, StepFailed
+from hil.commission.steps import Commissioning, Found, Witness
+from hil.config.load import load_rig, load_scenario
+from hil.drivers.io.mock import MockIo
+from hil.errors import SafetyTrip
+from hil.io_stage import IoStage
+from hil.modes import Mode
+from hil.runner import Runner
+
+STEP_S = 0.02
+X, Y, YAW = 0, 1, 5
+OTHERS = (1, 2, 3, 4)
+
+
+@dataclass
+class Button:
+    """The emergency stop of the mock coupler. dead: its wire is broken; relay_dead: the relay does not open."""
+
+    io: MockIo
+    dead: bool = False
+    presses: int = 0
+
+    def press(self) -> None:
+        self.presses += 1
+        self.io.pressed = not self.dead
+
+    def release(self) -> None:
+        self.io.pressed = False
+
+
+@dataclass
+class Trial:
+    """One commissioning; ``fails`` where it ended before its end."""
+
+    dialogue: Scripted
+    found: Found | None = None
+    fails: StepFailed | None = None
+    calls: list[str] = field(default_factory=list)
+    places: list[np.ndarray] = field(default_factory=list)
+    mode: Mode = Mode.OFF
+    presses: int = 0
+
+
+Prepare = Callable[[Runner, Trial, Button], None]
+
+
+def commissioned(
+    axes: tuple[int, ...],
+    *settings: str,
+    others: tuple[int, ...] = (),
+    answer: Callable[[str], bool] = lambda _: True,
+    prepare: Prepare = lambda *_: None,
+    witness: Witness | None = None,
+    ends: bool = False,
+) -> Trial:
+    job = build.Job(load_scenario("scheme-1"), load_rig("mock", settings), 0, STEP_S, 1.0)
+    trial = Trial(Scripted(answer))
+    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+        lines, bench = runner.loop.lines, runner.loop.bench
+        assert isinstance(lines, IoStage)
+        assert isinstance(lines.io, MockIo)
+        button = Button(lines.io)
+        stop, close, send = bench.stop, bench.close, bench._send
+        bench.stop = lambda now_s: (trial.calls.append("stop"), stop(now_s))[1]  # type: ignore[method-assign,func-returns-value]
+        bench.close = lambda: (trial.calls.append("close"), close())[1]  # type: ignore[method-assign,func-returns-value]
+
+        def sent(now_s: float, setpoint: np.record) -> None:
+            send(now_s, setpoint)
+            trial.places.append(bench.motion.position.copy())
+
+        bench._send = sent  # type: ignore[method-assign]
+        prepare(runner, trial, button)
+        steps = Commissioning(runner, job.rig.value, trial.dialogue, axes, others, ends, button, witness)
+        try:
+            trial.found = steps.run()
+        except StepFailed as failure:
+            trial.fails = failure
+        finally:
+            trial.mode, trial.presses = runner.supervisor.modes.mode, button.presses
+    return trial
+
+
+def test_axes_are_found_in_order_one_at_a_time_and_stand_where_they_stood() -> None:
+    trial = commissioned((X, YAW))
+    assert trial.found is not None
+    x, yaw = trial.found.axes
+    assert (x.name, yaw.name) == ("rails.x", "turntable.yaw")
+    assert abs(x.scale_error) < 1e-3
+    assert abs(yaw.scale_error) < 1e-3
+    assert 0.0 < x.following_error_max < 1e-3
+    assert trial.found.dry_run is None  # four axes are left
+    places = np.array(trial.places)
+    way = np.ptp(places, axis=0)
+    np.testing.assert_allclose(way, [0.02, 0.0, 0.0, 0.0, 0.0, math.radians(2.0)], atol=1e-9)
+    speed = np.abs(np.diff(places, axis=0)).max(axis=0) / STEP_S
+    assert speed[X] <= 0.02 + 1e-9
+    assert speed[YAW] <= math.radians(2.0) + 1e-9
+    assert not ((np.diff(places[:, X]) != 0.0) & (np.diff(places[:, YAW]) != 0.0)).any()
+    np.testing.assert_allclose(places[-1], places[0], atol=1e-4)
+    assert trial.calls == ["stop", "close"]
+
+
+def test_steps_come_in_their_order() -> None:
+    trial = commissioned((X, YAW), others=OTHERS)
+    titles = [line for line in trial.dialogue.told if line.startswith("-- ")]
+    assert titles == [
+        "-- emergency stop",
+        "-- identity of the devices",
+        "-- rails.x: sign and scale",
+        "-- turntable.yaw: sign and scale",
+        "-- limits",
+        "-- dry run",
+    ]
+    assert trial.presses == 1
+
+
+def test_with_all_axes_in_order_the_dry_run_goes_a_quarter_as_fast_as_allowed() -> None:
+    trial = commissioned((X,), "rig.rails.x.rate_max_mps=0.2", others=(*OTHERS, YAW))
+    assert trial.found is not None
+    assert trial.found.dry_run is not None
+    assert trial.found.dry_run[X] > 0.0
+    places = np.array(trial.places)
+    speed = np.abs(np.diff(places[:, X])) / STEP_S
+    assert 0.04 < speed.max() <= 0.05 + 1e-9
+    assert np.ptp(places[:, X]) == pytest.approx(0.1 + 0.02, abs=0.005)  # the straight piece, and the try before
+
+
+def test_ends_of_the_travel_are_approached_when_asked_for() -> None:
+    trial = commissioned((YAW,), ends=True)
+    assert trial.fails is None
+    yaw = np.degrees(np.array(trial.places)[:, YAW])
+    assert yaw.min() == pytest.approx(-59.5, abs=1e-6)
+    assert yaw.max() == pytest.approx(59.5, abs=1e-6)
+    assert sum("Is its switch still free?" in question for question in trial.dialogue.asked) == 2
+
+
+def test_incremental_axis_is_homed_before_it_is_moved() -> None:
+    trial = commissioned((Y,), 'rig.rails.y.encoder="incremental"', "rig.rails.y.home_m=0.05")
+    assert trial.fails is None
+    assert "rails.y: not homed, will look for the home switch" in trial.dialogue.told
+    assert any("Homed: rails.y at +" in question for question in trial.dialogue.asked)
+
+
+@pytest.mark.parametrize(
+    ("words", "step"),
+    [
+        ("no power", "io: emergency stop"),
+        ("Has the carriage moved along rails.x by +20.00 mm", "rails.x: sign and scale"),
+        ("Is each limit switch beyond", "rails.x: limits"),
+        ("Is its way clear", "bench: dry run"),
+    ],
+)
+def test_no_of_the_technician_ends_it_with_the_axes_stopped(words: str, step: str) -> None:
+    trial = commissioned((X,), others=(*OTHERS, YAW), answer=lambda question: words not in question)
+    assert trial.found is None
+    assert trial.fails is not None
+    assert trial.fails.what == step
+    assert "the technician" in trial.fails.found
+    assert trial.calls == ([] if step.startswith("io") else ["stop", "close"])
+    assert words in trial.dialogue.asked[-1]
+
+
+def _scaled(factor: float) -> Witness:
+    """Return an eye that sees ``factor`` times the way that the encoder tells."""
+    runners: list[Runner] = []
+
+    def look(axis: int, now_s: float) -> float:
+        feedback = runners[0].loop.now.feedback
+        return factor * float([*feedback.rail_m, *feedback.gimbal_rad][axis])
+
+    look.runners = runners  # type: ignore[attr-defined]
+    return look
+
+
+@pytest.mark.parametrize(("factor", "step"), [(1.1, "scale"), (0.9, "scale"), (-1.0, "sign")])
+def test_axis_that_goes_otherwise_than_its_encoder_says_is_found_by_eye(factor: float, step: str) -> None:
+    look = _scaled(factor)
+    trial = commissioned(
+        (YAW,),
+        witness=look,
+        prepare=lambda runner, *_: look.runners.append(runner),  # type: ignore[attr-defined]
+    )
+    assert trial.fails is not None
+    assert trial.fails.what == f"turntable.yaw: {step}"
+    assert "+2.000 deg within 2 %" in trial.fails.expected
+    assert f"{2.0 * factor:+.3f} deg by the eye" in trial.fails.found
+    assert trial.calls == ["stop", "close"]
+
+
+def _encoder(factor: float) -> Prepare:
+    """Let the encoder of x count ``factor`` times its way from where it stands at first."""
+
+    def prepare(runner: Runner, *_: Any) -> None:
+        rails = runner.loop.bench.rails
+        read = rails.read
+        start: list[float] = []
+
+        def spoilt(now_s: float) -> Any:
+            feedback = read(now_s)
+            start[:] = start or [float(feedback.position[X])]
+            feedback.position[X] = start[0] + factor * (feedback.position[X] - start[0])
+            return feedback
+
+        rails.read = spoilt  # type: ignore[method-assign]
+
+    return prepare
+
+
+@pytest.mark.parametrize(
+    ("factor", "step", "word"),
+    [
+        (-1.0, "sign", "change one of both signs"),
+        (0.0, "following", "does not follow"),
+        (1.05, "scale", "counts a turn"),
+    ],
+)
+def test_encoder_that_does_not_go_with_the_command_is_found(factor: float, step: str, word: str) -> None:
+    trial = commissioned((X,), prepare=_encoder(factor))
+    assert trial.fails is not None
+    assert trial.fails.what == f"rails.x: {step}"
+    assert word in trial.fails.advice
+    assert "by the encoder" in trial.fails.found
+    assert trial.calls == ["stop", "close"]
+    assert float(np.ptp(np.array(trial.places)[:, X])) <= 0.02 + 1e-9
+
+
+def test_emergency_stop_with_a_broken_wire_is_found_before_anything_is_opened() -> None:
+    def broken(_: Runner, trial: Trial, button: Button) -> None:
+        button.dead = True
+
+    trial = commissioned((X,), prepare=broken)
+    assert trial.fails is not None
+    assert trial.fails.expected == "input opens"
+    assert "still closed after 120 s" in trial.fails.found
+    assert trial.calls == []
+
+
+def test_relay_that_closes_by_itself_after_the_release_is_found() -> None:
+    def by_itself(runner: Runner, _: Trial, button: Button) -> None:
+        io = button.io
+        advance = io._advance
+
+        def relay(now_s: float) -> bool:
+            return advance(now_s) or (button.presses > 0 and not io.pressed)
+
+        io._advance = relay  # type: ignore[method-assign]
+
+    trial = commissioned((X,), prepare=by_itself)
+    assert trial.fails is not None
+    assert trial.fails.found == "closed by itself"
+    assert trial.calls == []
+
+
+def test_emergency_stop_ends_the_waiting_for_an_answer() -> None:
+    buttons: list[Button] = []
+    answered = threading.Event()
+
+    def answer(question: str) -> bool:
+        if "Has the carriage moved" in question:
+            buttons[0].press()
+            answered.wait(60.0)
+        return True
+
+    with pytest.raises(SafetyTrip, match="emergency stop pressed"):
+        commissioned((X,), answer=answer, prepare=lambda _runner, _trial, button: buttons.append(button))
+    answered.set()
+
+
+def test_ctrl_c_at_a_question_stops_the_axes_first() -> None:
+    calls: list[list[str]] = []
+    asked, answered = threading.Event(), threading.Event()
+
+    def answer(question: str) -> bool:
+        if "Has the carriage moved" in question:
+            asked.set()
+            answered.wait(60.0)
+        return True
+
+    def interrupt(runner: Runner, trial: Trial, _: Button) -> None:
+        calls.append(trial.calls)
+        read = runner.loop.bench.read
+
+        def read_or_stop(now_s: float, feedback: np.record) -> None:
+            if asked.is_set():
+                raise KeyboardInterrupt
+            read(now_s, feedback)
+
+        runner.loop.bench.read = read_or_stop  # type: ignore[method-assign]
+
+    with pytest.raises(KeyboardInterrupt):
+        commissioned((X,), answer=answer, prepare=interrupt)
+    answered.set()
+    assert calls == [["stop", "close"]]

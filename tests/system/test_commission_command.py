@@ -1,0 +1,172 @@
+"""``hil commission`` on the wires of an emulated rig: the whole path, and the faults that it is there to find."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hil import build
+from hil.build import WiredBench
+from hil.cli.main import execute
+from hil.commission.dialogue import Scripted, StepFailed
+from hil.commission.emulated import EmulatedTechnician
+from hil.commission.steps import Commissioning
+from hil.config.digest import motion_digest
+from hil.config.load import load_rig, load_scenario
+from hil.drivers.faults import FaultControl
+from hil.fitness import sign_off_gap
+from hil.modes import Mode
+from hil.runner import Runner
+
+X, Y, YAW = 0, 1, 5
+SPEED = 2.0
+_BETWEEN_SESSIONS_S = 0.4  # the I/O process may still be at the stop of the one before
+SIGNED = ("rails.x", "rails.z", "turntable.roll", "turntable.pitch")
+RIG = """
+extends = "emulated"
+name = "near its start"
+rails.x.park_m = 4.95
+rails.y.park_m = -0.25
+"""
+
+
+@pytest.fixture(scope="module")
+def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a rig of which four axes are signed already."""
+    path = tmp_path_factory.mktemp("rigs") / "near.toml"
+    path.write_text(RIG)
+    digest = motion_digest(load_rig(str(path)).value)
+    entry = f'{{ date = "2026-03-01", by = "T", digest = "{digest}", scale_error = 0.0 }}'
+    path.write_text(RIG + "[sign_off.axes]\n" + "".join(f'"{name}" = {entry}\n' for name in SIGNED))
+    return path
+
+
+@pytest.fixture(scope="module")
+def bench(rig_file: Path) -> Iterator[WiredBench]:
+    job = build.Job(load_scenario("scheme-1"), load_rig(str(rig_file)), 0, 0.02, SPEED)
+    build.warm_up(job)
+    with build.wired_bench(job) as wired:
+        yield wired
+
+
+def commission(bench: WiredBench, axis: int) -> tuple[StepFailed, Runner]:
+    """Commission one axis, which does not pass; return why, and the session."""
+    assert bench.board is not None
+    technician = EmulatedTechnician(bench.board, bench.addresses)
+    time.sleep(_BETWEEN_SESSIONS_S)
+    runner = bench.runner()
+    rig = load_rig("emulated").value
+    steps = Commissioning(runner, rig, Scripted(), [axis], button=technician, witness=technician.place)
+    with pytest.raises(StepFailed) as raised:
+        steps.run()
+    return raised.value, runner
+
+
+@pytest.mark.parametrize(
+    ("fault", "axis", "what", "found"),
+    [
+        ("rails: on reversed y", Y, "rails.y: sign", "by the encoder; encoder and motor do not turn the same way"),
+        ("rails: on mirrored y", Y, "rails.y: sign", "by the eye; motor and encoder are both the wrong way round"),
+        ("rails: on scaled y 1.1", Y, "rails.y: scale", "+18.* mm by the eye; set the counts a turn"),
+        pytest.param(
+            "turntable: on scaled yaw 0.9",
+            YAW,
+            "turntable.yaw: scale",
+            "+2.2.* deg by the eye; set the counts a turn",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "rails: on stuck y",
+            Y,
+            "rails.y: following",
+            "by the encoder; the axis does not follow",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_axis_that_is_wired_wrongly_is_named_with_what_to_do(
+    bench: WiredBench, fault: str, axis: int, what: str, found: str
+) -> None:
+    device, _, line = fault.partition(": ")
+    assert bench.board is not None
+    control = FaultControl(bench.addresses[f"{device}.faults"])
+    try:
+        control.say(line)
+        failure, runner = commission(bench, axis)
+        end_s = time.monotonic() + 10.0
+        while abs(bench.board.read(device, runner.now_s())[1]).max() > 2e-3:
+            assert time.monotonic() < end_s, "still moves"
+            time.sleep(0.01)
+    finally:
+        control.say("clear")
+        control.close()
+    assert failure.what == what
+    assert re.search(found.replace("+", r"\+"), str(failure)), str(failure)
+    assert runner.supervisor.modes.mode is not Mode.OFF
+
+
+def test_whole_path_ends_in_a_rig_file_that_is_signed_off(rig_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = rig_file.with_name("signed.toml")
+    arguments = [
+        "--axis",
+        "rails.y",
+        "--axis",
+        "turntable.yaw",
+        "--yes",
+        "--by",
+        "T. Echnician",
+        "--date",
+        "2026-03-02",
+    ]
+    code = execute(["commission", str(rig_file), *arguments, "--out", str(out), "--speed", f"{SPEED:g}"])
+    printed = capsys.readouterr()
+    assert code == 0, printed.err
+    told = printed.out
+    titles = re.findall(r"^-- (.*)$", told, re.MULTILINE)
+    assert titles == [
+        "emergency stop",
+        "identity of the devices",
+        "rails.y: sign and scale",
+        "turntable.yaw: sign and scale",
+        "limits",
+        "dry run",
+    ]
+    assert "io: emergency stop seen, safety chain open" in told
+    assert "io: released, chain stayed open, closed again at the reset" in told
+    assert told.strip().endswith("the rig is signed off")
+    rig = load_rig(str(out)).value
+    assert sign_off_gap(rig) == ""
+    assert rig.sign_off is not None
+    assert (rig.sign_off.by, rig.sign_off.date) == ("T. Echnician", "2026-03-02")
+    assert abs(rig.sign_off.axes["rails.y"].scale_error) < 0.02
+    assert 0.0 < (rig.sign_off.axes["turntable.yaw"].following_error_max_deg or 0.0) < 0.5
+
+
+@pytest.mark.slow
+def test_ctrl_c_at_a_question_ends_as_a_safe_stop() -> None:
+    command = [sys.executable, "-m", "hil", "commission", "emulated", "--axis", "rails.y", "--by", "T", "--speed", "2"]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as process:  # type: ignore[call-overload]
+        try:
+            process.stdin.write("y\n")  # to the emergency stop; the next question stays open
+            process.stdin.flush()
+            told = ""
+            while "Has the carriage moved" not in told:
+                letter = process.stdout.read(1)
+                assert letter, f"ended before it asked: {told} {process.stderr.read()}"
+                told += letter
+            time.sleep(1.0)  # longer than the drives' watchdogs: the axes are kept under command
+            assert process.poll() is None
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=30.0)
+        finally:
+            process.kill()
+    assert process.returncode == 3
+    assert errors.strip().splitlines()[-1] == "stopped by the operator"
