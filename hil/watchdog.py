@@ -23,6 +23,7 @@ from hil.drivers.remote.cells import Exchange
 from hil.drivers.remote.host import LOOP_SILENCE_MAX_S, Host, go_first
 from hil.errors import BenchError, LinkLost
 
+_PERIOD_WALL_S = 0.004  # a tenth of the shortest silence that it has to notice, less than a pulse's period
 _WATCHED = {cells.LOOP: "the loop", cells.HOST: "the I/O process"}
 
 
@@ -30,7 +31,7 @@ class Watchdog(Host):
     """Serves the digital lines for the loop."""
 
     def __init__(self, lines: DiscreteIo, exchange: Exchange, requests: socket.socket, clock: WallClock) -> None:
-        super().__init__({NAME: lines}, exchange, requests, clock, cells.GUARD)
+        super().__init__({NAME: lines}, exchange, requests, clock, cells.GUARD, _PERIOD_WALL_S)
         self._lines = lines
         self._outputs = np.zeros(1, cells.OUTPUTS)
         self._taken = 0

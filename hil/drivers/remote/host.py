@@ -25,8 +25,7 @@ LOOP_SILENCE_MAX_S: Final = 0.05
 FIFO_PRIORITY: Final = 60
 """Below the loop's, above everything else: what the loop commands must get out."""
 _SWITCH_INTERVAL_S: Final = 5e-5
-_PERIOD_WALL_S: Final = 0.001
-_COUNTERS_EVERY: Final = 100  # periods
+_COUNTERS_EVERY: Final = 50  # periods
 
 
 def go_first() -> None:
@@ -52,8 +51,8 @@ class Device(Protocol):
 class Host:
     """Serves ``devices`` by name from ``run`` until it is told to stop; then all are closed.
 
-    name: HOST or GUARD, the cell of this process' heartbeat. Subclasses say in ``serve`` what is done in each
-    period.
+    name: HOST or GUARD, the cell of this process' heartbeat. period_wall_s: longest time between two looks at
+    everything. Subclasses say in ``serve`` what is done in each.
     """
 
     faults = None
@@ -65,9 +64,11 @@ class Host:
         requests: socket.socket,
         clock: WallClock,
         name: str,
+        period_wall_s: float = 0.001,
     ) -> None:
         self.exchange = exchange
         self.clock = clock
+        self._period_wall_s = period_wall_s
         self.served: set[str] = set()
         self._devices = devices
         self._requests = requests
@@ -89,7 +90,7 @@ class Host:
         """Serve until ``stop`` is set."""
         periods = 0
         while not stop.is_set():
-            ready, _, _ = select.select([self._wake], [], [], _PERIOD_WALL_S)
+            ready, _, _ = select.select([self._wake], [], [], self._period_wall_s)
             if ready:
                 with contextlib.suppress(BlockingIOError):
                     os.eventfd_read(self._wake)
