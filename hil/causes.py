@@ -7,7 +7,7 @@ from typing import Final
 
 from hil.cycle import Loop
 from hil.drivers.base import TORQUE_OFF
-from hil.errors import BenchError
+from hil.errors import BenchError, LinkLost
 from hil.io_stage import NoLines
 from hil.rate import Rate
 
@@ -33,7 +33,7 @@ def cause_behind(fault: BenchError, loop: Loop, rate: Rate) -> BenchError:
                 return alarm.trip()
             loop.lines.look(now_s)
         except BenchError as behind:
-            return behind if torque_is_off else fault
+            return fault if isinstance(fault, LinkLost) else behind  # a wire that is gone is a cause itself
         time.sleep(_PAUSE_WALL_S)
         now_s = rate.now_s()
     return fault

@@ -38,26 +38,20 @@ def main(words: list[str]) -> int:
             findings.append(finding)
             word = "ok  " if finding.as_expected else "MISSED"
             console.print(f"{word} {case.name}: {finding.alarm or 'goes on'}", highlight=False, soft_wrap=True)
-    console.print(_table(findings))
+    for mode in modes:
+        console.print(_table(findings, mode))
     missed = [finding.case.name for finding in findings if not finding.as_expected]
     console.print(f"{len(findings)} cases, {len(missed)} not as they must be {missed or ''}")
     return 1 if missed else 0
 
 
-def _table(findings: list[Finding]) -> Table:
-    """Return fault by device and mode: detected and standing after so many milliseconds."""
-    columns = sorted({(f.case.device, f.case.mode.value) for f in findings})
-    table = Table("fault", *(f"{device}\n{mode}" for device, mode in columns), title="detected / standing, ms")
-    for line in dict.fromkeys(f.case.line.removeprefix("on ") for f in findings):
-        cells = []
-        for column in columns:
-            found = [
-                f
-                for f in findings
-                if (f.case.device, f.case.mode.value) == column and f.case.line.removeprefix("on ") == line
-            ]
-            cells.append(_cell(found[0]) if found else "")
-        table.add_row(line, *cells)
+def _table(findings: list[Finding], mode: Mode) -> Table:
+    """Return fault by device: detected and standing after so many milliseconds."""
+    here = {(f.case.device, f.case.line.removeprefix("on ")): f for f in findings if f.case.mode is mode}
+    devices = list(dict.fromkeys(device for device, _ in here))
+    table = Table("fault", *devices, title=f"{mode.value}: detected / standing, ms")
+    for line in dict.fromkeys(line for _, line in here):
+        table.add_row(line, *(_cell(here[d, line]) if (d, line) in here else "" for d in devices))
     return table
 
 

@@ -1,0 +1,199 @@
+"""The loop put together from its parts, whatever the devices are: stages, supervisor, runner, and the mocks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil import parameters
+from hil.approach_diary import ApproachDiary
+from hil.bench_stage import Bench
+from hil.config.load import Loaded
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.scenario import Scenario
+from hil.cycle import Loop
+from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
+from hil.dynamics.imu import IMU_NOISE
+from hil.eye import Eye, transport
+from hil.fitness import (
+    axes_at,
+)
+from hil.frmn.ring import NoTelemetry, Telemetry
+from hil.gnc.watch import FilterWatch
+from hil.handling import Watch
+from hil.io_stage import IoStage
+from hil.late_cycles import LateCycles
+from hil.maths.streams import NormalRows, stream
+from hil.messages import CYCLE, PoseFrame
+from hil.orders import Operator
+from hil.rate import Rate
+from hil.realtime import NoPrecedence, Precedence
+from hil.runner import Runner
+from hil.safety.bucket import LeakyBucket, LinkWatch
+from hil.safety.limits import limits_of
+from hil.safety.supervisor import Supervisor
+from hil.stages import Dss, Gnc, Vision
+from hil.target_stage import PlacedTarget
+
+_FRAMES_TO_FORGET = 2.0  # in their time one lost frame is forgiven, where the rig file says nothing else
+
+
+Devices = tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None, AxisGroup | None]
+"""Rails, turntable, vision unit, digital lines, what moves the target."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be run, checked."""
+
+    scenario: Loaded[Scenario]
+    rig: Loaded[Rig]
+    seed: int
+    duration_s: float
+    speed: float
+
+    @property
+    def cycles(self) -> int:
+        """Cycles of the run, the one at t = 0 and the one at t = duration included."""
+        return round(self.duration_s / self.scenario.value.step_s) + 1
+
+
+def assemble(
+    job: Job,
+    rig: Rig,
+    rate: Rate,
+    rails: AxisGroup,
+    turntable: AxisGroup,
+    source: PoseSource,
+    io: DiscreteIo | None,
+    target: AxisGroup | None,
+    frames_to_arm: int,
+    watch: Watch,
+    operator: Operator | None = None,
+    precedence: Precedence | None = None,
+    telemetry: Telemetry | None = None,
+) -> Runner:
+    scenario = job.scenario.value
+    bench = parameters.bench(rig, scenario.step_s)
+    axis_names = (*rails.axis_names, *turntable.axis_names)
+    supervisor = Supervisor(limits_of(rig, bench), axis_names, _links(rig, rails, turntable, source))
+    sets, strength = parameters.allocation(scenario.chaser)
+    navigation = parameters.navigation(scenario)
+    loop = Loop(
+        dss=_dss(scenario, job.seed),
+        bench=Bench(rails, turntable, bench, supervisor),
+        vision=Vision(source, parameters.stations(rig)),
+        gnc=Gnc(
+            navigation,
+            parameters.guidance(scenario),
+            parameters.supervision(scenario),
+            parameters.control(scenario, strength),
+            sets,
+            len(scenario.chaser.thrusters.position_m),
+            ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+            FilterWatch(navigation, _shadow_limits(scenario)),
+        ),
+        history=np.zeros(job.cycles, CYCLE),
+        telemetry=telemetry or NoTelemetry(),
+        bench_now_s=rate.now_s,
+    )
+    if io is not None and rig.io is not None:
+        lines = IoStage(io, loop.now.command.on[: rig.io.thruster_lines])
+        loop.lines = lines
+        loop.bench.emergency_input = lines.emergency_input
+    if target is not None and rig.moved_target is not None:
+        loop.target = PlacedTarget(target, rig.moved_target)
+    loop.now.row["truth"] = parameters.initial_truth(scenario)
+    _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
+    late_cycles = LateCycles(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
+    late_cycles.on_hold = lambda trip: supervisor.ask_for_hold(str(trip))
+    return Runner(
+        loop,
+        rate,
+        precedence or NoPrecedence(),
+        late_cycles,
+        scenario.step_s,
+        job.cycles,
+        frames_to_arm,
+        watch,
+        operator,
+    )
+
+
+def _links(rig: Rig, rails: AxisGroup, turntable: AxisGroup, source: PoseSource) -> list[LinkWatch]:
+    """Return a leaky bucket for each device that counts what its wire loses."""
+    watches = []
+    for device, config in ((rails, rig.rails), (turntable, rig.turntable)):
+        if isinstance(device, CountsLosses):
+            bucket = LeakyBucket(config.lost_packets_max, config.lost_packets_forget_s)
+            watches.append(LinkWatch(device.name, bucket, device.lost_packets))
+    forget_s = rig.vmu.lost_packets_forget_s or _FRAMES_TO_FORGET / rig.vmu.rate_hz
+    bucket = LeakyBucket(rig.vmu.lost_packets_max, forget_s)
+    return [*watches, LinkWatch(source.name, bucket, lambda: _lost_frames(source.counters()))]
+
+
+def _lost_frames(counters: dict[str, int]) -> int:
+    """Return the frames that did not come whole: one with a bad checksum leaves a gap in the numbers as well."""
+    return max(counters.get("lost", 0), counters.get("crc_errors", 0))
+
+
+def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
+    shadow = scenario.gnc.shadow
+    return (shadow.position_limit_m, math.radians(shadow.attitude_limit_deg)) if shadow.enabled else None
+
+
+def _dss(scenario: Scenario, seed: int) -> Dss:
+    """Return the simulation with thrusters as chance has built them."""
+    draws = stream(seed, "thrusters").standard_normal(parameters.thruster_draws_shape(scenario))
+    return Dss(
+        parameters.dss(scenario, draws),
+        parameters.field(scenario),
+        parameters.imu(scenario),
+        NormalRows(stream(seed, "imu"), IMU_NOISE),
+    )
+
+
+def _draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:
+    """Draw the true drift and bias about their means."""
+    draws = stream(seed, "initial").standard_normal(6)
+    drift = np.array(scenario.imu.gyro_drift_degps) + scenario.imu.gyro_drift_initial_sigma_degps * draws[:3]
+    bias_sigma = scenario.imu.accelerometer_bias_initial_sigma_mps2
+    imu.drift_C = np.radians(drift)
+    imu.bias_C = np.array(scenario.imu.accelerometer_bias_mps2) + bias_sigma * draws[3:]
+
+
+def mocks(scenario: Scenario, rig: Rig, seed: int) -> Devices:
+    """Return mocks of the devices; the axes stand at the start pose from the beginning."""
+    from hil.drivers.io.mock import MockIo
+    from hil.drivers.mock_axes import MockAxes
+    from hil.drivers.vmu.mock import MockVmu
+
+    start = start_axes(scenario, rig)
+    rails_config = rig.rails.model_copy(
+        update={
+            name: getattr(rig.rails, name).model_copy(update={"park_m": float(start.rail_m[i])})
+            for i, name in enumerate(RAIL_NAMES)
+        }
+    )
+    turntable_config = rig.turntable.model_copy(
+        update={
+            name: getattr(rig.turntable, name).model_copy(update={"park_deg": math.degrees(start.gimbal_rad[i])})
+            for i, name in enumerate(GIMBAL_NAMES)
+        }
+    )
+    rails = MockAxes("rails", RAIL_NAMES, rails_config)
+    turntable = MockAxes("turntable", GIMBAL_NAMES, turntable_config)
+    eye = Eye(parameters.bench(rig, scenario.step_s), parameters.stations(rig), parameters.vision(scenario), seed)
+
+    def pose_at(t_s: float) -> PoseFrame:
+        return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
+
+    io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
+    target = MockAxes("target", RAIL_NAMES, rig.moved_target) if rig.moved_target else None
+    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io, target
+
+
+def start_axes(scenario: Scenario, rig: Rig) -> np.record:
+    return axes_at(scenario, rig, scenario.initial.position_m, scenario.initial.attitude_deg)
