@@ -131,7 +131,8 @@ class Runner:
                     self.loop.bench.open(self._rate.now_s())
                 self.supervisor.opened()
                 self._modes.go(Mode.STANDBY)
-                yield self._handling
+                with self._precedence.at_the_front():  # after the drivers have started their threads
+                    yield self._handling
             finally:
                 self._shut_down()
 

@@ -157,7 +157,8 @@ class Terminal:
         """Ask until the answer is y or n; where nobody can type, it is no."""
         with suppress(EOFError):
             while True:
-                answer = self._console.input(f"{question} [y/n] ", markup=False).strip().lower()
+                self._console.print(f"{question} [y/n] ", end="", highlight=False, soft_wrap=True, markup=False)
+                answer = self._console.input().strip().lower()
                 if answer in _YES | _NO:
                     return answer in _YES
         return False

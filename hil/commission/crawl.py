@@ -44,6 +44,11 @@ def shown(axis: int, value: float) -> str:
     return f"{1e3 * value:+.2f} mm" if axis < 3 else f"{math.degrees(value):+.3f} deg"
 
 
+def size(axis: int, value: float) -> str:
+    """Return the same for what has no direction."""
+    return shown(axis, value).removeprefix("+")
+
+
 class Crawler:
     """Moves the axes of an open, homed bench. Raises BenchError, StepFailed; whoever opened the bench stops it then."""
 

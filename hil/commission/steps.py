@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.commission.crawl import Crawler, Followed, shown
+from hil.commission.crawl import Crawler, Followed, shown, size
 from hil.commission.dialogue import Dialogue, StepFailed
 from hil.commission.emergency import Button, EmergencyStopTrial
 from hil.commission.identity import expected_identity, see_vision_unit
@@ -129,7 +129,7 @@ class Commissioning:
         error = self._scale_error(axis, way, there, truly)
         self._dialogue.tell(
             f"{name}: told {shown(axis, way)}, encoder {shown(axis, float(there.went[axis]))}, "
-            f"following error {shown(axis, float(there.error_max[axis]))}"
+            f"following error {size(axis, float(there.error_max[axis]))}"
         )
         moved = "carriage" if axis < 3 else "turntable"
         question = f"Has the {moved} moved along {name} by {shown(axis, way)} (measure it; signs: docs/frames.md)?"
@@ -190,7 +190,7 @@ class Commissioning:
             near[axis], target[axis] = end + inwards * last, end + inwards * short
             crawler.slowly(near)
             crawler.crawl(axis, target)
-            question = f"{name} stands {shown(axis, short)} before the end of its travel. Is its switch still free?"
+            question = f"{name} stands {size(axis, short)} before the end of its travel. Is its switch still free?"
             self._insist(crawler, name, "limits", question, "its travel in the rig file, or the switch")
         crawler.slowly(stood_at)
 
@@ -206,12 +206,12 @@ class Commissioning:
         for axis, name in enumerate(self._bench.axis_names):
             rms = max(float(there.error_rms[axis]), float(straight.error_rms[axis]))
             self._dialogue.tell(
-                f"{name}: following error at most {shown(axis, float(worst[axis]))}, rms {shown(axis, rms)}, "
-                f"fastest {shown(axis, float(fastest[axis]))}/s"
+                f"{name}: following error at most {size(axis, float(worst[axis]))}, rms {size(axis, rms)}, "
+                f"fastest {size(axis, float(fastest[axis]))}/s"
             )
             if fastest[axis] > self._params.rate_max[axis]:
-                limit = f"at most {shown(axis, float(self._params.rate_max[axis]))}/s"
-                found = f"{shown(axis, float(fastest[axis]))}/s"
+                limit = f"at most {size(axis, float(self._params.rate_max[axis]))}/s"
+                found = f"{size(axis, float(fastest[axis]))}/s"
                 raise StepFailed(f"{name}: speed", limit, found, "look at the drive's speed limit and scale")
         return worst
 

@@ -146,6 +146,15 @@ def test_a_dead_coupler_is_a_lost_link(desk: Desk) -> None:
     assert "closed the connection" in seen
 
 
+def test_a_cancellation_that_is_lost_leaves_no_thread_behind(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(desk.io, "_cancel", lambda: None)
+    thread = desk.io._thread
+    assert thread is not None
+    desk.io.close()
+    desk.io.open(desk.clock.now_s())
+    assert not thread.is_alive()
+
+
 def test_a_coupler_of_the_wrong_make_is_refused(desk: Desk) -> None:
     desk.io.close()
     wire = {"port": desk.io._config.port}

@@ -21,12 +21,14 @@ from hil.commission.steps import Commissioning
 from hil.config.digest import motion_digest
 from hil.config.load import load_rig, load_scenario
 from hil.drivers.faults import FaultControl
+from hil.errors import DeviceError
 from hil.fitness import sign_off_gap
 from hil.modes import Mode
 from hil.runner import Runner
 
 X, Y, YAW = 0, 1, 5
 SPEED = 2.0
+_ATTEMPTS = 3  # a computer that is busy with other things trips the watchdogs: not what is tested here
 _BETWEEN_SESSIONS_S = 0.4  # the I/O process may still be at the stop of the one before
 SIGNED = ("rails.x", "rails.z", "turntable.roll", "turntable.pitch")
 RIG = """
@@ -60,13 +62,18 @@ def commission(bench: WiredBench, axis: int) -> tuple[StepFailed, Runner]:
     """Commission one axis, which does not pass; return why, and the session."""
     assert bench.board is not None
     technician = EmulatedTechnician(bench.board, bench.addresses)
-    time.sleep(_BETWEEN_SESSIONS_S)
-    runner = bench.runner()
     rig = load_rig("emulated").value
-    steps = Commissioning(runner, rig, Scripted(), [axis], button=technician, witness=technician.place)
-    with pytest.raises(StepFailed) as raised:
-        steps.run()
-    return raised.value, runner
+    for _ in range(_ATTEMPTS):
+        time.sleep(_BETWEEN_SESSIONS_S)
+        runner = bench.runner()
+        steps = Commissioning(runner, rig, Scripted(), [axis], button=technician, witness=technician.place)
+        try:
+            with pytest.raises(StepFailed) as raised:
+                steps.run()
+            return raised.value, runner
+        except DeviceError as error:
+            busy = error
+    raise busy
 
 
 @pytest.mark.parametrize(
@@ -125,8 +132,11 @@ def test_whole_path_ends_in_a_rig_file_that_is_signed_off(rig_file: Path, capsys
         "--date",
         "2026-03-02",
     ]
-    code = execute(["commission", str(rig_file), *arguments, "--out", str(out), "--speed", f"{SPEED:g}"])
-    printed = capsys.readouterr()
+    for _ in range(_ATTEMPTS):
+        code = execute(["commission", str(rig_file), *arguments, "--out", str(out), "--speed", f"{SPEED:g}"])
+        printed = capsys.readouterr()
+        if code != 3 or not re.search(r"silent|lost packets|time-out|no answer", printed.err):
+            break
     assert code == 0, printed.err
     told = printed.out
     titles = re.findall(r"^-- (.*)$", told, re.MULTILINE)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from hil.cli.commission import Terminal
 from hil.cli.main import execute
 from hil.commission.file import as_toml, signed_before
 from hil.commission.steps import AxisFound, Found
@@ -205,3 +206,15 @@ def test_bad_option_is_refused_in_a_line(
 def test_nobody_answers_for_a_technician_on_hardware(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["commission", str(lab), "--yes"]) == 2
     assert "--yes: lab is hardware: somebody must look" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("typed", "answer", "times"), [("y\n", True, 1), ("No\n", False, 1), ("what\n\nyes\n", True, 3), ("", False, 1)]
+)
+def test_question_is_asked_until_it_is_answered_and_nobody_there_is_a_no(
+    monkeypatch: pytest.MonkeyPatch, typed: str, answer: bool, times: int
+) -> None:
+    shown = io.StringIO()
+    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+    assert Terminal(Console(file=shown)).ask("Is it [so]?") is answer
+    assert shown.getvalue().count("Is it [so]? [y/n]") == times

@@ -47,6 +47,7 @@ class ModbusIo:
         self._pump = False
         self._toggled_s = 0.0
         self._stopped = True
+        self._closing = False
         self._is_off = threading.Event()
         self._thread: threading.Thread | None = None
         self._loop: asyncio.AbstractEventLoop
@@ -59,7 +60,7 @@ class ModbusIo:
         self._await_the_thread_before(bound_s)
         self._box = Latest(NAME)
         self._outputs = _OFF
-        self._pump = self._stopped = False
+        self._pump = self._stopped = self._closing = False
         self._toggled_s = now_s - self._config.pump_period_s
         self._is_off.clear()
         self._wake = asyncio.Event()
@@ -111,6 +112,7 @@ class ModbusIo:
         self._box.fail(LinkLost(NAME, "is closed"))
         if self._thread is None:
             return
+        self._closing = True
         self._call(self._cancel)
         self._thread.join(_CLOSE_WAIT_WALL_S)
 
@@ -158,7 +160,7 @@ class ModbusIo:
             await self._begin(coupler)
             opened.set_result(None)
             idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
-            while True:
+            while not self._closing:  # wait_for of Python 3.11 drops a cancellation that comes with the answer
                 with suppress(TimeoutError):  # nothing changed: exchange all the same
                     async with asyncio.timeout(idle_wall_s):
                         await self._wake.wait()
