@@ -85,7 +85,7 @@ class DeviceHost(Host):
     def _serve_axes(self, name: str, now_s: float) -> None:
         device, block = self._axes[name], self.exchange.block
         if self.stop_is_new(name):
-            device.stop(now_s)
+            self.stop_soon(device, now_s)
         if name not in self.served:
             return
         try:
@@ -126,7 +126,7 @@ class DeviceHost(Host):
             return
         self._lost_loop = True
         for name, device in self._axes.items():
-            device.stop(now_s)
+            self.stop_soon(device, now_s)
             if name in self.served:
                 self.fail(name, LinkLost(name, f"stopped: the loop has been silent for {silent_s:.3f} s"), now_s)
 

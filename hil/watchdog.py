@@ -40,11 +40,11 @@ class Watchdog(Host):
     def serve(self, now_s: float) -> None:
         """Pulse while everybody is alive; hand over outputs and inputs."""
         if self.stop_is_new(NAME):
-            self._lines.stop(now_s)
+            self.stop_soon(self._lines, now_s)
         if NAME not in self.served:
             return
         if silence := self._silence(now_s):
-            self._lines.stop(now_s)
+            self.stop_soon(self._lines, now_s)
             self.fail(NAME, LinkLost(NAME, silence), now_s)
             return
         try:

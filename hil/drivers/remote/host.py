@@ -48,6 +48,12 @@ class Device(Protocol):
     def close(self) -> None: ...
 
 
+class Stoppable(Protocol):
+    """What can be brought to a stand."""
+
+    def stop(self, now_s: float) -> None: ...
+
+
 class Host:
     """Serves ``devices`` by name from ``run`` until it is told to stop; then all are closed.
 
@@ -126,6 +132,10 @@ class Host:
             return False
         self._stops[device] = number
         return True
+
+    def stop_soon(self, device: Stoppable, now_s: float) -> None:
+        """Stop ``device`` without waiting for it: stopping may take a moment of its own, the heartbeat must not."""
+        threading.Thread(target=device.stop, args=(now_s,), name="stop", daemon=True).start()
 
     def fail(self, name: str, error: BenchError, now_s: float) -> None:
         """Tell the loop, once; the device is not asked any more until it is opened again."""
