@@ -116,8 +116,10 @@ class Handling:
         move = Move(bench.params, now.feedback, target)
         start_s = tick.now_s
         cycle = 0
-        while not (self._is_at(target) and bench.stands(tick.now_s, now.feedback)):
+        while True:
             moved_s = tick.now_s - start_s
+            if moved_s >= move.duration_s and self._is_at(target) and bench.stands(tick.now_s, now.feedback):
+                return True
             if moved_s > move.duration_s + _SETTLE_S:
                 raise SafetyTrip("bench", "start pose", "not reached", f"{_SETTLE_S:g} s after the move")
             move.at(moved_s + self._step_s, wanted)
@@ -128,7 +130,6 @@ class Handling:
             cycle += 1
             if cycle % WATCH_CYCLES == 0 and move.duration_s > 0.0:
                 self._watch(Mode.PLACING, min(1.0, moved_s / move.duration_s))
-        return True
 
     def _is_at(self, target: np.record) -> bool:
         feedback = self.loop.now.feedback
