@@ -21,6 +21,7 @@ from hil.safety.supervisor import HOMED
 WATCH_CYCLES: Final = 50
 _LINKS_EVERY_S: Final = 0.1
 _SETTLE_S: Final = 3.0  # after placing or homing, until the axes stand where they should
+_NO_MOVE_S: Final = 1e-3  # a move that is shorter, by rounding alone, is none
 _SETTLED_M: Final = 0.001
 _SETTLED_RAD: Final = 0.001
 
@@ -118,7 +119,8 @@ class Handling:
         cycle = 0
         while True:
             moved_s = tick.now_s - start_s
-            if moved_s >= move.duration_s and self._is_at(target) and bench.stands(tick.now_s, now.feedback):
+            ended = move.duration_s - moved_s < _NO_MOVE_S
+            if ended and self._is_at(target) and bench.stands(tick.now_s, now.feedback):
                 return True
             if moved_s > move.duration_s + _SETTLE_S:
                 raise SafetyTrip("bench", "start pose", "not reached", f"{_SETTLE_S:g} s after the move")

@@ -14,7 +14,7 @@ SPEED = 1.0
 PATIENCE_WALL_S = 20.0
 
 
-@pytest.fixture(params=["cia402", "ascii", "acu"])
+@pytest.fixture(params=["cia402", "ascii", pytest.param("acu", marks=pytest.mark.slow)])
 def driver(request):
     return request.param
 

@@ -21,7 +21,12 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.rig import RAIL_NAMES, Rig
 from hil.emulation import EmulatedDevices
 
-MOVING = ("initial.position_m=[2.0, -0.12, 0.12]", "rig.rails.x.park_m=1.9")
+MOVING = (
+    "initial.position_m=[2.0, -0.12, 0.12]",
+    "rig.rails.x.park_m=2.0",
+    "rig.rails.y.park_m=-0.12",
+    "rig.rails.z.park_m=0.12",
+)
 GENEROUS_S = 1.0
 """Longest time to a standstill that is asserted; what it takes on a quiet computer is printed (pytest -s)."""
 
