@@ -5,6 +5,10 @@
 
 from __future__ import annotations
 
+import ctypes
+import signal
+from typing import Final
+
 import numpy as np
 
 from hil import parameters
@@ -12,6 +16,8 @@ from hil.config.load import load_scenario
 from hil.gnc import navigation
 from hil.gnc.fusion import MEMORY, STEP
 from hil.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
+
+_PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h: nobody waits for this work once its parent has gone
 
 
 def compile_navigation() -> None:
@@ -24,4 +30,5 @@ def compile_navigation() -> None:
 
 
 if __name__ == "__main__":
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     compile_navigation()

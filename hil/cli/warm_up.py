@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from rich.console import Console
 
@@ -13,10 +18,16 @@ from hil.maths.jit import kernels_are_cached, mark_kernels_cached
 
 _NOTICE = "first start: compiling the kernels for this computer, once, about 20 s ..."
 _OTHER_HALF_S = 120.0
+_SAFE_STOPPED = 3
 
 
 def warm_up_with_a_word(job: Job, console: Console) -> None:
     """Call every kernel of the loop once; the first time after a change of the sources that compiles them."""
+    with _left_at_once_on_ctrl_c():
+        _warm_up(job, console)
+
+
+def _warm_up(job: Job, console: Console) -> None:
     if kernels_are_cached():
         warm_up(job)
         return
@@ -28,6 +39,28 @@ def warm_up_with_a_word(job: Job, console: Console) -> None:
         warm_up(job)
     mark_kernels_cached()
     console.print(f"kernels compiled in {time.perf_counter() - started:.1f} s")
+
+
+@contextmanager
+def _left_at_once_on_ctrl_c() -> Iterator[None]:
+    """End the process where it stands: nothing is powered yet, and an exception in mid-compilation would get lost.
+
+    The compiler calls back into Python from C, where a KeyboardInterrupt is swallowed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def leave(*_: object) -> None:
+        os.write(sys.stderr.fileno(), b"stopped by the operator\n")
+        os._exit(_SAFE_STOPPED)
+
+    before = {number: signal.signal(number, leave) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _compile_on_two_cores(job: Job) -> None:
