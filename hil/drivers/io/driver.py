@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from typing import Final
@@ -19,17 +18,17 @@ from hil.drivers.io import NAME
 from hil.drivers.io.codec import LineMap
 from hil.drivers.io.coupler import Coupler
 from hil.drivers.latest import Latest
-from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout
+from hil.drivers.loop_thread import LoopThread
+from hil.errors import DriveFault, LinkLost
 from hil.messages import IoInputs, IoOutputs
 
 IDLE_PERIOD_S: Final = 0.02  # between exchanges while nothing changes
 _OFF: Final = IoOutputs(False, b"")
 _OPENING_TIME_S: Final = 0.5
 _STOP_WAIT_WALL_S: Final = 0.08
-_CLOSE_WAIT_WALL_S: Final = 0.1
 
 
-class ModbusIo:
+class ModbusIo(LoopThread):
     """DiscreteIo on a coupler. May be opened again after ``close``.
 
     config.timeout_s: longest silence of the coupler. clock: stamps the inputs with bench time, half way
@@ -47,11 +46,7 @@ class ModbusIo:
         self._pump = False
         self._toggled_s = 0.0
         self._stopped = True
-        self._closing = False
         self._is_off = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._loop: asyncio.AbstractEventLoop
-        self._wake: asyncio.Event
 
     def open(self, now_s: float) -> None:
         """Connect, check what it is, set all outputs off, read the inputs."""
@@ -60,19 +55,11 @@ class ModbusIo:
         self._await_the_thread_before(bound_s)
         self._box = Latest(NAME)
         self._outputs = _OFF
-        self._pump = self._stopped = self._closing = False
+        self._pump = self._stopped = False
         self._toggled_s = now_s - self._config.pump_period_s
         self._is_off.clear()
-        self._wake = asyncio.Event()
-        self._loop = asyncio.new_event_loop()
-        opened: Future[None] = Future()
-        self._thread = threading.Thread(target=self._run, args=(opened,), name="io-modbus", daemon=True)
-        self._thread.start()
         try:
-            opened.result(timeout=self._clock.wall_s(bound_s))
-        except TimeoutError as error:
-            self.close()
-            raise LinkTimeout(NAME, f"not open after {bound_s:g} s") from error
+            self._start(bound_s)
         except BaseException:
             self.close()
             raise
@@ -110,46 +97,12 @@ class ModbusIo:
         self._stopped = True
         self._outputs = _OFF
         self._box.fail(LinkLost(NAME, "is closed"))
-        if self._thread is None:
-            return
-        self._closing = True
-        self._call(self._cancel)
-        self._thread.join(_CLOSE_WAIT_WALL_S)
-
-    def _await_the_thread_before(self, bound_s: float) -> None:
-        """Wait until the thread of a life before is gone: on a busy computer ``close`` does not see its end."""
-        if self._thread is not None:
-            self._thread.join(self._clock.wall_s(bound_s))
-            if self._thread.is_alive():
-                raise LinkTimeout(NAME, f"not closed after {bound_s:g} s")
-        self._thread = None
-
-    def _call(self, function: Callable[[], object]) -> None:
-        with suppress(RuntimeError):  # the loop has ended; why lies in the box
-            self._loop.call_soon_threadsafe(function)
+        self._end()
 
     # From here on: in the thread.
 
-    def _run(self, opened: Future[None]) -> None:
-        try:
-            with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
-                runner.run(self._live(opened))
-            error: DeviceError = LinkLost(NAME, "the thread of the link has ended")
-        except asyncio.CancelledError:
-            error = LinkLost(NAME, "is closed")
-        except DeviceError as problem:
-            error = problem
-        except Exception as problem:
-            error = LinkLost(NAME, f"the thread of the link died: {problem!r}")
-            error.__cause__ = problem
-        self._box.fail(error)
+    def _when_ended(self) -> None:
         self._is_off.set()
-        if not opened.done():
-            opened.set_exception(error)
-
-    def _cancel(self) -> None:
-        for task in asyncio.all_tasks():
-            task.cancel()
 
     async def _live(self, opened: Future[None]) -> None:
         # A little less than the box allows, so that silence is reported by what was waited for.
@@ -160,7 +113,7 @@ class ModbusIo:
             await self._begin(coupler)
             opened.set_result(None)
             idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
-            while not self._closing:  # wait_for of Python 3.11 drops a cancellation that comes with the answer
+            while not self._closing:
                 with suppress(TimeoutError):  # nothing changed: exchange all the same
                     async with asyncio.timeout(idle_wall_s):
                         await self._wake.wait()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Iterable
 from concurrent.futures import Future
 from contextlib import suppress
 from typing import Final, TypeVar
@@ -22,22 +22,22 @@ from hil.config.rig import Rails
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import RAIL_NAMES, accepted_setpoint, full_names
 from hil.drivers.latest import Latest
+from hil.drivers.loop_thread import LoopThread
 from hil.drivers.rails.codec import Control, RegisterMap, State
 from hil.drivers.rails.drive import CONNECT_TIMEOUT_S, ENABLE_TIMEOUT_S, STOP, Drive
 from hil.drivers.rails.frames import new_counters
 from hil.drivers.rails.homing import HomingWatch, limit_switch
 from hil.drivers.rails.wiring import check_wires, make_wires
-from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, SafetyTrip
+from hil.errors import DeviceError, DriveFault, LinkLost, SafetyTrip
 from hil.messages import Array, AxisFeedback, Homing
 
 IDLE_PERIOD_S: Final = 0.02  # between exchanges while nobody sends
 _STOP_WAIT_WALL_S: Final = 0.08
-_CLOSE_WAIT_WALL_S: Final = 0.1
 
 _Result = TypeVar("_Result")
 
 
-class ModbusRails:
+class ModbusRails(LoopThread):
     """AxisGroup of the rails (m, m/s). May be opened again after ``close``.
 
     config.timeout_s: longest silence of a drive. clock: stamps feedback with bench time, half way
@@ -63,32 +63,22 @@ class ModbusRails:
         self._stopping = False
         self._stop_was_called = False
         self._all_stopped = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._loop: asyncio.AbstractEventLoop
-        self._wake: asyncio.Event
         self._drives: list[Drive] = []
         self._stop_task: asyncio.Task[None] | None = None
 
     def open(self, now_s: float) -> None:
         """Connect to the three drives, check what they are, enable them where they stand."""
+        bound_s = CONNECT_TIMEOUT_S + ENABLE_TIMEOUT_S + 6.0 * self._timeout_s
         self.close()
+        self._await_the_thread_before(bound_s)
         self._box = Latest(self.name)
         self._counters = new_counters()
         self._homing = HomingWatch(self._config)
         self._serving = self._stopping = self._stop_was_called = False
         self._stop_task = None
         self._all_stopped.clear()
-        self._wake = asyncio.Event()
-        self._loop = asyncio.new_event_loop()
-        opened: Future[None] = Future()
-        self._thread = threading.Thread(target=self._run, args=(opened,), name="rails-modbus", daemon=True)
-        self._thread.start()
-        bound_s = CONNECT_TIMEOUT_S + ENABLE_TIMEOUT_S + 6.0 * self._timeout_s
         try:
-            opened.result(timeout=self._clock.wall_s(bound_s))
-        except TimeoutError as error:
-            self.close()
-            raise LinkTimeout(self.name, f"not open after {bound_s:g} s") from error
+            self._start(bound_s)
         except BaseException:
             self.close()
             raise
@@ -134,11 +124,7 @@ class ModbusRails:
         """Leave a quick stop behind and let go of the wires; 0.1 s of wall time at most."""
         self._stopping = True
         self._box.fail(LinkLost(self.name, "is closed"))
-        if self._thread is None:
-            return
-        self._call(self._cancel)
-        self._thread.join(_CLOSE_WAIT_WALL_S)
-        self._thread = None
+        self._end()
 
     def counters(self) -> dict[str, int]:
         """Return what was counted on the wires since ``open``.
@@ -148,31 +134,7 @@ class ModbusRails:
         """
         return dict(self._counters)
 
-    def _call(self, function: Callable[[], object]) -> None:
-        with suppress(RuntimeError):  # the loop has ended; why lies in the box
-            self._loop.call_soon_threadsafe(function)
-
     # From here on: in the thread.
-
-    def _run(self, opened: Future[None]) -> None:
-        try:
-            with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
-                runner.run(self._live(opened))
-            error: DeviceError = LinkLost(self.name, "the thread of the link has ended")
-        except asyncio.CancelledError:
-            error = LinkLost(self.name, "is closed")
-        except DeviceError as problem:
-            error = problem
-        except Exception as problem:
-            error = LinkLost(self.name, f"the thread of the link died: {problem!r}")
-            error.__cause__ = problem
-        self._box.fail(error)
-        if not opened.done():
-            opened.set_exception(error)
-
-    def _cancel(self) -> None:
-        for task in asyncio.all_tasks():
-            task.cancel()
 
     async def _live(self, opened: Future[None]) -> None:
         # A little less than the box allows, so that a silent drive is reported by its own name.
@@ -198,7 +160,7 @@ class ModbusRails:
 
     async def _serve(self) -> None:
         idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
-        while True:
+        while not self._closing:
             with suppress(TimeoutError):  # nobody sent: exchange all the same
                 async with asyncio.timeout(idle_wall_s):
                     await self._wake.wait()

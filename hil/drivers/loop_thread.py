@@ -1,0 +1,106 @@
+"""The life that drivers on asyncio share: one event loop in one thread of its own, from ``open`` to ``close``."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from typing import Any, Final
+
+from hil.clock import WallClock
+from hil.drivers.latest import Latest
+from hil.errors import DeviceError, LinkLost, LinkTimeout
+
+_END_WAIT_WALL_S: Final = 0.1
+
+
+class LoopThread:
+    """Base of a driver whose wire is served by the coroutine ``_live`` in a thread of its own.
+
+    A subclass makes a new ``_box`` for each life; what ends the thread is left there for the loop. ``_wake`` is an
+    event of the thread's loop, for ``_call(self._wake.set)``.
+    """
+
+    name: str
+    _clock: WallClock
+    _box: Latest[Any]
+    _thread: threading.Thread | None = None
+    _loop: asyncio.AbstractEventLoop
+    _wake: asyncio.Event
+    _closing = False
+    """Whether the thread is to end. ``_live`` looks at it: Python 3.11 may drop a cancellation that comes with an
+    answer."""
+
+    def _start(self, bound_s: float) -> None:
+        """Start the thread and wait until ``_live`` has opened the wire, ``bound_s`` of bench time at most.
+
+        Raises what ``_live`` raised, LinkTimeout when it takes longer.
+        """
+        self._closing = False
+        self._wake = asyncio.Event()
+        self._loop = asyncio.new_event_loop()
+        opened: Future[None] = Future()
+        self._thread = threading.Thread(target=self._run, args=(opened,), name=f"{self.name}-modbus", daemon=True)
+        self._thread.start()
+        try:
+            opened.result(timeout=self._clock.wall_s(bound_s))
+        except TimeoutError as error:
+            raise LinkTimeout(self.name, f"not open after {bound_s:g} s") from error
+
+    def _end(self) -> None:
+        """Let the thread end; wait for it, 0.1 s of wall time at most. Idempotent."""
+        if self._thread is None:
+            return
+        self._closing = True
+        self._call(self._cancel)
+        self._thread.join(_END_WAIT_WALL_S)
+        if not self._thread.is_alive():
+            self._thread = None
+
+    def _await_the_thread_before(self, bound_s: float) -> None:
+        """Wait until the thread of a life before is gone: on a busy computer ``_end`` does not see its end.
+
+        Until then nothing that it uses may be replaced. Raises LinkTimeout when it stays.
+        """
+        if self._thread is not None:
+            self._thread.join(self._clock.wall_s(bound_s))
+            if self._thread.is_alive():
+                raise LinkTimeout(self.name, f"not closed after {bound_s:g} s")
+        self._thread = None
+
+    def _call(self, function: Callable[[], object]) -> None:
+        """Let the thread's loop call ``function`` soon."""
+        with suppress(RuntimeError):  # the loop has ended; why lies in the box
+            self._loop.call_soon_threadsafe(function)
+
+    # From here on: in the thread.
+
+    async def _live(self, opened: Future[None]) -> None:
+        """Open the wire, tell ``opened``, serve until ``_closing`` or cancelled."""
+        raise NotImplementedError
+
+    def _when_ended(self) -> None:
+        """Do what is due once the thread's loop has ended, whatever it died of."""
+
+    def _run(self, opened: Future[None]) -> None:
+        try:
+            with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+                runner.run(self._live(opened))
+            error: DeviceError = LinkLost(self.name, "the thread of the link has ended")
+        except asyncio.CancelledError:
+            error = LinkLost(self.name, "is closed")
+        except DeviceError as problem:
+            error = problem
+        except Exception as problem:
+            error = LinkLost(self.name, f"the thread of the link died: {problem!r}")
+            error.__cause__ = problem
+        self._box.fail(error)
+        self._when_ended()
+        if not opened.done():
+            opened.set_exception(error)
+
+    def _cancel(self) -> None:
+        for task in asyncio.all_tasks():
+            task.cancel()
