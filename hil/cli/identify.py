@@ -9,9 +9,9 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from hil.cli.bar import Bar
 from hil.cli.output import base_of, check_json_path, check_rig_path, write_json
 from hil.cli.warm_up import warm_up_with_a_word
 from hil.config.load import Loaded, load_rig, load_scenario
@@ -52,7 +52,11 @@ def identify_command(
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
     chosen = [k for k, name in enumerate(AXES) if name in axes or not axes]
-    with _Bar(console) as bar, build.runner(job, lambda *_: None, announce) as runner, runner.axes_alone() as handling:
+    with (
+        Bar(console, "opening the axes") as bar,
+        build.runner(job, lambda *_: None, announce) as runner,
+        runner.axes_alone() as handling,
+    ):
         results = Identification(handling, bar.tell).measure(chosen)
     if json_path is not None:
         write_json(as_json(results, rig_name, scenario.value.step_s), json_path)
@@ -163,34 +167,3 @@ def _print(results: Sequence[AxisResult], rig: Loaded[Rig], console: Console) ->
     for result in results:
         if not result.passed:
             console.print(f"{result.axis}: {result.reason}", style="red", highlight=False, soft_wrap=True)
-
-
-class _Bar:
-    """A progress bar drawn by whoever tells it something: no thread of its own beside the loop."""
-
-    def __init__(self, console: Console) -> None:
-        self._visible = console.is_terminal
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=console,
-            auto_refresh=False,
-            transient=True,
-        )
-        self._task = self._progress.add_task("opening the axes", total=1.0)
-
-    def __enter__(self) -> _Bar:
-        if self._visible:
-            self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._visible:
-            self._progress.stop()
-
-    def tell(self, title: str, share: float) -> None:
-        """Show what is under way and how far along everything is, 0..1."""
-        if self._visible:
-            self._progress.update(self._task, description=title, completed=share, refresh=True)

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Sequence
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from hil.cli.bar import Bar
 from hil.cli.output import check_json_path, write_json
 from hil.cli.warm_up import warm_up_with_a_word
 from hil.config.load import load_rig, load_scenario
@@ -45,7 +45,7 @@ def run_command(
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
-    with _Watch(console) as watch, build.runner(job, watch.tell, announce) as runner:
+    with _Watch(console, "opening the devices") as bar, build.runner(job, bar.watch, announce) as runner:
         outcome = runner.run()
     summary, verdict = summarise(
         outcome,
@@ -78,8 +78,8 @@ def _check_options(seed: int, duration_s: float | None, speed: float, json_path:
         raise BadInput(problems)
 
 
-class _Watch:
-    """A progress bar that is drawn by whoever tells it something: no thread of its own beside the loop."""
+class _Watch(Bar):
+    """The bar of a run, told by the runner."""
 
     _TITLES = {  # noqa: RUF012
         Mode.PLACING: "moving to the start pose",
@@ -87,31 +87,5 @@ class _Watch:
         Mode.RUNNING: "closed loop",
     }
 
-    def __init__(self, console: Console) -> None:
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=console,
-            auto_refresh=False,
-            transient=True,
-        )
-        self._visible = console.is_terminal
-        self._task = self._progress.add_task("opening the devices", total=1.0)
-
-    def __enter__(self) -> _Watch:
-        if self._visible:
-            self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._visible:
-            self._progress.stop()
-
-    def tell(self, mode: Mode, share: float) -> None:
-        if self._visible:
-            self._progress.update(
-                self._task, description=self._TITLES.get(mode, mode.value), completed=share, refresh=True
-            )
+    def watch(self, mode: Mode, share: float) -> None:
+        self.tell(self._TITLES.get(mode, mode.value), share)
