@@ -138,12 +138,7 @@ def limit_setpoint(params, motion, wanted, out):
             feedforward = rate
         motion.rate[axis] = rate
         motion.position[axis] = position
-        if axis < 3:
-            out.rail_m[i] = position
-            out.rail_mps[i] = feedforward
-        else:
-            out.gimbal_rad[i] = position
-            out.gimbal_radps[i] = feedforward
+        write_axis(axis, position, feedforward, out)
     return limited
 
 
@@ -155,6 +150,17 @@ def start_motion(rail_m, gimbal_rad, motion):
         motion.position[3 + i] = gimbal_rad[i]
         motion.rate[i] = 0.0
         motion.rate[3 + i] = 0.0
+
+
+@kernel
+def write_axis(axis, position, rate, out):
+    """Write one axis, 0 to 5 (rails x y z, gimbals roll pitch yaw), into ``out`` (AXES)."""
+    if axis < 3:
+        out.rail_m[axis] = position
+        out.rail_mps[axis] = rate
+    else:
+        out.gimbal_rad[axis - 3] = position
+        out.gimbal_radps[axis - 3] = rate
 
 
 @kernel

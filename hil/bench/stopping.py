@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hil.bench.kinematics import write_axis
 from hil.maths.jit import kernel
 
 
@@ -26,7 +27,6 @@ def brake_step(params, motion, out):
     """
     moving = 0
     for axis in range(6):
-        i = axis % 3
         rate = slower(motion.rate[axis], params.acceleration_max[axis] * params.dt_s)
         position = motion.position[axis]
         if rate != 0.0:
@@ -36,12 +36,7 @@ def brake_step(params, motion, out):
             position = min(high, max(low, position + rate * params.dt_s))
         motion.rate[axis] = rate
         motion.position[axis] = position
-        if axis < 3:
-            out.rail_m[i] = position
-            out.rail_mps[i] = rate
-        else:
-            out.gimbal_rad[i] = position
-            out.gimbal_radps[i] = rate
+        write_axis(axis, position, rate, out)
     return moving
 
 
