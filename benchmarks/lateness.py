@@ -11,7 +11,6 @@ the mock rig. Lateness is the clock just after the wait minus the deadline. Refe
 from __future__ import annotations
 
 import argparse
-import gc
 import os
 import random
 import shutil
@@ -31,7 +30,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.frmn.ring import Ring
 from hil.messages import CYCLE
 from hil.rate import Tick, WallRate
-from hil.realtime import RealTime
+from hil.realtime import RealTime, no_garbage_collection
 
 ROWS = 2048
 LONGEST_US = 20_000  # cyclictest's histogram; what is later counts as this
@@ -147,18 +146,6 @@ LINES: dict[str, Callable[[int, float, Ring, Tally], None]] = {
     "bare loop and ring": bare_block,
     "whole cycle and ring": cycle_block,
 }
-
-
-@contextmanager
-def no_garbage_collection() -> Iterator[None]:
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
-        gc.unfreeze()
 
 
 @contextmanager

@@ -17,9 +17,7 @@ from hil.cycle import Loop
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
 from hil.dynamics.imu import IMU_NOISE
 from hil.eye import Eye, transport
-from hil.fitness import (
-    axes_at,
-)
+from hil.fitness import axes_at
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc.watch import FilterWatch
 from hil.handling import Watch
@@ -75,6 +73,10 @@ def assemble(
     precedence: Precedence | None = None,
     telemetry: Telemetry | None = None,
 ) -> Runner:
+    """Return a Runner of ``job`` on these devices, kept in time by ``rate``.
+
+    frames_to_arm: poses that must have come before the loop is closed. watch: told now and then how far it is.
+    """
     scenario = job.scenario.value
     bench = parameters.bench(rig, scenario.step_s)
     axis_names = (*rails.axis_names, *turntable.axis_names)
@@ -196,4 +198,5 @@ def mocks(scenario: Scenario, rig: Rig, seed: int) -> Devices:
 
 
 def start_axes(scenario: Scenario, rig: Rig) -> np.record:
+    """Return AXES, at rest, of the scenario's start pose."""
     return axes_at(scenario, rig, scenario.initial.position_m, scenario.initial.attitude_deg)

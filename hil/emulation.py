@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import os
 import sys
-from contextlib import suppress
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -22,6 +20,7 @@ from hil.drivers.board import AxisBoard
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
 from hil.eye import Eye, transport
 from hil.messages import PoseFrame
+from hil.realtime import take_fifo
 
 _READY_WALL_S = 60.0  # the first start compiles
 _FIFO_PRIORITY = 40  # below everything that the bench itself is run by
@@ -174,8 +173,7 @@ def _keep_time(device: str, speed: float) -> None:
     only the coupler has it, whose relay opens when it sleeps through 50 ms.
     """
     if speed <= 1.0 or device == "io":
-        with suppress(PermissionError):  # the loop's report tells what this computer allows
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_FIFO_PRIORITY))
+        take_fifo(_FIFO_PRIORITY)
 
 
 def _make(configuration: dict[str, Any]) -> Emulator:

@@ -12,11 +12,10 @@ from hil.bench_stage import Move
 from hil.cycle import Loop
 from hil.errors import SafetyTrip
 from hil.late_cycles import LateCycles
-from hil.messages import AXES, Homing, new
+from hil.messages import AXES, HOMED, Homing, new
 from hil.modes import Mode
 from hil.orders import JogWish, Operator, Order, OrderedToStop
 from hil.rate import Rate, Tick
-from hil.safety.supervisor import HOMED
 
 WATCH_CYCLES: Final = 50
 _LINKS_EVERY_S: Final = 0.1

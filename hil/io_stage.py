@@ -124,7 +124,8 @@ class IoStage:
 def chain_kept_closed(lines: SafetyLines, rate: Rate) -> Iterator[None]:
     """Pulse the charge pump from a thread while the body blocks: devices take their time to open and to stop.
 
-    Only on the wall: in simulated time no time passes meanwhile.
+    For whoever holds the lines itself; in a run the watchdog process pulses. Only on the wall: in simulated time
+    no time passes meanwhile.
     """
     if not (isinstance(lines, IoStage) and rate.on_the_wall):
         yield

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -169,6 +169,12 @@ class Homing(IntEnum):
     FAILED = 3
 
 
+HOMED: Final = (Homing.DONE, Homing.DONE, Homing.DONE)
+"""Of three axes that all know their places."""
+NO_LIMIT: Final = (0, 0, 0)
+"""Of three axes of which none stands on a limit switch."""
+
+
 @dataclass(frozen=True, slots=True)
 class AxisFeedback:
     """What three axes of one device report: the newest sample, and when it was taken.
@@ -181,8 +187,8 @@ class AxisFeedback:
     t_s: float
     position: Array
     rate: Array
-    homing: tuple[Homing, Homing, Homing] = (Homing.DONE, Homing.DONE, Homing.DONE)
-    limit: tuple[int, int, int] = (0, 0, 0)
+    homing: tuple[Homing, Homing, Homing] = HOMED
+    limit: tuple[int, int, int] = NO_LIMIT
 
 
 class IoInputs(NamedTuple):

@@ -5,19 +5,14 @@
 
 from __future__ import annotations
 
-import ctypes
-import signal
-from typing import Final
-
 import numpy as np
 
 from hil import parameters
 from hil.config.load import load_scenario
+from hil.drivers.emulator_process import die_with_parent
 from hil.gnc import navigation
 from hil.gnc.fusion import MEMORY, STEP
 from hil.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
-
-_PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h: nobody waits for this work once its parent has gone
 
 
 def compile_navigation() -> None:
@@ -30,5 +25,5 @@ def compile_navigation() -> None:
 
 
 if __name__ == "__main__":
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    die_with_parent()  # nobody waits for this work then
     compile_navigation()

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import gc
 import os
 import platform
 import resource
 import struct
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from typing import Final, Protocol, Self
 
@@ -27,7 +28,7 @@ REAL_TIME: Final = (FIFO, MEMORY)
 _NICE: Final = -15
 _SLICE_NS: Final = 100_000  # the shortest that the scheduler takes: a short slice is an early deadline
 _SLACK_NS: Final = 1
-_SWITCH_INTERVAL_S: Final = 5e-5  # damage limit for the I/O threads that share the loop's interpreter
+SWITCH_INTERVAL_S: Final = 5e-5  # damage limit for the I/O threads that share the loop's interpreter
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # linux/mman.h
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30  # linux/prctl.h
@@ -97,7 +98,7 @@ class RealTime:
     def __enter__(self) -> Self:
         self.grants.clear()
         before_s = sys.getswitchinterval()
-        sys.setswitchinterval(_SWITCH_INTERVAL_S)
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
         self._undo.append(lambda: sys.setswitchinterval(before_s))
         self._ask(MEMORY, self._lock_memory)
         self._ask(FIFO, self._try_fifo)
@@ -187,6 +188,32 @@ class RealTime:
         os.sched_setaffinity(0, {self._cpu})
         self._undo.append(lambda: os.sched_setaffinity(0, before))
         return f"loop on CPU {self._cpu}"
+
+
+def take_fifo(priority: int) -> None:
+    """Put this thread, and those it starts, under SCHED_FIFO for good, where the system allows it.
+
+    For processes beside the loop's: what the system allows is in the loop's report.
+    """
+    with suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+
+
+@contextmanager
+def no_garbage_collection(freeze: bool = True) -> Iterator[None]:
+    """Keep the collector's pauses away from enabled drives: one full collection can outlast their watchdogs.
+
+    freeze: collect first, and let the collector forget what there is.
+    """
+    if freeze:
+        gc.collect()
+        gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
 
 
 def _cut_timer_slack(undo: list[Callable[[], object]]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import signal
 import threading
 import time
@@ -18,13 +17,12 @@ from hil.cycle import Loop, run_cycle
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, SafetyTrip
 from hil.handling import WATCH_CYCLES, Handling, Watch
-from hil.io_stage import chain_kept_closed
 from hil.late_cycles import LateCycles
 from hil.messages import Event
 from hil.modes import Mode
 from hil.orders import Operator, Order, OrderedToStop
 from hil.rate import Rate
-from hil.realtime import Grant, Precedence
+from hil.realtime import Grant, Precedence, no_garbage_collection
 from hil.safety.alarms import Alarm, alarm_of
 
 COMPLETED = "completed"
@@ -101,7 +99,7 @@ class Runner:
 
     def run(self) -> Outcome:
         """Run to the end, to a fault, or to Ctrl-C; the bench stands still whatever happened."""
-        with _no_garbage_collection(first=self._rate.on_the_wall):
+        with no_garbage_collection(freeze=self._rate.on_the_wall):
             stop = self._run()
         end = Mode.SAFE_STOP if self._faults else Mode.STANDBY
         if self._modes.mode is not end:
@@ -124,11 +122,10 @@ class Runner:
     @contextmanager
     def axes_alone(self) -> Iterator[Handling]:
         """Open the axes without the vision unit, give what moves them; at the end they are stopped first."""
-        with _no_garbage_collection(first=self._rate.on_the_wall):
+        with no_garbage_collection(freeze=self._rate.on_the_wall):
             try:
                 self.loop.lines.open(self._rate)
-                with chain_kept_closed(self.loop.lines, self._rate):
-                    self.loop.bench.open(self._rate.now_s())
+                self.loop.bench.open(self._rate.now_s())
                 self.supervisor.opened()
                 self._modes.go(Mode.STANDBY)
                 with self._precedence.at_the_front():  # after the drivers have started their threads
@@ -160,10 +157,9 @@ class Runner:
 
     def _open(self) -> None:
         self.loop.lines.open(self._rate)
-        with chain_kept_closed(self.loop.lines, self._rate):
-            self.loop.bench.open(self._rate.now_s())
-            self.loop.target.open(self._rate.now_s())
-            self.source.open(self._rate.now_s())
+        self.loop.bench.open(self._rate.now_s())
+        self.loop.target.open(self._rate.now_s())
+        self.source.open(self._rate.now_s())
         self.supervisor.opened()
         self._modes.go(Mode.STANDBY)
 
@@ -294,28 +290,13 @@ class Runner:
     def _shut_down(self) -> None:
         """Stop the bench first, then let go of everything."""
         with _ctrl_c_held_back():
-            with chain_kept_closed(self.loop.lines, self._rate):
-                self.loop.bench.stop(self._rate.now_s())
-                self.loop.target.stop(self._rate.now_s())
-                self.source.close()
-                self.loop.bench.close()
-                self.loop.target.close()
+            self.loop.bench.stop(self._rate.now_s())
+            self.loop.target.stop(self._rate.now_s())
+            self.source.close()
+            self.loop.bench.close()
+            self.loop.target.close()
             self.loop.lines.stop(self._rate.now_s())
             self.loop.lines.close()
-
-
-@contextmanager
-def _no_garbage_collection(first: bool) -> Iterator[None]:
-    """Keep the collector's pauses away from enabled drives: one full collection can outlast their watchdogs."""
-    if first:
-        gc.collect()
-        gc.freeze()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
-        gc.unfreeze()
 
 
 @contextmanager

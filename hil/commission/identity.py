@@ -10,7 +10,6 @@ from hil.commission.dialogue import Dialogue
 from hil.config.rig import Rig
 from hil.errors import LinkTimeout
 from hil.handling import Handling
-from hil.io_stage import chain_kept_closed
 from hil.runner import Runner
 
 _FIRST_FRAME_S: Final = 5.0
@@ -40,8 +39,7 @@ def see_vision_unit(runner: Runner, handling: Handling, rig: Rig, dialogue: Dial
     Raises DeviceError; LinkTimeout where no frame comes.
     """
     source = runner.source
-    with chain_kept_closed(runner.loop.lines, runner.rate):
-        source.open(runner.now_s())
+    source.open(runner.now_s())
     begun_s = now_s = handling.begin().now_s
     while not (frames := source.poll(now_s)):
         if now_s - begun_s > _FIRST_FRAME_S:

@@ -48,6 +48,11 @@ class Emulator(Protocol):
         """Let go of the wires."""
 
 
+def die_with_parent(number: int = signal.SIGKILL) -> None:
+    """Let the kernel send this process the signal ``number`` when its parent dies."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+
+
 def serve(make_emulator: Callable[[dict[str, Any]], Emulator], when_orphaned: int = signal.SIGKILL) -> None:
     """Be the child: build the emulator from the line on stdin, announce it, run it until stdin ends or SIGTERM.
 
@@ -56,7 +61,7 @@ def serve(make_emulator: Callable[[dict[str, Any]], Emulator], when_orphaned: in
     bench before its devices go. What the emulator prints goes to stderr: stdout is for the announcement.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, when_orphaned)
+    die_with_parent(when_orphaned)
     announcement = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     ended, end = os.pipe()

@@ -11,10 +11,8 @@ from hil.config.rig import Rails, Turntable
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names
 from hil.errors import DeviceError, LinkLost, SafetyTrip
-from hil.messages import Array, AxisFeedback, Homing
+from hil.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing
 
-HOMED: Final = (Homing.DONE, Homing.DONE, Homing.DONE)
-CLEAR: Final = (0, 0, 0)
 _BRAKE_STEP_S: Final = 0.002
 _AT_SWITCH: Final = 1e-4  # m or rad
 _NOWHERE_LOW: Final = np.full(3, -np.finfo(float).max)
@@ -41,7 +39,7 @@ class MockAxes:
         self._incremental = [getattr(config, short).encoder == "incremental" for short in short_names]
         self._homing = HOMED
         self._counted_from: Array = np.zeros(3)  # where an encoder that has not been homed has its zero
-        self._limit = CLEAR
+        self._limit = NO_LIMIT
         self._blind: set[int] = set()
         self._jogging = False
         self._t_s = 0.0

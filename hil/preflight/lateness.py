@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import subprocess
 import sys
@@ -18,7 +17,7 @@ from hil.late_cycles import lateness_percentiles_us
 from hil.messages import Array
 from hil.preflight.check import Check
 from hil.rate import WallRate
-from hil.realtime import FIFO, FIFO_PRIORITY, RealTime
+from hil.realtime import FIFO, FIFO_PRIORITY, RealTime, no_garbage_collection
 
 DURATION_S = 5.0
 SHARE_OF_PERIOD = 0.1
@@ -99,11 +98,8 @@ def _run(period_s: float, duration_s: float) -> dict[str, object]:
     """Keep the rate for ``duration_s``; a lost period counts as lateness of the cycle after it."""
     rate = WallRate(WallClock(), period_s)
     lateness_s = []
-    with RealTime() as realtime, realtime.at_the_front():
+    with RealTime() as realtime, realtime.at_the_front(), no_garbage_collection():
         scheduling = f"SCHED_FIFO {FIFO_PRIORITY}" if realtime.granted(FIFO) else "SCHED_OTHER"
-        gc.collect()
-        gc.freeze()
-        gc.disable()
         rate.restart()
         for _ in range(max(1, round(duration_s / period_s))):
             before = rate.skipped_periods

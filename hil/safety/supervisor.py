@@ -14,15 +14,13 @@ from typing import Final
 import numpy as np
 
 from hil.bench import guard as guards
-from hil.messages import Array, AxisFeedback, Homing, new
+from hil.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing, new
 from hil.modes import Mode, ModeMachine
 from hil.safety.alarms import Alarm, AlarmBook
 from hil.safety.bucket import LinkWatch
 from hil.safety.estop import EmergencyStop
 from hil.safety.limits import Limits
 
-HOMED: Final = (Homing.DONE, Homing.DONE, Homing.DONE)
-CLEAR: Final = (0, 0, 0)
 _SWITCHES: Final = {-1: "low", 1: "high"}
 
 
@@ -105,7 +103,7 @@ class Supervisor:
             return alarm
         if checks.homed and (rails.homing != HOMED or turntable.homing != HOMED):
             return self._not_homed(now_s, rails, turntable)
-        if checks.switches and (rails.limit != CLEAR or turntable.limit != CLEAR):
+        if checks.switches and (rails.limit != NO_LIMIT or turntable.limit != NO_LIMIT):
             return self._on_a_switch(now_s, rails, turntable)
         if checks.commanded and now_s - commanded_s > self.limits.command_age_max_s:
             age, limit = f"{now_s - commanded_s:.3f} s", f"{self.limits.command_age_max_s:g} s"
@@ -128,7 +126,7 @@ class Supervisor:
             return self._emergency_stop(now_s)
         if rails.homing != HOMED or turntable.homing != HOMED:
             return self._not_homed(now_s, rails, turntable)
-        if rails.limit != CLEAR or turntable.limit != CLEAR:
+        if rails.limit != NO_LIMIT or turntable.limit != NO_LIMIT:
             return self._on_a_switch(now_s, rails, turntable)
         breach = guards.first_beyond_travel(self._guard, feedback, self.limits.slack, self._breach)
         if breach != guards.NOTHING:

@@ -11,13 +11,13 @@ from typing import Final
 from hil.clock import WallClock
 from hil.config.rail_wires import ModbusRtu
 from hil.config.rig import Rails
-from hil.drivers.base import RAIL_NAMES, full_names
+from hil.drivers.base import RAIL_NAMES, TORQUE_OFF, full_names
 from hil.drivers.board import AxisBoard
 from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
 from hil.drivers.faults import FaultyWire
 from hil.drivers.lines import PtyLine
 from hil.drivers.rails.codec import Identity, RegisterMap
-from hil.drivers.rails.slave import TORQUE_OFF, EmulatedDrive, Slave
+from hil.drivers.rails.slave import EmulatedDrive, Slave
 from hil.drivers.rails.wiring import tcp_axes
 from hil.maths.streams import stream
 

@@ -17,7 +17,6 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from pymodbus.simulator.simcore import SimCore
 
 from hil.clock import WallClock
-from hil.drivers.base import TORQUE_OFF as TORQUE_OFF
 from hil.drivers.emulated_axes import WATCHDOG_S, EmulatedAxes
 from hil.drivers.rails.codec import Block, Command, Control, Identity, RegisterMap, State, Status
 from hil.messages import Homing

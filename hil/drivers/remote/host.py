@@ -19,12 +19,12 @@ from hil.drivers.base import accepted_setpoint
 from hil.drivers.remote import cells
 from hil.drivers.remote.cells import Exchange
 from hil.errors import BenchError
+from hil.realtime import SWITCH_INTERVAL_S, take_fifo
 
 LOOP_SILENCE_MAX_S: Final = 0.05
 """Wall time without a heartbeat of a process that is to be heard after which the bench is stopped."""
 FIFO_PRIORITY: Final = 60
 """Below the loop's, above everything else: what the loop commands must get out."""
-_SWITCH_INTERVAL_S: Final = 5e-5
 _COUNTERS_EVERY: Final = 50  # periods
 
 
@@ -35,9 +35,8 @@ def go_first() -> None:
     """
     nothing = np.zeros(3)
     accepted_setpoint(("", "", ""), nothing, nothing, nothing)
-    sys.setswitchinterval(_SWITCH_INTERVAL_S)
-    with contextlib.suppress(PermissionError):  # the loop's report tells what this computer allows
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    take_fifo(FIFO_PRIORITY)
 
 
 class Device(Protocol):
