@@ -75,18 +75,37 @@ def load_protocol(name: str) -> Loaded[Protocol]:
     return _load(name, "protocols", Protocol, (), prefix="")
 
 
+def load_file(path: Path, model: type[Model]) -> Loaded[Model]:
+    """Return the file at ``path``, JSON or TOML as its name ends, checked against ``model``; raise BadInput."""
+    if path.suffix == ".json":
+        try:
+            table = json.loads(path.read_text(encoding="utf-8"))
+        except json.JSONDecodeError as error:
+            raise BadInput.single(str(path), "", f"not JSON: {error}") from error
+        except (OSError, UnicodeDecodeError) as error:
+            raise BadInput.single(str(path), "", f"cannot be read: {error}") from error
+        if not isinstance(table, dict):
+            raise BadInput.single(str(path), "", "must be an object with keys, {...}")
+        return _check(table, model, str(path), {}, prefix="")
+    return _check(_read_with_bases(path, "", {}, chain=()), model, str(path), {}, prefix="")
+
+
 def _load(name: str, kind: str, model: type[Model], settings: Sequence[str], prefix: str) -> Loaded[Model]:
     path = _find(name, kind)
     origin: dict[str, str] = {}
     table = _read_with_bases(path, kind, origin, chain=())
     for text in settings:
         _apply_setting(table, text, prefix, origin)
+    return _check(table, model, str(path), origin, prefix)
+
+
+def _check(table: Table, model: type[Model], source: str, origin: Mapping[str, str], prefix: str) -> Loaded[Model]:
     try:
         # through JSON: its strict mode takes lists for tuples and whole numbers for floats, and no more
         value = model.model_validate_json(json.dumps(table, default=str))
     except ValidationError as error:
-        raise BadInput(_problems(error, model, table, str(path), origin, prefix)) from error
-    return Loaded(value, str(path), origin)
+        raise BadInput(_problems(error, model, table, source, origin, prefix)) from error
+    return Loaded(value, source, origin)
 
 
 def _find(name: str, kind: str) -> Path:

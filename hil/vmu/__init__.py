@@ -1,0 +1,1 @@
+"""The vision measurement unit: stereo images of an LED ring become poses with their covariance."""

@@ -1,0 +1,1 @@
+"""The vision unit's arithmetic, compiled."""
