@@ -1,0 +1,45 @@
+"""What the kernels of identification and pose hand to each other."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+MAX_LEDS: Final = 8
+MAX_SPOTS: Final = 16
+"""of an image, that identification looks at"""
+
+SIGHT = np.dtype(
+    [
+        ("u", "f8"),  # px, centre of the spot
+        ("v", "f8"),
+        ("var_u", "f8"),  # px^2, its covariance
+        ("var_v", "f8"),
+        ("cov_uv", "f8"),
+        ("w_uu", "f8"),  # px^-2, the covariance's inverse
+        ("w_uv", "f8"),
+        ("w_vv", "f8"),
+        ("ray", "f8", 3),  # unit vector to the light in the camera's axes; NaN where the lens cannot be undone
+        ("flux", "f8"),  # grey levels
+    ],
+    align=True,
+)
+"""One spot as a direction."""
+
+FIT = np.dtype(
+    [
+        ("r", "f8", (3, 3)),  # p_v = r p_t + t
+        ("t", "f8", 3),  # m
+        ("covariance", "f8", (6, 6)),  # of t and of the small rotation e about v's axes
+        ("spot", "i8", (2, MAX_LEDS)),  # of each camera and LED, -1: none
+        ("chi2", "f8"),
+        ("points", "i8"),  # spots used
+        ("removed", "i8"),  # spots that fell within the gates and were left out as outliers
+        ("unseen", "i8"),  # places in the images where an LED should be and no spot is
+        ("score", "f8"),  # logarithm of the likelihood against a picture of stray lights
+        ("valid", "i8"),  # the refinement ended, all LEDs in front of the cameras
+    ],
+    align=True,
+)
+"""One hypothesis: which spot is which LED, and the pose that follows."""
