@@ -52,9 +52,9 @@ def null_eigen(a, vectors, values):
     values: (2,), the larger in size first.
     """
     trace = a[0, 0] + a[1, 1] + a[2, 2]
-    minors = (
-        a[0, 0] * a[1, 1] + a[0, 0] * a[2, 2] + a[1, 1] * a[2, 2] - a[0, 1] * a[0, 1] - a[0, 2] * a[0, 2]
-    ) - a[1, 2] * a[1, 2]
+    minors = (a[0, 0] * a[1, 1] + a[0, 0] * a[2, 2] + a[1, 1] * a[2, 2] - a[0, 1] * a[0, 1] - a[0, 2] * a[0, 2]) - a[
+        1, 2
+    ] * a[1, 2]
     root = math.sqrt(max(0.25 * trace * trace - minors, 0.0))
     first = 0.5 * trace + math.copysign(root, trace)
     values[0] = first

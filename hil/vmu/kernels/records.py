@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
+
+from hil.messages import Array
 
 MAX_LEDS: Final = 8
 MAX_SPOTS: Final = 16
@@ -43,3 +46,26 @@ FIT = np.dtype(
     align=True,
 )
 """One hypothesis: which spot is which LED, and the pose that follows."""
+
+
+class Scene(NamedTuple):
+    """What is known before any image is taken.
+
+    lens: (2,) of LENS. rotation: (2, 3, 3) and translation: (2, 3), m, from v to each camera's axes. leds: (n, 3),
+    m, in t. squares: (n, n), m^2, of the LEDs' distances. sides: (n, n, n), in which sense a camera in front sees
+    three LEDs, 1 or -1; 0 where that depends on the pose.
+    """
+
+    lens: np.ndarray
+    rotation: Array
+    translation: Array
+    leds: Array
+    squares: Array
+    sides: npt.NDArray[np.int64]
+
+
+class View(NamedTuple):
+    """What the two images show. sights: (2, MAX_SPOTS) of SIGHT. counts: (2,), how many are in use."""
+
+    sights: np.ndarray
+    counts: npt.NDArray[np.int64]

@@ -1,0 +1,216 @@
+"""Which spot is which LED, for a pose that is nearly known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths.jit import kernel
+from hil.vmu.kernels.lens import in_image, project, undistort
+from hil.vmu.kernels.records import MAX_LEDS
+from hil.vmu.kernels.refine import jacobian, place, refine
+
+_GATE = 20.0  # chi-square of two components that one true spot in 22000 exceeds
+_ROUNDS = 6
+_LIMIT_SIGMA = 4.9  # of the sum of squares: one good fit in two million exceeds it
+_UNSEEN_COST = 2.0  # ln of the odds that an LED in view is lit and found
+_EDGE_PX = 4.0  # an LED nearer to the image's edge may well not be found
+
+
+@kernel
+def sight_of(lens, spot, sight):
+    """Write SPOT ``spot`` as SIGHT."""
+    sight.u, sight.v = spot.u, spot.v
+    sight.var_u, sight.var_v, sight.cov_uv = spot.var_u, spot.var_v, spot.cov_uv
+    det = spot.var_u * spot.var_v - spot.cov_uv * spot.cov_uv
+    sight.w_uu, sight.w_vv, sight.w_uv = spot.var_v / det, spot.var_u / det, -spot.cov_uv / det
+    sight.flux = spot.flux
+    x, y = undistort(lens, spot.u, spot.v)
+    size = 1.0 / math.sqrt(x * x + y * y + 1.0)
+    sight.ray[0], sight.ray[1], sight.ray[2] = x * size, y * size, size
+
+
+@kernel
+def chi_square_limit(degrees):
+    """Return the sum of squares that a good fit with ``degrees`` of freedom hardly exceeds (Wilson and Hilferty)."""
+    if degrees <= 0:
+        return 1e-3
+    part = 2.0 / (9.0 * degrees)
+    return degrees * (1.0 - part + _LIMIT_SIGMA * math.sqrt(part)) ** 3
+
+
+@kernel
+def spread(j, covariance, sight, out):
+    """Write the covariance (uu, uv, vv) of spot minus projection, px^2, for a pose of ``covariance`` (6, 6)."""
+    uu, uv, vv = sight.var_u, sight.cov_uv, sight.var_v
+    for a in range(6):
+        pu, pv = 0.0, 0.0
+        for b in range(6):
+            pu += covariance[a, b] * j[0, b]
+            pv += covariance[a, b] * j[1, b]
+        uu += j[0, a] * pu
+        uv += j[0, a] * pv
+        vv += j[1, a] * pv
+    out[0], out[1], out[2] = uu, uv, vv
+
+
+@kernel
+def assign(scene, view, r, t, covariance, reach_px, barred, spot):
+    """Write the spot of each camera and LED to spot (2, MAX_LEDS): nearest by Mahalanobis distance, mutual, gated.
+
+    covariance: of the pose, (6, 6). reach_px: no spot farther than this counts. barred: (2, MAX_LEDS), the spot
+    that is no longer to be taken for this LED, -1 for none. Returns how many gates hold more than one spot or
+    share one.
+    """
+    arm, point, slopes, j, s = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6)), np.empty(3)
+    distance = np.empty(MAX_LEDS)
+    contested = 0
+    for c in range(2):
+        for n in range(MAX_LEDS):
+            spot[c, n] = -1
+            distance[n] = np.inf
+        for n in range(scene.leds.shape[0]):
+            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            u, v = project(scene.lens[c], point[0], point[1], point[2])
+            if not math.isfinite(u):
+                continue
+            jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
+            within = 0
+            for k in range(view.counts[c]):
+                du, dv = view.sights[c, k].u - u, view.sights[c, k].v - v
+                if not du * du + dv * dv < reach_px * reach_px or barred[c, n] == k:
+                    continue
+                spread(j, covariance, view.sights[c, k], s)
+                det = s[0] * s[2] - s[1] * s[1]
+                square = (s[2] * du * du - 2.0 * s[1] * du * dv + s[0] * dv * dv) / det
+                if square < _GATE:
+                    within += 1
+                    if square < distance[n]:
+                        distance[n] = square
+                        spot[c, n] = k
+            if within > 1:
+                contested += 1
+        for n in range(scene.leds.shape[0]):
+            for m in range(n):
+                if spot[c, n] >= 0 and spot[c, n] == spot[c, m]:
+                    contested += 1
+                    spot[c, n if distance[n] > distance[m] else m] = -1
+    return contested
+
+
+@kernel
+def worst_spot(scene, view, fit, where):
+    """Write camera and LED of the spot whose removal would lower chi-square most to where (2,).
+
+    Its residual is measured against its own covariance less that of the fit (the fit has bent towards it).
+    """
+    arm, point, slopes, j, s = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6)), np.empty(3)
+    worst = -1.0
+    for c in range(2):
+        for n in range(scene.leds.shape[0]):
+            k = fit.spot[c, n]
+            if k < 0:
+                continue
+            sight = view.sights[c, k]
+            place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
+            u, v = project(scene.lens[c], point[0], point[1], point[2])
+            du, dv = sight.u - u, sight.v - v
+            jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
+            spread(j, fit.covariance, sight, s)
+            floor = 1e-3
+            uu = max(2.0 * sight.var_u - s[0], floor * sight.var_u)
+            vv = max(2.0 * sight.var_v - s[2], floor * sight.var_v)
+            uv = 2.0 * sight.cov_uv - s[1]
+            det = uu * vv - uv * uv
+            if not det > 0.0:
+                uv, det = 0.0, uu * vv
+            square = (vv * du * du - 2.0 * uv * du * dv + uu * dv * dv) / det
+            if square > worst:
+                worst = square
+                where[0], where[1] = c, n
+
+
+@kernel
+def count(fit, n_leds):
+    """Write how many spots ``fit`` uses."""
+    fit.points = 0
+    for c in range(2):
+        for n in range(n_leds):
+            if fit.spot[c, n] >= 0:
+                fit.points += 1
+
+
+@kernel
+def settle(scene, view, reach_px, fit):
+    """From a start pose and first spots in ``fit`` to all spots that belong, without those that do not.
+
+    In turns: refine, take the spots within the gates of the refined pose; then, while chi-square is too high and
+    enough spots remain to tell who is wrong, leave out the worst.
+    """
+    before = np.empty((2, MAX_LEDS), np.int64)
+    barred = np.full((2, MAX_LEDS), -1, np.int64)
+    where = np.zeros(2, np.int64)
+    fit.removed = 0
+    for _ in range(_ROUNDS + 4):
+        refine(scene, view, fit)
+        if fit.valid == 0:
+            return
+        changed = False
+        for c in range(2):
+            for n in range(MAX_LEDS):
+                before[c, n] = fit.spot[c, n]
+        assign(scene, view, fit.r, fit.t, fit.covariance, reach_px, barred, fit.spot)
+        for c in range(2):
+            for n in range(scene.leds.shape[0]):
+                if before[c, n] >= 0 and fit.spot[c, n] < 0 and barred[c, n] < 0:
+                    fit.spot[c, n] = before[c, n]  # a spot leaves as an outlier alone, worst first
+                    for m in range(scene.leds.shape[0]):
+                        if m != n and fit.spot[c, m] == fit.spot[c, n]:
+                            fit.spot[c, n] = -1
+                            break
+                if fit.spot[c, n] != before[c, n]:
+                    changed = True
+        count(fit, scene.leds.shape[0])
+        if fit.points < 3:
+            fit.valid = 0
+            return
+        if changed:
+            continue
+        degrees = 2 * fit.points - 6
+        if fit.chi2 <= chi_square_limit(degrees):
+            return
+        if fit.removed >= 3 or degrees - 2 < 2 + 2 * (fit.removed + 1):
+            return
+        worst_spot(scene, view, fit, where)
+        barred[where[0], where[1]] = fit.spot[where[0], where[1]]
+        fit.spot[where[0], where[1]] = -1
+        fit.removed += 1
+
+
+@kernel
+def judge(scene, view, density, fit):
+    """Write points, unseen and score of ``fit``.
+
+    score: for each spot the logarithm of its density as an LED at its place, over ``density`` (2,), that of stray
+    lights in each image, px^-2; less what LEDs cost that should be in view and are not.
+    """
+    arm, point = np.empty(3), np.empty(3)
+    count(fit, scene.leds.shape[0])
+    fit.unseen = 0
+    fit.score = -0.5 * fit.chi2
+    for c in range(2):
+        if view.counts[c] == 0:
+            continue
+        for n in range(scene.leds.shape[0]):
+            k = fit.spot[c, n]
+            if k >= 0:
+                sight = view.sights[c, k]
+                area = 2.0 * math.pi * math.sqrt(sight.var_u * sight.var_v - sight.cov_uv * sight.cov_uv)
+                fit.score -= math.log(max(area, 0.01) * density[c])
+                continue
+            place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
+            u, v = project(scene.lens[c], point[0], point[1], point[2])
+            if in_image(scene.lens[c], u, v, _EDGE_PX):
+                fit.unseen += 1
+                fit.score -= _UNSEEN_COST

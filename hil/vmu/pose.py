@@ -1,0 +1,137 @@
+"""From spots and a start to a pose: typed access to the kernels of search, matching and refinement."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.config.vmu_geometry import VmuGeometry
+from hil.maths import quat
+from hil.messages import Array
+from hil.vmu.geometry import camera_pair, led_positions
+from hil.vmu.kernels.hypotheses import bend, copy_pose, settle_all
+from hil.vmu.kernels.match import assign, sight_of
+from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, Scene, View
+from hil.vmu.kernels.search import SEARCH, search, side_of
+
+_STARTS = 128
+_STRAIGHT = (0.5, 2.0)  # growth of chi-square over what the covariance says, within which it is believed
+_STRAY_FACTOR = 10.0  # stray lights crowd where the target is: their density there, over that of the whole image
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What identification and pose go by.
+
+    near_m, far_m: range of the target. steepest_deg: largest angle between the target's axis -z_t and the line of
+    sight. reach_px: a spot counts as an LED's, at first, up to this far from its projection. decisive: logarithm
+    of the odds at which one hypothesis is taken and another one dropped. false_alarms: expected number of chance
+    patterns in an image at which a pattern without a track is believed. largest_sigma_deg: of the attitude; beyond it
+    the pose must pass the test of its curvature to be used.
+    """
+
+    near_m: float = 0.2
+    far_m: float = 25.0
+    steepest_deg: float = 70.0
+    reach_px: float = 3.0
+    decisive: float = 8.0
+    false_alarms: float = 1e-4
+    largest_sigma_deg: float = 1.0
+
+
+class Solver:
+    """Holds the scene and the scratch memory of one vision unit."""
+
+    def __init__(self, geometry: VmuGeometry, settings: Settings) -> None:
+        self.settings = settings
+        self.scene = scene_of(geometry, settings)
+        self.normal_t = thin_axis(self.scene.leds)
+        self.centre_t = np.asarray(self.scene.leds.mean(axis=0))
+        self._search = np.zeros(1, SEARCH).view(np.recarray)[0]
+        self._search.near, self._search.far = settings.near_m, settings.far_m
+        self._search.least_facing = math.cos(math.radians(settings.steepest_deg))
+        self._search.reach_px, self._search.reach_share, self._search.slack = settings.reach_px, 0.02, 2
+        self._fits = np.zeros(2 * _STARTS + 2, FIT)
+        self._state = np.zeros(3, np.int64)
+
+    def view(self, left: np.ndarray, right: np.ndarray) -> View:
+        """Return the spots (SPOT) of both images as rays; of more than MAX_SPOTS the brightest."""
+        sights, counts = np.zeros((2, MAX_SPOTS), SIGHT), np.zeros(2, np.int64)
+        for c, spots in enumerate((left, right)):
+            if len(spots) > MAX_SPOTS:
+                spots = spots[np.sort(np.argsort(spots["flux"])[::-1][:MAX_SPOTS])]
+            for k, spot in enumerate(spots):
+                sight_of(self.scene.lens[c], spot, sights[c, k])
+            counts[c] = len(spots)
+        return View(sights, counts)
+
+    def hypotheses(self, view: View) -> tuple[np.ndarray, bool]:
+        """Return every distinct pose (FIT) that the spots allow without a track, and whether there was room for all."""
+        count = search(self.scene, view, self._search, self._fits[: _STARTS + 1], self._state)
+        return self._settled(view, count, 2.0 * self.settings.reach_px), not self._state[2]
+
+    def from_start(self, view: View, r: Array, t: Array, spots: npt.NDArray[np.int64], reach_px: float) -> np.ndarray:
+        """Return the pose (FIT) that grows from a start with first ``spots`` (2, MAX_LEDS), and its mirror image."""
+        copy_pose(self._fits[0], r, t)
+        self._fits[0]["spot"] = spots
+        return self._settled(view, 1, reach_px)
+
+    def _settled(self, view: View, count: int, reach_px: float) -> np.ndarray:
+        density = self.stray_density(view)
+        kept = settle_all(self.scene, view, reach_px, density, self.normal_t, self.centre_t, self._fits, count)
+        return self._fits[:kept].copy()
+
+    def expected(
+        self, view: View, r: Array, t: Array, covariance: Array, reach_px: float
+    ) -> tuple[npt.NDArray[np.int64], int]:
+        """Return the spots (2, MAX_LEDS) within the gates of a predicted pose, and how many gates are contested."""
+        spots = np.full((2, MAX_LEDS), -1, np.int64)
+        barred = np.full((2, MAX_LEDS), -1, np.int64)
+        return spots, assign(self.scene, view, r, t, covariance, reach_px, barred, spots)
+
+    def stray_density(self, view: View) -> Array:
+        """Return the density of stray lights in each image that hypotheses are judged by, px^-2, (2,)."""
+        lens = self.scene.lens
+        density: Array = _STRAY_FACTOR * (view.counts + 1.0) / (lens["width"] * lens["height"])
+        return density
+
+    def is_straight(self, view: View, fit: np.void) -> bool:
+        """Return whether chi-square grows along the least certain rotation as the covariance says."""
+        turn = fit["covariance"][3:, 3:]
+        values, vectors = np.linalg.eigh(turn)
+        direction = fit["covariance"][:, 3:] @ vectors[:, 2] / math.sqrt(values[2])
+        ratios = [bend(self.scene, view, fit, direction, sigmas) for sigmas in (-2.0, 2.0)]
+        return all(_STRAIGHT[0] <= ratio <= _STRAIGHT[1] for ratio in ratios)
+
+
+def scene_of(geometry: VmuGeometry, settings: Settings) -> Scene:
+    """Return what the kernels take of ``geometry``."""
+    pair, leds = camera_pair(geometry), led_positions(geometry)
+    squares = ((leds[:, None, :] - leds[None, :, :]) ** 2).sum(axis=2)
+    least_facing = math.cos(math.radians(settings.steepest_deg))
+    n = len(leds)
+    sides = np.array(
+        [[[side_of(leds, p, q, s, least_facing) for s in range(n)] for q in range(n)] for p in range(n)], np.int64
+    )
+    return Scene(pair.lens, pair.rotation, pair.translation, leds, squares, sides)
+
+
+def thin_axis(leds: Array) -> Array:
+    """Return the unit vector (3,) along which the LEDs spread least."""
+    _, _, axes = np.linalg.svd(leds - leds.mean(axis=0))
+    normal: Array = np.ascontiguousarray(axes[2])
+    return normal
+
+
+def attitude_sigma_deg(fit: np.void) -> float:
+    """Return the standard deviation of the least certain rotation."""
+    return math.degrees(math.sqrt(float(np.linalg.eigvalsh(fit["covariance"][3:, 3:])[-1])))
+
+
+def matrix_of(q_vt: Array) -> Array:
+    """Return R (3, 3) with ``p_v = R p_t + t_v``."""
+    r: Array = quat.to_matrix(q_vt)
+    return r
