@@ -12,12 +12,13 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.maths import quat
 from hil.messages import Array
 from hil.vmu.geometry import camera_pair, led_positions
-from hil.vmu.kernels.hypotheses import bend, copy_pose, settle_all
-from hil.vmu.kernels.match import assign, sight_of
+from hil.vmu.kernels.hypotheses import bend
+from hil.vmu.kernels.match import assign, judge, sight_of
 from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, Scene, View
-from hil.vmu.kernels.search import SEARCH, search, side_of
+from hil.vmu.kernels.pose_search import SEARCH, STATE_FITS, STATE_FULL, add_settled, search, side_of
 
-_STARTS = 128
+_REMEMBERED, _FITS = 256, 64
+_COARSE = 5.0  # sigmas
 _STRAIGHT = (0.5, 2.0)  # growth of chi-square over what the covariance says, within which it is believed
 _STRAY_FACTOR = 10.0  # stray lights crowd where the target is: their density there, over that of the whole image
 
@@ -36,10 +37,23 @@ class Settings:
     near_m: float = 0.2
     far_m: float = 25.0
     steepest_deg: float = 70.0
-    reach_px: float = 3.0
+    reach_px: float = 1.5
     decisive: float = 8.0
     false_alarms: float = 1e-4
     largest_sigma_deg: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Where the target is thought to be: the last pose carried on, by a gyro or at constant rates.
+
+    t_v: (3,), m. q_vt: (4,), scalar last, ``p_v = A(q_vt) p_t + t_v``. covariance: (6, 6) of t_v and of the small
+    rotation e about v's axes.
+    """
+
+    t_v: Array
+    q_vt: Array
+    covariance: Array
 
 
 class Solver:
@@ -53,9 +67,12 @@ class Solver:
         self._search = np.zeros(1, SEARCH).view(np.recarray)[0]
         self._search.near, self._search.far = settings.near_m, settings.far_m
         self._search.least_facing = math.cos(math.radians(settings.steepest_deg))
-        self._search.reach_px, self._search.reach_share, self._search.slack = settings.reach_px, 0.02, 2
-        self._fits = np.zeros(2 * _STARTS + 2, FIT)
-        self._state = np.zeros(3, np.int64)
+        self._search.reach_px = settings.reach_px
+        self._search.settle_px = 2.0 * settings.reach_px
+        self._search.normal, self._search.centre = self.normal_t, self.centre_t
+        self._starts = np.zeros(_REMEMBERED + 1, FIT)
+        self._fits = np.zeros(_FITS + 1, FIT)
+        self._state = np.zeros(4, np.int64)
 
     def view(self, left: np.ndarray, right: np.ndarray) -> View:
         """Return the spots (SPOT) of both images as rays; of more than MAX_SPOTS the brightest."""
@@ -68,21 +85,35 @@ class Solver:
             counts[c] = len(spots)
         return View(sights, counts)
 
-    def hypotheses(self, view: View) -> tuple[np.ndarray, bool]:
-        """Return every distinct pose (FIT) that the spots allow without a track, and whether there was room for all."""
-        count = search(self.scene, view, self._search, self._fits[: _STARTS + 1], self._state)
-        return self._settled(view, count, 2.0 * self.settings.reach_px), not self._state[2]
+    def hypotheses(self, view: View, prediction: Prediction | None = None) -> tuple[np.ndarray, bool]:
+        """Return every distinct pose (FIT) that the spots allow, and whether there was room for all.
 
-    def from_start(self, view: View, r: Array, t: Array, spots: npt.NDArray[np.int64], reach_px: float) -> np.ndarray:
+        The prediction only admits what would mean nothing without it: three spots of a single camera.
+        """
+        self._search.predicted = 0
+        if prediction is not None:
+            sigma = np.sqrt(np.diag(prediction.covariance))
+            angle = min(_COARSE * float(np.linalg.norm(sigma[3:])), math.pi)
+            self._search.predicted = 1
+            self._search.r, self._search.t = matrix_of(prediction.q_vt), prediction.t_v
+            self._search.away = _COARSE * float(np.linalg.norm(sigma[:3]))
+            self._search.least_trace = 1.0 + 2.0 * math.cos(angle)
+        count = search(self.scene, view, self._search, self._starts, self._fits, self._state)
+        return self._judged(view, count), not self._state[STATE_FULL]
+
+    def from_start(self, view: View, r: Array, t: Array, spots: npt.NDArray[np.int64]) -> np.ndarray:
         """Return the pose (FIT) that grows from a start with first ``spots`` (2, MAX_LEDS), and its mirror image."""
-        copy_pose(self._fits[0], r, t)
-        self._fits[0]["spot"] = spots
-        return self._settled(view, 1, reach_px)
+        self._state[:] = 0
+        start = self._starts[-1]
+        start["r"], start["t"], start["spot"] = r, t, spots
+        add_settled(self.scene, view, self._search, start, self._fits, self._state)
+        return self._judged(view, self._state[STATE_FITS])
 
-    def _settled(self, view: View, count: int, reach_px: float) -> np.ndarray:
+    def _judged(self, view: View, count: int) -> np.ndarray:
         density = self.stray_density(view)
-        kept = settle_all(self.scene, view, reach_px, density, self.normal_t, self.centre_t, self._fits, count)
-        return self._fits[:kept].copy()
+        for fit in self._fits[:count]:
+            judge(self.scene, view, density, fit)
+        return self._fits[:count].copy()
 
     def expected(
         self, view: View, r: Array, t: Array, covariance: Array, reach_px: float

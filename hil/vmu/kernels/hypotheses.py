@@ -1,4 +1,4 @@
-"""From start poses to the distinct poses that the spots allow."""
+"""From start poses to the distinct poses that the spots allow: mirror images, differences, tests."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 
-from hil.maths.arrays import copy_into, copy_matrix
 from hil.maths.jit import kernel
-from hil.vmu.kernels.match import chi_square_limit, judge, settle
+from hil.vmu.kernels.match import chi_square_limit
 from hil.vmu.kernels.refine import chi_square, turn
 
 _SAME_SQUARE = 1.0  # Mahalanobis distance of two poses that count as one
@@ -76,35 +75,6 @@ def same_pose(a, b, d):
 
 
 @kernel
-def settle_all(scene, view, reach_px, density, normal, centre, fits, count):
-    """Settle the first ``count`` of ``fits`` (FIT) and their mirror images; return how many distinct poses remain.
-
-    They stand at the front, those that fit no good (chi-square) left out. fits: at least 2 count long.
-    density: (2,), see ``judge``.
-    """
-    d = np.empty(6)
-    kept = 0
-    for k in range(count):
-        fit = fits[kept]
-        if k != kept:
-            fits[kept] = fits[k]
-        settle(scene, view, reach_px, fit)
-        if acceptable(fit) and not known(fits, kept, fit, d):
-            kept += 1
-    first = kept
-    for k in range(first):
-        fit = fits[kept]
-        fits[kept] = fits[k]
-        mirror(fits[k].r, fits[k].t, normal, centre, fit.r, fit.t)
-        settle(scene, view, reach_px, fit)
-        if acceptable(fit) and not known(fits, kept, fit, d):
-            kept += 1
-    for k in range(kept):
-        judge(scene, view, density, fits[k])
-    return kept
-
-
-@kernel
 def acceptable(fit):
     """Return whether a settled hypothesis passes the test of its residuals."""
     return fit.valid == 1 and fit.points >= 3 and fit.chi2 <= chi_square_limit(2 * fit.points - 6)
@@ -134,10 +104,3 @@ def bend(scene, view, fit, direction, sigmas):
         e[i] = sigmas * direction[3 + i]
     turn(fit.r, e, r)
     return (chi_square(scene, view, fit.spot, r, t) - fit.chi2) / (sigmas * sigmas)
-
-
-@kernel
-def copy_pose(fit, r, t):
-    """Write the pose r (3, 3), t (3,) into ``fit``."""
-    copy_matrix(fit.r, r)
-    copy_into(fit.t, t)

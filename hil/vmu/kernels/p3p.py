@@ -160,7 +160,7 @@ def ray_lengths(y1, y2, y3, a12, a13, a23, vectors, values, out):
         b = (a13 * b12 * w1 - a12 * b13 * w0 - 2.0 * w0 * w1 * (a12 - a13)) / top
         c = ((a13 - a12) * w0 * w0 + a13 * b12 * w0 + a13) / top
         under = 0.25 * b * b - c
-        if under < -0.02 * (1.0 + 0.25 * b * b):
+        if under < -0.01 * (1.0 + 0.25 * b * b):
             continue
         root = math.sqrt(max(under, 0.0))
         for k in range(2):

@@ -1,0 +1,205 @@
+"""Which of the poses that the spots allow is the true one: by the spots, by a track, or not at all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hil.vmu.kernels.hypotheses import difference
+from hil.vmu.kernels.records import View
+from hil.vmu.pose import Prediction, Settings, Solver, attitude_sigma_deg, matrix_of
+
+OK: Final = "ok"
+AMBIGUOUS: Final = "ambiguous"
+TOO_FEW: Final = "too_few"
+NO_MATCH: Final = "rejected_no_match"
+GEOMETRY: Final = "rejected_geometry"
+
+_GATE_6 = 33.0  # chi-square of six components that a true pose exceeds once in 100 000
+_GATE_2 = 20.0  # as in matching
+_TRACK_REACH_PX = 150.0
+_MARKED_COST = 20.0
+_BRIGHTER = 1.3
+_HOPELESS_SIGMA = 10.0  # times the largest sigma: no test of the curvature helps
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What became of one view. fit: FIT when the status is ``ok``. candidates: all poses that the spots allow."""
+
+    status: str
+    fit: np.void | None = None
+    candidates: Sequence[np.void] = ()
+
+
+class Identifier:
+    """Decides between hypotheses."""
+
+    def __init__(self, solver: Solver, marked_led: int | None) -> None:
+        self._solver = solver
+        self._settings: Settings = solver.settings
+        self._marked = marked_led
+
+    def tracked(self, view: View, prediction: Prediction) -> Verdict | None:
+        """Return the verdict by the prediction's gates alone, None where a search has to tell."""
+        r = matrix_of(prediction.q_vt)
+        spots, contested = self._solver.expected(view, r, prediction.t_v, prediction.covariance, _TRACK_REACH_PX)
+        if contested or (spots >= 0).sum() < 3:
+            return None
+        fits = self._solver.from_start(view, r, prediction.t_v, spots)
+        verdict = self._by_track(view, fits, prediction)
+        return verdict if verdict.status in (OK, AMBIGUOUS) else None
+
+    def search(self, view: View, prediction: Prediction | None) -> Verdict:
+        """Return the verdict over every hypothesis; the prediction counts only where the spots leave a choice."""
+        if max(view.counts) < 3:
+            return Verdict(TOO_FEW)
+        fits, all_kept = self._solver.hypotheses(view, prediction)
+        if not len(fits):
+            return Verdict(NO_MATCH)
+        fits = fits[[self._possible(fit) for fit in fits]]
+        if not len(fits):
+            return Verdict(GEOMETRY)
+        alone = self._by_spots(view, fits) if all_kept else Verdict(AMBIGUOUS, candidates=list(fits))
+        if alone.status == OK or prediction is None:
+            return alone
+        tracked = self._by_track(view, fits, prediction)
+        return tracked if tracked.status == OK else alone
+
+    def _by_spots(self, view: View, fits: np.ndarray) -> Verdict:
+        scores = np.array([fit["score"] - self._marked_cost(view, fit) for fit in fits])
+        order = np.argsort(scores)[::-1]
+        best = fits[order[0]]
+        rivals = [fits[k] for k in order[1:] if scores[k] > scores[order[0]] - self._settings.decisive]
+        candidates = [best, *rivals]
+        if any(not covers(best, rival) for rival in rivals) or not self._certain(view, best):
+            return Verdict(AMBIGUOUS, candidates=candidates)
+        if self._log_false_alarms(view, best, None) > math.log(self._settings.false_alarms):
+            return Verdict(TOO_FEW, candidates=candidates)
+        return Verdict(OK, best, candidates)
+
+    def _by_track(self, view: View, fits: np.ndarray, prediction: Prediction) -> Verdict:
+        squares = np.array([distance_square(fit, prediction) for fit in fits])
+        inside = [k for k in range(len(fits)) if squares[k] < _GATE_6 and self._possible(fits[k])]
+        if not inside:
+            return Verdict(NO_MATCH)
+        scores = {k: fits[k]["score"] - self._marked_cost(view, fits[k]) - 0.5 * squares[k] for k in inside}
+        order = sorted(inside, key=lambda k: -scores[k])
+        best = fits[order[0]]
+        rivals = [fits[k] for k in order[1:] if scores[k] > scores[order[0]] - self._settings.decisive]
+        candidates = [best, *rivals]
+        if any(not covers(best, rival) for rival in rivals) or not self._certain(view, best):
+            return Verdict(AMBIGUOUS, candidates=candidates)
+        if self._log_false_alarms(view, best, prediction) > math.log(self._settings.false_alarms):
+            return Verdict(TOO_FEW, candidates=candidates)
+        return Verdict(OK, best, candidates)
+
+    def _possible(self, fit: np.void) -> bool:
+        """Return whether the target is in range, in front, and shows its face."""
+        t = fit["t"]
+        away = float(np.linalg.norm(t))
+        facing = float(fit["r"][:, 2] @ t) / away
+        near, far = self._settings.near_m, self._settings.far_m
+        return near <= away <= far and t[2] > 0.0 and facing >= math.cos(math.radians(self._settings.steepest_deg))
+
+    def _certain(self, view: View, fit: np.void) -> bool:
+        """Return whether the covariance can be believed: the attitude is well known, or chi-square is a parabola."""
+        sigma, largest = attitude_sigma_deg(fit), self._settings.largest_sigma_deg
+        if sigma < 0.3 * largest:
+            return True
+        return sigma < _HOPELESS_SIGMA * largest and self._solver.is_straight(view, fit)
+
+    def _marked_cost(self, view: View, fit: np.void) -> float:
+        """Return what it costs that the marked LED is not the brightest, 0 where it is or is not in use."""
+        if self._marked is None:
+            return 0.0
+        cost = 0.0
+        for c in range(2):
+            used = [n for n, k in enumerate(fit["spot"][c]) if k >= 0]
+            if self._marked not in used or len(used) < 2:
+                continue
+            flux = {n: float(view.sights[c, fit["spot"][c, n]]["flux"]) for n in used}
+            others = [value for n, value in flux.items() if n != self._marked]
+            if max(others) > _BRIGHTER * flux[self._marked] or flux[self._marked] < _BRIGHTER * np.median(others):
+                cost += _MARKED_COST
+        return cost
+
+    def _log_false_alarms(self, view: View, fit: np.void, prediction: Prediction | None) -> float:
+        """Return ln of how many patterns like this one stray lights make by chance (a contrario).
+
+        Three spots of one camera make a pose; each further one has to be in its place. Stray lights are as dense
+        as those that are left over near the pattern, half of one at least. The second camera's spots have to be
+        at the right place of their epipolar line. With a prediction the first three have to be in its gates.
+        """
+        own = 0 if (fit["spot"][0] >= 0).sum() >= (fit["spot"][1] >= 0).sum() else 1
+        used = [n for n, k in enumerate(fit["spot"][own]) if k >= 0]
+        if len(used) < 3:
+            return 0.0
+        n_leds = len(self._solver.scene.leds)
+        density = self._left_over(view, fit, own)
+        odds = []
+        for n in used:
+            sight = view.sights[own, fit["spot"][own, n]]
+            determinant = float(sight["var_u"] * sight["var_v"] - sight["cov_uv"] ** 2)
+            odds.append(math.log(min(1.0, density * 2.0 * math.pi * _GATE_2 * math.sqrt(determinant))))
+        odds.sort()
+        if prediction is None:
+            tests = math.comb(int(view.counts[own]), 3) * n_leds * (n_leds - 1) * (n_leds - 2) * 4
+            total = math.log(tests) + sum(odds[3:])
+        else:
+            gate = 2.0 * math.pi * _GATE_2 * self._gate_deviation(own, prediction)
+            total = math.log(math.comb(n_leds, 3)) + 3.0 * math.log(min(1.0, density * gate)) + sum(odds[3:])
+        other = 1 - own
+        for k in fit["spot"][other]:
+            if k < 0:
+                continue
+            sight = view.sights[other, k]
+            sigma = math.sqrt(max(float(sight["var_u"]), float(sight["var_v"])))
+            total += math.log(min(1.0, 2.0 * math.sqrt(2.0 * _GATE_2) * sigma / self._disparity_window(fit)))
+        return total
+
+    def _left_over(self, view: View, fit: np.void, camera: int) -> float:
+        """Return the density of spots that are no LEDs about the pattern, px^-2."""
+        sights = view.sights[camera, : view.counts[camera]]
+        used = [k for k in fit["spot"][camera] if k >= 0]
+        centre_u, centre_v = float(sights["u"][used].mean()), float(sights["v"][used].mean())
+        away = np.hypot(sights["u"] - centre_u, sights["v"] - centre_v)
+        reach = 3.0 * max(float(away[used].max()), 3.0)
+        left_over = int((away < reach).sum()) - len(used)
+        lens = self._solver.scene.lens[camera]
+        area = min(math.pi * reach * reach, float(lens["width"] * lens["height"]))
+        return (left_over + 0.5) / area
+
+    def _gate_deviation(self, camera: int, prediction: Prediction) -> float:
+        """Return the root of the determinant of the predicted place of the LEDs' centre in an image, px^2."""
+        scene = self._solver.scene
+        away = float(np.linalg.norm(prediction.t_v))
+        focal = float(scene.lens[camera]["fx"])
+        across = prediction.covariance[:2, :2] * (focal / away) ** 2
+        reach = float(np.abs(scene.leds).max()) * focal / away
+        turn = float(np.trace(prediction.covariance[3:, 3:])) * reach * reach
+        return math.sqrt(max(float(np.linalg.det(across + turn * np.eye(2))), 1e-6))
+
+    def _disparity_window(self, fit: np.void) -> float:
+        """Return over which length of an epipolar line stray lights about the target's range are spread, px."""
+        scene = self._solver.scene
+        baseline = float(np.linalg.norm(scene.translation[1]))
+        return 5.0 + 0.3 * float(scene.lens[1]["fx"]) * baseline / float(np.linalg.norm(fit["t"]))
+
+
+def distance_square(fit: np.void, prediction: Prediction) -> float:
+    """Return the squared Mahalanobis distance of a pose from a predicted one, six components."""
+    d = np.empty(6)
+    difference(fit["r"], fit["t"], matrix_of(prediction.q_vt), prediction.t_v, d)
+    return float(d @ np.linalg.solve(prediction.covariance + fit["covariance"], d))
+
+
+def covers(fit: np.void, rival: np.void) -> bool:
+    """Return whether ``rival`` lies within two sigmas of ``fit`` in every component: no matter which one is true."""
+    d = np.empty(6)
+    difference(rival["r"], rival["t"], fit["r"], fit["t"], d)
+    return bool((np.abs(d) < 2.0 * np.sqrt(np.diag(fit["covariance"]))).all())

@@ -1,0 +1,323 @@
+"""Every way in which the spots of two images can be the LEDs, without any idea of the pose.
+
+Three spots of one image and three LEDs give up to four poses; each is checked on all other LEDs in both images.
+Any hypothesis that explains m of the N spots of an image has a triple among the first N - m + 3 of them, so the
+search begins at the largest m, and ends when no hypothesis that explains more can be left.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths.jit import kernel
+from hil.vmu.kernels.hypotheses import acceptable, known, mirror
+from hil.vmu.kernels.lens import project
+from hil.vmu.kernels.match import settle
+from hil.vmu.kernels.p3p import axes_of_three, ray_lengths
+from hil.vmu.kernels.records import MAX_LEDS
+from hil.vmu.kernels.refine import place
+
+SEARCH = np.dtype(
+    [
+        ("near", "f8"),  # m, range of the target's origin from the left camera, at least and at most
+        ("far", "f8"),
+        ("least_facing", "f8"),  # cosine of the largest angle between -z_t and the line of sight
+        ("reach_px", "f8"),  # a spot this near to the projection of a start pose counts, more where that is coarse
+        ("settle_px", "f8"),  # and to that of a refined one
+        ("normal", "f8", 3),  # of the plane that the LEDs are nearest to, in t
+        ("centre", "f8", 3),  # m, of the LEDs, in t
+        ("predicted", "i8"),  # 1: three spots of a single camera count where they put the target about here
+        ("r", "f8", (3, 3)),
+        ("t", "f8", 3),  # m
+        ("away", "f8"),  # m, at most
+        ("least_trace", "f8"),  # of the turn from there
+    ],
+    align=True,
+)
+
+STATE_FITS, STATE_BEST, STATE_FULL, STATE_STARTS = range(4)
+"""Places of ``state``: fits found, most spots of one, whether something had to be left out, starts tried."""
+
+_SAME_TRACE = 2.9924  # of the turn between two starts that will end at one pose: 5 deg
+_MOST_STARTS = 600
+_SLACK = 2  # fits that explain this many spots fewer than the best are kept
+_ALONE = 5  # spots of one camera that are believed though the other one sees none of them
+
+
+@kernel
+def side_of(leds, p, q, s, least_facing):
+    """Return the sense, 1 or -1, in which a camera in front sees the LEDs p, q, s; 0 where it depends on the pose."""
+    ax, ay, az = leds[q, 0] - leds[p, 0], leds[q, 1] - leds[p, 1], leds[q, 2] - leds[p, 2]
+    bx, by, bz = leds[s, 0] - leds[p, 0], leds[s, 1] - leds[p, 1], leds[s, 2] - leds[p, 2]
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    size = math.sqrt(nx * nx + ny * ny + nz * nz)
+    lean = math.acos(min(abs(nz) / size, 1.0)) if size > 0.0 else 0.5 * math.pi
+    if lean + math.acos(least_facing) > 0.5 * math.pi - 0.1:
+        return 0
+    return 1 if nz > 0.0 else -1
+
+
+@kernel
+def take_spots(scene, view, c, least, reach, fit, arm, point):
+    """Write the spots nearest to the projections of the pose in ``fit``; return whether they are enough.
+
+    fit.spot of camera c holds the three that the pose came from. Enough: ``least`` of camera c, and two of the
+    other one, if it sees two, or else _ALONE of camera c.
+    """
+    have = 3
+    left = scene.leds.shape[0] - 3
+    for n in range(scene.leds.shape[0]):
+        if fit.spot[c, n] >= 0:
+            continue
+        if take_nearest(scene, view, c, n, reach, fit, arm, point):
+            have += 1
+        left -= 1
+        if have + left < least:
+            return False
+    other = 1 - c
+    if view.counts[other] < 2:
+        return True
+    seen = 0
+    for n in range(scene.leds.shape[0]):
+        if take_nearest(scene, view, other, n, reach, fit, arm, point):
+            seen += 1
+    return seen >= 2 or have >= _ALONE
+
+
+@kernel
+def take_nearest(scene, view, c, n, reach, fit, arm, point):
+    """Write the spot of camera c nearest to LED n to ``fit``, if it is within ``reach`` px and free; return whether."""
+    place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
+    u, v = project(scene.lens[c], point[0], point[1], point[2])
+    best, least = -1, reach * reach
+    for k in range(view.counts[c]):
+        du, dv = view.sights[c, k].u - u, view.sights[c, k].v - v
+        square = du * du + dv * dv
+        if square < least:
+            best, least = k, square
+    for m in range(scene.leds.shape[0]):
+        if best >= 0 and fit.spot[c, m] == best:
+            best = -1
+    fit.spot[c, n] = best
+    return best >= 0
+
+
+@kernel
+def trace_between(r_a, r_b):
+    """Return the trace of the turn from one attitude to another, ``1 + 2 cos(angle)``."""
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += r_a[i, j] * r_b[i, j]
+    return total
+
+
+@kernel
+def tried(others, count, fit, n):
+    """Return whether one of the first ``count`` starts names the same spots and is turned alike."""
+    for k in range(count):
+        other = others[k]
+        same = True
+        for m in range(n):
+            if other.spot[0, m] != fit.spot[0, m] or other.spot[1, m] != fit.spot[1, m]:
+                same = False
+                break
+        if same and trace_between(other.r, fit.r) > _SAME_TRACE:
+            return True
+    return False
+
+
+@kernel
+def try_start(scene, view, settings, start, starts, fits, state):
+    """Settle ``start`` and its mirror image unless it is an old one; put the poses that fit into ``fits``.
+
+    The last place of ``fits`` is scratch, so is that of ``starts``, which remembers what has been tried.
+    """
+    n = scene.leds.shape[0]
+    if tried(starts, min(state[STATE_STARTS], starts.shape[0] - 1), start, n):
+        return
+    if state[STATE_STARTS] >= _MOST_STARTS:
+        state[STATE_FULL] = 1
+        return
+    starts[state[STATE_STARTS] % (starts.shape[0] - 1)] = start
+    state[STATE_STARTS] += 1
+    add_settled(scene, view, settings, start, fits, state)
+
+
+@kernel
+def add_settled(scene, view, settings, start, fits, state):
+    """Settle ``start``, then the mirror image of what it became; put the new ones among the poses into ``fits``."""
+    d = np.empty(6)
+    fit = fits[fits.shape[0] - 1]
+    fits[fits.shape[0] - 1] = start
+    for side in range(2):
+        if side == 1:
+            mirror(fit.r, fit.t, settings.normal, settings.centre, start.r, start.t)
+            for c in range(2):
+                for m in range(MAX_LEDS):
+                    start.spot[c, m] = fit.spot[c, m]
+            fits[fits.shape[0] - 1] = start
+        settle(scene, view, settings.settle_px, fit)
+        if not acceptable(fit) or known(fits, state[STATE_FITS], fit, d):
+            return
+        state[STATE_BEST] = max(state[STATE_BEST], fit.points)
+        if state[STATE_FITS] == fits.shape[0] - 1:
+            drop_poor(fits, state)
+        if state[STATE_FITS] == fits.shape[0] - 1:
+            state[STATE_FULL] = 1
+            return
+        fits[state[STATE_FITS]] = fit
+        state[STATE_FITS] += 1
+
+
+@kernel
+def drop_poor(fits, state):
+    """Leave out the poses that explain too little by now."""
+    kept = 0
+    for k in range(state[STATE_FITS]):
+        if fits[k].points >= state[STATE_BEST] - _SLACK:
+            fits[kept] = fits[k]
+            kept += 1
+    state[STATE_FITS] = kept
+
+
+@kernel
+def near_prediction(settings, fit):
+    """Return whether a pose is about where the target is predicted."""
+    x, y, z = fit.t[0] - settings.t[0], fit.t[1] - settings.t[1], fit.t[2] - settings.t[2]
+    if x * x + y * y + z * z > settings.away * settings.away:
+        return False
+    return trace_between(settings.r, fit.r) >= settings.least_trace
+
+
+@kernel
+def plausible(settings, fit):
+    """Return whether the target of ``fit`` is in front, in range and shows its face."""
+    x, y, z = fit.t[0], fit.t[1], fit.t[2]
+    away = math.sqrt(x * x + y * y + z * z)
+    if not settings.near <= away <= settings.far or not z > 0.0:
+        return False
+    facing = (fit.r[0, 2] * x + fit.r[1, 2] * y + fit.r[2, 2] * z) / away
+    return facing >= settings.least_facing
+
+
+@kernel
+def pose_of_three(rotation, translation, ends, leds, p, q, s, there, here, fit):
+    """Write the pose to ``fit`` that puts the LEDs p, q, s at ``ends`` (3, 3), m, in a camera's axes.
+
+    rotation, translation: from v to those axes. there: axes of the three LEDs in t. here: scratch, (3, 3).
+    """
+    axes_of_three(ends[0], ends[1], ends[2], here)
+    for a in range(3):
+        for b in range(3):
+            total = 0.0
+            for d in range(3):  # v <- camera <- triangle <- t
+                turned = here[d, 0] * there[b, 0] + here[d, 1] * there[b, 1] + here[d, 2] * there[b, 2]
+                total += rotation[d, a] * turned
+            fit.r[a, b] = total
+    for a in range(3):
+        total = 0.0
+        for d in range(3):
+            middle = (ends[0, d] + ends[1, d] + ends[2, d]) / 3.0
+            total += rotation[d, a] * (middle - translation[d])
+            total -= fit.r[a, d] * (leds[p, d] + leds[q, d] + leds[s, d]) / 3.0
+        fit.t[a] = total
+
+
+@kernel
+def search_triple(scene, view, settings, c, trio, least, starts, fits, state):
+    """Try every three LEDs for the three spots ``trio`` of camera c. least: spots of it to be explained."""
+    leds, squares = scene.leds, scene.squares
+    n = leds.shape[0]
+    i, j, k = trio[0], trio[1], trio[2]
+    a, b, d = view.sights[c, i], view.sights[c, j], view.sights[c, k]
+    y1, y2, y3 = a.ray, b.ray, d.ray
+    if not math.isfinite(y1[0] + y2[0] + y3[0]):
+        return
+    du1, dv1, du2, dv2 = b.u - a.u, b.v - a.v, d.u - a.u, d.v - a.v
+    side = 1 if du1 * dv2 - dv1 * du2 > 0.0 else -1
+    # three points seen head-on know their tilt to the root of the noise alone
+    extent = math.sqrt(max(du1 * du1 + dv1 * dv1, du2 * du2 + dv2 * dv2))
+    sigma = math.sqrt(max(max(a.var_u + a.var_v, b.var_u + b.var_v), d.var_u + d.var_v))
+    reach = settings.reach_px + 4.0 * sigma + 0.5 * math.sqrt(2.0 * sigma * extent)
+    other_spots = view.counts[1 - c]
+    vectors, values, lengths = np.empty((3, 2)), np.empty(2), np.empty((4, 3))
+    arm, point, ends = np.empty(3), np.empty(3), np.empty((3, 3))
+    there, here = np.empty((3, 3)), np.empty((3, 3))
+    fit = starts[starts.shape[0] - 1]
+    for p in range(n):
+        for q in range(n):
+            for s in range(n):
+                if p == q or s in (p, q) or scene.sides[p, q, s] == -side:
+                    continue
+                found = ray_lengths(y1, y2, y3, squares[p, q], squares[p, s], squares[q, s], vectors, values, lengths)
+                if found == 0:
+                    continue
+                axes_of_three(leds[p], leds[q], leds[s], there)
+                for m in range(found):
+                    for e in range(3):
+                        ends[0, e] = lengths[m, 0] * y1[e]
+                        ends[1, e] = lengths[m, 1] * y2[e]
+                        ends[2, e] = lengths[m, 2] * y3[e]
+                    pose_of_three(scene.rotation[c], scene.translation[c], ends, leds, p, q, s, there, here, fit)
+                    if not plausible(settings, fit):
+                        continue
+                    if other_spots < 2 and least == 3 and not near_prediction(settings, fit):
+                        continue
+                    for e in range(MAX_LEDS):
+                        fit.spot[0, e] = -1
+                        fit.spot[1, e] = -1
+                    fit.spot[c, p], fit.spot[c, q], fit.spot[c, s] = i, j, k
+                    if take_spots(scene, view, c, least, reach, fit, arm, point):
+                        try_start(scene, view, settings, fit, starts, fits, state)
+
+
+@kernel
+def search_level(scene, view, settings, c, level, starts, fits, state):
+    """Try the triples of camera c of which one belongs to any hypothesis that explains ``level`` spots of it."""
+    trio = np.empty(3, np.int64)
+    for k in range(2, view.counts[c] - level + 3):
+        for j in range(1, k):
+            for i in range(j):
+                trio[0], trio[1], trio[2] = i, j, k
+                search_triple(scene, view, settings, c, trio, level, starts, fits, state)
+
+
+@kernel
+def search(scene, view, settings, starts, fits, state):
+    """Write every pose that the spots allow and that explains the most of them, or nearly so, to ``fits``.
+
+    The last place of ``starts`` and of ``fits`` is scratch. state: (4,), see STATE_FITS. Return how many.
+    """
+    n = scene.leds.shape[0]
+    for k in range(4):
+        state[k] = 0
+    first = 0 if view.counts[0] >= 3 else 1
+    other = 1 - first
+    # three spots of a single camera make a pose of any three lights: only a prediction gives them a meaning
+    lowest = 3 if view.counts[other] >= 2 or settings.predicted == 1 else 4
+    level = min(view.counts[first], n)
+    while level >= lowest:
+        search_level(scene, view, settings, first, level, starts, fits, state)
+        mine = 0
+        for k in range(state[STATE_FITS]):
+            if fits[k].points == state[STATE_BEST]:
+                own = 0
+                for m in range(n):
+                    if fits[k].spot[first, m] >= 0:
+                        own += 1
+                mine = max(mine, own)
+        if level <= mine:
+            break
+        level -= 1
+    level = max(level, lowest)
+    # what explains as many in both images and was not met has few in the first: many in the other
+    lowest = 3 if view.counts[first] >= 2 or settings.predicted == 1 else 4
+    own = min(view.counts[other], n)
+    while own >= max(lowest, state[STATE_BEST] - level + 1):
+        search_level(scene, view, settings, other, own, starts, fits, state)
+        own -= 1
+    drop_poor(fits, state)
+    return state[STATE_FITS]
