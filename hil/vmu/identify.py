@@ -60,7 +60,7 @@ class Identifier:
             return Verdict(TOO_FEW)
         fits, all_kept = self._solver.hypotheses(view, prediction)
         if not len(fits):
-            return Verdict(NO_MATCH)
+            return Verdict(NO_MATCH if max(view.counts) > 3 else TOO_FEW)
         fits = fits[[self._possible(fit) for fit in fits]]
         if not len(fits):
             return Verdict(GEOMETRY)

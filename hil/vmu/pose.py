@@ -14,8 +14,8 @@ from hil.messages import Array
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.kernels.hypotheses import bend
 from hil.vmu.kernels.match import assign, judge, sight_of
-from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, Scene, View
 from hil.vmu.kernels.pose_search import SEARCH, STATE_FITS, STATE_FULL, add_settled, search, side_of
+from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, Scene, View
 
 _REMEMBERED, _FITS = 256, 64
 _COARSE = 5.0  # sigmas
@@ -77,13 +77,16 @@ class Solver:
     def view(self, left: np.ndarray, right: np.ndarray) -> View:
         """Return the spots (SPOT) of both images as rays; of more than MAX_SPOTS the brightest."""
         sights, counts = np.zeros((2, MAX_SPOTS), SIGHT), np.zeros(2, np.int64)
+        order = np.zeros((2, MAX_SPOTS), np.int64)
         for c, spots in enumerate((left, right)):
+            chosen = np.arange(len(spots))
             if len(spots) > MAX_SPOTS:
-                spots = spots[np.sort(np.argsort(spots["flux"])[::-1][:MAX_SPOTS])]
-            for k, spot in enumerate(spots):
-                sight_of(self.scene.lens[c], spot, sights[c, k])
-            counts[c] = len(spots)
-        return View(sights, counts)
+                chosen = np.sort(np.argsort(spots["flux"])[::-1][:MAX_SPOTS])
+            for k, index in enumerate(chosen):
+                sight_of(self.scene.lens[c], spots[index], sights[c, k])
+            counts[c] = len(chosen)
+            order[c, : len(chosen)] = chosen
+        return View(sights, counts, order)
 
     def hypotheses(self, view: View, prediction: Prediction | None = None) -> tuple[np.ndarray, bool]:
         """Return every distinct pose (FIT) that the spots allow, and whether there was room for all.

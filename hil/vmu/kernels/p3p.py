@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from hil.maths.jit import kernel
 
 
@@ -113,10 +111,10 @@ def polish(b12, b13, b23, a12, a13, a23, lengths):
 
 
 @kernel
-def ray_lengths(y1, y2, y3, a12, a13, a23, vectors, values, out):
+def ray_lengths(y1, y2, y3, a12, a13, a23, a, vectors, values, out):
     """Write how far along the unit rays y1, y2, y3 the three points are, out (4, 3); return how many solutions.
 
-    a12, a13, a23: squares of the points' distances. vectors (3, 2) and values (2,): scratch.
+    a12, a13, a23: squares of the points' distances. a (3, 3), vectors (3, 2) and values (2,): scratch.
     """
     c12 = y1[0] * y2[0] + y1[1] * y2[1] + y1[2] * y2[2]
     c13 = y1[0] * y3[0] + y1[1] * y3[1] + y1[2] * y3[2]
@@ -137,7 +135,6 @@ def ray_lengths(y1, y2, y3, a12, a13, a23, vectors, values, out):
         g = 1.0 / inverse
     else:
         return 0
-    a = np.empty((3, 3))
     a[0, 0] = a23 * (1.0 - g)
     a[0, 1] = a[1, 0] = 0.5 * a23 * b12
     a[0, 2] = a[2, 0] = -0.5 * a23 * b13 * g

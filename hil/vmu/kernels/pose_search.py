@@ -16,8 +16,9 @@ from hil.vmu.kernels.hypotheses import acceptable, known, mirror
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.match import settle
 from hil.vmu.kernels.p3p import axes_of_three, ray_lengths
-from hil.vmu.kernels.records import MAX_LEDS
+from hil.vmu.kernels.records import MAX_LEDS, MAX_SPOTS
 from hil.vmu.kernels.refine import place
+from hil.vmu.kernels.stereo import allow_pairs
 
 SEARCH = np.dtype(
     [
@@ -227,8 +228,11 @@ def pose_of_three(rotation, translation, ends, leds, p, q, s, there, here, fit):
 
 
 @kernel
-def search_triple(scene, view, settings, c, trio, least, starts, fits, state):
-    """Try every three LEDs for the three spots ``trio`` of camera c. least: spots of it to be explained."""
+def search_triple(scene, view, settings, c, trio, least, allowed, starts, fits, state):
+    """Try every three LEDs for the three spots ``trio`` of camera c.
+
+    least: spots of it to be explained. allowed: see ``allow_pairs``.
+    """
     leds, squares = scene.leds, scene.squares
     n = leds.shape[0]
     i, j, k = trio[0], trio[1], trio[2]
@@ -252,7 +256,11 @@ def search_triple(scene, view, settings, c, trio, least, starts, fits, state):
             for s in range(n):
                 if p == q or s in (p, q) or scene.sides[p, q, s] == -side:
                     continue
-                found = ray_lengths(y1, y2, y3, squares[p, q], squares[p, s], squares[q, s], vectors, values, lengths)
+                if not (allowed[i, j, p, q] and allowed[i, k, p, s] and allowed[j, k, q, s]):
+                    continue
+                found = ray_lengths(
+                    y1, y2, y3, squares[p, q], squares[p, s], squares[q, s], here, vectors, values, lengths
+                )
                 if found == 0:
                     continue
                 axes_of_three(leds[p], leds[q], leds[s], there)
@@ -275,14 +283,16 @@ def search_triple(scene, view, settings, c, trio, least, starts, fits, state):
 
 
 @kernel
-def search_level(scene, view, settings, c, level, starts, fits, state):
+def search_level(scene, view, settings, c, level, allowed, starts, fits, state):
     """Try the triples of camera c of which one belongs to any hypothesis that explains ``level`` spots of it."""
     trio = np.empty(3, np.int64)
-    for k in range(2, view.counts[c] - level + 3):
+    # one more than needed: a light that only this camera sees may have a wrong partner in the other one
+    spare = 1 if view.counts[1 - c] > 0 else 0
+    for k in range(2, min(view.counts[c] - level + 3 + spare, view.counts[c])):
         for j in range(1, k):
             for i in range(j):
                 trio[0], trio[1], trio[2] = i, j, k
-                search_triple(scene, view, settings, c, trio, level, starts, fits, state)
+                search_triple(scene, view, settings, c, trio, level, allowed, starts, fits, state)
 
 
 @kernel
@@ -298,9 +308,11 @@ def search(scene, view, settings, starts, fits, state):
     other = 1 - first
     # three spots of a single camera make a pose of any three lights: only a prediction gives them a meaning
     lowest = 3 if view.counts[other] >= 2 or settings.predicted == 1 else 4
+    allowed = np.empty((MAX_SPOTS, MAX_SPOTS, n, n), np.uint8)
+    allow_pairs(scene, view, first, settings.near, settings.far, allowed)
     level = min(view.counts[first], n)
     while level >= lowest:
-        search_level(scene, view, settings, first, level, starts, fits, state)
+        search_level(scene, view, settings, first, level, allowed, starts, fits, state)
         mine = 0
         for k in range(state[STATE_FITS]):
             if fits[k].points == state[STATE_BEST]:
@@ -316,8 +328,9 @@ def search(scene, view, settings, starts, fits, state):
     # what explains as many in both images and was not met has few in the first: many in the other
     lowest = 3 if view.counts[first] >= 2 or settings.predicted == 1 else 4
     own = min(view.counts[other], n)
+    allow_pairs(scene, view, other, settings.near, settings.far, allowed)
     while own >= max(lowest, state[STATE_BEST] - level + 1):
-        search_level(scene, view, settings, other, own, starts, fits, state)
+        search_level(scene, view, settings, other, own, allowed, starts, fits, state)
         own -= 1
     drop_poor(fits, state)
     return state[STATE_FITS]

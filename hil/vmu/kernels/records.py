@@ -65,7 +65,11 @@ class Scene(NamedTuple):
 
 
 class View(NamedTuple):
-    """What the two images show. sights: (2, MAX_SPOTS) of SIGHT. counts: (2,), how many are in use."""
+    """What the two images show. sights: (2, MAX_SPOTS) of SIGHT. counts: (2,), how many are in use.
+
+    order: (2, MAX_SPOTS), which of the detector's spots each one is.
+    """
 
     sights: np.ndarray
     counts: npt.NDArray[np.int64]
+    order: npt.NDArray[np.int64]

@@ -1,0 +1,112 @@
+"""What the second camera says of the distance between two lights, and so of which LEDs they can be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths.jit import kernel
+from hil.vmu.kernels.lens import project
+from hil.vmu.kernels.records import MAX_SPOTS
+
+_PARTNERS = 4  # lights of the other image on one epipolar line that are looked at
+_SIGMAS = 5.0
+_SLACK_PX = 0.5
+_SLACK = 0.1  # of an LED distance: two LEDs side by side know their difference in depth to the root of the noise
+
+
+@kernel
+def depth(scene, view, c, i, j, out):
+    """Write how far along the ray of spot i of camera c the light is, if spot j of the other camera is the same one.
+
+    out: (2,), m, with its standard deviation. Return False where the two rays do not meet.
+    """
+    o = 1 - c
+    y, z = view.sights[c, i].ray, view.sights[o, j].ray
+    turned, shift = np.empty(3), np.empty(3)
+    for a in range(3):
+        total, moved = 0.0, scene.translation[o, a]
+        for b in range(3):
+            relative = 0.0
+            for d in range(3):
+                relative += scene.rotation[o, a, d] * scene.rotation[c, b, d]
+            total += relative * y[b]
+            moved -= relative * scene.translation[c, b]
+        turned[a], shift[a] = total, moved
+    x0, x1, x2 = (
+        turned[1] * z[2] - turned[2] * z[1],
+        turned[2] * z[0] - turned[0] * z[2],
+        turned[0] * z[1] - turned[1] * z[0],
+    )
+    s0, s1, s2 = shift[1] * z[2] - shift[2] * z[1], shift[2] * z[0] - shift[0] * z[2], shift[0] * z[1] - shift[1] * z[0]
+    square = x0 * x0 + x1 * x1 + x2 * x2
+    if not square > 1e-12:
+        return False
+    away = -(x0 * s0 + x1 * s1 + x2 * s2) / square
+    if not away > 0.0:
+        return False
+    px, py, pz = away * turned[0] + shift[0], away * turned[1] + shift[1], away * turned[2] + shift[2]
+    u, v = project(scene.lens[o], px, py, pz)
+    a, b = view.sights[c, i], view.sights[o, j]
+    variance = max(a.var_u, a.var_v) + max(b.var_u, b.var_v)
+    du, dv = b.u - u, b.v - v
+    gate = _SIGMAS * math.sqrt(variance) + _SLACK_PX
+    if not du * du + dv * dv < gate * gate:
+        return False
+    baseline = math.sqrt(shift[0] * shift[0] + shift[1] * shift[1] + shift[2] * shift[2])
+    out[0] = away
+    out[1] = away * away * math.sqrt(variance) / (scene.lens[c].fx * baseline)
+    return True
+
+
+@kernel
+def depths(scene, view, c, near, far, found, counts):
+    """Write the depths that spots of camera c can have, found (MAX_SPOTS, 4, 2), and how many, counts (MAX_SPOTS,).
+
+    Of a spot without a partner, or with too many, nothing is known: 0.
+    """
+    out = np.empty(2)
+    for i in range(view.counts[c]):
+        counts[i] = 0
+        for j in range(view.counts[1 - c]):
+            if depth(scene, view, c, i, j, out) and 0.5 * near < out[0] < 1.5 * far:
+                if counts[i] == _PARTNERS:
+                    counts[i] = 0
+                    break
+                found[i, counts[i], 0], found[i, counts[i], 1] = out[0], out[1]
+                counts[i] += 1
+
+
+@kernel
+def may_be_apart(first, second, between, length):
+    """Return whether two lights at depths (m, sigma) along rays with cosine ``between`` can be ``length`` m apart."""
+    a, b = first[0], second[0]
+    square = a * a + b * b - 2.0 * a * b * between
+    along = abs(a - b)
+    across = math.sqrt(max(square - along * along, 0.0))
+    if across > 1.05 * length:
+        return False
+    needed = math.sqrt(max(length * length - across * across, 0.0))
+    sigma = math.sqrt(first[1] * first[1] + second[1] * second[1])
+    return abs(along - needed) < _SIGMAS * sigma + _SLACK * length
+
+
+@kernel
+def allow_pairs(scene, view, c, near, far, allowed):
+    """Write to allowed (MAX_SPOTS, MAX_SPOTS, n, n), 1 or 0, whether two spots of camera c can be two LEDs."""
+    n = scene.leds.shape[0]
+    found, counts = np.empty((MAX_SPOTS, _PARTNERS, 2)), np.zeros(MAX_SPOTS, np.int64)
+    depths(scene, view, c, near, far, found, counts)
+    for i in range(view.counts[c]):
+        for j in range(view.counts[c]):
+            y, z = view.sights[c, i].ray, view.sights[c, j].ray
+            between = y[0] * z[0] + y[1] * z[1] + y[2] * z[2]
+            for p in range(n):
+                for q in range(n):
+                    fits = counts[i] == 0 or counts[j] == 0
+                    for a in range(counts[i]):
+                        for b in range(counts[j]):
+                            if not fits:
+                                fits = may_be_apart(found[i, a], found[j, b], between, math.sqrt(scene.squares[p, q]))
+                    allowed[i, j, p, q] = 1 if fits else 0

@@ -1,0 +1,125 @@
+"""Carries the pose on from one image to the next at constant rates, with a covariance that grows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.maths import quat
+from hil.maths.kalman import propagate_covariance
+from hil.messages import Array
+from hil.vmu.kernels.hypotheses import difference
+from hil.vmu.kernels.refine import turn
+from hil.vmu.pose import Prediction
+
+_STRANGE = 33.0  # chi-square of six components: a pose that far from the prediction is no continuation
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSettings:
+    """How a target may move, and how long a track lives without being seen.
+
+    acceleration_mps2, acceleration_radps2: standard deviation of what changes the rates. first_speed_mps,
+    first_rate_radps: of the rates themselves after a single image. longest_s: after the last pose a prediction is
+    reported up to this long, and then forgotten. most_failures: measured poses in a row that were rejected, after
+    which the track is. recheck: every so many poses the whole images are searched, to find a wrong identity.
+    """
+
+    acceleration_mps2: float = 0.5
+    acceleration_radps2: float = 0.5
+    first_speed_mps: float = 4.0
+    first_rate_radps: float = 0.5
+    longest_s: float = 1.0
+    most_failures: int = 3
+    recheck: int = 25
+
+
+class Track:
+    """Pose and rates as a Kalman filter: twelve states, white acceleration (in v, small rotations about v's axes)."""
+
+    def __init__(self, settings: TrackSettings) -> None:
+        self.settings = settings
+        self.poses = 0
+        self.failures = 0
+        self._t_s = 0.0
+        self._r, self._t, self._rates = np.eye(3), np.zeros(3), np.zeros(6)
+        self._p = np.zeros((12, 12))
+
+    def drop(self) -> None:
+        """Forget the target."""
+        self.poses = self.failures = 0
+
+    def predict(self, t_s: float) -> Prediction | None:
+        """Return where the target should be at ``t_s``; None without a track, or after too long without a pose."""
+        if not self.poses or not 0.0 <= t_s - self._t_s <= self.settings.longest_s:
+            return None
+        r, t, p = self._carried(t_s - self._t_s)
+        return Prediction(t, _quaternion(r), p[:6, :6].copy())
+
+    def fail(self) -> None:
+        """Count an image in which the target should have been found and was not."""
+        self.failures += 1
+        if self.failures >= self.settings.most_failures:
+            self.drop()
+
+    def update(self, t_s: float, fit: np.void) -> None:
+        """Take in a measured pose (FIT); one that does not continue the track begins a new one."""
+        self.failures = 0
+        if not self.poses or not 0.0 < t_s - self._t_s <= self.settings.longest_s:
+            self._begin(t_s, fit)
+            return
+        r, t, p = self._carried(t_s - self._t_s)
+        error = np.empty(6)
+        difference(fit["r"], fit["t"], r, t, error)
+        innovation = p[:6, :6] + fit["covariance"]
+        if error @ np.linalg.solve(innovation, error) > _STRANGE:
+            self._begin(t_s, fit)
+            return
+        gain = np.linalg.solve(innovation, p[:6]).T
+        step = gain @ error
+        self._t = t + step[:3]
+        self._r = np.empty((3, 3))
+        turn(r, step[3:6], self._r)
+        self._rates = self._rates + step[6:]
+        keep = np.eye(12)
+        keep[:, :6] -= gain
+        self._p = keep @ p @ keep.T + gain @ fit["covariance"] @ gain.T
+        self._t_s = t_s
+        self.poses += 1
+
+    def _begin(self, t_s: float, fit: np.void) -> None:
+        chosen = self.settings
+        self._t_s, self.poses = t_s, 1
+        self._r, self._t, self._rates = fit["r"].copy(), fit["t"].copy(), np.zeros(6)
+        self._p = np.zeros((12, 12))
+        self._p[:6, :6] = fit["covariance"]
+        sigmas = np.repeat([chosen.first_speed_mps, chosen.first_rate_radps], 3)
+        self._p[6:, 6:] = np.diag(sigmas**2)
+
+    def _carried(self, dt: float) -> tuple[Array, Array, Array]:
+        """Return attitude, position and covariance of all states after ``dt`` seconds at constant rates."""
+        r, p = np.empty((3, 3)), self._p.copy()
+        turn(self._r, self._rates[3:] * dt, r)
+        phi = np.eye(12)
+        phi[:6, 6:] = dt * np.eye(6)
+        variance = np.repeat([self.settings.acceleration_mps2, self.settings.acceleration_radps2], 3) ** 2
+        noise = np.zeros((12, 12))
+        index = np.arange(6)
+        noise[index, index] = 0.25 * dt**4 * variance
+        noise[index, index + 6] = noise[index + 6, index] = 0.5 * dt**3 * variance
+        noise[index + 6, index + 6] = dt**2 * variance
+        propagate_covariance(p, phi, noise)
+        return r, self._t + self._rates[:3] * dt, p
+
+
+def prediction_at(t_v: Array, rotation_vector: Array, sigma_m: float, sigma_deg: float) -> Prediction:
+    """Return a prediction from a pose ``p_v = exp([rotation_vector]x) p_t + t_v`` of given uncertainty per axis."""
+    sigmas = np.repeat([sigma_m, math.radians(sigma_deg)], 3)
+    return Prediction(t_v, quat.from_rotation_vector(-rotation_vector), np.diag(sigmas**2))
+
+
+def _quaternion(r: Array) -> Array:
+    q: Array = quat.from_matrix(r)
+    return q

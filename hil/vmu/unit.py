@@ -1,0 +1,210 @@
+"""The vision unit: a stereo pair of images in, a pose with status and covariance out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hil.config.vmu_geometry import VmuGeometry
+from hil.maths import quat
+from hil.messages import Array, PoseFrame
+from hil.vmu.detect import Detector
+from hil.vmu.identify import AMBIGUOUS, OK, TOO_FEW, Identifier, Verdict
+from hil.vmu.kernels.records import View
+from hil.vmu.pose import Prediction, Settings, Solver, matrix_of
+from hil.vmu.spots import SPOT
+from hil.vmu.track import Track, TrackSettings
+from hil.vmu.windows import windows
+
+PREDICTED: Final = "predicted"
+WRONG_SIZE: Final = "rejected_size"
+DARK: Final = "rejected_dark"
+
+_NO_SPOTS: Final = np.zeros(0, SPOT)
+_WINDOW_LIMIT = 0.25  # of the image: larger windows are no gain over all of it
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """``p_v = A(q_vt) p_t + t_v``. covariance: (6, 6) of t_v and of e about v's axes, ``R_est = exp([e]x) R_true``."""
+
+    t_v: Array
+    q_vt: Array
+    covariance: Array
+
+    @property
+    def rotation_vector(self) -> Array:
+        """Return the rotation vector (3,), rad, of R with ``p_v = R p_t + t_v``."""
+        phi: Array = -quat.to_rotation_vector(self.q_vt)
+        return phi
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """What the unit says of one stereo pair.
+
+    status: ``ok``, ``predicted``, ``ambiguous``, ``too_few`` or ``rejected_<why>``. pose: with the first two alone.
+    spots: SPOT of each image, as far as they were looked for. leds: of each image, the index into spots of each
+    LED, -1 for none. chi2, degrees: of the fit. candidates: how many poses were left to choose from.
+    """
+
+    t_s: float
+    status: str
+    pose: Pose | None
+    spots: tuple[np.ndarray, np.ndarray]
+    leds: tuple[tuple[int, ...], tuple[int, ...]]
+    chi2: float = float("nan")
+    degrees: int = 0
+    candidates: int = 0
+    full_frame: bool = True
+
+    @property
+    def n_leds(self) -> int:
+        """Return how many LEDs at least one camera has contributed."""
+        return sum(1 for pair in zip(*self.leds, strict=True) if max(pair) >= 0)
+
+    def bits(self, camera: int) -> int:
+        """Return the LEDs used of a camera, bit n for LED n."""
+        return sum(1 << n for n, k in enumerate(self.leds[camera]) if k >= 0)
+
+    def frame(self, counter: int, received_s: float) -> PoseFrame | None:
+        """Return the measured pose as the message that the bench reads, None where there is none."""
+        if self.pose is None or self.status != OK:
+            return None
+        p = self.pose
+        bits = self.bits(0), self.bits(1)
+        return PoseFrame(counter, self.t_s, received_s, p.t_v, p.q_vt, p.covariance, bits[0], bits[1])
+
+
+class VisionUnit:
+    """Solves one stereo pair after the other; keeps a track between them. Not for two threads at once."""
+
+    def __init__(
+        self,
+        geometry: VmuGeometry,
+        settings: Settings | None = None,
+        track: TrackSettings | None = None,
+    ) -> None:
+        self.geometry = geometry
+        self.solver = Solver(geometry, settings or Settings())
+        self.track = Track(track or TrackSettings())
+        self._identifier = Identifier(self.solver, geometry.marked_led)
+        self._shapes = tuple((camera.height, camera.width) for camera in (geometry.left, geometry.right))
+        self._detectors = tuple(Detector(shape, sensor=geometry.sensor) for shape in self._shapes)
+        self._none = tuple([-1] * len(geometry.leds_m))
+
+    def solve(
+        self,
+        left: np.ndarray | None,
+        right: np.ndarray | None,
+        t_s: float,
+        prediction: Prediction | None = None,
+    ) -> Solution:
+        """Return what the images (h, w), uint8, taken at ``t_s`` show; None for an image that did not come.
+
+        prediction: of the pose at ``t_s``, where somebody knows better than constant rates (a gyro).
+        """
+        images = (left, right)
+        wrong = any(i is not None and not _fits(i, s) for i, s in zip(images, self._shapes, strict=True))
+        if wrong:
+            return self._without(t_s, WRONG_SIZE)
+        if left is None and right is None:
+            return self._predicted(t_s, TOO_FEW)
+        expected = prediction or self.track.predict(t_s)
+        solution = self._by_windows(images, t_s, expected) if expected is not None else None
+        return solution or self._by_search(images, t_s, expected)
+
+    def solve_spots(
+        self, left: np.ndarray, right: np.ndarray, t_s: float, prediction: Prediction | None = None
+    ) -> Solution:
+        """Return what spots (SPOT) of the whole images say; see ``solve``."""
+        expected = prediction or self.track.predict(t_s)
+        view = self.solver.view(left, right)
+        verdict = self._identifier.tracked(view, expected) if expected is not None and not self._recheck() else None
+        verdict = verdict or self._identifier.search(view, expected)
+        return self._conclude(verdict, view, (left, right), t_s, full_frame=True)
+
+    def _by_windows(
+        self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, expected: Prediction
+    ) -> Solution | None:
+        """Return the solution from windows about the predicted LEDs, None where the whole images are needed."""
+        if self._recheck():
+            return None
+        regions = windows(self.solver.scene, matrix_of(expected.q_vt), expected.t_v, expected.covariance)
+        if any(_area(r) > _WINDOW_LIMIT * s[0] * s[1] for r, s in zip(regions, self._shapes, strict=True)):
+            return None
+        spots = self._detect(images, regions)
+        view = self.solver.view(*spots)
+        verdict = self._identifier.tracked(view, expected)
+        if verdict is None or verdict.status != OK:
+            return None
+        return self._conclude(verdict, view, spots, t_s, full_frame=False)
+
+    def _by_search(
+        self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, expected: Prediction | None
+    ) -> Solution:
+        spots = self._detect(images, (None, None))
+        if not any(len(found) for found in spots):
+            return self._without(t_s, DARK)
+        view = self.solver.view(*spots)
+        verdict = self._identifier.search(view, expected)
+        return self._conclude(verdict, view, spots, t_s, full_frame=True)
+
+    def _detect(
+        self, images: tuple[np.ndarray | None, np.ndarray | None], regions: tuple[Array | None, Array | None]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        left, right = (
+            _NO_SPOTS if image is None else detector.spots(image, region)
+            for image, detector, region in zip(images, self._detectors, regions, strict=True)
+        )
+        return left, right
+
+    def _recheck(self) -> bool:
+        every = self.track.settings.recheck
+        return self.track.poses > 0 and self.track.poses % every == 0
+
+    def _conclude(
+        self, verdict: Verdict, view: View, spots: tuple[np.ndarray, np.ndarray], t_s: float, full_frame: bool
+    ) -> Solution:
+        kept = view.order
+        if verdict.fit is None:
+            if verdict.status == AMBIGUOUS:
+                self.track.fail()
+                return Solution(
+                    t_s, AMBIGUOUS, None, spots, (self._none, self._none), candidates=len(verdict.candidates)
+                )
+            return self._predicted(t_s, verdict.status, spots)
+        fit = verdict.fit
+        self.track.update(t_s, fit)
+        pose = Pose(fit["t"].copy(), quat.from_matrix(fit["r"]), fit["covariance"].copy())
+        n = len(self._none)
+        left, right = (tuple(int(kept[c][k]) if k >= 0 else -1 for k in fit["spot"][c][:n]) for c in range(2))
+        degrees = 2 * int(fit["points"]) - 6
+        candidates = len(verdict.candidates)
+        return Solution(t_s, OK, pose, spots, (left, right), float(fit["chi2"]), degrees, candidates, full_frame)
+
+    def _predicted(
+        self, t_s: float, status: str, spots: tuple[np.ndarray, np.ndarray] = (_NO_SPOTS, _NO_SPOTS)
+    ) -> Solution:
+        """Return the track's prediction, or ``status`` without a pose where there is no track to speak of."""
+        expected = self.track.predict(t_s)
+        known = expected is not None and self.track.poses > 1
+        if spots[0] is not _NO_SPOTS:
+            self.track.fail()
+        if not known or expected is None:
+            return Solution(t_s, status, None, spots, (self._none, self._none))
+        pose = Pose(expected.t_v, expected.q_vt, expected.covariance)
+        return Solution(t_s, PREDICTED, pose, spots, (self._none, self._none))
+
+    def _without(self, t_s: float, status: str) -> Solution:
+        return Solution(t_s, status, None, (_NO_SPOTS, _NO_SPOTS), (self._none, self._none))
+
+
+def _fits(image: np.ndarray, shape: tuple[int, int]) -> bool:
+    return image.shape == shape and image.dtype == np.uint8
+
+
+def _area(regions: Array) -> float:
+    return float(np.prod(regions[:, 2:] - regions[:, :2], axis=1).sum())
