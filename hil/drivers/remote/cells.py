@@ -22,7 +22,9 @@ DEVICES: Final = (*AXIS_DEVICES, "vmu", "io")
 LOOP, HOST, GUARD = "loop", "host", "guard"
 """Cells of the heartbeats: of the loop, of the I/O process, of the watchdog."""
 
-SETPOINT: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3)])
+SETPOINT: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3), ("kind", "i8")])
+CYCLIC, JOGGED, GOAL = 0, 1, 2
+"""Kinds of setpoints: of homed axes within their travel; of axes that are jogged; the place where they are to park."""
 FEEDBACK: Final = np.dtype(
     [("t_s", "f8"), ("position", "f8", 3), ("rate", "f8", 3), ("homing", "i8", 3), ("limit", "i8", 3)]
 )
