@@ -21,6 +21,7 @@ from hil.config.load import load_rig
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES
 from hil.device_host import DeviceHost
 from hil.drivers.axes import ServoAxes
+from hil.drivers.base import accepted_setpoint
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.remote.cells import HOST, SETPOINT, Exchange
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses, RemoteTurntable
@@ -117,7 +118,8 @@ class Sides:
 
 @pytest.fixture
 def sides() -> Iterator[Sides]:
-    ServoAxes(RIG.rails).step(0.0)  # compiles
+    ServoAxes(RIG.rails).step(0.0)  # compiles, as does this
+    accepted_setpoint(("", "", ""), np.zeros(3), np.zeros(3), np.zeros(3))
     clock, stop = WallClock(), threading.Event()
     here, there = socket.socketpair()
     memory = Exchange.create()
