@@ -96,8 +96,7 @@ class Cia402Link:
         while (left_s := end_s - time.monotonic()) > 0.0:  # statuswords from before all were enabled
             port.receive(left_s)
         for node, position in zip(self._nodes, counts, strict=True):
-            node.reset()
-            node.target = node.position = position
+            node.reset(position)
         self._listening = True
         return self._feedback(self._clock.now_s())
 
