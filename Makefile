@@ -20,7 +20,8 @@ test: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -m "not slow"
+	$(BIN)/python -m hil.cli.warm_up
+	$(BIN)/pytest -m "not slow" -n 2 --dist loadgroup
 
 slow: .venv/ready
 	$(BIN)/pytest -m slow --timeout 3600

@@ -24,7 +24,7 @@ from hil.handling import Watch
 from hil.io_stage import IoStage
 from hil.late_cycles import LateCycles
 from hil.maths.streams import NormalRows, stream
-from hil.messages import CYCLE, PoseFrame
+from hil.messages import AXES, CYCLE, PoseFrame, new
 from hil.orders import Operator
 from hil.rate import Rate
 from hil.realtime import NoPrecedence, Precedence
@@ -121,7 +121,17 @@ def assemble(
         frames_to_arm,
         watch,
         operator,
+        parking_place(rig),
+        rig.bench.park_after_run,
     )
+
+
+def parking_place(rig: Rig) -> np.record:
+    """Return AXES, at rest, where the bench is left: each axis' ``park_m`` or ``park_deg``."""
+    axes: np.record = new(AXES)
+    axes.rail_m = [getattr(rig.rails, name).park_m for name in RAIL_NAMES]
+    axes.gimbal_rad = np.radians([getattr(rig.turntable, name).park_deg for name in GIMBAL_NAMES])
+    return axes
 
 
 def _links(rig: Rig, rails: AxisGroup, turntable: AxisGroup, source: PoseSource) -> list[LinkWatch]:

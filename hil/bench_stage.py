@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.bench import kinematics, stopping
-from hil.drivers.base import AxisGroup, Jogs
+from hil.drivers.base import AxisGroup, Jogs, Parks
 from hil.errors import DeviceError
 from hil.maths.profile import along_line, duration
 from hil.messages import AXES, Array, AxisFeedback, new
@@ -158,6 +158,11 @@ class Bench:
             if able and isinstance(device, Jogs):
                 device.set_jogging(on)
         return able
+
+    def park_turntable(self, goal: np.record, now_s: float) -> None:
+        """Let the turntable's drives go to ``goal`` (AXES) by their own profiles, where they have such."""
+        if isinstance(self.turntable, Parks):
+            self.turntable.move_to(goal.gimbal_rad, Move.SHARE_OF_LIMITS * self.params.rate_max[3:], now_s)
 
     def stop(self, now_s: float) -> None:
         """Bring all axes to a stand; never raises."""

@@ -32,6 +32,7 @@ class Blackboard:
     sampled_s: np.ndarray  # (1, 2)
     received_s: np.ndarray
     commanded_s: np.ndarray
+    on_wire_s: np.ndarray
     lateness_s: np.ndarray
     nees_position: np.ndarray
     nees_attitude: np.ndarray
@@ -92,6 +93,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.gnc.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
     loop.lines.mirror(bench_s)  # the same on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s
+    now.on_wire_s[0] = loop.lines.thrusters_s - run_zero_s
     now.sampled_s[0, 0], now.sampled_s[0, 1] = loop.bench.sampled_s(run_zero_s)
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
     now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)

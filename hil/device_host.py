@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.clock import WallClock
 from hil.config.rig import Rig
-from hil.drivers.base import AxisGroup, PoseSource
+from hil.drivers.base import AxisGroup, Jogs, Parks, PoseSource
 from hil.drivers.emulator_process import serve
 from hil.drivers.remote import cells
 from hil.drivers.remote.cells import Exchange
@@ -59,6 +59,7 @@ class DeviceHost(Host):
         self._setpoint = np.zeros(1, cells.SETPOINT)
         self._frame = np.zeros(1, cells.FRAME)
         self._taken = dict.fromkeys(axes, 0)  # setpoints
+        self._jogged = dict.fromkeys(axes, False)
         self._shown_s = dict.fromkeys(axes, -1.0)
 
     def serve(self, now_s: float) -> None:
@@ -79,6 +80,7 @@ class DeviceHost(Host):
         """Leave out setpoints from before the opening, and have feedback there when the opening is answered."""
         if name in self._axes:
             before = np.zeros(1, cells.SETPOINT)
+            self._jogged[name] = False
             self._taken[name] = self.exchange.block[f"{name}.setpoint"].read(before)[0]
             self._show(name, self._axes[name].read(self.clock.now_s()))
 
@@ -92,13 +94,23 @@ class DeviceHost(Host):
             number, sent_s = block[f"{name}.setpoint"].read(self._setpoint)
             if number != self._taken[name]:
                 self._taken[name] = number
-                device.send(self._setpoint["position"][0], self._setpoint["rate"][0], sent_s)
+                self._pass_on(device, sent_s)
             feedback = device.read(now_s)
         except BenchError as error:
             self.fail(name, error, now_s)
             return
         if feedback.t_s != self._shown_s[name]:
             self._show(name, feedback)
+
+    def _pass_on(self, device: AxisGroup, sent_s: float) -> None:
+        position, rate, kind = self._setpoint["position"][0], self._setpoint["rate"][0], int(self._setpoint["kind"][0])
+        if kind == cells.GOAL and isinstance(device, Parks):
+            device.move_to(position, rate, sent_s)
+            return
+        if (kind == cells.JOGGED) != self._jogged[device.name] and isinstance(device, Jogs):
+            self._jogged[device.name] = kind == cells.JOGGED
+            device.set_jogging(kind == cells.JOGGED)
+        device.send(position, rate, sent_s)
 
     def _show(self, name: str, feedback: AxisFeedback) -> None:
         self._shown_s[name] = feedback.t_s

@@ -23,6 +23,7 @@ _SETTLE_S: Final = 3.0  # after placing or homing, until the axes stand where th
 _NO_MOVE_S: Final = 1e-3  # a move that is shorter, by rounding alone, is none
 _SETTLED_M: Final = 0.001
 _SETTLED_RAD: Final = 0.001
+_PLACE_NAMES: Final = {Mode.PLACING: "start pose", Mode.PARKING: "parking place"}
 
 Watch = Callable[[Mode, float], None]
 """Told now and then what the bench is doing and how far along it is, 0..1."""
@@ -102,17 +103,38 @@ class Handling:
 
     def place(self) -> None:
         """Move all axes slowly to the start pose and wait until they stand there."""
+        target, truth, at_rest = new(AXES), self.loop.now.truth, np.zeros(3)
+        self.loop.bench.axes_of(truth.r_CT_H, at_rest, truth.q_CH, at_rest, target)
         tick = self.begin()
         self.loop.bench.seed_for_run(tick.now_s, self.loop.now.feedback)
         self.modes.go(Mode.PLACING)
-        while not self._move_to_start(tick):
+        while not self._move_to(target, tick):
             tick = self.hold(tick)
 
-    def _move_to_start(self, tick: Tick) -> bool:
-        """Do one move from where the axes stand; return False where a hold cut it short."""
+    def park(self, place: np.record) -> None:
+        """Move all axes slowly to ``place`` (AXES), where the bench is left; the turntable by its drives' profiles.
+
+        The axes are at rest at its beginning, see ``brake``. Turntables that have gone by themselves take no
+        setpoints until they are opened again.
+        """
+        tick = self.begin()
+        self.loop.bench.seed_for_run(tick.now_s, self.loop.now.feedback)
+        self.modes.go(Mode.PARKING)
+        self.loop.bench.park_turntable(place, tick.now_s)
+        self._move_to(place, tick)
+        self.modes.go(Mode.STANDBY)
+
+    def brake(self) -> None:
+        """Bring all axes to a stand where they are."""
         bench, now = self.loop.bench, self.loop.now
-        target, wanted, at_rest = new(AXES), new(AXES), np.zeros(3)
-        bench.axes_of(now.truth.r_CT_H, at_rest, now.truth.q_CH, at_rest, target)
+        tick = self.begin()
+        while bench.brake(tick.now_s, now.setpoint) or not bench.stands(tick.now_s, now.feedback):
+            tick = self.tick()
+
+    def _move_to(self, target: np.record, tick: Tick) -> bool:
+        """Do one move from where the axes stand; return False where a hold cut it short."""
+        bench, now, mode = self.loop.bench, self.loop.now, self.modes.mode
+        wanted = new(AXES)
         move = Move(bench.params, now.feedback, target)
         start_s = tick.now_s
         cycle = 0
@@ -122,15 +144,15 @@ class Handling:
             if ended and self._is_at(target) and bench.stands(tick.now_s, now.feedback):
                 return True
             if moved_s > move.duration_s + _SETTLE_S:
-                raise SafetyTrip("bench", "start pose", "not reached", f"{_SETTLE_S:g} s after the move")
+                raise SafetyTrip("bench", _PLACE_NAMES[mode], "not reached", f"{_SETTLE_S:g} s after the move")
             move.at(moved_s + self._step_s, wanted)
             bench.command(wanted, tick.now_s, now.setpoint)
             tick = self.tick()
-            if self.hold_is_due(Mode.PLACING):
+            if self.hold_is_due(mode):
                 return False
             cycle += 1
             if cycle % WATCH_CYCLES == 0 and move.duration_s > 0.0:
-                self._watch(Mode.PLACING, min(1.0, moved_s / move.duration_s))
+                self._watch(mode, min(1.0, moved_s / move.duration_s))
 
     def _is_at(self, target: np.record) -> bool:
         feedback = self.loop.now.feedback

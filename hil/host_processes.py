@@ -12,7 +12,7 @@ from hil.drivers.base import DiscreteIo
 from hil.drivers.emulator_process import EmulatorProcess
 from hil.drivers.remote import cells
 from hil.drivers.remote.cells import Exchange
-from hil.drivers.remote.devices import IoLink, RemoteAxes, RemoteIo, RemotePoses
+from hil.drivers.remote.devices import IoLink, RemoteAxes, RemoteIo, RemotePoses, RemoteTurntable
 from hil.drivers.remote.requests import Requests
 
 _READY_WALL_S: Final = 60.0
@@ -72,7 +72,7 @@ class HostProcesses:
         lines = RemoteIo(rig.io, guard.link) if guard is not None and rig.io is not None else None
         return (
             RemoteAxes("rails", rig.rails, link),
-            RemoteAxes("turntable", rig.turntable, link),
+            RemoteTurntable("turntable", rig.turntable, link),
             RemotePoses(rig.vmu, link),
             lines,
             RemoteAxes("target", rig.moved_target, link) if rig.moved_target is not None else None,

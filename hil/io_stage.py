@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,6 +26,9 @@ class SafetyLines(Protocol):
     def open(self, rate: Rate) -> None:
         """Connect and close the safety chain. Raises DeviceError, SafetyTrip."""
 
+    thrusters_s: float
+    """When the coupler was given the thrusters' lines as they are, s of bench time; NaN where nothing tells."""
+
     def look(self, now_s: float) -> None:
         """Keep the chain closed for another moment; raise SafetyTrip where it is not, DeviceError on failure."""
 
@@ -40,6 +44,8 @@ class SafetyLines(Protocol):
 
 class NoLines:
     """A bench without digital lines."""
+
+    thrusters_s = math.nan
 
     def open(self, rate: Rate) -> None: ...
 
@@ -62,6 +68,7 @@ class IoStage:
         self.io = io
         self._on = on
         self._mirrored = on.tobytes()
+        self.thrusters_s = math.nan
 
     def open(self, rate: Rate) -> None:
         """Connect, then offer the relay edges of enable until it closes, ``CLOSING_TIME_S`` at most."""
@@ -88,6 +95,7 @@ class IoStage:
         """
         self.io.pulse(now_s)
         inputs = self.io.read(now_s)
+        self.thrusters_s = inputs.thrusters_s
         if inputs.estop_closed and (not inputs.chain_closed or inputs.open_interlocks):
             raise self._trip(inputs)
 

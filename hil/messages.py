@@ -9,6 +9,7 @@ places stay zero.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple
@@ -146,6 +147,7 @@ CYCLE = np.dtype(
         ("sampled_s", "f8", 2),  # when the encoders of rails and turntable had these values, time of the run
         ("received_s", "f8"),  # last byte of the pose's frame; stays as it is in cycles without one
         ("commanded_s", "f8"),  # when the thrusters' command was there
+        ("on_wire_s", "f8"),  # when the thrusters' digital lines last changed at the coupler; NaN without lines
         ("lateness_s", "f8"),
         ("nees_position", "f8"),
         ("nees_attitude", "f8"),
@@ -195,13 +197,15 @@ class IoInputs(NamedTuple):
     """What the digital inputs say: the newest sample, and when it was taken, s of bench time.
 
     estop_closed: the emergency stop is released. chain_closed: the safety relay lets the drives have
-    torque. open_interlocks: names of the interlocks whose contacts are open.
+    torque. open_interlocks: names of the interlocks whose contacts are open. thrusters_s: when the coupler
+    was given the thrusters' lines as they are, s of bench time; NaN before the first change.
     """
 
     t_s: float
     estop_closed: bool
     chain_closed: bool
     open_interlocks: tuple[str, ...] = ()
+    thrusters_s: float = math.nan
 
 
 class IoOutputs(NamedTuple):

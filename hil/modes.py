@@ -12,7 +12,8 @@ class Mode(Enum):
 
     OFF: nothing is open. STANDBY: devices open, standing. HOMING: axes look for their home switches.
     JOGGING: one axis creeps while a key is held. PLACING: moving to the start pose. ARMED: at the
-    start pose, poses come in. RUNNING: the loop is closed. HOLD: brought to a stand in the middle of
+    start pose, poses come in. RUNNING: the loop is closed. PARKING: on the way to the place where the
+    bench is left. HOLD: brought to a stand in the middle of
     PLACING or RUNNING, the run's time stands. SAFE_STOP: stopped by a fault or by the operator; only
     OFF leads out.
     """
@@ -24,18 +25,20 @@ class Mode(Enum):
     PLACING = "placing"
     ARMED = "armed"
     RUNNING = "running"
+    PARKING = "parking"
     HOLD = "hold"
     SAFE_STOP = "safe-stop"
 
 
 ALLOWED: dict[Mode, frozenset[Mode]] = {
     Mode.OFF: frozenset({Mode.STANDBY, Mode.SAFE_STOP}),
-    Mode.STANDBY: frozenset({Mode.HOMING, Mode.JOGGING, Mode.PLACING, Mode.OFF, Mode.SAFE_STOP}),
+    Mode.STANDBY: frozenset({Mode.HOMING, Mode.JOGGING, Mode.PLACING, Mode.PARKING, Mode.OFF, Mode.SAFE_STOP}),
     Mode.HOMING: frozenset({Mode.STANDBY, Mode.SAFE_STOP}),
     Mode.JOGGING: frozenset({Mode.STANDBY, Mode.SAFE_STOP}),
     Mode.PLACING: frozenset({Mode.ARMED, Mode.HOLD, Mode.STANDBY, Mode.SAFE_STOP}),
     Mode.ARMED: frozenset({Mode.RUNNING, Mode.STANDBY, Mode.SAFE_STOP}),
     Mode.RUNNING: frozenset({Mode.HOLD, Mode.STANDBY, Mode.SAFE_STOP}),
+    Mode.PARKING: frozenset({Mode.STANDBY, Mode.SAFE_STOP}),
     Mode.HOLD: frozenset({Mode.PLACING, Mode.RUNNING, Mode.STANDBY, Mode.SAFE_STOP}),
     Mode.SAFE_STOP: frozenset({Mode.OFF, Mode.SAFE_STOP}),
 }

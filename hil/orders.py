@@ -15,7 +15,8 @@ class Order(Enum):
     """HOME: let the axes find their places. ARM: place the bench, then wait for poses. START: close the loop.
 
     GO: let the approach go on from its wait. HOLD: bring all axes to a stand, the run's time stands.
-    RESUME: go on. ABORT: let the chaser brake and retreat. DISARM: back to standby. JOG: see
+    RESUME: go on. ABORT: let the chaser brake and retreat. DISARM: back to standby. PARK: go to
+    where the rig is left. JOG: see
     ``Operator.jog``. STOP: end. RESET: after a safe stop, open the devices anew.
     """
 
@@ -27,6 +28,7 @@ class Order(Enum):
     RESUME = "resume"
     ABORT = "abort"
     DISARM = "disarm"
+    PARK = "park"
     JOG = "jog"
     STOP = "stop"
     RESET = "reset"
@@ -41,6 +43,7 @@ OBEYED_IN: Final[dict[Order, frozenset[Mode]]] = {
     Order.RESUME: frozenset({Mode.HOLD}),
     Order.ABORT: frozenset({Mode.RUNNING}),
     Order.DISARM: frozenset({Mode.ARMED}),
+    Order.PARK: frozenset({Mode.STANDBY}),
     Order.JOG: frozenset({Mode.STANDBY}),
     Order.STOP: frozenset(set(Mode) - {Mode.OFF}),
     Order.RESET: frozenset({Mode.SAFE_STOP}),

@@ -52,7 +52,8 @@ class Runner:
 
     frames_to_arm: poses that must have come before the loop is closed. ``watch`` is called every
     ``WATCH_CYCLES`` cycles. ``late_cycles`` judges lost periods, from the first motion on. operator: gives
-    the orders; without one the run goes through by itself and a fault ends it.
+    the orders; without one the run goes through by itself and a fault ends it. parking: AXES, where the bench
+    is left when a session ends with PARK, or after each whole run (``park_after_run``).
     """
 
     WATCH_CYCLES = WATCH_CYCLES
@@ -68,6 +69,8 @@ class Runner:
         frames_to_arm: int,
         watch: Watch,
         operator: Operator | None = None,
+        parking: np.record | None = None,
+        park_after_run: bool = False,
     ) -> None:
         self.loop = loop
         self.operator = operator or Operator()
@@ -84,6 +87,9 @@ class Runner:
         self._faults: list[str] = []
         self._events: list[Event] = []
         self._done = 0
+        self._parking = parking
+        self._park_after_run = park_after_run
+        self._parked = False
 
     @property
     def source(self) -> PoseSource:
@@ -150,6 +156,10 @@ class Runner:
             with self._precedence.at_the_front():  # after the drivers have started their threads
                 while (order := self._next_order()) is not None:
                     self._obey(order)
+                if self._park_after_run and self._done == self._cycles:
+                    self._handling.brake()
+                    self._modes.go(Mode.STANDBY)
+                    self._park()
         except BenchError as fault:
             self._safe_stop(fault)
             return self.operator.attended and self._wait_for_reset()
@@ -164,8 +174,8 @@ class Runner:
         self._modes.go(Mode.STANDBY)
 
     def _next_order(self) -> Order | None:
-        """Return the next order; None when the run is over, or when nobody is there to give one."""
-        while not self._done:
+        """Return the next order; None when the run is over or the bench parked, or when nobody is there to give one."""
+        while not (self._done or self._parked):
             order = self.operator.next(self._modes.mode)
             if order is not None or not self.operator.attended:
                 return order
@@ -193,8 +203,16 @@ class Runner:
                 self._close_the_loop()
             case Order.DISARM:
                 self._modes.go(Mode.STANDBY)
+            case Order.PARK:
+                self._park()
             case Order.STOP:
                 raise OrderedToStop
+
+    def _park(self) -> None:
+        """Leave the bench where its rig says; the session ends there."""
+        if self._parking is not None:
+            self._handling.park(self._parking)
+        self._parked = True
 
     def _arm(self) -> None:
         """Wait until the vision unit has delivered."""

@@ -14,6 +14,16 @@ from hil.config.scenario import Scenario
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
 settings.load_profile("hil")
 
+# modules beside tests/unit that move nothing on the wall clock: these may run beside anything
+_NO_WALL_CLOCK = {"test_approach", "test_approach_events", "test_fusion_study", "test_operated_bench", "test_reach"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let tests on wires and on the wall clock run one after the other, in the same worker of ``pytest -n``."""
+    for item in items:
+        if "unit" not in item.path.parts and item.path.stem not in _NO_WALL_CLOCK:
+            item.add_marker(pytest.mark.xdist_group("wall clock"))
+
 
 @pytest.fixture
 def rng() -> np.random.Generator:

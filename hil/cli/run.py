@@ -83,6 +83,7 @@ class _Watch(Bar):
 
     _TITLES = {  # noqa: RUF012
         Mode.PLACING: "moving to the start pose",
+        Mode.PARKING: "moving to the parking place",
         Mode.ARMED: "waiting for poses",
         Mode.RUNNING: "closed loop",
     }

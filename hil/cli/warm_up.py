@@ -1,4 +1,7 @@
-"""Compiles every kernel before anything moves, and says so when it takes a while."""
+"""Compiles every kernel before anything moves, and says so when it takes a while.
+
+``python -m hil.cli.warm_up`` does nothing else.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from contextlib import contextmanager
 from rich.console import Console
 
 from hil.build import Job, warm_up, warm_up_all_but_navigation
+from hil.config.load import load_rig, load_scenario
 from hil.maths.jit import kernels_are_cached, mark_kernels_cached
 
 _NOTICE = "first start: compiling the kernels for this computer, once, about 20 s ..."
@@ -73,3 +77,8 @@ def _compile_on_two_cores(job: Job) -> None:
             pass
         finally:
             child.kill()
+
+
+if __name__ == "__main__":
+    loaded = load_scenario("scheme-1")
+    warm_up_with_a_word(Job(loaded, load_rig("mock"), 0, 1.0, 1.0), Console(stderr=True))

@@ -33,6 +33,7 @@ class BenchGeometry(Strict):
     camera_station_m: Triple = (0.6, 0.0, 0.0)  # in c: chaser's reference point to the left camera
     camera_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))  # rows: v axes in c
     ring_station_m: Triple = (0.0, 0.0, 0.0)  # in H: target's reference point to the ring centre
+    park_after_run: bool = False  # at the end of a run all axes go to their park_m and park_deg
     ring_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))  # rows: t axes in H
 
     @model_validator(mode="after")

@@ -64,6 +64,18 @@ class Jogs(Protocol):
 
 
 @runtime_checkable
+class Parks(Protocol):
+    """An axis group whose drives go to a place by profiles of their own."""
+
+    def move_to(self, position: Array, rate: Array, now_s: float) -> Array:
+        """Let the axes go to position (3,) and stand there, at most at rate (3,); return the goal that was accepted.
+
+        Returns at once, ``read`` tells how far they are. Later setpoints are not passed on until the next
+        ``open``: ``send`` returns where the axes stand. Errors as for ``send``.
+        """
+
+
+@runtime_checkable
 class CountsLosses(Protocol):
     """A device whose wire counts what it lost."""
 
@@ -125,6 +137,11 @@ class DiscreteIo(Protocol):
 def full_names(device: str, short: tuple[str, str, str]) -> tuple[str, str, str]:
     """Return the axis names as errors show them: ``rails.x``."""
     return (f"{device}.{short[0]}", f"{device}.{short[1]}", f"{device}.{short[2]}")
+
+
+ANYWHERE_LOW = np.full(3, -np.finfo(float).max)
+ANYWHERE_HIGH = np.full(3, np.finfo(float).max)
+"""Bounds for ``accepted_setpoint`` of axes that are jogged: any finite number."""
 
 
 def accepted_setpoint(

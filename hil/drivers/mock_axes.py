@@ -9,14 +9,12 @@ import numpy as np
 
 from hil.config.rig import Rails, Turntable
 from hil.drivers.axes import ServoAxes
-from hil.drivers.base import accepted_setpoint, full_names
+from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, accepted_setpoint, full_names
 from hil.errors import DeviceError, LinkLost, SafetyTrip
 from hil.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing
 
 _BRAKE_STEP_S: Final = 0.002
 _AT_SWITCH: Final = 1e-4  # m or rad
-_NOWHERE_LOW: Final = np.full(3, -np.finfo(float).max)
-_NOWHERE_HIGH: Final = np.full(3, np.finfo(float).max)
 
 
 class MockAxes:
@@ -70,7 +68,7 @@ class MockAxes:
         self._check()
         axes = self._axes
         if self._jogging:
-            accepted = accepted_setpoint(self.axis_names, position, _NOWHERE_LOW, _NOWHERE_HIGH)
+            accepted = accepted_setpoint(self.axis_names, position, ANYWHERE_LOW, ANYWHERE_HIGH)
         else:
             self._refuse_without_home()
             accepted = accepted_setpoint(self.axis_names, position, axes.low, axes.high)

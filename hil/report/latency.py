@@ -13,17 +13,21 @@ _WINDOW_S = 1.0
 _SLOWEST = (0.0005, math.radians(0.02))  # m/s and rad/s, rms: slower windows say nothing of a delay
 _SIGMA_MAX_S = 0.002
 _LEAST_SAMPLES = 10
+_KNOWN_WITHIN = 2  # rows after the command
+_STAMP_S = 1e-3  # a command is stamped just after its lines have been handed over
 
 
 def measure_latency(history: np.ndarray, step_s: float) -> dict[str, Any]:
     """Return p50, p99 and max, ms of bench time, of both ways; None where nothing was to be measured.
 
     ``pose_to_command_ms``: from the last byte of a pose's frame to the command of the cycle that used
-    it. ``setpoint_to_encoder_ms``: from the sending of a setpoint to the encoder's arrival there, one
+    it. ``pose_to_wire_ms``: to the moment at which the coupler of the digital lines was given a command that
+    changed them. ``setpoint_to_encoder_ms``: from the sending of a setpoint to the encoder's arrival there, one
     value for each second in which an axis moved.
     """
     return {
         "pose_to_command_ms": _percentiles(1e3 * pose_to_command_s(history)),
+        "pose_to_wire_ms": _percentiles(1e3 * pose_to_wire_s(history)),
         "setpoint_to_encoder_ms": _percentiles(1e3 * setpoint_to_encoder_s(history, step_s)),
     }
 
@@ -33,6 +37,22 @@ def pose_to_command_s(history: np.ndarray) -> Array:
     used = history[history["pose"]["fresh"] > 0]
     taken: Array = used["commanded_s"] - used["received_s"]
     return taken
+
+
+def pose_to_wire_s(history: np.ndarray) -> Array:
+    """Return a time for each cycle that used a pose and changed a digital line of a thruster, s.
+
+    A row's ``on_wire_s`` is of the newest change that was known at its beginning. A change that was not on the
+    wire before the next one came is left out.
+    """
+    wire_s, commanded_s = history["on_wire_s"], history["commanded_s"]
+    found = []
+    for k in np.flatnonzero(history["pose"]["fresh"] > 0):
+        later = wire_s[k + 1 : k + 1 + _KNOWN_WITHIN]
+        told = later[later >= commanded_s[k] - _STAMP_S]
+        if k and len(told) and (history["command"]["on"][k] != history["command"]["on"][k - 1]).any():
+            found.append(told[0] - history["received_s"][k])
+    return np.array(found)
 
 
 def setpoint_to_encoder_s(history: np.ndarray, step_s: float) -> Array:

@@ -203,6 +203,7 @@ def _print_bench(bench: dict[str, Any], latency: dict[str, Any], console: Consol
         f"{name} p50 {times['p50']:.2f} p99 {times['p99']:.2f} max {times['max']:.2f} ms"
         for name, times in (
             ("pose to command", latency["pose_to_command_ms"]),
+            ("to its digital line", latency["pose_to_wire_ms"]),
             ("setpoint to encoder", latency["setpoint_to_encoder_ms"]),
         )
         if times["p50"] is not None

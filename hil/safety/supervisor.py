@@ -48,6 +48,7 @@ CHECKS: Final[dict[Mode, Checks]] = {
     Mode.PLACING: _ALL,
     Mode.ARMED: Checks(homed=True, switches=True, following=True),  # the drives hold the last setpoint by themselves
     Mode.RUNNING: _ALL,
+    Mode.PARKING: _ALL,
     Mode.HOLD: _ALL,
     Mode.SAFE_STOP: Checks(open=False),
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import socket
@@ -20,9 +21,10 @@ from hil.config.load import load_rig
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES
 from hil.device_host import DeviceHost
 from hil.drivers.axes import ServoAxes
+from hil.drivers.base import accepted_setpoint
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.remote.cells import HOST, SETPOINT, Exchange
-from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses
+from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses, RemoteTurntable
 from hil.drivers.remote.host import LOOP_SILENCE_MAX_S
 from hil.drivers.remote.requests import Requests
 from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError
@@ -74,6 +76,16 @@ class StoppableAxes(MockAxes):
     """Mock axes that count how often they were stopped."""
 
     stops = 0
+    accepted = np.zeros(3)
+    goal: np.ndarray | None = None
+
+    def send(self, position: np.ndarray, rate: np.ndarray, now_s: float) -> np.ndarray:
+        self.accepted = super().send(position, rate, now_s)
+        return self.accepted
+
+    def move_to(self, position: np.ndarray, rate: np.ndarray, now_s: float) -> np.ndarray:
+        self.goal = np.array([position, rate])
+        return position
 
     def stop(self, now_s: float) -> None:
         self.stops += 1
@@ -88,7 +100,7 @@ class Sides:
     axes: dict[str, StoppableAxes]
     unit: ScriptedVmu
     rails: RemoteAxes
-    turntable: RemoteAxes
+    turntable: RemoteTurntable
     vmu: RemotePoses
     ended: list[str] = field(default_factory=list)
 
@@ -106,7 +118,8 @@ class Sides:
 
 @pytest.fixture
 def sides() -> Iterator[Sides]:
-    ServoAxes(RIG.rails).step(0.0)  # compiles
+    ServoAxes(RIG.rails).step(0.0)  # compiles, as does this
+    accepted_setpoint(("", "", ""), np.zeros(3), np.zeros(3), np.zeros(3))
     clock, stop = WallClock(), threading.Event()
     here, there = socket.socketpair()
     memory = Exchange.create()
@@ -121,7 +134,7 @@ def sides() -> Iterator[Sides]:
     thread.start()
     requests, ended = Requests(here), list[str]()
     link = IoLink(HOST, memory, requests, clock, lambda: ended[0] if ended else "")
-    rails, turntable = RemoteAxes("rails", RIG.rails, link), RemoteAxes("turntable", RIG.turntable, link)
+    rails, turntable = RemoteAxes("rails", RIG.rails, link), RemoteTurntable("turntable", RIG.turntable, link)
     made = Sides(clock, axes, unit, rails, turntable, RemotePoses(RIG.vmu, link), ended)
     try:
         yield made
@@ -207,6 +220,31 @@ def test_silence_before_the_first_cycle_and_after_a_stop_is_no_fault(sides: Side
     assert sides.wait_until(lambda: sides.axes["rails"].stops == 1, alive=False)
     time.sleep(3.0 * LOOP_SILENCE_MAX_S)
     assert [device.stops for device in sides.axes.values()] == [1, 0]
+
+
+def test_a_jog_passes_the_travel_and_ends_with_the_next_setpoint_of_another_kind(sides: Sides) -> None:
+    rails, device = sides.rails, sides.axes["rails"]
+    rails.open(sides.clock.now_s())
+    beyond = np.array([rails.read(sides.clock.now_s()).position[0], 1.52, 0.0])
+    rails.set_jogging(True)
+    assert np.array_equal(rails.send(beyond, np.zeros(3), sides.clock.now_s()), beyond)
+    assert sides.wait_until(lambda: device.accepted[1] == 1.52)
+    rails.set_jogging(False)
+    assert rails.send(beyond, np.zeros(3), sides.clock.now_s())[1] == 1.5
+    assert sides.wait_until(lambda: device.accepted[1] == 1.5)
+
+
+def test_a_parking_turntable_is_given_its_goal_once_and_no_setpoint_after_it(sides: Sides) -> None:
+    turntable, device = sides.turntable, sides.axes["turntable"]
+    for axes in (sides.rails, turntable):
+        axes.open(sides.clock.now_s())
+    accepted = turntable.move_to(np.array([0.1, 9.0, 0.0]), np.full(3, 0.2), sides.clock.now_s())
+    high = math.radians(RIG.turntable.pitch.travel_deg[1])
+    assert accepted[1] == pytest.approx(high)
+    assert sides.wait_until(lambda: device.goal is not None)
+    assert np.allclose(device.goal, [[0.1, high, 0.0], [0.2, 0.2, 0.2]])
+    stands = turntable.read(sides.clock.now_s()).position
+    assert np.array_equal(turntable.send(np.ones(3), np.zeros(3), sides.clock.now_s()), stands)
 
 
 def test_setpoints_from_before_an_opening_are_left_out(sides: Sides) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -389,3 +390,23 @@ def test_poses_exposed_before_the_end_of_a_hold_are_left_out() -> None:
     hold = hold_once(Mode.RUNNING, lambda session: session.now_s >= 2.0, 2.5, standing)
     _, session = operate(hold, duration_s=4.0)
     assert session.runner.loop.vision.not_before_s == pytest.approx(session.marks["resume"], abs=0.05)
+
+
+def test_bench_parks_after_a_whole_run_where_its_rig_says() -> None:
+    outcome, session = operate(idle, "rig.bench.park_after_run=true", "rig.turntable.yaw.park_deg=20", attended=False)
+    assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.RUNNING, Mode.STANDBY, Mode.PARKING]
+    assert outcome.stop == "completed"
+    _, setpoints = session.setpoints()
+    assert setpoints[-1] == pytest.approx([3.0, 0.0, 0.0, 0.0, 0.0, math.radians(20.0)], abs=1e-6)
+    speed, acceleration = step_ratios(session)
+    assert speed <= 1.0 + 1e-6
+    assert acceleration <= 1.0 + 1e-3
+
+
+def test_an_order_to_park_ends_the_session() -> None:
+    def script(session: Session) -> None:
+        session.order_once(Order.PARK, session.mode is Mode.STANDBY)
+
+    _, session = operate(script, plan=())
+    assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.PARKING]
+    assert session.setpoints()[1][-1] == pytest.approx([3.0, 0.0, 0.0, 0.0, 0.0, 0.0], abs=1e-6)

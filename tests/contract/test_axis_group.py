@@ -25,7 +25,7 @@ from hil.config.rig import (
     Turntable,
 )
 from hil.device_host import DeviceHost
-from hil.drivers.base import AxisGroup
+from hil.drivers.base import AxisGroup, Jogs
 from hil.drivers.board import AxisBoard
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.rails.driver import ModbusRails
@@ -148,9 +148,9 @@ def _pass(device: RemoteAxes, clock: WallClock, seconds: float) -> None:
         clock.sleep_until(min(end_s, clock.now_s() + 0.02))
 
 
-def _wire_rails(addresses: dict[str, str]) -> Rails:
+def _wire_rails(addresses: dict[str, str], rails: Rails = RIG.rails) -> Rails:
     axes = {name: ModbusAxis(port=int(addresses[f"rails.{name}"].rpartition(":")[2])) for name in RAIL_NAMES}
-    return RIG.rails.model_copy(update={"modbus": Modbus(**axes)})
+    return rails.model_copy(update={"modbus": Modbus(**axes)})
 
 
 def _wire_shared(addresses: dict[str, str]) -> Rails:
@@ -167,13 +167,13 @@ def _wire_rtu(addresses: dict[str, str]) -> Rails:
     return RTU_RAILS.model_copy(update={"rtu": RTU_RAILS.rtu.model_copy(update=wire)})
 
 
-def _wire_can(addresses: dict[str, str]) -> Turntable:
-    return RIG.turntable.model_copy(update={"cia402": Cia402(channel=addresses["turntable"])})
+def _wire_can(addresses: dict[str, str], turntable: Turntable = RIG.turntable) -> Turntable:
+    return turntable.model_copy(update={"cia402": Cia402(channel=addresses["turntable"])})
 
 
-def _ascii(protocol: str) -> Any:
+def _ascii(protocol: str, turntable: Turntable = RIG.turntable) -> Any:
     def wired(port: str | None) -> Turntable:
-        return RIG.turntable.model_copy(
+        return turntable.model_copy(
             update={"driver": "ascii", "ascii": AsciiTurntableLine(port=port, protocol=protocol)}
         )
 
@@ -194,6 +194,49 @@ BACKENDS: dict[str, Callable[[], Any]] = {
     "turntable-hil-ascii": lambda: _ascii("hil-ascii"),
     "turntable-acu": lambda: _ascii("acu"),
 }
+
+
+def _incremental(config: Rails | Turntable, names: tuple[str, str, str]) -> Any:
+    """Return ``config`` with axes that do not know their places when their drives are switched on."""
+    return config.model_copy(
+        update={name: getattr(config, name).model_copy(update={"encoder": "incremental"}) for name in names}
+    )
+
+
+LOST_RAILS: Rails = _incremental(RIG.rails, RAIL_NAMES)
+LOST_TURNTABLE: Turntable = _incremental(RIG.turntable, GIMBAL_NAMES)
+LOST_BACKENDS: dict[str, Callable[[], Any]] = {
+    "rails-mock": lambda: _mock(LOST_RAILS),
+    "rails-modbus": lambda: _on_wires(LOST_RAILS, RailsEmulator, lambda a: _wire_rails(a, LOST_RAILS), ModbusRails),
+    "turntable-cia402": lambda: _on_wires(
+        LOST_TURNTABLE, Cia402Emulator, lambda a: _wire_can(a, LOST_TURNTABLE), Cia402Turntable
+    ),
+    "turntable-hil-ascii": lambda: _ascii("hil-ascii", LOST_TURNTABLE),
+    "turntable-acu": lambda: _ascii("acu", LOST_TURNTABLE),
+}
+
+
+@pytest.mark.parametrize("name", sorted(LOST_BACKENDS))
+def test_axes_that_are_not_homed_move_only_while_they_are_jogged(name: str) -> None:
+    with LOST_BACKENDS[name]() as backend:
+        device, now_s = backend.device, backend.now_s
+        assert isinstance(device, Jogs)
+        device.open(now_s())
+        start = device.read(now_s()).position
+
+        def creep(backend: Backend) -> bool:
+            with suppress(SafetyTrip):
+                device.send(start + np.array([0.0, 0.02, 0.0]), np.zeros(3), backend.now_s())
+            return abs(device.read(backend.now_s()).position[1] - start[1] - 0.02) < 2e-3
+
+        assert not backend.wait_until(lambda: creep(backend), limit_s=1.0)
+        assert np.abs(device.read(now_s()).position - start).max() < 1e-4
+        device.set_jogging(True)
+        assert backend.wait_until(lambda: creep(backend))
+        beyond = device.send(backend.high + 1.0, np.zeros(3), now_s())
+        assert np.array_equal(beyond, backend.high + 1.0)  # it does not know where its ends are
+        device.stop(now_s())
+        device.set_jogging(False)
 
 
 @pytest.fixture(params=sorted(BACKENDS))

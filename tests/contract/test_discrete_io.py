@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -124,7 +125,7 @@ def test_device_keeps_the_protocol(backend: Backend) -> None:
 
 def test_an_opened_device_has_a_sample_and_leaves_the_chain_open(backend: Backend) -> None:
     inputs = backend.io.read(backend.now_s())
-    assert inputs[1:] == (True, False, ())
+    assert inputs[1:4] == (True, False, ())
     assert backend.now_s() - inputs.t_s < 2.0
 
 
@@ -132,6 +133,17 @@ def test_the_chain_closes_with_a_running_pump_and_an_edge_of_enable(backend: Bac
     backend.close_the_chain()
     backend.pass_time(0.1)
     assert backend.thrusters() == (True, False, False, True, False, False)
+
+
+def test_inputs_tell_when_the_thruster_lines_last_changed(backend: Backend) -> None:
+    backend.close_the_chain()
+    first_s = backend.wait_for(lambda inputs: not math.isnan(inputs.thrusters_s)).thrusters_s
+    backend.pass_time(0.1)
+    assert backend.wait_for(lambda inputs: inputs.t_s > first_s).thrusters_s == first_s
+    changed_s = backend.now_s()
+    backend.io.write(IoOutputs(True, bytes(6)), changed_s)
+    inputs = backend.wait_for(lambda inputs: inputs.thrusters_s > first_s)
+    assert changed_s <= inputs.thrusters_s <= inputs.t_s
 
 
 def test_the_chain_opens_when_nobody_pulses(backend: Backend) -> None:

@@ -56,7 +56,11 @@ def test_mbpoll_reads_the_drives_over_tcp() -> None:
             return poll("-m", "tcp", "-p", port, "-a", "1", "-r", str(first), "-c", str(count), *form.split(), host)
 
         assert read(32, 3, "-t 4:hex") == ["0x4849", "0x4C52", "0x0100"]  # vendor and firmware 1.0
-        assert read(16, 3, "-t 4:hex") == ["0x0041", "0x0000", "0x0000"]  # ready, homed; no fault; no exchange yet
+        assert read(16, 3, "-t 4:hex") == [
+            "0x0048",
+            "0x0007",
+            "0x0000",
+        ]  # homed; fault: safe torque off, nobody closes the chain; no exchange
         assert read(19, 2, "-t 4:int -B") == ["3000000", "0"]  # parked at 3 m, in um; at rest
         assert read(100, 1, "-t 4") == ["Read output (holding) register failed: Illegal data address"]
 
@@ -70,7 +74,12 @@ def test_mbpoll_reads_the_drives_over_a_serial_line() -> None:
             return poll(*line, "-a", str(device), "-r", str(first), "-c", str(count), "-t", form, path)
 
         assert read(12, 100, 2, "4:hex") == ["0x0ABC", "0x0203"]  # vendor and firmware 2.3
-        assert read(11, 2000, 4, "4:hex") == ["0x1001", "0x0000", "0x0000", "0x0000"]  # ready, homed (bit 12)
+        assert read(11, 2000, 4, "4:hex") == [
+            "0x1008",
+            "0x0000",
+            "0x0041",
+            "0x0000",
+        ]  # homed (bit 12); fault: safe torque off
         assert read(11, 2004, 1, "4:float") == ["3000"]  # parked at 3 m, in mm, low word first
         assert read(13, 2004, 1, "4:float") == ["0"]
         assert read(9, 2000, 1, "4") == ["Read output (holding) register failed: Connection timed out"]  # nobody's id

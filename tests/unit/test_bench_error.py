@@ -113,6 +113,20 @@ def test_pose_to_command_counts_the_cycles_that_used_a_pose(mock_rig: Rig) -> No
     assert found["max"] == pytest.approx(15.0)
 
 
+def test_pose_to_wire_counts_the_changes_that_reached_the_coupler(mock_rig: Rig) -> None:
+    history = flight(mock_rig)
+    history["commanded_s"] = history["t_s"] + 0.0003
+    history["on_wire_s"] = math.nan
+    history["received_s"] = history["t_s"] - 0.004
+    history["pose"]["fresh"][::8] = 1
+    history["command"]["on"][80:, 0] = 1  # with a pose
+    history["on_wire_s"][81:] = history["t_s"][80] + 0.002
+    history["command"]["on"][101:, 1] = 1  # without one
+    history["on_wire_s"][102:] = history["t_s"][101] + 0.003
+    found = measure_latency(history, DT)["pose_to_wire_ms"]
+    assert found["p50"] == found["max"] == pytest.approx(6.0)
+
+
 @pytest.mark.parametrize(("delay_s", "sampled_early_s"), [(0.03, 0.0), (-0.01, 0.0), (0.03, 0.019)])
 def test_setpoint_to_encoder_is_found_in_the_runs_own_motion(
     mock_rig: Rig, delay_s: float, sampled_early_s: float

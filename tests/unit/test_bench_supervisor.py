@@ -18,7 +18,7 @@ from hil.safety.limits import limits_of
 from hil.safety.supervisor import CHECKS, Supervisor
 
 NAMES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
-MOVED_BY_SETPOINTS = {Mode.JOGGING, Mode.PLACING, Mode.RUNNING, Mode.HOLD}
+MOVED_BY_SETPOINTS = {Mode.JOGGING, Mode.PLACING, Mode.RUNNING, Mode.PARKING, Mode.HOLD}
 OPEN = set(Mode) - {Mode.OFF, Mode.SAFE_STOP}
 
 
@@ -105,15 +105,15 @@ RULES: dict[Callable[[Scene], None], tuple[set[Mode], str]] = {
     age_rails: (OPEN, "rails: age of the feedback 0.410 s, allowed 0.4 s"),
     age_turntable: (OPEN, "turntable: age of the feedback nan s, allowed 0.4 s"),
     lose_home: (
-        {Mode.PLACING, Mode.ARMED, Mode.RUNNING, Mode.HOLD},
+        {Mode.PLACING, Mode.ARMED, Mode.RUNNING, Mode.PARKING, Mode.HOLD},
         "turntable.yaw: homing not homed, allowed done",
     ),
     fail_homing: (
-        {Mode.HOMING, Mode.PLACING, Mode.ARMED, Mode.RUNNING, Mode.HOLD},
+        {Mode.HOMING, Mode.PLACING, Mode.ARMED, Mode.RUNNING, Mode.PARKING, Mode.HOLD},
         "rails.y: homing failed, allowed ",
     ),
     touch_a_switch: (
-        {Mode.PLACING, Mode.ARMED, Mode.RUNNING, Mode.HOLD},
+        {Mode.PLACING, Mode.ARMED, Mode.RUNNING, Mode.PARKING, Mode.HOLD},
         "rails.z: limit switch low, allowed none",
     ),
     age_the_setpoint: (MOVED_BY_SETPOINTS, "bench: age of the setpoint 0.600 s, allowed 0.5 s"),

@@ -14,6 +14,7 @@ FORWARD = {
     (Mode.STANDBY, Mode.HOMING),
     (Mode.STANDBY, Mode.JOGGING),
     (Mode.STANDBY, Mode.PLACING),
+    (Mode.STANDBY, Mode.PARKING),
     (Mode.PLACING, Mode.ARMED),
     (Mode.ARMED, Mode.RUNNING),
     (Mode.PLACING, Mode.HOLD),
@@ -26,6 +27,7 @@ BACK = {
     (Mode.PLACING, Mode.STANDBY),
     (Mode.ARMED, Mode.STANDBY),
     (Mode.RUNNING, Mode.STANDBY),
+    (Mode.PARKING, Mode.STANDBY),
     (Mode.HOLD, Mode.STANDBY),
     (Mode.SAFE_STOP, Mode.OFF),
 }

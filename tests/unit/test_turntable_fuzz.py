@@ -172,8 +172,7 @@ def test_mutated_pdo_emergency_and_heartbeat_frames(count):
             assert "has restarted" in str(error)  # the only thing that the drive is not asked to confirm
         if error is not None:
             assert str(error).startswith("turntable.roll")
-            node.reset()
-            node.position = 1000
+            node.reset(1000)
         if node._placed_s is not None:
             assert abs(node.position) <= farthest
         assert node.homing is Homing.DONE

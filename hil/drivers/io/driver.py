@@ -7,6 +7,7 @@ an output, and by itself every 20 ms, so that the inputs stay fresh.
 from __future__ import annotations
 
 import asyncio
+import math
 import threading
 from concurrent.futures import Future
 from contextlib import suppress
@@ -45,6 +46,8 @@ class ModbusIo(LoopThread):
         self._outputs = _OFF
         self._pump = False
         self._toggled_s = 0.0
+        self._thrusters = b""
+        self._thrusters_s = math.nan
         self._stopped = True
         self._is_off = threading.Event()
 
@@ -57,6 +60,7 @@ class ModbusIo(LoopThread):
         self._outputs = _OFF
         self._pump = self._stopped = False
         self._toggled_s = now_s - self._config.pump_period_s
+        self._thrusters, self._thrusters_s = bytes(len(self._lines.coils) - 2), math.nan
         self._is_off.clear()
         try:
             self._start(bound_s)
@@ -139,11 +143,15 @@ class ModbusIo(LoopThread):
     async def _exchange(self, coupler: Coupler) -> None:
         stopped = self._stopped
         asked_s = self._clock.now_s()
-        inputs = await coupler.exchange(self._levels())
+        levels = self._levels()
+        inputs = await coupler.exchange(levels)
         t_s = 0.5 * (asked_s + self._clock.now_s())
+        thrusters = bytes(levels[coil] for coil in self._lines.coils[2:])
+        if thrusters != self._thrusters:
+            self._thrusters, self._thrusters_s = thrusters, t_s
         lines = self._lines
         open_interlocks = tuple(name for name, address in lines.interlocks.items() if not inputs[address])
-        self._box.put(IoInputs(t_s, inputs[lines.estop], inputs[lines.chain], open_interlocks), t_s)
+        self._box.put(IoInputs(t_s, inputs[lines.estop], inputs[lines.chain], open_interlocks, self._thrusters_s), t_s)
         if stopped:
             self._is_off.set()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from hil.config.io import Io
 from hil.drivers.io import NAME
 from hil.drivers.io.relay import SafetyRelay
@@ -21,6 +23,7 @@ class MockIo:
         self.outputs = _OFF
         self._period_s = config.pump_period_s
         self._pump_timeout_s = config.pump_timeout_s
+        self._thrusters_s = math.nan
         self._error: DeviceError | None = LinkLost(NAME, "is not open")
 
     def open(self, now_s: float) -> None:
@@ -41,6 +44,8 @@ class MockIo:
     def write(self, outputs: IoOutputs, now_s: float) -> None:
         """Set the outputs."""
         self._check()
+        if outputs.thrusters != self.outputs.thrusters:
+            self._thrusters_s = now_s
         self.outputs = outputs
         self._advance(now_s)
 
@@ -48,7 +53,7 @@ class MockIo:
         """Return the inputs at ``now_s``."""
         self._check()
         closed = self._advance(now_s)
-        return IoInputs(now_s, not self.pressed, closed, self.open_interlocks)
+        return IoInputs(now_s, not self.pressed, closed, self.open_interlocks, self._thrusters_s)
 
     def stop(self, now_s: float) -> None:
         """Set all outputs off and leave them off."""

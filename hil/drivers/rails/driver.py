@@ -20,7 +20,7 @@ import numpy as np
 from hil.clock import WallClock
 from hil.config.rig import Rails
 from hil.drivers.axes import ServoAxes
-from hil.drivers.base import RAIL_NAMES, accepted_setpoint, full_names
+from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, RAIL_NAMES, accepted_setpoint, full_names
 from hil.drivers.latest import Latest
 from hil.drivers.loop_thread import LoopThread
 from hil.drivers.rails.codec import Control, RegisterMap, State
@@ -62,6 +62,7 @@ class ModbusRails(LoopThread):
         self._serving = False
         self._stopping = False
         self._stop_was_called = False
+        self._jogging = False
         self._all_stopped = threading.Event()
         self._drives: list[Drive] = []
         self._stop_task: asyncio.Task[None] | None = None
@@ -74,7 +75,7 @@ class ModbusRails(LoopThread):
         self._box = Latest(self.name)
         self._counters = new_counters()
         self._homing = HomingWatch(self._config)
-        self._serving = self._stopping = self._stop_was_called = False
+        self._serving = self._stopping = self._stop_was_called = self._jogging = False
         self._stop_task = None
         self._all_stopped.clear()
         try:
@@ -88,19 +89,24 @@ class ModbusRails(LoopThread):
         self._box.check()
         self._call(self._begin_homing)
 
+    def set_jogging(self, on: bool) -> None:
+        """While on, take setpoints of axes that are not homed, and cut none to the travel."""
+        self._jogging = on
+
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Hand over the next setpoint; a stopped device stays where it is and returns that place.
 
         Raises SafetyTrip as well while an axis has not been homed.
         """
         self._box.check()
-        accepted = accepted_setpoint(self.axis_names, position, self._low, self._high)
+        low, high = (ANYWHERE_LOW, ANYWHERE_HIGH) if self._jogging else (self._low, self._high)
+        accepted = accepted_setpoint(self.axis_names, position, low, high)
         feedforward = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
         feedback = self._box.peek()
         if self._stopping and feedback is not None:
             return feedback.position.copy()
         for axis, homing in enumerate(self._homing.state):
-            if homing is not Homing.DONE:
+            if homing is not Homing.DONE and not self._jogging:
                 raise SafetyTrip(self.axis_names[axis], "setpoint", "before homing", "once the axis is homed")
         self._setpoint = (accepted.tolist(), feedforward.tolist(), now_s)
         self._call(self._wake.set)

@@ -22,7 +22,9 @@ DEVICES: Final = (*AXIS_DEVICES, "vmu", "io")
 LOOP, HOST, GUARD = "loop", "host", "guard"
 """Cells of the heartbeats: of the loop, of the I/O process, of the watchdog."""
 
-SETPOINT: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3)])
+SETPOINT: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3), ("kind", "i8")])
+CYCLIC, JOGGED, GOAL = 0, 1, 2
+"""Kinds of setpoints: of homed axes within their travel; of axes that are jogged; the place where they are to park."""
 FEEDBACK: Final = np.dtype(
     [("t_s", "f8"), ("position", "f8", 3), ("rate", "f8", 3), ("homing", "i8", 3), ("limit", "i8", 3)]
 )
@@ -42,7 +44,9 @@ FRAME: Final = np.dtype(
         ("leds_right", "i8"),
     ]
 )
-INPUTS: Final = np.dtype([("t_s", "f8"), ("estop_closed", "i8"), ("chain_closed", "i8"), ("interlocks", "S512")])
+INPUTS: Final = np.dtype(
+    [("t_s", "f8"), ("estop_closed", "i8"), ("chain_closed", "i8"), ("interlocks", "S512"), ("thrusters_s", "f8")]
+)
 OUTPUTS: Final = np.dtype([("enable", "i8"), ("count", "i8"), ("thrusters", "u1", MAX_THRUSTERS)])
 _FRAMES: Final = 256
 _KINDS: Final[dict[str, type[DeviceError]]] = {
@@ -149,14 +153,15 @@ def inputs_record(inputs: IoInputs) -> np.ndarray:
     """Return inputs as INPUTS, shape (1,)."""
     record = np.zeros(1, INPUTS)
     names = "\n".join(inputs.open_interlocks).encode()
-    record[0] = (inputs.t_s, inputs.estop_closed, inputs.chain_closed, names)
+    record[0] = (inputs.t_s, inputs.estop_closed, inputs.chain_closed, names, inputs.thrusters_s)
     return record
 
 
 def read_inputs(record: np.ndarray) -> IoInputs:
     """Return what ``record``, shape (1,) of INPUTS, holds."""
-    t_s, estop_closed, chain_closed, names = record[0].item()
-    return IoInputs(t_s, bool(estop_closed), bool(chain_closed), tuple(names.decode().split("\n")) if names else ())
+    t_s, estop_closed, chain_closed, names, thrusters_s = record[0].item()
+    interlocks = tuple(names.decode().split("\n")) if names else ()
+    return IoInputs(t_s, bool(estop_closed), bool(chain_closed), interlocks, thrusters_s)
 
 
 def outputs_record(outputs: IoOutputs) -> np.ndarray:

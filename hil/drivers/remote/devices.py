@@ -11,7 +11,7 @@ from hil.clock import Clock
 from hil.config.io import Io
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Turntable, Vmu
 from hil.drivers.axes import ServoAxes
-from hil.drivers.base import accepted_setpoint, full_names
+from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, accepted_setpoint, full_names
 from hil.drivers.remote import cells
 from hil.drivers.remote.cells import Exchange
 from hil.drivers.remote.requests import Requests
@@ -130,6 +130,7 @@ class RemoteAxes(_RemoteDevice):
         self._stop = np.zeros(1, cells.STOP)
         self._feedback_before = 0
         self._stopped = False
+        self._kind = cells.CYCLIC
 
     def open(self, now_s: float) -> None:
         """Let the I/O process open the device; the axes hold where they stand. Raises DeviceError."""
@@ -137,6 +138,7 @@ class RemoteAxes(_RemoteDevice):
         self._link.beat(now_s, watched=False)
         self._feedback_before = self._block[f"{self.name}.feedback"].read(self._feedback)[0]
         self._stopped = False
+        self._kind = cells.CYCLIC
         self._open(now_s)
 
     def home(self, now_s: float) -> None:
@@ -147,15 +149,22 @@ class RemoteAxes(_RemoteDevice):
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Hand over the newest setpoint; return the accepted position, or where a stopped device stands."""
         self._check(now_s)
-        accepted = accepted_setpoint(self.axis_names, position, self._low, self._high)
+        low, high = (ANYWHERE_LOW, ANYWHERE_HIGH) if self._kind == cells.JOGGED else (self._low, self._high)
+        accepted = accepted_setpoint(self.axis_names, position, low, high)
         wanted_rate = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
-        if self._stopped:
+        if self._stopped or self._kind == cells.GOAL:
             return np.array(self._feedback["position"][0])
-        self._setpoint["position"] = accepted
-        self._setpoint["rate"] = np.where(accepted == position, wanted_rate, 0.0)
+        self._hand_over(accepted, np.where(accepted == position, wanted_rate, 0.0), now_s)
+        return accepted
+
+    def _hand_over(self, position: Array, rate: Array, now_s: float) -> None:
+        self._setpoint["position"], self._setpoint["rate"], self._setpoint["kind"] = position, rate, self._kind
         self._block[f"{self.name}.setpoint"].write(self._setpoint, now_s)
         self._link.rouse()
-        return accepted
+
+    def set_jogging(self, on: bool) -> None:
+        """While on, take setpoints of axes that are not homed, and cut none to the travel."""
+        self._kind = cells.JOGGED if on else cells.CYCLIC
 
     def read(self, now_s: float) -> AxisFeedback:
         """Return the newest feedback. Raises LinkTimeout when it is older than ``timeout_s``."""
@@ -179,6 +188,20 @@ class RemoteAxes(_RemoteDevice):
         self._stop["number"] += 1
         self._block[f"{self.name}.stop"].write(self._stop, now_s)
         self._link.rouse()
+
+
+class RemoteTurntable(RemoteAxes):
+    """A turntable behind the I/O process: its drives go to their parking place by themselves."""
+
+    def move_to(self, position: Array, rate: Array, now_s: float) -> Array:
+        """Let the axes go to position (3,), rad, at most at rate (3,), rad/s; return the goal that was accepted."""
+        self._check(now_s)
+        goal = accepted_setpoint(self.axis_names, position, self._low, self._high)
+        speed = accepted_setpoint(self.axis_names, np.abs(rate), np.zeros(3), self._rate_max, "rate")
+        if not self._stopped:
+            self._kind = cells.GOAL
+            self._hand_over(goal, speed, now_s)
+        return goal
 
 
 class RemotePoses(_RemoteDevice):

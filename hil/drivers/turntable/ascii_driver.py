@@ -34,6 +34,7 @@ class AsciiLink:
     """
 
     profiles = False
+    jogged = False
 
     def __init__(self, device: str, config: Turntable, line: AsciiTurntableLine, clock: Clock) -> None:
         self.device = device
@@ -105,7 +106,7 @@ class AsciiLink:
         for axis in range(3):
             values["position", axis] = float(position[axis])
             values["rate", axis] = float(rate[axis])
-        passive = self._stopped or any(known is not Homing.DONE for known in self._homing)
+        passive = self._stopped or not (self.jogged or all(known is Homing.DONE for known in self._homing))
         self._wire.counts["exchanges"] += 1
         answer = self._perform("status", {}) if passive else self._perform("set", values)
         if answer is not None and not passive and not self._dialect.set_tells_all:

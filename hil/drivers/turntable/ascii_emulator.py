@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from typing import Final
 
@@ -111,9 +112,9 @@ class AsciiTurntableEmulator:
             elif line.action == "enable":
                 self._enabled[i] = True
                 self._quick_stopped = False
-                self._follow(i, float(self.gimbals.position[i]), 0.0)
+                self._stand(i)
             elif line.action == "hold":
-                self._follow(i, float(self.gimbals.position[i]), 0.0)
+                self._stand(i)
             elif line.action == "quick_stop":
                 self._quick_stopped = True
                 self._disable(i)
@@ -126,6 +127,12 @@ class AsciiTurntableEmulator:
     def _follow(self, axis: int, position_rad: float, rate_radps: float) -> None:
         if self._enabled[axis]:
             self.gimbals.follow(axis, position_rad, rate_radps, self._clock.now_s())
+
+    def _stand(self, axis: int) -> None:
+        """Stay where the axis is, for as long as nothing else is said: setpoints alone are watched to go on."""
+        if self._enabled[axis]:
+            place = float(self.gimbals.position[axis])
+            self.gimbals.follow(axis, place, 0.0, self._clock.now_s(), watchdog_s=math.inf)
 
     def _disable(self, axis: int) -> None:
         self._enabled[axis] = False

@@ -46,6 +46,7 @@ class Cia402Link:
         axes = [getattr(config, name) for name in GIMBAL_NAMES]
         self._eds = Eds.of(wire, homing=any(axis.encoder == "incremental" for axis in axes))
         self.profiles = self._eds.has_profiles
+        self.jogged = False
         self._nodes = [
             Node(name, node_id, config, axis, wire, clock)
             for name, node_id, axis in zip(self.axis_names, wire.node_ids, axes, strict=True)
@@ -95,8 +96,7 @@ class Cia402Link:
         while (left_s := end_s - time.monotonic()) > 0.0:  # statuswords from before all were enabled
             port.receive(left_s)
         for node, position in zip(self._nodes, counts, strict=True):
-            node.reset()
-            node.target = node.position = position
+            node.reset(position)
         self._listening = True
         return self._feedback(self._clock.now_s())
 
@@ -178,7 +178,9 @@ class Cia402Link:
         return self._port
 
     def _passes_setpoints(self) -> bool:
-        return not (self._stopped or self._passive or any(node.homing is not Homing.DONE for node in self._nodes))
+        if self._stopped or self._passive:
+            return False
+        return self.jogged or all(node.homing is Homing.DONE for node in self._nodes)
 
     def _send_controlwords(self, port: CanPort) -> None:
         for node in self._nodes:

@@ -44,18 +44,20 @@ class Node:
         self.surplus = 0
         self.reset()
 
-    def reset(self) -> None:
-        """Begin to listen: as if all had been heard just now."""
+    def reset(self, position: int | None = None) -> None:
+        """Begin to listen, as if all had been heard just now; position: counts, where the drive itself says it is."""
+        now_s = self._clock.now_s()
         self.controlword = codec.ENABLE_OPERATION
-        self.target = self.offset = 0
-        self.position = self.velocity = 0
+        self.target = self.position = position or 0
+        self.offset = self.velocity = 0
         self.limit = 0
         self.answered = True
         self.mode = codec.CYCLIC_SYNCHRONOUS_POSITION
         self._homing_found: Homing | None = None
-        self._placed_s: float | None = None  # when the position was accepted last
+        # when the position was accepted last, against which the next one is held; None while homing may move the zero
+        self._placed_s: float | None = now_s if position is not None and self.homing is Homing.DONE else None
         self._wrong_in_a_row = 0
-        self._heard_s = [self._clock.now_s()] * len(_WHAT)
+        self._heard_s = [now_s] * len(_WHAT)
 
     def set_up(self, setup: DriveSetup, timeout_s: float, watchdog_s: float) -> None:
         """Identify and configure the drive (node pre-operational)."""

@@ -15,7 +15,7 @@ import numpy as np
 from hil.clock import Clock
 from hil.config.rig import Turntable
 from hil.drivers.axes import ServoAxes
-from hil.drivers.base import GIMBAL_NAMES, accepted_setpoint, full_names
+from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, GIMBAL_NAMES, accepted_setpoint, full_names
 from hil.drivers.latest import Latest
 from hil.drivers.turntable.glide import Glide, compile_glide
 from hil.errors import DeviceError, LinkLost
@@ -32,6 +32,8 @@ class Link(Protocol):
 
     profiles: bool
     """Whether ``move_to`` makes the drives go by profiles of their own."""
+    jogged: bool
+    """Whether setpoints are passed on although an axis does not know its place; off again before homing."""
 
     def open(self) -> AxisFeedback:
         """Connect, enable the drives holding where they stand; return where that is."""
@@ -39,8 +41,8 @@ class Link(Protocol):
     def exchange(self, position: Array, rate: Array) -> AxisFeedback | None:
         """Give position (3,), rad, and rate (3,), rad/s; return feedback, or None if it came incomplete.
 
-        After ``quick_stop`` and ``move_to``, and while an axis does not know its place, the setpoint is not
-        passed on, only feedback is fetched.
+        After ``quick_stop`` and ``move_to``, and while an axis does not know its place and is not jogged, the
+        setpoint is not passed on, only feedback is fetched.
         """
 
     def home(self) -> None:
@@ -84,6 +86,7 @@ class ExchangedTurntable:
         self._stopping = threading.Event()
         self._stopped = threading.Event()
         self._homing_asked = threading.Event()
+        self._jogging = False
         self._goal: tuple[Array, Array] | None = None
         self._glide: Glide | None = None
         self._setpoint: tuple[Array, Array, float] = (np.zeros(3), np.zeros(3), 0.0)
@@ -97,6 +100,7 @@ class ExchangedTurntable:
         for event in (self._wake, self._closing, self._stopping, self._stopped, self._homing_asked):
             event.clear()
         self._goal = self._glide = None
+        self._jogging = self._link.jogged = False
         accepted_setpoint(self.axis_names, self._low, self._low, self._high)  # compiles, so that no send has to
         compile_glide()
         try:
@@ -115,6 +119,14 @@ class ExchangedTurntable:
         if not self._stopping.is_set():
             self._homing_asked.set()
             self._wake.set()
+
+    def set_jogging(self, on: bool) -> None:
+        """While on, take setpoints of axes that are not homed, and cut none to the travel."""
+        standing = self._box.peek()
+        if on and standing is not None:
+            self._setpoint = (standing.position.copy(), np.zeros(3), self._setpoint[2])
+            self._link.jogged = True  # from now on, so that the drives go on being told where to stand
+        self._jogging = on
 
     def move_to(self, position: Array, rate: Array, now_s: float) -> Array:
         """Let the axes go to position (3,), rad, and stand there, at most at rate (3,), rad/s; return the goal.
@@ -139,7 +151,8 @@ class ExchangedTurntable:
         SafetyTrip for a number that is not finite, DeviceError once the link has failed.
         """
         self._box.check()
-        accepted = accepted_setpoint(self.axis_names, position, self._low, self._high)
+        low, high = (ANYWHERE_LOW, ANYWHERE_HIGH) if self._jogging else (self._low, self._high)
+        accepted = accepted_setpoint(self.axis_names, position, low, high)
         wanted_rate = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
         standing = self._box.peek()
         if standing is not None and (self._goal is not None or self._takes_no_setpoints(standing)):
@@ -197,6 +210,7 @@ class ExchangedTurntable:
                 self._stopped.set()
             homing = self._homing_asked.is_set() and not self._stopped.is_set()
             if homing:
+                self._link.jogged = False
                 self._link.home()
             feedback = self._link.exchange(*self._next_setpoint(started_s))
             if feedback is not None:
@@ -220,7 +234,7 @@ class ExchangedTurntable:
 
     def _take(self, feedback: AxisFeedback) -> None:
         before = self._box.peek()
-        if before is not None and not _all_know_their_places(before):
+        if before is not None and not _all_know_their_places(before) and not self._link.jogged:
             # found just now: what was commanded before meant other places
             self._setpoint = (feedback.position.copy(), np.zeros(3), feedback.t_s)
         if Homing.FAILED in feedback.homing:
@@ -228,7 +242,9 @@ class ExchangedTurntable:
         self._box.put(feedback, feedback.t_s)
 
     def _takes_no_setpoints(self, standing: AxisFeedback) -> bool:
-        return self._stopping.is_set() or self._homing_asked.is_set() or not _all_know_their_places(standing)
+        if self._stopping.is_set() or self._homing_asked.is_set():
+            return True
+        return not (self._jogging or _all_know_their_places(standing))
 
     def _wait(self, until_s: float) -> bool:
         """Wait for the next setpoint, at most to ``until_s``; return whether one came."""
