@@ -16,7 +16,8 @@ from hil.config.scenario import Scenario
 from hil.cycle import Loop
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
 from hil.dynamics.imu import IMU_NOISE
-from hil.eye import Eye, transport
+from hil.eye import transport
+from hil.eyes import make_eye
 from hil.fitness import axes_at
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc.watch import FilterWatch
@@ -197,9 +198,9 @@ def mocks(scenario: Scenario, rig: Rig, seed: int) -> Devices:
     )
     rails = MockAxes("rails", RAIL_NAMES, rails_config)
     turntable = MockAxes("turntable", GIMBAL_NAMES, turntable_config)
-    eye = Eye(parameters.bench(rig, scenario.step_s), parameters.stations(rig), parameters.vision(scenario), seed)
+    eye = make_eye(scenario, rig, seed)
 
-    def pose_at(t_s: float) -> PoseFrame:
+    def pose_at(t_s: float) -> PoseFrame | None:
         return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None

@@ -8,9 +8,7 @@ from __future__ import annotations
 import sys
 from typing import Any, Literal, Self
 
-import numpy as np
-
-from hil import parameters
+from hil.assembly import start_axes
 from hil.clock import WallClock
 from hil.config.model import Strict
 from hil.config.rail_wires import ModbusRtu
@@ -18,7 +16,8 @@ from hil.config.rig import RAIL_NAMES, AsciiTurntableLine, Cia402, Modbus, Modbu
 from hil.config.scenario import Scenario
 from hil.drivers.board import AxisBoard
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
-from hil.eye import Eye, transport
+from hil.eye import transport
+from hil.eyes import make_eye
 from hil.messages import PoseFrame
 from hil.realtime import take_fifo
 
@@ -147,18 +146,13 @@ def make_emulator(
         return Cia402Emulator(rig.turntable, clock, board, seed=configuration["seed"])
     from hil.drivers.vmu.emulator import VmuEmulator
 
-    def make_eye() -> Eye:
-        return Eye(
-            parameters.bench(rig, scenario.step_s),
-            parameters.stations(rig),
-            parameters.vision(scenario),
-            configuration["seed"],
-        )
+    eye = make_eye(scenario, rig, configuration["seed"])
+    rehearsed = make_eye(scenario, rig, configuration["seed"])  # compiles, and leaves the noise of the other one alone
+    start = start_axes(scenario, rig)
+    for k in range(3):  # the search in whole pictures, then windows
+        rehearsed.look(start.rail_m, start.gimbal_rad, k / rig.vmu.rate_hz)
 
-    eye = make_eye()
-    make_eye().look(np.ones(3), np.zeros(3), 0.0)  # compiles, and leaves the noise of the other one alone
-
-    def pose_at(t_s: float) -> PoseFrame:
+    def pose_at(t_s: float) -> PoseFrame | None:
         rails, _ = board.read("rails", t_s)
         gimbals, _ = board.read("turntable", t_s)
         return eye.look(rails, gimbals, t_s)

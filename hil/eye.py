@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
@@ -10,6 +12,16 @@ from hil.drivers.vmu.transport import Transport
 from hil.dynamics.vision import VISION_NOISE, see
 from hil.maths.streams import NormalRows, stream
 from hil.messages import Array, PoseFrame
+
+
+class Looks(Protocol):
+    """Whatever turns the bench's encoders into what the vision unit would report."""
+
+    def look(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
+        """Return the measured pose of axes that stand at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``.
+
+        None where the unit would find none.
+        """
 
 
 class Eye:

@@ -280,6 +280,7 @@ class Vmu(Strict):
     clock: Literal["shared", "own"] = "shared"  # time stamps are bench time, or of a clock of the unit's own
     camera: Camera = Camera()
     leds_m: Annotated[tuple[Triple, ...], Field(min_length=1)] = _ring(0.12, 0.06)  # in t
+    geometry_file: str | None = None  # what the unit takes its cameras and LEDs for; left away: camera and leds_m
     identity: VmuIdentity = VmuIdentity()
     rs422: SerialLine | None = None
 

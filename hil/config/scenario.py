@@ -94,10 +94,23 @@ class Imu(Strict):
     accelerometer_noise_mps2: NotNegative
 
 
+class Pictures(Strict):
+    """What the rendered cameras are like, and what else than LEDs they see."""
+
+    psf_sigma_px: Positive = 1.0
+    led_diameter_m: Positive = 0.005
+    led_flux_1m_levels: Positive = 25_000.0  # sum of grey levels of an LED's spot at 1 m
+    background_levels: NotNegative = 12.0
+    electrons_per_level: Positive = 100.0
+    read_noise_levels: NotNegative = 0.8
+    decoy_lights: Annotated[int, Field(ge=0, le=20)] = 0  # other lights on the target
+
+
 class VisionNoise(Strict):
     """Noise of the vision unit, Table I up to ``reference_range_m`` and growing in proportion beyond, and
     how its poses travel: they belong to their exposure, however late they come."""
 
+    source: Literal["model", "rendered"] = "model"  # rendered: poses from pictures, drawn from where the axes stand
     sigma_position_m: Positive
     sigma_angle_deg: Positive
     reference_range_m: Positive
@@ -106,6 +119,7 @@ class VisionNoise(Strict):
     latency_jitter_s: Delay = 0.0
     duplicate_share: Share = 0.0
     loss_share: Share = 0.0
+    pictures: Pictures = Pictures()
 
 
 class Navigation(Strict):
