@@ -116,6 +116,25 @@ class VisionUnit:
         solution = self._by_windows(images, t_s, expected) if expected is not None else None
         return solution or self._by_search(images, t_s, expected)
 
+    def warm_up(self) -> None:
+        """Call every kernel once: the first time after a change of the sources that compiles them."""
+        lit = np.zeros(4, SPOT)
+        lit["u"], lit["v"], lit["var_u"], lit["var_v"] = (400, 600, 610, 420), (400, 410, 600, 620), 1.0, 1.0
+        view = self.solver.view(lit, lit[:3])
+        self.solver.hypotheses(view)
+        away = np.array([0.0, 0.0, 1.0])
+        facing = Prediction(away, np.array([0.0, 0.0, 0.0, 1.0]), 1e-4 * np.eye(6))
+        self._identifier.tracked(view, facing)
+        windows(self.solver.scene, np.eye(3), away, facing.covariance)
+        for detector, shape in zip(self._detectors, self._shapes, strict=True):
+            image = np.full(shape, 10, np.uint8)
+            detector.spots(image)
+            detector.spots(image, np.array([[0.0, 0.0, 8.0, 8.0]]))
+
+    def rejected(self, t_s: float, status: str) -> Solution:
+        """Return the answer to images that never became any."""
+        return self._without(t_s, status)
+
     def solve_spots(
         self, left: np.ndarray, right: np.ndarray, t_s: float, prediction: Prediction | None = None
     ) -> Solution:
