@@ -26,7 +26,7 @@ _GAMMA: Final = 0.5  # faint spots are to be seen
 
 def draw(scene: Scene, left: np.ndarray | None, right: np.ndarray | None, solution: Solution, title: str) -> np.ndarray:
     """Return both images (h, w), uint8, side by side with the solution drawn over them: (h, w, 3), uint8, BGR."""
-    panels = [_panel(scene, image, solution, c) for c, image in enumerate((left, right))]
+    panels: list[np.ndarray] = [_panel(scene, image, solution, c) for c, image in enumerate((left, right))]
     height = max(panel.shape[0] for panel in panels)
     padded = [cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, 0, cv2.BORDER_CONSTANT) for p in panels]
     picture = np.hstack(padded)
@@ -40,12 +40,12 @@ def _panel(scene: Scene, image: np.ndarray | None, solution: Solution, camera: i
     lens = scene.lens[camera]
     shape = (int(lens["height"]), int(lens["width"]))
     if image is None or image.shape != shape:
-        panel = np.zeros((*shape, 3), np.uint8)
+        panel: np.ndarray = np.zeros((*shape, 3), np.uint8)
         text = "no image" if image is None else f"{image.shape[1]} x {image.shape[0]}: not the geometry's size"
         cv2.putText(panel, text, (shape[1] // 3, shape[0] // 2), _FONT, 0.7, _GREY, 1, cv2.LINE_AA)
     else:
         table = (255.0 * (np.arange(256) / 255.0) ** _GAMMA).astype(np.uint8)
-        panel = cv2.cvtColor(cv2.LUT(image, table), cv2.COLOR_GRAY2BGR)
+        panel = np.asarray(cv2.cvtColor(cv2.LUT(image, table), cv2.COLOR_GRAY2BGR))
     _draw_spots(panel, solution, camera)
     _draw_leds(panel, scene, solution, camera)
     cv2.line(panel, (shape[1] - 1, 0), (shape[1] - 1, shape[0]), _GREY, 1)
@@ -84,10 +84,10 @@ def _lines(solution: Solution, title: str) -> list[tuple[str, tuple[int, int, in
         t, turn = solution.pose.t_v, np.degrees(solution.pose.rotation_vector)
         sigma = np.sqrt(np.diag(solution.pose.covariance))
         lines.append((f"t  {t[0]:+.4f} {t[1]:+.4f} {t[2]:+.4f} m", _WHITE))
-        lines.append((f"sigma {1e3 * sigma[0]:.2f} {1e3 * sigma[1]:.2f} {1e3 * sigma[2]:.2f} mm", _GREY))
+        lines.append((f"sigma {1e3 * sigma[0]:.3f} {1e3 * sigma[1]:.3f} {1e3 * sigma[2]:.3f} mm", _GREY))
         lines.append((f"r  {turn[0]:+.3f} {turn[1]:+.3f} {turn[2]:+.3f} deg", _WHITE))
         s = np.degrees(sigma[3:])
-        lines.append((f"sigma {s[0]:.3f} {s[1]:.3f} {s[2]:.3f} deg", _GREY))
+        lines.append((f"sigma {s[0]:.4f} {s[1]:.4f} {s[2]:.4f} deg", _GREY))
     if solution.degrees:
         lines.append((f"chi-square {solution.chi2:.1f} at {solution.degrees} degrees of freedom", _GREY))
     elif solution.candidates > 1:
