@@ -231,7 +231,7 @@ def fit(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, mod
             p[:] = tried
             total = found
             damping = max(0.1 * damping, 1e-9)
-            if gain < 1e-4:
+            if gain < 1e-2:
                 break
         else:
             damping = max(10.0 * damping, 1e-3)

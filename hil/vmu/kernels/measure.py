@@ -96,7 +96,7 @@ def _dip(patch, i, j, k, m):
     least = np.inf
     for n in range(1, steps):
         part = n / steps
-        least = min(least, patch[int(round(i + part * (k - i))), int(round(j + part * (m - j)))])
+        least = min(least, patch[round(i + part * (k - i)), round(j + part * (m - j))])
     return least
 
 
@@ -112,9 +112,9 @@ def find_peaks(patch, label, name, component, dark, per_level, peaks):
         best, at_i, at_j = -np.inf, -1, -1
         for i in range(patch.shape[0]):
             for j in range(patch.shape[1]):
-                if best < patch[i, j] < before and _is_peak(patch, i, j):
-                    if label[component[V0] + i, component[U0] + j] == name:
-                        best, at_i, at_j = patch[i, j], i, j
+                own = label[component[V0] + i, component[U0] + j] == name
+                if own and best < patch[i, j] < before and _is_peak(patch, i, j):
+                    best, at_i, at_j = patch[i, j], i, j
         if at_i < 0 or not best > 0.05 * patch.max():
             break
         before = best
@@ -320,55 +320,50 @@ def measure(image, label, name, queue, component, level, dark, per_level, limits
 
 @kernel
 def _fit_and_write(image, label, name, component, dark, per_level, limits, p, background, spots, count, noise):
-    found = (p.shape[0] - PLANE) // POINT
+    n = p.shape[0]
+    found = (n - PLANE) // POINT
     box = np.empty(4, dtype=np.int64)
-    chi2, allowed, first_sigma = np.nan, np.nan, 0.0
-    is_disc = False
-    for attempt in range(2):
+    covariance = np.empty((n, n))
+    chi2 = allowed = np.nan
+    for _ in range(2):
         window_box(image.shape, p, 4.3, component, box)
         size = (box[2] - box[0]) * (box[3] - box[1])
         if size > 4.0 * limits.largest**2:
             return count
         pixels, weighed, model, light = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-        slopes = np.empty((size, max(p.shape[0], PLANE + DISC)))
-        if read_window(image, label, name, box, pixels, weighed) <= p.shape[0] + 2:
+        slopes = np.empty((size, n))
+        if read_window(image, label, name, box, pixels, weighed) <= n + 2:
             return count
-        covariance = np.empty((p.shape[0], p.shape[0]))
-        first_sigma = p[PLANE + SIGMA]
+        sigma = p[PLANE + SIGMA]
         chi2, allowed = fit_cleaned(
-            False, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes[:, : p.shape[0]]
+            False, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes
         )  # fmt: skip
-        if not math.isfinite(chi2) or p[PLANE + SIGMA] < 1.25 * first_sigma or p[PLANE + SIGMA] > limits.largest:
+        if not math.isfinite(chi2) or p[PLANE + SIGMA] < 1.25 * sigma or p[PLANE + SIGMA] > limits.largest:
             break
     if not math.isfinite(chi2):
         return count
+    is_disc = False
     if found == 1 and chi2 > allowed and p[PLANE + SIGMA] > 0.9:
         disc, disc_covariance = np.empty(PLANE + DISC), np.empty((PLANE + DISC, PLANE + DISC))
+        disc_model, disc_light, disc_slopes = np.empty(size), np.empty(size), np.empty((size, PLANE + DISC))
+        disc_weighed = np.empty(size)
         disc_start(p, disc)
-        kept = weighed.copy()
-        read_window(image, label, name, box, pixels, weighed)
+        read_window(image, label, name, box, pixels, disc_weighed)
         disc_chi2, disc_allowed = fit_cleaned(
-            True, box, pixels, weighed, dark, per_level, disc, disc_covariance, model, light, slopes
+            True, box, pixels, disc_weighed, dark, per_level, disc, disc_covariance, disc_model, disc_light, disc_slopes
         )  # fmt: skip
         if math.isfinite(disc_chi2) and disc_chi2 < 0.9 * chi2:
             is_disc, p, covariance, chi2, allowed = True, disc, disc_covariance, disc_chi2, disc_allowed
-        else:
-            weighed = kept
-            n = p.shape[0]
-            fit(False, box, pixels, weighed, dark, per_level, 0, p, covariance, model, light, slopes[:, :n])
+            model, light, slopes, weighed = disc_model, disc_light, disc_slopes, disc_weighed
     stretch = chi2 if chi2 > allowed else 1.0
+    split = found > 1 or chi2 > 2.0 * allowed
     before = count
     for k in range(found):
-        if count < spots.shape[0]:
-            split = found > 1 or chi2 > 2.0 * allowed
-            a = PLANE + POINT * k
-            if write_spot(
-                image, box, p, a, is_disc, covariance, stretch, component, split, pixels, weighed, limits, spots[count]
-            ):  # fmt: skip
-                count += 1
+        if count < spots.shape[0] and write_spot(
+            image, box, p, PLANE + POINT * k, is_disc, covariance, stretch, component, split, pixels, weighed, limits,
+            spots[count],
+        ):  # fmt: skip
+            count += 1
     if found == 1 and count > before and chi2 < 4.0 * allowed:
-        n = p.shape[0]
-        noise[0], noise[1] = light_noise(
-            pixels, weighed, dark, per_level, light, model, slopes[:, :n], covariance
-        )  # fmt: skip
+        noise[0], noise[1] = light_noise(pixels, weighed, dark, per_level, light, model, slopes, covariance)
     return count
