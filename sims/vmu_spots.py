@@ -21,7 +21,7 @@ from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.kernels.shape import add_disc
 from hil.vmu.render import Look, Renderer, projections
 
-SIZE, FOCAL = 320, 1200.0
+SIZE, FOCAL, PATCH = 320, 1200.0, 57
 GRID = np.stack(np.meshgrid([60.0, 160.0, 260.0], [60.0, 160.0, 260.0]), axis=-1).reshape(-1, 2)
 RANGES_M = (0.4, 0.6, 0.9, 1.3, 2.0, 3.0, 6.0, 9.0, 12.0)
 PLAIN = Look()
@@ -70,14 +70,14 @@ def target(range_m: float, rng: np.random.Generator) -> tuple[Array, Array, Arra
 
 def bound(look: Look, spot: Array, flux: float) -> tuple[Array, float]:
     """Return the covariance (2, 2), px^2, of a centre's bound and the SNR of the flux."""
-    box, images = np.zeros(4, dtype=np.int64), []
+    corner = np.rint(spot[:2]) - PATCH // 2
+    place, box, images = spot[:2] - corner, np.zeros(4, dtype=np.int64), []
     for du, dv in ((0.0, 0.0), (1e-3, 0.0), (-1e-3, 0.0), (0.0, 1e-3), (0.0, -1e-3)):
-        images.append(np.zeros((SIZE, SIZE)))
-        add_disc(images[-1], spot[0] + du, spot[1] + dv, spot[2], spot[3], spot[4], look.psf_sigma_px, flux, box)
+        images.append(np.zeros((PATCH, PATCH)))
+        add_disc(images[-1], place[0] + du, place[1] + dv, spot[2], spot[3], spot[4], look.psf_sigma_px, flux, box)
     light = images[0]
-    v, u = np.indices(light.shape)
-    plane = [g * (x - 0.5 * (SIZE - 1)) / SIZE for g, x in zip(look.gradient_levels, (u, v), strict=True)]
-    level = look.background_levels + plane[0] + plane[1] + light
+    slope = np.array(look.gradient_levels) / SIZE
+    level = look.background_levels + slope @ (spot[:2] - 0.5 * (SIZE - 1)) + light
     variance = look.read_noise_levels**2 + level / look.electrons_per_level + 1.0 / 12.0
     weight = np.where(level < 255.0, 1.0 / variance, 0.0)
     by_u, by_v = (images[1] - images[2]) / 2e-3, (images[3] - images[4]) / 2e-3

@@ -39,6 +39,8 @@ MOST_PEAKS = 3
 _OUTLIER = 6.0  # sigma
 _MOST_OUTLIERS = 3
 _MOST_STEPS = 12
+_FLAT = 3.0  # sigma
+_PERSPECTIVE = 2.8e-4  # 1/px
 
 
 @kernel
@@ -227,6 +229,46 @@ def fit_cleaned(is_disc, box, pixels, weighed, dark, per_level, p, covariance, m
 
 
 @kernel
+def flatness(box, p, pixels, weighed, dark, per_level, model, light, slopes, covariance):
+    """Return by how many sigma a light is flatter than the Gaussian ``p`` that was fitted to it (a score test).
+
+    A disc of radius a differs from the Gaussian of the same width by -a^4/384 of the Gaussian's squared Laplacian,
+    (r^4/s^4 - 8 r^2/s^2 + 8)/s^4 times itself, and by what is smaller; the fit has taken its share of that.
+    """
+    n = p.shape[0]
+    square = p[PLANE + SIGMA] * p[PLANE + SIGMA] + 1.0 / 12.0
+    with_slopes = np.zeros(n)
+    score = power = 0.0
+    across = box[2] - box[0]
+    for at in range(pixels.shape[0]):
+        if weighed[at] == 0.0 or pixels[at] >= FULL_SCALE:
+            continue
+        du, dv = box[0] + at % across - p[PLANE + U], box[1] + at // across - p[PLANE + V]
+        rho = (du * du + dv * dv) / square
+        mode = -(rho * rho - 8.0 * rho + 8.0) * light[at]
+        weight = 1.0 / (dark + per_level * max(light[at], 0.0))
+        score += weight * mode * (pixels[at] - model[at])
+        power += weight * mode * mode
+        for i in range(n):
+            with_slopes[i] += weight * mode * slopes[at, i]
+    left = power
+    for i in range(n):
+        for j in range(n):
+            left -= with_slopes[i] * covariance[i, j] * with_slopes[j]
+    return score / math.sqrt(left) if left > 1e-6 * power else 0.0
+
+
+@kernel
+def significance(pixels, weighed, dark, per_level, light):
+    """Return a light's SNR: the root of the sum of squares of its levels over their variances."""
+    total = 0.0
+    for at in range(pixels.shape[0]):
+        if weighed[at] != 0.0:
+            total += light[at] * light[at] / (dark + per_level * max(light[at], 0.0))
+    return math.sqrt(total)
+
+
+@kernel
 def disc_start(p, disc):
     """Write first parameters of a disc that is as wide as the point of light ``p``."""
     for i in range(PLANE + SIGMA):
@@ -248,23 +290,28 @@ def size_of(p, a, is_disc):
 
 
 @kernel
-def write_spot(image, box, p, a, is_disc, covariance, stretch, component, split, pixels, weighed, limits, spot):
-    """Write a light as SPOT; return False where it is none: too weak, too narrow, too large, not in the image."""
+def write_spot(image, box, p, a, is_disc, covariance, stretch, snr, component, split, pixels, weighed, limits, spot):
+    """Write a light as SPOT; return False where it is none: too weak, too narrow, too large, not in the image.
+
+    A large disc's centroid is not where its centre is: perspective shows the nearer half larger. The shift
+    depends on the tilt, which one spot does not tell; its usual size stands in the covariance.
+    """
     flux, u, v = p[a], p[a + U], p[a + V]
     rows, columns = image.shape
     if not (-0.5 <= u <= columns - 0.5 and -0.5 <= v <= rows - 0.5):
         return False
     if not (box[0] - 1.0 <= u <= box[2] and box[1] - 1.0 <= v <= box[3]):
         return False
-    spread = math.sqrt(max(covariance[a, a], 0.0) * stretch)
-    if not flux > limits.least_snr * spread:
+    if not (flux > 0.0 and snr > limits.least_snr):
         return False
     size = size_of(p, a, is_disc)
     least = 2.0 * math.sqrt(max(covariance[a + SIGMA, a + SIGMA], 0.0)) if not is_disc else 0.0
     if size + least < limits.narrowest or 4.0 * size > limits.largest:
         return False
     spot.u, spot.v = u, v
-    spot.var_u, spot.var_v = stretch * covariance[a + U, a + U], stretch * covariance[a + V, a + V]
+    shift = _PERSPECTIVE * (size * size - p[a + SIGMA] * p[a + SIGMA])
+    spot.var_u = stretch * covariance[a + U, a + U] + shift * shift
+    spot.var_v = stretch * covariance[a + V, a + V] + shift * shift
     spot.cov_uv = stretch * covariance[a + U, a + V]
     if not (spot.var_u < limits.largest**2 and spot.var_v < limits.largest**2):
         return False
@@ -343,7 +390,10 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
     if not math.isfinite(chi2):
         return count
     is_disc = False
-    if found == 1 and chi2 > allowed and p[PLANE + SIGMA] > 0.9:
+    flat = found == 1 and (
+        chi2 > allowed or flatness(box, p, pixels, weighed, dark, per_level, model, light, slopes, covariance) > _FLAT
+    )
+    if flat:
         disc, disc_covariance = np.empty(PLANE + DISC), np.empty((PLANE + DISC, PLANE + DISC))
         disc_model, disc_light, disc_slopes = np.empty(size), np.empty(size), np.empty((size, PLANE + DISC))
         disc_weighed = np.empty(size)
@@ -352,16 +402,17 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
         disc_chi2, disc_allowed = fit_cleaned(
             True, box, pixels, disc_weighed, dark, per_level, disc, disc_covariance, disc_model, disc_light, disc_slopes
         )  # fmt: skip
-        if math.isfinite(disc_chi2) and disc_chi2 < 0.9 * chi2:
+        if math.isfinite(disc_chi2) and disc_chi2 < chi2:
             is_disc, p, covariance, chi2, allowed = True, disc, disc_covariance, disc_chi2, disc_allowed
             model, light, slopes, weighed = disc_model, disc_light, disc_slopes, disc_weighed
     stretch = chi2 if chi2 > allowed else 1.0
     split = found > 1 or chi2 > 2.0 * allowed
+    snr = significance(pixels, weighed, dark, per_level, light) / math.sqrt(stretch * found)
     before = count
     for k in range(found):
         if count < spots.shape[0] and write_spot(
-            image, box, p, PLANE + POINT * k, is_disc, covariance, stretch, component, split, pixels, weighed, limits,
-            spots[count],
+            image, box, p, PLANE + POINT * k, is_disc, covariance, stretch, snr, component, split, pixels, weighed,
+            limits, spots[count],
         ):  # fmt: skip
             count += 1
     if found == 1 and count > before and chi2 < 4.0 * allowed:
