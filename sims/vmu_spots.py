@@ -131,7 +131,8 @@ def study(look: Look, range_m: float, images: int, seed: int) -> Row:
 
 def main(images: int, only: str | None) -> None:
     print(
-        f"{'look':9} {'range':>6} {'SNR':>6} {'found':>6} {'extra':>5} {'RMSE px':>8} {'/CRB':>6} {'chi2':>6} {'<2s':>6}"
+        f"{'look':9} {'range':>6} {'SNR':>6} {'found':>6} {'extra':>5} "
+        f"{'RMSE px':>8} {'/CRB':>6} {'chi2':>6} {'<2s':>6}"
     )
     for name, look in LOOKS.items():
         if only and only != name:

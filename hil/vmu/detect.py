@@ -23,8 +23,8 @@ _MOST_COMPONENTS: Final = 512
 _MOST_TRIES: Final = 4
 _NO_WINDOWS: Final = np.empty((0, 4), dtype=np.int64)
 _PRIOR_PER_LEVEL: Final = 0.01  # levels^2 of variance per level: 100 electrons per level
-_PRIOR_WEIGHT: Final = 10.0
-_UNUSUAL: Final = 6.0  # times the median
+_PRIOR_WEIGHT: Final = 2000.0
+_UNUSUAL: Final = 8.0  # times the median deviation from the median
 _MEMORY: Final = 0.95  # share of what an image said about the noise that is left at the next
 
 
@@ -114,8 +114,7 @@ class Detector:
         if self._known_per_level is not None or not len(said):
             return False
         each = said[:, 0] / said[:, 1]
-        order = np.argsort(each)
-        middle = np.searchsorted(np.cumsum(said[order, 1]), 0.5 * said[:, 1].sum())
-        usual = each <= max(_UNUSUAL * each[order[middle]], 0.0)  # not of odd shape, which would pass for noise
+        apart = np.abs(each - np.median(each))
+        usual = apart <= _UNUSUAL * np.median(apart)  # not of odd shape, which would pass for noise
         self._heard = _MEMORY * self._heard + said[usual].sum(axis=0)
         return True
