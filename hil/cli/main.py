@@ -231,6 +231,45 @@ def commission(
     return commission_command(rig, axis, out, by, date, limits, yes, scenario, settings, speed)
 
 
+@app.command
+def vmu(
+    folder: str,
+    /,
+    *,
+    geometry: str,
+    out: str,
+    rate_hz: float = 6.25,
+    overlay: Output = None,
+    start_frame: Whole | None = None,
+    start_pose: Annotated[tuple[float, float, float, float, float, float] | None, Parameter(negative=())] = None,
+    json: Output = None,
+) -> int:
+    """Turn LED images (left/NNNN.png, right/NNNN.png) into poses with status and sigma, a row a frame.
+
+    Parameters
+    ----------
+    folder
+        Holds the folders left and right.
+    geometry
+        File of LED layout and cameras, JSON or TOML (docs/vmu.md).
+    out
+        CSV to write.
+    rate_hz
+        Frames a second: the time of a frame is its number over this.
+    overlay
+        Folder to write a picture a frame to: spots, identities, reprojected LEDs, pose.
+    start_frame
+        The first frame to look at.
+    start_pose
+        Where the target is at first, x y z in m and rotation vector in deg: tells symmetric LEDs apart.
+    json
+        File to write the counts to, - for standard output.
+    """
+    from hil.cli.vmu import vmu_command
+
+    return vmu_command(folder, geometry, out, rate_hz, overlay, start_frame, start_pose, json)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     # also where a shell started this with Ctrl-C ignored: a bench must always be stoppable

@@ -18,7 +18,7 @@ import numba
 from numba import njit
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-_KERNEL_FOLDERS = ("maths", "dynamics", "gnc", "bench", "vmu", "monitor")
+_KERNEL_FOLDERS = ("maths", "dynamics", "gnc", "bench", "vmu/kernels", "monitor")
 _KERNEL_FILES = ("messages.py", "campaign/fusion_kernel.py")
 _KEPT_CACHES = 6
 

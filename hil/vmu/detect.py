@@ -23,7 +23,8 @@ _MOST_COMPONENTS: Final = 512
 _MOST_TRIES: Final = 4
 _NO_WINDOWS: Final = np.empty((0, 4), dtype=np.int64)
 _PRIOR_PER_LEVEL: Final = 0.01  # levels^2 of variance per level: 100 electrons per level
-_PRIOR_WEIGHT: Final = 10.0
+_PRIOR_WEIGHT: Final = 2000.0
+_UNUSUAL: Final = 8.0  # times the median deviation from the median
 _MEMORY: Final = 0.95  # share of what an image said about the noise that is left at the next
 
 
@@ -31,10 +32,10 @@ _MEMORY: Final = 0.95  # share of what an image said about the noise that is lef
 class DetectorSettings:
     """What counts as a spot."""
 
-    threshold_sigmas: float = 4.5
+    threshold_sigmas: float = 5.0
     """of a sum of 3 x 3 pixels, above the background"""
     least_snr: float = 6.0
-    """flux over its sigma"""
+    """flux over its sigma, the shape known"""
     narrowest_sigma_px: float = 0.5
     """a light narrower than this is a fault of a pixel"""
     largest_px: float = 96.0
@@ -108,12 +109,12 @@ class Detector:
         return found
 
     def _listen(self) -> bool:
-        """Take in what the last image said about the shot noise: the weighted median of its spots' estimates."""
+        """Take in what the last image said about the shot noise: the mean of its usual spots' estimates."""
         said = self._noise[self._noise[:, 1] > 0.0]
         if self._known_per_level is not None or not len(said):
             return False
-        said = said[np.argsort(said[:, 0] / said[:, 1])]
-        weights = np.cumsum(said[:, 1])
-        middle = said[np.searchsorted(weights, 0.5 * weights[-1])]
-        self._heard = _MEMORY * self._heard + weights[-1] * np.array([middle[0] / middle[1], 1.0])
+        each = said[:, 0] / said[:, 1]
+        apart = np.abs(each - np.median(each))
+        usual = apart <= _UNUSUAL * np.median(apart)  # not of odd shape, which would pass for noise
+        self._heard = _MEMORY * self._heard + said[usual].sum(axis=0)
         return True

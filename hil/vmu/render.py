@@ -187,6 +187,11 @@ class Renderer:
                 image[pixel.v, pixel.u] = pixel.level
         return image
 
+    def exposed(self, camera: int, t_v: Array, q_vt: Array, lit: Sequence[bool] | None = None) -> tuple[Array, Array]:
+        """Return the LEDs' images in a camera (n, 5), as in ``shape``, and their light (n,), levels: the truth."""
+        spots, flux, _ = self._exposed(camera, t_v, q_vt, lit)
+        return spots[:, :5], flux
+
     def _background(self, shape: tuple[int, ...], rng: np.random.Generator) -> Image:
         look, (rows, columns) = self._look, shape
         image = np.empty((rows, columns), dtype=np.uint8)
@@ -199,13 +204,8 @@ class Renderer:
     def _shine(self, camera: int, t_v: Array, q_vt: Array, lit: Sequence[bool] | None, extras: Extras) -> None:
         look, lens, sheet = self._look, self._pair.lens[camera], self._sheets[camera]
         rotation, translation = self._pair.rotation[camera], self._pair.translation[camera]
-        spots = np.empty((len(self._leds), 6))
-        disc_images(lens, rotation, translation, self._leds, t_v, q_vt, 0.5 * look.led_diameter_m, look.lobe, spots)
-        flux = spots[:, 5] * self._flux
-        if lit is not None:
-            flux *= np.asarray(lit, dtype=float)
-        gain = self._gain(lens, spots, flux)
-        for spot, levels in zip(spots, gain * flux, strict=True):
+        spots, fluxes, gain = self._exposed(camera, t_v, q_vt, lit)
+        for spot, levels in zip(spots, fluxes, strict=True):
             if levels > 0.0:
                 sheet.add(spot[:5], look.psf_sigma_px, levels)
         for light in extras.lights:
@@ -224,6 +224,17 @@ class Renderer:
         for shade in extras.shades:
             if shade.camera == camera:
                 sheet.light[shade.v0 : shade.v1, shade.u0 : shade.u1] = 0.0
+
+    def _exposed(self, camera: int, t_v: Array, q_vt: Array, lit: Sequence[bool] | None) -> tuple[Array, Array, float]:
+        look, lens = self._look, self._pair.lens[camera]
+        rotation, translation = self._pair.rotation[camera], self._pair.translation[camera]
+        spots = np.empty((len(self._leds), 6))
+        disc_images(lens, rotation, translation, self._leds, t_v, q_vt, 0.5 * look.led_diameter_m, look.lobe, spots)
+        flux = spots[:, 5] * self._flux
+        if lit is not None:
+            flux *= np.asarray(lit, dtype=float)
+        gain = self._gain(lens, spots, flux)
+        return spots, gain * flux, gain
 
     def _gain(self, lens: np.void, spots: Array, flux: Array) -> float:
         look = self._look

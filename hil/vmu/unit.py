@@ -12,7 +12,9 @@ from hil.maths import quat
 from hil.messages import Array, PoseFrame
 from hil.vmu.detect import Detector
 from hil.vmu.identify import AMBIGUOUS, OK, TOO_FEW, Identifier, Verdict
+from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import View
+from hil.vmu.kernels.refine import place
 from hil.vmu.pose import Prediction, Settings, Solver, matrix_of
 from hil.vmu.spots import SPOT
 from hil.vmu.track import Track, TrackSettings
@@ -115,6 +117,38 @@ class VisionUnit:
         expected = prediction or self.track.predict(t_s)
         solution = self._by_windows(images, t_s, expected) if expected is not None else None
         return solution or self._by_search(images, t_s, expected)
+
+    def warm_up(self) -> None:
+        """Call every kernel once: the first time after a change of the sources that compiles them."""
+        ahead, facing = np.array([0.0, 0.0, 3.0]), np.eye(3)
+        left, right = (self._ideal_spots(c, facing, ahead) for c in range(2))
+        view = self.solver.view(left, right)
+        fits, _ = self.solver.hypotheses(view)
+        for fit in fits[:1]:
+            self.solver.is_straight(view, fit)
+        track, self.track = self.track, Track(self.track.settings)
+        for t_s in (0.0, 0.1, 0.2):
+            self.solve_spots(left, right, t_s, Prediction(ahead, np.array([0.0, 0.0, 0.0, 1.0]), 1e-6 * np.eye(6)))
+        self.track = track
+        windows(self.solver.scene, facing, ahead, 1e-6 * np.eye(6))
+        for detector, shape in zip(self._detectors, self._shapes, strict=True):
+            image = np.full(shape, 10, np.uint8)
+            detector.spots(image)
+            detector.spots(image, np.array([[0.0, 0.0, 8.0, 8.0]]))
+
+    def _ideal_spots(self, camera: int, r: Array, t: Array) -> np.ndarray:
+        """Return what one camera would see of all LEDs without noise."""
+        scene, arm, point = self.solver.scene, np.empty(3), np.empty(3)
+        spots = np.zeros(len(scene.leds), SPOT)
+        for spot, led in zip(spots, scene.leds, strict=True):
+            place(scene.rotation[camera], scene.translation[camera], r, t, led, arm, point)
+            spot["u"], spot["v"] = project(scene.lens[camera], point[0], point[1], point[2])
+            spot["var_u"] = spot["var_v"] = 0.01
+        return spots
+
+    def rejected(self, t_s: float, status: str) -> Solution:
+        """Return the answer to images that never became any."""
+        return self._without(t_s, status)
 
     def solve_spots(
         self, left: np.ndarray, right: np.ndarray, t_s: float, prediction: Prediction | None = None

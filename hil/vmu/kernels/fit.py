@@ -231,7 +231,7 @@ def fit(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, mod
             p[:] = tried
             total = found
             damping = max(0.1 * damping, 1e-9)
-            if gain < 1e-4:
+            if gain < 1e-2:
                 break
         else:
             damping = max(10.0 * damping, 1e-3)
@@ -245,31 +245,3 @@ def fit(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, mod
         if not invert(normal, covariance):
             return np.nan
     return total
-
-
-@kernel
-def light_noise(pixels, weighed, dark, per_level, light, model, slopes, covariance):
-    """Return what the residuals say about the variance per level of light: numerator and denominator of a mean.
-
-    The share of each residual that the fit has absorbed (its leverage) is made up for.
-    """
-    n = covariance.shape[0]
-    above = below = 0.0
-    for at in range(pixels.shape[0]):
-        if weighed[at] == 0.0 or pixels[at] >= FULL_SCALE or not light[at] > dark:
-            continue
-        variance = dark + per_level * light[at]
-        leverage = 0.0
-        for i in range(n):
-            s = 0.0
-            for j in range(n):
-                s += covariance[i, j] * slopes[at, j]
-            leverage += s * slopes[at, i]
-        kept = 1.0 - leverage / variance
-        if kept < 0.1:
-            continue
-        gap = pixels[at] - model[at]
-        share = light[at] / (variance * variance)
-        above += share * (gap * gap / kept - dark)
-        below += share * light[at]
-    return above, below

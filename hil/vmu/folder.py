@@ -1,0 +1,105 @@
+"""Stereo pairs on disk: ``left/NNNN.png`` and ``right/NNNN.png``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+
+from hil.errors import BadInput
+
+UNREADABLE: Final = "rejected_image"
+MOST_FRAMES: Final = 100_000
+
+_NAME = re.compile(r"(\d+)\.(png|bmp|tif|tiff|pgm)$", re.IGNORECASE)
+_SIDES = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """One frame. left, right: (h, w), uint8; None where there is no file, or one that is no image.
+
+    unreadable: which sides have a file that is cut or no image.
+    """
+
+    frame: int
+    left: np.ndarray | None
+    right: np.ndarray | None
+    unreadable: tuple[str, ...] = ()
+
+
+class ImageFolder:
+    """The frames of a folder by number. Numbers that neither camera has are frames that were dropped."""
+
+    def __init__(self, folder: Path, first: int | None = None) -> None:
+        if not folder.is_dir():
+            raise BadInput.single(
+                str(folder), "", "no such folder: give one that holds left/NNNN.png and right/NNNN.png"
+            )
+        self._files = {side: _numbered(folder / side) for side in _SIDES}
+        numbers = sorted(set().union(*self._files.values()))
+        if not numbers:
+            raise BadInput.single(str(folder), "", "holds no images: left/NNNN.png and right/NNNN.png are looked for")
+        if first is not None and first > numbers[-1]:
+            raise BadInput.single("--start-frame", "", f"{first}: the last frame of {folder} is {numbers[-1]}")
+        self.frames = range(numbers[0] if first is None else max(first, numbers[0]), numbers[-1] + 1)
+        if len(self.frames) > MOST_FRAMES:
+            text = f"frames {numbers[0]} to {numbers[-1]}: at most {MOST_FRAMES} numbers may lie between the ends"
+            raise BadInput.single(str(folder), "", text)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __iter__(self) -> Iterator[Pair]:
+        return (self.pair(frame) for frame in self.frames)
+
+    def pair(self, frame: int) -> Pair:
+        """Return the images of ``frame``."""
+        images: dict[str, np.ndarray | None] = {}
+        unreadable = []
+        for side in _SIDES:
+            path = self._files[side].get(frame)
+            images[side] = None if path is None else read_grey(path)
+            if path is not None and images[side] is None:
+                unreadable.append(side)
+        return Pair(frame, images["left"], images["right"], tuple(unreadable))
+
+
+def read_grey(path: Path) -> np.ndarray | None:
+    """Return the image at ``path`` as (h, w), uint8; None where it is cut short or no image.
+
+    Deeper images are brought to 8 bit, colours to grey.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    if not _is_whole(path.suffix.lower(), data):
+        return None
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    except cv2.error:
+        return None
+    return None if image is None or image.ndim != 2 else np.asarray(image)
+
+
+def _is_whole(suffix: str, data: bytes) -> bool:
+    """Return whether a PNG has its end: decoders fill what is missing with black."""
+    return suffix != ".png" or data.rstrip(b"\0")[-8:-4] == b"IEND"
+
+
+def _numbered(folder: Path) -> dict[int, Path]:
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        name = _NAME.match(path.name)
+        if name and path.is_file():
+            number = int(name.group(1))
+            if number in found:
+                raise BadInput.single(str(path), "", f"frame {number} is also in {found[number].name}: keep one")
+            found[number] = path
+    return found

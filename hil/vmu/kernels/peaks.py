@@ -1,0 +1,131 @@
+"""What a component is made of: pixels at fault, one light or several, and where to begin the fit of each."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths.jit import kernel
+from hil.vmu.kernels.fit import FLUX, PLANE, POINT, SIGMA, U, V
+from hil.vmu.kernels.light import BAD, END, FIRST, U0, V0
+
+
+@kernel
+def mark_hot(image, label, queue, component, background, deviation):
+    """Label the pixels of a component that are far brighter than all their neighbours; return how many.
+
+    No lens is that sharp: of a spot of sigma 0.5 px in mid-pixel, the next pixels have a fifth of the peak.
+    """
+    columns = image.shape[1]
+    hot = 0
+    for at in range(component[FIRST], component[END]):
+        v, u = queue[at] // columns, queue[at] % columns
+        excess = image[v, u] - background
+        if not excess > 6.0 * deviation:
+            continue
+        next_best = -np.inf
+        for i in range(v - 1, v + 2):
+            for j in range(u - 1, u + 2):
+                if i != v or j != u:
+                    next_best = max(next_best, image[i, j] - background)
+        if next_best < 0.12 * excess + 2.0 * deviation:
+            label[v, u] = BAD
+            hot += 1
+    return hot
+
+
+@kernel
+def sum_patch(image, label, component, background, patch):
+    """Write the sums of 3 x 3 above the background over the component's box to ``patch``; bad pixels count nothing."""
+    for i in range(patch.shape[0]):
+        for j in range(patch.shape[1]):
+            v, u = component[V0] + i, component[U0] + j
+            total = 0.0
+            for a in range(v - 1, v + 2):
+                for b in range(u - 1, u + 2):
+                    if label[a, b] != BAD:
+                        total += image[a, b] - background
+            patch[i, j] = total
+
+
+@kernel
+def _is_peak(patch, i, j):
+    here = patch[i, j]
+    for a in range(max(i - 2, 0), min(i + 3, patch.shape[0])):
+        for b in range(max(j - 2, 0), min(j + 3, patch.shape[1])):
+            if patch[a, b] > here or (patch[a, b] == here and (a < i or (a == i and b < j))):
+                return False
+    return True
+
+
+@kernel
+def _dip(patch, i, j, k, m):
+    """Return the least value on the straight line between two places of a patch."""
+    steps = 2 * max(abs(k - i), abs(m - j))
+    least = np.inf
+    for n in range(1, steps):
+        part = n / steps
+        least = min(least, patch[round(i + part * (k - i)), round(j + part * (m - j))])
+    return least
+
+
+@kernel
+def find_peaks(patch, label, name, component, dark, per_level, peaks):
+    """Write the places (row, column of ``patch``) of up to len(peaks) lights, brightest first; return how many.
+
+    A second light counts only where the sums between it and a brighter one dip by a sixth and five sigma.
+    """
+    count = 0
+    before = np.inf
+    while count < peaks.shape[0]:
+        best, at_i, at_j = -np.inf, -1, -1
+        for i in range(patch.shape[0]):
+            for j in range(patch.shape[1]):
+                own = label[component[V0] + i, component[U0] + j] == name
+                if own and best < patch[i, j] < before and _is_peak(patch, i, j):
+                    best, at_i, at_j = patch[i, j], i, j
+        if at_i < 0 or not best > 0.05 * patch.max():
+            break
+        before = best
+        sigma = math.sqrt(9.0 * dark + per_level * best)
+        apart = True
+        for k in range(count):
+            dip = _dip(patch, at_i, at_j, peaks[k, 0], peaks[k, 1])
+            if not (dip < 0.83 * best and best - dip > 5.0 * sigma):
+                apart = False
+        if apart:
+            peaks[count, 0], peaks[count, 1] = at_i, at_j
+            count += 1
+    return count
+
+
+@kernel
+def start_points(image, label, queue, component, background, peaks, count, p):
+    """Write first parameters of ``count`` points of light: moments of the pixels nearest to each peak."""
+    columns = image.shape[1]
+    sums = np.zeros((count, 4))
+    for at in range(component[FIRST], component[END]):
+        v, u = queue[at] // columns, queue[at] % columns
+        excess = image[v, u] - background
+        if label[v, u] == BAD or not excess > 0.0:
+            continue
+        nearest, least = 0, np.inf
+        for k in range(count):
+            distance = (v - component[V0] - peaks[k, 0]) ** 2 + (u - component[U0] - peaks[k, 1]) ** 2
+            if distance < least:
+                nearest, least = k, distance
+        sums[nearest, 0] += excess
+        sums[nearest, 1] += excess * u
+        sums[nearest, 2] += excess * v
+        sums[nearest, 3] += excess * (u * u + v * v)
+    p[0] = background
+    p[1] = p[2] = 0.0
+    for k in range(count):
+        a = PLANE + POINT * k
+        if not sums[k, 0] > 0.0:
+            return False
+        u, v = sums[k, 1] / sums[k, 0], sums[k, 2] / sums[k, 0]
+        p[a + FLUX], p[a + U], p[a + V] = sums[k, 0], u, v
+        p[a + SIGMA] = math.sqrt(max(0.5 * (sums[k, 3] / sums[k, 0] - u * u - v * v), 0.64))
+    return True

@@ -1,0 +1,114 @@
+"""What is left after a fit: pixels that do not belong, a wrong shape, the noise of the light."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths.jit import kernel
+from hil.maths.kalman import normalised_square
+from hil.vmu.kernels.fit import FULL_SCALE, PLANE, SIGMA, U, V, gather, invert
+
+ODD = 3  # parameters of ``oddness``
+_OUTLIER = 6.0  # sigma
+_MOST_OUTLIERS = 3
+
+
+@kernel
+def drop_outliers(pixels, weighed, dark, per_level, model, light):
+    """Leave out the pixels that are far off the model, if they are few; return how many, or -1 for too many."""
+    found = np.empty(_MOST_OUTLIERS, dtype=np.int64)
+    count = 0
+    for at in range(pixels.shape[0]):
+        if weighed[at] == 0.0 or (pixels[at] >= FULL_SCALE and model[at] >= FULL_SCALE):
+            continue
+        gap = pixels[at] - model[at]
+        if gap * gap > _OUTLIER * _OUTLIER * (dark + per_level * max(light[at], 0.0)):
+            if count == _MOST_OUTLIERS:
+                return -1
+            found[count] = at
+            count += 1
+    for k in range(count):
+        weighed[found[k]] = 0.0
+    return count
+
+
+@kernel
+def misfit(total, used, parameters):
+    """Return the sum of squares per degree of freedom, and how much of it chance allows (5 sigma)."""
+    freedom = max(used - parameters, 1)
+    return total / freedom, 1.0 + 5.0 * math.sqrt(2.0 / freedom)
+
+
+@kernel
+def oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse):
+    """Return how significantly a light differs from the round Gaussian ``p`` (7,) that was fitted to it.
+
+    The number is a chi-square of three degrees of freedom. A tilted disc is longer one way than the other (x^2 - y^2
+    and 2 x y times the Gaussian, two parameters), and flatter than the Gaussian of its width, by -a^4/384 of the
+    Gaussian's squared Laplacian for a radius of a (r^4/s^4 - 8 r^2/s^2 + 8 times it, one parameter). One more
+    step of the fit with these three gives wide_model, wide (pixels, 10), its derivatives, and wide_inverse (10, 10),
+    its covariance: residuals in which a light's shape does not pass for shot noise.
+    """
+    n, more = p.shape[0], ODD
+    square = p[PLANE + SIGMA] * p[PLANE + SIGMA] + 1.0 / 12.0
+    across = box[2] - box[0]
+    for at in range(pixels.shape[0]):
+        du, dv = box[0] + at % across - p[PLANE + U], box[1] + at // across - p[PLANE + V]
+        rho = (du * du + dv * dv) / square
+        for i in range(n):
+            wide[at, i] = slopes[at, i]
+        wide[at, n] = -(rho * rho - 8.0 * rho + 8.0) * light[at]
+        wide[at, n + 1] = (du * du - dv * dv) / square * light[at]
+        wide[at, n + 2] = 2.0 * du * dv / square * light[at]
+    normal, right, step = np.empty((n + more, n + more)), np.empty(n + more), np.zeros(n + more)
+    gather(pixels, weighed, dark, per_level, model, light, wide, normal, right)
+    if not invert(normal, wide_inverse):
+        return 0.0
+    for i in range(n + more):
+        for j in range(n + more):
+            step[i] += wide_inverse[i, j] * right[j]
+    for at in range(pixels.shape[0]):
+        wide_model[at] = model[at]
+        for i in range(n + more):
+            wide_model[at] += wide[at, i] * step[i]
+    return normalised_square(step[n:], wide_inverse[n:, n:])
+
+
+@kernel
+def significance(pixels, weighed, dark, per_level, light):
+    """Return a light's SNR: the root of the sum of squares of its levels over their variances."""
+    total = 0.0
+    for at in range(pixels.shape[0]):
+        if weighed[at] != 0.0:
+            total += light[at] * light[at] / (dark + per_level * max(light[at], 0.0))
+    return math.sqrt(total)
+
+
+@kernel
+def light_noise(pixels, weighed, dark, per_level, light, model, slopes, covariance):
+    """Return what the residuals say about the variance per level of light: numerator and denominator of a mean.
+
+    The share of each residual that the fit has absorbed (its leverage) is made up for.
+    """
+    n = covariance.shape[0]
+    above = below = 0.0
+    for at in range(pixels.shape[0]):
+        if weighed[at] == 0.0 or pixels[at] >= FULL_SCALE or not light[at] > dark:
+            continue
+        variance = dark + per_level * light[at]
+        leverage = 0.0
+        for i in range(n):
+            s = 0.0
+            for j in range(n):
+                s += covariance[i, j] * slopes[at, j]
+            leverage += s * slopes[at, i]
+        kept = 1.0 - leverage / variance
+        if kept < 0.1:
+            continue
+        gap = pixels[at] - model[at]
+        share = light[at] / (variance * variance)
+        above += share * (gap * gap / kept - dark)
+        below += share * light[at]
+    return above, below

@@ -1,0 +1,154 @@
+"""How well the vision unit finds spots: error against the Cramer-Rao bound, covariance, detection, false spots.
+
+python sims/vmu_spots.py [--images N] [--picture docs/pictures/vmu-spots.png]
+
+Nine LEDs of a tilted target stand at random places between the pixels of a small image, over ranges and noises. The
+bound is that of a centre when everything else is known, from the noise that the renderer draws; the
+errors include what the detector did not know: background, flux, sharpness and shot noise.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hil.messages import Array
+from hil.vmu.detect import Detector
+from hil.vmu.kernels.lens import LENS, CameraPair
+from hil.vmu.kernels.shape import add_disc
+from hil.vmu.render import Look, Renderer, projections
+
+SIZE, FOCAL, PATCH = 320, 1200.0, 57
+GRID = np.stack(np.meshgrid([60.0, 160.0, 260.0], [60.0, 160.0, 260.0]), axis=-1).reshape(-1, 2)
+RANGES_M = (0.4, 0.6, 0.9, 1.3, 2.0, 3.0, 6.0, 9.0, 12.0)
+PLAIN = Look()
+LOOKS = {
+    "plain": PLAIN,
+    "sharp": replace(PLAIN, psf_sigma_px=0.7),
+    "soft": replace(PLAIN, psf_sigma_px=1.6),
+    "quiet": replace(PLAIN, read_noise_levels=0.4, electrons_per_level=400.0),
+    "bright": replace(PLAIN, background_levels=60.0, gradient_levels=(40.0, -30.0), electrons_per_level=40.0),
+    "noisy": replace(PLAIN, read_noise_levels=4.0, electrons_per_level=20.0),
+    "noise 8": replace(PLAIN, read_noise_levels=8.0, background_levels=40.0),
+    "clipped": replace(PLAIN, auto_peak_levels=500.0),
+    "wide LED": replace(PLAIN, led_diameter_m=0.01),
+}
+
+
+@dataclass
+class Row:
+    """What many spots of one look at one range gave; ratio: RMS error over that of the bound."""
+
+    found: float
+    extra: int
+    rmse_px: float
+    ratio: float
+    chi2: float
+    within_2: float
+    snr: float
+
+
+def camera() -> CameraPair:
+    lens = np.zeros(2, LENS)
+    for name, value in (("fx", FOCAL), ("fy", FOCAL), ("cx", SIZE / 2), ("cy", SIZE / 2)):
+        lens[name] = value
+    lens["width"] = lens["height"] = SIZE
+    return CameraPair(lens, np.stack([np.eye(3)] * 2), np.zeros((2, 3)))
+
+
+def target(range_m: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Return LEDs (9, 3) in t and the pose: tilted by up to 30 deg, each LED at a random phase of its pixel."""
+    turn = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3))
+    pixels = GRID + rng.uniform(-0.5, 0.5, GRID.shape)
+    rays = np.column_stack([(pixels - SIZE / 2) / FOCAL, np.ones(len(pixels))])
+    t_v = np.array([0.0, 0.0, range_m])
+    return turn.inv().apply(rays * range_m - t_v), t_v, turn.inv().as_quat()
+
+
+def bound(look: Look, spot: Array, flux: float) -> tuple[Array, float]:
+    """Return the covariance (2, 2), px^2, of a centre's bound and the SNR of the flux."""
+    corner = np.rint(spot[:2]) - PATCH // 2
+    place, box, images = spot[:2] - corner, np.zeros(4, dtype=np.int64), []
+    for du, dv in ((0.0, 0.0), (1e-3, 0.0), (-1e-3, 0.0), (0.0, 1e-3), (0.0, -1e-3)):
+        images.append(np.zeros((PATCH, PATCH)))
+        add_disc(images[-1], place[0] + du, place[1] + dv, spot[2], spot[3], spot[4], look.psf_sigma_px, flux, box)
+    light = images[0]
+    slope = np.array(look.gradient_levels) / SIZE
+    level = look.background_levels + slope @ (spot[:2] - 0.5 * (SIZE - 1)) + light
+    variance = look.read_noise_levels**2 + level / look.electrons_per_level + 1.0 / 12.0
+    weight = np.where(level < 255.0, 1.0 / variance, 0.0)
+    by_u, by_v = (images[1] - images[2]) / 2e-3, (images[3] - images[4]) / 2e-3
+    information = np.array([[(weight * a * b).sum() for b in (by_u, by_v)] for a in (by_u, by_v)])
+    return np.linalg.inv(information), float(np.sqrt((weight * light * light).sum()))
+
+
+def study(look: Look, range_m: float, images: int, seed: int) -> Row:
+    """Return what ``images`` images of nine LEDs at a range gave."""
+    rng = np.random.default_rng(seed)
+    pair, detector = camera(), Detector((SIZE, SIZE))
+    errors, expected, squares, snrs, found, extra, within = [], [], [], [], 0, 0, []
+    for _ in range(images):
+        leds, t_v, q_vt = target(range_m, rng)
+        renderer = Renderer(pair, leds, look)
+        image = renderer.image(0, t_v, q_vt, None, rng)
+        spots = detector.spots(image)
+        places = projections(pair, leds, t_v, q_vt)[0]
+        discs, fluxes = renderer.exposed(0, t_v, q_vt)
+        near = [int(np.argmin(np.hypot(places[:, 0] - s["u"], places[:, 1] - s["v"]))) for s in spots]
+        for j, place in enumerate(places):
+            own = [s for s, k in zip(spots, near, strict=True) if k == j]
+            own = [s for s in own if np.hypot(place[0] - s["u"], place[1] - s["v"]) < 4.0]
+            extra -= len(own)
+            if not own:
+                continue
+            found += 1
+            s = own[0]
+            e = np.array([s["u"] - place[0], s["v"] - place[1]])
+            covariance = np.array([[s["var_u"], s["cov_uv"]], [s["cov_uv"], s["var_v"]]])
+            crb, snr = bound(look, discs[j], fluxes[j])
+            errors.append(e)
+            expected.append(np.diag(crb))
+            squares.append(e @ np.linalg.solve(covariance, e))
+            within += [abs(e[0]) < 2.0 * np.sqrt(s["var_u"]), abs(e[1]) < 2.0 * np.sqrt(s["var_v"])]
+            snrs.append(snr)
+        extra += len(spots)
+    if not errors:
+        return Row(0.0, extra, np.nan, np.nan, np.nan, np.nan, np.nan)
+    e2, b2 = np.mean(np.square(errors)), np.mean(expected)
+    return Row(
+        found / (9 * images),
+        extra,
+        float(np.sqrt(e2)),
+        float(np.sqrt(e2 / b2)),
+        float(np.mean(squares) / 2.0),
+        float(np.mean(within)),
+        float(np.mean(snrs)),
+    )
+
+
+def main(images: int, only: str | None) -> None:
+    print(
+        f"{'look':9} {'range':>6} {'SNR':>6} {'found':>6} {'extra':>5} "
+        f"{'RMSE px':>8} {'/CRB':>6} {'chi2':>6} {'<2s':>6}"
+    )
+    for name, look in LOOKS.items():
+        if only and only != name:
+            continue
+        for range_m in RANGES_M:
+            r = study(look, range_m, images, 1)
+            print(
+                f"{name:9} {range_m:6.1f} {r.snr:6.0f} {r.found:6.3f} {r.extra:5d} {r.rmse_px:8.4f} {r.ratio:6.3f}"
+                f" {r.chi2:6.3f} {r.within_2:6.3f}",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--images", type=int, default=30)
+    parser.add_argument("--look")
+    given = parser.parse_args()
+    main(given.images, given.look)
