@@ -1,0 +1,51 @@
+"""The vision unit's end of a real RS-422 line: whoever makes poses on this computer sends them like the unit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import serial
+
+from hil.drivers.vmu.codec import STATUS_NO_POSE, Identity, encode, encode_identity, encode_status
+from hil.errors import LinkLost
+from hil.messages import PoseFrame
+
+IDENTITY: Final = Identity("hil", "VMU-SOFT", "1.0")
+IDENTITY_PERIOD_S: Final = 1.0
+_NAME: Final = "vmu"
+
+
+class FrameSender:
+    """Sends identity and frames, numbered from 0, on the serial port ``port``. Raises LinkLost, in the unit's name."""
+
+    def __init__(self, port: str, baud: int, identity: Identity = IDENTITY) -> None:
+        self._identity = encode_identity(identity)
+        self._identified_s = -float("inf")
+        self._counter = 0
+        try:
+            self._line = serial.Serial(port, baud, write_timeout=1.0)
+        except (OSError, ValueError, serial.SerialException) as error:
+            raise LinkLost(_NAME, f"cannot open {port} at {baud} baud: {error}") from error
+        self._port = port
+
+    def send(self, pose: PoseFrame | None, t_s: float) -> None:
+        """Send what was found of the exposure at ``t_s``, s of the unit's clock; None: that there is no pose."""
+        counter, self._counter = self._counter, (self._counter + 1) & 0xFFFF_FFFF
+        data = b""
+        if t_s - self._identified_s >= IDENTITY_PERIOD_S:
+            data, self._identified_s = self._identity, t_s
+        if pose is None:
+            data += encode_status(counter, t_s, STATUS_NO_POSE)
+        else:
+            data += encode(replace(pose, counter=counter, t_s=t_s))
+        try:
+            self._line.write(data)
+        except (OSError, serial.SerialException) as error:
+            raise LinkLost(_NAME, f"{self._port}: {error}") from error
+
+    def close(self) -> None:
+        """Let go of the port once everything is on the wire. Idempotent."""
+        if self._line.is_open:
+            self._line.flush()
+            self._line.close()
