@@ -74,7 +74,7 @@ def clean(is_disc, box, pixels, weighed, dark, per_level, p, covariance, model, 
 
     total: what the fit before returned.
     """
-    for _ in range(2):
+    for _ in range(3):
         if not math.isfinite(total) or drop_outliers(pixels, weighed, dark, per_level, model, light) <= 0:
             break
         total = fit(is_disc, box, pixels, weighed, dark, per_level, _MOST_STEPS, p, covariance, model, light, slopes)
@@ -207,33 +207,38 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
     if strong:
         odd = oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse)
     chi2, allowed = misfit(total, weighed.sum(), n)
-    is_disc = False
-    if odd <= _ODD:  # else the disc is tried at once
+    if odd <= _ODD:
         kept = weighed.sum()
         chi2, allowed = clean(
             False, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes, total
         )  # fmt: skip
-        if not math.isfinite(chi2):
-            return count
         if strong and weighed.sum() < kept:
             oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse)
+    is_disc = False
     if found == 1 and (chi2 > allowed or odd > _ODD):
         disc, disc_covariance = np.empty(PLANE + DISC), np.empty((PLANE + DISC, PLANE + DISC))
         disc_model, disc_light, disc_slopes = np.empty(size), np.empty(size), np.empty((size, PLANE + DISC))
         disc_weighed = np.empty(size)
         disc_start(p, disc)
         read_window(image, label, name, box, pixels, disc_weighed)
-        total = fit(
+        disc_total = fit(
             True, box, pixels, disc_weighed, dark, per_level, _MOST_STEPS, disc, disc_covariance, disc_model,
             disc_light, disc_slopes,
         )  # fmt: skip
         disc_chi2, disc_allowed = clean(
             True, box, pixels, disc_weighed, dark, per_level, disc, disc_covariance, disc_model, disc_light,
-            disc_slopes, total,
+            disc_slopes, disc_total,
         )  # fmt: skip
-        if math.isfinite(disc_chi2) and disc_chi2 < chi2:
+        if odd > _ODD and not disc_chi2 <= disc_allowed:  # not the shape, then: single pixels
+            chi2, allowed = clean(
+                False, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes, total
+            )  # fmt: skip
+            oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse)
+        if disc_chi2 < chi2:
             is_disc, p, covariance, chi2, allowed = True, disc, disc_covariance, disc_chi2, disc_allowed
             model, light, slopes, weighed = disc_model, disc_light, disc_slopes, disc_weighed
+    if not math.isfinite(chi2):
+        return count
     stretch = chi2 if chi2 > allowed else 1.0
     split = found > 1 or chi2 > 2.0 * allowed
     snr /= math.sqrt(stretch * found)
