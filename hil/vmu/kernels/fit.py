@@ -245,7 +245,7 @@ def fit(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, mod
             p[:] = tried
             total = found
             damping = max(0.1 * damping, 1e-9)
-            if gain < 1e-2:
+            if gain < (0.3 if is_disc else 0.01):  # of a chi-square: the next step would be far smaller
                 break
         else:
             damping = max(10.0 * damping, 1e-3)
