@@ -7,7 +7,7 @@ has only the shared unknowns, however many views there are (docs/decisions/0078)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -183,7 +183,9 @@ class _System:
 class Problem:
     """The sightings of one set of views, and what is believed before; solved by ``solve``."""
 
-    def __init__(self, sightings: Sightings, turntable: Turntable, held: Belief, nominal: Array) -> None:
+    def __init__(
+        self, sightings: Sightings, turntable: Turntable, held: Belief, nominal: Array, basis: Array | None = None
+    ) -> None:
         self.sightings = sightings
         self.turntable = turntable
         self.belief = held
@@ -191,7 +193,7 @@ class Problem:
         self.seen = sightings.seen
         self.whiten = whiteners(sightings.covariance, self.seen)
         self.columns = np.flatnonzero(held.free)
-        self.basis = layout_basis(nominal) if held.layout_sigma > 0.0 else None
+        self.basis = layout_basis(nominal) if basis is None and held.layout_sigma > 0.0 else basis
         self.shared = len(self.columns) + (0 if self.basis is None else self.basis.shape[1])
 
     def solve(self, start: Setup) -> Fit:
@@ -264,3 +266,33 @@ class Problem:
             np.sqrt(axis_square / np.maximum(axis_redundancy, 1e-9)),
             axis_redundancy,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Information:
+    """What pixels say of all numbers, (COMMON,) or (COMMON + 3 m,): square sum, its gradient, its curvature.
+
+    The encoders' errors are taken out. rows: of white residuals. rms_px: of the residuals, encoders' errors and all.
+    """
+
+    matrix: Array
+    score: Array
+    square: float
+    rows: int
+    rms_px: float
+
+
+def information(
+    sightings: Sightings, setup: Setup, turntable: Turntable, axis_sigma: Array, noise: float, with_points: bool
+) -> Information:
+    """Return what ``sightings`` say about changes of ``setup``, and of its points where ``with_points``."""
+    flat = Belief(np.ones(COMMON, dtype=bool), setup.theta, np.full(COMMON, np.inf), axis_sigma, 0.0)
+    problem = Problem(sightings, turntable, flat, setup.points)
+    if with_points:
+        flat = replace(flat, layout_sigma=np.inf)
+        problem = Problem(sightings, turntable, flat, setup.points, basis=np.eye(setup.points.size))
+    system = _System(problem, setup, np.zeros(sightings.axes.shape), noise)
+    square = system.cost - sum(float(right @ np.linalg.solve(own, right)) for own, right, _ in system.blocks)
+    rows = 2 * int(problem.seen.sum())
+    rms = float(np.sqrt(np.nanmean(np.square(system.residuals))))
+    return Information(system.reduced, system.right, square, rows, rms)
