@@ -45,8 +45,8 @@ class Drift:
     """Today against a calibration.
 
     rms_px: of today's residuals, the encoders' errors and all. noise: of today's pixels, by that of the calibration.
-    square, freedom, chance: of all parts together. explanations: best first. alike: the parts that explain about
-    as much as the best, it among them.
+    square, freedom: of all parts together. chance: that noise alone looks so much like a drift, of all parts or of one.
+    explanations: best first. alike: the parts that explain about as much as the best, it among them.
     """
 
     views: int
@@ -116,7 +116,9 @@ def check(known: Calibrated, seen: Sightings, setup: Setup, target_moved: bool) 
     worth = {e.part: e.square - e.freedom * math.log(max(rows, 3)) for e in explanations}
     explanations.sort(key=lambda e: -worth[e.part])
     alike = tuple(e.part for e in explanations if worth[e.part] > worth[explanations[0].part] - _AS_GOOD)
-    chance = float(f.sf(square / freedom / noise2, freedom, left))
+    together = float(f.sf(square / freedom / noise2, freedom, left))
+    # all parts at once and each alone are so many tries at a small chance (Bonferroni)
+    chance = min(1.0, (1 + len(explanations)) * min(together, *(e.chance for e in explanations)))
     counts = (len(seen.names), int(seen.seen.sum()))
     return Drift(
         *counts, found.rms_px, math.sqrt(noise2), square / noise2, freedom, chance, tuple(explanations), alike
