@@ -46,7 +46,7 @@ class CameraPair:
     @property
     def shape(self) -> tuple[int, int]:
         """Return height and width of the left image, px."""
-        return int(self.lens[0].height), int(self.lens[0].width)
+        return int(self.lens["height"][0]), int(self.lens["width"][0])
 
 
 @kernel

@@ -1,0 +1,119 @@
+"""Finds the spots of light in an image and says how well it knows their centres.
+
+The threshold stands some sigma above the background, which is measured tile by tile together with
+its noise; each light above it is fitted by maximum likelihood (``kernels/fit``): a point of light blurred by a
+Gaussian or, where that does not do, a disc. A spot's covariance is that of the fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hil.config.vmu_geometry import Sensor
+from hil.errors import BadInput
+from hil.messages import Array
+from hil.vmu.kernels.measure import LIMITS
+from hil.vmu.kernels.search import TOO_MANY, detect
+from hil.vmu.spots import SPOT
+
+_MOST_COMPONENTS: Final = 512
+_MOST_TRIES: Final = 4
+_NO_WINDOWS: Final = np.empty((0, 4), dtype=np.int64)
+_PRIOR_PER_LEVEL: Final = 0.01  # levels^2 of variance per level: 100 electrons per level
+_PRIOR_WEIGHT: Final = 10.0
+_MEMORY: Final = 0.95  # share of what an image said about the noise that is left at the next
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorSettings:
+    """What counts as a spot."""
+
+    threshold_sigmas: float = 4.5
+    """of a sum of 3 x 3 pixels, above the background"""
+    least_snr: float = 6.0
+    """flux over its sigma"""
+    narrowest_sigma_px: float = 0.5
+    """a light narrower than this is a fault of a pixel"""
+    largest_px: float = 96.0
+    """diameter of the largest spot"""
+    most_spots: int = 64
+    """of more, the brightest are kept"""
+
+
+class Detector:
+    """The detector of one camera. Not for two threads at once: it keeps its scratch memory.
+
+    Without ``sensor`` it also keeps what the spots so far have said about the shot noise.
+    """
+
+    def __init__(
+        self, shape: tuple[int, int], settings: DetectorSettings | None = None, sensor: Sensor | None = None
+    ) -> None:
+        self._settings = settings or DetectorSettings()
+        self._shape = shape
+        self._label = np.zeros(shape, dtype=np.int16)
+        self._queue = np.empty(shape[0] * shape[1], dtype=np.int32)
+        self._spots = np.zeros(2 * _MOST_COMPONENTS, SPOT)
+        self._noise = np.zeros((_MOST_COMPONENTS, 2))
+        self._known_per_level = 1.0 / sensor.electrons_per_level if sensor else None
+        self._heard = np.zeros(2)
+
+    @property
+    def variance_per_level(self) -> float:
+        """Return the variance, levels^2, that a level of light adds: one over the electrons per level."""
+        if self._known_per_level is not None:
+            return self._known_per_level
+        above, below = self._heard
+        return max(float((above + _PRIOR_WEIGHT * _PRIOR_PER_LEVEL) / (below + _PRIOR_WEIGHT)), 0.0)
+
+    def spots(self, image: np.ndarray, windows: Array | None = None) -> np.ndarray:
+        """Return the spots of ``image`` (h, w), uint8, as an array of SPOT.
+
+        windows: (k, 4), px: u and v of the first pixel and of the one after the last of each region in
+        which to look; lights that reach into one are found as a whole, once. None: the whole image.
+        Raise BadInput for an image of another shape or kind.
+        """
+        if image.shape != self._shape or image.dtype != np.uint8:
+            text = f"{image.dtype} {image.shape}, must be uint8 {self._shape} (height, width)"
+            raise BadInput.single("image", "shape", text)
+        if windows is not None and len(windows) == 0:
+            return self._spots[:0].copy()
+        regions = _NO_WINDOWS if windows is None else np.ascontiguousarray(windows, dtype=np.int64)
+        first_light = not self._heard[1] and self._known_per_level is None
+        found = self._search(np.ascontiguousarray(image), regions)
+        if self._listen() and first_light:
+            found = self._search(np.ascontiguousarray(image), regions)
+        return found
+
+    def _search(self, image: np.ndarray, windows: np.ndarray) -> np.ndarray:
+        chosen = self._settings
+        limits = np.zeros(1, LIMITS)[0]
+        limits["least_snr"], limits["narrowest"] = chosen.least_snr, chosen.narrowest_sigma_px
+        limits["largest"] = chosen.largest_px
+        for attempt in range(_MOST_TRIES):
+            limits["sigmas"] = chosen.threshold_sigmas * 2.0**attempt
+            self._noise[:] = 0.0
+            count = detect(
+                image, windows, limits, self.variance_per_level, self._label, self._queue, self._spots, self._noise
+            )
+            if count != TOO_MANY:
+                break
+        found = self._spots[: max(count, 0)].copy()
+        if len(found) > chosen.most_spots:
+            brightest = np.argsort(found["flux"])[-chosen.most_spots :]
+            found = found[np.sort(brightest)]
+        return found
+
+    def _listen(self) -> bool:
+        """Take in what the last image said about the shot noise: the weighted median of its spots' estimates."""
+        said = self._noise[self._noise[:, 1] > 0.0]
+        if self._known_per_level is not None or not len(said):
+            return False
+        said = said[np.argsort(said[:, 0] / said[:, 1])]
+        weights = np.cumsum(said[:, 1])
+        middle = said[np.searchsorted(weights, 0.5 * weights[-1])]
+        self._heard = _MEMORY * self._heard + weights[-1] * np.array([middle[0] / middle[1], 1.0])
+        return True

@@ -1,0 +1,275 @@
+"""Weighted least squares of a spot's shape to the pixels of a window: the maximum-likelihood centre.
+
+Parameters, (n,): background at the window's middle and its two slopes, then either for each of a few points of
+light flux, u, v and sigma (n = 3 + 4 k), or for one disc flux, u, v, sigma, width, shear and height as in
+``shape`` (n = 10). A pixel's variance is that of the dark plus its light over the electrons per level; a
+pixel at full scale says only that the light is at least that.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths.jit import kernel
+from hil.vmu.kernels.shape import node, point_sums, strip_sums, strips
+
+PLANE = 3  # parameters of the background
+POINT = 4  # of a point of light
+DISC = 7
+FLUX, U, V, SIGMA, WIDTH, SHEAR, HEIGHT = 0, 1, 2, 3, 4, 5, 6
+FULL_SCALE = 255.0
+_LEAST_SIGMA = 0.25  # px
+
+
+@kernel
+def _fill_plane(box, p, model, light, slopes):
+    across, down = box[2] - box[0], box[3] - box[1]
+    for i in range(down):
+        y = i - 0.5 * (down - 1)
+        for j in range(across):
+            x, at = j - 0.5 * (across - 1), i * across + j
+            model[at] = p[0] + x * p[1] + y * p[2]
+            light[at] = 0.0
+            slopes[at, 0] = 1.0
+            slopes[at, 1] = x
+            slopes[at, 2] = y
+
+
+@kernel
+def fill_points(box, p, model, light, slopes):
+    """Write what points of light show in a box: ``model`` and ``light`` (without background), (pixels,).
+
+    slopes: (pixels, n), the derivatives. box: u and v of the first pixel, and of the one after the last.
+    """
+    across, down = box[2] - box[0], box[3] - box[1]
+    _fill_plane(box, p, model, light, slopes)
+    by_u, by_v = np.empty((3, across)), np.empty((3, down))
+    for k in range((p.shape[0] - PLANE) // POINT):
+        a = PLANE + POINT * k
+        flux = p[a]
+        point_sums(box[0], across, p[a + U], p[a + SIGMA], by_u[0], by_u[1], by_u[2])
+        point_sums(box[1], down, p[a + V], p[a + SIGMA], by_v[0], by_v[1], by_v[2])
+        for i in range(down):
+            for j in range(across):
+                at = i * across + j
+                share = by_v[0, i] * by_u[0, j]
+                model[at] += flux * share
+                light[at] += flux * share
+                slopes[at, a] = share
+                slopes[at, a + U] = flux * by_v[0, i] * by_u[1, j]
+                slopes[at, a + V] = flux * by_v[1, i] * by_u[0, j]
+                slopes[at, a + SIGMA] = flux * (by_v[2, i] * by_u[0, j] + by_v[0, i] * by_u[2, j])
+
+
+@kernel
+def fill_disc(box, p, model, light, slopes):
+    """Write what a disc shows in a box, as ``fill_points`` does."""
+    across, down = box[2] - box[0], box[3] - box[1]
+    _fill_plane(box, p, model, light, slopes)
+    for at in range(across * down):
+        for k in range(PLANE, PLANE + DISC):
+            slopes[at, k] = 0.0
+    flux, blur = p[PLANE], p[PLANE + SIGMA]
+    width, shear, height = p[PLANE + WIDTH], p[PLANE + SHEAR], p[PLANE + HEIGHT]
+    by_u, by_v = np.empty((4, across)), np.empty((3, down))
+    n = strips(height, blur)
+    for k in range(n):
+        eta, half, share = (0.0, 1.0, 1.0) if n == 1 else node(k, n)
+        centre = p[PLANE + U] + shear * eta
+        strip_sums(box[0], across, centre, abs(width) * half, blur, by_u[0], by_u[1], by_u[2], by_u[3])
+        point_sums(box[1], down, p[PLANE + V] + height * eta, blur, by_v[0], by_v[1], by_v[2])
+        weight = flux * share
+        sign = half if width >= 0.0 else -half
+        for i in range(down):
+            here, moved, blurred = weight * by_v[0, i], weight * by_v[1, i], weight * by_v[2, i]
+            if abs(here) + abs(moved) + abs(blurred) < 1e-9 * weight:
+                continue
+            for j in range(across):
+                at = i * across + j
+                light[at] += here * by_u[0, j]
+                slopes[at, 3] += share * by_v[0, i] * by_u[0, j]
+                slopes[at, 4] += here * by_u[1, j]
+                slopes[at, 5] += moved * by_u[0, j]
+                slopes[at, 6] += blurred * by_u[0, j] + here * by_u[2, j]
+                slopes[at, 7] += sign * here * by_u[3, j]
+                slopes[at, 8] += eta * here * by_u[1, j]
+                slopes[at, 9] += eta * moved * by_u[0, j]
+    for at in range(across * down):
+        model[at] += light[at]
+
+
+@kernel
+def residual(level, model):
+    """Return how far a pixel's level is from the model; a pixel at full scale is never too dark."""
+    if level >= FULL_SCALE and model >= FULL_SCALE:
+        return 0.0
+    return level - model
+
+
+@kernel
+def invert(a, out):
+    """Write the inverse of the positive definite ``a`` (n, n) by Cholesky; return False where it is not one."""
+    n = a.shape[0]
+    low = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            s = a[i, j]
+            for m in range(j):
+                s -= low[i, m] * low[j, m]
+            if i == j:
+                if not s > 1e-12 * a[i, i]:
+                    return False
+                low[i, i] = math.sqrt(s)
+            else:
+                low[i, j] = s / low[j, j]
+    half = np.zeros((n, n))  # the inverse of low
+    for j in range(n):
+        half[j, j] = 1.0 / low[j, j]
+        for i in range(j + 1, n):
+            s = 0.0
+            for m in range(j, i):
+                s -= low[i, m] * half[m, j]
+            half[i, j] = s / low[i, i]
+    for i in range(n):
+        for j in range(i + 1):
+            s = 0.0
+            for m in range(i, n):
+                s += half[m, i] * half[m, j]
+            out[i, j] = s
+            out[j, i] = s
+    return True
+
+
+@kernel
+def gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right):
+    """Write normal matrix (n, n) and right side (n,); return the sum of squared residuals over their variance.
+
+    pixels: (count,), levels. weighed: (count,), 0 for a pixel to leave out. dark: variance without light.
+    """
+    n = normal.shape[0]
+    for i in range(n):
+        right[i] = 0.0
+        for j in range(n):
+            normal[i, j] = 0.0
+    total = 0.0
+    for at in range(pixels.shape[0]):
+        if weighed[at] == 0.0:
+            continue
+        gap = residual(pixels[at], model[at])
+        weight = 1.0 / (dark + per_level * max(light[at], 0.0))
+        total += weight * gap * gap
+        if pixels[at] >= FULL_SCALE and gap == 0.0:
+            continue
+        for i in range(n):
+            wi = weight * slopes[at, i]
+            right[i] += wi * gap
+            for j in range(i + 1):
+                normal[i, j] += wi * slopes[at, j]
+    for i in range(n):
+        for j in range(i):
+            normal[j, i] = normal[i, j]
+    return total
+
+
+@kernel
+def _fill(is_disc, box, p, model, light, slopes):
+    if is_disc:
+        fill_disc(box, p, model, light, slopes)
+    else:
+        fill_points(box, p, model, light, slopes)
+
+
+@kernel
+def _restrain(is_disc, p):
+    """Keep the parameters where the shape means something."""
+    step = DISC if is_disc else POINT
+    for a in range(PLANE, p.shape[0], step):
+        p[a + SIGMA] = max(abs(p[a + SIGMA]), _LEAST_SIGMA)
+        if is_disc:
+            p[a + WIDTH] = abs(p[a + WIDTH])
+            if p[a + HEIGHT] < 0.0:
+                p[a + HEIGHT], p[a + SHEAR] = -p[a + HEIGHT], -p[a + SHEAR]
+
+
+@kernel
+def fit(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, model, light, slopes):
+    """Improve ``p`` (n,) by up to ``most`` Levenberg steps; write its covariance (n, n).
+
+    model, light, slopes: as ``fill_points`` writes them, for the last ``p``.
+    Return the sum of squares over the variances, or NaN where the pixels do not determine the parameters.
+    """
+    n = p.shape[0]
+    normal, damped, inverse = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    right, tried = np.empty(n), np.empty(n)
+    damping = 1e-3 if is_disc else 1e-5
+    _fill(is_disc, box, p, model, light, slopes)
+    total = gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right)
+    for _ in range(most):
+        for i in range(n):
+            for j in range(n):
+                damped[i, j] = normal[i, j]
+            damped[i, i] = normal[i, i] * (1.0 + damping) + 1e-12
+        if not invert(damped, inverse):
+            damping = max(10.0 * damping, 1e-6)
+            if damping > 1e6:
+                return np.nan
+            continue
+        gain = 0.0
+        for i in range(n):
+            step = 0.0
+            for j in range(n):
+                step += inverse[i, j] * right[j]
+            gain += step * right[i]
+            tried[i] = p[i] + step
+        _restrain(is_disc, tried)
+        _fill(is_disc, box, tried, model, light, slopes)
+        found = gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right)
+        # the variances move with the light, so near the end the sum may rise a little
+        if found <= total * 1.02 + 0.1:
+            p[:] = tried
+            total = found
+            damping = max(0.1 * damping, 1e-9)
+            if gain < 1e-4:
+                break
+        else:
+            damping = max(10.0 * damping, 1e-3)
+            _fill(is_disc, box, p, model, light, slopes)
+            total = gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right)
+    if not invert(normal, covariance):
+        if not is_disc:
+            return np.nan
+        for i in range(n):  # width, shear or height has come to nothing: hold what cannot be told
+            normal[i, i] = normal[i, i] * (1.0 + 1e-6) + 1e-12
+        if not invert(normal, covariance):
+            return np.nan
+    return total
+
+
+@kernel
+def light_noise(pixels, weighed, dark, per_level, light, model, slopes, covariance):
+    """Return what the residuals say about the variance per level of light: numerator and denominator of a mean.
+
+    The share of each residual that the fit has absorbed (its leverage) is made up for.
+    """
+    n = covariance.shape[0]
+    above = below = 0.0
+    for at in range(pixels.shape[0]):
+        if weighed[at] == 0.0 or pixels[at] >= FULL_SCALE or not light[at] > dark:
+            continue
+        variance = dark + per_level * light[at]
+        leverage = 0.0
+        for i in range(n):
+            s = 0.0
+            for j in range(n):
+                s += covariance[i, j] * slopes[at, j]
+            leverage += s * slopes[at, i]
+        kept = 1.0 - leverage / variance
+        if kept < 0.1:
+            continue
+        gap = pixels[at] - model[at]
+        share = light[at] / (variance * variance)
+        above += share * (gap * gap / kept - dark)
+        below += share * light[at]
+    return above, below

@@ -1,0 +1,195 @@
+"""Where an image is brighter than its background: level and noise, threshold, connected pixels.
+
+Everything looks at the sums of 3 x 3 pixels: the noise of a sum is three times that of a pixel, and
+a spot of a few pixels has nearly all of its light in one.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths.jit import kernel
+
+# what is known of a component, all of a spot's pixels that touch; a row of int64
+FIRST, END = 0, 1  # its places in the queue
+U0, V0, U1, V1 = 2, 3, 4, 5  # its box, the last pixel included
+CLIPPED = 6  # pixels at full scale
+COMPONENT_WIDTH = 7
+
+BAD = -1  # label of a pixel that does not show the light on it
+
+
+@kernel
+def sum_of_nine(image, u, v):
+    """Return the sum of the 3 x 3 pixels around (u, v), which is not at the image's edge."""
+    total = 0
+    for i in range(v - 1, v + 2):
+        for j in range(u - 1, u + 2):
+            total += np.int64(image[i, j])
+    return total
+
+
+@kernel
+def level_and_variance(image, u0, v0, u1, v1, samples):
+    """Return the median of the sums in a box (u1, v1 excluded) and the variance of a pixel about its neighbours'
+    mean, levels^2, from about ``len(samples)`` places on a grid.
+
+    What is more than four sigma off the median is left out of the variance: that is light, or a hot pixel.
+    A variance below that of rounding, 1/12, is not believed.
+    """
+    u0, v0 = max(u0, 1), max(v0, 1)
+    u1, v1 = min(u1, image.shape[1] - 1), min(v1, image.shape[0] - 1)
+    if u1 <= u0 or v1 <= v0:
+        return 0.0, 1.0 / 12.0
+    step = max(1, math.ceil(math.sqrt((u1 - u0) * (v1 - v0) / samples.shape[0])))
+    n = 0
+    for i in range(v0 + (step - 1) // 2, v1, step):
+        for j in range(u0 + (step - 1) // 2, u1, step):
+            if n < samples.shape[0]:
+                samples[n] = sum_of_nine(image, j, i)
+                n += 1
+    order = np.sort(samples[:n])
+    median = 0.5 * (order[(n - 1) // 2] + order[n // 2])
+    reach = max(4.0 * (order[(3 * n) // 4] - order[n // 4]) / 1.349, 4.0)
+    squares, used = 0.0, 0
+    for i in range(v0 + (step - 1) // 2, v1, step):
+        for j in range(u0 + (step - 1) // 2, u1, step):
+            total = sum_of_nine(image, j, i)
+            if abs(total - median) <= reach:
+                square = 0
+                for a in range(i - 1, i + 2):
+                    for b in range(j - 1, j + 2):
+                        square += np.int64(image[a, b]) * np.int64(image[a, b])
+                squares += square - total * total / 9.0
+                used += 1
+    return median, max(squares / (8.0 * max(used, 1)), 1.0 / 12.0)
+
+
+@kernel
+def survey(image, level, variance, samples):
+    """Write level (of sums) and variance (of a pixel) of each tile of a grid over the image, (rows, columns).
+
+    The variances are medians over a tile and its neighbours.
+    """
+    rows, columns = level.shape
+    raw = np.empty((rows, columns))
+    near = np.empty(9)
+    for i in range(rows):
+        v0, v1 = i * image.shape[0] // rows, (i + 1) * image.shape[0] // rows
+        for j in range(columns):
+            u0, u1 = j * image.shape[1] // columns, (j + 1) * image.shape[1] // columns
+            level[i, j], raw[i, j] = level_and_variance(image, u0, v0, u1, v1, samples)
+    for i in range(rows):
+        for j in range(columns):
+            n = 0
+            for a in range(max(i - 1, 0), min(i + 2, rows)):
+                for b in range(max(j - 1, 0), min(j + 2, columns)):
+                    near[n] = raw[a, b]
+                    n += 1
+            variance[i, j] = np.median(near[:n])
+
+
+@kernel
+def between(grid, u, v, width, height):
+    """Return the value at pixel (u, v) of a ``grid`` over an image, linear between and beyond the tiles' centres."""
+    rows, columns = grid.shape
+    y, x = (v + 0.5) * rows / height - 0.5, (u + 0.5) * columns / width - 0.5
+    i, j = min(max(int(y), 0), max(rows - 2, 0)), min(max(int(x), 0), max(columns - 2, 0))
+    fy, fx = (y - i if rows > 1 else 0.0), (x - j if columns > 1 else 0.0)
+    k, m = min(i + 1, rows - 1), min(j + 1, columns - 1)
+    upper = grid[i, j] + fx * (grid[i, m] - grid[i, j])
+    lower = grid[k, j] + fx * (grid[k, m] - grid[k, j])
+    return upper + fy * (lower - upper)
+
+
+@kernel
+def fill_threshold(level, deviation, sigmas, v, height, threshold):
+    """Write the threshold of the sums along row ``v``; level and ``deviation`` (of a sum) as from ``survey``."""
+    width = threshold.shape[0]
+    tiles = level.shape[1]
+    for j in range(max(tiles - 1, 1)):
+        # the line through the centres of two neighbouring tiles, out to the edge at both ends
+        left, right = (j + 0.5) * width / tiles - 0.5, (j + 1.5) * width / tiles - 0.5
+        at = between(level, left, v, width, height) + sigmas * between(deviation, left, v, width, height)
+        slope = 0.0
+        if tiles > 1:
+            end = between(level, right, v, width, height) + sigmas * between(deviation, right, v, width, height)
+            slope = (end - at) / (right - left)
+        first = 0 if j == 0 else math.ceil(left)
+        last = width if j >= tiles - 2 else math.ceil(right)
+        for u in range(first, last):
+            threshold[u] = np.uint16(min(max(at + slope * (u - left), 0.0), 65535.0))
+
+
+@kernel
+def scan_row(above, line, below, threshold, columns, flags):
+    """Flag each pixel of a row of n whose sum passes its threshold.
+
+    above, line, below, threshold: (n,). columns: (n,) of uint16, scratch. flags: (n,) of uint8.
+    """
+    n = line.shape[0]
+    for j in range(n):
+        columns[j] = np.uint16(above[j]) + np.uint16(line[j]) + np.uint16(below[j])
+    left, middle, right = columns[0 : n - 2], columns[1 : n - 1], columns[2:n]
+    inner, limit = flags[1 : n - 1], threshold[1 : n - 1]
+    for j in range(n - 2):
+        inner[j] = np.uint8(np.uint16(left[j] + middle[j] + right[j]) > limit[j])
+
+
+@kernel
+def collect(image, v, u0, u1, threshold, scratch, flags, words, hits, count):
+    """Append the pixels of row ``v`` from u0 up to u1 that pass their threshold to ``hits``; return how many there are.
+
+    flags (of uint8) and words (of uint64) are the same memory. More than fit into ``hits`` are counted, not kept.
+    """
+    n = u1 - u0
+    scan_row(
+        image[v - 1, u0:u1], image[v, u0:u1], image[v + 1, u0:u1], threshold[u0:u1], scratch[:n], flags[:n]
+    )  # fmt: skip
+    flags[0] = 0
+    flags[n - 1] = 0
+    for k in range((n + 7) // 8):
+        if words[k] != 0:
+            for j in range(8 * k, min(8 * k + 8, n)):
+                if flags[j] != 0:
+                    if count < hits.shape[0]:
+                        hits[count] = v * image.shape[1] + u0 + j
+                    count += 1
+    return count
+
+
+@kernel
+def flood(image, label, name, start, threshold, queue, first, component):
+    """Label all pixels whose sums pass ``threshold`` and that touch ``start``; write what they are to ``component``.
+
+    queue: (n,), places of pixels (v * width + u); filled from ``first`` on. Return its new end, or -1 when full.
+    """
+    rows, columns = image.shape
+    component[FIRST] = first
+    component[U0], component[V0], component[U1], component[V1] = columns, rows, -1, -1
+    component[CLIPPED] = 0
+    queue[first] = start
+    label[start // columns, start % columns] = name
+    end, at = first + 1, first
+    while at < end:
+        v, u = queue[at] // columns, queue[at] % columns
+        at += 1
+        component[U0], component[U1] = min(component[U0], u), max(component[U1], u)
+        component[V0], component[V1] = min(component[V0], v), max(component[V1], v)
+        if image[v, u] == 255:
+            component[CLIPPED] += 1
+        for side in range(4):
+            i = v + (1 if side == 0 else (-1 if side == 1 else 0))
+            j = u + (1 if side == 2 else (-1 if side == 3 else 0))
+            if i < 1 or j < 1 or i >= rows - 1 or j >= columns - 1 or label[i, j] != 0:
+                continue
+            if sum_of_nine(image, j, i) > threshold:
+                if end >= queue.shape[0]:
+                    return -1
+                label[i, j] = name
+                queue[end] = i * columns + j
+                end += 1
+    component[END] = end
+    return end

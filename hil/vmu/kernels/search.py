@@ -1,0 +1,150 @@
+"""The detector's one pass: background, threshold, components and spots of an image or of windows in it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths.jit import kernel
+from hil.vmu.kernels.light import (
+    COMPONENT_WIDTH,
+    END,
+    FIRST,
+    between,
+    collect,
+    fill_threshold,
+    flood,
+    level_and_variance,
+    survey,
+)
+from hil.vmu.kernels.measure import measure
+
+TOO_MANY = -1  # lights for the room there is
+_TILE = 64  # px
+_SAMPLES = 36  # of a tile
+_WINDOW_SAMPLES = 100
+_ROWS = 4  # for which a threshold serves
+
+
+@kernel
+def _flood_row(image, label, hits, count, queue, components, lights, level, dark, known, sigmas):
+    """Flood from each hit that is no component's yet; level and dark: one number each, or tiles as of ``survey``."""
+    rows, columns = image.shape
+    end = components[known - 1, END] if known > 0 else 0
+    for k in range(count):
+        v, u = hits[k] // columns, hits[k] % columns
+        if label[v, u] != 0:
+            continue
+        if known == components.shape[0]:
+            return TOO_MANY
+        here, variance = between(level, u, v, columns, rows), between(dark, u, v, columns, rows)
+        variance = max(variance, 1.0 / 12.0)
+        lights[known, 0], lights[known, 1] = here, variance
+        threshold = here + 3.0 * sigmas * math.sqrt(variance)
+        end = flood(image, label, known + 1, hits[k], threshold, queue, end, components[known])
+        known += 1
+    return known
+
+
+@kernel
+def components_of_image(image, limits, label, queue, components, lights):
+    """Flood every light of an image: boxes and queue of ``components``, level and variance of ``lights`` (n, 2).
+
+    Return how many there are, or TOO_MANY.
+    """
+    rows, columns = image.shape
+    shape = (max(1, round(rows / _TILE)), max(1, round(columns / _TILE)))
+    level, dark, deviation = np.empty(shape), np.empty(shape), np.empty(shape)
+    survey(image, level, dark, np.empty(_SAMPLES))
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            deviation[i, j] = 3.0 * math.sqrt(dark[i, j])
+    threshold, scratch = np.empty(columns, dtype=np.uint16), np.empty(columns, dtype=np.uint16)
+    words = np.zeros((columns + 7) // 8, dtype=np.uint64)
+    flags, hits = words.view(np.uint8), np.empty(columns, dtype=np.int64)
+    known = 0
+    for v in range(1, rows - 1):
+        if (v - 1) % _ROWS == 0:
+            fill_threshold(level, deviation, limits.sigmas, v, rows, threshold)
+        count = collect(image, v, 0, columns, threshold, scratch, flags, words, hits, 0)
+        if count > 0:
+            known = _flood_row(
+                image, label, hits, count, queue, components, lights, level, dark, known, limits.sigmas
+            )  # fmt: skip
+            if known == TOO_MANY:
+                return TOO_MANY
+    return known
+
+
+@kernel
+def components_of_windows(image, windows, limits, label, queue, components, lights):
+    """Flood the lights that reach into ``windows`` (k, 4): u and v of the first pixel and after the last."""
+    rows, columns = image.shape
+    threshold, scratch = np.empty(columns, dtype=np.uint16), np.empty(columns, dtype=np.uint16)
+    words = np.zeros((columns + 7) // 8, dtype=np.uint64)
+    flags, hits = words.view(np.uint8), np.empty(columns, dtype=np.int64)
+    samples = np.empty(_WINDOW_SAMPLES)
+    box = np.empty((windows.shape[0], 4), dtype=np.int64)
+    level, dark = np.zeros(windows.shape[0]), np.zeros(windows.shape[0])
+    for k in range(windows.shape[0]):
+        box[k, 0], box[k, 1] = max(windows[k, 0], 0), max(windows[k, 1], 0)
+        box[k, 2], box[k, 3] = min(windows[k, 2], columns), min(windows[k, 3], rows)
+        level[k], dark[k] = level_and_variance(image, box[k, 0], box[k, 1], box[k, 2], box[k, 3], samples)
+    known = 0
+    here, noise = np.empty((1, 1)), np.empty((1, 1))
+    for k in range(windows.shape[0]):
+        if box[k, 2] - box[k, 0] < 3 or box[k, 3] - box[k, 1] < 3:
+            continue
+        here[0, 0], noise[0, 0] = level[k], _typical(level, dark, k)
+        limit = here[0, 0] + 3.0 * limits.sigmas * math.sqrt(noise[0, 0])
+        threshold[:] = np.uint16(min(limit, 65535.0))
+        for v in range(max(box[k, 1], 1), min(box[k, 3], rows - 1)):
+            count = collect(image, v, box[k, 0], box[k, 2], threshold, scratch, flags, words, hits, 0)
+            if count > 0:
+                known = _flood_row(
+                    image, label, hits, count, queue, components, lights, here, noise, known, limits.sigmas
+                )  # fmt: skip
+                if known == TOO_MANY:
+                    return TOO_MANY
+    return known
+
+
+@kernel
+def _typical(level, dark, k):
+    """Return the median variance of the windows whose background is about that of window ``k``."""
+    near = np.empty(level.shape[0])
+    n = 0
+    for m in range(level.shape[0]):
+        if abs(level[m] - level[k]) <= 18.0 + 0.15 * level[k]:
+            near[n] = dark[m]
+            n += 1
+    return np.median(near[:n])
+
+
+@kernel
+def detect(image, windows, limits, per_level, label, queue, spots, noise):
+    """Write the spots of an image (h, w) of uint8 to ``spots``; return how many, or TOO_MANY.
+
+    windows: (k, 4) of int64, u and v of the first pixel and after the last; (0, 4) for the whole image.
+    label: (h, w) of int16, all zero, and again zero at the end. queue: (h * w,) of int32, scratch.
+    noise: (most components, 2), of each as of ``light_noise``; zero where it says nothing.
+    """
+    columns = image.shape[1]
+    most = noise.shape[0]
+    components = np.zeros((most, COMPONENT_WIDTH), dtype=np.int64)
+    lights = np.empty((most, 2))
+    if windows.shape[0] == 0:
+        known = components_of_image(image, limits, label, queue, components, lights)
+    else:
+        known = components_of_windows(image, windows, limits, label, queue, components, lights)
+    count = 0
+    for k in range(max(known, 0)):
+        count = measure(
+            image, label, k + 1, queue, components[k], lights[k, 0], lights[k, 1], per_level, limits, spots, count,
+            noise[k],
+        )  # fmt: skip
+    for k in range(most):
+        for at in range(components[k, FIRST], components[k, END]):
+            label[queue[at] // columns, queue[at] % columns] = 0
+    return count if known != TOO_MANY else TOO_MANY
