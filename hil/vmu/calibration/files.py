@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.vmu_geometry import VmuGeometry
+from hil.config.vmu_geometry import Sensor, VmuGeometry
 from hil.errors import BadInput
 from hil.messages import Array
 from hil.vmu.calibration.model import (
@@ -147,6 +147,7 @@ class Calibrated:
     covariance: Array
     noise: float
     axis_sigma: Array
+    sensor: Sensor | None = None
 
 
 def read_back(geometry: VmuGeometry, source: str) -> Calibrated:
@@ -175,4 +176,4 @@ def read_back(geometry: VmuGeometry, source: str) -> Calibrated:
     sigma = np.array([found.rail_sigma_m] * 3 + [math.radians(found.gimbal_sigma_deg)] * 3)
     turntable = Turntable(np.array(found.lever_arm_m, dtype=float), order)
     label = Label(found.id, found.date, found.target)
-    return Calibrated(label, setup, turntable, covariance, found.noise, sigma)
+    return Calibrated(label, setup, turntable, covariance, found.noise, sigma, geometry.sensor)

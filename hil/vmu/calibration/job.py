@@ -115,9 +115,8 @@ def calibrate(
         nominal = Setup.of(geometry, rig.bench)
         layout = 0.0 if "leds" in given.keep else given.led_sigma
         held = belief(nominal, given.keep, given.axis_sigma, layout, 0.0)
-        spots = spot_views(views, nominal.sizes, tell)
+        spots = spot_views(views, nominal.sizes, geometry.sensor, tell)
         solved = solve_leds(spots, nominal, turntable, held, tell)
-        seen_by = _not_used(views, solved)
     else:
         seen, sizes = boards.sightings(views, given.board, tell)
         nominal = Setup.of(geometry, rig.bench, given.board.points())
@@ -127,13 +126,9 @@ def calibrate(
         begun, told_apart, doubtful = boards.start(seen, given.board, nominal, turntable, given.keep, guess)
         held = belief(begun, given.keep, given.axis_sigma, 0.0, given.square_sigma)
         solved = solve(told_apart, begun, turntable, held, doubtful)
-        seen_by = _not_used(views, solved)
-    solved.left_out.update({name: "the board is not seen whole by both cameras" for name in seen_by})
+        not_whole = (name for name in views.names if name not in seen.names)
+        solved.left_out.update({name: "the board is not seen whole by both cameras" for name in not_whole})
     return _judged(label, solved, turntable, held, nominal, limits, given.board is not None)
-
-
-def _not_used(views: Views, solved: Solved) -> list[str]:
-    return [name for name in views.names if name not in solved.sightings.names and name not in solved.left_out]
 
 
 def _sizes_differ(found: Array, told: Array) -> str:
@@ -192,7 +187,7 @@ def check(views: Views, known: Calibrated, board: Board | None, moved: bool, ran
     moved: the target may stand elsewhere than at the calibration; a board always may.
     """
     if board is None:
-        spots = spot_views(views, known.setup.sizes, tell)
+        spots = spot_views(views, known.setup.sizes, known.sensor, tell)
         elsewhere = moved or known.label.target != "leds"
         seen, setup = _leds_today(spots, known, elsewhere)
     else:

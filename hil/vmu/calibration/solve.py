@@ -16,7 +16,8 @@ from hil.vmu.calibration.model import COMMON, PARTS, Setup, Sightings, Turntable
 from hil.vmu.calibration.refine import Belief, Fit, Problem, layout_basis, whiteners
 
 _FAR = 4.0  # times the usual residual of a view
-_DOUBTFUL = 1e-6  # chance of a view that is left out
+_DOUBTFUL = 1e-6  # chance of a view that is left out ...
+_FAR_BY_FIT = 2.5  # ... if it is also so many times as far off as usual: corners are not equally sharp in all views
 _NEAR_GATE_PX = 3.0
 Tell = Callable[[str, float], None]
 
@@ -61,7 +62,7 @@ def solve(
         scaled = fit.view_square / max(float(np.median(ratio)), 1e-12)
         chance = chi2.sf(scaled, np.maximum(fit.view_freedom, 1.0))
         worst = int(np.argmax(scaled / np.maximum(fit.view_freedom, 1.0)))
-        if chance[worst] > _DOUBTFUL or allowed == 0:
+        if chance[worst] > _DOUBTFUL or ratio[worst] < _FAR_BY_FIT**2 * np.median(ratio) or allowed == 0:
             return Solved(fit, seen, left_out, 0)
         allowed -= 1
         text = f"residuals and encoders {np.sqrt(ratio[worst] / np.median(ratio)):.1f} times as far off as usual"
