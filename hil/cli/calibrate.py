@@ -79,9 +79,7 @@ def _calibrate(options: Options) -> int:
     board = _board(options)
     views = read_views(Path(options.views))
     sigma = np.array([1e-3 * options.rail_sigma_mm] * 3 + [math.radians(options.gimbal_sigma_deg)] * 3)
-    given = job.Given(
-        board, options.keep, sigma, 1e-3 * options.led_sigma_mm, 0.01 * options.square_sigma_percent
-    )
+    given = job.Given(board, options.keep, sigma, 1e-3 * options.led_sigma_mm, 0.01 * options.square_sigma_percent)
     limits = job.Limits(
         options.max_rms_px,
         options.max_error_mm,
@@ -171,7 +169,9 @@ def _check_options(options: Options) -> None:
             problems.append(Problem(f"--{name.replace('_', '-')}", "", f"{value:g}: must be above 0"))
     problems += _board_problems(options.board, options.square_mm)
     problems += [
-        Problem("--keep", "", f"{part}: unknown, give {', '.join(_PARTS)}") for part in options.keep if part not in _PARTS
+        Problem("--keep", "", f"{part}: unknown, give {', '.join(_PARTS)}")
+        for part in options.keep
+        if part not in _PARTS
     ]
     if options.date is not None and not _is_date(options.date):
         problems.append(Problem("--date", "", f"{options.date}: must be a date like 2026-03-01"))

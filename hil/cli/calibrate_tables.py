@@ -7,8 +7,9 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.vmu.calibration.job import Checked, Outcome
-from hil.vmu.calibration.model import COMMON, Parameter, parameters
+from hil.vmu.calibration.model import Parameter, parameters
 from hil.vmu.calibration.report import found_numbers
+from hil.vmu.kernels.chain import COMMON
 
 
 def _table(title: str, *columns: str) -> Table:
@@ -85,23 +86,34 @@ def print_check(checked: Checked, passed: bool, limits: dict[str, float], consol
     for e in found.explanations:
         table.add_row(e.part, f"{e.square:.1f}", str(e.freedom), f"{e.chance:.1e}", f"{e.shift_px:.3f}")
     console.print(table)
-    say(f"{found.views} views, {found.points} points: residuals {found.rms_px:.3f} px RMS, noise {found.noise:.2f} times")
+    say(
+        f"{found.views} views, {found.points} points: residuals {found.rms_px:.3f} px RMS,"
+        f" noise {found.noise:.2f} times that of the calibration"
+    )
     if checked.lost:
         say(f"not used  {', '.join(checked.lost)}: the target is not seen, or not where it should be")
     best = found.explanations[0]
     significant = found.chance < limits["alarm"]
     if significant:
-        say(f"drift     {' or '.join(found.alike)} moved (by chance: {found.chance:.1e}, alarm below {limits['alarm']:g})")
+        say(
+            f"drift     {' or '.join(found.alike)} moved"
+            f" (by chance: {found.chance:.1e}, alarm below {limits['alarm']:g})"
+        )
         told = parameters(len(known.setup.points) if len(best.change) > COMMON else 0)
         moved = sorted(
-            ((abs(c / s), p, c * p.shown, s * p.shown) for p, c, s in zip(told, best.change, best.sigma, strict=True) if s),
+            (
+                (abs(c / s), p, c * p.shown, s * p.shown)
+                for p, c, s in zip(told, best.change, best.sigma, strict=True)
+                if s
+            ),
             key=lambda row: -row[0],
         )
         for _, p, change, sigma in moved[:3]:
             say(f"          {p.name} by {change:+.4g} +- {sigma:.2g} {p.unit}")
         say(
             f"          shifts the pixels by {best.shift_px:.3f} px RMS, allowed {limits['drift_px']:g};"
-            f" a point at {checked.range_m:g} m by {checked.across_mm:.3f} mm across, {checked.depth_mm:.3f} mm in depth"
+            f" a point at {checked.range_m:g} m by {checked.across_mm:.3f} mm across,"
+            f" {checked.depth_mm:.3f} mm in depth"
         )
     else:
         say(f"no drift  (by chance: {found.chance:.2f}, alarm below {limits['alarm']:g})")

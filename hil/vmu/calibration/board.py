@@ -13,21 +13,9 @@ from hil.errors import BadInput
 from hil.maths import euler, quat
 from hil.messages import Array
 from hil.vmu.calibration.hand_eye import hand_eye
-from hil.vmu.calibration.model import (
-    BASELINE,
-    CAMERA_STATION,
-    CAMERA_TURN,
-    PARTS,
-    SCALE,
-    SIDES,
-    TARGET_STATION,
-    TARGET_TURN,
-    TURN,
-    Setup,
-    Sightings,
-    Turntable,
-)
+from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, Turntable
 from hil.vmu.calibration.views import Views, read_pair
+from hil.vmu.kernels.chain import BASELINE, CAMERA_STATION, CAMERA_TURN, SCALE, TARGET_STATION, TARGET_TURN, TURN
 
 CORNER_SIGMA_PX = 0.1
 """to begin with; the fit finds how good the corners are"""
@@ -79,7 +67,9 @@ def sightings(views: Views, board: Board, tell: Callable[[str, float], None]) ->
         _same_end_first(pixels[k])
     both = np.isfinite(pixels).all(axis=(1, 2, 3))
     if sizes is None or both.sum() < LEAST_VIEWS:
-        text = f"{int(both.sum())} of {len(views.names)} views show a board of {board.columns}x{board.rows} inner corners"
+        text = (
+            f"{int(both.sum())} of {len(views.names)} views show a board of {board.columns}x{board.rows} inner corners"
+        )
         raise BadInput.single("--board", "", f"{text} to both cameras, {LEAST_VIEWS} are needed")
     covariance = np.broadcast_to(CORNER_SIGMA_PX**2 * np.eye(2), (*pixels.shape, 2)).copy()
     return Sightings(views.names, views.axes, pixels, covariance).only(np.flatnonzero(both)), sizes
@@ -101,7 +91,8 @@ def _intrinsics(seen: Sightings, points: Array, side: int, size: Array, guess: A
     objects = [points.astype(np.float32)] * len(seen.names)
     images = [pixels.astype(np.float32) for pixels in seen.pixels[:, side]]
     flags = cv2.CALIB_FIX_K3
-    matrix, lens = np.eye(3), np.zeros(5)
+    matrix: np.ndarray = np.eye(3)
+    lens: np.ndarray = np.zeros(5)
     if guess is not None:
         flags |= cv2.CALIB_USE_INTRINSIC_GUESS
         matrix, lens = _matrix(guess), guess[4:].copy()
@@ -117,10 +108,12 @@ def _intrinsics(seen: Sightings, points: Array, side: int, size: Array, guess: A
 def _pose(points: Array, pixels: Array, numbers: Array) -> tuple[Array, Array]:
     _, turn, place = cv2.solvePnP(points, pixels, _matrix(numbers), numbers[4:], flags=cv2.SOLVEPNP_IPPE)
     turn, place = cv2.solvePnPRefineLM(points, pixels, _matrix(numbers), numbers[4:], turn, place)
-    return Rotation.from_rotvec(turn.ravel()).as_matrix(), place.ravel()
+    return Rotation.from_rotvec(np.asarray(turn, dtype=float).ravel()).as_matrix(), np.asarray(
+        place, dtype=float
+    ).ravel()
 
 
-def _stereo(seen: Sightings, points: Array, left: Array, right: Array, size: Array) -> tuple[Array, Array, Array]:
+def _stereo(seen: Sightings, points: Array, left: Array, right: Array, size: Array) -> tuple[Array, Array, np.ndarray]:
     """Return rotation vector and baseline of the right camera, and the views whose pairs agree."""
     poses = [
         (k, _pose(points, seen.pixels[k, 0], left), _pose(points, seen.pixels[k, 1], right))
@@ -133,17 +126,23 @@ def _stereo(seen: Sightings, points: Array, left: Array, right: Array, size: Arr
     between = np.linalg.norm(places[:, None] - places[None], axis=2)
     middle = int(np.argmin(np.median(apart, axis=1) / 1e-3 + np.median(between, axis=1) / 1e-2))
     angle_far, far = 5.0 * max(np.median(apart[middle]), 1e-3), 5.0 * max(np.median(between[middle]), 1e-3)
-    agree = [k for k, (a, d) in enumerate(zip(apart[middle], between[middle], strict=True)) if a < angle_far and d < far]
+    agree = [
+        k for k, (a, d) in enumerate(zip(apart[middle], between[middle], strict=True)) if a < angle_far and d < far
+    ]
     chosen = [poses[k][0] for k in agree]
     objects = [points.astype(np.float32)] * len(chosen)
-    images = [[seen.pixels[k, side].astype(np.float32) for k in chosen] for side in range(2)]
+    if len(chosen) < LEAST_VIEWS:
+        text = f"left and right image belong together in {len(chosen)} views, {LEAST_VIEWS} are needed"
+        raise BadInput.single("VIEWS", "", text)
+    lefts, rights = ([seen.pixels[k, side].astype(np.float32) for k in chosen] for side in range(2))
+    eye, zero = np.eye(3), np.zeros(3)  # only the flags' word makes them a start
     shape = (int(size[0]), int(size[1]))
-    found = cv2.stereoCalibrate(
-        objects, *images, _matrix(left), left[4:], _matrix(right), right[4:], shape, flags=cv2.CALIB_FIX_INTRINSIC
-    )
+    cameras = (_matrix(left), left[4:], _matrix(right), right[4:])
+    fixed = cv2.CALIB_FIX_INTRINSIC
+    found = cv2.stereoCalibrate(objects, lefts, rights, *cameras, shape, eye, zero, flags=fixed)
     # OpenCV: p_r = R p_v + T
-    turn, place = np.asarray(found[5]), np.asarray(found[6]).ravel()
-    return Rotation.from_matrix(turn.T).as_rotvec(), -turn.T @ place, np.array(chosen)
+    turn, place = np.asarray(found[5], dtype=float), np.asarray(found[6], dtype=float).ravel()
+    return Rotation.from_matrix(turn.T).as_rotvec(), np.asarray(-turn.T @ place, dtype=float), np.array(chosen)
 
 
 def start(

@@ -15,8 +15,9 @@ from scipy.stats import f
 
 from hil.messages import Array
 from hil.vmu.calibration.files import MOST_LEDS, Calibrated
-from hil.vmu.calibration.model import COMMON, PARTS, Setup, Sightings, Turntable, see
+from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
 from hil.vmu.calibration.refine import information, layout_basis
+from hil.vmu.kernels.chain import COMMON
 
 _AS_GOOD = 10.0  # of the square sum: explanations nearer than this to the best are not told apart from it
 _LEAST_SHARE = 1e-9  # of the largest eigenvalue, below which a direction is not seen at all
@@ -69,7 +70,7 @@ class _Score:
     square: float
 
     def best(self, directions: Array) -> tuple[float, int, Array, Array]:
-        """Return what moving along ``directions`` (n, k) takes off the square sum, its rank, the change, its covariance."""
+        """Return what moving along ``directions`` (n, k) takes off, the rank, the change and its covariance."""
         matrix = directions.T @ self.matrix @ directions
         scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
         values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
@@ -120,9 +121,7 @@ def check(known: Calibrated, seen: Sightings, setup: Setup, target_moved: bool) 
     # all parts at once and each alone are so many tries at a small chance (Bonferroni)
     chance = min(1.0, (1 + len(explanations)) * min(together, *(e.chance for e in explanations)))
     counts = (len(seen.names), int(seen.seen.sum()))
-    return Drift(
-        *counts, found.rms_px, math.sqrt(noise2), square / noise2, freedom, chance, tuple(explanations), alike
-    )
+    return Drift(*counts, found.rms_px, math.sqrt(noise2), square / noise2, freedom, chance, tuple(explanations), alike)
 
 
 def _with_prior(matrix: Array, score: Array, square: float, covariance: Array, size: int) -> _Score:

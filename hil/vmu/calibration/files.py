@@ -13,23 +13,18 @@ import numpy as np
 from hil.config.vmu_geometry import Sensor, VmuGeometry
 from hil.errors import BadInput
 from hil.messages import Array
-from hil.vmu.calibration.model import (
+from hil.vmu.calibration.model import SIDES, Setup, Turntable, camera_of, lens_numbers, parameters
+from hil.vmu.calibration.refine import Fit
+from hil.vmu.kernels.chain import (
     BASELINE,
     CAMERA_STATION,
     CAMERA_TURN,
     COMMON,
     SCALE,
-    SIDES,
     TARGET_STATION,
     TARGET_TURN,
     TURN,
-    Setup,
-    Turntable,
-    camera_of,
-    lens_numbers,
-    parameters,
 )
-from hil.vmu.calibration.refine import Fit
 
 _ORDER = "xyz"
 MOST_LEDS: Final = 8

@@ -79,5 +79,5 @@ def _closed_form(
     right[: 3 * n] = (places @ a_vc + np.einsum("nab,nb->na", gimbals, rails)).ravel()
     left[3 * n :, 3:] = _WEAK * np.eye(3)
     right[3 * n :] = _WEAK * arm
-    solution = np.linalg.lstsq(left, right, rcond=None)[0]
+    solution: Array = np.linalg.lstsq(left, right, rcond=None)[0].astype(float)
     return a_vc, b, solution[3:], solution[:3]

@@ -16,11 +16,12 @@ from hil.vmu.calibration import drift, quality
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.files import Calibrated, Label
 from hil.vmu.calibration.leds import SpotViews, identify
-from hil.vmu.calibration.model import PARTS, SCALE, SIDES, Setup, Sightings, Turntable
+from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, Turntable
 from hil.vmu.calibration.refine import Belief, belief
 from hil.vmu.calibration.solve import Solved, robust, solve, solve_leds
 from hil.vmu.calibration.spot_images import spot_views
 from hil.vmu.calibration.views import Views
+from hil.vmu.kernels.chain import SCALE
 
 Tell = Callable[[str, float], None]
 KEEPABLE = ("left", "right", "stereo", "mounting", "leds")
@@ -127,7 +128,7 @@ def calibrate(
         held = belief(begun, given.keep, given.axis_sigma, 0.0, given.square_sigma)
         solved = solve(told_apart, begun, turntable, held, doubtful)
         not_whole = (name for name in views.names if name not in seen.names)
-        solved.left_out.update({name: "the board is not seen whole by both cameras" for name in not_whole})
+        solved.left_out.update(dict.fromkeys(not_whole, "the board is not seen whole by both cameras"))
     return _judged(label, solved, turntable, held, nominal, limits, given.board is not None)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -73,7 +74,9 @@ class Turntable:
     @classmethod
     def of(cls, bench: BenchGeometry) -> Turntable:
         """Return that of a rig file."""
-        return cls(np.array(bench.lever_arm_m, dtype=float), np.array(["xyz".index(axis) for axis in bench.gimbal_order]))
+        return cls(
+            np.array(bench.lever_arm_m, dtype=float), np.array(["xyz".index(axis) for axis in bench.gimbal_order])
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,17 +93,17 @@ class Sightings:
     covariance: Array
 
     @property
-    def seen(self) -> Array:
+    def seen(self) -> np.ndarray:
         """Return which points were seen, (n, 2, m)."""
-        return np.isfinite(self.pixels).all(axis=-1)
+        return np.asarray(np.isfinite(self.pixels).all(axis=-1))
 
-    def only(self, views: Array | list[int]) -> Sightings:
+    def only(self, views: Sequence[int] | np.ndarray) -> Sightings:
         """Return the views of the given indices."""
         chosen = np.asarray(views, dtype=int)
         names = tuple(self.names[k] for k in chosen)
         return Sightings(names, self.axes[chosen], self.pixels[chosen], self.covariance[chosen])
 
-    def without(self, points: Array) -> Sightings:
+    def without(self, points: np.ndarray) -> Sightings:
         """Return these with the points marked in ``points`` (n, 2, m) taken out."""
         pixels = self.pixels.copy()
         pixels[points] = np.nan

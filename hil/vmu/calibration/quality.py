@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 
 from hil.messages import Array
-from hil.vmu.calibration.model import COMMON, PARTS, SCALE, SIDES, Setup, Sightings, Turntable, parameters, see
+from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, Turntable, parameters, see
 from hil.vmu.calibration.refine import Belief, Fit
+from hil.vmu.kernels.chain import COMMON, SCALE
 
 RANGES_M: Final = (0.6, 1.0, 2.0, 5.0, 10.0)
 _CELLS = 8
@@ -45,7 +46,7 @@ def field(setup: Setup, range_m: float) -> list[tuple[Array, Array]]:
 
     Each (3, 4), m/px, and (3, 24): the place that is triangulated from the same pixels with other numbers.
     """
-    found = []
+    found: list[tuple[Array, Array]] = []
     focal, size = setup.theta[:2], setup.sizes[0]
     middle = 0.5 * setup.theta[PARTS["stereo"]][3:] * np.array([1.0, 1.0, 0.0])
     for across in _FIELD:
@@ -54,7 +55,7 @@ def field(setup: Setup, range_m: float) -> list[tuple[Array, Array]]:
             pixels, by_numbers, by_place = _both_cameras(setup, range_m * ray + middle)
             both = pixels.reshape(2, 2)
             if np.isfinite(both).all() and ((both > 0.0) & (both < setup.sizes - 1.0)).all():
-                inverse = np.linalg.pinv(by_place)
+                inverse: Array = np.linalg.pinv(by_place).astype(float)
                 found.append((inverse, -inverse @ by_numbers))
     return found
 
@@ -89,7 +90,8 @@ def coverage(seen: Sightings, sizes: Array) -> list[float]:
     for side in range(2):
         points = seen.pixels[:, side].reshape(-1, 2)
         points = points[np.isfinite(points).all(axis=1)]
-        counts, _, _ = np.histogram2d(*points.T, bins=_CELLS, range=[[-0.5, size - 0.5] for size in sizes[side]])
+        edges = [np.linspace(-0.5, size - 0.5, _CELLS + 1) for size in sizes[side]]
+        counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=edges)
         shares.append(float(np.mean(counts > 0)))
     return shares
 

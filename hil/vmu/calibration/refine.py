@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.messages import Array
-from hil.vmu.calibration.model import PARTS, SCALE, Setup, Sightings, Turntable, see
-from hil.vmu.kernels.chain import COMMON
+from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
+from hil.vmu.kernels.chain import COMMON, SCALE
 
 _STEPS = 60
 
@@ -33,9 +33,7 @@ class Belief:
     layout_sigma: float
 
 
-def belief(
-    setup: Setup, keep: tuple[str, ...], axis_sigma: Array, layout_sigma: float, scale_sigma: float
-) -> Belief:
+def belief(setup: Setup, keep: tuple[str, ...], axis_sigma: Array, layout_sigma: float, scale_sigma: float) -> Belief:
     """Return weak beliefs about ``setup``, wide enough to matter only where the views say nothing.
 
     keep: PARTS to be held as they are. layout_sigma: 0 for a rigid target, whose scale then has ``scale_sigma``.
@@ -60,7 +58,8 @@ def belief(
 class Fit:
     """What was found.
 
-    covariance: (COMMON, COMMON), 3 m more where the layout of the LEDs is found too; zero where held. offsets: (n, 6), by how much the axes stood off their encoders.
+    covariance: (COMMON, COMMON), 3 m more where the layout of the LEDs is found too; zero where held.
+    offsets: (n, 6), by how much the axes stood off their encoders.
     residuals: (n, 2, m, 2), px, seen minus expected, NaN where not seen. noise: what the pixels' told standard
     deviations have to be multiplied by. redundancy: of the pixels. view_square: (n,), sum of the squares of each
     view's white residuals and offsets; view_freedom: their number of degrees of freedom.
@@ -120,7 +119,10 @@ class _System:
         common = problem.columns
         prior[: len(common)] = 1.0 / held.sigma[common] ** 2
         gap[: len(common)] = (held.centre - setup.theta)[common]
-        for part in ("mounting", "target"):  # rotations are counted from where they are: their belief is too wide to matter
+        for part in (
+            "mounting",
+            "target",
+        ):  # rotations are counted from where they are: their belief is too wide to matter
             turn = range(PARTS[part].start, PARTS[part].start + 3)
             gap[: len(common)][np.isin(common, turn)] = 0.0
         if problem.basis is not None:
@@ -241,8 +243,8 @@ class Problem:
             view = inverse + mixed @ shared @ mixed.T
             axis_freedom[i] = 1.0 - np.diagonal(view) * system.axis_weight
             cross = -mixed @ shared  # covariance of the view's own with the shared unknowns
-            leverage = np.sum((a @ shared) * a) + np.sum((b @ view) * b) + 2.0 * np.sum((b @ cross) * a)
-            squares += r @ r
+            leverage = float(np.sum((a @ shared) * a) + np.sum((b @ view) * b) + 2.0 * np.sum((b @ cross) * a))
+            squares += float(r @ r)
             freedom += len(r) - leverage
             view_square[i] = r @ r + system.axis_weight @ offsets[i] ** 2
             view_freedom[i] = len(r) - leverage + axis_freedom[i].sum()

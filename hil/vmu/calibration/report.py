@@ -9,12 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from hil.messages import Array
 from hil.vmu.calibration.job import Checked, Outcome
-from hil.vmu.calibration.model import COMMON, PARTS, SCALE, Parameter, Setup, parameters
+from hil.vmu.calibration.model import PARTS, Parameter, Setup, parameters
 from hil.vmu.calibration.quality import AtRange
+from hil.vmu.kernels.chain import COMMON, SCALE
 
 
 def values(setup: Setup, paper: Setup, leds: bool) -> Array:
-    """Return all numbers of ``setup`` in the order of ``parameters``; the rotations as turns from those of ``paper``."""
+    """Return all numbers of ``setup`` as ``parameters`` has them; the rotations as turns from those of ``paper``."""
     theta = setup.theta.copy()
     for part, mine, other in (
         ("mounting", setup.camera_axes, paper.camera_axes),

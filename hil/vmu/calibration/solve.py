@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -12,8 +13,9 @@ from scipy.stats import chi2
 from hil.errors import BadInput
 from hil.messages import Array
 from hil.vmu.calibration.leds import LEAST_VIEWS, SpotViews, identify
-from hil.vmu.calibration.model import COMMON, PARTS, Setup, Sightings, Turntable, see
+from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
 from hil.vmu.calibration.refine import Belief, Fit, Problem, layout_basis, whiteners
+from hil.vmu.kernels.chain import COMMON
 
 _FAR = 4.0  # times the usual residual of a view
 _DOUBTFUL = 1e-6  # chance of a view that is left out ...
@@ -32,16 +34,14 @@ class Solved:
     spots_left_out: int
 
 
-def solve(
-    seen: Sightings, setup: Setup, turntable: Turntable, held: Belief, doubtful: tuple[str, ...] = ()
-) -> Solved:
+def solve(seen: Sightings, setup: Setup, turntable: Turntable, held: Belief, doubtful: tuple[str, ...] = ()) -> Solved:
     """Return the calibration from ``setup`` on.
 
     Views that do not belong to the rest are left out: those in ``doubtful``, those whose residuals stand out of
     a robust fit, then one by one those whose chi-square nobody would believe.
     """
     nominal = setup.points
-    left_out = {name: "its place does not fit those of the other views" for name in doubtful}
+    left_out = dict.fromkeys(doubtful, "its place does not fit those of the other views")
     seen = seen.only([k for k, name in enumerate(seen.names) if name not in left_out])
     if len(seen.names) < LEAST_VIEWS:
         text = f"{len(seen.names)} views are left that belong together, {LEAST_VIEWS} are needed"
@@ -103,15 +103,17 @@ def _enough(seen: Sightings) -> Sightings:
     """Return the views in which at least three LEDs are known to one camera."""
     good = np.flatnonzero(seen.seen.sum(axis=2).max(axis=1) >= 3)
     if len(good) < LEAST_VIEWS:
-        text = f"{len(good)} of {len(seen.names)} views show 3 LEDs near the places where rig and geometry file put them"
+        text = (
+            f"{len(good)} of {len(seen.names)} views show 3 LEDs near the places where rig and geometry file put them"
+        )
         raise BadInput.single("VIEWS", "", f"{text}, {LEAST_VIEWS} are needed")
     return seen.only(good)
 
 
-def _only(free: Array, part: str) -> Array:
+def _only(free: Array, part: str) -> np.ndarray:
     mask = np.zeros(COMMON, dtype=bool)
     mask[PARTS[part]] = True
-    return free & mask
+    return np.asarray(free & mask)
 
 
 def _view_rms(seen: Sightings, setup: Setup, turntable: Turntable) -> Array:
@@ -120,14 +122,15 @@ def _view_rms(seen: Sightings, setup: Setup, turntable: Turntable) -> Array:
     return out
 
 
-def _strays(seen: Sightings, setup: Setup, turntable: Turntable) -> Array:
+def _strays(seen: Sightings, setup: Setup, turntable: Turntable) -> np.ndarray:
     """Return which points, (n, 2, m), are far from where they should be, beside the rest of their view."""
     gaps = np.array([see(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
-    gaps -= np.nanmedian(gaps, axis=2, keepdims=True)  # what the whole view is off is the encoders'
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a camera that sees nothing in a view
+        gaps -= np.nanmedian(gaps, axis=2, keepdims=True)  # what the whole view is off is the encoders'
     size = np.hypot(gaps[..., 0], gaps[..., 1])
     usual = float(np.nanmedian(size))
-    out: Array = np.nan_to_num(size) > max(6.0 * usual, 0.3)
-    return out
+    return np.asarray(np.nan_to_num(size) > max(6.0 * usual, 0.3))
 
 
 def robust(seen: Sightings, setup: Setup, turntable: Turntable, held: Belief) -> Setup:

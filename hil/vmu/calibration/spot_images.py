@@ -13,14 +13,11 @@ from hil.vmu.calibration.views import Views, read_pair
 from hil.vmu.detect import Detector
 from hil.vmu.spots import AT_BORDER, MERGED
 
-
 FLOOR_PX = 0.01
 """what no centre is known better than, whatever the grey levels say: pixels are not all alike"""
 
 
-def spot_views(
-    views: Views, sizes: Array, sensor: Sensor | None, tell: Callable[[str, float], None]
-) -> SpotViews:
+def spot_views(views: Views, sizes: Array, sensor: Sensor | None, tell: Callable[[str, float], None]) -> SpotViews:
     """Return the spots in both images of all views; those cut by the edge or run together are left out.
 
     sizes: (2, 2), width and height, px. Raises BadInput for images of another size.

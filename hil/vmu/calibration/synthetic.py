@@ -8,7 +8,8 @@ import numpy as np
 
 from hil.maths import euler, quat
 from hil.messages import Array
-from hil.vmu.calibration.model import CAMERA_STATION, TARGET_STATION, Setup, Sightings, Turntable, see
+from hil.vmu.calibration.model import Setup, Sightings, Turntable, see
+from hil.vmu.kernels.chain import CAMERA_STATION, TARGET_STATION
 
 
 def plan(

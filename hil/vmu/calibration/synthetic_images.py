@@ -12,10 +12,11 @@ from scipy.spatial.transform import Rotation
 from hil.maths import euler, quat
 from hil.messages import Array
 from hil.vmu.calibration.board import Board
-from hil.vmu.calibration.model import BASELINE, CAMERA_STATION, CAMERA_TURN, TARGET_STATION, TURN, Setup, Turntable
+from hil.vmu.calibration.model import Setup, Turntable
 from hil.vmu.calibration.views import COLUMNS
-from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.kernels import chain
+from hil.vmu.kernels.chain import BASELINE, CAMERA_STATION, CAMERA_TURN, TARGET_STATION, TURN
+from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.render import Extras, Look, Renderer
 
 _LIGHT, _DARK, _AROUND = 200.0, 30.0, 90.0

@@ -55,9 +55,7 @@ def read_views(place: Path) -> Views:
         axes.append([_number(table, number, column, row[column], problems) for column in COLUMNS[1:]])
         left, right = ((row.get(side) or "").strip() or f"{side}/{name}.png" for side in IMAGE_COLUMNS)
         images.append((table.parent / left, table.parent / right))
-    problems += [
-        Problem(str(path), "", "no such image") for pair in images for path in pair if not path.is_file()
-    ]
+    problems += [Problem(str(path), "", "no such image") for pair in images for path in pair if not path.is_file()]
     if not rows:
         problems.append(Problem(str(table), "", "holds no view"))
     if problems:
@@ -93,7 +91,7 @@ def read_image(path: Path) -> np.ndarray:
 
 
 def read_pair(views: Views, index: int, sizes: Array | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return left and right image of a view; raise BadInput where they are not of ``sizes`` (2, 2), width and height."""
+    """Return both images of a view; raise BadInput where they are not of ``sizes`` (2, 2), width and height."""
     left, right = (read_image(path) for path in views.images[index])
     for image, path, size in zip((left, right), views.images[index], sizes if sizes is not None else (), strict=False):
         if image.shape[::-1] != tuple(int(x) for x in size):
