@@ -1,6 +1,6 @@
 """What a calibration and a drift check are worth: errors beside their reported sigmas over many simulated sets.
 
-    python sims/calibration_study.py [SETS]
+    python sims/calibration_study.py [SETS [LEDs] [board]]
 
 Every set has other cameras, mounting, target and noise. Exit code 1 where an error is not what its sigma says, where a
 drift is missed, or where one is reported that is not there.
@@ -61,15 +61,16 @@ class Kind:
 
 KINDS = (
     Kind("LEDs", True, 40, (0.6, 5.0), 8, (0.6, 2.0)),
-    Kind("board", False, 20, (0.7, 1.5), 8, (0.7, 1.5)),
+    Kind("board", False, 20, (0.7, 1.5), 12, (0.7, 1.5)),
 )
 
 
 def main(words: list[str]) -> int:
     sets = int(words[0]) if words else 50
+    kinds = [kind for kind in KINDS if kind.name in words[1:] or not words[1:]]
     console = Console()
     good = True
-    for kind in KINDS:
+    for kind in kinds:
         errors, found = [], {name: [] for name in DRIFTS}
         for seed in track(range(sets), kind.name, console=Console(stderr=True), transient=True):
             one, checks = one_set(kind, seed)
@@ -128,7 +129,7 @@ def checked(
     known: Calibrated, truth: Setup, kind: Kind, change: dict[str, object], rng: np.random.Generator
 ) -> tuple[bool, str, float]:
     today = shifted(truth, **{name: np.array(values) for name, values in change.items()})
-    axes = plan(truth, known.turntable, kind.views_of_check, kind.range_of_check_m, 15.0, rng, 0.25)
+    axes = plan(truth, known.turntable, kind.views_of_check, kind.range_of_check_m, 20.0, rng, 0.25)
     seen = sight(today, known.turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
     setup = known.setup
     if not kind.on_leds:

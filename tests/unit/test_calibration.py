@@ -188,7 +188,7 @@ def test_no_drift_is_reported_where_there_is_none(known: tuple[Calibrated, Setup
 def test_noisier_pixels_are_no_drift(known: tuple[Calibrated, Setup]) -> None:
     found = today(known, 3, sigma_px=3.0 * PIXEL_SIGMA)
     assert found.chance > 1e-3
-    assert found.noise == pytest.approx(3.0, rel=0.2)
+    assert 2.0 < found.noise < 3.3  # the encoders, whose share is as ever, take part in it
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from hil.vmu.calibration.refine import Belief, belief
 from hil.vmu.calibration.solve import Solved, robust, solve, solve_leds
 from hil.vmu.calibration.spot_images import spot_views
 from hil.vmu.calibration.views import Views
-from hil.vmu.kernels.chain import SCALE
+from hil.vmu.kernels.chain import COMMON, SCALE
 
 Tell = Callable[[str, float], None]
 KEEPABLE = ("left", "right", "stereo", "mounting", "leds")
@@ -202,7 +202,7 @@ def check(views: Views, known: Calibrated, board: Board | None, moved: bool, ran
         begun, seen, _ = boards.start(seen, board, with_board, known.turntable, keep, True)
         setup, elsewhere = _target_found(seen, begun, known), True
     found = drift.check(known, seen, setup, elsewhere)
-    across, depth = quality.displacement(setup, found.explanations[0].change, range_m)
+    across, depth = quality.displacement(setup, found.explanations[0].change[:COMMON], range_m)
     lost = tuple(name for name in views.names if name not in seen.names)
     return Checked(known, setup, found, across, depth, range_m, lost)
 

@@ -16,6 +16,7 @@ RANGES_M: Final = (0.6, 1.0, 2.0, 5.0, 10.0)
 _CELLS = 8
 _FIELD = np.linspace(-0.8, 0.8, 5)  # of half the field of view
 _CAMERAS = slice(0, PARTS["mounting"].start)
+_PLACED = np.r_[0 : PARTS["target"].start, PARTS["target"].start + 3 : SCALE]  # all but the target's turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,21 +31,22 @@ class AtRange:
 
 
 def _both_cameras(setup: Setup, p_v: Array) -> tuple[Array, Array, Array]:
-    """Return pixels (4,), slopes by the cameras' numbers (4, 24) and by the place in v (4, 3) of the point ``p_v``."""
+    """Return pixels (4,), slopes by all shared numbers (4, COMMON) and by the place in v (4, 3), m, of ``p_v``."""
     still = Turntable(np.zeros(3), np.array([2, 1, 0]))
     theta = setup.theta.copy()
     theta[PARTS["mounting"]] = 0.0
     theta[PARTS["target"]] = 0.0
     theta[SCALE] = 1.0
-    at_origin = Setup(theta, np.eye(3), np.eye(3), p_v.reshape(1, 3), setup.sizes)
+    back = np.ascontiguousarray(setup.camera_axes.T)
+    at_origin = Setup(theta, setup.camera_axes, back, p_v.reshape(1, 3), setup.sizes)
     slopes = see(at_origin, still, np.zeros(6))
-    return slopes.pixels.ravel(), slopes.by_common[:, 0, :, _CAMERAS].reshape(4, -1), slopes.by_point.reshape(4, 3)
+    return slopes.pixels.ravel(), slopes.by_common.reshape(4, COMMON), slopes.by_point.reshape(4, 3)
 
 
 def field(setup: Setup, range_m: float) -> list[tuple[Array, Array]]:
-    """Return, for places all over what both cameras see at ``range_m``, how pixels and cameras' numbers move the place.
+    """Return, for places all over what both cameras see at ``range_m``, how pixels and numbers move the place.
 
-    Each (3, 4), m/px, and (3, 24): the place that is triangulated from the same pixels with other numbers.
+    Each (3, 4), m/px, and (3, COMMON): the place that is triangulated from the same pixels with other numbers.
     """
     found: list[tuple[Array, Array]] = []
     focal, size = setup.theta[:2], setup.sizes[0]
@@ -67,7 +69,7 @@ def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -
         return None
     cameras = covariance[_CAMERAS, _CAMERAS]
     noise = np.mean([np.diagonal(p @ p.T) * sigma_px**2 for p, _ in places], axis=0)
-    numbers = np.mean([np.diagonal(g @ cameras @ g.T) for _, g in places], axis=0)
+    numbers = np.mean([np.diagonal(g[:, _CAMERAS] @ cameras @ g[:, _CAMERAS].T) for _, g in places], axis=0)
     spread = [1e3 * float(np.sqrt(v)) for v in (noise[:2].mean(), noise[2], numbers[:2].mean(), numbers[2])]
     return AtRange(range_m, *spread)
 
@@ -75,9 +77,10 @@ def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -
 def displacement(setup: Setup, change: Array, range_m: float) -> tuple[float, float]:
     """Return by how much the place of a point at ``range_m`` is off, across and in depth, mm RMS over the field.
 
-    change: (COMMON,), by which the cameras differ from their numbers.
+    change: (COMMON,), by which cameras, mounting and the target's station differ from their numbers. The place is that
+    in the chaser's axes as the left camera has them.
     """
-    moves = np.array([g @ change[_CAMERAS] for _, g in field(setup, range_m)]).reshape(-1, 3)
+    moves = np.array([g[:, _PLACED] @ change[_PLACED] for _, g in field(setup, range_m)]).reshape(-1, 3)
     if not len(moves):
         return 0.0, 0.0
     square = np.mean(moves**2, axis=0)

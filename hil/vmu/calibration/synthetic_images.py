@@ -20,7 +20,7 @@ from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.render import Extras, Look, Renderer
 
 _LIGHT, _DARK, _AROUND = 200.0, 30.0, 90.0
-_FINE = 4  # rays along each side of a pixel
+_FINE = 3  # rays along each side of a pixel
 
 
 def camera_pair_of(setup: Setup) -> CameraPair:
@@ -47,7 +47,7 @@ def pose(setup: Setup, turntable: Turntable, axes: Array) -> tuple[Array, Array]
 def board_pair(
     setup: Setup, turntable: Turntable, axes: Array, board: Board, noise_levels: float, generator: np.random.Generator
 ) -> list[np.ndarray]:
-    """Return left and right image of the board, 8 bit: each pixel is the mean of 4 x 4 rays, blurred by 0.7 px."""
+    """Return left and right image of the board, 8 bit: each pixel is the mean of 3 x 3 rays, blurred by 0.7 px."""
     turn, t_v = pose(setup, turntable, axes)
     pair = camera_pair_of(setup)
     images = []
