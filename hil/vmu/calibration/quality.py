@@ -14,7 +14,7 @@ from hil.vmu.kernels.chain import COMMON, SCALE
 
 RANGES_M: Final = (0.6, 1.0, 2.0, 5.0, 10.0)
 _CELLS = 8
-_FIELD = np.linspace(-0.8, 0.8, 5)  # of half the field of view
+_FIELD = np.linspace(-0.8, 0.8, 9)  # of half the field of view
 _CAMERAS = slice(0, PARTS["mounting"].start)
 _PLACED = np.r_[0 : PARTS["target"].start, PARTS["target"].start + 3 : SCALE]  # all but the target's turn
 
