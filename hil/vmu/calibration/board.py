@@ -20,6 +20,8 @@ from hil.vmu.kernels.chain import BASELINE, CAMERA_STATION, CAMERA_TURN, SCALE, 
 CORNER_SIGMA_PX = 0.1
 """to begin with; the fit finds how good the corners are"""
 LEAST_VIEWS = 4
+_WINDOW = 0.35  # half the side of the window about a corner, of the distance to the next one
+_UNTIL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +45,12 @@ def find_corners(image: np.ndarray, board: Board) -> Array | None:
     found, corners = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=flags)
     if not found:
         return None
-    places: Array = np.asarray(corners, dtype=float).reshape(-1, 2)
-    return places
+    # what is found so far is off by up to 0.1 px, all corners of a view alike: the saddle points themselves are not
+    grid = np.asarray(corners).reshape(board.rows, board.columns, 2)
+    apart = min(float(np.linalg.norm(np.diff(grid, axis=k), axis=2).min()) for k in range(2))
+    half = int(np.clip(_WINDOW * apart, 2, 11))
+    refined = cv2.cornerSubPix(image, np.asarray(corners, dtype=np.float32), (half, half), (-1, -1), _UNTIL)
+    return np.asarray(refined, dtype=float).reshape(-1, 2)
 
 
 def sightings(views: Views, board: Board, tell: Callable[[str, float], None]) -> tuple[Sightings, Array]:
