@@ -61,7 +61,7 @@ class Kind:
 
 KINDS = (
     Kind("LEDs", True, 40, (0.6, 5.0), 8, (0.6, 2.0)),
-    Kind("board", False, 20, (0.7, 1.5), 12, (0.7, 1.5)),
+    Kind("board", False, 20, (0.7, 1.5), 8, (0.7, 1.5)),
 )
 
 
@@ -129,7 +129,7 @@ def checked(
     known: Calibrated, truth: Setup, kind: Kind, change: dict[str, object], rng: np.random.Generator
 ) -> tuple[bool, str, float]:
     today = shifted(truth, **{name: np.array(values) for name, values in change.items()})
-    axes = plan(truth, known.turntable, kind.views_of_check, kind.range_of_check_m, 20.0, rng, 0.25)
+    axes = plan(truth, known.turntable, kind.views_of_check, kind.range_of_check_m, 15.0, rng, 0.25)
     seen = sight(today, known.turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
     setup = known.setup
     if not kind.on_leds:

@@ -21,6 +21,7 @@ CORNER_SIGMA_PX = 0.1
 """to begin with; the fit finds how good the corners are"""
 LEAST_VIEWS = 4
 _WINDOW = 0.35  # half the side of the window about a corner, of the distance to the next one
+_FARTHEST_PX = 0.5
 _UNTIL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
 
 
@@ -50,7 +51,9 @@ def find_corners(image: np.ndarray, board: Board) -> Array | None:
     apart = min(float(np.linalg.norm(np.diff(grid, axis=k), axis=2).min()) for k in range(2))
     half = int(np.clip(_WINDOW * apart, 2, 11))
     refined = cv2.cornerSubPix(image, np.asarray(corners, dtype=np.float32), (half, half), (-1, -1), _UNTIL)
-    return np.asarray(refined, dtype=float).reshape(-1, 2)
+    places, before = (np.asarray(found, dtype=float).reshape(-1, 2) for found in (refined, corners))
+    # one that goes far has met the board's edge or a speck
+    return np.where(np.linalg.norm(places - before, axis=1, keepdims=True) < _FARTHEST_PX, places, before)
 
 
 def sightings(views: Views, board: Board, tell: Callable[[str, float], None]) -> tuple[Sightings, Array]:
