@@ -259,7 +259,7 @@ def calibrate(
     max_mounting_mm: float = 1.0,
     max_mounting_deg: float = 0.05,
     max_square_percent: float = 0.3,
-    max_drift_px: float = 0.01,
+    max_drift_px: float = 0.03,
     alarm: float = 1e-3,
     settings: Settings = (),
 ) -> int:
