@@ -270,6 +270,129 @@ def vmu(
     return vmu_command(folder, geometry, out, rate_hz, overlay, start_frame, start_pose, json)
 
 
+@app.command
+def calibrate(
+    views: str,
+    /,
+    *,
+    check: str | None = None,
+    board: str | None = None,
+    square_mm: float | None = None,
+    rig: str = "mock",
+    geometry: str | None = None,
+    keep: Annotated[tuple[str, ...], Parameter(negative=())] = (),
+    moved: Annotated[bool, Parameter(negative=())] = False,
+    out: Output = None,
+    rig_out: Output = None,
+    json: Output = None,
+    figure: str | None = None,
+    id: str | None = None,
+    date: str | None = None,
+    rail_sigma_mm: float = 0.05,
+    gimbal_sigma_deg: float = 0.005,
+    led_sigma_mm: float = 1.0,
+    square_sigma_percent: float = 0.1,
+    max_rms_px: float = 0.3,
+    max_error_mm: float = 2.0,
+    range_m: float = 2.0,
+    max_mounting_mm: float = 1.0,
+    max_mounting_deg: float = 0.05,
+    max_square_percent: float = 0.3,
+    max_drift_px: float = 0.03,
+    alarm: float = 1e-3,
+    settings: Settings = (),
+) -> int:
+    """Calibrate the vision unit from views at known places of the bench, or check a calibration of an earlier day.
+
+    Parameters
+    ----------
+    views
+        Folder with views.csv and the images (docs/calibration.md), or the path of such a CSV file.
+    check
+        Geometry file that hil calibrate wrote: has anything moved since? Takes a few views.
+    board
+        The target is a chessboard with so many inner corners, 11x8; without it the LEDs are.
+    square_mm
+        Side of a square of the board.
+    rig
+        mock, emulated, or the path of a rig file: lever arm, gimbals, and mounting and LEDs on paper.
+    geometry
+        Cameras and LEDs to begin with, instead of the rig file's.
+    keep
+        left, right, stereo, mounting or leds: held as the files have it; may be given more than once.
+    moved
+        With --check: the LED ring was taken off and put back since.
+    out
+        Geometry file (*.toml) to write.
+    rig_out
+        Rig file (*.toml) to write: it extends this rig by the mounting that was found.
+    json
+        File to write the numbers to, - for standard output.
+    figure
+        Picture of residuals, views and millimetres over range (PNG, PDF or SVG).
+    id
+        Name of the calibration.
+    date
+        Of the calibration, 2026-03-01; today where it is left away.
+    rail_sigma_mm
+        How far a rail may be off its encoder, 1 sigma.
+    gimbal_sigma_deg
+        How far a gimbal may be off its encoder, 1 sigma.
+    led_sigma_mm
+        How far the LEDs may be off their places on paper, 1 sigma.
+    square_sigma_percent
+        How far the squares may be off their told size, 1 sigma.
+    max_rms_px
+        Limit of the residuals, RMS.
+    max_error_mm
+        Limit of what the calibration leaves uncertain of a point's place at --range-m, 1 sigma.
+    range_m
+        Working range that is judged.
+    max_mounting_mm
+        Limit of the standard deviation of the camera's station.
+    max_mounting_deg
+        Limit of the standard deviation of the camera's axes.
+    max_square_percent
+        Limit of the difference between the board's told size and the one that the rails say.
+    max_drift_px
+        With --check: a drift below this is let pass, RMS over all pixels.
+    alarm
+        With --check: a drift is one when chance alone would make it look so less often than this.
+    """
+    from hil.cli.calibrate import Options, calibrate_command
+
+    chosen = Options(
+        views=views,
+        check=check,
+        board=board,
+        square_mm=square_mm,
+        rig=rig,
+        geometry=geometry,
+        keep=keep,
+        moved=moved,
+        out=out,
+        rig_out=rig_out,
+        json=json,
+        figure=figure,
+        id=id,
+        date=date,
+        rail_sigma_mm=rail_sigma_mm,
+        gimbal_sigma_deg=gimbal_sigma_deg,
+        led_sigma_mm=led_sigma_mm,
+        square_sigma_percent=square_sigma_percent,
+        max_rms_px=max_rms_px,
+        max_error_mm=max_error_mm,
+        range_m=range_m,
+        max_mounting_mm=max_mounting_mm,
+        max_mounting_deg=max_mounting_deg,
+        max_square_percent=max_square_percent,
+        max_drift_px=max_drift_px,
+        alarm=alarm,
+        settings=settings,
+    )
+    return calibrate_command(chosen)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     # also where a shell started this with Ctrl-C ignored: a bench must always be stoppable

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from hil.config.model import NotNegative, Positive, Strict, Triple
+from hil.config.vmu_calibration import Calibration
 
 Pixels = Annotated[int, Field(ge=16, le=16384)]
 Distortion = Annotated[tuple[float, float, float, float, float], Field()]
@@ -47,3 +48,5 @@ class VmuGeometry(Strict):
     marked_led: Annotated[int, Field(ge=0)] | None = None
     """index of the LED that is brighter than the others, where one is"""
     sensor: Sensor | None = None
+    calibration: Calibration | None = None
+    """where the numbers come from, as ``hil calibrate`` wrote it"""

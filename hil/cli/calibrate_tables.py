@@ -1,0 +1,121 @@
+"""What ``hil calibrate`` prints."""
+
+from __future__ import annotations
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from hil.vmu.calibration.job import Checked, Outcome
+from hil.vmu.calibration.model import Parameter, parameters
+from hil.vmu.calibration.report import found_numbers
+from hil.vmu.kernels.chain import COMMON
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
+    for k, column in enumerate(columns):
+        table.add_column(column, justify="right" if k else "left", no_wrap=True)
+    return table
+
+
+def _shown(value: float, sigma: float) -> tuple[str, str]:
+    """Return both with the digits that the standard deviation calls for."""
+    digits = next((d for d in range(9) if sigma >= 2.0 * 10.0**-d), 8)
+    return f"{value:.{digits}f}", f"{sigma:.{digits}f}"
+
+
+def print_outcome(outcome: Outcome, console: Console) -> None:
+    """Print a calibration."""
+    solved, fit = outcome.solved, outcome.solved.fit
+    numbers = _table("What was found", "", "value", "sigma", "on paper", "unit")
+    last = ""
+    for parameter, value, sigma, paper in found_numbers(outcome):
+        part = parameter.name.partition(".")[0]
+        if last and part != last and not (part.startswith("led_") and last.startswith("led_")):
+            numbers.add_section()
+        last = part
+        _add_number(numbers, parameter, value, sigma, paper)
+    console.print(numbers)
+    ranges = _table("Place of one point seen by both cameras, 1 sigma, mm", "range m", "noise: across", "depth")
+    ranges.add_column("calibration: across", justify="right")
+    ranges.add_column("depth", justify="right")
+    for found in outcome.at_ranges:
+        noise = (f"{found.noise_across_mm:.3f}", f"{found.noise_depth_mm:.3f}")
+        ranges.add_row(
+            f"{found.range_m:g}", *noise, f"{found.calibration_across_mm:.3f}", f"{found.calibration_depth_mm:.3f}"
+        )
+    console.print(ranges)
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True, markup=True)
+
+    covered = ", ".join(f"{side} {100 * s:.0f} %" for side, s in zip(("left", "right"), outcome.shares, strict=True))
+    say(
+        f"{len(solved.sightings.names)} views, {int(solved.sightings.seen.sum())} points, residuals {fit.rms_px:.3f} px"
+        f" RMS, noise {outcome.sigma_px:.3f} px; images covered: {covered}"
+    )
+    say(f"rails off their encoders by {fit.axis_ratio[0]:.2f}, gimbals by {fit.axis_ratio[1]:.2f} of what was told")
+    if solved.spots_left_out:
+        say(f"{solved.spots_left_out} spots left out: not where the rest of their view says")
+    for name, why in solved.left_out.items():
+        say(f"left out  {name}: {why}")
+    for warning in outcome.warnings:
+        say(f"warning   {warning}")
+    for check in outcome.checks:
+        word = "ok  " if check.passed else "FAIL"
+        say(f"{word}      {check.name} {check.value:.4g} {check.unit}, allowed {check.limit:g} {check.unit}")
+    say(f"{'[bold green]PASS[/]' if outcome.passed else '[bold red]FAIL[/]'} {outcome.label.id}")
+
+
+def _add_number(table: Table, parameter: Parameter, value: float, sigma: float, paper: float) -> None:
+    shown, spread = _shown(value, sigma)
+    table.add_row(parameter.name, shown, spread, f"{paper:g}", parameter.unit)
+
+
+def print_check(checked: Checked, passed: bool, limits: dict[str, float], console: Console) -> None:
+    """Print a drift check."""
+    found, known = checked.drift, checked.known
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True)
+
+    table = _table(
+        f"Against {known.label.id} of {known.label.date}", "part", "chi-square", "numbers", "chance", "shift px"
+    )
+    for e in found.explanations:
+        table.add_row(e.part, f"{e.square:.1f}", str(e.freedom), f"{e.chance:.1e}", f"{e.shift_px:.3f}")
+    console.print(table)
+    say(
+        f"{found.views} views, {found.points} points: residuals {found.rms_px:.3f} px RMS,"
+        f" noise {found.noise:.2f} times that of the calibration"
+    )
+    if checked.lost:
+        say(f"not used  {', '.join(checked.lost)}: the target is not seen, or not where it should be")
+    best = found.explanations[0]
+    significant = found.chance < limits["alarm"]
+    if significant:
+        say(
+            f"drift     {' or '.join(found.alike)} moved"
+            f" (by chance: {found.chance:.1e}, alarm below {limits['alarm']:g})"
+        )
+        told = parameters(len(known.setup.points) if len(best.change) > COMMON else 0)
+        moved = sorted(
+            (
+                (abs(c / s), p, c * p.shown, s * p.shown)
+                for p, c, s in zip(told, best.change, best.sigma, strict=True)
+                if s
+            ),
+            key=lambda row: -row[0],
+        )
+        for _, p, change, sigma in moved[:3]:
+            say(f"          {p.name} by {change:+.4g} +- {sigma:.2g} {p.unit}")
+        say(
+            f"          shifts the pixels by {best.shift_px:.3f} px RMS, allowed {limits['drift_px']:g};"
+            f" a point at {checked.range_m:g} m by {checked.across_mm:.3f} mm across,"
+            f" {checked.depth_mm:.3f} mm in depth"
+        )
+    else:
+        say(f"no drift  (by chance: {found.chance:.2f}, alarm below {limits['alarm']:g})")
+    say(f"{'ok  ' if found.rms_px <= limits['rms_px'] else 'FAIL'}      residuals, allowed {limits['rms_px']:g} px")
+    say(f"{'[bold green]PASS[/]' if passed else '[bold red]FAIL[/]'} {known.label.id}")

@@ -1,0 +1,210 @@
+"""Chessboards: their corners in the images, and the start of a calibration from them (OpenCV)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hil.errors import BadInput
+from hil.maths import euler, quat
+from hil.messages import Array
+from hil.vmu.calibration.hand_eye import hand_eye
+from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, Turntable
+from hil.vmu.calibration.views import Views, read_pair
+from hil.vmu.kernels.chain import BASELINE, CAMERA_STATION, CAMERA_TURN, SCALE, TARGET_STATION, TARGET_TURN, TURN
+
+CORNER_SIGMA_PX = 0.1
+"""to begin with; the fit finds how good the corners are"""
+LEAST_VIEWS = 4
+_WINDOW = 0.35  # half the side of the window about a corner, of the distance to the next one
+_FARTHEST_PX = 0.5
+_UNTIL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """columns, rows: inner corners along the longer and the other side. square_m: side of a square."""
+
+    columns: int
+    rows: int
+    square_m: float
+
+    def points(self) -> Array:
+        """Return the corners in the board's axes, (columns rows, 3), m: origin at the middle, x along a row."""
+        x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
+        flat = np.stack([x.ravel() - (self.columns - 1) / 2, y.ravel() - (self.rows - 1) / 2, 0.0 * x.ravel()], axis=1)
+        return np.ascontiguousarray(flat * self.square_m)
+
+
+def find_corners(image: np.ndarray, board: Board) -> Array | None:
+    """Return the corners, (columns rows, 2), px, or None. Which of the two ends comes first is left open."""
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
+    found, corners = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=flags)
+    if not found:
+        return None
+    # what is found so far is off by up to 0.1 px, all corners of a view alike: the saddle points themselves are not
+    grid = np.asarray(corners).reshape(board.rows, board.columns, 2)
+    apart = min(float(np.linalg.norm(np.diff(grid, axis=k), axis=2).min()) for k in range(2))
+    half = int(np.clip(_WINDOW * apart, 2, 11))
+    refined = cv2.cornerSubPix(image, np.asarray(corners, dtype=np.float32), (half, half), (-1, -1), _UNTIL)
+    places, before = (np.asarray(found, dtype=float).reshape(-1, 2) for found in (refined, corners))
+    # one that goes far has met the board's edge or a speck
+    return np.where(np.linalg.norm(places - before, axis=1, keepdims=True) < _FARTHEST_PX, places, before)
+
+
+def sightings(views: Views, board: Board, tell: Callable[[str, float], None]) -> tuple[Sightings, Array]:
+    """Return the corners of all views that show the board to both cameras, and the images' sizes (2, 2).
+
+    Raises BadInput where too few do.
+    """
+    sizes: Array | None = None
+    m = board.columns * board.rows
+    pixels = np.full((len(views.names), 2, m, 2), np.nan)
+    for k, name in enumerate(views.names):
+        tell(f"corners of view {name}", k / len(views.names))
+        pair = read_pair(views, k, sizes)
+        if sizes is None:
+            sizes = np.array([image.shape[::-1] for image in pair], dtype=float)
+        for side, image in enumerate(pair):
+            corners = find_corners(image, board)
+            if corners is not None:
+                pixels[k, side] = corners
+        _same_end_first(pixels[k])
+    both = np.isfinite(pixels).all(axis=(1, 2, 3))
+    if sizes is None or both.sum() < LEAST_VIEWS:
+        text = (
+            f"{int(both.sum())} of {len(views.names)} views show a board of {board.columns}x{board.rows} inner corners"
+        )
+        raise BadInput.single("--board", "", f"{text} to both cameras, {LEAST_VIEWS} are needed")
+    covariance = np.broadcast_to(CORNER_SIGMA_PX**2 * np.eye(2), (*pixels.shape, 2)).copy()
+    return Sightings(views.names, views.axes, pixels, covariance).only(np.flatnonzero(both)), sizes
+
+
+def _same_end_first(pixels: Array) -> None:
+    """Turn the right image's corners round, in place, where they begin at the other end of the board."""
+    along = pixels[:, -1] - pixels[:, 0]
+    if float(along[0] @ along[1]) < 0.0:
+        pixels[1] = pixels[1, ::-1]
+
+
+def _matrix(numbers: Array) -> Array:
+    return np.array([[numbers[0], 0.0, numbers[2]], [0.0, numbers[1], numbers[3]], [0.0, 0.0, 1.0]])
+
+
+def _intrinsics(seen: Sightings, points: Array, side: int, size: Array, guess: Array | None) -> Array:
+    """Return the nine numbers of one camera from its own views of the board (Zhang's method, then all of them)."""
+    objects = [points.astype(np.float32)] * len(seen.names)
+    images = [pixels.astype(np.float32) for pixels in seen.pixels[:, side]]
+    flags = cv2.CALIB_FIX_K3
+    matrix: np.ndarray = np.eye(3)
+    lens: np.ndarray = np.zeros(5)
+    if guess is not None:
+        flags |= cv2.CALIB_USE_INTRINSIC_GUESS
+        matrix, lens = _matrix(guess), guess[4:].copy()
+    shape = (int(size[0]), int(size[1]))
+    try:
+        _, matrix, lens, *_ = cv2.calibrateCamera(objects, images, shape, matrix, lens, flags=flags)
+    except cv2.error as error:
+        raise BadInput.single("VIEWS", SIDES[side], "the views do not determine this camera; tilt the board") from error
+    lens = np.asarray(lens, dtype=float).ravel()
+    return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens[:5]])
+
+
+def _pose(points: Array, pixels: Array, numbers: Array) -> tuple[Array, Array]:
+    _, turn, place = cv2.solvePnP(points, pixels, _matrix(numbers), numbers[4:], flags=cv2.SOLVEPNP_IPPE)
+    turn, place = cv2.solvePnPRefineLM(points, pixels, _matrix(numbers), numbers[4:], turn, place)
+    return Rotation.from_rotvec(np.asarray(turn, dtype=float).ravel()).as_matrix(), np.asarray(
+        place, dtype=float
+    ).ravel()
+
+
+def _stereo(seen: Sightings, points: Array, left: Array, right: Array, size: Array) -> tuple[Array, Array, np.ndarray]:
+    """Return rotation vector and baseline of the right camera, and the views whose pairs agree."""
+    poses = [
+        (k, _pose(points, seen.pixels[k, 0], left), _pose(points, seen.pixels[k, 1], right))
+        for k in range(len(seen.names))
+    ]
+    # a pair the other way round must be made by the same turn: p_v = R p_r + b
+    turns = np.array([a[0] @ b[0].T for _, a, b in poses])
+    places = np.array([a[1] - a[0] @ b[0].T @ b[1] for _, a, b in poses])
+    apart = np.array([Rotation.from_matrix(turns @ turn.T).magnitude() for turn in turns])
+    between = np.linalg.norm(places[:, None] - places[None], axis=2)
+    middle = int(np.argmin(np.median(apart, axis=1) / 1e-3 + np.median(between, axis=1) / 1e-2))
+    angle_far, far = 5.0 * max(np.median(apart[middle]), 1e-3), 5.0 * max(np.median(between[middle]), 1e-3)
+    agree = [
+        k for k, (a, d) in enumerate(zip(apart[middle], between[middle], strict=True)) if a < angle_far and d < far
+    ]
+    chosen = [poses[k][0] for k in agree]
+    objects = [points.astype(np.float32)] * len(chosen)
+    if len(chosen) < LEAST_VIEWS:
+        text = f"left and right image belong together in {len(chosen)} views, {LEAST_VIEWS} are needed"
+        raise BadInput.single("VIEWS", "", text)
+    lefts, rights = ([seen.pixels[k, side].astype(np.float32) for k in chosen] for side in range(2))
+    eye, zero = np.eye(3), np.zeros(3)  # only the flags' word makes them a start
+    shape = (int(size[0]), int(size[1]))
+    cameras = (_matrix(left), left[4:], _matrix(right), right[4:])
+    fixed = cv2.CALIB_FIX_INTRINSIC
+    found = cv2.stereoCalibrate(objects, lefts, rights, *cameras, shape, eye, zero, flags=fixed)
+    # OpenCV: p_r = R p_v + T
+    turn, place = np.asarray(found[5], dtype=float), np.asarray(found[6], dtype=float).ravel()
+    return Rotation.from_matrix(turn.T).as_rotvec(), np.asarray(-turn.T @ place, dtype=float), np.array(chosen)
+
+
+def start(
+    seen: Sightings, board: Board, nominal: Setup, turntable: Turntable, keep: tuple[str, ...], guess: bool
+) -> tuple[Setup, Sightings, tuple[str, ...]]:
+    """Return cameras, mounting and board as OpenCV and the hand-eye start have them.
+
+    Also the sightings with both ends of the board told apart, and the names of the views that do not fit at all.
+    guess: begin the cameras at ``nominal``, whose points are the board's.
+    """
+    theta = nominal.theta.copy()
+    for side, part in enumerate(SIDES):
+        if part not in keep:
+            old = theta[PARTS[part]] if guess else None
+            theta[PARTS[part]] = _intrinsics(seen, nominal.points, side, nominal.sizes[side], old)
+    left, right = theta[PARTS["left"]], theta[PARTS["right"]]
+    turn, baseline, agree = _stereo(seen, nominal.points, left, right, nominal.sizes[0])
+    if "stereo" not in keep:
+        theta[TURN:BASELINE], theta[BASELINE:CAMERA_TURN] = turn, baseline
+    poses = [_pose(nominal.points, seen.pixels[k, 0], left) for k in agree]
+    gimbals = np.array(
+        [quat.to_matrix(euler.to_quaternion(np.ascontiguousarray(seen.axes[k, 3:]), turntable.order)) for k in agree]
+    )
+    turns, flipped = _ends_told_apart(np.array([pose[0] for pose in poses]), gimbals)
+    pixels = seen.pixels.copy()
+    for k in agree[flipped]:
+        pixels[k] = pixels[k, :, ::-1]
+    places = np.array([pose[1] for pose in poses])
+    arm = turntable.lever_arm + theta[CAMERA_STATION:TARGET_TURN]
+    found = hand_eye(turns, places, gimbals, seen.axes[agree, :3], nominal.camera_axes, arm)
+    camera_axes = found.camera_axes
+    if "mounting" in keep:
+        camera_axes = nominal.camera_axes
+    else:
+        theta[CAMERA_STATION:TARGET_TURN] = found.arm - turntable.lever_arm
+    theta[TARGET_STATION:SCALE] = found.station
+    begun = replace(nominal, theta=theta, camera_axes=camera_axes, target_axes=np.ascontiguousarray(found.target_axes))
+    good = set(agree[found.good])
+    bad = tuple(name for k, name in enumerate(seen.names) if k not in good)
+    return begun, replace(seen, pixels=pixels), bad
+
+
+def _ends_told_apart(turns: Array, gimbals: Array) -> tuple[Array, Array]:
+    """Return the turns with boards that were read from the other end turned by half a turn, and which were.
+
+    The turn from one view to the next has the angle by which the turntable turned.
+    """
+    half = np.diag([-1.0, -1.0, 1.0])
+    tries = []
+    for turn, gimbal in zip(turns, gimbals, strict=True):  # counted from each view, as one may be wrong
+        made = Rotation.from_matrix(gimbals @ gimbal.T).magnitude()
+        as_read = np.abs(Rotation.from_matrix(turns @ turn.T).magnitude() - made)
+        turned = np.abs(Rotation.from_matrix(turns @ half @ turn.T).magnitude() - made)
+        tries.append((float(np.sum(np.minimum(as_read, turned))), turned < as_read))
+    flipped = min(tries, key=lambda found: found[0])[1]
+    return np.where(flipped[:, None, None], turns @ half, turns), flipped

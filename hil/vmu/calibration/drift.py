@@ -1,0 +1,160 @@
+"""Whether the cameras are still what a calibration said, from a few views, and if not, what moved.
+
+Today's pixels, minus what the calibration expects, are linear in what may have changed. Their covariance is that of the
+spots, of the encoders and of the calibration itself; with it every explanation has a chi-square: how much of today's
+square sum it takes away (docs/decisions/0080).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f
+
+from hil.messages import Array
+from hil.vmu.calibration.files import MOST_LEDS, Calibrated
+from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
+from hil.vmu.calibration.refine import information, layout_basis
+from hil.vmu.kernels.chain import COMMON
+
+_AS_GOOD = 10.0  # of the square sum: explanations nearer than this to the best are not told apart from it
+_LEAST_SHARE = 1e-9  # of the largest eigenvalue, below which a direction is not seen at all
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """One part that may have moved.
+
+    square: by how much that makes today's square sum less. freedom: how many numbers it takes. chance: of that much
+    by noise alone. change, sigma: (COMMON,) or (COMMON + 3 m,), of all numbers, zero for those of other parts.
+    shift_px: RMS of what it does to the pixels.
+    """
+
+    part: str
+    square: float
+    freedom: int
+    chance: float
+    change: Array
+    sigma: Array
+    shift_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Today against a calibration.
+
+    rms_px: of today's residuals, the encoders' errors and all. noise: of today's pixels, by that of the calibration.
+    square, freedom: of all parts together. chance: that noise alone looks so much like a drift, of all parts or of one.
+    explanations: best first. alike: the parts that explain about as much as the best, it among them.
+    """
+
+    views: int
+    points: int
+    rms_px: float
+    noise: float
+    square: float
+    freedom: int
+    chance: float
+    explanations: tuple[Explanation, ...]
+    alike: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Score:
+    """The gradient and the information (both of all numbers) of today's square sum ``square``, priors included."""
+
+    gradient: Array
+    matrix: Array
+    square: float
+
+    def best(self, directions: Array) -> tuple[float, int, Array, Array]:
+        """Return what moving along ``directions`` (n, k) takes off, the rank, the change and its covariance."""
+        matrix = directions.T @ self.matrix @ directions
+        scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+        values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
+        seen = values > _LEAST_SHARE * max(float(values[-1]), 1e-300)
+        along = directions @ (scale[:, None] * vectors[:, seen] / np.sqrt(values[seen]))
+        components = along.T @ self.gradient
+        return float(components @ components), int(seen.sum()), along @ components, along @ along.T
+
+    def freed(self, directions: Array) -> _Score:
+        """Return the score that is left when ``directions`` may be anything."""
+        gain, _, change, covariance = self.best(directions)
+        moved = self.matrix @ covariance
+        return _Score(self.gradient - self.matrix @ change, self.matrix - moved @ self.matrix, self.square - gain)
+
+
+def check(known: Calibrated, seen: Sightings, setup: Setup, target_moved: bool) -> Drift:
+    """Return how far ``seen`` is from what ``known`` expects.
+
+    setup: that of ``known``, with the points of today's target; where ``target_moved`` the target's place is only
+    about right, and may be any.
+    """
+    on_leds = len(setup.points) <= MOST_LEDS
+    found = information(seen, setup, known.turntable, known.axis_sigma, known.noise, on_leds)
+    size = len(found.score)
+    score = _with_prior(found.matrix, found.score, found.square, known.covariance, size)
+    parts = _directions(setup, size)
+    rows = found.rows
+    target = parts.pop("target")
+    if target_moved:
+        rows -= score.best(target)[1]
+        score = score.freed(target)
+    else:
+        parts["target"] = target
+    square, freedom, _, _ = score.best(np.hstack(list(parts.values())))
+    left = max(rows - freedom, 1)
+    noise2 = max(score.square - square, 1e-12) / left
+    explanations = []
+    for name, directions in parts.items():
+        gain, rank, change, covariance = score.best(directions)
+        sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        shift = _shift_px(seen, setup, known.turntable, change)
+        chance = float(f.sf(gain / rank / noise2, rank, left))
+        explanations.append(Explanation(name, gain / noise2, rank, chance, change, sigma, shift))
+    worth = {e.part: e.square - e.freedom * math.log(max(rows, 3)) for e in explanations}
+    explanations.sort(key=lambda e: -worth[e.part])
+    alike = tuple(e.part for e in explanations if worth[e.part] > worth[explanations[0].part] - _AS_GOOD)
+    together = float(f.sf(square / freedom / noise2, freedom, left))
+    # all parts at once and each alone are so many tries at a small chance (Bonferroni)
+    chance = min(1.0, (1 + len(explanations)) * min(together, *(e.chance for e in explanations)))
+    counts = (len(seen.names), int(seen.seen.sum()))
+    return Drift(*counts, found.rms_px, math.sqrt(noise2), square / noise2, freedom, chance, tuple(explanations), alike)
+
+
+def _with_prior(matrix: Array, score: Array, square: float, covariance: Array, size: int) -> _Score:
+    """Return the score with the calibration's own uncertainty in the pixels' covariance (Woodbury)."""
+    prior = np.zeros((size, size))
+    n = min(size, len(covariance))
+    prior[:n, :n] = covariance[:n, :n]
+    scale = np.sqrt(np.maximum(np.diagonal(prior), 1e-300))
+    values, vectors = np.linalg.eigh(prior / scale[:, None] / scale)
+    factor = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    inner = np.eye(size) + factor.T @ matrix @ factor
+    through = np.linalg.solve(inner, factor.T @ np.column_stack([matrix, score]))
+    mixed = matrix @ factor
+    projected = float(score @ factor @ through[:, -1])
+    return _Score(score - mixed @ through[:, -1], matrix - mixed @ through[:, :-1], square - projected)
+
+
+def _directions(setup: Setup, size: int) -> dict[str, Array]:
+    """Return along which numbers each part may move, (size, k)."""
+    found = {name: np.eye(size)[:, place] for name, place in PARTS.items() if name != "scale"}
+    if size > COMMON:
+        basis = layout_basis(setup.points)
+        found["leds"] = np.vstack([np.zeros((COMMON, basis.shape[1])), basis])
+    return found
+
+
+def _shift_px(seen: Sightings, setup: Setup, turntable: Turntable, change: Array) -> float:
+    """Return the RMS of what ``change`` does to the coordinates of all pixels that were seen."""
+    moves = []
+    for axes, here in zip(seen.axes, seen.seen, strict=True):
+        slopes = see(setup, turntable, axes)
+        by_point = np.zeros(3 * len(setup.points)) if len(change) == COMMON else change[COMMON:]
+        along = slopes.by_common @ change[:COMMON]
+        along += np.einsum("cmab,mb->cma", slopes.by_point, by_point.reshape(-1, 3))
+        moves.append(along[here].ravel())
+    return float(np.sqrt(np.mean(np.concatenate(moves) ** 2)))

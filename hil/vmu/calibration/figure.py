@@ -1,0 +1,78 @@
+"""One picture of a calibration: residuals over both images, the views, and millimetres over range."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+
+from hil.vmu.calibration import quality
+from hil.vmu.calibration.job import Outcome
+from hil.vmu.calibration.model import SIDES
+
+_BLUE, _ORANGE, _GREEN, _GREY = "#0072b2", "#d55e00", "#009e73", "0.6"  # told apart by the colour-blind
+
+
+def draw(outcome: Outcome, path: str) -> None:
+    """Draw ``outcome`` into ``path`` (PNG, PDF or SVG)."""
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(2, 2, figsize=(11, 9), constrained_layout=True)
+    for side in range(2):
+        _residuals(outcome, side, axes[0, side])
+    _views(outcome, axes[1, 0])
+    _ranges(outcome, axes[1, 1])
+    word = "PASS" if outcome.passed else "FAIL"
+    figure.suptitle(f"{outcome.label.id}, {outcome.label.date}, from {outcome.label.target}: {word}", fontsize=11)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _residuals(outcome: Outcome, side: int, plot: Any) -> None:
+    seen, fit = outcome.solved.sightings, outcome.solved.fit
+    mask = seen.seen[:, side]
+    at, off = seen.pixels[:, side][mask], fit.residuals[:, side][mask]
+    width, height = fit.setup.sizes[side]
+    stretch = 0.04 * width / max(float(np.hypot(*off.T).max(initial=0.0)), 1e-6)
+    stretch = float(f"{stretch:.0e}")
+    plot.quiver(*at.T, *(stretch * off.T), angles="xy", scale_units="xy", scale=1.0, width=0.002, color=_BLUE)
+    plot.set_xlim(-0.5, width - 0.5)
+    plot.set_ylim(height - 0.5, -0.5)
+    plot.set_aspect("equal")
+    share = 100.0 * outcome.shares[side]
+    plot.set_title(f"{SIDES[side]}: residuals x {stretch:g}, image covered to {share:.0f} %", loc="left", fontsize=10)
+    plot.set_xlabel("u, px")
+    plot.set_ylabel("v, px")
+
+
+def _views(outcome: Outcome, plot: Any) -> None:
+    fit, names = outcome.solved.fit, outcome.solved.sightings.names
+    rms = np.sqrt(np.nanmean(np.square(fit.residuals), axis=(1, 2, 3)))
+    plot.bar(np.arange(len(names)), rms, color=_BLUE)
+    plot.axhline(fit.rms_px, color=_ORANGE, linewidth=1.0)
+    step = max(1, len(names) // 12)
+    plot.set_xticks(np.arange(len(names))[::step], names[::step], rotation=90, fontsize=8)
+    out = ", ".join(outcome.solved.left_out) or "none"
+    out = out if len(out) < 60 else f"{len(outcome.solved.left_out)} views"
+    plot.set_title(f"RMS of each view (line: of all); left out: {out}", loc="left", fontsize=10)
+    plot.set_ylabel("px")
+
+
+def _ranges(outcome: Outcome, plot: Any) -> None:
+    setup, covariance = outcome.solved.fit.setup, outcome.solved.fit.covariance
+    reach = np.geomspace(0.4, 12.0, 25)
+    found = [f for r in reach if (f := quality.at_range(setup, covariance, outcome.sigma_px, float(r))) is not None]
+    for name, label, colour, style in (
+        ("noise_across_mm", "one measurement, across", _GREY, "--"),
+        ("noise_depth_mm", "one measurement, depth", _GREY, "-"),
+        ("calibration_across_mm", "calibration, across", _GREEN, "--"),
+        ("calibration_depth_mm", "calibration, depth", _GREEN, "-"),
+    ):
+        plot.loglog([f.range_m for f in found], [getattr(f, name) for f in found], style, color=colour, label=label)
+    plot.set_title("place of one point seen by both cameras, 1 sigma", loc="left", fontsize=10)
+    plot.set_xlabel("range, m")
+    plot.set_ylabel("mm")
+    plot.grid(True, which="both", linewidth=0.3)
+    plot.legend(fontsize=8)

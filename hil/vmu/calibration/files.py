@@ -1,0 +1,174 @@
+"""The files of a calibration: the geometry file that it writes and reads again, and the rig file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from hil.config.vmu_geometry import Sensor, VmuGeometry
+from hil.errors import BadInput
+from hil.messages import Array
+from hil.vmu.calibration.model import SIDES, Setup, Turntable, camera_of, lens_numbers, parameters
+from hil.vmu.calibration.refine import Fit
+from hil.vmu.kernels.chain import (
+    BASELINE,
+    CAMERA_STATION,
+    CAMERA_TURN,
+    COMMON,
+    SCALE,
+    TARGET_STATION,
+    TARGET_TURN,
+    TURN,
+)
+
+_ORDER = "xyz"
+MOST_LEDS: Final = 8
+"""of a geometry file; a target of more points is a board"""
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """What a calibration is called, when it was made, and from which target (``leds``, ``board 11x8 30 mm``)."""
+
+    id: str
+    date: str
+    target: str
+
+
+def geometry_table(
+    label: Label, fit: Fit, turntable: Turntable, axis_sigma: Array, nominal: VmuGeometry, views: int
+) -> dict[str, Any]:
+    """Return the keys of the geometry file, ``[calibration]`` and all."""
+    setup = fit.setup
+    on_leds = label.target == "leds"
+    table: dict[str, Any] = {
+        "leds_m": setup.points.tolist() if on_leds else [list(led) for led in nominal.leds_m],
+        "baseline_m": setup.theta[BASELINE:CAMERA_TURN].tolist(),
+        "right_rotation_rad": setup.theta[TURN:BASELINE].tolist(),
+    }
+    if nominal.marked_led is not None:
+        table["marked_led"] = nominal.marked_led
+    for side, name in enumerate(SIDES):
+        table[name] = camera_of(setup.theta, side, setup.sizes[side])
+    if nominal.sensor is not None:
+        table["sensor"] = nominal.sensor.model_dump()
+    found = parameters((len(fit.covariance) - COMMON) // 3)
+    table["calibration"] = {
+        "id": label.id,
+        "date": label.date,
+        "target": label.target,
+        "views": views,
+        "rms_px": fit.rms_px,
+        "noise": fit.noise,
+        "rail_sigma_m": float(axis_sigma[0]),
+        "gimbal_sigma_deg": math.degrees(float(axis_sigma[3])),
+        "lever_arm_m": turntable.lever_arm.tolist(),
+        "gimbal_order": "".join(_ORDER[k] for k in turntable.order),
+        **mounting_keys(setup),
+        "target_station_m": setup.theta[TARGET_STATION:SCALE].tolist(),
+        "target_axes": setup.target_axes.T.tolist(),
+        "sigma": {
+            f"{p.name}_{p.unit}" if p.unit else p.name: float(s * p.shown)
+            for p, s in zip(found, fit.sigma, strict=True)
+            if s > 0.0
+        },
+        "covariance": [row[: k + 1].tolist() for k, row in enumerate(fit.covariance)],
+    }
+    return table
+
+
+def mounting_keys(setup: Setup) -> dict[str, Any]:
+    """Return the keys of a rig file's ``[bench]`` that say where the left camera is."""
+    return {
+        "camera_station_m": setup.theta[CAMERA_STATION:TARGET_TURN].tolist(),
+        "camera_axes": setup.camera_axes.tolist(),
+    }
+
+
+def rig_table(setup: Setup, on_leds: bool) -> dict[str, Any]:
+    """Return what a rig file takes over: the cameras' mounting, and the ring's where it was the target."""
+    bench = mounting_keys(setup)
+    if not on_leds:
+        return {"bench": bench}
+    bench |= {"ring_station_m": setup.theta[TARGET_STATION:SCALE].tolist(), "ring_axes": setup.target_axes.T.tolist()}
+    return {"bench": bench, "vmu": {"leds_m": setup.points.tolist()}}
+
+
+def as_toml(table: Mapping[str, Any], comment: str) -> str:
+    """Return ``table`` as TOML: values first, then its tables; nested lists a row a line."""
+    lines = [f"# {line}" for line in comment.splitlines()]
+    _write(table, "", lines)
+    return "\n".join(lines) + "\n"
+
+
+def _write(table: Mapping[str, Any], prefix: str, lines: list[str]) -> None:
+    if prefix:
+        lines += ["", f"[{prefix}]"]
+    for key, value in table.items():
+        if not isinstance(value, Mapping):
+            lines.append(f"{_key(key)} = {_value(value)}")
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            _write(value, f"{prefix}.{_key(key)}" if prefix else _key(key), lines)
+
+
+def _key(key: str) -> str:
+    return key if key.replace("_", "").replace("-", "").isalnum() else json.dumps(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        inner = [_value(item) for item in value]
+        if value and isinstance(value[0], (list, tuple)):
+            return "[\n" + "".join(f"    {item},\n" for item in inner) + "]"
+        return "[" + ", ".join(inner) + "]"
+    if isinstance(value, float):
+        return repr(value)
+    return json.dumps(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """A calibration that was read back. covariance: of COMMON, or COMMON + 3 m. noise: of the pixels."""
+
+    label: Label
+    setup: Setup
+    turntable: Turntable
+    covariance: Array
+    noise: float
+    axis_sigma: Array
+    sensor: Sensor | None = None
+
+
+def read_back(geometry: VmuGeometry, source: str) -> Calibrated:
+    """Return the calibration in a geometry file; raise BadInput where it has none."""
+    found = geometry.calibration
+    if found is None:
+        raise BadInput.single(source, "calibration", "is missing: a file that hil calibrate wrote is needed")
+    n = len(found.covariance)
+    if n not in (COMMON, COMMON + 3 * len(geometry.leds_m)):
+        allowed = f"{COMMON} rows, or {COMMON + 3 * len(geometry.leds_m)} with the layout of the LEDs"
+        raise BadInput.single(source, "calibration.covariance", f"{n} rows, allowed {allowed}")
+    covariance = np.zeros((n, n))
+    for k, row in enumerate(found.covariance):
+        covariance[k, : k + 1] = row
+        covariance[: k + 1, k] = row
+    theta = np.zeros(COMMON)
+    theta[0:9], theta[9:18] = lens_numbers(geometry.left), lens_numbers(geometry.right)
+    theta[TURN:BASELINE], theta[BASELINE:CAMERA_TURN] = geometry.right_rotation_rad, geometry.baseline_m
+    theta[CAMERA_STATION:TARGET_TURN] = found.camera_station_m
+    theta[TARGET_STATION:SCALE] = found.target_station_m
+    theta[SCALE] = 1.0
+    sizes = np.array([[c.width, c.height] for c in (geometry.left, geometry.right)], dtype=float)
+    target_axes = np.ascontiguousarray(np.array(found.target_axes).T)
+    setup = Setup(theta, np.array(found.camera_axes), target_axes, np.array(geometry.leds_m), sizes)
+    order = np.array([_ORDER.index(axis) for axis in found.gimbal_order])
+    sigma = np.array([found.rail_sigma_m] * 3 + [math.radians(found.gimbal_sigma_deg)] * 3)
+    turntable = Turntable(np.array(found.lever_arm_m, dtype=float), order)
+    label = Label(found.id, found.date, found.target)
+    return Calibrated(label, setup, turntable, covariance, found.noise, sigma, geometry.sensor)

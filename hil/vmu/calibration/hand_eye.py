@@ -1,0 +1,83 @@
+"""Where the camera sits on the turntable and the target in the lab, in closed form, from poses of the target.
+
+``R_vt = A_vc A_ch B`` for every view: the turn from one view to another has the same angle on both sides and its axis
+is turned by A_vc (Park and Martin, 1994). The stations then follow linearly.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hil.messages import Array
+from hil.vmu.calibration.model import orthonormal
+
+_WEAK = 1e-3  # weight of what the rig file says, where the views say nothing
+_FAR = 5.0  # times the median
+
+
+@dataclass(frozen=True, slots=True)
+class HandEye:
+    """camera_axes: A_vc. target_axes: B = A_th.T. arm: (3,), rotation centre to camera, in c. station: (3,), in H.
+
+    good: (n,), which views agree.
+    """
+
+    camera_axes: Array
+    target_axes: Array
+    arm: Array
+    station: Array
+    good: Array
+
+
+def hand_eye(turns: Array, places: Array, gimbals: Array, rails: Array, camera_axes: Array, arm: Array) -> HandEye:
+    """Return the mounting that explains the poses best; views that do not agree with the rest are left out.
+
+    turns: (n, 3, 3), R_vt. places: (n, 3), t_v, m. gimbals: (n, 3, 3), A_ch. rails: (n, 3), m.
+    camera_axes, arm: as mounted on paper; used only as far as the views do not say.
+    """
+    good = np.ones(len(turns), dtype=bool)
+    while True:
+        chosen = np.flatnonzero(good)
+        found = _closed_form(turns[chosen], places[chosen], gimbals[chosen], rails[chosen], camera_axes, arm)
+        expected = found[0] @ gimbals @ found[1]
+        angle = Rotation.from_matrix(turns @ expected.transpose(0, 2, 1)).magnitude()
+        at = (found[3] - rails)[:, None, :] @ gimbals.transpose(0, 2, 1)
+        distance = np.linalg.norm((at[:, 0] - found[2]) @ found[0].T - places, axis=1)
+        off = np.maximum(angle / _usual(angle[good], 5e-4), distance / _usual(distance[good], 5e-4))
+        worst = int(np.argmax(np.where(good, off, 0.0)))
+        if off[worst] < _FAR or good.sum() <= max(3, 2 * len(turns) // 3):
+            return HandEye(*found, good)
+        good[worst] = False
+
+
+def _usual(values: Array, least: float) -> float:
+    return max(float(np.median(values)), least)
+
+
+def _closed_form(
+    turns: Array, places: Array, gimbals: Array, rails: Array, camera_axes: Array, arm: Array
+) -> tuple[Array, Array, Array, Array]:
+    seen, made = [*(_WEAK * camera_axes.T)], [*(_WEAK * np.eye(3))]
+    for i, j in combinations(range(len(turns)), 2):
+        seen.append(Rotation.from_matrix(turns[i] @ turns[j].T).as_rotvec())
+        made.append(Rotation.from_matrix(gimbals[i] @ gimbals[j].T).as_rotvec())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # all axes parallel: what is weak decides then
+        a_vc = Rotation.align_vectors(np.array(seen), np.array(made))[0].as_matrix()
+    b = orthonormal(np.sum(gimbals.transpose(0, 2, 1) @ a_vc.T @ turns, axis=0))
+    # A_vc.T t_v + A_ch rails = A_ch station - arm
+    n = len(turns)
+    left = np.zeros((3 * n + 3, 6))
+    right = np.zeros(3 * n + 3)
+    left[: 3 * n, :3] = gimbals.reshape(-1, 3)
+    left[: 3 * n, 3:] = np.tile(-np.eye(3), (n, 1))
+    right[: 3 * n] = (places @ a_vc + np.einsum("nab,nb->na", gimbals, rails)).ravel()
+    left[3 * n :, 3:] = _WEAK * np.eye(3)
+    right[3 * n :] = _WEAK * arm
+    solution: Array = np.linalg.lstsq(left, right, rcond=None)[0].astype(float)
+    return a_vc, b, solution[3:], solution[:3]

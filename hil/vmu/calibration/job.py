@@ -1,0 +1,231 @@
+"""One calibration, and one check, from a folder of views to the numbers of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hil.config.rig import Rig
+from hil.config.vmu_geometry import Camera, VmuGeometry
+from hil.errors import BadInput
+from hil.messages import Array
+from hil.vmu.calibration import board as boards
+from hil.vmu.calibration import drift, quality
+from hil.vmu.calibration.board import Board
+from hil.vmu.calibration.files import Calibrated, Label
+from hil.vmu.calibration.leds import SpotViews, identify
+from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, Turntable
+from hil.vmu.calibration.refine import Belief, belief
+from hil.vmu.calibration.solve import Solved, robust, solve, solve_leds
+from hil.vmu.calibration.spot_images import spot_views
+from hil.vmu.calibration.views import Views
+from hil.vmu.kernels.chain import COMMON, SCALE
+
+Tell = Callable[[str, float], None]
+KEEPABLE = ("left", "right", "stereo", "mounting", "leds")
+_WIDE_GATE_PX = 12.0
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What is known before. axis_sigma: (6,), of rails, m, and gimbals, rad. led_sigma: m. square_sigma: a share."""
+
+    board: Board | None
+    keep: tuple[str, ...]
+    axis_sigma: Array
+    led_sigma: float
+    square_sigma: float
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a calibration must keep."""
+
+    rms_px: float
+    error_mm: float
+    range_m: float
+    mounting_mm: float
+    mounting_deg: float
+    square_percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of the verdict."""
+
+    name: str
+    value: float
+    limit: float
+    unit: str
+
+    @property
+    def passed(self) -> bool:
+        return self.value <= self.limit
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A calibration with what it is worth."""
+
+    label: Label
+    solved: Solved
+    turntable: Turntable
+    held: Belief
+    nominal: Setup
+    sigma_px: float
+    at_ranges: list[quality.AtRange]
+    shares: list[float]
+    warnings: list[str]
+    checks: list[Check] = field(default_factory=list)
+
+    @property
+    def passed(self) -> bool:
+        return all(check.passed for check in self.checks)
+
+
+def geometry_of_rig(rig: Rig) -> VmuGeometry:
+    """Return the cameras and LEDs that a rig file has on paper."""
+    on_paper = rig.vmu.camera
+    camera = Camera(
+        fx=on_paper.focal_px,
+        fy=on_paper.focal_px,
+        cx=0.5 * (on_paper.width_px - 1),
+        cy=0.5 * (on_paper.height_px - 1),
+        width=on_paper.width_px,
+        height=on_paper.height_px,
+    )
+    return VmuGeometry(leds_m=rig.vmu.leds_m, left=camera, right=camera, baseline_m=(on_paper.baseline_m, 0.0, 0.0))
+
+
+def target_name(board: Board | None) -> str:
+    """Return ``leds``, or ``board 11x8 30 mm``."""
+    return "leds" if board is None else f"board {board.columns}x{board.rows} {1e3 * board.square_m:g} mm"
+
+
+def calibrate(
+    views: Views, rig: Rig, geometry: VmuGeometry, given: Given, limits: Limits, label: Label, guess: bool, tell: Tell
+) -> Outcome:
+    """Return the calibration of ``views``. guess: ``geometry`` has numbers of the cameras that are about right.
+
+    Raises BadInput where the views do not carry one.
+    """
+    turntable = Turntable.of(rig.bench)
+    if given.board is None:
+        nominal = Setup.of(geometry, rig.bench)
+        layout = 0.0 if "leds" in given.keep else given.led_sigma
+        held = belief(nominal, given.keep, given.axis_sigma, layout, 0.0)
+        spots = spot_views(views, nominal.sizes, geometry.sensor, tell)
+        solved = solve_leds(spots, nominal, turntable, held, tell)
+    else:
+        seen, sizes = boards.sightings(views, given.board, tell)
+        nominal = Setup.of(geometry, rig.bench, given.board.points())
+        if (sizes != nominal.sizes).any():
+            raise BadInput.single("VIEWS", "", _sizes_differ(sizes, nominal.sizes))
+        tell("fitting", 0.9)
+        begun, told_apart, doubtful = boards.start(seen, given.board, nominal, turntable, given.keep, guess)
+        held = belief(begun, given.keep, given.axis_sigma, 0.0, given.square_sigma)
+        solved = solve(told_apart, begun, turntable, held, doubtful)
+        not_whole = (name for name in views.names if name not in seen.names)
+        solved.left_out.update(dict.fromkeys(not_whole, "the board is not seen whole by both cameras"))
+    return _judged(label, solved, turntable, held, nominal, limits, given.board is not None)
+
+
+def _sizes_differ(found: Array, told: Array) -> str:
+    sides = [
+        f"the {side} images are {a[0]:g} x {a[1]:g} px, geometry or rig file say {b[0]:g} x {b[1]:g} px"
+        for side, a, b in zip(SIDES, found, told, strict=True)
+        if (a != b).any()
+    ]
+    return sides[0]
+
+
+def _judged(
+    label: Label, solved: Solved, turntable: Turntable, held: Belief, nominal: Setup, limits: Limits, rigid: bool
+) -> Outcome:
+    fit, seen = solved.fit, solved.sightings
+    sigma = quality.sigma_px(fit, seen)
+    at_ranges = [
+        found
+        for range_m in sorted({*quality.RANGES_M, limits.range_m})
+        if (found := quality.at_range(fit.setup, fit.covariance, sigma, range_m)) is not None
+    ]
+    here = next((found for found in at_ranges if found.range_m == limits.range_m), None)
+    error = float("inf") if here is None else float(np.hypot(here.calibration_across_mm, here.calibration_depth_mm))
+    checks = [
+        Check("reprojection, RMS", fit.rms_px, limits.rms_px, "px"),
+        Check(f"place of a point at {limits.range_m:g} m, 1 sigma", error, limits.error_mm, "mm"),
+    ]
+    if held.free[PARTS["mounting"]].any():
+        turn, station = np.split(fit.sigma[PARTS["mounting"]], 2)
+        checks.append(Check("camera's station, 1 sigma", 1e3 * float(station.max()), limits.mounting_mm, "mm"))
+        checks.append(Check("camera's axes, 1 sigma", float(np.degrees(turn.max())), limits.mounting_deg, "deg"))
+    if rigid and held.free[SCALE]:
+        off = 100.0 * abs(float(fit.setup.theta[SCALE]) - 1.0)
+        checks.append(Check("board's size against the rails", off, limits.square_percent, "%"))
+    shares = quality.coverage(seen, fit.setup.sizes)
+    warnings = quality.warnings_of(fit, seen, held, shares, rigid)
+    return Outcome(label, solved, turntable, held, nominal, sigma, at_ranges, shares, warnings, checks)
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """A drift check. across_mm, depth_mm: by how much the best explanation moves a point at ``range_m``."""
+
+    known: Calibrated
+    setup: Setup
+    drift: drift.Drift
+    across_mm: float
+    depth_mm: float
+    range_m: float
+    lost: tuple[str, ...]
+
+
+def check(views: Views, known: Calibrated, board: Board | None, moved: bool, range_m: float, tell: Tell) -> Checked:
+    """Return how far today's views are from the calibration ``known``; raise BadInput where they show too little.
+
+    moved: the target may stand elsewhere than at the calibration; a board always may.
+    """
+    if board is None:
+        spots = spot_views(views, known.setup.sizes, known.sensor, tell)
+        elsewhere = moved or known.label.target != "leds"
+        seen, setup = _leds_today(spots, known, elsewhere)
+    else:
+        seen, sizes = boards.sightings(views, board, tell)
+        if (sizes != known.setup.sizes).any():
+            raise BadInput.single("VIEWS", "", _sizes_differ(sizes, known.setup.sizes))
+        keep = ("left", "right", "stereo", "mounting")
+        with_board = Setup(
+            known.setup.theta, known.setup.camera_axes, known.setup.target_axes, board.points(), known.setup.sizes
+        )
+        begun, seen, _ = boards.start(seen, board, with_board, known.turntable, keep, True)
+        setup, elsewhere = _target_found(seen, begun, known), True
+    found = drift.check(known, seen, setup, elsewhere)
+    across, depth = quality.displacement(setup, found.explanations[0].change[:COMMON], range_m)
+    lost = tuple(name for name in views.names if name not in seen.names)
+    return Checked(known, setup, found, across, depth, range_m, lost)
+
+
+def _leds_today(spots: SpotViews, known: Calibrated, moved: bool) -> tuple[Sightings, Setup]:
+    """Return the LEDs of today, looked for near where the calibration expects them first."""
+    setup = known.setup
+    seen = identify(spots, setup, known.turntable, None if moved else _WIDE_GATE_PX)
+    if not moved and not _enough(seen):
+        seen = identify(spots, setup, known.turntable)
+    good = np.flatnonzero(seen.seen.sum(axis=2).max(axis=1) >= 3)
+    if len(good) < 2:
+        text = f"{len(good)} of {len(spots.names)} views show 3 LEDs near their places, 2 are needed"
+        raise BadInput.single("VIEWS", "", text)
+    seen = seen.only(good)
+    return seen, _target_found(seen, setup, known) if moved else setup
+
+
+def _enough(seen: Sightings) -> bool:
+    return bool((seen.seen.sum(axis=2).max(axis=1) >= 3).mean() > 0.5)
+
+
+def _target_found(seen: Sightings, setup: Setup, known: Calibrated) -> Setup:
+    """Return ``setup`` with the target where today's views put it, all else as calibrated."""
+    held = belief(setup, ("left", "right", "stereo", "mounting"), known.axis_sigma, 0.0, 0.0)
+    return robust(seen, setup, known.turntable, held)

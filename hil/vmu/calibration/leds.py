@@ -1,0 +1,117 @@
+"""Which spot is which LED in a view of a known place: the layout is projected, and the nearest spots are taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from hil.messages import Array
+from hil.vmu.calibration.model import Setup, Sightings, Turntable, see
+
+LEAST_VIEWS = 4
+_SEARCH_PX = 150.0
+"""how far the mounting on paper may put the LEDs from where they are"""
+
+
+@dataclass(frozen=True, slots=True)
+class Spots:
+    """Spots of light in one image: places (k, 2), px, and covariances (k, 2, 2), px^2."""
+
+    places: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class SpotViews:
+    """Spots of both images of all views. axes: (n, 6), rails, m, gimbals, rad."""
+
+    names: tuple[str, ...]
+    axes: Array
+    spots: tuple[tuple[Spots, Spots], ...]
+
+
+def identify(views: SpotViews, setup: Setup, turntable: Turntable, gate_px: float | None = None) -> Sightings:
+    """Return which spots are the LEDs.
+
+    gate_px: how far a spot may be from where ``setup`` expects it. Left away, the layout may be shifted as a whole
+    in each image, as by a camera that is mounted a little askew; the views must agree about that shift.
+    """
+    expected = [see(setup, turntable, axes).pixels for axes in views.axes]
+    shape = (len(views.names), 2, len(setup.points))
+    pixels = np.full((*shape, 2), np.nan)
+    covariance = np.broadcast_to(np.eye(2), (*shape, 2, 2)).copy()
+    for side in range(2):
+        shift, gate = np.zeros(2), gate_px or 0.0
+        if gate_px is None:
+            shift = _common_shift([e[side] for e in expected], [s[side].places for s in views.spots])
+        for k, (places, pair) in enumerate(zip(expected, views.spots, strict=True)):
+            spots = pair[side]
+            if gate_px is None:
+                gate = max(4.0, 0.3 * _least_distance(places[side]))
+                shift_here = _own_shift(places[side] + shift, spots.places, 2.0 * gate, gate)
+            else:
+                shift_here = np.zeros(2)
+            for led, spot in _nearest(places[side] + shift + shift_here, spots.places, gate):
+                pixels[k, side, led] = spots.places[spot]
+                covariance[k, side, led] = spots.covariance[spot]
+    return Sightings(views.names, views.axes, pixels, covariance)
+
+
+def _least_distance(places: Array) -> float:
+    apart = cdist(places, places)
+    apart[np.diag_indices(len(apart))] = np.inf
+    least = float(np.min(apart))
+    return least if np.isfinite(least) else 0.0
+
+
+def _nearest(places: Array, spots: Array, gate: float) -> list[tuple[int, int]]:
+    """Return pairs (LED, spot), each once, whose distances are within ``gate`` and least together."""
+    if not len(spots):
+        return []
+    apart = np.nan_to_num(cdist(places, spots), nan=1e6)
+    rows, columns = linear_sum_assignment(np.minimum(apart, 2.0 * gate))
+    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if apart[i, j] < gate]
+
+
+def _candidates(places: Array, spots: Array, reach: float) -> Array:
+    """Return all shifts, (c, 2), that put some LED on some spot."""
+    shifts = (spots[None] - places[:, None]).reshape(-1, 2)
+    near: Array = shifts[np.linalg.norm(shifts, axis=1) < reach]
+    return near
+
+
+def _hits(places: Array, spots: Array, gate: float) -> int:
+    return len(_nearest(places, spots, gate))
+
+
+def _common_shift(expected: list[Array], spots: list[Array]) -> Array:
+    """Return the shift, (2,), px, that most LEDs of all views agree about."""
+    votes = []
+    for places, seen in zip(expected, spots, strict=True):
+        if not np.isfinite(places).all() or not len(seen):
+            continue
+        gate = max(4.0, 0.3 * _least_distance(places))
+        shifts = _candidates(places, seen, _SEARCH_PX)
+        counts = np.array([_hits(places + shift, seen, gate) for shift in shifts])
+        if len(counts) and counts.max() >= min(3, len(places)):
+            best = shifts[counts == counts.max()]
+            votes.append((best.mean(axis=0), best.std(axis=0).max()))
+    if not votes:
+        return np.zeros(2)
+    centres = np.array([centre for centre, _ in votes])
+    middle: Array = np.median(centres, axis=0)
+    return middle
+
+
+def _own_shift(places: Array, spots: Array, reach: float, gate: float) -> Array:
+    """Return the further shift of this view alone: what is left of an error that grows as the target comes near."""
+    shifts = _candidates(places, spots, reach) if np.isfinite(places).all() and len(spots) else np.empty((0, 2))
+    if not len(shifts):
+        return np.zeros(2)
+    tight = 0.5 * gate
+    counts = np.array([_hits(places + shift, spots, tight) for shift in shifts])
+    best: Array = shifts[counts == counts.max()].mean(axis=0)
+    return best if counts.max() >= 3 else np.zeros(2)

@@ -1,0 +1,194 @@
+"""What a calibration works with: the bench, what was seen, and the numbers to be found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from hil.config.rig import BenchGeometry
+from hil.config.vmu_geometry import Camera, VmuGeometry
+from hil.messages import Array
+from hil.vmu.kernels import chain
+from hil.vmu.kernels.chain import (
+    BASELINE,
+    CAMERA_STATION,
+    CAMERA_TURN,
+    COMMON,
+    LEFT,
+    RIGHT,
+    SCALE,
+    TARGET_STATION,
+    TARGET_TURN,
+    TURN,
+)
+
+_LENS_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+_LENS_UNITS = ("px",) * 4 + ("",) * 5
+PARTS: Final[dict[str, slice]] = {
+    "left": slice(LEFT, RIGHT),
+    "right": slice(RIGHT, TURN),
+    "stereo": slice(TURN, CAMERA_TURN),
+    "mounting": slice(CAMERA_TURN, TARGET_TURN),
+    "target": slice(TARGET_TURN, SCALE),
+    "scale": slice(SCALE, COMMON),
+}
+"""which places of a vector of COMMON belong together; the layout of the LEDs follows behind them"""
+SIDES: Final = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number to be found: its name and the unit it is shown in."""
+
+    name: str
+    unit: str
+    shown: float  # unit shown / unit inside
+
+
+def parameters(points: int = 0) -> list[Parameter]:
+    """Return all shared unknowns in order; ``points`` LEDs of a layout behind them."""
+    found = [
+        Parameter(f"{side}.{name}", unit, 1.0)
+        for side in SIDES
+        for name, unit in zip(_LENS_NAMES, _LENS_UNITS, strict=True)
+    ]
+    for part in ("stereo", "mounting", "target"):
+        found += [Parameter(f"{part}.turn_{axis}", "deg", math.degrees(1.0)) for axis in "xyz"]
+        found += [Parameter(f"{part}.{axis}", "mm", 1e3) for axis in "xyz"]
+    found.append(Parameter("scale", "", 1.0))
+    found += [Parameter(f"led_{led}.{axis}", "mm", 1e3) for led in range(points) for axis in "xyz"]
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Turntable:
+    """The part of the bench's kinematics that the cameras ride on. lever_arm: (3,), m. order: (3,), outer to inner."""
+
+    lever_arm: Array
+    order: Array
+
+    @classmethod
+    def of(cls, bench: BenchGeometry) -> Turntable:
+        """Return that of a rig file."""
+        return cls(
+            np.array(bench.lever_arm_m, dtype=float), np.array(["xyz".index(axis) for axis in bench.gimbal_order])
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """What both cameras saw of the target's points in n views.
+
+    axes: (n, 6), rails, m, gimbals, rad, as the encoders have them. pixels: (n, 2, m, 2), NaN where a point was
+    not seen. covariance: (n, 2, m, 2, 2), px^2.
+    """
+
+    names: tuple[str, ...]
+    axes: Array
+    pixels: Array
+    covariance: Array
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Return which points were seen, (n, 2, m)."""
+        return np.asarray(np.isfinite(self.pixels).all(axis=-1))
+
+    def only(self, views: Sequence[int] | np.ndarray) -> Sightings:
+        """Return the views of the given indices."""
+        chosen = np.asarray(views, dtype=int)
+        names = tuple(self.names[k] for k in chosen)
+        return Sightings(names, self.axes[chosen], self.pixels[chosen], self.covariance[chosen])
+
+    def without(self, points: np.ndarray) -> Sightings:
+        """Return these with the points marked in ``points`` (n, 2, m) taken out."""
+        pixels = self.pixels.copy()
+        pixels[points] = np.nan
+        return replace(self, pixels=pixels)
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """All that is to be found: theta (COMMON,), camera_axes and target_axes (3, 3) of hil/vmu/kernels/chain.py.
+
+    points: (m, 3), m, in the target's axes. sizes: (2, 2), width and height of the images, px.
+    The small rotations about camera_axes and target_axes are zero: see ``folded``.
+    """
+
+    theta: Array
+    camera_axes: Array
+    target_axes: Array
+    points: Array
+    sizes: Array
+
+    @classmethod
+    def of(cls, geometry: VmuGeometry, bench: BenchGeometry, points: Array | None = None) -> Setup:
+        """Return what the files say. points: of another target than the LEDs."""
+        theta = np.zeros(COMMON)
+        for first, camera in ((LEFT, geometry.left), (RIGHT, geometry.right)):
+            theta[first : first + 9] = lens_numbers(camera)
+        theta[TURN:BASELINE] = geometry.right_rotation_rad
+        theta[BASELINE:CAMERA_TURN] = geometry.baseline_m
+        theta[CAMERA_STATION:TARGET_TURN] = bench.camera_station_m
+        theta[TARGET_STATION:SCALE] = bench.ring_station_m
+        theta[SCALE] = 1.0
+        sizes = np.array([[c.width, c.height] for c in (geometry.left, geometry.right)], dtype=float)
+        leds = np.array(geometry.leds_m, dtype=float)
+        target_axes = np.ascontiguousarray(np.array(bench.ring_axes).T)
+        return cls(theta, np.array(bench.camera_axes), target_axes, leds if points is None else points, sizes)
+
+    def folded(self) -> Setup:
+        """Return the same with the small rotations taken into the axes, made orthonormal again."""
+        theta = self.theta.copy()
+        camera = chain.turn_matrix(theta[CAMERA_TURN:CAMERA_STATION]) @ self.camera_axes
+        target = chain.turn_matrix(theta[TARGET_TURN:TARGET_STATION]) @ self.target_axes
+        theta[CAMERA_TURN:CAMERA_STATION] = 0.0
+        theta[TARGET_TURN:TARGET_STATION] = 0.0
+        return replace(self, theta=theta, camera_axes=orthonormal(camera), target_axes=orthonormal(target))
+
+    def moved(self, change: Array, layout: Array | None = None) -> Setup:
+        """Return this changed by ``change`` (COMMON,) and the points by ``layout`` (m, 3)."""
+        points = self.points if layout is None else self.points + layout
+        return replace(self, theta=self.theta + change, points=points).folded()
+
+
+@dataclass(frozen=True, slots=True)
+class Slopes:
+    """Pixels of one view and how they change; shapes as of ``chain.see``."""
+
+    pixels: Array
+    by_common: Array
+    by_point: Array
+    by_axes: Array
+
+
+def see(setup: Setup, turntable: Turntable, axes: Array) -> Slopes:
+    """Return what both cameras see with the bench's axes at ``axes`` (6,)."""
+    m = len(setup.points)
+    out = (np.empty((2, m, 2)), np.empty((2, m, 2, COMMON)), np.empty((2, m, 2, 3)), np.empty((2, m, 2, 6)))
+    mount = (setup.camera_axes, setup.target_axes, turntable.lever_arm, turntable.order)
+    chain.see(setup.theta, *mount, np.ascontiguousarray(axes), setup.points, *out)
+    return Slopes(*out)
+
+
+def lens_numbers(camera: Camera) -> Array:
+    """Return the nine numbers of a camera in the order of COMMON."""
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
+
+
+def orthonormal(matrix: Array) -> Array:
+    """Return the rotation nearest to ``matrix`` (3, 3)."""
+    u, _, vt = np.linalg.svd(matrix)
+    nearest: Array = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return np.ascontiguousarray(nearest)
+
+
+def camera_of(theta: Array, side: int, size: Array) -> dict[str, Any]:
+    """Return the keys of one camera of a geometry file."""
+    numbers = [float(x) for x in theta[9 * side : 9 * side + 9]]
+    keys: dict[str, Any] = dict(zip(_LENS_NAMES[:4], numbers[:4], strict=True))
+    keys |= {"width": int(size[0]), "height": int(size[1]), "distortion": numbers[4:]}
+    return keys

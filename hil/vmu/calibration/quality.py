@@ -1,0 +1,137 @@
+"""What a calibration is worth: millimetres at working ranges, coverage of the images, and what the views left open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hil.messages import Array
+from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, Turntable, parameters, see
+from hil.vmu.calibration.refine import Belief, Fit
+from hil.vmu.kernels.chain import COMMON, SCALE
+
+RANGES_M: Final = (0.6, 1.0, 2.0, 5.0, 10.0)
+_CELLS = 8
+_FIELD = np.linspace(-0.8, 0.8, 9)  # of half the field of view
+_CAMERAS = slice(0, PARTS["mounting"].start)
+_PLACED = np.r_[0 : PARTS["target"].start, PARTS["target"].start + 3 : SCALE]  # all but the target's turn
+
+
+@dataclass(frozen=True, slots=True)
+class AtRange:
+    """Standard deviations of the place of one point at ``range_m``, mm: of one measurement, and of the calibration."""
+
+    range_m: float
+    noise_across_mm: float
+    noise_depth_mm: float
+    calibration_across_mm: float
+    calibration_depth_mm: float
+
+
+def _both_cameras(setup: Setup, p_v: Array) -> tuple[Array, Array, Array]:
+    """Return pixels (4,), slopes by all shared numbers (4, COMMON) and by the place in v (4, 3), m, of ``p_v``."""
+    still = Turntable(np.zeros(3), np.array([2, 1, 0]))
+    theta = setup.theta.copy()
+    theta[PARTS["mounting"]] = 0.0
+    theta[PARTS["target"]] = 0.0
+    theta[SCALE] = 1.0
+    back = np.ascontiguousarray(setup.camera_axes.T)
+    at_origin = Setup(theta, setup.camera_axes, back, p_v.reshape(1, 3), setup.sizes)
+    slopes = see(at_origin, still, np.zeros(6))
+    return slopes.pixels.ravel(), slopes.by_common.reshape(4, COMMON), slopes.by_point.reshape(4, 3)
+
+
+def field(setup: Setup, range_m: float) -> list[tuple[Array, Array]]:
+    """Return, for places all over what both cameras see at ``range_m``, how pixels and numbers move the place.
+
+    Each (3, 4), m/px, and (3, COMMON): the place that is triangulated from the same pixels with other numbers.
+    """
+    found: list[tuple[Array, Array]] = []
+    focal, size = setup.theta[:2], setup.sizes[0]
+    middle = 0.5 * setup.theta[PARTS["stereo"]][3:] * np.array([1.0, 1.0, 0.0])
+    for across in _FIELD:
+        for down in _FIELD:
+            ray = np.array([across * 0.5 * size[0] / focal[0], down * 0.5 * size[1] / focal[1], 1.0])
+            pixels, by_numbers, by_place = _both_cameras(setup, range_m * ray + middle)
+            both = pixels.reshape(2, 2)
+            if np.isfinite(both).all() and ((both > 0.0) & (both < setup.sizes - 1.0)).all():
+                inverse: Array = np.linalg.pinv(by_place).astype(float)
+                found.append((inverse, -inverse @ by_numbers))
+    return found
+
+
+def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -> AtRange | None:
+    """Return what a point at ``range_m`` is known to; None where the cameras see nothing in common there."""
+    places = field(setup, range_m)
+    if not places:
+        return None
+    cameras = covariance[_CAMERAS, _CAMERAS]
+    noise = np.mean([np.diagonal(p @ p.T) * sigma_px**2 for p, _ in places], axis=0)
+    numbers = np.mean([np.diagonal(g[:, _CAMERAS] @ cameras @ g[:, _CAMERAS].T) for _, g in places], axis=0)
+    spread = [1e3 * float(np.sqrt(v)) for v in (noise[:2].mean(), noise[2], numbers[:2].mean(), numbers[2])]
+    return AtRange(range_m, *spread)
+
+
+def displacement(setup: Setup, change: Array, range_m: float) -> tuple[float, float]:
+    """Return by how much the place of a point at ``range_m`` is off, across and in depth, mm RMS over the field.
+
+    change: (COMMON,), by which cameras, mounting and the target's station differ from their numbers. The place is that
+    in the chaser's axes as the left camera has them.
+    """
+    moves = np.array([g[:, _PLACED] @ change[_PLACED] for _, g in field(setup, range_m)]).reshape(-1, 3)
+    if not len(moves):
+        return 0.0, 0.0
+    square = np.mean(moves**2, axis=0)
+    return 1e3 * float(np.sqrt(square[:2].mean())), 1e3 * float(np.sqrt(square[2]))
+
+
+def coverage(seen: Sightings, sizes: Array) -> list[float]:
+    """Return the share of the left and of the right image, in 8 x 8 fields, in which something was seen."""
+    shares = []
+    for side in range(2):
+        points = seen.pixels[:, side].reshape(-1, 2)
+        points = points[np.isfinite(points).all(axis=1)]
+        edges = [np.linspace(-0.5, size - 0.5, _CELLS + 1) for size in sizes[side]]
+        counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=edges)
+        shares.append(float(np.mean(counts > 0)))
+    return shares
+
+
+def sigma_px(fit: Fit, seen: Sightings) -> float:
+    """Return the standard deviation of one coordinate of a spot or corner, px, as the fit found it."""
+    variances = np.einsum("...ii->...", seen.covariance)[seen.seen] / 2.0
+    return fit.noise * float(np.sqrt(np.median(variances)))
+
+
+def warnings_of(fit: Fit, seen: Sightings, held: Belief, shares: list[float], rigid: bool) -> list[str]:
+    """Return what the views leave to be desired, a sentence each. rigid: the target is a board of known size."""
+    found = []
+    if len(seen.names) < 10:
+        found.append(f"few views: {len(seen.names)}, 15 or more are good")
+    found += [
+        f"the {side} image is covered to {100 * share:.0f} % only: bring the target to its edges and corners too"
+        for side, share in zip(SIDES, shares, strict=True)
+        if share < 0.5 and held.free[PARTS[side]].any()
+    ]
+    rails, gimbals = np.ptp(seen.axes[:, :3], axis=0), np.degrees(np.ptp(seen.axes[:, 3:], axis=0))
+    turned = int((gimbals >= 8.0).sum())
+    if held.free[PARTS["mounting"]].any() and turned < 2:
+        found.append("no tilt: fewer than two gimbals were turned by 8 deg, so where the camera sits is not determined")
+    if rails.max() < 0.1:
+        rest = "scale rests on the board's size alone" if rigid else "nothing fixes the scale"
+        found.append(f"the rails moved by {1e3 * rails.max():.0f} mm only: {rest}")
+    elif rails[0] < 0.3:
+        found.append(f"little change of range: x moved by {1e3 * rails[0]:.0f} mm")
+    belief_sigma = np.where(held.free, held.sigma, np.inf)
+    told = parameters()[:SCALE]
+    open_ = [p.name for p, s, b in zip(told, fit.sigma, belief_sigma, strict=False) if np.isfinite(b) and s > 0.3 * b]
+    if open_:
+        found.append(f"not determined by these views: {', '.join(open_)}")
+    if len(fit.sigma) > COMMON and fit.sigma[COMMON:].max() > 0.5 * held.layout_sigma:
+        found.append("the layout of the LEDs is hardly better known than before")
+    for name, ratio, redundancy in zip(("rails", "gimbals"), fit.axis_ratio, fit.axis_redundancy, strict=True):
+        if ratio > 1.0 + 3.0 / np.sqrt(2.0 * max(redundancy, 1.0)):
+            found.append(f"the {name} stand {ratio:.1f} times as far off their encoders as told")
+    return found

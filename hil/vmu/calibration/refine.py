@@ -1,0 +1,300 @@
+"""Joint refinement: all pixels of all views against all shared unknowns and the encoders' errors, by Gauss-Newton.
+
+Every view has six unknowns of its own, by how much each axis stood off its encoder; they are held by the encoders'
+sigmas. They touch no other view, so they are eliminated view by view (Schur complement) and the system that is left
+has only the shared unknowns, however many views there are (docs/decisions/0078).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.messages import Array
+from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
+from hil.vmu.kernels.chain import COMMON, SCALE
+
+_STEPS = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What is held, and how firmly, before a pixel is looked at.
+
+    free: (COMMON,) of bool. centre, sigma: (COMMON,). axis_sigma: (6,), of the encoders, m and rad.
+    layout_sigma: m, of each LED coordinate; 0 holds the layout.
+    """
+
+    free: Array
+    centre: Array
+    sigma: Array
+    axis_sigma: Array
+    layout_sigma: float
+
+
+def belief(setup: Setup, keep: tuple[str, ...], axis_sigma: Array, layout_sigma: float, scale_sigma: float) -> Belief:
+    """Return weak beliefs about ``setup``, wide enough to matter only where the views say nothing.
+
+    keep: PARTS to be held as they are. layout_sigma: 0 for a rigid target, whose scale then has ``scale_sigma``.
+    """
+    sigma = np.empty(COMMON)
+    for part in ("left", "right"):
+        focal = setup.theta[PARTS[part]][0]
+        sigma[PARTS[part]] = (0.2 * focal, 0.2 * focal, 100.0, 100.0, 1.0, 2.0, 0.05, 0.05, 3.0)
+    sigma[PARTS["stereo"]] = (0.2, 0.2, 0.2, 0.1, 0.1, 0.1)
+    sigma[PARTS["mounting"]] = (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
+    sigma[PARTS["target"]] = (1.0, 1.0, 1.0, 20.0, 20.0, 20.0)
+    sigma[SCALE] = scale_sigma
+    free = np.ones(COMMON, dtype=bool)
+    for part in keep:
+        if part != "leds":
+            free[PARTS[part]] = False
+    free[SCALE] = layout_sigma == 0.0 and scale_sigma > 0.0
+    return Belief(free, setup.theta.copy(), sigma, axis_sigma, layout_sigma)
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """What was found.
+
+    covariance: (COMMON, COMMON), 3 m more where the layout of the LEDs is found too; zero where held.
+    offsets: (n, 6), by how much the axes stood off their encoders.
+    residuals: (n, 2, m, 2), px, seen minus expected, NaN where not seen. noise: what the pixels' told standard
+    deviations have to be multiplied by. redundancy: of the pixels. view_square: (n,), sum of the squares of each
+    view's white residuals and offsets; view_freedom: their number of degrees of freedom.
+    axis_ratio: (2,), of rails and of gimbals, square root of the variance component of their told sigmas.
+    axis_redundancy: (2,).
+    """
+
+    setup: Setup
+    covariance: Array
+    offsets: Array
+    residuals: Array
+    noise: float
+    redundancy: float
+    view_square: Array
+    view_freedom: Array
+    axis_ratio: Array
+    axis_redundancy: Array
+
+    @property
+    def sigma(self) -> Array:
+        """Return the standard deviations, (COMMON,) or (COMMON + 3 m,)."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def rms_px(self) -> float:
+        """Return the RMS of all residuals, each of u and v, px."""
+        return float(np.sqrt(np.nanmean(np.square(self.residuals))))
+
+
+def layout_basis(points: Array) -> Array:
+    """Return the moves of the points that are no motion of the whole, (3 m, 3 m - 6) with orthonormal columns."""
+    rigid = []
+    centred = points - points.mean(axis=0)
+    for axis in np.eye(3):
+        rigid += [np.tile(axis, len(points)), np.cross(axis, centred).ravel()]
+    u, s, _ = np.linalg.svd(np.array(rigid).T, full_matrices=True)
+    return np.ascontiguousarray(u[:, int((s > 1e-9 * s[0]).sum()) :])
+
+
+def whiteners(covariance: Array, seen: Array) -> Array:
+    """Return W (..., 2, 2) with W cov W' = 1, zero where a point was not seen."""
+    out = np.zeros(covariance.shape)
+    out[seen] = np.linalg.inv(np.linalg.cholesky(covariance[seen]))
+    return out
+
+
+class _System:
+    """The normal equations of one linearisation, the views' own unknowns eliminated."""
+
+    def __init__(self, problem: Problem, setup: Setup, offsets: Array, noise: float) -> None:
+        held, sightings = problem.belief, problem.sightings
+        n = len(sightings.names)
+        shared = problem.shared
+        self.axis_weight = 1.0 / held.axis_sigma**2
+        prior = np.zeros(shared)
+        gap = np.zeros(shared)
+        common = problem.columns
+        prior[: len(common)] = 1.0 / held.sigma[common] ** 2
+        gap[: len(common)] = (held.centre - setup.theta)[common]
+        for part in (
+            "mounting",
+            "target",
+        ):  # rotations are counted from where they are: their belief is too wide to matter
+            turn = range(PARTS[part].start, PARTS[part].start + 3)
+            gap[: len(common)][np.isin(common, turn)] = 0.0
+        if problem.basis is not None:
+            prior[len(common) :] = 1.0 / held.layout_sigma**2
+            gap[len(common) :] = problem.basis.T @ (problem.nominal - setup.points).ravel()
+        self.reduced = np.diag(prior)
+        self.right = prior * gap
+        self.cost = float(prior @ gap**2)
+        self.prior = prior
+        self.blocks: list[tuple[Array, Array, Array]] = []
+        self.residuals = np.full(sightings.pixels.shape, np.nan)
+        self.rows: list[tuple[Array, Array, Array]] = []
+        for i in range(n):
+            slopes = see(setup, problem.turntable, sightings.axes[i] + offsets[i])
+            seen = problem.seen[i]
+            gaps = np.where(seen[..., None], sightings.pixels[i] - slopes.pixels, 0.0)
+            self.residuals[i][seen] = gaps[seen]
+            white = problem.whiten[i][seen] / noise
+            r = np.einsum("kab,kb->ka", white, gaps[seen]).ravel()
+            a = np.einsum("kab,kbp->kap", white, slopes.by_common[seen][..., common]).reshape(len(r), -1)
+            if problem.basis is not None:
+                a = np.hstack([a, self._by_layout(problem.basis, white, slopes.by_point, seen)])
+            b = np.einsum("kab,kbp->kap", white, slopes.by_axes[seen]).reshape(len(r), 6)
+            if not np.isfinite(r).all():
+                self.cost = np.inf
+                return
+            own = b.T @ b + np.diag(self.axis_weight)
+            own_right = b.T @ r - self.axis_weight * offsets[i]
+            mixed = np.linalg.solve(own, b.T @ a)
+            self.reduced += a.T @ a - (b.T @ a).T @ mixed
+            self.right += a.T @ r - mixed.T @ own_right
+            self.blocks.append((own, own_right, mixed))
+            self.rows.append((r, a, b))
+            self.cost += float(r @ r + self.axis_weight @ offsets[i] ** 2)
+
+    @staticmethod
+    def _by_layout(basis: Array, white: Array, by_point: Array, seen: Array) -> Array:
+        _, which = np.nonzero(seen)
+        blocks = basis.reshape(-1, 3, basis.shape[1])[which]
+        out: Array = np.einsum("kab,kbc,kcp->kap", white, by_point[seen], blocks)
+        return out.reshape(2 * len(which), -1)
+
+    def step(self, damping: float) -> tuple[Array, Array]:
+        """Return the change of the shared unknowns and of each view's own."""
+        scale = 1.0 / np.sqrt(np.diagonal(self.reduced))
+        matrix = self.reduced * scale[:, None] * scale
+        matrix[np.diag_indices(len(matrix))] += damping
+        change = scale * np.linalg.solve(matrix, scale * self.right)
+        own = [np.linalg.solve(h, g) - mixed @ change for h, g, mixed in self.blocks]
+        return change, np.array(own)
+
+    def covariance(self) -> Array:
+        """Return that of the shared unknowns."""
+        scale = 1.0 / np.sqrt(np.diagonal(self.reduced))
+        inverse = np.linalg.inv(self.reduced * scale[:, None] * scale)
+        out: Array = inverse * scale[:, None] * scale
+        return 0.5 * (out + out.T)
+
+
+class Problem:
+    """The sightings of one set of views, and what is believed before; solved by ``solve``."""
+
+    def __init__(
+        self, sightings: Sightings, turntable: Turntable, held: Belief, nominal: Array, basis: Array | None = None
+    ) -> None:
+        self.sightings = sightings
+        self.turntable = turntable
+        self.belief = held
+        self.nominal = nominal
+        self.seen = sightings.seen
+        self.whiten = whiteners(sightings.covariance, self.seen)
+        self.columns = np.flatnonzero(held.free)
+        self.basis = layout_basis(nominal) if basis is None and held.layout_sigma > 0.0 else basis
+        self.shared = len(self.columns) + (0 if self.basis is None else self.basis.shape[1])
+
+    def solve(self, start: Setup) -> Fit:
+        """Return the fit from ``start``; the pixels' noise is found along with it."""
+        noise, offsets, setup = 1.0, np.zeros(self.sightings.axes.shape), start.folded()
+        for _ in range(4):
+            setup, offsets, system = self._settle(setup, offsets, noise)
+            fit = self._fit(setup, offsets, system, noise)
+            if abs(fit.noise / noise - 1.0) < 1e-3:
+                break
+            noise = fit.noise
+        return fit
+
+    def _settle(self, setup: Setup, offsets: Array, noise: float) -> tuple[Setup, Array, _System]:
+        system, damping = _System(self, setup, offsets, noise), 1e-6
+        for _ in range(_STEPS):
+            change, own = system.step(damping)
+            new_setup, new_offsets = self._moved(setup, change), offsets + own
+            tried = _System(self, new_setup, new_offsets, noise)
+            if not tried.cost <= system.cost * (1.0 + 1e-12):
+                damping = max(damping, 1e-9) * 10.0
+                if damping > 1e6:
+                    break
+                continue
+            settled = system.cost - tried.cost < 1e-9 * max(system.cost, 1.0)
+            setup, offsets, system, damping = new_setup, new_offsets, tried, damping * 0.1
+            if settled:
+                break
+        return setup, offsets, system
+
+    def _moved(self, setup: Setup, change: Array) -> Setup:
+        common = np.zeros(COMMON)
+        common[self.columns] = change[: len(self.columns)]
+        if self.basis is None:
+            return setup.moved(common)
+        return setup.moved(common, (self.basis @ change[len(self.columns) :]).reshape(-1, 3))
+
+    def _fit(self, setup: Setup, offsets: Array, system: _System, noise: float) -> Fit:
+        shared = system.covariance()
+        n = len(offsets)
+        axis_freedom = np.empty((n, 6))
+        view_square, view_freedom, squares, freedom = np.empty(n), np.empty(n), 0.0, 0.0
+        for i, ((own, _, mixed), (r, a, b)) in enumerate(zip(system.blocks, system.rows, strict=True)):
+            inverse = np.linalg.inv(own)
+            view = inverse + mixed @ shared @ mixed.T
+            axis_freedom[i] = 1.0 - np.diagonal(view) * system.axis_weight
+            cross = -mixed @ shared  # covariance of the view's own with the shared unknowns
+            leverage = float(np.sum((a @ shared) * a) + np.sum((b @ view) * b) + 2.0 * np.sum((b @ cross) * a))
+            squares += float(r @ r)
+            freedom += len(r) - leverage
+            view_square[i] = r @ r + system.axis_weight @ offsets[i] ** 2
+            view_freedom[i] = len(r) - leverage + axis_freedom[i].sum()
+        in_sigmas = offsets**2 * system.axis_weight
+        axis_redundancy = np.array([axis_freedom[:, :3].sum(), axis_freedom[:, 3:].sum()])
+        axis_square = np.array([in_sigmas[:, :3].sum(), in_sigmas[:, 3:].sum()])
+        found = noise * float(np.sqrt(squares / freedom)) if freedom > 1.0 else noise
+        spread = np.zeros((COMMON + (0 if self.basis is None else setup.points.size), self.shared))
+        spread[self.columns, : len(self.columns)] = np.eye(len(self.columns))
+        if self.basis is not None:
+            spread[COMMON:, len(self.columns) :] = self.basis
+        return Fit(
+            setup,
+            spread @ shared @ spread.T,
+            offsets,
+            system.residuals,
+            found,
+            float(freedom),
+            view_square,
+            view_freedom,
+            np.sqrt(axis_square / np.maximum(axis_redundancy, 1e-9)),
+            axis_redundancy,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Information:
+    """What pixels say of all numbers, (COMMON,) or (COMMON + 3 m,): square sum, its gradient, its curvature.
+
+    The encoders' errors are taken out. rows: of white residuals. rms_px: of the residuals, encoders' errors and all.
+    """
+
+    matrix: Array
+    score: Array
+    square: float
+    rows: int
+    rms_px: float
+
+
+def information(
+    sightings: Sightings, setup: Setup, turntable: Turntable, axis_sigma: Array, noise: float, with_points: bool
+) -> Information:
+    """Return what ``sightings`` say about changes of ``setup``, and of its points where ``with_points``."""
+    flat = Belief(np.ones(COMMON, dtype=bool), setup.theta, np.full(COMMON, np.inf), axis_sigma, 0.0)
+    problem = Problem(sightings, turntable, flat, setup.points)
+    if with_points:
+        flat = replace(flat, layout_sigma=np.inf)
+        problem = Problem(sightings, turntable, flat, setup.points, basis=np.eye(setup.points.size))
+    system = _System(problem, setup, np.zeros(sightings.axes.shape), noise)
+    square = system.cost - sum(float(right @ np.linalg.solve(own, right)) for own, right, _ in system.blocks)
+    rows = 2 * int(problem.seen.sum())
+    rms = float(np.sqrt(np.nanmean(np.square(system.residuals))))
+    return Information(system.reduced, system.right, square, rows, rms)

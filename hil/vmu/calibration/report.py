@@ -1,0 +1,128 @@
+"""The numbers of a calibration and of a check as JSON, with the reasons for the verdict."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hil.messages import Array
+from hil.vmu.calibration.job import Checked, Outcome
+from hil.vmu.calibration.model import PARTS, Parameter, Setup, parameters
+from hil.vmu.calibration.quality import AtRange
+from hil.vmu.kernels.chain import COMMON, SCALE
+
+
+def values(setup: Setup, paper: Setup, leds: bool) -> Array:
+    """Return all numbers of ``setup`` as ``parameters`` has them; the rotations as turns from those of ``paper``."""
+    theta = setup.theta.copy()
+    for part, mine, other in (
+        ("mounting", setup.camera_axes, paper.camera_axes),
+        ("target", setup.target_axes, paper.target_axes),
+    ):
+        turn = slice(PARTS[part].start, PARTS[part].start + 3)
+        theta[turn] = Rotation.from_matrix(mine @ other.T).as_rotvec()
+    return np.concatenate([theta, setup.points.ravel()]) if leds else theta
+
+
+def found_numbers(outcome: Outcome) -> list[tuple[Parameter, float, float, float]]:
+    """Return each number that was found: what it is, its value, its standard deviation and its value on paper."""
+    fit = outcome.solved.fit
+    leds = len(fit.covariance) > COMMON
+    told = parameters(len(fit.setup.points) if leds else 0)
+    now, before = (values(setup, outcome.nominal, leds) for setup in (fit.setup, outcome.nominal))
+    rows = zip(told, now, fit.sigma, before, strict=True)
+    return [(p, float(v * p.shown), float(s * p.shown), float(b * p.shown)) for p, v, s, b in rows if s > 0.0]
+
+
+def as_json(outcome: Outcome) -> dict[str, Any]:
+    """Return the numbers of ``hil calibrate --json``."""
+    solved, fit = outcome.solved, outcome.solved.fit
+    seen = solved.sightings
+    view_rms = np.sqrt(np.nanmean(np.square(fit.residuals), axis=(1, 2, 3)))
+    return {
+        "id": outcome.label.id,
+        "date": outcome.label.date,
+        "target": outcome.label.target,
+        "passed": outcome.passed,
+        "checks": [
+            {"name": c.name, "value": _finite(c.value), "limit": c.limit, "unit": c.unit, "passed": c.passed}
+            for c in outcome.checks
+        ],
+        "rms_px": fit.rms_px,
+        "sigma_px": outcome.sigma_px,
+        "noise": fit.noise,
+        "redundancy": fit.redundancy,
+        "rails_off_encoder_ratio": float(fit.axis_ratio[0]),
+        "gimbals_off_encoder_ratio": float(fit.axis_ratio[1]),
+        "views": {
+            name: {
+                "rms_px": float(rms),
+                "points": int(points),
+                "rails_off_mm": [float(1e3 * x) for x in offsets[:3]],
+                "gimbals_off_deg": [float(x) for x in np.degrees(offsets[3:])],
+            }
+            for name, rms, points, offsets in zip(
+                seen.names, view_rms, seen.seen.sum(axis=(1, 2)), fit.offsets, strict=True
+            )
+        },
+        "left_out": dict(solved.left_out),
+        "spots_left_out": solved.spots_left_out,
+        "parameters": {
+            p.name: {"value": value, "sigma": sigma, "on_paper": paper, "unit": p.unit}
+            for p, value, sigma, paper in found_numbers(outcome)
+        },
+        "at_ranges": [_range_as_json(found) for found in outcome.at_ranges],
+        "coverage": dict(zip(("left", "right"), outcome.shares, strict=True)),
+        "board_scale": float(fit.setup.theta[SCALE]),
+        "warnings": outcome.warnings,
+    }
+
+
+def _range_as_json(found: AtRange) -> dict[str, float]:
+    return {name: getattr(found, name) for name in AtRange.__slots__}
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def drift_as_json(checked: Checked, passed: bool, limits: dict[str, float]) -> dict[str, Any]:
+    """Return the numbers of ``hil calibrate --check --json``."""
+    found, known = checked.drift, checked.known
+    told = parameters(len(known.setup.points) if len(found.explanations[0].change) > COMMON else 0)
+    return {
+        "calibration": known.label.id,
+        "date": known.label.date,
+        "passed": passed,
+        "limits": limits,
+        "views": found.views,
+        "lost": list(checked.lost),
+        "points": found.points,
+        "rms_px": found.rms_px,
+        "noise": found.noise,
+        "chi_square": found.square,
+        "freedom": found.freedom,
+        "chance": found.chance,
+        "moved": list(found.alike) if found.chance < limits["alarm"] else [],
+        "shift_px": found.explanations[0].shift_px,
+        "shift_across_mm": checked.across_mm,
+        "shift_depth_mm": checked.depth_mm,
+        "range_m": checked.range_m,
+        "explanations": [
+            {
+                "part": e.part,
+                "chi_square": e.square,
+                "freedom": e.freedom,
+                "chance": e.chance,
+                "shift_px": e.shift_px,
+                "change": {
+                    p.name: {"value": float(c * p.shown), "sigma": float(s * p.shown), "unit": p.unit}
+                    for p, c, s in zip(told, e.change, e.sigma, strict=True)
+                    if s > 0.0
+                },
+            }
+            for e in found.explanations
+        ],
+    }

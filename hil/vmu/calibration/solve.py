@@ -1,0 +1,179 @@
+"""From sightings to a calibration: a robust start, the joint refinement, and the views that are left out."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from hil.errors import BadInput
+from hil.messages import Array
+from hil.vmu.calibration.leds import LEAST_VIEWS, SpotViews, identify
+from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
+from hil.vmu.calibration.refine import Belief, Fit, Problem, layout_basis, whiteners
+from hil.vmu.kernels.chain import COMMON
+
+_FAR = 4.0  # times the usual residual of a view
+_DOUBTFUL = 1e-6  # chance of a view that is left out ...
+_FAR_BY_FIT = 2.5  # ... if it is also so many times as far off as usual: corners are not equally sharp in all views
+_NEAR_GATE_PX = 3.0
+Tell = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A fit, the sightings that it rests on, the views left out with the reason, and how many spots were left out."""
+
+    fit: Fit
+    sightings: Sightings
+    left_out: dict[str, str]
+    spots_left_out: int
+
+
+def solve(seen: Sightings, setup: Setup, turntable: Turntable, held: Belief, doubtful: tuple[str, ...] = ()) -> Solved:
+    """Return the calibration from ``setup`` on.
+
+    Views that do not belong to the rest are left out: those in ``doubtful``, those whose residuals stand out of
+    a robust fit, then one by one those whose chi-square nobody would believe.
+    """
+    nominal = setup.points
+    left_out = dict.fromkeys(doubtful, "its place does not fit those of the other views")
+    seen = seen.only([k for k, name in enumerate(seen.names) if name not in left_out])
+    if len(seen.names) < LEAST_VIEWS:
+        text = f"{len(seen.names)} views are left that belong together, {LEAST_VIEWS} are needed"
+        raise BadInput.single("VIEWS", "", text)
+    setup = robust(seen, setup, turntable, held)
+    sizes = _view_rms(seen, setup, turntable)
+    usual = float(np.median(sizes))
+    far = sizes > _FAR * max(usual, 0.02)
+    if far.sum() <= len(far) // 3:
+        for k in np.flatnonzero(far):
+            left_out[seen.names[k]] = f"residuals of {sizes[k]:.2f} px, usual are {usual:.2f} px"
+        seen = seen.only(np.flatnonzero(~far))
+    allowed = min(len(seen.names) // 4, len(seen.names) - LEAST_VIEWS)
+    while True:
+        fit = Problem(seen, turntable, held, nominal).solve(setup)
+        setup = fit.setup
+        ratio = fit.view_square / np.maximum(fit.view_freedom, 1.0)
+        scaled = fit.view_square / max(float(np.median(ratio)), 1e-12)
+        chance = chi2.sf(scaled, np.maximum(fit.view_freedom, 1.0))
+        worst = int(np.argmax(scaled / np.maximum(fit.view_freedom, 1.0)))
+        if chance[worst] > _DOUBTFUL or ratio[worst] < _FAR_BY_FIT**2 * np.median(ratio) or allowed == 0:
+            return Solved(fit, seen, left_out, 0)
+        allowed -= 1
+        text = f"residuals and encoders {np.sqrt(ratio[worst] / np.median(ratio)):.1f} times as far off as usual"
+        left_out[seen.names[worst]] = text
+        seen = seen.only([k for k in range(len(seen.names)) if k != worst])
+
+
+def solve_leds(views: SpotViews, setup: Setup, turntable: Turntable, held: Belief, tell: Tell) -> Solved:
+    """Return the calibration from spots of light, identified by the setup on paper first and by the fit then."""
+    tell("identifying the LEDs", 0.0)
+    seen = _enough(identify(views, setup, turntable))
+    # what is on paper is worst about the mounting: nothing else is let move at first
+    mounting = replace(held, free=_only(held.free, "mounting"), layout_sigma=0.0)
+    rough = robust(seen, setup, turntable, mounting)
+    gate = max(_NEAR_GATE_PX, 4.0 * float(np.median(_view_rms(seen, rough, turntable))))
+    seen = _enough(identify(views, rough, turntable, gate))
+    tell("fitting", 0.3)
+    rough = robust(seen, rough, turntable, held)
+    seen = _enough(identify(views, rough, turntable, _NEAR_GATE_PX))
+    strays = _strays(seen, rough, turntable)
+    seen = _enough(seen.without(strays))
+    tell("refining", 0.6)
+    solved = solve(seen, _with_points(rough, setup), turntable, _told(held, setup))
+    lost = {name: "fewer than 3 LEDs where they should be" for name in views.names if name not in seen.names}
+    return replace(solved, left_out=lost | solved.left_out, spots_left_out=int(strays.sum()))
+
+
+def _with_points(setup: Setup, nominal: Setup) -> Setup:
+    """The layout is counted from the one on paper, so that is where the fit begins."""
+    return replace(setup, points=nominal.points)
+
+
+def _told(held: Belief, nominal: Setup) -> Belief:
+    return replace(held, centre=nominal.theta.copy())
+
+
+def _enough(seen: Sightings) -> Sightings:
+    """Return the views in which at least three LEDs are known to one camera."""
+    good = np.flatnonzero(seen.seen.sum(axis=2).max(axis=1) >= 3)
+    if len(good) < LEAST_VIEWS:
+        text = (
+            f"{len(good)} of {len(seen.names)} views show 3 LEDs near the places where rig and geometry file put them"
+        )
+        raise BadInput.single("VIEWS", "", f"{text}, {LEAST_VIEWS} are needed")
+    return seen.only(good)
+
+
+def _only(free: Array, part: str) -> np.ndarray:
+    mask = np.zeros(COMMON, dtype=bool)
+    mask[PARTS[part]] = True
+    return np.asarray(free & mask)
+
+
+def _view_rms(seen: Sightings, setup: Setup, turntable: Turntable) -> Array:
+    gaps = np.array([see(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
+    out: Array = np.sqrt(np.nanmean(np.square(gaps), axis=(1, 2, 3)))
+    return out
+
+
+def _strays(seen: Sightings, setup: Setup, turntable: Turntable) -> np.ndarray:
+    """Return which points, (n, 2, m), are far from where they should be, beside the rest of their view."""
+    gaps = np.array([see(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a camera that sees nothing in a view
+        gaps -= np.nanmedian(gaps, axis=2, keepdims=True)  # what the whole view is off is the encoders'
+    size = np.hypot(gaps[..., 0], gaps[..., 1])
+    usual = float(np.nanmedian(size))
+    return np.asarray(np.nan_to_num(size) > max(6.0 * usual, 0.3))
+
+
+def robust(seen: Sightings, setup: Setup, turntable: Turntable, held: Belief) -> Setup:
+    """Return the setup that most of the pixels agree about, the encoders taken as they are (Cauchy loss)."""
+    columns = np.flatnonzero(held.free)
+    mask = seen.seen
+    basis = layout_basis(setup.points) if held.layout_sigma > 0.0 else None
+    whiten = whiteners(seen.covariance, mask)[mask]
+    weights = 1.0 / held.sigma[columns]
+    rotations = [k for part in ("mounting", "target") for k in range(PARTS[part].start, PARTS[part].start + 3)]
+    centre = np.where(np.isin(columns, rotations), 0.0, held.centre[columns])
+
+    def place(x: Array) -> Setup:
+        theta = setup.theta.copy()
+        theta[columns] = x[: len(columns)]
+        layout = 0.0 if basis is None else (basis @ x[len(columns) :]).reshape(-1, 3)
+        return replace(setup, theta=theta, points=setup.points + layout)
+
+    def residual(x: Array) -> Array:
+        here = place(x)
+        gaps = (np.array([see(here, turntable, axes).pixels for axes in seen.axes]) - seen.pixels)[mask]
+        white = np.einsum("kab,kb->ka", whiten, np.nan_to_num(gaps, nan=1e4)).ravel()
+        layout = x[len(columns) :] / held.layout_sigma if basis is not None else np.empty(0)
+        return np.concatenate([white, (x[: len(columns)] - centre) * weights, layout])
+
+    def slopes(x: Array) -> Array:
+        here = place(x)
+        views = [see(here, turntable, axes) for axes in seen.axes]
+        common = np.array([view.by_common for view in views])[mask][..., columns]
+        rows = np.einsum("kab,kbp->kap", whiten, common).reshape(-1, len(columns))
+        prior = np.diag(weights)
+        if basis is None:
+            return np.vstack([rows, prior])
+        which = np.nonzero(mask)[2]
+        by_point = np.array([view.by_point for view in views])[mask]
+        layout = np.einsum("kab,kbc,kcp->kap", whiten, by_point, basis.reshape(-1, 3, basis.shape[1])[which])
+        rows = np.hstack([rows, layout.reshape(len(rows), -1)])
+        prior = np.diag(np.concatenate([weights, np.full(basis.shape[1], 1.0 / held.layout_sigma)]))
+        return np.vstack([rows, prior])
+
+    x = np.concatenate([setup.theta[columns], np.zeros(0 if basis is None else basis.shape[1])])
+    for loss in ("soft_l1", "cauchy"):
+        scale = max(1.0, float(np.median(np.abs(residual(x)[: 2 * int(mask.sum())]))) * 1.5)
+        found = least_squares(residual, x, slopes, loss=loss, f_scale=scale, x_scale="jac", max_nfev=60)
+        x = found.x
+    return place(x).folded()

@@ -1,0 +1,68 @@
+"""Views of a known target through known cameras: what rehearsals and tests calibrate from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hil.maths import euler, quat
+from hil.messages import Array
+from hil.vmu.calibration.model import Setup, Sightings, Turntable, see
+from hil.vmu.kernels.chain import CAMERA_STATION, TARGET_STATION
+
+
+def plan(
+    setup: Setup,
+    turntable: Turntable,
+    count: int,
+    range_m: tuple[float, float],
+    turn_deg: float,
+    generator: np.random.Generator,
+    spread: float = 0.3,
+) -> Array:
+    """Return places of the bench's axes, (count, 6), from which the target is seen all over the images.
+
+    range_m: from camera to target, drawn evenly in its logarithm. turn_deg: largest angle of each gimbal.
+    spread: how far off the optical axis the target goes, as the tangent of the angle.
+    """
+    arm = turntable.lever_arm + setup.theta[CAMERA_STATION : CAMERA_STATION + 3]
+    axes = np.empty((count, 6))
+    for row in axes:
+        row[3:] = np.radians(generator.uniform(-turn_deg, turn_deg, 3))
+        z = np.exp(generator.uniform(*np.log(range_m)))
+        p_v = z * np.array([*generator.uniform(-spread, spread, 2), 1.0])
+        a_ch = quat.to_matrix(euler.to_quaternion(row[3:], turntable.order))
+        row[:3] = setup.theta[TARGET_STATION : TARGET_STATION + 3] - a_ch.T @ (setup.camera_axes.T @ p_v + arm)
+    return axes
+
+
+def sight(
+    setup: Setup,
+    turntable: Turntable,
+    axes: Array,
+    axis_sigma: Array,
+    pixel_sigma: float,
+    generator: np.random.Generator,
+    margin_px: float = 3.0,
+) -> Sightings:
+    """Return what the cameras see with the axes at ``axes`` (n, 6) while their encoders err by ``axis_sigma`` (6,)."""
+    told = axes + generator.standard_normal(axes.shape) * axis_sigma
+    pixels = np.array([see(setup, turntable, row).pixels for row in axes])
+    pixels += generator.standard_normal(pixels.shape) * pixel_sigma
+    size = setup.sizes[None, :, None, :]
+    outside = ~((pixels > margin_px) & (pixels < size - margin_px)).all(axis=-1)
+    pixels[outside] = np.nan
+    covariance = np.broadcast_to(pixel_sigma**2 * np.eye(2), (*pixels.shape, 2)).copy()
+    return Sightings(tuple(f"{k:04d}" for k in range(len(axes))), told, pixels, covariance)
+
+
+def shifted(setup: Setup, **changes: float | Array) -> Setup:
+    """Return ``setup`` with some of theta changed: ``shifted(setup, CAMERA_TURN=[0, 1e-3, 0])``."""
+    from hil.vmu.kernels import chain
+
+    theta = setup.theta.copy()
+    for name, change in changes.items():
+        first = getattr(chain, name)
+        theta[first : first + np.size(change)] += change
+    return replace(setup, theta=theta).folded()
