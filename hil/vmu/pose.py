@@ -20,6 +20,7 @@ from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, Scene, View
 _REMEMBERED, _FITS = 256, 64
 _COARSE = 5.0  # sigmas
 _STRAIGHT = (0.5, 2.0)  # growth of chi-square over what the covariance says, within which it is believed
+_FAR = 5.0  # sigmas
 _STRAY_FACTOR = 10.0  # stray lights crowd where the target is: their density there, over that of the whole image
 
 
@@ -133,11 +134,16 @@ class Solver:
         return density
 
     def is_straight(self, view: View, fit: np.void) -> bool:
-        """Return whether chi-square grows along the least certain rotation as the covariance says."""
+        """Return whether chi-square grows along the least certain rotation as the covariance says.
+
+        Of a flat target with a tilt of m sigmas, chi-square at no tilt is m^2 / 4 above its least, and at n sigmas
+        towards it (1 - n / 2m)^2 of what it should be: the test at five sigmas passes from m = 8.5 on, where the
+        mirror image is behind a wall of 18.
+        """
         turn = fit["covariance"][3:, 3:]
         values, vectors = np.linalg.eigh(turn)
         direction = fit["covariance"][:, 3:] @ vectors[:, 2] / math.sqrt(values[2])
-        ratios = [bend(self.scene, view, fit, direction, sigmas) for sigmas in (-2.0, 2.0)]
+        ratios = [bend(self.scene, view, fit, direction, sigmas) for sigmas in (-_FAR, _FAR)]
         return all(_STRAIGHT[0] <= ratio <= _STRAIGHT[1] for ratio in ratios)
 
 
