@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.records import View
-from hil.vmu.pose import Prediction, Settings, Solver, attitude_sigma_deg, matrix_of
+from hil.vmu.pose import Prediction, Settings, Solver, attitude_sigma_deg, is_flat, matrix_of
 
 OK: Final = "ok"
 AMBIGUOUS: Final = "ambiguous"
@@ -128,7 +128,10 @@ class Identifier:
 
     def _certain(self, view: View, fit: np.void) -> bool:
         """Return whether the covariance can be believed: the attitude is known, and chi-square is a parabola."""
-        return attitude_sigma_deg(fit) < self._settings.largest_sigma_deg and self._solver.is_straight(view, fit)
+        leds = self._solver.scene.leds
+        flat = is_flat(leds[(fit["spot"][:, : len(leds)] >= 0).any(axis=0)])
+        largest = self._settings.largest_sigma_deg[0 if flat else 1]
+        return attitude_sigma_deg(fit) < largest and self._solver.is_straight(view, fit)
 
     def _marked_cost(self, view: View, fit: np.void) -> float:
         """Return what it costs that the marked LED is not the brightest, 0 where it is or is not in use."""
