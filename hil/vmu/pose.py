@@ -135,7 +135,7 @@ class Solver:
         return density
 
     def is_straight(self, view: View, fit: np.void) -> bool:
-        """Return whether chi-square grows along the least certain rotation as the covariance says.
+        """Return whether chi-square grows along the two least certain rotations as the covariance says.
 
         Of a flat target with a tilt of m sigmas, chi-square at no tilt is m^2 / 4 above its least, and at n sigmas
         towards it (1 - n / 2m)^2 of what it should be: the test at five sigmas passes from m = 8.5 on, where the
@@ -143,9 +143,12 @@ class Solver:
         """
         turn = fit["covariance"][3:, 3:]
         values, vectors = np.linalg.eigh(turn)
-        direction = fit["covariance"][:, 3:] @ vectors[:, 2] / math.sqrt(values[2])
-        ratios = [bend(self.scene, view, fit, direction, sigmas) for sigmas in (-_FAR, _FAR)]
-        return all(_STRAIGHT[0] <= ratio <= _STRAIGHT[1] for ratio in ratios)
+        for k in (1, 2):  # the axis of the tilt and the one across it may be equally uncertain
+            direction = fit["covariance"][:, 3:] @ vectors[:, k] / math.sqrt(values[k])
+            ratios = [bend(self.scene, view, fit, direction, sigmas) for sigmas in (-_FAR, _FAR)]
+            if not all(_STRAIGHT[0] <= ratio <= _STRAIGHT[1] for ratio in ratios):
+                return False
+        return True
 
 
 def scene_of(geometry: VmuGeometry, settings: Settings) -> Scene:
