@@ -19,7 +19,7 @@ from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, Scene, View
 
 _REMEMBERED, _FITS = 256, 64
 _COARSE = 5.0  # sigmas
-_STRAIGHT = (0.5, 2.0)  # growth of chi-square over what the covariance says, within which it is believed
+_STRAIGHT = (0.6, 1.7)  # growth of chi-square over what the covariance says, within which it is believed
 _FAR = 5.0  # sigmas
 _FLAT = 0.05  # thickness over extent
 _STRAY_FACTOR = 10.0  # stray lights crowd where the target is: their density there, over that of the whole image
@@ -138,8 +138,8 @@ class Solver:
         """Return whether chi-square grows along the two least certain rotations as the covariance says.
 
         Of a flat target with a tilt of m sigmas, chi-square at no tilt is m^2 / 4 above its least, and at n sigmas
-        towards it (1 - n / 2m)^2 of what it should be: the test at five sigmas passes from m = 8.5 on, where the
-        mirror image is behind a wall of 18.
+        towards it (1 - n / 2m)^2 of what it should be: the test at five sigmas passes from m = 11 on, where the
+        mirror image is behind a wall of 31.
         """
         turn = fit["covariance"][3:, 3:]
         values, vectors = np.linalg.eigh(turn)
