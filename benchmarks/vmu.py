@@ -2,7 +2,7 @@
 
 python benchmarks/vmu.py [images]
 
-One thread. tracked: in windows about the predicted LEDs. full frame: the whole images, no idea of the pose. OpenCV is
+One thread, time of the processor. tracked: in windows about the predicted LEDs. full frame: the whole images, no idea of the pose. OpenCV is
 helped: it is told which blob is which LED, by the truth, and starts at the true pose; left camera, as solvePnP has it.
 """
 
@@ -40,12 +40,12 @@ def geometry() -> VmuGeometry:
     )
 
 
-def best_ms(call: Callable[[], object]) -> float:
+def median_ms(call: Callable[[], object]) -> float:
     costs = []
     for _ in range(REPEATS):
-        start = time.perf_counter()
+        start = time.process_time()
         call()
-        costs.append(1e3 * (time.perf_counter() - start))
+        costs.append(1e3 * (time.process_time() - start))
     return float(np.median(costs))
 
 
@@ -106,17 +106,17 @@ def main(count: int) -> None:
                 unit.track.drop()
                 return unit.solve(left, right, 0.0)
 
-            full.append(best_ms(whole))
+            full.append(median_ms(whole))
             unit.track.drop()
             for k in range(3):
                 unit.solve(left, right, 0.16 * k)
             moments = iter(range(3, 3 + REPEATS))
-            tracked.append(best_ms(lambda: unit.solve(left, right, 0.16 * next(moments))))  # noqa: B023
+            tracked.append(median_ms(lambda: unit.solve(left, right, 0.16 * next(moments))))  # noqa: B023
             solution = unit.solve(left, right, 0.16 * (3 + REPEATS))
             if solution.pose is not None:
                 own_error.append(solution.pose.t_v - t)
             places = projections(pair, leds, t, q)[0]
-            other.append(best_ms(lambda: opencv.solve(left, right, places, turn, t)))  # noqa: B023
+            other.append(median_ms(lambda: opencv.solve(left, right, places, turn, t)))  # noqa: B023
             found = opencv.solve(left, right, places, turn, t)
             if found is not None:
                 other_error.append(found - t)
