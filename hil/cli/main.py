@@ -243,13 +243,16 @@ def vmu(
     start_frame: Whole | None = None,
     start_pose: Annotated[tuple[float, float, float, float, float, float] | None, Parameter(negative=())] = None,
     json: Output = None,
+    rs422: str | None = None,
+    baud: int = 460_800,
+    fast: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
     """Turn LED images (left/NNNN.png, right/NNNN.png) into poses with status and sigma, a row a frame.
 
     Parameters
     ----------
     folder
-        Holds the folders left and right.
+        Holds the folders left and right; or two videos, left.mkv,right.mkv; or two cameras, camera:0,1.
     geometry
         File of LED layout and cameras, JSON or TOML (docs/vmu.md).
     out
@@ -264,10 +267,16 @@ def vmu(
         Where the target is at first, x y z in m and rotation vector in deg: tells symmetric LEDs apart.
     json
         File to write the counts to, - for standard output.
+    rs422
+        Serial port to send each frame's pose to, as the vision unit does: a frame when its time has come.
+    baud
+        Of that port.
+    fast
+        Send each frame as soon as it is solved.
     """
     from hil.cli.vmu import vmu_command
 
-    return vmu_command(folder, geometry, out, rate_hz, overlay, start_frame, start_pose, json)
+    return vmu_command(folder, geometry, out, rate_hz, overlay, start_frame, start_pose, json, rs422, baud, fast)
 
 
 @app.command

@@ -1,12 +1,14 @@
-"""``hil vmu``: LED images on disk to poses."""
+"""``hil vmu``: LED images, from disk or from cameras, to poses: in a file and on an RS-422 line."""
 
 from __future__ import annotations
 
 import csv
 import math
 import os
+import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +19,11 @@ from hil.cli.bar import Bar
 from hil.cli.output import check_json_path, write_json
 from hil.config.load import load_file
 from hil.config.vmu_geometry import VmuGeometry
+from hil.drivers.vmu.sender import FrameSender
 from hil.errors import BadInput, Problem
 from hil.vmu.folder import UNREADABLE, ImageFolder, Pair
 from hil.vmu.identify import OK
+from hil.vmu.live import StreamPairs, names_two
 from hil.vmu.overlay import draw
 from hil.vmu.pose import Prediction
 from hil.vmu.track import prediction_at
@@ -40,12 +44,24 @@ def vmu_command(
     start_frame: int | None,
     start_pose: Sequence[float] | None,
     json_path: str | None,
+    rs422: str | None = None,
+    baud: int = 460_800,
+    fast: bool = False,
 ) -> int:
     """Do ``hil vmu``; return its exit code. Raises BadInput before any image is looked at."""
     _check_options(out, rate_hz, overlay, start_frame, start_pose, json_path)
+    if baud <= 0:
+        raise BadInput.single("--baud", "", f"{baud}: must be above 0")
     geometry = load_file(Path(geometry_path), VmuGeometry).value
-    images = ImageFolder(Path(folder), start_frame)
-    _check_size(images, geometry, geometry_path)
+    images: ImageFolder | StreamPairs
+    if names_two(folder):
+        images = StreamPairs(folder)
+        count = images.count
+    else:
+        images = ImageFolder(Path(folder), start_frame)
+        _check_size(images, geometry, geometry_path)
+        count = len(images)
+    live = isinstance(images, StreamPairs) and images.live
     console = Console(stderr=True)
     with console.status("compiling the kernels where they are not yet"):
         unit = VisionUnit(geometry)
@@ -54,14 +70,21 @@ def vmu_command(
         Path(overlay).mkdir(exist_ok=True)
     start = _start(start_pose)
     rows, solutions = [], []
-    with Bar(console, "frames") as bar:
-        for done, pair in enumerate(images):
-            solution = solve(unit, pair, pair.frame / rate_hz, start if done == 0 else None)
+    with ExitStack() as stack:
+        if isinstance(images, StreamPairs):
+            stack.enter_context(closing(images))
+        sender = None if rs422 is None else stack.enter_context(closing(FrameSender(rs422, baud)))
+        bar = stack.enter_context(Bar(console, "frames"))
+        stack.enter_context(suppress(KeyboardInterrupt) if live else nullcontext())
+        for done, (t_s, pair) in enumerate(_on_time(images, rate_hz, live, paced=rs422 is not None and not fast)):
+            solution = solve(unit, pair, t_s, start if done == 0 else None)
+            if sender is not None:
+                sender.send(solution.frame(0, t_s), t_s)
             rows.append(row(pair.frame, solution))
             solutions.append(solution)
             if overlay is not None:
                 _write_overlay(Path(overlay), unit, pair, solution)
-            bar.tell(f"frame {pair.frame} {solution.status}", (done + 1) / len(images))
+            bar.tell(f"frame {pair.frame} {solution.status}", (done + 1) / count if count else 0.0)
     write_csv(rows, out)
     summary = summarise(solutions, folder)
     if json_path is not None:
@@ -69,6 +92,25 @@ def vmu_command(
     if json_path != "-":
         _print(summary, out, Console())
     return _PASSED if summary["solved"] else _FAILED
+
+
+def _on_time(images: Iterable[Pair], rate_hz: float, live: bool, paced: bool) -> Iterator[tuple[float, Pair]]:
+    """Give each pair with the time of its exposure, s: cameras by the clock, others by their number.
+
+    Cameras are looked at ``rate_hz`` times a second, frames between are let go; others wait for their time if paced.
+    """
+    zero_s, due_s = time.monotonic(), 0.0
+    for pair in images:
+        now_s = time.monotonic() - zero_s
+        if live:
+            if now_s >= due_s:
+                due_s = max(due_s + 1.0 / rate_hz, now_s)
+                yield now_s, pair
+            continue
+        t_s = pair.frame / rate_hz
+        if paced:
+            time.sleep(max(0.0, t_s - now_s))
+        yield t_s, pair
 
 
 def solve(unit: VisionUnit, pair: Pair, t_s: float, prediction: Prediction | None = None) -> Solution:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.records import View
-from hil.vmu.pose import Prediction, Settings, Solver, attitude_sigma_deg, matrix_of
+from hil.vmu.pose import Prediction, Settings, Solver, attitude_sigma_deg, is_flat, matrix_of
 
 OK: Final = "ok"
 AMBIGUOUS: Final = "ambiguous"
@@ -24,7 +24,6 @@ _GATE_2 = 20.0  # as in matching
 _TRACK_REACH_PX = 150.0
 _MARKED_COST = 20.0
 _BRIGHTER = 1.3
-_HOPELESS_SIGMA = 10.0  # times the largest sigma: no test of the curvature helps
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +51,28 @@ class Identifier:
             return None
         fits = self._solver.from_start(view, r, prediction.t_v, spots)
         verdict = self._by_track(view, fits, prediction)
-        return verdict if verdict.status in (OK, AMBIGUOUS) else None
+        return verdict if verdict.fit is not None and self._complete(view, verdict.fit) else None
+
+    def _complete(self, view: View, fit: np.void) -> bool:
+        """Return whether no light about the pattern is left that could be an LED which the pose has no place for.
+
+        A track on the wrong LEDs leaves some out; then a search has to tell.
+        """
+        if fit["removed"]:
+            return False
+        n_leds = len(self._solver.scene.leds)
+        for c in range(2):
+            used = [k for k in fit["spot"][c] if k >= 0]
+            if len(used) < min(n_leds, int(view.counts[c])) and self._near_strays(view, used, c):
+                return False
+        return True
+
+    def _near_strays(self, view: View, used: Sequence[int], camera: int) -> bool:
+        sights = view.sights[camera, : view.counts[camera]]
+        if not used:
+            return len(sights) > 0
+        away = np.hypot(sights["u"] - sights["u"][used].mean(), sights["v"] - sights["v"][used].mean())
+        return int((away <= 1.5 * away[used].max()).sum()) > len(used)
 
     def search(self, view: View, prediction: Prediction | None) -> Verdict:
         """Return the verdict over every hypothesis; the prediction counts only where the spots leave a choice."""
@@ -107,11 +127,11 @@ class Identifier:
         return near <= away <= far and t[2] > 0.0 and facing >= math.cos(math.radians(self._settings.steepest_deg))
 
     def _certain(self, view: View, fit: np.void) -> bool:
-        """Return whether the covariance can be believed: the attitude is well known, or chi-square is a parabola."""
-        sigma, largest = attitude_sigma_deg(fit), self._settings.largest_sigma_deg
-        if sigma < 0.3 * largest:
-            return True
-        return sigma < _HOPELESS_SIGMA * largest and self._solver.is_straight(view, fit)
+        """Return whether the covariance can be believed: the attitude is known, and chi-square is a parabola."""
+        leds = self._solver.scene.leds
+        flat = is_flat(leds[(fit["spot"][:, : len(leds)] >= 0).any(axis=0)])
+        largest = self._settings.largest_sigma_deg[0 if flat else 1]
+        return attitude_sigma_deg(fit) < largest and self._solver.is_straight(view, fit)
 
     def _marked_cost(self, view: View, fit: np.void) -> float:
         """Return what it costs that the marked LED is not the brightest, 0 where it is or is not in use."""

@@ -41,11 +41,16 @@ class StreamPairs:
 
     def __iter__(self) -> Iterator[Pair]:
         frame = 0
-        while all([stream.grab() for stream in self._streams]):  # both, before either is decoded
+        while self._grab():
             images = [_grey(stream) for stream in self._streams]
             unreadable = tuple(side for side, image in zip(_SIDES, images, strict=True) if image is None)
             yield Pair(frame, images[0], images[1], unreadable)
             frame += 1
+
+    def _grab(self) -> bool:
+        """Take both exposures before either is decoded; return whether both were there."""
+        left, right = (stream.grab() for stream in self._streams)
+        return bool(left and right)
 
     def close(self) -> None:
         """Let go of both streams. Idempotent."""

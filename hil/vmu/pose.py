@@ -19,7 +19,9 @@ from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, Scene, View
 
 _REMEMBERED, _FITS = 256, 64
 _COARSE = 5.0  # sigmas
-_STRAIGHT = (0.5, 2.0)  # growth of chi-square over what the covariance says, within which it is believed
+_STRAIGHT = (0.6, 1.7)  # growth of chi-square over what the covariance says, within which it is believed
+_FAR = 5.0  # sigmas
+_FLAT = 0.05  # thickness over extent
 _STRAY_FACTOR = 10.0  # stray lights crowd where the target is: their density there, over that of the whole image
 
 
@@ -30,8 +32,8 @@ class Settings:
     near_m, far_m: range of the target. steepest_deg: largest angle between the target's axis -z_t and the line of
     sight. reach_px: a spot counts as an LED's, at first, up to this far from its projection. decisive: logarithm
     of the odds at which one hypothesis is taken and another one dropped. false_alarms: expected number of chance
-    patterns in an image at which a pattern without a track is believed. largest_sigma_deg: of the attitude; beyond it
-    the pose must pass the test of its curvature to be used.
+    patterns in an image at which a pattern without a track is believed. largest_sigma_deg: of the attitude, beyond
+    which it is not reported, where the LEDs in use are in one plane, and where they are not.
     """
 
     near_m: float = 0.2
@@ -40,7 +42,7 @@ class Settings:
     reach_px: float = 1.5
     decisive: float = 8.0
     false_alarms: float = 1e-4
-    largest_sigma_deg: float = 1.0
+    largest_sigma_deg: tuple[float, float] = (1.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,12 +135,20 @@ class Solver:
         return density
 
     def is_straight(self, view: View, fit: np.void) -> bool:
-        """Return whether chi-square grows along the least certain rotation as the covariance says."""
+        """Return whether chi-square grows along the two least certain rotations as the covariance says.
+
+        Of a flat target with a tilt of m sigmas, chi-square at no tilt is m^2 / 4 above its least, and at n sigmas
+        towards it (1 - n / 2m)^2 of what it should be: the test at five sigmas passes from m = 11 on, where the
+        mirror image is behind a wall of 31.
+        """
         turn = fit["covariance"][3:, 3:]
         values, vectors = np.linalg.eigh(turn)
-        direction = fit["covariance"][:, 3:] @ vectors[:, 2] / math.sqrt(values[2])
-        ratios = [bend(self.scene, view, fit, direction, sigmas) for sigmas in (-2.0, 2.0)]
-        return all(_STRAIGHT[0] <= ratio <= _STRAIGHT[1] for ratio in ratios)
+        for k in (1, 2):  # the axis of the tilt and the one across it may be equally uncertain
+            direction = fit["covariance"][:, 3:] @ vectors[:, k] / math.sqrt(values[k])
+            ratios = [bend(self.scene, view, fit, direction, sigmas) for sigmas in (-_FAR, _FAR)]
+            if not all(_STRAIGHT[0] <= ratio <= _STRAIGHT[1] for ratio in ratios):
+                return False
+        return True
 
 
 def scene_of(geometry: VmuGeometry, settings: Settings) -> Scene:
@@ -158,6 +168,12 @@ def thin_axis(leds: Array) -> Array:
     _, _, axes = np.linalg.svd(leds - leds.mean(axis=0))
     normal: Array = np.ascontiguousarray(axes[2])
     return normal
+
+
+def is_flat(leds: Array) -> bool:
+    """Return whether ``leds`` (n, 3) are in one plane, as far as cameras can tell."""
+    spread = np.linalg.svd(leds - leds.mean(axis=0), compute_uv=False)
+    return len(leds) < 4 or bool(spread[2] < _FLAT * spread[0])
 
 
 def attitude_sigma_deg(fit: np.void) -> float:
