@@ -173,13 +173,13 @@ class Identifier:
         else:
             gate = 2.0 * math.pi * _GATE_2 * self._gate_deviation(own, prediction)
             total = math.log(math.comb(n_leds, 3)) + 3.0 * math.log(min(1.0, density * gate)) + sum(odds[3:])
-        other = 1 - own
+        other, window = 1 - own, self._disparity_window(fit)
         for k in fit["spot"][other]:
             if k < 0:
                 continue
             sight = view.sights[other, k]
             sigma = math.sqrt(max(float(sight["var_u"]), float(sight["var_v"])))
-            total += math.log(min(1.0, 2.0 * math.sqrt(2.0 * _GATE_2) * sigma / self._disparity_window(fit)))
+            total += math.log(min(1.0, 2.0 * math.sqrt(2.0 * _GATE_2) * sigma / window))
         return total
 
     def _left_over(self, view: View, fit: np.void, camera: int) -> float:
