@@ -19,11 +19,12 @@ from hil.messages import Array
 from hil.vmu.detect import Detector
 from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.kernels.shape import add_disc
-from hil.vmu.render import Look, Renderer, projections
+from hil.vmu.render import Extras, Look, Reflection, Renderer, projections
 
 SIZE, FOCAL, PATCH = 320, 1200.0, 57
 GRID = np.stack(np.meshgrid([60.0, 160.0, 260.0], [60.0, 160.0, 260.0]), axis=-1).reshape(-1, 2)
 RANGES_M = (0.4, 0.6, 0.9, 1.3, 2.0, 3.0, 6.0, 9.0, 12.0)
+AWAY, STRAIGHT = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 0.0, 1.0])
 PLAIN = Look()
 LOOKS = {
     "plain": PLAIN,
@@ -129,26 +130,75 @@ def study(look: Look, range_m: float, images: int, seed: int) -> Row:
     )
 
 
-def main(images: int, only: str | None) -> None:
+def faint(snr: float, images: int, seed: int, look: Look = PLAIN) -> tuple[float, float]:
+    """Return the share of lights of ``snr`` (flux over its sigma, the shape known) found, and false spots an image."""
+    rng = np.random.default_rng(seed)
+    renderer, detector = Renderer(camera(), np.zeros((1, 3)), look), Detector((SIZE, SIZE))
+    variance = look.read_noise_levels**2 + look.background_levels / look.electrons_per_level + 1.0 / 12.0
+    flux = snr * np.sqrt(4.0 * np.pi * variance * (look.psf_sigma_px**2 + 1.0 / 12.0))
+    found = extra = 0
+    for _ in range(images):
+        places = GRID + rng.uniform(-20.0, 20.0, GRID.shape)
+        lights = [Reflection(0, u, v, flux, look.psf_sigma_px) for u, v in places]
+        image = renderer.image(0, AWAY, STRAIGHT, None, rng, Extras(reflections=lights))
+        spots = detector.spots(image)
+        centres = np.column_stack([spots["u"], spots["v"]])
+        hits = sum(bool((np.hypot(*(centres - place).T) < 2.0).any()) for place in places)
+        found += hits
+        extra += len(spots) - hits
+    return found / (len(GRID) * images), extra / images
+
+
+def draw(rows: dict[str, list[Row]], shares: dict[float, tuple[float, float]], path: str) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(13, 4), constrained_layout=True)
+    for colour, (name, found) in zip(("#0072b2", "#d55e00", "#009e73", "#cc79a7"), rows.items(), strict=False):
+        left.loglog(RANGES_M, [r.rmse_px for r in found], "o", color=colour, label=name)
+        left.loglog(RANGES_M, [r.rmse_px / r.ratio for r in found], "-", color=colour, linewidth=1)
+        middle.semilogx(RANGES_M, [r.ratio for r in found], "o-", color=colour, label=name, linewidth=1)
+        middle.semilogx(RANGES_M, [np.sqrt(r.chi2) for r in found], "x:", color=colour, linewidth=1)
+    left.set(xlabel="range, m", ylabel="px", title="RMS error of a centre; line: Cramer-Rao bound")
+    left.legend()
+    middle.set(xlabel="range, m", ylim=(0.6, 1.8), title="o: error / bound, x: error / reported sigma")
+    middle.axhline(1.0, color="0.6", linewidth=1)
+    right.plot(list(shares), [share for share, _ in shares.values()], "o-", color="#0072b2", linewidth=1)
+    right.set(xlabel="SNR of the flux", title="share of faint lights found")
+    figure.savefig(path, dpi=100)
+    print(path)
+
+
+def main(images: int, only: str | None, picture: str | None) -> None:
     print(
         f"{'look':9} {'range':>6} {'SNR':>6} {'found':>6} {'extra':>5} "
         f"{'RMSE px':>8} {'/CRB':>6} {'chi2':>6} {'<2s':>6}"
     )
+    rows: dict[str, list[Row]] = {}
     for name, look in LOOKS.items():
         if only and only != name:
             continue
         for range_m in RANGES_M:
             r = study(look, range_m, images, 1)
+            rows.setdefault(name, []).append(r)
             print(
                 f"{name:9} {range_m:6.1f} {r.snr:6.0f} {r.found:6.3f} {r.extra:5d} {r.rmse_px:8.4f} {r.ratio:6.3f}"
                 f" {r.chi2:6.3f} {r.within_2:6.3f}",
                 flush=True,
             )
+    shares = {snr: faint(snr, images, 2) for snr in (4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0)}
+    for snr, (share, extra) in shares.items():
+        print(f"SNR {snr:4.0f}: found {share:5.3f}, false spots an image of {SIZE} x {SIZE}: {extra:.3f}")
+    if picture:
+        draw({name: rows[name] for name in ("plain", "sharp", "bright", "noisy") if name in rows}, shares, picture)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=int, default=30)
-    parser.add_argument("--look")
+    parser.add_argument("--look", choices=LOOKS, help="of all looks, only this one")
+    parser.add_argument("--picture")
     given = parser.parse_args()
-    main(given.images, given.look)
+    main(given.images, given.look, given.picture)

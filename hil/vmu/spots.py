@@ -15,7 +15,7 @@ SPOT = np.dtype(
         ("cov_uv", "f8"),
         ("flux", "f8"),  # grey levels, sum above the background (a lower bound when saturated)
         ("peak", "f8"),  # grey levels above the background
-        ("size", "f8"),  # px, RMS radius of the spot
+        ("size", "f8"),  # px, RMS extent along one axis: a Gaussian's sigma
         ("pixels", "i8"),  # above the threshold
         ("flags", "i8"),
     ],

@@ -69,15 +69,16 @@ def read_window(image, label, name, box, pixels, weighed):
 
 
 @kernel
-def fit_cleaned(is_disc, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes):
-    """Fit, leave out the few pixels that do not belong, and fit again. Return as ``misfit``, or NaN."""
-    n = p.shape[0]
-    total = fit(is_disc, box, pixels, weighed, dark, per_level, _MOST_STEPS, p, covariance, model, light, slopes)
-    for _ in range(2):
+def clean(is_disc, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes, total):
+    """Leave the few pixels out that do not belong, and fit again; return as ``misfit``, or NaN.
+
+    total: what the fit before returned.
+    """
+    for _ in range(3):
         if not math.isfinite(total) or drop_outliers(pixels, weighed, dark, per_level, model, light) <= 0:
             break
         total = fit(is_disc, box, pixels, weighed, dark, per_level, _MOST_STEPS, p, covariance, model, light, slopes)
-    return misfit(total, weighed.sum(), n)
+    return misfit(total, weighed.sum(), p.shape[0])
 
 
 @kernel
@@ -117,8 +118,8 @@ def write_spot(image, box, p, a, is_disc, covariance, stretch, snr, component, s
     if not (flux > 0.0 and snr > limits.least_snr):
         return False
     size = size_of(p, a, is_disc)
-    least = 2.0 * math.sqrt(max(covariance[a + SIGMA, a + SIGMA], 0.0)) if not is_disc else 0.0
-    if size + least < limits.narrowest or 4.0 * size > limits.largest:
+    doubt = min(2.0 * math.sqrt(max(covariance[a + SIGMA, a + SIGMA], 0.0)), 0.2)
+    if size + doubt < limits.narrowest or 4.0 * size > limits.largest:
         return False
     spot.u, spot.v = u, v
     shift = _PERSPECTIVE * (size * size - p[a + SIGMA] * p[a + SIGMA])
@@ -183,9 +184,9 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
     found = (n - PLANE) // POINT
     box = np.empty(4, dtype=np.int64)
     covariance = np.empty((n, n))
-    chi2 = allowed = np.nan
+    total = np.nan
     for _ in range(2):
-        window_box(image.shape, p, 4.3, component, box)
+        window_box(image.shape, p, 4.3 if p[PLANE + SIGMA] < 2.0 else 3.6, component, box)
         size = (box[2] - box[0]) * (box[3] - box[1])
         if size > 4.0 * limits.largest**2:
             return count
@@ -194,34 +195,50 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
         if read_window(image, label, name, box, pixels, weighed) <= n + 2:
             return count
         sigma = p[PLANE + SIGMA]
-        chi2, allowed = fit_cleaned(
-            False, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes
-        )  # fmt: skip
-        if not math.isfinite(chi2) or p[PLANE + SIGMA] < 1.25 * sigma or p[PLANE + SIGMA] > limits.largest:
+        total = fit(False, box, pixels, weighed, dark, per_level, _MOST_STEPS, p, covariance, model, light, slopes)
+        if not math.isfinite(total) or p[PLANE + SIGMA] < 1.25 * sigma or p[PLANE + SIGMA] > limits.largest:
             break
-    if not math.isfinite(chi2):
+    if not math.isfinite(total):
         return count
-    is_disc = False
     snr = significance(pixels, weighed, dark, per_level, light)
     strong = found == 1 and snr > _STRONG
     wide_model, wide, wide_inverse = np.empty(size), np.empty((size, n + ODD)), np.zeros((n + ODD, n + ODD))
     odd = 0.0
     if strong:
-        odd = oddness(
-            box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse
+        odd = oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse)
+    chi2, allowed = misfit(total, weighed.sum(), n)
+    if odd <= _ODD:
+        kept = weighed.sum()
+        chi2, allowed = clean(
+            False, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes, total
         )  # fmt: skip
+        if strong and weighed.sum() < kept:
+            oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse)
+    is_disc = False
     if found == 1 and (chi2 > allowed or odd > _ODD):
         disc, disc_covariance = np.empty(PLANE + DISC), np.empty((PLANE + DISC, PLANE + DISC))
         disc_model, disc_light, disc_slopes = np.empty(size), np.empty(size), np.empty((size, PLANE + DISC))
         disc_weighed = np.empty(size)
         disc_start(p, disc)
         read_window(image, label, name, box, pixels, disc_weighed)
-        disc_chi2, disc_allowed = fit_cleaned(
-            True, box, pixels, disc_weighed, dark, per_level, disc, disc_covariance, disc_model, disc_light, disc_slopes
+        disc_total = fit(
+            True, box, pixels, disc_weighed, dark, per_level, _MOST_STEPS, disc, disc_covariance, disc_model,
+            disc_light, disc_slopes,
         )  # fmt: skip
-        if math.isfinite(disc_chi2) and disc_chi2 < chi2:
+        disc_chi2, disc_allowed = clean(
+            True, box, pixels, disc_weighed, dark, per_level, disc, disc_covariance, disc_model, disc_light,
+            disc_slopes, disc_total,
+        )  # fmt: skip
+        if odd > _ODD and not disc_chi2 <= disc_allowed:  # not the shape, then: single pixels
+            chi2, allowed = clean(
+                False, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes, total
+            )  # fmt: skip
+            oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse)
+        if disc_chi2 < chi2:
             is_disc, p, covariance, chi2, allowed = True, disc, disc_covariance, disc_chi2, disc_allowed
             model, light, slopes, weighed = disc_model, disc_light, disc_slopes, disc_weighed
+    if not math.isfinite(chi2):
+        return count
     stretch = chi2 if chi2 > allowed else 1.0
     split = found > 1 or chi2 > 2.0 * allowed
     snr /= math.sqrt(stretch * found)

@@ -29,7 +29,7 @@ def mark_hot(image, label, queue, component, background, deviation):
             for j in range(u - 1, u + 2):
                 if i != v or j != u:
                     next_best = max(next_best, image[i, j] - background)
-        if next_best < 0.12 * excess + 2.0 * deviation:
+        if next_best < 0.2 * excess + 2.0 * deviation:
             label[v, u] = BAD
             hot += 1
     return hot

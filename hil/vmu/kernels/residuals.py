@@ -17,18 +17,23 @@ _MOST_OUTLIERS = 3
 
 @kernel
 def drop_outliers(pixels, weighed, dark, per_level, model, light):
-    """Leave out the pixels that are far off the model, if they are few; return how many, or -1 for too many."""
+    """Leave out the pixels that are far off the model; of more than a few only the worst. Return how many."""
     found = np.empty(_MOST_OUTLIERS, dtype=np.int64)
-    count = 0
+    count, worst, most = 0, 0, 0.0
     for at in range(pixels.shape[0]):
         if weighed[at] == 0.0 or (pixels[at] >= FULL_SCALE and model[at] >= FULL_SCALE):
             continue
         gap = pixels[at] - model[at]
-        if gap * gap > _OUTLIER * _OUTLIER * (dark + per_level * max(light[at], 0.0)):
-            if count == _MOST_OUTLIERS:
-                return -1
-            found[count] = at
+        square = gap * gap / (dark + per_level * max(light[at], 0.0))
+        if square > _OUTLIER * _OUTLIER:
+            if count < _MOST_OUTLIERS:
+                found[count] = at
             count += 1
+            if square > most:
+                worst, most = at, square
+    if count > _MOST_OUTLIERS:
+        weighed[worst] = 0.0
+        return 1
     for k in range(count):
         weighed[found[k]] = 0.0
     return count
