@@ -28,11 +28,16 @@ _BRIGHTER = 1.3
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What became of one view. fit: FIT when the status is ``ok``. candidates: all poses that the spots allow."""
+    """What became of one view. fit: FIT when the status is ``ok``. candidates: all poses that the spots allow.
+
+    followed: the candidates of an ``ambiguous`` one all continue the track, whose identity stands; what is
+    open is the tilt.
+    """
 
     status: str
     fit: np.void | None = None
     candidates: Sequence[np.void] = ()
+    followed: bool = False
 
 
 class Identifier:
@@ -88,7 +93,7 @@ class Identifier:
         if alone.status == OK or prediction is None:
             return alone
         tracked = self._by_track(view, fits, prediction)
-        return tracked if tracked.status == OK else alone
+        return tracked if tracked.status == OK or tracked.followed else alone
 
     def _by_spots(self, view: View, fits: np.ndarray) -> Verdict:
         scores = np.array([fit["score"] - self._marked_cost(view, fit) for fit in fits])
@@ -113,7 +118,7 @@ class Identifier:
         rivals = [fits[k] for k in order[1:] if scores[k] > scores[order[0]] - self._settings.decisive]
         candidates = [best, *rivals]
         if any(not covers(best, rival) for rival in rivals) or not self._certain(view, best):
-            return Verdict(AMBIGUOUS, candidates=candidates)
+            return Verdict(AMBIGUOUS, candidates=candidates, followed=True)
         if self._log_false_alarms(view, best, prediction) > math.log(self._settings.false_alarms):
             return Verdict(TOO_FEW, candidates=candidates)
         return Verdict(OK, best, candidates)
