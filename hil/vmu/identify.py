@@ -23,6 +23,7 @@ _GATE_6 = 33.0  # chi-square of six components that a true pose exceeds once in 
 _GATE_2 = 20.0  # as in matching
 _TRACK_REACH_PX = 150.0
 _MARKED_COST = 20.0
+_FEW_DEGREES, _FEW_SIGMA = 6, 3.3
 _BRIGHTER = 1.3
 
 
@@ -124,7 +125,12 @@ class Identifier:
         return Verdict(OK, best, candidates)
 
     def _possible(self, fit: np.void) -> bool:
-        """Return whether the target is in range, in front, and shows its face."""
+        """Return whether the target is in range, in front, shows its face, and fits well for so few spots."""
+        degrees = 2 * int(fit["points"]) - 6
+        if 0 < degrees <= _FEW_DEGREES:  # too few to tell who is off: a stray light may be among them
+            part = 2.0 / (9.0 * degrees)
+            if fit["chi2"] > degrees * (1.0 - part + _FEW_SIGMA * math.sqrt(part)) ** 3:
+                return False
         t = fit["t"]
         away = float(np.linalg.norm(t))
         facing = float(fit["r"][:, 2] @ t) / away
