@@ -4,7 +4,7 @@ python benchmarks/vmu.py [images]
 
 One thread, time of the processor. tracked: in windows about the predicted LEDs. full frame: the whole images, no idea
 of the pose. OpenCV is helped: it is told which blob is which LED, by the truth, and starts at the true pose; left
-camera, as solvePnP has it.
+camera alone, as solvePnP has it.
 """
 
 from __future__ import annotations

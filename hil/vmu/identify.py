@@ -23,16 +23,22 @@ _GATE_6 = 33.0  # chi-square of six components that a true pose exceeds once in 
 _GATE_2 = 20.0  # as in matching
 _TRACK_REACH_PX = 150.0
 _MARKED_COST = 20.0
+_FEW_DEGREES, _FEW_SIGMA = 6, 3.3
 _BRIGHTER = 1.3
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What became of one view. fit: FIT when the status is ``ok``. candidates: all poses that the spots allow."""
+    """What became of one view. fit: FIT when the status is ``ok``. candidates: all poses that the spots allow.
+
+    followed: the candidates of an ``ambiguous`` one all continue the track, whose identity stands; what is
+    open is the tilt.
+    """
 
     status: str
     fit: np.void | None = None
     candidates: Sequence[np.void] = ()
+    followed: bool = False
 
 
 class Identifier:
@@ -88,7 +94,7 @@ class Identifier:
         if alone.status == OK or prediction is None:
             return alone
         tracked = self._by_track(view, fits, prediction)
-        return tracked if tracked.status == OK else alone
+        return tracked if tracked.status == OK or tracked.followed else alone
 
     def _by_spots(self, view: View, fits: np.ndarray) -> Verdict:
         scores = np.array([fit["score"] - self._marked_cost(view, fit) for fit in fits])
@@ -113,13 +119,18 @@ class Identifier:
         rivals = [fits[k] for k in order[1:] if scores[k] > scores[order[0]] - self._settings.decisive]
         candidates = [best, *rivals]
         if any(not covers(best, rival) for rival in rivals) or not self._certain(view, best):
-            return Verdict(AMBIGUOUS, candidates=candidates)
+            return Verdict(AMBIGUOUS, candidates=candidates, followed=True)
         if self._log_false_alarms(view, best, prediction) > math.log(self._settings.false_alarms):
             return Verdict(TOO_FEW, candidates=candidates)
         return Verdict(OK, best, candidates)
 
     def _possible(self, fit: np.void) -> bool:
-        """Return whether the target is in range, in front, and shows its face."""
+        """Return whether the target is in range, in front, shows its face, and fits well for so few spots."""
+        degrees = 2 * int(fit["points"]) - 6
+        if 0 < degrees <= _FEW_DEGREES:  # too few to tell who is off: a stray light may be among them
+            part = 2.0 / (9.0 * degrees)
+            if fit["chi2"] > degrees * (1.0 - part + _FEW_SIGMA * math.sqrt(part)) ** 3:
+                return False
         t = fit["t"]
         away = float(np.linalg.norm(t))
         facing = float(fit["r"][:, 2] @ t) / away
@@ -173,13 +184,13 @@ class Identifier:
         else:
             gate = 2.0 * math.pi * _GATE_2 * self._gate_deviation(own, prediction)
             total = math.log(math.comb(n_leds, 3)) + 3.0 * math.log(min(1.0, density * gate)) + sum(odds[3:])
-        other = 1 - own
+        other, window = 1 - own, self._disparity_window(fit)
         for k in fit["spot"][other]:
             if k < 0:
                 continue
             sight = view.sights[other, k]
             sigma = math.sqrt(max(float(sight["var_u"]), float(sight["var_v"])))
-            total += math.log(min(1.0, 2.0 * math.sqrt(2.0 * _GATE_2) * sigma / self._disparity_window(fit)))
+            total += math.log(min(1.0, 2.0 * math.sqrt(2.0 * _GATE_2) * sigma / window))
         return total
 
     def _left_over(self, view: View, fit: np.void, camera: int) -> float:

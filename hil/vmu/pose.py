@@ -14,8 +14,9 @@ from hil.messages import Array
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.kernels.hypotheses import bend
 from hil.vmu.kernels.match import assign, judge, sight_of
-from hil.vmu.kernels.pose_search import SEARCH, STATE_FITS, STATE_FULL, add_settled, search, side_of
+from hil.vmu.kernels.pose_search import SEARCH, STATE_FITS, STATE_FULL, add_settled, search
 from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, Scene, View
+from hil.vmu.kernels.starts import side_of
 
 _REMEMBERED, _FITS = 256, 64
 _COARSE = 5.0  # sigmas

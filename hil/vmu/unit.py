@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,6 +13,7 @@ from hil.maths import quat
 from hil.messages import Array, PoseFrame
 from hil.vmu.detect import Detector
 from hil.vmu.identify import AMBIGUOUS, OK, TOO_FEW, Identifier, Verdict
+from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import View
 from hil.vmu.kernels.refine import place
@@ -25,6 +27,7 @@ WRONG_SIZE: Final = "rejected_size"
 DARK: Final = "rejected_dark"
 
 _NO_SPOTS: Final = np.zeros(0, SPOT)
+_OPEN_TILT_RAD, _OPEN_TURN_RAD = 0.15, 0.03
 _WINDOW_LIMIT = 0.25  # of the image: larger windows are no gain over all of it
 
 
@@ -205,7 +208,10 @@ class VisionUnit:
         kept = view.order
         if verdict.fit is None:
             if verdict.status == AMBIGUOUS:
-                self.track.fail()
+                if verdict.followed:
+                    self.track.update(t_s, blurred(verdict.candidates))
+                else:
+                    self.track.fail()
                 return Solution(
                     t_s, AMBIGUOUS, None, spots, (self._none, self._none), candidates=len(verdict.candidates)
                 )
@@ -234,6 +240,20 @@ class VisionUnit:
 
     def _without(self, t_s: float, status: str) -> Solution:
         return Solution(t_s, status, None, (_NO_SPOTS, _NO_SPOTS), (self._none, self._none))
+
+
+def blurred(candidates: Sequence[np.void]) -> np.void:
+    """Return the best of some poses with a covariance that holds them all, and leaves the tilt open.
+
+    For the track alone: position and the turn about the line of sight are known well enough to go on.
+    """
+    best = candidates[0].copy()
+    d = np.empty(6)
+    for other in candidates[1:]:
+        difference(other["r"], other["t"], best["r"], best["t"], d)
+        best["covariance"] += np.outer(d, d)
+    best["covariance"][3:, 3:] += np.diag(np.array([_OPEN_TILT_RAD, _OPEN_TILT_RAD, _OPEN_TURN_RAD]) ** 2)
+    return best
 
 
 def _fits(image: np.ndarray, shape: tuple[int, int]) -> bool:

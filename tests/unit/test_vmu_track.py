@@ -98,3 +98,17 @@ def test_time_that_runs_backwards_begins_a_new_track(unit: VisionUnit, rng: np.r
         solution = unit.solve_spots(*spots_of(unit.geometry, flight(0), rng), t_s)
         assert solution.status == "ok"
     assert unit.track.poses == 1
+
+
+def test_a_flat_ring_keeps_its_identity_while_its_tilt_is_open(rng: np.random.Generator) -> None:
+    """Head-on from afar every frame is ambiguous; close by the tilt shows, and the LEDs are still the right ones."""
+    unit, said = VisionUnit(ring(raised_m=0.0)), []
+    for k in range(45):
+        truth = Truth(np.array([0.1, 0.01, 8.0 - 0.14 * k]), np.array([0.01, 0.02, 0.3 + 0.005 * k]))
+        begin = truth.prediction(rng) if k == 0 else None
+        solution = unit.solve_spots(*spots_of(unit.geometry, truth, rng, decoys=1), PERIOD_S * k, begin)
+        said.append(solution.status)
+        if solution.pose is not None:
+            assert truth.nees(solution.pose) < 40.0
+    assert set(said[:10]) == {"ambiguous"}
+    assert set(said[-5:]) == {"ok"}
