@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import NotNegative, Positive, Strict
+from hil.config.model import Positive, Strict
 
 LONGEST_M: Final = 100.0  # a longer part is one given in millimetres
 LABELS_AT_MOST: Final = 16
