@@ -18,7 +18,7 @@ import numba
 from numba import njit
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-_KERNEL_FOLDERS = ("maths", "dynamics", "gnc", "bench")
+_KERNEL_FOLDERS = ("maths", "dynamics", "gnc", "bench", "monitor")
 _KERNEL_FILES = ("messages.py", "campaign/fusion_kernel.py")
 _KEPT_CACHES = 6
 
