@@ -85,19 +85,19 @@ def test_a_cut_video_gives_its_whole_pictures_and_then_says_so(
 def test_a_picture_lost_in_mid_file_leaves_a_gap_in_the_times(
     tmp_path: Path, scene: Loaded[Scene], pictures: list[np.ndarray]
 ) -> None:
-    path = write_video(tmp_path / "a.mkv", pictures)
+    many = 12 * pictures  # Matroska finds its way again at the next cluster, 5 s on
+    path = write_video(tmp_path / "a.mkv", many)
     data = bytearray(path.read_bytes())
-    middle = len(data) // 2
-    lost = 3 * len(data) // COUNT
-    data[middle : middle + lost] = bytes(lost)
+    start = len(data) // 4
+    data[start : start + 20_000] = bytes(20_000)
     path.write_bytes(data)
     got = []
     with pytest.raises(BadInput, match="cut or damaged"):
         got.extend(open_source(str(path), scene))
-    right = [np.array_equal(frame.image, pictures[round(frame.t_s * 12.5)]) for frame in got]
-    assert COUNT - 5 <= sum(right) < COUNT
-    assert all(right[-3:])
-    assert got[-1].t_s == pytest.approx((COUNT - 1) / 12.5)
+    right = [np.array_equal(frame.image, many[round(frame.t_s * 12.5)]) for frame in got]
+    assert right.count(False) <= 1
+    assert len(got) < len(many) - 2
+    assert got[-1].t_s == pytest.approx((len(many) - 1) / 12.5)
 
 
 def test_a_folder_is_read_in_the_order_of_its_numbers_and_a_lost_image_leaves_a_gap(
