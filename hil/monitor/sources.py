@@ -101,6 +101,7 @@ def open_source(name: str, scene: Loaded[Scene], clock: Callable[[], float] = ti
     """
     # the decoder's own complaints would stand beside the one line that says what is wrong
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "fflags;discardcorrupt|err_detect;explode")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     path = Path(name)
     if path.is_dir():
@@ -140,20 +141,23 @@ def _video(path: Path, scene: Loaded[Scene]) -> Source:
 def _video_pictures(
     capture: cv2.VideoCapture, path: Path, scene: Loaded[Scene], count: int | None
 ) -> Iterator[Picture]:
-    number = 0
+    number, slot, start = 0, -1, 0
     try:
         while True:
             whole, image = capture.read()
             if not whole:
                 break
-            yield number, _checked(image, str(path), scene)
+            # a picture that was lost in mid-file leaves a gap in the times of those that follow
+            slot = max(slot + 1, round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3 * scene.value.fps))
+            start = slot if number == 0 else start
+            yield slot - start, _checked(image, str(path), scene)
             number += 1
     finally:
         capture.release()
     if number == 0:
         raise BadInput.single(str(path), "", "not a video that can be read: holds no whole picture")
     if count is not None and number < count - 1:
-        raise BadInput.single(str(path), "", f"cut: {number} whole pictures, {count} expected")
+        raise BadInput.single(str(path), "", f"cut or damaged: {number} whole pictures, {count} expected")
 
 
 def _folder(path: Path, scene: Loaded[Scene]) -> Source:
