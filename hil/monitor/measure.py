@@ -198,10 +198,10 @@ def measure(image, first_line, line_step, lens, circles, lines, borders, x, came
 
 
 @kernel
-def label_contrasts(image, first_line, line_step, lens, x, circles, cells, out):
+def label_contrasts(image, first_line, line_step, lens, x, circles, out):
     """Write how each small circle (group < 0) stands out: mean grey inside minus that around it (nan: not to be seen).
 
-    cells is not used up: only its length bounds nothing here. out: (circles,).
+    out: (circles,).
     """
     a = docking_view.attitude(x[3:6])
     p = np.empty(3)
