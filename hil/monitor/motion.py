@@ -141,6 +141,8 @@ class MotionFit:
         carried = known @ true @ known + held
         covariance = inverse @ (carried + factor * matter) @ inverse
         normal = _inverse(inverse[:12, :12])
+        if self._settings.motion == "printed":  # 3.2 as it stands: sigma^2 B^-1 with the divisor of K frames alone
+            covariance = max(float(np.nan_to_num(motion2, nan=edges)), 1e-6) * inverse
         consistent = edges < 2.0 and excess == 0.0 and widened == 1.0
         fit = Fit(
             Motion(t_s, theta[:12].copy(), normal, covariance[:12, :12].copy()),

@@ -14,6 +14,7 @@ from hil.monitor import accept, measure
 from hil.monitor.cells import CELL
 from hil.monitor.findings import Seen
 from hil.monitor.motion import Motion, transition
+from hil.monitor.paper import paper_frame
 from hil.monitor.parts import ACROSS, LABEL, UPRIGHT, parts_of
 from hil.monitor.pose import UNKNOWNS
 from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
@@ -183,6 +184,7 @@ class Observer:
         return Look(
             seen, "", x, self._normal.copy(), prior, self._sums.copy(), tracked, float(self._state["blur"]), noise,
             cells["feature"].copy(), used,
+            paper_frame(self._parts.lens, cells) if self._settings.calculation == "paper" and mode == NEAR else None,
         )  # fmt: skip
 
     def _point_at(self, x: Floats, y: Floats) -> tuple[float, float, float]:
