@@ -173,20 +173,19 @@ def measure(image, first_line, line_step, lens, circles, lines, borders, x, came
     prior[0], prior[1] = tuning.prior_angle, tuning.prior_growth
     clusters = ARCS * circles.shape[0] + SIDES * lines.shape[0]
     count = 0
-    for turn in range(tuning.rounds):
-        last = turn == tuning.rounds - 1
+    for _ in range(tuning.rounds):
         a = docking_view.attitude(x[3:6])
         count = lay_cells(lens, a, x[:3], circles, lines, borders, camera.blur, tuning.length, tuning.most,
                           tuning.wide_bar * camera.blur, tuning.wanted, cells)  # fmt: skip
         noise[0], noise[1] = camera.noise_0, camera.noise_1
-        fit_cells(image, first_line, line_step, cells, count, camera.blur, noise, 1 if last else 2, blur_sums)
+        fit_cells(image, first_line, line_step, cells, count, camera.blur, noise, 1, blur_sums)
         _leave_out(cells, count, used, camera, tuning.near_bar)
         _update_noise(cells, count, camera)
         if blur_sums[1] > 0.0:
             step = min(max(blur_sums[0] / blur_sums[1], -0.3), 0.3)
             camera.blur = min(max(camera.blur + step, 0.3), 4.0)
         for _ in range(3):
-            if not fit_pose(lens, cells, count, x, 0.0, prior, 2, normal):
+            if not fit_pose(lens, cells, count, x, 0.0, prior, 1, normal):
                 return UNSOLVED, count
             residuals(lens, cells, count, x, left)
             if drop_outliers(cells, count, left, tuning.reject) < _FEWEST:

@@ -100,6 +100,9 @@ def _nothing(looks: list[Look], t_s: float, status: str | None = None) -> Result
 def _result(looks: list[Look], fit: Fit, status: str) -> Result:
     values, sigmas = derive(fit.motion.w, fit.motion.covariance)
     if status == FAR:
+        # two angles that are hardly known turn the picture by half their product, which no first-order sigma holds
+        roll, one, two = (QUANTITIES.index(f"phi{i}_rad") for i in (3, 1, 2))
+        sigmas[roll] = np.hypot(sigmas[roll], sigmas[one] * sigmas[two])
         hidden = [name not in FAR_QUANTITIES for name in QUANTITIES]
         values[hidden] = np.nan
         sigmas[hidden] = np.nan
