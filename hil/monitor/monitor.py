@@ -1,0 +1,114 @@
+"""The docking monitor: frames in, portions out. The same frames give the same numbers, live or from a recording."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+import numpy as np
+
+from hil.config.scene import Scene
+from hil.monitor.derived import derive
+from hil.monitor.findings import QUANTITIES, Portion
+from hil.monitor.motion import Fit, MotionFit
+from hil.monitor.observe import Observer
+from hil.monitor.results import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, Look, Result
+from hil.monitor.settings import Settings
+from hil.monitor.sources import Frame
+
+_NAN: Final = np.full(len(QUANTITIES), np.nan)
+
+
+class Monitor:
+    """Watches one target through one camera.
+
+    ``feed`` takes the next frame and returns the portions that it completes; ``last`` is what was seen in it.
+    ``finish`` closes the portion that the end of a recording cuts short.
+    """
+
+    def __init__(self, scene: Scene, settings: Settings | None = None) -> None:
+        self.scene = scene
+        self.settings = settings or Settings()
+        self._observer = Observer(scene, self.settings)
+        self._motion = _fit_of(scene, self.settings)
+        self._looks: list[Look] = []
+        self._used_s = -np.inf
+        self.last: Look | None = None
+
+    def feed(self, frame: Frame) -> list[Result]:
+        """Take the next frame; return the portions that are complete by now."""
+        done: list[Result] = []
+        if self._looks and frame.t_s - self._looks[0].seen.t_s >= self.settings.portion_s - 1e-9:
+            done.append(self._close())
+        look = self._observer.look(frame)
+        self.last = look
+        self._looks.append(look)
+        if len(self._looks) >= self.settings.portion_frames:
+            done.append(self._close())
+        return done
+
+    def finish(self) -> list[Result]:
+        """Return the portion of the frames that are left, if any."""
+        return [self._close()] if self._looks else []
+
+    def _close(self) -> Result:
+        looks, self._looks = self._looks, []
+        t_s = looks[-1].seen.t_s
+        near = [look for look in looks if look.status == NEAR]
+        far = [look for look in looks if look.status == FAR]
+        used, status = (near, NEAR) if len(near) >= len(far) else (far, FAR)
+        if not used:
+            return _nothing(looks, t_s)
+        if used[0].seen.t_s - self._used_s > self.settings.lost_s:
+            self._motion.forget()
+        fit = self._motion.fit(used, t_s)
+        if fit is None:
+            return _nothing(looks, t_s, "rejected_motion")
+        self._used_s = used[-1].seen.t_s
+        self._observer.expect(fit.motion)
+        return _result(looks, fit, status)
+
+
+def _fit_of(scene: Scene, settings: Settings) -> MotionFit:
+    return MotionFit(settings)
+
+
+def _reasons(looks: list[Look]) -> tuple[tuple[str, int], ...]:
+    return tuple(Counter(look.reason for look in looks if not look.used).most_common())
+
+
+def _nothing(looks: list[Look], t_s: float, status: str | None = None) -> Result:
+    """Return the row of a portion without numbers: "rejected_<why>" if most of its frames showed something."""
+    if status is None:
+        status = Counter(look.status for look in looks).most_common(1)[0][0]
+    if status in (NEAR, FAR):
+        status = NO_TARGET
+    return Result(t_s, 0, status, _NAN, _NAN, reasons=_reasons(looks))
+
+
+def _result(looks: list[Look], fit: Fit, status: str) -> Result:
+    values, sigmas = derive(fit.motion.w, fit.motion.covariance)
+    if status == FAR:
+        hidden = [name not in FAR_QUANTITIES for name in QUANTITIES]
+        values[hidden] = np.nan
+        sigmas[hidden] = np.nan
+    return Result(
+        fit.motion.t_s, fit.frames, status, values, sigmas,
+        fit.sigma2_edges, fit.sigma2_common, fit.sigma2_motion, fit.consistent, fit.motion.covariance, _reasons(looks),
+    )  # fmt: skip
+
+
+def watch(monitor: Monitor, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Look, list[Portion]]]:
+    """Yield each frame with what was seen in it and the portions it completes, the cut last one with the last frame."""
+    before: Frame | None = None
+    done: list[Portion] = []
+    for frame in frames:
+        if before is not None:
+            assert monitor.last is not None
+            yield before, look, done
+        done = list(monitor.feed(frame))
+        assert monitor.last is not None
+        before, look = frame, monitor.last
+    if before is not None:
+        yield before, look, [*done, *monitor.finish()]
