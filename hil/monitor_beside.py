@@ -43,7 +43,7 @@ _LAST_WORDS_WALL_S: Final = 120.0  # a bench at many times the speed of time lea
 @dataclass
 class Watched:
     """What the monitor saw of a run. ``lag_s``: how far the newest row was ahead of a frame when it was looked at;
-    ``missed_rows``: cycles that it read too late to have them."""
+    ``missed_rows``: cycles that it read too late to have them; ``failure``: why it ended early, "" if it did not."""
 
     scene: str
     frames: int = 0
@@ -52,6 +52,7 @@ class Watched:
     frame_max_s: float = 0.0
     lag_s: float = 0.0
     missed_rows: int = 0
+    failure: str = ""
 
 
 class Watch:

@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 
 from hil import parameters
 from hil.config.rig import Rig
@@ -23,7 +22,7 @@ Floats = NDArray[np.float64]
 _RATE: Final = QUANTITIES.index("range_rate_mps")
 _RANGE: Final = QUANTITIES.index("range_m")
 _ANGLES: Final = np.array([i for i, name in enumerate(QUANTITIES) if name.endswith("_rad")])
-_BENCH_RATE_S: Final = 0.1  # half the time over which the encoders' positions are differenced
+_BENCH_RATE_S: Final = 0.5  # half the time over which the encoders' positions are differenced
 
 
 def judge_monitor(watched: Watched, history: np.ndarray, scenario: Scenario, rig: Rig) -> dict[str, Any]:
@@ -54,6 +53,7 @@ def judge_monitor(watched: Watched, history: np.ndarray, scenario: Scenario, rig
         "frame_ms": {"mean": 1e3 * watched.frame_mean_s, "max": 1e3 * watched.frame_max_s},
         "lag_s": watched.lag_s,
         "missed_rows": watched.missed_rows,
+        "failure": watched.failure,
         "quantities": {
             name: {
                 "truth": _figures(against_truth[:, i], sigmas[:, i]),
@@ -177,32 +177,29 @@ _ROWS: Final = (  # quantity, label, what one unit is in SI, unit
 )
 
 
-def monitor_table(found: dict[str, Any]) -> Table:
-    """Return the comparison as people read it."""
+def monitor_lines(found: dict[str, Any]) -> list[str]:
+    """Return the comparison as people read it, a line each."""
     status = ", ".join(f"{count} {name}" for name, count in found["status"].items()) or "none"
-    title = f"Docking monitor, {found['scene']}: {found['frames']} frames, portions: {status}"
-    table = Table(title=title, title_justify="left")
-    table.add_column("")
-    for column in ("rms to truth", "sigma", "in 2 sigma", "rms to bench", "in 2 sigma"):
-        table.add_column(f"monitor\n{column}", justify="right")
-    for column in ("rms to truth", "sigma", "in 2 sigma"):
-        table.add_column(f"vision unit\n{column}", justify="right")
-    table.add_column("apart\nin 2 sigma", justify="right")
-    for quantity, label, unit, name in _ROWS:
-        figures = found["quantities"][quantity]
-        table.add_row(
-            f"{label}, {name}",
-            *_cells(figures["truth"], unit, ("rms", "sigma_rms", "share_in_2_sigma")),
-            *_cells(figures["bench"], unit, ("rms", "share_in_2_sigma")),
-            *_cells(figures["vmu"], unit, ("rms", "sigma_rms", "share_in_2_sigma")),
-            *_cells(figures["monitor_minus_vmu"], unit, ("share_in_2_sigma",)),
-        )
-    return table
-
-
-def _cells(figures: dict[str, float] | None, unit: float, keys: tuple[str, ...]) -> list[str]:
-    if figures is None:
-        return ["-"] * len(keys)
-    return [
-        f"{100.0 * figures[key]:.0f} %" if key == "share_in_2_sigma" else f"{figures[key] / unit:.3g}" for key in keys
+    lines = [
+        f"Monitor     {found['scene']}: {found['frames']} frames of {found['frame_ms']['mean']:.1f} ms each, "
+        f"portions: {status}, longest time without one {found['longest_gap_s'] or 0.0:.2f} s"
     ]
+    if found["failure"] or found["missed_rows"]:
+        lines.append(f"            {found['failure'] or 'came late'}, {found['missed_rows']} cycles missed")
+    lines.append(
+        f"            {'rms error (sigma, in 2 sigma)':22}{'monitor to truth':>24}{'monitor to encoders':>24}"
+        f"{'vision unit to truth':>24}{'one to the other':>24}"
+    )
+    for quantity, label, unit, name in _ROWS:
+        cells = [_cell(figures, unit) for figures in found["quantities"][quantity].values()]
+        lines.append(
+            f"            {f'{label}, {name}':29}{cells[0]:>17}" + "".join(f"{cell:>24}" for cell in cells[1:])
+        )
+    return lines
+
+
+def _cell(figures: dict[str, float] | None, unit: float) -> str:
+    if figures is None:
+        return "-"
+    share = f"{100.0 * figures['share_in_2_sigma']:.0f} %"
+    return f"{figures['rms'] / unit:.3g} ({figures['sigma_rms'] / unit:.3g}, {share})"
