@@ -126,10 +126,10 @@ def _bench(history: np.ndarray, scenario: Scenario, rig: Rig, times: Floats) -> 
     found = np.empty((len(times), len(QUANTITIES)))
     for row, t_s in zip(found, times, strict=True):
         d, phi = track(t_s)
-        ahead, behind = track(t_s + _BENCH_RATE_S)[0], track(t_s - _BENCH_RATE_S)[0]
+        start, stop = max(t_s - _BENCH_RATE_S, history["t_s"][0]), min(t_s + _BENCH_RATE_S, history["t_s"][-1])
         w = np.zeros(12)
         w[0:6:2], w[6::2] = d, phi
-        w[1:6:2] = (ahead - behind) / (2.0 * _BENCH_RATE_S)
+        w[1:6:2] = (track(stop)[0] - track(start)[0]) / max(stop - start, 1e-9)
         quantities(w, row)
     return found
 
@@ -187,13 +187,13 @@ def monitor_lines(found: dict[str, Any]) -> list[str]:
     if found["failure"] or found["missed_rows"]:
         lines.append(f"            {found['failure'] or 'came late'}, {found['missed_rows']} cycles missed")
     lines.append(
-        f"            {'rms error (sigma, in 2 sigma)':22}{'monitor to truth':>24}{'monitor to encoders':>24}"
-        f"{'vision unit to truth':>24}{'one to the other':>24}"
+        f"            {'rms error (sigma, in 2 sigma)':24}{'monitor to truth':>27}{'monitor to encoders':>27}"
+        f"{'vision unit to truth':>27}{'one to the other':>27}"
     )
     for quantity, label, unit, name in _ROWS:
         cells = [_cell(figures, unit) for figures in found["quantities"][quantity].values()]
         lines.append(
-            f"            {f'{label}, {name}':29}{cells[0]:>17}" + "".join(f"{cell:>24}" for cell in cells[1:])
+            f"            {f'{label}, {name}':29}{cells[0]:>22}" + "".join(f"{cell:>27}" for cell in cells[1:])
         )
     return lines
 
