@@ -54,7 +54,7 @@ class EncoderTrack:
         times, axes = [], []
         for device in range(2):
             t = np.concatenate((self._times[device], rows["sampled_s"][:, device]))
-            newer = np.concatenate(([True], np.diff(np.maximum.accumulate(t)) > 0.0))  # a sample may be read twice
+            newer = np.diff(np.maximum.accumulate(t), prepend=-np.inf) > 0.0  # a sample may be read twice
             times.append(t[newer])
             axes.append(np.concatenate((self._axes[device], new_axes[device]))[newer])
         self._times, self._axes = (times[0], times[1]), (axes[0], axes[1])

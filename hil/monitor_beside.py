@@ -62,7 +62,9 @@ class Watch:
         config = scenario.monitor
         self.watched = Watched(config.scene)
         self._camera = RenderedCamera(scene, config, rig, scenario.step_s, seed)
-        self._monitor = Monitor(scene, Settings(target=config.target))
+        guidance = scenario.gnc.guidance  # how fast a rate may change is known here
+        acceleration = max(guidance.acceleration_mps2, guidance.deceleration_mps2)
+        self._monitor = Monitor(scene, Settings(target=config.target, acceleration_mps2=acceleration))
         self._spent_s = 0.0
 
     def take(self, rows: np.ndarray) -> None:

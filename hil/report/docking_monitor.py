@@ -23,6 +23,7 @@ _RATE: Final = QUANTITIES.index("range_rate_mps")
 _RANGE: Final = QUANTITIES.index("range_m")
 _ANGLES: Final = np.array([i for i, name in enumerate(QUANTITIES) if name.endswith("_rad")])
 _BENCH_RATE_S: Final = 0.5  # half the time over which the encoders' positions are differenced
+_SHORTEST_S: Final = 0.1
 
 
 def judge_monitor(watched: Watched, history: np.ndarray, scenario: Scenario, rig: Rig) -> dict[str, Any]:
@@ -126,7 +127,8 @@ def _bench(history: np.ndarray, scenario: Scenario, rig: Rig, times: Floats) -> 
     found = np.empty((len(times), len(QUANTITIES)))
     for row, t_s in zip(found, times, strict=True):
         d, phi = track(t_s)
-        start, stop = max(t_s - _BENCH_RATE_S, history["t_s"][0]), min(t_s + _BENCH_RATE_S, history["t_s"][-1])
+        half = min(_BENCH_RATE_S, max(t_s - history["t_s"][0], _SHORTEST_S), max(history["t_s"][-1] - t_s, _SHORTEST_S))
+        start, stop = max(t_s - half, history["t_s"][0]), min(t_s + half, history["t_s"][-1])
         w = np.zeros(12)
         w[0:6:2], w[6::2] = d, phi
         w[1:6:2] = (track(stop)[0] - track(start)[0]) / max(stop - start, 1e-9)
