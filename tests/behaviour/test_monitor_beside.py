@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hil import build, monitored
 from hil.build import Job
-from hil.cli.main import main
 from hil.config.load import load_rig, load_scenario, load_scene
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -86,12 +88,14 @@ def test_monitor_vision_unit_and_truth_agree_in_their_sigmas(
     assert found["status"] == {"near": 8}
     assert found["longest_gap_s"] <= 1.0
     for name, figures in found["quantities"].items():
-        assert figures["bench"]["most_sigmas"] < 4.5, name
         if name != "range_rate_mps":
+            assert figures["bench"]["most_sigmas"] < 4.5, name
             assert figures["vmu"]["most_sigmas"] < 4.5, name
             assert figures["monitor_minus_vmu"]["most_sigmas"] < 4.5, name
     assert found["quantities"]["range_rate_mps"]["vmu"] is None
     assert found["quantities"]["range_m"]["truth"]["rms"] < 2e-3
+    # a thruster that fires within a portion changes the rate by more than its sigma; see docs/monitor.md
+    assert found["quantities"]["range_rate_mps"]["truth"]["rms"] < 2e-3
     assert monitor_lines(found)[0].startswith("Monitor     atv: 76 frames")
 
 
@@ -117,10 +121,25 @@ def test_run_without_monitor_has_none(rig: Rig) -> None:
         assert look(runner.run()) is None
 
 
-def test_run_command_reports_the_monitor(tmp_path: object, capsys: pytest.CaptureFixture[str]) -> None:
-    path = f"{tmp_path}/run.json"
-    arguments = ["run", "scheme-1", "--duration", "2", "--set", "monitor.source=rendered", "--json", path]
-    assert main(arguments) == 1  # two seconds are not enough to be ready
-    assert "Monitor     atv: 26 frames" in capsys.readouterr().out
-    with open(path, encoding="utf-8") as file:
-        assert json.load(file)["monitor"]["status"] == {"near": 3}
+def test_run_command_reports_the_monitor(tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    arguments = ["run", "scheme-1", "--duration", "2", "--set", "monitor.source=rendered", "--json", str(path)]
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", *arguments], capture_output=True, text=True, check=False, timeout=280
+    )
+    assert done.returncode == 1, done.stderr  # two seconds are not enough to be ready
+    assert "Monitor     atv: 26 frames" in done.stdout
+    assert json.loads(path.read_text(encoding="utf-8"))["monitor"]["status"] == {"near": 3}
+
+
+def test_run_command_refuses_a_scene_that_is_not_there() -> None:
+    settings = ["--set", "monitor.source=rendered", "--set", "monitor.scene=missing"]
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "run", "scheme-1", *settings],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert "missing: unknown scene: give atv, bright-cross" in done.stderr
