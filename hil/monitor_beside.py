@@ -36,7 +36,7 @@ from hil.monitor.settings import Settings
 NAME: Final = "docking monitor"
 _NICE: Final = 10  # it may come late; whoever moves the bench may not
 _POLL_S: Final = 0.02
-_READY_WALL_S: Final = 90.0  # the first start compiles
+_READY_WALL_S: Final = 300.0  # the first start compiles
 _LAST_WORDS_WALL_S: Final = 120.0  # a bench at many times the speed of time leaves pictures to be looked at
 
 
