@@ -39,11 +39,12 @@ _FEWEST = 12
 
 @kernel
 def seek(image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, reach, least, cells):
-    """Move ``x`` (7,), a pose some pixels off, to within a fraction of a pixel; return how many cells agree."""
+    """Move ``x`` (7,), a pose some pixels off, to within a fraction of a pixel; return how many cells
+    agree, and the share of all cells that they are."""
     prior = np.empty(2)
     prior[0], prior[1] = tuning.prior_angle, 0.01
     normal = np.empty((UNKNOWNS, UNKNOWNS))
-    agree = 0
+    agree, count = 0, 0
     for turn in range(3):
         width = max(reach / (1.0 + 1.5 * turn), 2.0)
         a = docking_view.attitude(x[3:6])
@@ -51,14 +52,14 @@ def seek(image, first_line, line_step, lens, circles, lines, borders, x, camera,
         search_cells(image, first_line, line_step, cells, count, width, least)
         for robust in (width, max(0.5 * width, 1.5), max(0.25 * width, 1.0)):
             if not fit_pose(lens, cells, count, x, robust, prior, 2, normal):
-                return 0
+                return 0, 0.0
         left = np.empty(count)
         residuals(lens, cells, count, x, left)
         agree = 0
         for c in range(count):
             if abs(left[c]) < 1.0:
                 agree += 1
-    return agree
+    return agree, agree / max(count, 1)
 
 
 @kernel

@@ -13,6 +13,7 @@ from hil.monitor.derived import derive
 from hil.monitor.findings import QUANTITIES, Portion
 from hil.monitor.motion import Fit, MotionFit
 from hil.monitor.observe import Observer
+from hil.monitor.paper_motion import PaperMotionFit
 from hil.monitor.results import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, Look, Result
 from hil.monitor.settings import Settings
 from hil.monitor.sources import Frame
@@ -31,7 +32,8 @@ class Monitor:
         self.scene = scene
         self.settings = settings or Settings()
         self._observer = Observer(scene, self.settings)
-        self._motion = _fit_of(scene, self.settings)
+        self._motion = MotionFit(self.settings)
+        self._paper = _paper_fit(scene, self.settings)
         self._looks: list[Look] = []
         self._used_s = -np.inf
         self.last: Look | None = None
@@ -62,7 +64,12 @@ class Monitor:
             return _nothing(looks, t_s)
         if used[0].seen.t_s - self._used_s > self.settings.lost_s:
             self._motion.forget()
+            if self._paper is not None:
+                self._paper.forget()
+        # beyond the cross' reach the paper gives no relations: there the exact ones serve both
         fit = self._motion.fit(used, t_s)
+        if self._paper is not None and status == NEAR:
+            fit = self._paper.fit(used, t_s)
         if fit is None:
             return _nothing(looks, t_s, "rejected_motion")
         self._used_s = used[-1].seen.t_s
@@ -70,8 +77,11 @@ class Monitor:
         return _result(looks, fit, status)
 
 
-def _fit_of(scene: Scene, settings: Settings) -> MotionFit:
-    return MotionFit(settings)
+def _paper_fit(scene: Scene, settings: Settings) -> PaperMotionFit | None:
+    target = scene.chosen(settings.target)
+    if settings.calculation != "paper" or target.disc is None or target.cross is None:
+        return None
+    return PaperMotionFit(settings, scene.camera.f, target.cross.offset_m, target.disc.radius_m)
 
 
 def _reasons(looks: list[Look]) -> tuple[tuple[str, int], ...]:

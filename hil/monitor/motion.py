@@ -24,6 +24,7 @@ _UNKNOWNS: Final = 19  # twelve of motion, six accelerations, the edges' growth
 _FIRST_SIGMA: Final = np.array([1e3, 2.0] * 3 + [10.0, 0.2] * 3)  # m, m/s, rad, rad/s: before anything is known
 _WILD_FRAME: Final = 60.0  # square sum of a frame's six about the motion beyond which it may be dropped
 _SIGNIFICANT: Final = 3.0
+_MODEL_ERROR: Final = 0.25  # share of sigma^2 that the blur's model and the noise's own estimate may be off
 
 
 @dataclass(frozen=True)
@@ -133,12 +134,15 @@ class MotionFit:
         squares = np.array([_square(look, rows @ theta) for look, rows in zip(looks, designs, strict=True)])
         motion2, motion_doubt = _motion_square(squares)
         widened = 1.0
-        if motion2 / edges > 1.0 + _SIGNIFICANT * motion_doubt:
+        if motion2 > edges * (1.0 + _SIGNIFICANT * motion_doubt):
             widened = motion2 / edges
-        factor = edges * widened + len(looks) * excess
+        noise = edges if excess == 0.0 else 1.0
+        factor = noise * widened + len(looks) * excess
         carried = known @ true @ known + held
         covariance = inverse @ (carried + factor * matter) @ inverse
         normal = _inverse(inverse[:12, :12])
+        if self._settings.motion == "printed":  # 3.2 as it stands: sigma^2 B^-1 with the divisor of K frames alone
+            covariance = max(float(np.nan_to_num(motion2, nan=edges)), 1e-6) * inverse
         consistent = edges < 2.0 and excess == 0.0 and widened == 1.0
         fit = Fit(
             Motion(t_s, theta[:12].copy(), normal, covariance[:12, :12].copy()),
@@ -180,15 +184,20 @@ class MotionFit:
 
 
 def _edge_squares(looks: Sequence[Look]) -> tuple[float, float, float]:
-    """Return sigma^2 of the points, of what the points of an edge share, and how far the second is above chance."""
+    """Return sigma^2 of the points, of what the points of an edge share, and how far they are above noise.
+
+    What is above noise does not average out over the frames of a portion: it is the same in all of them.
+    """
     sums = np.array([look.sums for look in looks])
-    edges = float(sums[:, 0].sum() / max(float((sums[:, 1] - 7.0).sum()), 1.0))
-    freedom = float(np.maximum(sums[:, 3] - 7.0, 0.0).sum())
-    if freedom < 3.0:
-        return edges, edges, 0.0
-    common = float(sums[:, 2].sum()) / freedom
-    above = common - edges
-    return edges, common, above if above > _SIGNIFICANT * edges * np.sqrt(2.0 / freedom) else 0.0
+    free_points = max(float((sums[:, 1] - 7.0).sum()), 1.0)
+    free_edges = max(float(np.maximum(sums[:, 3] - 7.0, 0.0).sum()), 1e-9)
+    points, common = float(sums[:, 0].sum()) / free_points, float(sums[:, 2].sum()) / free_edges
+    too_large = (
+        points > 1.0 + _MODEL_ERROR + _SIGNIFICANT * np.sqrt(2.0 / free_points),
+        free_edges >= 3.0 and common > 1.0 + _MODEL_ERROR + _SIGNIFICANT * np.sqrt(2.0 / free_edges),
+    )
+    largest = max(points, common) if free_edges >= 3.0 else points
+    return points, common, largest - 1.0 if any(too_large) else 0.0
 
 
 def _square(look: Look, at: Floats) -> float:

@@ -14,6 +14,7 @@ from hil.monitor import accept, measure
 from hil.monitor.cells import CELL
 from hil.monitor.findings import Seen
 from hil.monitor.motion import Motion, transition
+from hil.monitor.paper import paper_frame
 from hil.monitor.parts import ACROSS, LABEL, UPRIGHT, parts_of
 from hil.monitor.pose import UNKNOWNS
 from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
@@ -25,8 +26,10 @@ from hil.monitor.sources import Frame
 Floats = NDArray[np.float64]
 
 _MOST_CELLS: Final = 4096
-_TRACK_REACH_PX: Final = 6.0
-_SEARCH_REACH_PX: Final = 10.0
+_TRACK_REACHES_PX: Final = (4.0, 10.0)
+_SEARCH_REACHES_PX: Final = (3.0, 6.0, 12.0)
+_FEWEST_AGREEING: Final = 12
+_MOST_AGREE: Final = 0.7  # share of the edges
 _TRIED: Final = 5  # hypotheses a frame
 _MARGIN_PX: Final = 24.0
 
@@ -79,8 +82,7 @@ class Observer:
         x = self._last[1].copy()
         if self._motion is not None:
             x[:6] += dt * self._motion.w[1::2]
-        agreeing = self._seek(frame, x, _TRACK_REACH_PX)
-        if agreeing < 12:
+        if not self._seek(frame, x, _TRACK_REACHES_PX):
             return None
         return self._measure(frame, x, tracked=True)
 
@@ -108,7 +110,7 @@ class Observer:
         for guess in guesses[:_TRIED]:
             self._state = _fresh_camera()
             x = guess.pose.copy()
-            if self._seek(frame, x, _SEARCH_REACH_PX) < 12:
+            if not self._seek(frame, x, _SEARCH_REACHES_PX):
                 continue
             look = self._measure(frame, x, tracked=False)
             looks.append(look)
@@ -116,14 +118,22 @@ class Observer:
                 break
         return looks
 
-    def _seek(self, frame: Frame, x: Floats, reach: float) -> int:
-        parts = self._parts
+    def _seek(self, frame: Frame, x: Floats, reaches: tuple[float, ...]) -> bool:
+        """Move x (7,) onto the edges, within the first of ``reaches``, px, in which most edges agree; else the best."""
         noise = math.sqrt(self._state["noise_0"] + 100.0 * self._state["noise_1"])
-        agreeing: int = measure.seek(
-            frame.image, float(frame.first_line), float(frame.line_step), parts.lens, parts.circles, parts.lines,
-            parts.borders, x, self._state, self._tuning, reach, max(3.0 * noise, 4.0), self._cells,
-        )  # fmt: skip
-        return agreeing
+        parts, start, best, found = self._parts, x.copy(), 0, x.copy()
+        for reach in reaches:
+            trial = start.copy()
+            agreeing, share = measure.seek(
+                frame.image, float(frame.first_line), float(frame.line_step), parts.lens, parts.circles, parts.lines,
+                parts.borders, trial, self._state, self._tuning, reach, max(3.0 * noise, 4.0), self._cells,
+            )  # fmt: skip
+            if agreeing > best:
+                best, found = agreeing, trial
+            if agreeing >= _FEWEST_AGREEING and share > _MOST_AGREE:
+                break
+        x[:] = found
+        return best >= _FEWEST_AGREEING
 
     def _bar_px(self, x: Floats) -> float:
         """Return how wide a bar of the cross is in the picture, px; 0 where it is not in front of the camera."""
@@ -183,6 +193,7 @@ class Observer:
         return Look(
             seen, "", x, self._normal.copy(), prior, self._sums.copy(), tracked, float(self._state["blur"]), noise,
             cells["feature"].copy(), used,
+            paper_frame(self._parts.lens, cells) if self._settings.calculation == "paper" and mode == NEAR else None,
         )  # fmt: skip
 
     def _point_at(self, x: Floats, y: Floats) -> tuple[float, float, float]:

@@ -64,7 +64,7 @@ class Recogniser:
         target = self._parts.target
         if target.disc is None or target.cross is None or self._cross is None or circle.share < 0.25:
             return None
-        f, cx, cy = self._parts.lens[:3]
+        f = self._parts.lens[0]
         r, b = target.disc.radius_m, target.cross.offset_m
         d3 = f * r / circle.radius
         if d3 < 1.2 * b:
@@ -84,7 +84,10 @@ class Recogniser:
         if abs(score) < _LEAST_SCORE:
             return None
         gain = d3 * (d3 - b) / (f * b)
-        d1, d2 = -gain * (out[0] - circle.u), -gain * (out[1] - circle.v)
+        # the paper's relations, in the picture's axes turned back by the roll
+        c, s = np.cos(out[2]), np.sin(out[2])
+        du, dv = out[0] - circle.u, out[1] - circle.v
+        d1, d2 = -gain * (c * du + s * dv), -gain * (c * dv - s * du)
         return Hypothesis(self._pose(circle, d1, d2, d3, 0.0, float(out[2])), True, abs(score) * circle.share**0.25)
 
     def _as_ship(

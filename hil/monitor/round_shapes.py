@@ -19,6 +19,7 @@ _FEWEST_POINTS: Final = 24
 _TRIES: Final = 48
 _CONTOURS: Final = 12  # of one threshold, the longest ones
 _MOST_POINTS: Final = 720
+_BEND: Final = 0.012
 
 
 @dataclass(frozen=True)
@@ -88,8 +89,10 @@ def fit_circle(points, near, start, turns):
 
 
 @kernel
-def best_circle(points, tries, near, out):
+def best_circle(points, tries, near, bend, out):
     """Write the circle (3,) that has most of ``points`` (n, 2) within ``near`` px; return the share that it has.
+
+    bend: share of the radius that is allowed as well: a circle seen aslant is an ellipse.
 
     Threes of points are drawn by a fixed sequence: the same points give the same circle.
     """
@@ -108,8 +111,9 @@ def best_circle(points, tries, near, out):
         if radius < 3.0 or radius > 4000.0:
             continue
         inside = 0
+        reach = max(near, bend * radius)
         for m in range(n):
-            if abs(math.hypot(points[m, 0] - u, points[m, 1] - v) - radius) < near:
+            if abs(math.hypot(points[m, 0] - u, points[m, 1] - v) - radius) < reach:
                 inside += 1
         if inside > most:
             most = inside
@@ -118,7 +122,7 @@ def best_circle(points, tries, near, out):
             break
     if most == 0:
         return 0.0
-    return fit_circle(points, near, out, 4)
+    return fit_circle(points, max(near, bend * out[2]), out, 4)
 
 
 @kernel
@@ -161,10 +165,10 @@ def _round_of(contour: Any, shape: tuple[int, ...], left: float, top: float, lin
     points = np.ascontiguousarray(points * [1.0, line_step] + [left, top])
     circle = np.zeros(3)
     near = 1.2 * line_step
-    clean = best_circle(points, _TRIES, near, circle)
+    clean = best_circle(points, _TRIES, near, _BEND, circle)
     if clean < 0.3:
         return None
-    near = max(near, 0.015 * circle[2])
+    near = max(near, 1.3 * _BEND * circle[2])
     share = seen_share(points, circle, near)
     if share < 0.22:
         return None
