@@ -50,3 +50,16 @@ def to_camera(a, d, y):
 def picture_point(f, cx, cy, x):
     """Return (u, v), px, of the point ``x`` (3,), m, in the camera's axes; means something where x[2] > 0."""
     return cx + f * x[0] / x[2], cy - f * x[1] / x[2]
+
+
+@kernel
+def of_camera_pose(t_v, q_vt, d, phi):
+    """Write d (3,), m, and phi (3,), rad, for the pose ``p_v = A(q_vt) p_t + t_v`` of a camera before the LED ring.
+
+    That camera's axes v are S, and C is t turned by half a turn about x_t: ``y = diag(1, -1, -1) p_t``.
+    """
+    back = quat.transform_back(q_vt, t_v)
+    turn = quat.to_rotation_vector(q_vt)
+    for i in range(3):
+        d[i] = -back[i] if i == 0 else back[i]
+        phi[i] = turn[i]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-_STREAMS = {"initial": 0, "imu": 1, "vision": 2, "transport": 3, "thrusters": 4, "encoders": 5, "wire": 6}
+_STREAMS = {"initial": 0, "imu": 1, "vision": 2, "transport": 3, "thrusters": 4, "encoders": 5, "wire": 6, "monitor": 7}
 
 
 def stream(seed: int, name: str) -> np.random.Generator:

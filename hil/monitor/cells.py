@@ -186,7 +186,9 @@ def _lay_circle(lens, a, d, circle, number, length, most, wanted, least, blur, r
 
 
 @kernel
-def _lay_line(lens, a, d, line, number, clusters, side, length, most, wanted, least, blur, rounds, straights, cells, count):
+def _lay_line(
+    lens, a, d, line, number, clusters, side, length, most, wanted, least, blur, rounds, straights, cells, count
+):
     """side: 0 for the line itself, +-1 for that border of a wide bar."""
     e1, e2 = line.b1 - line.a1, line.b2 - line.a2
     size = math.hypot(e1, e2)
@@ -243,7 +245,9 @@ def lay_cells(lens, a, d, circles, lines, borders, blur, length, most, wide_bar,
         small = circles[i].group < 0
         if small and rounds[i, 2] < 5.0 * blur + 1.0:
             continue
-        count = _lay_circle(lens, a, d, circles[i], i, length, most, wanted, least, blur, rounds, straights, cells, count)
+        count = _lay_circle(
+            lens, a, d, circles[i], i, length, most, wanted, least, blur, rounds, straights, cells, count
+        )
     clusters = ARCS * circles.shape[0]
     for i in range(lines.shape[0]):
         line = lines[i]
@@ -251,7 +255,26 @@ def lay_cells(lens, a, d, circles, lines, borders, blur, length, most, wide_bar,
             _, _, depth = _project(lens, a, d, line.a1, line.a2, line.y3)
             if depth > 0.0 and lens[0] * line.width / depth > wide_bar:
                 for side in (-1.0, 1.0):
-                    count = _lay_line(lens, a, d, line, i, clusters, side, length, most, wanted, least, blur, rounds, straights, cells, count)
+                    count = _lay_line(
+                        lens,
+                        a,
+                        d,
+                        line,
+                        i,
+                        clusters,
+                        side,
+                        length,
+                        most,
+                        wanted,
+                        least,
+                        blur,
+                        rounds,
+                        straights,
+                        cells,
+                        count,
+                    )
                 continue
-        count = _lay_line(lens, a, d, line, i, clusters, 0.0, length, most, wanted, least, blur, rounds, straights, cells, count)
+        count = _lay_line(
+            lens, a, d, line, i, clusters, 0.0, length, most, wanted, least, blur, rounds, straights, cells, count
+        )
     return count

@@ -163,7 +163,9 @@ def _leave_out(cells, count, used, camera, near_bar):
 
 
 @kernel
-def measure(image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, used, cells, left, normal, sums):
+def measure(
+    image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, used, cells, left, normal, sums
+):
     """Measure the pose ``x`` (7,), which is right to about a pixel; return (status, number of cells).
 
     camera: CAMERA_STATE, brought up to date. used: (features,), 1 where a feature takes part. left: residuals, px.
@@ -225,7 +227,10 @@ def _spot(image, first_line, line_step, u, v, radius):
     outer = 2.0 * radius + 1.0
     inner = max(0.5 * radius, 0.7)
     ring = 1.5 * radius + 1.0
-    top, bottom = int(math.ceil((v - outer - first_line) / line_step)), int(math.floor((v + outer - first_line) / line_step))
+    top, bottom = (
+        int(math.ceil((v - outer - first_line) / line_step)),
+        int(math.floor((v + outer - first_line) / line_step)),
+    )
     left, right = int(math.ceil(u - outer)), int(math.floor(u + outer))
     if top < 0 or left < 0 or bottom >= image.shape[0] or right >= image.shape[1]:
         return np.nan

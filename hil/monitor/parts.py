@@ -17,7 +17,9 @@ DISC, ACROSS, UPRIGHT, PLATE, OUTLINE, LABEL, BOX = range(7)
 
 _NAMES: Final = ("disc", "bar across", "bar upright", "plate", "outline", "labels")
 
-CIRCLE = np.dtype([("y1", "f8"), ("y2", "f8"), ("y3", "f8"), ("radius", "f8"), ("feature", "i8"), ("group", "i8")], align=True)
+CIRCLE = np.dtype(
+    [("y1", "f8"), ("y2", "f8"), ("y3", "f8"), ("radius", "f8"), ("feature", "i8"), ("group", "i8")], align=True
+)
 """A circle parallel to the disc: centre, m, in C; radius, m."""
 
 LINE = np.dtype(

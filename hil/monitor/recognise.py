@@ -61,7 +61,9 @@ class Recogniser:
                 break
         return sorted(found, key=lambda one: one.score, reverse=True)
 
-    def _as_disc(self, circle: Round, prepared: Prepared, left: float, top: float, line_step: float) -> Hypothesis | None:
+    def _as_disc(
+        self, circle: Round, prepared: Prepared, left: float, top: float, line_step: float
+    ) -> Hypothesis | None:
         """Return the pose by the monitor paper 3.1 if there is a cross on the circle."""
         target = self._parts.target
         if target.disc is None or target.cross is None or self._cross is None or circle.share < 0.25:
@@ -92,7 +94,9 @@ class Recogniser:
         d1, d2 = -gain * (c * du + s * dv), -gain * (c * dv - s * du)
         return Hypothesis(self._pose(circle, d1, d2, d3, 0.0, float(out[2])), True, abs(score) * circle.share**0.25)
 
-    def _as_ship(self, circle: Round, prepared: Prepared, left: float, top: float, line_step: float) -> Hypothesis | None:
+    def _as_ship(
+        self, circle: Round, prepared: Prepared, left: float, top: float, line_step: float
+    ) -> Hypothesis | None:
         """Return the pose along the target's axis if the circle can be the ship's outline with its boxes."""
         target = self._parts.target
         if target.outline is None:

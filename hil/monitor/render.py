@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hil.config.scene import PixelNoise, Scene, Target
 from hil.maths import docking_view
 from hil.monitor.coverage import NEAREST_M, draw_parts, expose
-from hil.monitor.sources import LOWER, UPPER, WHOLE, Frame, lines_of
+from hil.monitor.sources import WHOLE, Frame, exposure, lines_of
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -165,6 +165,14 @@ class Renderer:
         """Return the picture (h, w) of the pose d (3,), m, phi (3,), rad, at ``t_s``."""
         return self.expose(self.draw(d_m, phi_rad), d_m, phi_rad, t_s, rng)
 
+    def frame(self, number: int, flight: Flight, rng: np.random.Generator, start_s: float = 0.0) -> Frame:
+        """Return frame ``number`` of a flight, of the picture or half frame that is exposed then."""
+        t_s, field = exposure(self.scene, number)
+        image = self.picture(*flight(start_s + t_s), start_s + t_s, rng)
+        if field != WHOLE:
+            image = np.ascontiguousarray(image[lines_of(field)])
+        return Frame(number, start_s + t_s, image, field)
+
     def _spots(self, d: Floats, phi: Floats) -> Floats:
         a = docking_view.attitude(phi)
         rows = []
@@ -190,15 +198,6 @@ def film(
     renderer: Renderer, flight: Flight, pictures: int, rng: np.random.Generator, start_s: float = 0.0
 ) -> Iterator[Frame]:
     """Yield the frames of ``pictures`` pictures of a flight at the scene's rate; two half frames each if interlaced."""
-    scene = renderer.scene
-    if scene.fields == "whole":
-        for number in range(pictures):
-            t_s = start_s + number / scene.fps
-            yield Frame(number, t_s, renderer.picture(*flight(t_s), t_s, rng), WHOLE)
-        return
-    order = (UPPER, LOWER) if scene.fields == "upper_first" else (LOWER, UPPER)
-    for number in range(2 * pictures):
-        t_s = start_s + 0.5 * number / scene.fps
-        field = order[number % 2]
-        image = renderer.picture(*flight(t_s), t_s, rng)
-        yield Frame(number, t_s, np.ascontiguousarray(image[lines_of(field)]), field)
+    halves = 1 if renderer.scene.fields == "whole" else 2
+    for number in range(halves * pictures):
+        yield renderer.frame(number, flight, rng, start_s)

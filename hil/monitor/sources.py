@@ -63,6 +63,15 @@ def lines_of(field: int) -> slice:
     return slice(0, None, 1) if field == WHOLE else slice(field - UPPER, None, 2)
 
 
+def exposure(scene: Scene, number: int) -> tuple[float, int]:
+    """Return when, s from the first one, frame ``number`` of an unbroken recording is exposed, and its field."""
+    if scene.fields == "whole":
+        return number / scene.fps, WHOLE
+    slot, half = divmod(number, 2)
+    order = (UPPER, LOWER) if scene.fields == "upper_first" else (LOWER, UPPER)
+    return (slot + 0.5 * half) / scene.fps, order[half]
+
+
 class Source:
     """Frames of one recording or camera; iterate once. ``pictures``: how many are to come, None when not known."""
 
@@ -81,16 +90,13 @@ class Source:
             yield Frame(number, *frame)
 
     def _frames(self, first: Picture) -> Iterator[tuple[float, Image, int]]:
-        fps = self._scene.fps
-        order = (LOWER, UPPER) if self._scene.fields == "lower_first" else (UPPER, LOWER)
+        halves = 1 if self._scene.fields == "whole" else 2
         picture: Picture | None = first
         while picture is not None:
             slot, image = picture
-            if self._scene.fields == "whole":
-                yield slot / fps, image, WHOLE
-            else:
-                for half, field in enumerate(order):
-                    yield (slot + 0.5 * half) / fps, np.ascontiguousarray(image[lines_of(field)]), field
+            for half in range(halves):
+                t_s, field = exposure(self._scene, halves * slot + half)
+                yield t_s, image if field == WHOLE else np.ascontiguousarray(image[lines_of(field)]), field
             picture = next(self._pictures, None)
 
 

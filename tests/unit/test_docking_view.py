@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hil.maths import docking_view
+from hil.maths import docking_view, quat
 
 
 def test_attitude_is_the_papers_matrix_to_first_order() -> None:
@@ -40,3 +40,14 @@ def test_ahead_is_in_the_middle_right_is_right_and_up_is_up() -> None:
     np.testing.assert_allclose(seen([0.0, 0.1, 10.0], [0.0, 0.0, 0.0]), (400.0, 290.0))
     # the paper's X_O = -f d1/d3 - f phi2, Y_O = f d2/d3 + f phi1, with v = cy - Y
     np.testing.assert_allclose(seen([0.0, 0.0, 10.0], [1e-3, 2e-3, 0.0]), (398.0, 299.0), atol=1e-5)
+
+
+def test_the_pose_of_a_camera_before_the_ring_is_d_and_phi(rng: np.random.Generator) -> None:
+    half_turn = np.diag([1.0, -1.0, -1.0])
+    d, phi = np.empty(3), np.empty(3)
+    for _ in range(20):
+        t_v, turn, p_t = rng.standard_normal((3, 3))
+        q_vt = quat.from_rotation_vector(turn)
+        docking_view.of_camera_pose(t_v, q_vt, d, phi)
+        seen = docking_view.to_camera(docking_view.attitude(phi), d, half_turn @ p_t)
+        np.testing.assert_allclose(seen, quat.to_matrix(q_vt) @ p_t + t_v, atol=1e-12)
