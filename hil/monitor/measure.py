@@ -154,9 +154,7 @@ def _leave_out(cells, count, used, camera, near_bar):
         cell = cells[c]
         if cell.good != 1:
             continue
-        if used[cell.feature] == 0 or (cell.kind == BAR and cell.width < near_bar):
-            cell.good = 0
-        elif not 0.0 < cell.variance < 0.09:
+        if used[cell.feature] == 0 or (cell.kind == BAR and cell.width < near_bar) or not 0.0 < cell.variance < 0.09:
             cell.good = 0
         elif cell.misfit > 6.0 * cell.pixels:
             cell.good = 3
@@ -228,10 +226,10 @@ def _spot(image, first_line, line_step, u, v, radius):
     inner = max(0.5 * radius, 0.7)
     ring = 1.5 * radius + 1.0
     top, bottom = (
-        int(math.ceil((v - outer - first_line) / line_step)),
-        int(math.floor((v + outer - first_line) / line_step)),
+        math.ceil((v - outer - first_line) / line_step),
+        math.floor((v + outer - first_line) / line_step),
     )
-    left, right = int(math.ceil(u - outer)), int(math.floor(u + outer))
+    left, right = math.ceil(u - outer), math.floor(u + outer)
     if top < 0 or left < 0 or bottom >= image.shape[0] or right >= image.shape[1]:
         return np.nan
     low, n_low, high, n_high = 0.0, 0, 0.0, 0
