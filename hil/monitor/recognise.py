@@ -126,7 +126,7 @@ class Recogniser:
         self, circle: Round, d1: float, d2: float, d3: float, offset: float, roll: float,
         centre: tuple[float, float] = (0.0, 0.0),
     ) -> Floats:  # fmt: skip
-        """Return the pose at d, of that roll, that puts the point ``centre``, ``offset`` of C at the circle's middle."""
+        """Return the pose at d, of that roll, that puts the point ``centre``, ``offset`` at the circle's centre."""
         f, cx, cy = self._parts.lens[:3]
         # A.T = exp(-[phi]x) diag(1, -1, -1): a roll of the picture by +roll (u towards v) is phi3 = roll
         x3 = d3 - offset
