@@ -76,7 +76,7 @@ def draw_conditions(rng: np.random.Generator) -> Conditions:
     )  # fmt: skip
 
 
-def one_portion(scene: Scene, rng: np.random.Generator, settings: Settings) -> tuple[Flight, Result, Monitor]:
+def one_portion(scene: Scene, rng: np.random.Generator, settings: Settings) -> tuple[Flight, Result]:
     """Return a flight and what a fresh monitor says after its first portion."""
     flight = draw_flight(rng, settings)
     renderer = Renderer(scene, conditions=draw_conditions(rng))
@@ -84,8 +84,8 @@ def one_portion(scene: Scene, rng: np.random.Generator, settings: Settings) -> t
     pictures = settings.portion_frames if scene.fields == "whole" else settings.portion_frames // 2
     for frame in film(renderer, flight, pictures, rng):
         for portion in monitor.feed(frame):
-            return flight, portion, monitor
-    return flight, monitor.finish()[0], monitor
+            return flight, portion
+    return flight, monitor.finish()[0]
 
 
 class Coverage:
@@ -136,7 +136,7 @@ def independent(scene: Scene, portions: int, seed: int, worst: int) -> Coverage:
     listed: list[tuple[float, str]] = []
     for number in range(portions):
         rng = np.random.default_rng([seed, number])
-        flight, portion, monitor = one_portion(scene, rng, settings)
+        flight, portion = one_portion(scene, rng, settings)
         coverage.add(flight.truth(portion.t_s), portion)
         if worst:
             ratio = (portion.values - flight.truth(portion.t_s)) / portion.sigmas

@@ -23,7 +23,7 @@ from hil.errors import BadInput, Problem
 if TYPE_CHECKING:
     from hil.monitor.findings import Portion
     from hil.monitor.preprocess import Region
-    from hil.monitor.results import Look, Result
+    from hil.monitor.results import Look
 
 _PASSED = 0
 

@@ -151,7 +151,7 @@ def _curvature(u0, v0, u1, v1, u2, v2):
 
 @kernel
 def _lay_circle(lens, a, d, circle, number, length, most, wanted, least, blur, rounds, straights, cells, count):
-    u0, v0, depth = _project(lens, a, d, circle.y1, circle.y2, circle.y3)
+    _, _, depth = _project(lens, a, d, circle.y1, circle.y2, circle.y3)
     if depth <= 0.0:
         return count
     around = 2.0 * math.pi * lens[0] * circle.radius / depth

@@ -11,6 +11,7 @@ from hil.maths.jit import kernel
 from hil.monitor.cells import BAR
 
 _ROOT_2PI = math.sqrt(2.0 * math.pi)
+_FLAT = 4.5  # widths of the blur from an edge where the picture is taken for flat
 MOST_PIXELS = 400
 
 
@@ -85,6 +86,9 @@ def _middle(s, grey, count, reach):
 def _step_row(s, blur, x, row):
     """Write the derivatives of an edge's model to (inside, outside, shift, blur); return its value."""
     z = (x[2] - s) / blur
+    if abs(z) > _FLAT:
+        row[0], row[1], row[2], row[3] = (1.0, 0.0, 0.0, 0.0) if z > 0.0 else (0.0, 1.0, 0.0, 0.0)
+        return x[0] if z > 0.0 else x[1]
     share = _share(z)
     bell = (x[0] - x[1]) * math.exp(-0.5 * z * z) / (_ROOT_2PI * blur)
     row[0], row[1], row[2], row[3] = share, 1.0 - share, bell, -bell * z

@@ -154,9 +154,7 @@ def _leave_out(cells, count, used, camera, near_bar):
         cell = cells[c]
         if cell.good != 1:
             continue
-        if used[cell.feature] == 0 or (cell.kind == BAR and cell.width < near_bar):
-            cell.good = 0
-        elif not 0.0 < cell.variance < 0.09:
+        if used[cell.feature] == 0 or (cell.kind == BAR and cell.width < near_bar) or not 0.0 < cell.variance < 0.09:
             cell.good = 0
         elif cell.misfit > 6.0 * cell.pixels:
             cell.good = 3
@@ -175,20 +173,19 @@ def measure(
     prior[0], prior[1] = tuning.prior_angle, tuning.prior_growth
     clusters = ARCS * circles.shape[0] + SIDES * lines.shape[0]
     count = 0
-    for turn in range(tuning.rounds):
-        last = turn == tuning.rounds - 1
+    for _ in range(tuning.rounds):
         a = docking_view.attitude(x[3:6])
         count = lay_cells(lens, a, x[:3], circles, lines, borders, camera.blur, tuning.length, tuning.most,
                           tuning.wide_bar * camera.blur, tuning.wanted, cells)  # fmt: skip
         noise[0], noise[1] = camera.noise_0, camera.noise_1
-        fit_cells(image, first_line, line_step, cells, count, camera.blur, noise, 1 if last else 2, blur_sums)
+        fit_cells(image, first_line, line_step, cells, count, camera.blur, noise, 1, blur_sums)
         _leave_out(cells, count, used, camera, tuning.near_bar)
         _update_noise(cells, count, camera)
         if blur_sums[1] > 0.0:
             step = min(max(blur_sums[0] / blur_sums[1], -0.3), 0.3)
             camera.blur = min(max(camera.blur + step, 0.3), 4.0)
         for _ in range(3):
-            if not fit_pose(lens, cells, count, x, 0.0, prior, 2, normal):
+            if not fit_pose(lens, cells, count, x, 0.0, prior, 1, normal):
                 return UNSOLVED, count
             residuals(lens, cells, count, x, left)
             if drop_outliers(cells, count, left, tuning.reject) < _FEWEST:
@@ -229,10 +226,10 @@ def _spot(image, first_line, line_step, u, v, radius):
     inner = max(0.5 * radius, 0.7)
     ring = 1.5 * radius + 1.0
     top, bottom = (
-        int(math.ceil((v - outer - first_line) / line_step)),
-        int(math.floor((v + outer - first_line) / line_step)),
+        math.ceil((v - outer - first_line) / line_step),
+        math.floor((v + outer - first_line) / line_step),
     )
-    left, right = int(math.ceil(u - outer)), int(math.floor(u + outer))
+    left, right = math.ceil(u - outer), math.floor(u + outer)
     if top < 0 or left < 0 or bottom >= image.shape[0] or right >= image.shape[1]:
         return np.nan
     low, n_low, high, n_high = 0.0, 0, 0.0, 0

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.config.scene import Scene
 from hil.monitor.derived import derive
-from hil.monitor.findings import QUANTITIES, Portion
+from hil.monitor.findings import QUANTITIES
 from hil.monitor.motion import Fit, MotionFit
 from hil.monitor.observe import Observer
 from hil.monitor.paper_motion import PaperMotionFit
@@ -100,6 +100,9 @@ def _nothing(looks: list[Look], t_s: float, status: str | None = None) -> Result
 def _result(looks: list[Look], fit: Fit, status: str) -> Result:
     values, sigmas = derive(fit.motion.w, fit.motion.covariance)
     if status == FAR:
+        # two angles that are hardly known turn the picture by half their product, which no first-order sigma holds
+        roll, one, two = (QUANTITIES.index(f"phi{i}_rad") for i in (3, 1, 2))
+        sigmas[roll] = np.hypot(sigmas[roll], sigmas[one] * sigmas[two])
         hidden = [name not in FAR_QUANTITIES for name in QUANTITIES]
         values[hidden] = np.nan
         sigmas[hidden] = np.nan
@@ -109,16 +112,15 @@ def _result(looks: list[Look], fit: Fit, status: str) -> Result:
     )  # fmt: skip
 
 
-def watch(monitor: Monitor, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Look, list[Portion]]]:
+def watch(monitor: Monitor, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Look, list[Result]]]:
     """Yield each frame with what was seen in it and the portions it completes, the cut last one with the last frame."""
-    before: Frame | None = None
-    done: list[Portion] = []
+    before: tuple[Frame, Look, list[Result]] | None = None
     for frame in frames:
         if before is not None:
-            assert monitor.last is not None
-            yield before, look, done
-        done = list(monitor.feed(frame))
+            yield before
+        done = monitor.feed(frame)
         assert monitor.last is not None
-        before, look = frame, monitor.last
+        before = (frame, monitor.last, done)
     if before is not None:
-        yield before, look, [*done, *monitor.finish()]
+        frame, look, done = before
+        yield frame, look, [*done, *monitor.finish()]

@@ -103,7 +103,7 @@ class MotionFit:
             found = self._solve(kept, t_s)
             if found is None:
                 return None
-            theta, fit, squares = found
+            fit, squares = found
             worst = int(np.argmax(squares))
             if len(kept) < 4 or squares[worst] < _WILD_FRAME or squares[worst] < 8.0 * np.median(squares):
                 break
@@ -111,7 +111,7 @@ class MotionFit:
         self.before = fit.motion
         return fit
 
-    def _solve(self, looks: Sequence[Look], t_s: float) -> tuple[Floats, Fit, Floats] | None:
+    def _solve(self, looks: Sequence[Look], t_s: float) -> tuple[Fit, Floats] | None:
         assumed, true, mean = self._prior(t_s)
         matter, right = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
         designs = [_design(look.seen.t_s - t_s) for look in looks]
@@ -148,7 +148,7 @@ class MotionFit:
             Motion(t_s, theta[:12].copy(), normal, covariance[:12, :12].copy()),
             len(looks), edges, common, motion2, consistent,
         )  # fmt: skip
-        return theta, fit, squares
+        return fit, squares
 
     def _held(self, looks: Sequence[Look]) -> Floats:
         """Return the information (19, 19) of small passive angles, where no cross tells them."""

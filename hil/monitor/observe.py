@@ -13,7 +13,7 @@ from hil.maths import docking_view
 from hil.monitor import accept, measure
 from hil.monitor.cells import CELL
 from hil.monitor.findings import Seen
-from hil.monitor.motion import Motion, transition
+from hil.monitor.motion import Motion
 from hil.monitor.paper import paper_frame
 from hil.monitor.parts import ACROSS, LABEL, UPRIGHT, parts_of
 from hil.monitor.pose import UNKNOWNS
@@ -199,7 +199,8 @@ class Observer:
     def _point_at(self, x: Floats, y: Floats) -> tuple[float, float, float]:
         """Return u, v, px, and the depth, m, of the point y (3,) of C."""
         p = docking_view.to_camera(docking_view.attitude(x[3:6]), x[:3], y)
-        u, v = docking_view.picture_point(*self._parts.lens[:3], p)
+        f, cx, cy = self._parts.lens[:3]
+        u, v = docking_view.picture_point(f, cx, cy, p)
         return float(u), float(v), float(p[2])
 
     def _cross_at(self, x: Floats) -> tuple[float, float, float]:

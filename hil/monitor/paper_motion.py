@@ -132,7 +132,7 @@ class PaperMotionFit:
         left = measured - self._model(times, z)[0]
         own = float(np.sum(weights * left**2))
         normal = matter + c
-        inverse = np.linalg.inv(normal)
+        inverse: Floats = np.asarray(np.linalg.inv(normal), float)
         freedom = max(3 * len(times) - 6, 1)
         if self._printed:
             square = (own + float((z - z0) @ c @ (z - z0))) / freedom

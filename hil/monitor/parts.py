@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -102,7 +103,7 @@ def _rectangle(x: float, y: float, width: float, height: float, y3: float, featu
     """Return the four edges, counter-clockwise as the camera sees them: the outside is to the right."""
     x0, x1, y0, y1 = x - 0.5 * width, x + 0.5 * width, y - 0.5 * height, y + 0.5 * height
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
-    return [(*a, *b, y3, 0.0, feature, feature) for a, b in zip(corners, corners[1:], strict=False)]
+    return [(*a, *b, y3, 0.0, feature, feature) for a, b in pairwise(corners)]
 
 
 def _table(rows: list[tuple[float, ...]], kind: np.dtype[np.void]) -> NDArray[np.void]:

@@ -47,7 +47,7 @@ def cross_pattern(target: Target) -> Pattern:
     return Pattern(np.array(rows), np.array(classes))
 
 
-def boxes_pattern(target: Target, other: bool = False) -> Pattern:
+def boxes_pattern(target: Target) -> Pattern:
     """Return points on the boxes (+1) and around them (-1), about the outline's middle."""
     assert target.outline is not None
     c1, c2 = target.outline.center_m
@@ -75,8 +75,8 @@ def pattern_score(image, left, top, line_step, points, classes, u, v, scale, rol
     n, plus = 0, 0
     total, square, high = 0.0, 0.0, 0.0
     for i in range(points.shape[0]):
-        column = int(math.floor(u + c * points[i, 0] - s * points[i, 1] - left + 0.5))
-        row = int(math.floor((v + s * points[i, 0] + c * points[i, 1] - top) / line_step + 0.5))
+        column = math.floor(u + c * points[i, 0] - s * points[i, 1] - left + 0.5)
+        row = math.floor((v + s * points[i, 0] + c * points[i, 1] - top) / line_step + 0.5)
         if 0 <= row < image.shape[0] and 0 <= column < image.shape[1]:
             value = float(image[row, column])
             n += 1

@@ -78,7 +78,9 @@ def _add_prior(normal, right, x, prior):
 
 @kernel
 def fit_pose(lens, cells, count, pose, robust, prior, turns, normal):
-    """Improve ``pose`` (7,): d, m, phi, rad, growth, px, by the shifts; write the normal matrix (7, 7) of the edges alone.
+    """Improve ``pose`` (7,): d, m, phi, rad, growth, px, by the shifts of the cells.
+
+    normal: (7, 7), becomes the normal matrix of the edges alone.
 
     Cells with good = 1 take part. robust: px; above 0, cells are weighted alike but for Tukey's weight of that
     reach; at 0 by the inverse of their variance. Returns whether the pose is determined (with the prior).

@@ -20,7 +20,9 @@ from hil.monitor.round_shapes import Round, find_rounds
 Floats = NDArray[np.float64]
 
 _LEAST_SCORE: Final = 0.55
-_CIRCLES: Final = 10
+_CIRCLES: Final = 16
+_GOOD: Final = 0.8
+_ENOUGH: Final = 3  # good hypotheses: no more circles are looked at
 _LARGEST_PASSIVE: Final = 0.2  # rad: how far the cross may stand beside the disc's middle
 
 
@@ -55,6 +57,8 @@ class Recogniser:
                 guess = one(circle, prepared, left, top, line_step)
                 if guess is not None:
                     found.append(guess)
+            if sum(one.score > _GOOD for one in found) >= _ENOUGH:
+                break
         return sorted(found, key=lambda one: one.score, reverse=True)
 
     def _as_disc(
@@ -122,7 +126,7 @@ class Recogniser:
         self, circle: Round, d1: float, d2: float, d3: float, offset: float, roll: float,
         centre: tuple[float, float] = (0.0, 0.0),
     ) -> Floats:  # fmt: skip
-        """Return the pose at d that puts the point ``centre``, ``offset`` of C at the circle's middle, with that roll."""
+        """Return the pose at d, of that roll, that puts the point ``centre``, ``offset`` of C at the circle's middle."""
         f, cx, cy = self._parts.lens[:3]
         # A.T = exp(-[phi]x) diag(1, -1, -1): a roll of the picture by +roll (u towards v) is phi3 = roll
         x3 = d3 - offset

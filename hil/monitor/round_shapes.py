@@ -16,10 +16,12 @@ from hil.monitor.preprocess import Prepared
 Floats = NDArray[np.float64]
 
 _FEWEST_POINTS: Final = 24
-_TRIES: Final = 48
+_TRIES: Final = 60
 _CONTOURS: Final = 12  # of one threshold, the longest ones
 _MOST_POINTS: Final = 720
 _BEND: Final = 0.012
+_LEAST_CLEAN: Final = 0.25
+_LEAST_RADIUS_PX: Final = 9.0
 
 
 @dataclass(frozen=True)
@@ -101,12 +103,13 @@ def best_circle(points, tries, near, bend, out):
     seed = 12345
     for attempt in range(tries):
         seed = (1103515245 * seed + 12345) % 2147483648
-        i = seed % n
+        i = (seed >> 8) % n
+        # far apart for whole circles, nearer together for arcs that are a part of a longer border
+        apart = n // (3 if attempt % 3 == 0 else (6 if attempt % 3 == 1 else 10))
         seed = (1103515245 * seed + 12345) % 2147483648
-        third = n // 3
-        j = (i + third - third // 2 + seed % max(third, 1)) % n
+        j = (i + apart - apart // 2 + (seed >> 8) % max(apart, 1)) % n
         seed = (1103515245 * seed + 12345) % 2147483648
-        k = (i + 2 * third - third // 2 + seed % max(third, 1)) % n
+        k = (i + 2 * apart - apart // 2 + (seed >> 8) % max(apart, 1)) % n
         u, v, radius = _through(points, i, j, k)
         if radius < 3.0 or radius > 4000.0:
             continue
@@ -166,7 +169,7 @@ def _round_of(contour: Any, shape: tuple[int, ...], left: float, top: float, lin
     circle = np.zeros(3)
     near = 1.2 * line_step
     clean = best_circle(points, _TRIES, near, _BEND, circle)
-    if clean < 0.3:
+    if clean < _LEAST_CLEAN or circle[2] < _LEAST_RADIUS_PX:
         return None
     near = max(near, 1.3 * _BEND * circle[2])
     share = seen_share(points, circle, near)

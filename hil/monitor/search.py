@@ -16,7 +16,7 @@ _MOST = 129
 def sample(image, first_line, line_step, u, v):
     """Return the grey value at (u, v), px, between the four pixels around it; nan outside of the picture."""
     r = (v - first_line) / line_step
-    i, j = int(math.floor(r)), int(math.floor(u))
+    i, j = math.floor(r), math.floor(u)
     if i < 0 or j < 0 or i + 1 >= image.shape[0] or j + 1 >= image.shape[1]:
         return np.nan
     fr, fu = r - i, u - j
