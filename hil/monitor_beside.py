@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Self
 
@@ -56,7 +57,7 @@ class Watched:
 
 
 class Watch:
-    """Camera and monitor together: rows in, ``watched`` grows."""
+    """Camera and monitor together."""
 
     def __init__(self, scenario: Scenario, scene: Scene, rig: Rig, seed: int) -> None:
         config = scenario.monitor
@@ -66,13 +67,11 @@ class Watch:
         acceleration = max(guidance.acceleration_mps2, guidance.deceleration_mps2)
         self._monitor = Monitor(scene, Settings(target=config.target, acceleration_mps2=acceleration))
         self._spent_s = 0.0
+        self._newest_s = 0.0
 
-    def take(self, rows: np.ndarray) -> None:
-        """Look at every frame that ``rows`` (n,) of CYCLE lead up to."""
-        if not len(rows):
-            return
-        self._camera.track.add(rows)
-        newest_s = float(rows["t_s"][-1])
+    def take(self, read: Callable[[], np.ndarray]) -> None:
+        """Look at every frame that the rows (n,) of CYCLE lead up to, which ``read`` gives: those that are new."""
+        self._add(read())
         watched = self.watched
         for frame in self._camera.frames():
             start = time.perf_counter()
@@ -82,7 +81,13 @@ class Watch:
             watched.frames += 1
             watched.frame_max_s = max(watched.frame_max_s, spent_s)
             watched.frame_mean_s = self._spent_s / watched.frames
-            watched.lag_s = max(watched.lag_s, newest_s - frame.t_s)
+            watched.lag_s = max(watched.lag_s, self._newest_s - frame.t_s)
+            self._add(read())  # the telemetry forgets, however long it takes to look
+
+    def _add(self, rows: np.ndarray) -> None:
+        if len(rows):
+            self._camera.track.add(rows)
+            self._newest_s = float(rows["t_s"][-1])
 
     def finish(self) -> Watched:
         """Return what was seen, the frames of an unfinished portion included."""
@@ -93,7 +98,8 @@ class Watch:
 def watch_recorded(scenario: Scenario, scene: Scene, rig: Rig, seed: int, history: np.ndarray) -> Watched:
     """Return what the monitor sees of a run whose rows ``history`` (n,) of CYCLE are there."""
     watch = Watch(scenario, scene, rig, seed)
-    watch.take(history)
+    unread = [history]
+    watch.take(lambda: unread.pop() if unread else history[:0])
     watched = watch.finish()
     watched.lag_s = 0.0
     return watched
@@ -215,7 +221,7 @@ def _main() -> None:
     while not ended:
         ready, _, _ = select.select([sys.stdin], [], [], _POLL_S)
         ended = bool(ready)  # nothing is ever sent: only its end makes stdin ready
-        watch.take(reader.take())
+        watch.take(reader.take)
     watched = watch.finish()
     watched.missed_rows = reader.lost
     up.write(_told(watched) + "\n")

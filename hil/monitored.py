@@ -36,6 +36,7 @@ def runner(job: build.Job, watch: Watch, announce: Callable[[str], None]) -> Ite
         build.wired_bench(job, announce) as bench,
         MonitorProcess(scenario, scene, rig, seed, bench.telemetry) as process,
     ):
+        announce("starting the docking monitor; its first start compiles its kernels")
         process.wait_ready()
         announce(f"docking monitor process {process.pid}")
         yield bench.runner(watch), lambda _: _what_is_left(process, scenario.monitor.scene)

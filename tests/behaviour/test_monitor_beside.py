@@ -143,3 +143,23 @@ def test_run_command_refuses_a_scene_that_is_not_there() -> None:
     )
     assert done.returncode == 2
     assert "missing: unknown scene: give atv, bright-cross" in done.stderr
+
+
+@pytest.mark.slow
+def test_monitor_beside_an_emulated_bench_agrees_with_the_encoders(tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    arguments = ["run", "scheme-1", "--rig", "emulated", "--duration", "20", "--json", str(path)]
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", *arguments, "--set", "monitor.source=rendered"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=280,
+    )
+    assert done.returncode == 1, done.stderr
+    found = json.loads(path.read_text(encoding="utf-8"))["monitor"]
+    assert (found["missed_rows"], found["failure"]) == (0, "")
+    assert found["status"]["near"] == sum(found["status"].values()) >= 24
+    assert found["longest_gap_s"] <= 1.0
+    for name in ("range_m", "phi1_rad", "phi2_rad", "phi3_rad", "d1_m", "d2_m"):
+        assert found["quantities"][name]["bench"]["share_in_2_sigma"] >= 0.8, name

@@ -79,13 +79,16 @@ def test_the_place_belongs_to_the_time_of_the_sample(mock_rig: Rig, delays_s: tu
     assert not whole.covers(t[-1] + 1e-3)
 
 
-def test_a_sample_that_is_read_twice_counts_once(mock_rig: Rig) -> None:
+def test_a_sample_that_is_read_twice_or_overtaken_counts_once(mock_rig: Rig) -> None:
     track = track_of(mock_rig)
-    rows = rows_at(np.array([0.0, 0.02, 0.04, 0.06]), np.array([[5.0, 0, 0], [4.0, 0, 0], [4.0, 0, 0], [3.0, 0, 0]]))
-    rows["sampled_s"][:] = np.array([0.0, 0.02, 0.02, 0.04])[:, None]
+    rail = np.array([[5.0, 0, 0], [4.0, 0, 0], [4.0, 0, 0], [9.0, 0, 0], [3.0, 0, 0]])
+    rows = rows_at(np.arange(5) * 0.02, rail)
+    rows["sampled_s"][:] = np.array([0.0, 0.02, 0.02, 0.01, 0.04])[:, None]
     track.add(rows)
-    middle = 0.5 * (track(0.02)[0][2] + track(0.04)[0][2])
-    assert track(0.03)[0][2] == pytest.approx(middle)
+    first, second, third = (track(t_s)[0][2] for t_s in (0.0, 0.02, 0.04))
+    assert (second - first, third - second) == (pytest.approx(-1.0), pytest.approx(-1.0))
+    assert track(0.01)[0][2] == pytest.approx(0.5 * (first + second))
+    assert track(0.03)[0][2] == pytest.approx(0.5 * (second + third))
 
 
 def test_frames_come_as_soon_as_the_encoders_cover_their_time_and_once(mock_rig: Rig) -> None:
