@@ -45,10 +45,10 @@ def seek(image, first_line, line_step, lens, circles, lines, borders, x, camera,
     prior[0], prior[1] = tuning.prior_angle, 0.01
     normal = np.empty((UNKNOWNS, UNKNOWNS))
     agree, count = 0, 0
-    for turn in range(3):
+    for turn in range(2 if reach <= 4.0 else 3):
         width = max(reach / (1.0 + 1.5 * turn), 2.0)
         a = docking_view.attitude(x[3:6])
-        count = lay_cells(lens, a, x[:3], circles, lines, borders, camera.blur, 8.0, 24, 1e9, 3.0, cells)
+        count = lay_cells(lens, a, x[:3], circles, lines, borders, camera.blur, 8.0, 16, 1e9, 3.0, cells)
         search_cells(image, first_line, line_step, cells, count, width, least)
         for robust in (width, max(0.5 * width, 1.5), max(0.25 * width, 1.0)):
             if not fit_pose(lens, cells, count, x, robust, prior, 2, normal):
