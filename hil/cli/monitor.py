@@ -68,7 +68,7 @@ def monitor_command(
         table = stack.enter_context(_Rows(out, _columns()))
         each = stack.enter_context(_Rows(frames_path, _FRAME_COLUMNS)) if frames_path is not None else None
         painter = stack.enter_context(_painter(screen, scene, source.name)) if screen is not None else None
-        bar = stack.enter_context(Bar(console, "frames"))
+        bar = stack.enter_context(Bar(console, "compiling the kernels where they are not yet"))
         for frame, look, done in watch(monitor, source):
             looks.append(look)
             if each is not None:
