@@ -202,7 +202,6 @@ def _warm_up(scenario: Scenario, scene: Scene, rig: Rig) -> None:
 def _main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent stops the bench, and then this
     die_with_parent()
-    os.nice(_NICE)
     up = os.fdopen(os.dup(sys.stdout.fileno()), "w", buffering=1)
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     line = sys.stdin.buffer.readline()
@@ -214,6 +213,7 @@ def _main() -> None:
     rig = Rig.model_validate(told["rig"], strict=False)
     ring = Ring(told["telemetry"], CYCLE, told["slots"])
     _warm_up(scenario, scene, rig)
+    os.nice(_NICE)  # nothing moves before this
     reader = ring.reader()
     watch = Watch(scenario, scene, rig, told["seed"])
     up.write("ready\n")
