@@ -21,6 +21,7 @@ from hil.fitness import (
     flight_problems,
     host_problems,
     line_problems,
+    monitor_problems,
     port_problems,
     sign_off_problems,
     turntable_problems,
@@ -47,6 +48,7 @@ def check(job: Job) -> None:
     problems = [
         *(truth_problems(job.scenario) or flight_problems(job.scenario, job.rig)),
         *approach_problems(job.scenario),
+        *monitor_problems(job.scenario),
         *_rig_problems(job),
     ]
     if problems := problems or sign_off_problems(job.rig):
@@ -95,7 +97,8 @@ class WiredBench:
     """A bench on wires with all its processes up; each ``runner`` is a session at it, one after the other.
 
     pids: of every process, by the name of its device, or HOST and GUARD. addresses: where the emulators
-    listen, with the ports where their faults are switched. board: where the emulated axes are.
+    listen, with the ports where their faults are switched. board: where the emulated axes are. telemetry: each
+    cycle's row, for other processes to read.
     """
 
     def __init__(
@@ -117,13 +120,13 @@ class WiredBench:
         self._clock = clock
         self._realtime = realtime
         self._devices = hosts.devices()
-        self._telemetry = telemetry
+        self.telemetry = telemetry
 
     def runner(self, watch: Watch = lambda *_: None, operator: Operator | None = None) -> Runner:
         """Return a Runner of the job."""
         rate = WallRate(self._clock, self._job.scenario.value.step_s)
         return assemble(
-            self._job, self._rig, rate, *self._devices, _FRAMES_TO_ARM, watch, operator, self._realtime, self._telemetry
+            self._job, self._rig, rate, *self._devices, _FRAMES_TO_ARM, watch, operator, self._realtime, self.telemetry
         )
 
 

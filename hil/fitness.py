@@ -12,7 +12,7 @@ from serial.tools import list_ports
 from hil import parameters
 from hil.bench.kinematics import axes_of_pose
 from hil.config.digest import motion_digest
-from hil.config.load import Loaded, load_protocol
+from hil.config.load import Loaded, load_protocol, load_scene
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.errors import BadInput, Problem
@@ -97,6 +97,21 @@ def port_problems(rig: Loaded[Rig]) -> list[Problem]:
         for wire in wires(rig.value)
         if wire.kind == "serial" and wire.address.startswith("/") and not Path(wire.address).exists()
     ]
+
+
+def monitor_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return what keeps the docking monitor from looking at its scene, where the run has one."""
+    monitor = scenario.value.monitor
+    if monitor.source == "none":
+        return []
+    try:
+        scene = load_scene(monitor.scene).value
+    except BadInput as error:
+        return list(error.problems)
+    if monitor.target == "reserve" and scene.reserve is None:
+        text = f'"reserve": scene {monitor.scene} has the basic target alone'
+        return [Problem(scenario.where("monitor.target"), "monitor.target", text)]
+    return []
 
 
 def line_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:

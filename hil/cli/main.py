@@ -109,6 +109,55 @@ def fusion(
 
 
 @app.command
+def monitor(
+    video: str,
+    /,
+    *,
+    scene: str,
+    out: Output,
+    screen: Output = None,
+    json: Output = None,
+    frames: Output = None,
+    roi: str | None = None,
+    target: Literal["basic", "reserve"] = "basic",
+    calculation: Literal["exact", "paper"] = "exact",
+    motion: Literal["corrected", "printed"] = "corrected",
+    q: float = 0.5,
+) -> int:
+    """Watch an approach on a video: range, rate and angles, each with its standard deviation.
+
+    Parameters
+    ----------
+    video
+        Video file, folder of images, or the number of a camera.
+    scene
+        Camera and target: atv, bright-cross, or the path of a scene file (JSON or TOML).
+    out
+        CSV file to write, a row a portion of 10 frames, - for standard output.
+    screen
+        Video (.mp4, .mkv, .avi) or picture (.png) of the operator's screen.
+    json
+        File to write a summary to, - for standard output.
+    frames
+        CSV file with a row a frame: used or not, why not, and its own pose.
+    roi
+        Where to look first: u,v,width,height in px.
+    target
+        The scene's basic or its reserve target.
+    calculation
+        The exact projection, or the paper's relations for small angles.
+    motion
+        The paper's portions as mended, or as printed.
+    q
+        Weight of the portion before, 0 to 1.
+    """
+    from hil.cli.monitor import monitor_command
+
+    assert out is not None
+    return monitor_command(video, scene, out, screen, json, roi, target, calculation, motion, q, frames)
+
+
+@app.command
 def emulate(rig: str = "emulated", *, scenario: str = "scheme-1", settings: Settings = (), speed: float = 1.0) -> int:
     """Start the emulated devices of a rig, say where each one listens, and stay until Ctrl-C.
 

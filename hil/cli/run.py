@@ -33,7 +33,8 @@ def run_command(
     rig = load_rig(rig_name, settings)
     console = Console(stderr=True)
 
-    from hil import build
+    from hil import build, monitored
+    from hil.report.docking_monitor import judge_monitor, monitor_lines
     from hil.report.summary import summarise
     from hil.report.table import render
 
@@ -45,8 +46,9 @@ def run_command(
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
-    with _Watch(console, "opening the devices") as bar, build.runner(job, bar.watch, announce) as runner:
+    with _Watch(console, "opening the devices") as bar, monitored.runner(job, bar.watch, announce) as (runner, look):
         outcome = runner.run()
+        watched = look(outcome)
     summary, verdict = summarise(
         outcome,
         scenario.value,
@@ -55,10 +57,14 @@ def run_command(
         seed,
         1.0 / scenario.value.step_s,
     )
+    if watched is not None:
+        summary["monitor"] = judge_monitor(watched, outcome.history, scenario.value, rig.value)
     if json_path is not None:
         write_json(summary, json_path)
     if json_path != "-":
         render(summary, verdict, scenario.value.requirements, Console())
+        if watched is not None:
+            print("\n".join(monitor_lines(summary["monitor"])))  # noqa: T201
     if outcome.faults:
         print(f"safe stop: {outcome.stop}", file=sys.stderr)  # noqa: T201
         return _SAFE_STOPPED

@@ -1,4 +1,4 @@
-"""Reads scenario, rig and protocol files; finds every fault of a file and says each in one line."""
+"""Reads scenario, rig, protocol and scene files; finds every fault of a file and says each in one line."""
 
 from __future__ import annotations
 
@@ -17,10 +17,16 @@ from hil.config.model import Strict
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.scene import Scene
 from hil.errors import BadInput, Problem
 
 Model = TypeVar("Model", bound=Strict)
 Table = dict[str, Any]
+
+_SUFFIXES = {"targets": (".json", ".toml")}  # a scene may come from another program, as JSON
+_WORDS = {"targets": "scene"}
+_FILES_OF_KEYS = {"protocol": (".toml",), "scene": (".json", ".toml")}  # values that are names or, ending so, paths
+_NEVER = ("\0",)
 
 _UNIT = re.compile(r"_(m|mm|cm|km|s|ms|us|kg|g|n|deg|rad|hz|mps|mmps|degps|radps|mps2|degps2|mps3|kg_m2)$")
 
@@ -33,7 +39,7 @@ def configs_folder() -> Path:
 
 
 def shipped(kind: str) -> list[str]:
-    """Return the names of the shipped files of ``kind``: "scenarios", "rigs" or "protocols"."""
+    """Return the names of the shipped files of ``kind``: "scenarios", "rigs", "protocols" or "targets"."""
     return sorted(path.stem for path in (configs_folder() / kind).glob("*.toml"))
 
 
@@ -77,17 +83,13 @@ def load_protocol(name: str) -> Loaded[Protocol]:
 
 def load_file(path: Path, model: type[Model]) -> Loaded[Model]:
     """Return the file at ``path``, JSON or TOML as its name ends, checked against ``model``; raise BadInput."""
-    if path.suffix == ".json":
-        try:
-            table = json.loads(path.read_text(encoding="utf-8"))
-        except json.JSONDecodeError as error:
-            raise BadInput.single(str(path), "", f"not JSON: {error}") from error
-        except (OSError, UnicodeDecodeError) as error:
-            raise BadInput.single(str(path), "", f"cannot be read: {error}") from error
-        if not isinstance(table, dict):
-            raise BadInput.single(str(path), "", "must be an object with keys, {...}")
-        return _check(table, model, str(path), {}, prefix="")
-    return _check(_read_with_bases(path, "", {}, chain=()), model, str(path), {}, prefix="")
+    origin: dict[str, str] = {}
+    return _check(_read_with_bases(path, "", origin, chain=()), model, str(path), origin, prefix="")
+
+
+def load_scene(name: str) -> Loaded[Scene]:
+    """Return the monitor's scene ``name`` (shipped, or the path of a TOML or JSON file); raise BadInput."""
+    return _load(name, "targets", Scene, (), prefix="")
 
 
 def _load(name: str, kind: str, model: type[Model], settings: Sequence[str], prefix: str) -> Loaded[Model]:
@@ -113,22 +115,19 @@ def _find(name: str, kind: str) -> Path:
     if shipped_path.is_file():
         return shipped_path
     path = Path(name)
-    if path.suffix == ".toml" and path.is_file():
+    suffixes = _SUFFIXES.get(kind, (".toml",))
+    if path.suffix in suffixes and path.is_file():
         return path
-    what = kind.removesuffix("s")
-    reason = "no such file" if path.suffix == ".toml" else f"unknown {what}"
+    what = _WORDS.get(kind, kind.removesuffix("s"))
+    reason = "no such file" if path.suffix in suffixes else f"unknown {what}"
     names = ", ".join(shipped(kind))
-    raise BadInput.single(name, "", f"{reason}: give {names} or the path of a {what} file (*.toml)")
+    patterns = ", ".join(f"*{suffix}" for suffix in suffixes)
+    raise BadInput.single(name, "", f"{reason}: give {names} or the path of a {what} file ({patterns})")
 
 
 def _read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple[Path, ...]) -> Table:
     """Return the file's table laid over that of the file it extends."""
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput.single(str(path), "", f"not TOML: {error}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInput.single(str(path), "", f"cannot be read: {error}") from error
+    table = _read_table(path)
     _find_files_beside(table, path.parent)
     base_name = table.pop("extends", None)
     base: Table = {}
@@ -148,12 +147,27 @@ def _read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple
     return base
 
 
+def _read_table(path: Path) -> Table:
+    try:
+        text = path.read_text(encoding="utf-8")
+        table = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput.single(str(path), "", f"not TOML: {error}") from error
+    except json.JSONDecodeError as error:
+        raise BadInput.single(str(path), "", f"not JSON: {error}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput.single(str(path), "", f"cannot be read: {error}") from error
+    if not isinstance(table, dict):
+        raise BadInput.single(str(path), "", "must be a table of keys and values")
+    return table
+
+
 def _find_files_beside(table: Table, folder: Path) -> None:
-    """Make paths count from the folder of the file they stand in: keys that end in ``_file``, a protocol's path."""
+    """Make paths count from the folder of the file they stand in: keys in ``_file``, a protocol's and a scene's."""
     for key, value in table.items():
         if isinstance(value, dict):
             _find_files_beside(value, folder)
-        elif isinstance(value, str) and (key.endswith("_file") or (key == "protocol" and value.endswith(".toml"))):
+        elif isinstance(value, str) and (key.endswith("_file") or value.endswith(_FILES_OF_KEYS.get(key, _NEVER))):
             table[key] = str(folder / value)
 
 

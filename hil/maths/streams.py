@@ -15,6 +15,7 @@ _STREAMS = {
     "thrusters": 4,
     "encoders": 5,
     "wire": 6,
+    "monitor": 7,
     "pictures": 8,
 }
 

@@ -1,0 +1,246 @@
+"""``hil monitor``: the docking monitor on a recording, a folder of pictures or a camera."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TextIO
+
+from rich.console import Console
+from rich.table import Table
+
+from hil.cli.bar import Bar
+from hil.cli.output import check_json_path, write_json
+from hil.config.load import load_scene
+from hil.config.scene import Scene
+from hil.errors import BadInput, Problem
+
+if TYPE_CHECKING:
+    from hil.monitor.findings import Portion
+    from hil.monitor.preprocess import Region
+    from hil.monitor.results import Look
+
+_PASSED = 0
+
+
+def monitor_command(
+    video: str,
+    scene_name: str,
+    out: str,
+    screen: str | None,
+    json_path: str | None,
+    roi: str | None,
+    target: Literal["basic", "reserve"],
+    calculation: Literal["exact", "paper"],
+    motion: Literal["corrected", "printed"],
+    q: float,
+    frames_path: str | None,
+) -> int:
+    """Do ``hil monitor``; return its exit code."""
+    problems = check_json_path("--out", out) + check_json_path("--json", json_path)
+    problems += check_json_path("--frames", frames_path)
+    if not 0.0 <= q <= 1.0:
+        problems.append(Problem("--q", "", f"{q:g}: must be 0 to 1"))
+    if problems:
+        raise BadInput(problems)
+    loaded = load_scene(scene_name)
+    scene = loaded.value
+    if target == "reserve" and scene.reserve is None:
+        raise BadInput.single(loaded.source, "reserve", "is missing: --target reserve needs it")
+    region = _region(roi, scene)
+    from hil.monitor.monitor import Monitor, watch
+    from hil.monitor.settings import Settings
+    from hil.monitor.sources import open_source
+
+    source = open_source(video, loaded)
+    monitor = Monitor(
+        scene, Settings(region=region, target=target, calculation=calculation, motion=motion, q=q, q_attitude=q)
+    )
+    console = Console(stderr=True)
+    portions: list[Portion] = []
+    looks: list[Look] = []
+    with ExitStack() as stack:
+        table = stack.enter_context(_Rows(out, _columns()))
+        each = stack.enter_context(_Rows(frames_path, _FRAME_COLUMNS)) if frames_path is not None else None
+        painter = stack.enter_context(_painter(screen, scene, source.name)) if screen is not None else None
+        bar = stack.enter_context(Bar(console, "compiling the kernels where they are not yet"))
+        for frame, look, done in watch(monitor, source):
+            looks.append(look)
+            if each is not None:
+                each.write(_frame_row(look))
+            if painter is not None:
+                painter.show(frame, look.seen, done)
+            for portion in done:
+                portions.append(portion)
+                table.write(_row(portion))
+            if source.pictures:
+                bar.tell("frames", min(len(looks) / source.pictures, 1.0))
+    summary = _summary(portions, looks)
+    if json_path is not None:
+        write_json(summary, json_path)
+    if json_path != "-" and out != "-":
+        _render(summary, portions, Console())
+    return _PASSED
+
+
+def _region(roi: str | None, scene: Scene) -> Region | None:
+    """Return the operator's region "u,v,width,height", px, or None."""
+    from hil.monitor.preprocess import Region
+
+    if roi is None:
+        return None
+    width, height = scene.camera.width, scene.camera.height
+    allowed = f"must be u,v,width,height in whole px within the picture of {width} x {height}, at least 32 x 32"
+    try:
+        left, top, wide, high = (int(part) for part in roi.split(","))
+    except ValueError:
+        raise BadInput.single("--roi", "", f"{roi}: {allowed}") from None
+    if left < 0 or top < 0 or wide < 32 or high < 32 or left + wide > width or top + high > height:
+        raise BadInput.single("--roi", "", f"{roi}: {allowed}")
+    return Region(left, top, left + wide, top + high)
+
+
+def _columns() -> tuple[str, ...]:
+    from hil.monitor.findings import QUANTITIES
+
+    added = ("sigma2_edges", "sigma2_common", "sigma2_motion", "consistent")
+    return ("t_s", "frames", "status", *QUANTITIES, *(f"sigma_{name}" for name in QUANTITIES), *added)
+
+
+def _number(value: float, digits: int = 12) -> str:
+    return f"{value:.{digits}g}" if math.isfinite(value) else "nan"
+
+
+def _row(portion: Any) -> list[str]:
+    squares = (portion.sigma2_edges, portion.sigma2_common, portion.sigma2_motion)
+    return [
+        f"{portion.t_s:.6f}",
+        str(portion.frames),
+        portion.status,
+        *(_number(value) for value in (*portion.values, *portion.sigmas)),
+        *(_number(value, 6) for value in squares),
+        str(int(portion.consistent)),
+    ]
+
+
+_FRAME_COLUMNS = ("frame", "t_s", "status", "reason", "tracked", "points", "d1_m", "d2_m", "d3_m", "phi1_rad",
+                  "phi2_rad", "phi3_rad", "growth_px", "blur_px", "noise")  # fmt: skip
+
+
+def _frame_row(look: Look) -> list[str]:
+    return [
+        str(look.seen.number), f"{look.seen.t_s:.6f}", look.status, look.reason, str(int(look.tracked)),
+        str(len(look.seen.edges)), *(_number(value) for value in (*look.pose, look.blur_px, look.noise)),
+    ]  # fmt: skip
+
+
+class _Rows:
+    """A CSV file that appears under its name when it is complete; "-" is standard output."""
+
+    def __init__(self, path: str, columns: tuple[str, ...]) -> None:
+        self._path, self._columns = path, columns
+        self._file: TextIO | None = None
+
+    def __enter__(self) -> _Rows:
+        import sys
+
+        if self._path == "-":
+            self._writer = csv.writer(sys.stdout, lineterminator="\n")
+        else:
+            try:
+                self._file = Path(f"{self._path}.part").open("w", encoding="utf-8", newline="")
+            except OSError as error:
+                raise BadInput.single("--out", self._path, f"cannot be written: {error.strerror}") from error
+            self._writer = csv.writer(self._file, lineterminator="\n")
+        self._writer.writerow(self._columns)
+        return self
+
+    def write(self, row: list[str]) -> None:
+        """Add a row."""
+        self._writer.writerow(row)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._file is None:
+            return
+        self._file.close()
+        # what a broken recording gave stays beside, so that nobody takes it for the whole; Ctrl-C ends a camera's
+        if kind is None or issubclass(kind, KeyboardInterrupt):
+            os.replace(f"{self._path}.part", self._path)
+
+
+def _painter(path: str, scene: Scene, title: str) -> Any:
+    from hil.monitor.screen import Screen, ScreenFile
+
+    rate = scene.fps * (1.0 if scene.fields == "whole" else 2.0)
+
+    class Painter:
+        """The screen and the file that keeps it."""
+
+        def __enter__(self) -> Painter:
+            self._screen, self._file = Screen(scene.camera, title), ScreenFile(path, rate)
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            self._file.close()
+
+        def show(self, frame: Any, seen: Any, done: list[Portion]) -> None:
+            """Show a frame and the portions that it completes."""
+            for portion in done:
+                self._screen.show_portion(portion)
+            self._screen.show_frame(frame, seen)
+            self._file.write(self._screen.canvas)
+
+    return Painter()
+
+
+def _summary(portions: list[Any], looks: list[Look]) -> dict[str, Any]:
+    from hil.monitor.findings import QUANTITIES
+
+    last = next((p for p in reversed(portions) if p.frames > 0), None)
+    return {
+        "frames": len(looks),
+        "frames_used": sum(look.used for look in looks),
+        "frames_by_status": dict(Counter(look.status for look in looks)),
+        "rejected": dict(Counter(look.reason for look in looks if not look.used)),
+        "portions": len(portions),
+        "portions_by_status": dict(Counter(portion.status for portion in portions)),
+        "inconsistent_portions": sum(p.frames > 0 and not p.consistent for p in portions),
+        "last": None if last is None else {
+            "t_s": last.t_s,
+            "status": last.status,
+            **{name: _finite(value) for name, value in zip(QUANTITIES, last.values, strict=True)},
+            **{f"sigma_{name}": _finite(value) for name, value in zip(QUANTITIES, last.sigmas, strict=True)},
+        },
+    }  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _rows_shown(portions: list[Any]) -> Iterator[Any]:
+    step = max(1, -(-len(portions) // 24))
+    yield from portions[::step]
+
+
+def _render(summary: dict[str, Any], portions: list[Any], console: Console) -> None:
+    rows = Table(title=f"{summary['frames_used']} of {summary['frames']} frames used, {len(portions)} portions")
+    for name in ("t, s", "status", "range, m", "rate, m/s", "pitch, deg", "yaw, deg", "roll, deg"):
+        rows.add_column(name, justify="left" if name == "status" else "right")
+    for portion in _rows_shown(portions):
+        cells = [f"{portion.t_s:.2f}", portion.status]
+        for name, scale, digits in (
+            ("range_m", 1.0, 4), ("range_rate_mps", 1.0, 4), ("pitch_passive_rad", 180.0 / math.pi, 3),
+            ("yaw_passive_rad", 180.0 / math.pi, 3), ("phi3_rad", 180.0 / math.pi, 3),
+        ):  # fmt: skip
+            value, sigma = portion.value(name) * scale, portion.sigma(name) * scale
+            cells.append(f"{value:.{digits}f} ± {sigma:.{digits}f}" if math.isfinite(value) else "-")
+        rows.add_row(*cells)
+    console.print(rows)
+    for reason, count in summary["rejected"].items():
+        console.print(f"{count} frames not used: {reason}", highlight=False)

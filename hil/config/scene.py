@@ -1,0 +1,220 @@
+"""Scene files of the docking monitor: the television camera, its picture rate, and the target it looks at.
+
+Lengths are metres in the frame C y1 y2 y3 of the target (monitor paper 3.1): the origin is the disc's centre, y3 is
+the disc's normal towards the camera. ``level`` is the grey value that a rendered picture gives a part; recognition
+makes no use of it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from hil.config.model import Positive, Strict
+
+LONGEST_M: Final = 100.0  # a longer part is one given in millimetres
+LABELS_AT_MOST: Final = 16
+BOXES_AT_MOST: Final = 16
+
+Level = Annotated[float, Field(ge=0.0, le=255.0)]
+Length = Annotated[float, Field(gt=0.0, le=LONGEST_M)]
+Place = Annotated[float, Field(ge=-LONGEST_M, le=LONGEST_M)]
+Size = Annotated[int, Field(ge=32, le=8192)]
+Point = tuple[Place, Place]
+
+
+class PixelNoise(Strict):
+    """Noise of a pixel of ``level`` grey values: its variance is ``read**2 + k * level``."""
+
+    read: Annotated[float, Field(ge=0.0, le=64.0)] = 2.0
+    k: Annotated[float, Field(ge=0.0, le=16.0)] = 0.0
+
+
+class Camera(Strict):
+    """A pinhole: ``u = cx + f x1/x3``, ``v = cy - f x2/x3``, px; pixel centres at whole numbers."""
+
+    f: Positive
+    cx: float
+    cy: float
+    width: Size
+    height: Size
+    sky: Level = 12.0
+    noise: PixelNoise = PixelNoise()
+
+    @model_validator(mode="after")
+    def _is_a_camera(self) -> Self:
+        for key, value, side in (("cx", self.cx, self.width), ("cy", self.cy, self.height)):
+            if not -0.5 <= value <= side - 0.5:
+                raise ValueError(
+                    f"{key} = {value:g}: the principal point must be in the picture, -0.5 to {side - 0.5:g}"
+                )
+        longer = max(self.width, self.height)
+        if not 0.2 * longer <= self.f <= 200.0 * longer:
+            raise ValueError(
+                f"f = {self.f:g}: must be {0.2 * longer:g} to {200.0 * longer:g} px"
+                f" for a picture of {self.width} x {self.height}"
+            )
+        return self
+
+
+class Disc(Strict):
+    """The target's circle, centred at the origin, in the plane y3 = 0."""
+
+    radius_m: Length
+    level: Level = 205.0
+
+
+class Plate(Strict):
+    """The rectangle behind the disc, centred at the origin."""
+
+    width_m: Length
+    height_m: Length
+    level: Level = 70.0
+
+
+class Cross(Strict):
+    """Two bars along y1 and y2, ``offset_m`` in front of the disc; ``arm_length_m`` counts from the centre."""
+
+    offset_m: Length
+    arm_length_m: Length
+    arm_width_m: Length
+    level: Level = 25.0
+
+    @model_validator(mode="after")
+    def _bars_are_longer_than_wide(self) -> Self:
+        if self.arm_width_m >= self.arm_length_m:
+            raise ValueError(
+                f"arm_width_m = {self.arm_width_m:g}: must be less than arm_length_m = {self.arm_length_m:g}"
+            )
+        return self
+
+
+class Labels(Strict):
+    """Round dots on the disc."""
+
+    radius_m: Length
+    centers_m: Annotated[tuple[Point, ...], Field(min_length=1, max_length=LABELS_AT_MOST)]
+    level: Level = 40.0
+
+    @model_validator(mode="after")
+    def _stand_apart(self) -> Self:
+        for i, one in enumerate(self.centers_m):
+            for j in range(i):
+                if math.dist(one, self.centers_m[j]) <= 2.0 * self.radius_m:
+                    raise ValueError(
+                        f"centers_m[{i}] = {list(one)}: must be more than {2.0 * self.radius_m:g} from centers_m[{j}]"
+                    )
+        return self
+
+
+class Box(Strict):
+    """A rectangle beside the target, parallel to the disc, ``offset_m`` along y3 from it."""
+
+    x_m: Place
+    y_m: Place
+    width_m: Length
+    height_m: Length
+    offset_m: Place = 0.0
+    level: Level = 225.0
+
+    @property
+    def clearance_m(self) -> float:
+        """Distance of the rectangle's nearest point from the axis y3, m; 0 where the axis runs through it."""
+        across = max(abs(self.x_m) - 0.5 * self.width_m, 0.0)
+        up = max(abs(self.y_m) - 0.5 * self.height_m, 0.0)
+        return math.hypot(across, up)
+
+
+class Outline(Strict):
+    """The ship's circle as the camera sees it against the sky; ``offset_m`` along y3, negative behind the disc."""
+
+    radius_m: Length
+    center_m: Point = (0.0, 0.0)
+    offset_m: Annotated[float, Field(ge=-LONGEST_M, le=0.0)] = 0.0
+    level: Level = 120.0
+
+
+class Target(Strict):
+    """What the camera looks at: disc and cross (near), outline (far), or all of them; the rest confirms."""
+
+    disc: Disc | None = None
+    plate: Plate | None = None
+    cross: Cross | None = None
+    labels: Labels | None = None
+    boxes: Annotated[tuple[Box, ...], Field(max_length=BOXES_AT_MOST)] = ()
+    outline: Outline | None = None
+
+    @property
+    def near(self) -> bool:
+        """Whether the target has what the near mode measures."""
+        return self.disc is not None
+
+    @property
+    def far(self) -> bool:
+        """Whether the target has what the far mode measures."""
+        return self.outline is not None
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        if self.disc is None:
+            for key, part in (("cross", self.cross), ("labels", self.labels), ("plate", self.plate)):
+                if part is not None:
+                    raise ValueError(f"disc is missing: {key} needs it")
+            if self.outline is None:
+                raise ValueError("disc and cross are missing, and so is outline: give the one, the other, or both")
+            return self
+        if self.cross is None:
+            raise ValueError("cross is missing: disc needs it (the offset between them tells where the camera stands)")
+        self._check_disc(self.disc, self.cross)
+        return self
+
+    def _check_disc(self, disc: Disc, cross: Cross) -> None:
+        radius = f"disc.radius_m = {disc.radius_m:g}"
+        reach = math.hypot(cross.arm_length_m, 0.5 * cross.arm_width_m)
+        if reach >= disc.radius_m:
+            raise ValueError(f"cross.arm_length_m = {cross.arm_length_m:g}: the arms must end inside {radius}")
+        if self.plate is not None:
+            for key, side in (("width_m", self.plate.width_m), ("height_m", self.plate.height_m)):
+                if side < 2.0 * disc.radius_m:
+                    raise ValueError(f"plate.{key} = {side:g}: must be {2.0 * disc.radius_m:g} or more, for {radius}")
+        if self.labels is not None:
+            for number, centre in enumerate(self.labels.centers_m):
+                if math.hypot(*centre) + self.labels.radius_m > disc.radius_m:
+                    raise ValueError(
+                        f"labels.centers_m[{number}] = {list(centre)}: with labels.radius_m = {self.labels.radius_m:g}"
+                        f" it must end inside {radius}"
+                    )
+        for number, box in enumerate(self.boxes):
+            if box.clearance_m < disc.radius_m:
+                raise ValueError(f"boxes[{number}] at x_m = {box.x_m:g}, y_m = {box.y_m:g}: must not lie over {radius}")
+        if self.outline is not None:
+            inner = math.hypot(*self.outline.center_m) + disc.radius_m
+            if self.outline.radius_m <= inner:
+                raise ValueError(
+                    f"outline.radius_m = {self.outline.radius_m:g}: must be more than {inner:g}, around {radius}"
+                )
+
+
+class Scene(Strict):
+    """One camera, one ship.
+
+    fps: pictures a second. fields: "whole" when every line of a picture is of one time; otherwise a picture holds two
+    half frames, the upper one (lines 0, 2, 4 ...) or the lower one first, the second half a picture's time later.
+    """
+
+    name: str = ""
+    camera: Camera
+    fps: Annotated[float, Field(gt=0.0, le=1000.0)]
+    fields: Literal["whole", "upper_first", "lower_first"] = "whole"
+    target: Target
+    reserve: Target | None = None
+
+    def chosen(self, which: Literal["basic", "reserve"]) -> Target:
+        """Return the basic or the reserve target; ValueError where the scene has no reserve."""
+        if which == "basic":
+            return self.target
+        if self.reserve is None:
+            raise ValueError("reserve: the scene has no reserve target")
+        return self.reserve

@@ -1,0 +1,75 @@
+"""What the monitor says: of each frame what it saw, of each portion of frames where the camera was and how it moved.
+
+Table, screen and console take these and nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+QUANTITIES: Final = (
+    "d1_m",
+    "d2_m",
+    "d3_m",
+    "phi1_rad",
+    "phi2_rad",
+    "phi3_rad",
+    "range_m",
+    "range_rate_mps",
+    "pitch_passive_rad",
+    "yaw_passive_rad",
+    "los_right_rad",
+    "los_up_rad",
+)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What one frame showed. Places are u, v, px, in lines of the whole picture; None and empty: not found.
+
+    status: "near", "far", "no_target" or "rejected_<why>". region: (u, v, width, height) of the region of interest.
+    edges: (n, 2), the measured points. cross: (u, v, turn): its centre, and the slope of the bar across, rad,
+    anticlockwise. disc, outline: (u, v, radius) of the circles.
+    """
+
+    number: int
+    t_s: float
+    status: str
+    region: tuple[float, float, float, float] | None = None
+    edges: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    cross: tuple[float, float, float] | None = None
+    disc: tuple[float, float, float] | None = None
+    outline: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Portion:
+    """The motion after one portion; t_s and all values are those of its last frame.
+
+    frames: how many were used. values, sigmas: (12,), by QUANTITIES, SI; nan where not observable.
+    """
+
+    t_s: float
+    frames: int
+    status: str
+    values: Floats
+    sigmas: Floats
+
+    def value(self, quantity: str) -> float:
+        """Return the value of ``quantity``, SI; nan where not observable."""
+        return float(self.values[QUANTITIES.index(quantity)])
+
+    def sigma(self, quantity: str) -> float:
+        """Return the standard deviation of ``quantity``, SI; nan where not observable."""
+        return float(self.sigmas[QUANTITIES.index(quantity)])
+
+    def observes(self, quantity: str) -> bool:
+        """Return whether ``quantity`` has a value."""
+        return math.isfinite(self.value(quantity))

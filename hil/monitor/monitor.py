@@ -1,0 +1,126 @@
+"""The docking monitor: frames in, portions out. The same frames give the same numbers, live or from a recording."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+import numpy as np
+
+from hil.config.scene import Scene
+from hil.monitor.derived import derive
+from hil.monitor.findings import QUANTITIES
+from hil.monitor.motion import Fit, MotionFit
+from hil.monitor.observe import Observer
+from hil.monitor.paper_motion import PaperMotionFit
+from hil.monitor.results import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, Look, Result
+from hil.monitor.settings import Settings
+from hil.monitor.sources import Frame
+
+_NAN: Final = np.full(len(QUANTITIES), np.nan)
+
+
+class Monitor:
+    """Watches one target through one camera.
+
+    ``feed`` takes the next frame and returns the portions that it completes; ``last`` is what was seen in it.
+    ``finish`` closes the portion that the end of a recording cuts short.
+    """
+
+    def __init__(self, scene: Scene, settings: Settings | None = None) -> None:
+        self.scene = scene
+        self.settings = settings or Settings()
+        self._observer = Observer(scene, self.settings)
+        self._motion = MotionFit(self.settings)
+        self._paper = _paper_fit(scene, self.settings)
+        self._looks: list[Look] = []
+        self._used_s = -np.inf
+        self.last: Look | None = None
+
+    def feed(self, frame: Frame) -> list[Result]:
+        """Take the next frame; return the portions that are complete by now."""
+        done: list[Result] = []
+        if self._looks and frame.t_s - self._looks[0].seen.t_s >= self.settings.portion_s - 1e-9:
+            done.append(self._close())
+        look = self._observer.look(frame)
+        self.last = look
+        self._looks.append(look)
+        if len(self._looks) >= self.settings.portion_frames:
+            done.append(self._close())
+        return done
+
+    def finish(self) -> list[Result]:
+        """Return the portion of the frames that are left, if any."""
+        return [self._close()] if self._looks else []
+
+    def _close(self) -> Result:
+        looks, self._looks = self._looks, []
+        t_s = looks[-1].seen.t_s
+        near = [look for look in looks if look.status == NEAR]
+        far = [look for look in looks if look.status == FAR]
+        used, status = (near, NEAR) if len(near) >= len(far) else (far, FAR)
+        if not used:
+            return _nothing(looks, t_s)
+        if used[0].seen.t_s - self._used_s > self.settings.lost_s:
+            self._motion.forget()
+            if self._paper is not None:
+                self._paper.forget()
+        # beyond the cross' reach the paper gives no relations: there the exact ones serve both
+        fit = self._motion.fit(used, t_s)
+        if self._paper is not None and status == NEAR:
+            fit = self._paper.fit(used, t_s)
+        if fit is None:
+            return _nothing(looks, t_s, "rejected_motion")
+        self._used_s = used[-1].seen.t_s
+        self._observer.expect(fit.motion)
+        return _result(looks, fit, status)
+
+
+def _paper_fit(scene: Scene, settings: Settings) -> PaperMotionFit | None:
+    target = scene.chosen(settings.target)
+    if settings.calculation != "paper" or target.disc is None or target.cross is None:
+        return None
+    return PaperMotionFit(settings, scene.camera.f, target.cross.offset_m, target.disc.radius_m)
+
+
+def _reasons(looks: list[Look]) -> tuple[tuple[str, int], ...]:
+    return tuple(Counter(look.reason for look in looks if not look.used).most_common())
+
+
+def _nothing(looks: list[Look], t_s: float, status: str | None = None) -> Result:
+    """Return the row of a portion without numbers: "rejected_<why>" if most of its frames showed something."""
+    if status is None:
+        status = Counter(look.status for look in looks).most_common(1)[0][0]
+    if status in (NEAR, FAR):
+        status = NO_TARGET
+    return Result(t_s, 0, status, _NAN, _NAN, reasons=_reasons(looks))
+
+
+def _result(looks: list[Look], fit: Fit, status: str) -> Result:
+    values, sigmas = derive(fit.motion.w, fit.motion.covariance)
+    if status == FAR:
+        # two angles that are hardly known turn the picture by half their product, which no first-order sigma holds
+        roll, one, two = (QUANTITIES.index(f"phi{i}_rad") for i in (3, 1, 2))
+        sigmas[roll] = np.hypot(sigmas[roll], sigmas[one] * sigmas[two])
+        hidden = [name not in FAR_QUANTITIES for name in QUANTITIES]
+        values[hidden] = np.nan
+        sigmas[hidden] = np.nan
+    return Result(
+        fit.motion.t_s, fit.frames, status, values, sigmas,
+        fit.sigma2_edges, fit.sigma2_common, fit.sigma2_motion, fit.consistent, fit.motion.covariance, _reasons(looks),
+    )  # fmt: skip
+
+
+def watch(monitor: Monitor, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Look, list[Result]]]:
+    """Yield each frame with what was seen in it and the portions it completes, the cut last one with the last frame."""
+    before: tuple[Frame, Look, list[Result]] | None = None
+    for frame in frames:
+        if before is not None:
+            yield before
+        done = monitor.feed(frame)
+        assert monitor.last is not None
+        before = (frame, monitor.last, done)
+    if before is not None:
+        frame, look, done = before
+        yield frame, look, [*done, *monitor.finish()]

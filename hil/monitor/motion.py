@@ -1,0 +1,216 @@
+"""Motion from the frames of a portion, carried on to the next one (monitor paper 3.2, misprints mended).
+
+The motion is ``d = z + z' t``, ``phi = v + v' t``, with t from the portion's last frame. Each frame gives its pose
+with the full normal matrix of its edges, so the fit is as good as one of all edges of all frames together. What the
+portion before says is carried on and weighs q (d) and q' (phi); beside even motion an unknown acceleration of known
+size is allowed for, without which a smooth sway would pass for certainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.monitor.results import Look
+from hil.monitor.settings import Settings
+
+Floats = NDArray[np.float64]
+
+_UNKNOWNS: Final = 19  # twelve of motion, six accelerations, the edges' growth
+_FIRST_SIGMA: Final = np.array([1e3, 2.0] * 3 + [10.0, 0.2] * 3)  # m, m/s, rad, rad/s: before anything is known
+_WILD_FRAME: Final = 60.0  # square sum of a frame's six about the motion beyond which it may be dropped
+_SIGNIFICANT: Final = 3.0
+_MODEL_ERROR: Final = 0.25  # share of sigma^2 that the blur's model and the noise's own estimate may be off
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Where the camera was at ``t_s`` and how it moved: w (12,), its normal matrix B and covariance P (12, 12)."""
+
+    t_s: float
+    w: Floats
+    normal: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A portion's motion, how many frames it rests on, and its three square sums (see Result)."""
+
+    motion: Motion
+    frames: int
+    sigma2_edges: float
+    sigma2_common: float
+    sigma2_motion: float
+    consistent: bool
+
+
+def transition(dt: float) -> Floats:
+    """Return the matrix (12, 12) that carries w on by ``dt``, s, of even motion."""
+    matrix = np.eye(12)
+    for i in range(6):
+        matrix[2 * i, 2 * i + 1] = dt
+    return matrix
+
+
+def _gains(dt: float) -> Floats:
+    """Return what accelerations (6,) do to w (12,) in ``dt``, s."""
+    matrix = np.zeros((12, 6))
+    for i in range(6):
+        matrix[2 * i, i], matrix[2 * i + 1, i] = 0.5 * dt * dt, dt
+    return matrix
+
+
+def _design(t: float) -> Floats:
+    """Return the rows (7, 19) of a frame at ``t``, s, from the portion's last frame."""
+    rows = np.zeros((7, _UNKNOWNS))
+    for i in range(6):
+        rows[i, 2 * i], rows[i, 2 * i + 1], rows[i, 12 + i] = 1.0, t, 0.5 * t * t
+    rows[6, 18] = 1.0
+    return rows
+
+
+def _inverse(matrix: Floats) -> Floats:
+    """Return the inverse of a symmetric positive definite matrix of unlike units."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    inverse = np.linalg.inv(matrix * np.outer(scale, scale))
+    inverse = 0.5 * (inverse + inverse.T) * np.outer(scale, scale)
+    return np.asarray(inverse)
+
+
+class MotionFit:
+    """Fits portion after portion; what it carries from one to the next is ``before``."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._accelerations = np.diag(
+            [settings.acceleration_mps2**2] * 3 + [settings.angular_acceleration_radps2**2] * 3
+        )
+        self.before: Motion | None = None
+
+    def forget(self) -> None:
+        """Start anew with the next portion."""
+        self.before = None
+
+    def fit(self, looks: Sequence[Look], t_s: float) -> Fit | None:
+        """Return the motion at ``t_s`` by the used frames ``looks``; None where it is not determined."""
+        kept = list(looks)
+        while True:
+            found = self._solve(kept, t_s)
+            if found is None:
+                return None
+            fit, squares = found
+            worst = int(np.argmax(squares))
+            if len(kept) < 4 or squares[worst] < _WILD_FRAME or squares[worst] < 8.0 * np.median(squares):
+                break
+            del kept[worst]
+        self.before = fit.motion
+        return fit
+
+    def _solve(self, looks: Sequence[Look], t_s: float) -> tuple[Fit, Floats] | None:
+        assumed, true, mean = self._prior(t_s)
+        matter, right = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
+        designs = [_design(look.seen.t_s - t_s) for look in looks]
+        for look, rows in zip(looks, designs, strict=True):
+            matter += rows.T @ look.normal @ rows
+            # the frame's own prior held its pose: taken off again, so that it counts once a portion and not ten times
+            right += rows.T @ ((look.normal + np.diag(look.prior)) @ look.pose)
+        held = self._held(looks)
+        known = _inverse(assumed)
+        weight = known + held
+        total = weight + matter
+        try:
+            inverse = _inverse(total)
+        except np.linalg.LinAlgError:
+            return None
+        if not np.all(np.isfinite(inverse)):
+            return None
+        theta = inverse @ (known @ mean + right)
+        edges, common, excess = _edge_squares(looks)
+        squares = np.array([_square(look, rows @ theta) for look, rows in zip(looks, designs, strict=True)])
+        motion2, motion_doubt = _motion_square(squares)
+        widened = 1.0
+        if motion2 > edges * (1.0 + _SIGNIFICANT * motion_doubt):
+            widened = motion2 / edges
+        noise = edges if excess == 0.0 else 1.0
+        factor = noise * widened + len(looks) * excess
+        carried = known @ true @ known + held
+        covariance = inverse @ (carried + factor * matter) @ inverse
+        normal = _inverse(inverse[:12, :12])
+        if self._settings.motion == "printed":  # 3.2 as it stands: sigma^2 B^-1 with the divisor of K frames alone
+            covariance = max(float(np.nan_to_num(motion2, nan=edges)), 1e-6) * inverse
+        consistent = edges < 2.0 and excess == 0.0 and widened == 1.0
+        fit = Fit(
+            Motion(t_s, theta[:12].copy(), normal, covariance[:12, :12].copy()),
+            len(looks), edges, common, motion2, consistent,
+        )  # fmt: skip
+        return fit, squares
+
+    def _held(self, looks: Sequence[Look]) -> Floats:
+        """Return the information (19, 19) of small passive angles, where no cross tells them."""
+        matrix = np.zeros((_UNKNOWNS, _UNKNOWNS))
+        d3 = float(looks[-1].pose[2])
+        weight = 1.0 / (self._settings.passive_angle_rad * d3) ** 2
+        matrix[0, 0] = matrix[2, 2] = weight
+        return matrix
+
+    def _prior(self, t_s: float) -> tuple[Floats, Floats, Floats]:
+        """Return the covariance (19, 19) that the fit assumes beforehand, the true one, and the mean (19,)."""
+        settings = self._settings
+        assumed, mean = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
+        assumed[18, 18] = settings.growth_px**2
+        assumed[12:18, 12:18] = self._accelerations
+        true = assumed.copy()
+        if self.before is None:
+            assumed[:12, :12] = np.diag(_FIRST_SIGMA**2)
+            return assumed, assumed, mean
+        dt = t_s - self.before.t_s
+        carry, gains = transition(dt), _gains(dt)
+        mean[:12] = carry @ self.before.w
+        spread = gains @ self._accelerations @ gains.T
+        forget = np.repeat([1.0 / np.sqrt(max(settings.q, 1e-9)), 1.0 / np.sqrt(max(settings.q_attitude, 1e-9))], 6)
+        for matrix, covariance in ((assumed, _inverse(self.before.normal)), (true, self.before.covariance)):
+            known = carry @ covariance @ carry.T
+            if matrix is assumed:
+                known = known * np.outer(forget, forget)
+            matrix[:12, :12] = known + spread
+            matrix[:12, 12:18] = gains @ self._accelerations
+            matrix[12:18, :12] = matrix[:12, 12:18].T
+        return assumed, true, mean
+
+
+def _edge_squares(looks: Sequence[Look]) -> tuple[float, float, float]:
+    """Return sigma^2 of the points, of what the points of an edge share, and how far they are above noise.
+
+    What is above noise does not average out over the frames of a portion: it is the same in all of them.
+    """
+    sums = np.array([look.sums for look in looks])
+    free_points = max(float((sums[:, 1] - 7.0).sum()), 1.0)
+    free_edges = max(float(np.maximum(sums[:, 3] - 7.0, 0.0).sum()), 1e-9)
+    points, common = float(sums[:, 0].sum()) / free_points, float(sums[:, 2].sum()) / free_edges
+    too_large = (
+        points > 1.0 + _MODEL_ERROR + _SIGNIFICANT * np.sqrt(2.0 / free_points),
+        free_edges >= 3.0 and common > 1.0 + _MODEL_ERROR + _SIGNIFICANT * np.sqrt(2.0 / free_edges),
+    )
+    largest = max(points, common) if free_edges >= 3.0 else points
+    return points, common, largest - 1.0 if any(too_large) else 0.0
+
+
+def _square(look: Look, at: Floats) -> float:
+    """Return the square of the frame's six about the motion, in its own sigmas, the growth left open."""
+    gap = look.pose - at
+    full = look.normal + np.diag(look.prior)
+    loose = full[:6, :6] - np.outer(full[:6, 6], full[6, :6]) / full[6, 6]
+    return float(gap[:6] @ loose @ gap[:6])
+
+
+def _motion_square(squares: Floats) -> tuple[float, float]:
+    """Return sigma^2 of the frames about the motion and by how much chance moves it."""
+    freedom = 6.0 * len(squares) - 12.0
+    if freedom < 6.0:
+        return float("nan"), float("inf")
+    return float(squares.sum()) / freedom, float(np.sqrt(2.0 / freedom))

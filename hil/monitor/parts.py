@@ -1,0 +1,110 @@
+"""What of a target has edges that can be measured: circles and straight edges in the frame C, as arrays for kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.config.scene import Camera, Target
+
+Floats = NDArray[np.float64]
+
+DISC, ACROSS, UPRIGHT, PLATE, OUTLINE, LABEL, BOX = range(7)
+"""Features; box i has the number BOX + i."""
+
+_NAMES: Final = ("disc", "bar across", "bar upright", "plate", "outline", "labels")
+
+CIRCLE = np.dtype(
+    [("y1", "f8"), ("y2", "f8"), ("y3", "f8"), ("radius", "f8"), ("feature", "i8"), ("group", "i8")], align=True
+)
+"""A circle parallel to the disc: centre, m, in C; radius, m."""
+
+LINE = np.dtype(
+    [
+        ("a1", "f8"), ("a2", "f8"), ("b1", "f8"), ("b2", "f8"), ("y3", "f8"),
+        ("width", "f8"), ("feature", "i8"), ("group", "i8"),
+    ],
+    align=True,
+)  # fmt: skip
+"""A straight edge from a to b, m, in the plane y3; ``width`` 0, or that of the bar whose centre line it is, m.
+
+The outside of an edge is to the right of the way from a to b, as seen from the camera at y3 > 0.
+"""
+
+
+def feature_name(feature: int) -> str:
+    """Return the feature's name as messages and pictures have it."""
+    return _NAMES[feature] if feature < BOX else f"box {feature - BOX}"
+
+
+@dataclass(frozen=True)
+class Parts:
+    """One target before one camera, for the kernels.
+
+    lens: (5,): f, cx, cy, width, height, px. circles, lines: what is measured. borders: (n,) LINE, every straight
+    border there is: where another one is near, a measurement keeps away from it. features: how many numbers of
+    features there are. cross: (3,): offset, arm length, arm width, m; zeros where there is no cross.
+    """
+
+    lens: Floats
+    circles: NDArray[np.void]
+    lines: NDArray[np.void]
+    borders: NDArray[np.void]
+    features: int
+    cross: Floats
+    target: Target
+
+
+def parts_of(camera: Camera, target: Target) -> Parts:
+    """Return the measurable parts of ``target`` before ``camera``."""
+    circles: list[tuple[float, ...]] = []
+    lines: list[tuple[float, ...]] = []
+    borders: list[tuple[float, ...]] = []
+    if target.disc is not None:
+        circles.append((0.0, 0.0, 0.0, target.disc.radius_m, DISC, DISC))
+    if target.outline is not None:
+        c1, c2 = target.outline.center_m
+        circles.append((c1, c2, target.outline.offset_m, target.outline.radius_m, OUTLINE, OUTLINE))
+    if target.labels is not None:
+        for number, (c1, c2) in enumerate(target.labels.centers_m):
+            circles.append((c1, c2, 0.0, target.labels.radius_m, LABEL, -1 - number))
+    if target.plate is not None:
+        edges = _rectangle(0.0, 0.0, target.plate.width_m, target.plate.height_m, 0.0, PLATE)
+        lines += edges
+        borders += edges
+    for number, box in enumerate(target.boxes):
+        edges = _rectangle(box.x_m, box.y_m, box.width_m, box.height_m, box.offset_m, BOX + number)
+        lines += edges
+        borders += edges
+    cross = np.zeros(3)
+    if target.cross is not None:
+        cross[:] = target.cross.offset_m, target.cross.arm_length_m, target.cross.arm_width_m
+        half, arm, y3 = 0.5 * cross[2], cross[1], cross[0]
+        for feature, (e1, e2) in ((ACROSS, (1.0, 0.0)), (UPRIGHT, (0.0, 1.0))):
+            for way in (1.0, -1.0):
+                ends = (way * half * e1, way * half * e2, way * arm * e1, way * arm * e2)
+                lines.append((*ends, y3, cross[2], feature, ACROSS))
+        borders += [
+            *_rectangle(0.0, 0.0, 2.0 * arm, cross[2], y3, ACROSS),
+            *_rectangle(0.0, 0.0, cross[2], 2.0 * arm, y3, ACROSS),
+        ]
+    lens = np.array([camera.f, camera.cx, camera.cy, camera.width, camera.height], float)
+    features = BOX + len(target.boxes)
+    return Parts(
+        lens, _table(circles, CIRCLE), _table(lines, LINE), _table(borders, LINE), features, cross, target
+    )  # fmt: skip
+
+
+def _rectangle(x: float, y: float, width: float, height: float, y3: float, feature: int) -> list[tuple[float, ...]]:
+    """Return the four edges, counter-clockwise as the camera sees them: the outside is to the right."""
+    x0, x1, y0, y1 = x - 0.5 * width, x + 0.5 * width, y - 0.5 * height, y + 0.5 * height
+    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
+    return [(*a, *b, y3, 0.0, feature, feature) for a, b in pairwise(corners)]
+
+
+def _table(rows: list[tuple[float, ...]], kind: np.dtype[np.void]) -> NDArray[np.void]:
+    return np.array(rows, dtype=kind)

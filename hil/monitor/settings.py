@@ -1,0 +1,48 @@
+"""What an operator or a study may choose about the monitor; the defaults are for a docking approach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from hil.monitor.measure import TUNING
+from hil.monitor.preprocess import Region
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Choices of a run.
+
+    region: where to look first, px; the whole picture once that fails. target: of the scene's two. calculation:
+    "exact" (finite angles, all features at once) or "paper" (monitor paper 3.1). motion: "corrected" or "printed"
+    (3.2 as it stands, see docs/monitor.md). q, q_attitude: weight of the portion before. acceleration_mps2,
+    angular_acceleration_radps2: 1 sigma of what motion does within a portion beside going on evenly. portion_frames,
+    portion_s: a portion ends with so many frames, or after that time.
+    """
+
+    region: Region | None = None
+    target: Literal["basic", "reserve"] = "basic"
+    calculation: Literal["exact", "paper"] = "exact"
+    motion: Literal["corrected", "printed"] = "corrected"
+    q: float = 0.5
+    q_attitude: float = 0.5
+    acceleration_mps2: float = 2e-3
+    angular_acceleration_radps2: float = 3e-4
+    portion_frames: int = 10
+    portion_s: float = 1.0
+    lost_s: float = 2.0
+    growth_px: float = 0.1
+    passive_angle_rad: float = 0.1
+    near_bar_px: float = 2.0
+    cell_px: float = 8.0
+    cells_of_an_edge: int = 48
+
+    def tuning(self) -> np.void:
+        """Return the choices that the kernels take."""
+        row: np.void = np.zeros(1, TUNING)[0]
+        row["length"], row["most"], row["wide_bar"], row["wanted"] = self.cell_px, self.cells_of_an_edge, 7.0, 4.5
+        row["reject"], row["rounds"], row["near_bar"] = 4.5, 2, self.near_bar_px
+        row["prior_angle"], row["prior_growth"] = self.passive_angle_rad, self.growth_px
+        return row

@@ -1,0 +1,231 @@
+"""Where the monitor's pictures come from: a video file, a folder of images, or a television camera.
+
+All of them give the same frames: 8 bit grey, of the size of the scene's camera, each with its own time. What cannot
+be used is told before the first frame where it shows by then, and otherwise after the last good one.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.config.load import Loaded
+from hil.config.scene import Scene
+from hil.errors import BadInput
+
+Image = NDArray[np.uint8]
+Picture = tuple[int, Image]  # its number in units of the picture's time, and what it shows
+
+WHOLE: Final = 0
+UPPER: Final = 1  # lines 0, 2, 4 ...
+LOWER: Final = 2  # lines 1, 3, 5 ...
+
+_IMAGES: Final = frozenset((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"))
+_NUMBER: Final = re.compile(r"(\d+)$")
+_RATE_TOLERANCE: Final = 0.05  # of a file's stated rate, which some containers only estimate
+_LONGEST_COUNT: Final = 1e8  # more pictures than this is a container's way of saying that it does not know
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One exposure: a whole picture, or the lines of one half frame.
+
+    number counts the frames from 0; t_s, s, from the first one. image: (h, w), or (h/2, w) for a half frame, whose
+    row i is the picture's line ``first_line + line_step * i``.
+    """
+
+    number: int
+    t_s: float
+    image: Image
+    field: int = WHOLE
+
+    @property
+    def first_line(self) -> int:
+        return 1 if self.field == LOWER else 0
+
+    @property
+    def line_step(self) -> int:
+        return 1 if self.field == WHOLE else 2
+
+
+def lines_of(field: int) -> slice:
+    """Return which lines of a picture belong to ``field``."""
+    return slice(0, None, 1) if field == WHOLE else slice(field - UPPER, None, 2)
+
+
+def exposure(scene: Scene, number: int) -> tuple[float, int]:
+    """Return when, s from the first one, frame ``number`` of an unbroken recording is exposed, and its field."""
+    if scene.fields == "whole":
+        return number / scene.fps, WHOLE
+    slot, half = divmod(number, 2)
+    order = (UPPER, LOWER) if scene.fields == "upper_first" else (LOWER, UPPER)
+    return (slot + 0.5 * half) / scene.fps, order[half]
+
+
+class Source:
+    """Frames of one recording or camera; iterate once. ``pictures``: how many are to come, None when not known."""
+
+    def __init__(self, name: str, scene: Scene, pictures: Iterator[Picture], count: int | None) -> None:
+        self.name = name
+        self.pictures = count
+        self._scene = scene
+        self._pictures = pictures
+        self._first: Picture | None = next(pictures)  # whoever opens a source hears at once that it is none
+
+    def __iter__(self) -> Iterator[Frame]:
+        if self._first is None:
+            raise ValueError(f"{self.name}: a source is read once")
+        first, self._first = self._first, None
+        for number, frame in enumerate(self._frames(first)):
+            yield Frame(number, *frame)
+
+    def _frames(self, first: Picture) -> Iterator[tuple[float, Image, int]]:
+        halves = 1 if self._scene.fields == "whole" else 2
+        picture: Picture | None = first
+        while picture is not None:
+            slot, image = picture
+            for half in range(halves):
+                t_s, field = exposure(self._scene, halves * slot + half)
+                yield t_s, image if field == WHOLE else np.ascontiguousarray(image[lines_of(field)]), field
+            picture = next(self._pictures, None)
+
+
+def open_source(name: str, scene: Loaded[Scene], clock: Callable[[], float] = time.monotonic) -> Source:
+    """Return the source ``name``: a video file, a folder, or the number of a camera; raise BadInput.
+
+    clock, s, is that of a camera's pictures alone; what is recorded has its times from the scene's rate.
+    """
+    # the decoder's own complaints would stand beside the one line that says what is wrong
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "fflags;discardcorrupt|err_detect;explode")
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    path = Path(name)
+    if path.is_dir():
+        return _folder(path, scene)
+    if path.is_file():
+        return _video(path, scene)
+    if name.isdecimal():
+        return _camera(int(name), scene, clock)
+    raise BadInput.single(name, "", "no such file or folder: give a video, a folder of images or a camera's number")
+
+
+def _checked(image: Any, name: str, scene: Loaded[Scene]) -> Image:
+    """Return ``image`` as grey of the camera's size; raise BadInput."""
+    camera = scene.value.camera
+    height, width = image.shape[:2]
+    if (width, height) != (camera.width, camera.height):
+        text = f"{width} x {height}: must be {camera.width} x {camera.height}, the camera of {scene.source}"
+        raise BadInput.single(name, "picture size", text)
+    grey: Image = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return grey
+
+
+def _video(path: Path, scene: Loaded[Scene]) -> Source:
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    if not capture.isOpened():
+        raise BadInput.single(str(path), "", "not a video that can be read, or one that is cut")
+    stated = capture.get(cv2.CAP_PROP_FPS)
+    wanted = scene.value.fps
+    if np.isfinite(stated) and stated > 0.0 and abs(stated - wanted) > _RATE_TOLERANCE * wanted:
+        text = f"{stated:g} pictures a second: must be {wanted:g}, fps of {scene.source}"
+        raise BadInput.single(str(path), "picture rate", text)
+    told = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    count = int(told) if 0.0 < told < _LONGEST_COUNT else None
+    return Source(str(path), scene.value, _video_pictures(capture, path, scene, count), count)
+
+
+def _video_pictures(
+    capture: cv2.VideoCapture, path: Path, scene: Loaded[Scene], count: int | None
+) -> Iterator[Picture]:
+    number, slot, start = 0, -1, 0
+    try:
+        while True:
+            whole, image = capture.read()
+            if not whole:
+                break
+            # a picture that was lost in mid-file leaves a gap in the times of those that follow
+            slot = max(slot + 1, round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3 * scene.value.fps))
+            start = slot if number == 0 else start
+            yield slot - start, _checked(image, str(path), scene)
+            number += 1
+    finally:
+        capture.release()
+    if number == 0:
+        raise BadInput.single(str(path), "", "not a video that can be read: holds no whole picture")
+    if count is not None and number < count - 1:
+        raise BadInput.single(str(path), "", f"cut or damaged: {number} whole pictures, {count} expected")
+
+
+def _folder(path: Path, scene: Loaded[Scene]) -> Source:
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in _IMAGES and file.is_file())
+    if not files:
+        raise BadInput.single(str(path), "", f"no images: allowed are {', '.join(sorted(_IMAGES))}")
+    slots = _slots(files)
+    ordered = sorted(zip(slots, files, strict=True))
+    return Source(str(path), scene.value, _folder_pictures(ordered, scene), len(files))
+
+
+def _slots(files: list[Path]) -> list[int]:
+    """Return each image's number in units of the picture's time, from 0.
+
+    It is the number that ends its name, so that a lost image leaves a gap and not a jump; names without numbers, or
+    with numbers that never follow on each other, are counted.
+    """
+    found = [_NUMBER.search(file.stem) for file in files]
+    numbers = [int(match.group(1)) for match in found if match is not None]
+    ordered = sorted(numbers)
+    steps = [after - before for before, after in pairwise(ordered)]
+    if len(numbers) < len(files) or (steps and min(steps) != 1):
+        return list(range(len(files)))
+    return [number - ordered[0] for number in numbers]
+
+
+def _folder_pictures(files: list[tuple[int, Path]], scene: Loaded[Scene]) -> Iterator[Picture]:
+    for slot, file in files:
+        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            raise BadInput.single(str(file), "", "not an image that can be read")
+        yield slot, _checked(image, str(file), scene)
+
+
+def _camera(index: int, scene: Loaded[Scene], clock: Callable[[], float]) -> Source:
+    capture = cv2.VideoCapture(index)
+    name = f"camera {index}"
+    if not capture.isOpened():
+        raise BadInput.single(name, "", "no such camera, or it is in use")
+    capture.set(cv2.CAP_PROP_FRAME_WIDTH, scene.value.camera.width)
+    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, scene.value.camera.height)
+    capture.set(cv2.CAP_PROP_FPS, scene.value.fps)
+    return Source(name, scene.value, _camera_pictures(capture, name, scene, clock), None)
+
+
+def _camera_pictures(
+    capture: cv2.VideoCapture, name: str, scene: Loaded[Scene], clock: Callable[[], float]
+) -> Iterator[Picture]:
+    """Yield pictures with the whole number of picture times that have gone by: a lost one leaves a gap.
+
+    Times are whole multiples so that a recording of these pictures, by number, has the very same ones.
+    """
+    slot, start_s = -1, 0.0
+    try:
+        while True:
+            whole, image = capture.read()
+            now_s = clock()
+            if not whole:
+                raise BadInput.single(name, "", "gives no more pictures")
+            if slot < 0:
+                start_s = now_s
+            slot = max(slot + 1, round((now_s - start_s) * scene.value.fps))
+            yield slot, _checked(image, name, scene)
+    finally:
+        capture.release()

@@ -1,0 +1,165 @@
+"""The docking monitor beside a run: its process sees what a watch of the recording sees, and it dies alone."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil import build, monitored
+from hil.build import Job
+from hil.config.load import load_rig, load_scenario, load_scene
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.errors import LinkLost
+from hil.frmn.ring import Ring
+from hil.messages import CYCLE
+from hil.monitor_beside import MonitorProcess, Watched, watch_recorded
+from hil.report.docking_monitor import judge_monitor, monitor_lines
+
+SETTINGS = ("monitor.source=rendered",)
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return load_scenario("scheme-1", SETTINGS).value
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return load_rig("mock").value
+
+
+@pytest.fixture(scope="module")
+def history() -> np.ndarray:
+    """Return six seconds of scheme-1 on mocks."""
+    job = Job(load_scenario("scheme-1"), load_rig("mock"), 0, 6.0, 1.0)
+    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+        return runner.run().history
+
+
+@pytest.fixture(scope="module")
+def recorded(scenario: Scenario, rig: Rig, history: np.ndarray) -> Watched:
+    """Return what the monitor sees in them."""
+    return watch_recorded(scenario, load_scene("atv").value, rig, 0, history)
+
+
+def test_the_process_sees_what_a_watch_of_the_recording_sees(
+    scenario: Scenario, rig: Rig, history: np.ndarray, recorded: Watched
+) -> None:
+    ring = Ring.create(CYCLE, 2048)
+    try:
+        with MonitorProcess(scenario, load_scene("atv").value, rig, 0, ring) as process:
+            process.wait_ready()
+            for row in history[:, None]:
+                ring.put(row)
+            live = process.finish()
+    finally:
+        ring.close()
+    assert live.missed_rows == 0
+    assert (live.frames, len(live.portions)) == (recorded.frames, len(recorded.portions)) == (76, 8)
+    for here, there in zip(live.portions, recorded.portions, strict=True):
+        assert (here.t_s, here.frames, here.status) == (there.t_s, there.frames, there.status)
+        np.testing.assert_array_equal(here.values, there.values)
+        np.testing.assert_array_equal(here.sigmas, there.sigmas)
+
+
+def test_a_monitor_that_dies_is_told_by_name(scenario: Scenario, rig: Rig) -> None:
+    ring = Ring.create(CYCLE, 64)
+    try:
+        with MonitorProcess(scenario, load_scene("atv").value, rig, 0, ring) as process:
+            process.wait_ready()
+            process.close()
+            with pytest.raises((LinkLost, ValueError)):
+                process.finish()
+    finally:
+        ring.close()
+
+
+def test_monitor_vision_unit_and_truth_agree_in_their_sigmas(
+    scenario: Scenario, rig: Rig, history: np.ndarray, recorded: Watched
+) -> None:
+    found = judge_monitor(recorded, history, scenario, rig)
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert found["status"] == {"near": 8}
+    assert found["longest_gap_s"] <= 1.0
+    for name, figures in found["quantities"].items():
+        if name != "range_rate_mps":
+            assert figures["bench"]["most_sigmas"] < 4.5, name
+            assert figures["vmu"]["most_sigmas"] < 4.5, name
+            assert figures["monitor_minus_vmu"]["most_sigmas"] < 4.5, name
+    assert found["quantities"]["range_rate_mps"]["vmu"] is None
+    assert found["quantities"]["range_m"]["truth"]["rms"] < 2e-3
+    # a thruster that fires within a portion changes the rate by more than its sigma; see docs/monitor.md
+    assert found["quantities"]["range_rate_mps"]["truth"]["rms"] < 2e-3
+    assert monitor_lines(found)[0].startswith("Monitor     atv: 76 frames")
+
+
+def test_a_wrong_station_shows_as_many_sigmas(
+    scenario: Scenario, rig: Rig, history: np.ndarray, recorded: Watched
+) -> None:
+    moved = scenario.monitor.model_copy(update={"camera_station_m": (0.82, 0.0, -0.5)})
+    found = judge_monitor(recorded, history, scenario.model_copy(update={"monitor": moved}), rig)
+    assert found["quantities"]["range_m"]["truth"]["rms"] == pytest.approx(0.02, rel=0.1)
+    assert found["quantities"]["range_m"]["truth"]["share_in_2_sigma"] == 0.0
+
+
+def test_a_run_that_ended_before_its_first_cycle_has_nothing_to_compare(scenario: Scenario, rig: Rig) -> None:
+    found = judge_monitor(Watched("atv"), np.zeros(0, CYCLE), scenario, rig)
+    assert (found["frames"], found["portions"], found["longest_gap_s"]) == (0, 0, None)
+    assert all(each is None for figures in found["quantities"].values() for each in figures.values())
+    assert len(monitor_lines(found)) > 2
+
+
+def test_run_without_monitor_has_none(rig: Rig) -> None:
+    job = Job(load_scenario("scheme-1"), load_rig("mock"), 0, 0.1, 1.0)
+    with monitored.runner(job, lambda *_: None, lambda _: None) as (runner, look):
+        assert look(runner.run()) is None
+
+
+def test_run_command_reports_the_monitor(tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    arguments = ["run", "scheme-1", "--duration", "2", "--set", "monitor.source=rendered", "--json", str(path)]
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", *arguments], capture_output=True, text=True, check=False, timeout=280
+    )
+    assert done.returncode == 1, done.stderr  # two seconds are not enough to be ready
+    assert "Monitor     atv: 26 frames" in done.stdout
+    assert json.loads(path.read_text(encoding="utf-8"))["monitor"]["status"] == {"near": 3}
+
+
+def test_run_command_refuses_a_scene_that_is_not_there() -> None:
+    settings = ["--set", "monitor.source=rendered", "--set", "monitor.scene=missing"]
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "run", "scheme-1", *settings],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert "missing: unknown scene: give atv, bright-cross" in done.stderr
+
+
+@pytest.mark.slow
+def test_monitor_beside_an_emulated_bench_agrees_with_the_encoders(tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    arguments = ["run", "scheme-1", "--rig", "emulated", "--duration", "20", "--json", str(path)]
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", *arguments, "--set", "monitor.source=rendered"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=280,
+    )
+    assert done.returncode == 1, done.stderr
+    found = json.loads(path.read_text(encoding="utf-8"))["monitor"]
+    assert (found["missed_rows"], found["failure"]) == (0, "")
+    assert found["status"]["near"] == sum(found["status"].values()) >= 24
+    assert found["longest_gap_s"] <= 1.0
+    for name in ("range_m", "phi1_rad", "phi2_rad", "phi3_rad", "d1_m", "d2_m"):
+        assert found["quantities"][name]["bench"]["share_in_2_sigma"] >= 0.8, name
