@@ -17,6 +17,7 @@ from rich.console import Console
 
 from hil.cli.bar import Bar
 from hil.cli.output import check_json_path, write_json
+from hil.cli.warm_up import left_at_once_on_ctrl_c
 from hil.config.load import load_file
 from hil.config.vmu_geometry import VmuGeometry
 from hil.drivers.vmu.sender import FrameSender
@@ -63,7 +64,7 @@ def vmu_command(
         count = len(images)
     live = isinstance(images, StreamPairs) and images.live
     console = Console(stderr=True)
-    with console.status("compiling the kernels where they are not yet"):
+    with left_at_once_on_ctrl_c(), console.status("compiling the kernels where they are not yet"):
         unit = VisionUnit(geometry)
         unit.warm_up()
     if overlay is not None:

@@ -27,7 +27,7 @@ _SAFE_STOPPED = 3
 
 def warm_up_with_a_word(job: Job, console: Console) -> None:
     """Call every kernel of the loop once; the first time after a change of the sources that compiles them."""
-    with _left_at_once_on_ctrl_c():
+    with left_at_once_on_ctrl_c():
         _warm_up(job, console)
 
 
@@ -46,7 +46,7 @@ def _warm_up(job: Job, console: Console) -> None:
 
 
 @contextmanager
-def _left_at_once_on_ctrl_c() -> Iterator[None]:
+def left_at_once_on_ctrl_c() -> Iterator[None]:
     """End the process where it stands: nothing is powered yet, and an exception in mid-compilation would get lost.
 
     The compiler calls back into Python from C, where a KeyboardInterrupt is swallowed.
