@@ -51,6 +51,7 @@ def run(
     duration: float | None = None,
     settings: Settings = (),
     speed: float = 1.0,
+    record: str | None = None,
     json: Output = None,
 ) -> int:
     """Run one closed loop and print its verdict.
@@ -67,12 +68,14 @@ def run(
         Seconds to run, instead of the scenario's.
     speed
         Bench seconds a wall second, on an emulated rig.
+    record
+        Folder to record the run in, with its catalogue; see hil runs.
     json
         File to write the numbers of the run to, - for standard output.
     """
     from hil.cli.run import run_command
 
-    return run_command(scenario, rig, seed, duration, settings, speed, json)
+    return run_command(scenario, rig, seed, duration, settings, speed, json, record)
 
 
 @app.command

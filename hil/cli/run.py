@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
 
 from rich.console import Console
 
@@ -26,6 +28,7 @@ def run_command(
     settings: Sequence[str],
     speed: float,
     json_path: str | None,
+    record: str | None = None,
 ) -> int:
     """Do ``hil run``; return its exit code. Raises BadInput before anything is started."""
     _check_options(seed, duration_s, speed, json_path)
@@ -34,6 +37,7 @@ def run_command(
     console = Console(stderr=True)
 
     from hil import build
+    from hil.recording.session import recording
     from hil.report.summary import summarise
     from hil.report.table import render
 
@@ -45,16 +49,24 @@ def run_command(
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
-    with _Watch(console, "opening the devices") as bar, build.runner(job, bar.watch, announce) as runner:
-        outcome = runner.run()
-    summary, verdict = summarise(
-        outcome,
-        scenario.value,
-        rig.value,
-        rig_name,
-        seed,
-        1.0 / scenario.value.step_s,
-    )
+    with ExitStack() as stack:
+        taken = stack.enter_context(recording(job, rig_name, Path(record), announce)) if record is not None else None
+        taps = taken.taps if taken else None
+        with (
+            _Watch(console, "opening the devices") as bar,
+            build.runner(job, bar.watch, announce, taps=taps) as runner,
+        ):
+            outcome = runner.run()
+        summary, verdict = summarise(
+            outcome,
+            scenario.value,
+            rig.value,
+            rig_name,
+            seed,
+            1.0 / scenario.value.step_s,
+        )
+        if taken and (problem := taken.finish(summary).problem):
+            console.print(f"recording: {problem}", style="yellow", highlight=False, soft_wrap=True, markup=False)
     if json_path is not None:
         write_json(summary, json_path)
     if json_path != "-":
