@@ -6,6 +6,7 @@ A stage owns its parameters and its state; the records that pass between stages 
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
 
@@ -52,13 +53,20 @@ class Dss:
         return self._rate
 
 
+class Poses(Protocol):
+    """What came in a cycle: the first ``arrived`` of ``poses``, (MAX_POSES,) of POSE."""
+
+    poses: np.ndarray
+    arrived: int
+
+
 class Vision:
     """The poses of the vision unit, brought from the camera to the chaser."""
 
     def __init__(self, source: PoseSource, stations: np.record) -> None:
         self.source = source
         self._stations = stations
-        self.poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
+        self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self._records = [self.poses[i] for i in range(MAX_POSES)]
         self.arrived = 0
         self.dropped = 0  # beyond MAX_POSES in one cycle
@@ -161,7 +169,7 @@ class Gnc:
         self._abort = 1
         self.orders.append((self.cycle + 1, "abort"))
 
-    def navigate(self, imu: np.record, vision: Vision, out: np.record) -> None:
+    def navigate(self, imu: np.record, vision: Poses, out: np.record) -> None:
         """Write NAVIGATION from the step's IMU sample and the poses that came."""
         navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
         self.cycle += 1

@@ -57,7 +57,7 @@ def summarise(
         "held_since_s": verdict.held_since_s,
         "ready_phase": {name: _list(verdict.worst[name]) for name in ROW_NAMES} if verdict.worst else None,
         "verdict": parts,
-        "navigation": _navigation(history),
+        "navigation": navigation_errors(history),
         "thrusters": thrusters,
         "vision": outcome.vision_counters,
         "bench": _bench(history, outcome) | judge_bench_error(history, rig, scenario.step_s, SETTLED_S),
@@ -107,7 +107,7 @@ def _list(values: Array) -> list[float]:
     return [float(value) for value in values]
 
 
-def _navigation(history: np.ndarray) -> dict[str, Any]:
+def navigation_errors(history: np.ndarray) -> dict[str, Any]:
     """Errors of the estimate against the truth, and the filters' own bound, from SETTLED_S on (all, if shorter)."""
     known = history[history["navigation"]["valid"] == 1]
     late = known[known["t_s"] >= SETTLED_S]
