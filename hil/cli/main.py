@@ -15,6 +15,8 @@ import cyclopts
 from cyclopts import App, Parameter
 
 from hil import __version__
+from hil.cli.options import Output, Settings, Whole
+from hil.cli.recording_commands import add_recording_commands
 from hil.errors import BadInput, BenchError
 
 PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
@@ -25,21 +27,6 @@ app = App(
     version=__version__,
     suppress_keyboard_interrupt=False,  # Ctrl-C has the exit code of a safe stop
 )
-
-Settings = Annotated[
-    tuple[str, ...],
-    Parameter(name="--set", negative=(), help="Override a key: gnc.control.deadband_m=0.004 or rig.vmu.timeout_s=0.5."),
-]
-
-
-def _whole_number(_type: object, tokens: Sequence[cyclopts.Token]) -> int:
-    """Return a whole number; cyclopts by itself would cut 1.5 to 1."""
-    return int(tokens[0].value)
-
-
-Whole = Annotated[int, Parameter(converter=_whole_number)]
-Output = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
-
 
 @app.command
 def run(
@@ -232,6 +219,9 @@ def commission(
     from hil.cli.commission import commission_command
 
     return commission_command(rig, axis, out, by, date, limits, yes, scenario, settings, speed)
+
+
+add_recording_commands(app)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
