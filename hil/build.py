@@ -149,7 +149,8 @@ def wired_bench(
 ) -> Iterator[WiredBench]:
     """Give the bench of ``job``'s rig, which is not a mock; its processes are ended after.
 
-    announce: told in a line what is being started. taps: who records it. Raises DeviceError when a process does not come up.
+    announce: told in a line what is being started. taps: who records it. Raises DeviceError when a process does
+    not come up.
     """
     rig = job.rig.value
     with RealTime(rig.host.fifo, rig.host.cpu) as realtime:

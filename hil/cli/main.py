@@ -28,6 +28,7 @@ app = App(
     suppress_keyboard_interrupt=False,  # Ctrl-C has the exit code of a safe stop
 )
 
+
 @app.command
 def run(
     scenario: str,

@@ -130,7 +130,9 @@ class Catalogue:
         with self._connection() as connection:
             connection.execute(f"INSERT INTO runs ({names}) VALUES ({places})", whole)
 
-    def end(self, run: str, ended_utc: str, state: str, cycles: int | None, dropped: int, summary: dict[str, Any]) -> None:
+    def end(
+        self, run: str, ended_utc: str, state: str, cycles: int | None, dropped: int, summary: dict[str, Any]
+    ) -> None:
         """Enter how ``run`` ended; summary: as of ``hil run --json``, empty where there is none."""
         found = {
             "run": run,
@@ -145,7 +147,7 @@ class Catalogue:
         with self._connection() as connection:
             connection.execute(f"UPDATE runs SET {changes} WHERE run = :run", found)
 
-    def runs(self, wanted: Wanted = Wanted()) -> list[dict[str, Any]]:  # noqa: B008 - frozen
+    def runs(self, wanted: Wanted = Wanted()) -> list[dict[str, Any]]:
         """Return the entries asked for, oldest first, by ``COLUMNS``; the file's path is as it is from here."""
         if not self.path.is_file():
             raise BadInput.single(str(self.path), "", "no such catalogue: hil run ... --record FOLDER makes one")

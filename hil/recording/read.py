@@ -214,9 +214,11 @@ def _rows(found: Contents, topic: str) -> np.ndarray:
     if topic not in found.layouts:
         return np.zeros(0, dtype)
     if not schema.same_layout(found.layouts[topic], dtype):
-        text = f"the records of {topic} have another layout than this program's, though both say version {found.version}"
+        text = (
+            f"the records of {topic} have another layout than this program's, though both say version {found.version}"
+        )
         raise BadInput.single(str(found.path), "", text)
-    return np.frombuffer(b"".join(found.records[topic]), dtype)
+    return np.frombuffer(bytearray().join(found.records[topic]), dtype)  # kernels are compiled for arrays to write in
 
 
 def _model(found: Contents, name: str, model: type[_Model]) -> _Model:

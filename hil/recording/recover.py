@@ -85,9 +85,7 @@ class _Copier:
                     channel = self._channels[record.channel_id]
                     writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
             case Attachment():
-                writer.add_attachment(
-                    record.create_time, record.log_time, record.name, record.media_type, record.data
-                )
+                writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
             case Metadata():
                 writer.add_metadata(record.name, record.metadata)
             case _:

@@ -252,4 +252,3 @@ class _Process:
         for ring in self._rings.values():
             ring.close()
         return code
-
