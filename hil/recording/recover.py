@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO, cast
 
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
@@ -52,7 +53,7 @@ def _count(scan: Scan) -> Recovered:
 
 
 def _copy(scan: Scan, sink: Sink) -> None:
-    copier = _Copier(Writer(sink, compression=CompressionType.ZSTD))
+    copier = _Copier(Writer(cast(IO[bytes], sink), compression=CompressionType.ZSTD))
     for record in scan.records():
         copier.take(record)
     copier.finish()

@@ -43,8 +43,7 @@ RECORDS: Final[dict[str, tuple[str, np.dtype]]] = {
 
 def flat_fields(dtype: np.dtype, prefix: str = "", start: int = 0) -> Iterator[dict[str, Any]]:
     """Yield each plain field of ``dtype`` with its dotted name, type, shape and offset in bytes."""
-    for name in dtype.names or ():
-        inner, offset = (dtype.fields or {})[name][:2]
+    for name, (inner, offset, *_) in (dtype.fields or {}).items():
         if inner.names:
             yield from flat_fields(inner, f"{prefix}{name}.", start + offset)
         else:

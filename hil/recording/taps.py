@@ -31,7 +31,7 @@ class Notes:
         self._row = np.zeros(1, NOTE)
 
     def note(self, kind: str, source: str, text: str, t_s: float | None = None, cycle: int | None = None) -> None:
-        """Put down one line; t_s: time of the run, by default that of the last cycle. cycle: by default the last one."""
+        """Put down one line; t_s: time of the run, cycle: its number; by default those of the last cycle."""
         done = self._runner.loop.gnc.cycle
         last_s = float(self._runner.loop.now.t_s[0]) if done >= 0 else math.nan
         self._row[0] = (

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final, cast
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -37,7 +37,11 @@ class Header:
 
 @dataclass(frozen=True)
 class Account:
-    """What became of a recording. cycles: in the file, None where that is not known. dropped: messages that are not in the file; problem: why, "" where none is missing."""
+    """What became of a recording.
+
+    cycles: in the file, None where that is not known. dropped: messages that are not in the file; problem: why, ""
+    where none is missing.
+    """
 
     cycles: int | None = 0
     dropped: int = 0
@@ -52,12 +56,12 @@ class RunFile:
         self.path = path
         self._sink = Sink(path)
         self._started_ns = header.started_ns
-        self._writer = Writer(self._sink, compression=CompressionType.ZSTD)
+        self._writer = Writer(cast(IO[bytes], self._sink), compression=CompressionType.ZSTD)
         self._writer.start("hil", f"hil {header.run.get('hil', '')}")
         self._channels = {topic: self._record_channel(topic) for topic in schema.RECORDS}
         self._channels |= {topic: self._json_channel(topic, content) for topic, content in show.SCHEMAS.items()}
         self._picture_schema = 0
-        self._cycles = self._dropped = 0
+        self._cycles = self._dropped = self._unflushed = 0
         self._last_s = 0.0
         self._flushed_s = self._shown_s = -np.inf
         self._writer.add_metadata(RUN, dict(header.run))
@@ -152,8 +156,6 @@ class RunFile:
                 f"what was written before stands, make it whole with hil recover"
             )
         return f"{self.path}: {self._dropped} messages came too fast and are not recorded" if self._dropped else ""
-
-    _unflushed = 0
 
     def _add(self, topic: str, message: bytes, t_s: float, sequence: int = 0) -> None:
         if self._sink.problem:

@@ -24,9 +24,12 @@ _QUANTITIES: Final = (
 
 @dataclass(frozen=True)
 class Parting:
-    """How far two runs' truths are apart in one axis. largest: |difference| in ``unit``; sigmas: largest by both filters'
-    own standard deviation together, None where they have none; beyond: share of the time above LEFT_SIGMAS; left_s:
-    since when it was above for a second, None for never; of_tolerance: largest by Table III's tolerance."""
+    """How far two runs' truths are apart in one axis.
+
+    largest: |difference| in ``unit``, at ``at_s``. sigmas: largest by both filters' own standard deviations together,
+    None where they have none. beyond: share of the time above LEFT_SIGMAS. left_s: when it began to be above for a
+    second, None for never. of_tolerance: largest by Table III's tolerance.
+    """
 
     name: str
     unit: str

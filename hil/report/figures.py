@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import matplotlib as mpl
@@ -40,7 +41,7 @@ def thin(t_s: Array, values: Array) -> tuple[Array, Array]:
         return t_s, values
     edges = np.linspace(0, n, _POINTS // 2 + 1).astype(int)
     kept = set()
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in pairwise(edges):
         part = np.nan_to_num(values[begin:end])
         kept |= {begin + int(np.argmin(part)), begin + int(np.argmax(part))}
     chosen = np.array(sorted(kept))

@@ -125,17 +125,17 @@ def _numbers(summary: dict[str, Any]) -> Iterator[str]:
     ]
     yield html.table(("thruster", "firings", "open, s"), rows, "Thruster use")
     timing = summary["timing"]
-    rows = [(p["name"], "granted" if p["granted"] else "refused", p["detail"]) for p in timing["privileges"]]
-    if rows:
-        yield html.table(("asked of the system", "", ""), rows, "Real time", words=True)
-    rows = [
-        (name.replace("_", " "), *(("-" if value is None else f"{value:.2f}") for value in times.values()))
+    asked = [(p["name"], "granted" if p["granted"] else "refused", p["detail"]) for p in timing["privileges"]]
+    if asked:
+        yield html.table(("asked of the system", "", ""), asked, "Real time", words=True)
+    latency = [
+        (name.replace("_", " "), *("-" if value is None else f"{value:.2f}" for value in times.values()))
         for name, times in summary["latency"].items()
     ]
-    yield html.table(("latency", "p50", "p99", "max"), rows)
+    yield html.table(("latency", "p50", "p99", "max"), latency)
     if summary["vision"]:
-        rows = [(name, str(count)) for name, count in summary["vision"].items()]
-        yield html.table(("vision unit", "count"), rows)
+        counted = [(name, str(count)) for name, count in summary["vision"].items()]
+        yield html.table(("vision unit", "count"), counted)
 
 
 def _diary(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:
