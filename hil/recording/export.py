@@ -31,8 +31,8 @@ def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
             continue
         inner = values.shape[1:]
         for index in np.ndindex(*inner):
-            place = ",".join(str(i) for i in index)
-            yield f"{name}[{place}]", values[(slice(None), *index)]
+            place = "".join(f"[{i}]" for i in index)
+            yield f"{name}{place}", values[(slice(None), *index)]
 
 
 def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple[Path, int]]:

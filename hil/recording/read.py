@@ -6,6 +6,7 @@ The file is read from front to back, so that one without its end reads as well: 
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,7 +28,16 @@ from hil.recording import schema, show, writer
 
 _Model = TypeVar("_Model", bound=Strict)
 
-_BROKEN: Final = (McapError, ValueError, EOFError, zstandard.ZstdError, MemoryError, OverflowError)
+_BROKEN: Final = (
+    McapError,
+    ValueError,
+    LookupError,
+    struct.error,
+    EOFError,
+    zstandard.ZstdError,
+    MemoryError,
+    OverflowError,
+)
 """What the package raises at bytes that are no record."""
 _RECORD_BYTES_MAX: Final = 1 << 30
 
@@ -72,7 +82,7 @@ class Scan:
                 self.ended = True
             elif isinstance(record, Chunk):
                 yield from self._messages(record)
-            elif not self.ended:
+            elif isinstance(record, (Schema, Channel)) or not self.ended:  # the index repeats those two
                 yield record
 
     def _messages(self, chunk: Chunk) -> list[McapRecord]:
@@ -112,16 +122,12 @@ class Contents:
 def contents(path: Path, topics: frozenset[str] | None = None) -> Contents:
     """Return what stands in the recording at ``path``; topics: those wanted, None for all. Raises BadInput."""
     found = Contents(path)
+    schemas, channels = directory(path)
+    for channel in channels.values():
+        _note_channel(found, channel, schemas)
     scan = Scan(path)
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
     for record in scan.records():
         match record:
-            case Schema():
-                schemas[record.id] = record
-            case Channel():
-                channels[record.id] = record
-                _note_channel(found, record, schemas)
             case Message():
                 channel = channels.get(record.channel_id)
                 if channel and (topics is None or channel.topic in topics):
@@ -138,6 +144,18 @@ def contents(path: Path, topics: frozenset[str] | None = None) -> Contents:
         raise BadInput.single(str(path), "", f"no recording of hil: an MCAP file without the metadata {writer.RUN}")
     found.intact = scan.intact
     return found
+
+
+def directory(path: Path) -> tuple[dict[int, Schema], dict[int, Channel]]:
+    """Return schemas and channels by their numbers, also where the block that first told them is damaged."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    for record in Scan(path).records():
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+    return schemas, channels
 
 
 def _note_channel(found: Contents, channel: Channel, schemas: dict[int, Schema]) -> None:

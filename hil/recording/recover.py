@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, cast
 
-from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
+from mcap.records import Attachment, Message, Metadata
 from mcap.writer import CompressionType, Writer
 
 from hil.errors import BadInput
-from hil.recording.read import Scan
+from hil.recording.read import Scan, directory
 from hil.recording.sink import Sink
 
 
@@ -39,7 +39,7 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
         sink = Sink(out)
     except OSError as error:
         raise BadInput.single("--out", "", f"{out}: {error.strerror}") from error
-    _copy(Scan(path), sink)
+    _copy(path, sink)
     if sink.problem:
         out.unlink()
         raise BadInput.single("--out", "", f"{out}: {sink.problem}")
@@ -52,45 +52,34 @@ def _count(scan: Scan) -> Recovered:
     return Recovered(None, len(times), scan.lost_chunks, length_s)
 
 
-def _copy(scan: Scan, sink: Sink) -> None:
-    copier = _Copier(Writer(cast(IO[bytes], sink), compression=CompressionType.ZSTD))
-    for record in scan.records():
-        copier.take(record)
-    copier.finish()
-    sink.close()
-
-
-class _Copier:
-    """Writes records anew; schemas and channels get the numbers of the new file."""
-
-    def __init__(self, writer: Writer) -> None:
-        self._writer = writer
-        self._schemas: dict[int, int] = {0: 0}
-        self._channels: dict[int, int] = {}
-        writer.start("hil", "hil recover")
-
-    def take(self, record: McapRecord) -> None:
-        writer = self._writer
+def _copy(path: Path, sink: Sink) -> None:
+    writer = Writer(cast(IO[bytes], sink), compression=CompressionType.ZSTD)
+    writer.start("hil", "hil recover")
+    channels = _register(path, writer)
+    for record in Scan(path).records():
         match record:
-            case Schema():
-                if record.id not in self._schemas:
-                    self._schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-            case Channel():
-                if record.id not in self._channels:
-                    schema = self._schemas.get(record.schema_id, 0)
-                    self._channels[record.id] = writer.register_channel(
-                        record.topic, record.message_encoding, schema, record.metadata
-                    )
-            case Message():
-                if record.channel_id in self._channels:
-                    channel = self._channels[record.channel_id]
-                    writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
+            case Message() if record.channel_id in channels:
+                channel = channels[record.channel_id]
+                writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
             case Attachment():
                 writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
             case Metadata():
                 writer.add_metadata(record.name, record.metadata)
             case _:
                 pass
+    writer.finish()
+    sink.close()
 
-    def finish(self) -> None:
-        self._writer.finish()
+
+def _register(path: Path, writer: Writer) -> dict[int, int]:
+    """Make schemas and channels of the old file known to ``writer``; return old -> new number of each channel."""
+    schemas, channels = directory(path)
+    known = {0: 0}
+    for number, schema in schemas.items():
+        known[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
+    return {
+        number: writer.register_channel(
+            channel.topic, channel.message_encoding, known.get(channel.schema_id, 0), channel.metadata
+        )
+        for number, channel in channels.items()
+    }

@@ -34,7 +34,7 @@ from hil.recording.writer import Account, Header, RunFile
 
 _RING_S: Final = 20.0  # of cycles: how long the recorder may stand still before anything is lost
 _ROWS_LEAST: Final = 2048
-_SLOTS: Final = {"arrivals": 1024, "notes": 256, "pictures": 16}
+_SLOTS: Final = {"arrivals": 1024, "notes": 256, "pictures": 8}
 _READY_WALL_S: Final = 60.0
 _FINISH_WALL_S: Final = 30.0
 _EXIT_WALL_S: Final = 1.0
@@ -112,6 +112,8 @@ def recording(job: Job, rig_name: str, folder: Path, announce: Callable[[str], N
         raise BadInput.single("--record", "", text) from error
     taken = Recording(run, path, catalogue, made)
     announce(f"recording to {path}")
+    if isinstance(made, _Process):
+        announce(f"recorder process {made.pid}")
     try:
         yield taken
     except BaseException as error:

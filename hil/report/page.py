@@ -143,8 +143,8 @@ def _diary(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:
     if summary["faults"]:
         yield html.table(("fault",), [(text,) for text in summary["faults"]], words=True)
     if summary["alarms"]:
-        rows = [(f"{a['t_s']:.2f}", a["text"]) for a in summary["alarms"]]
-        yield html.table(("bench time, s", "alarm"), rows, words=True)
+        alarms = [(f"{a['t_s']:.2f}", a["text"]) for a in summary["alarms"]]
+        yield html.table(("bench time, s", "alarm"), alarms, words=True)
     rows = [
         ("" if n["t_s"] is None else f"{n['t_s']:.2f}", f"{n['bench_s']:.2f}", n["kind"], n["name"], n["message"])
         for n in recorded.notes
