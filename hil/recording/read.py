@@ -14,8 +14,8 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 import zstandard
-from mcap.exceptions import InvalidMagic, McapError
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, McapRecord, Message, Metadata, Schema
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from pydantic import ValidationError
 
@@ -64,25 +64,24 @@ class Scan:
 
     def _records(self, reader: StreamReader) -> Iterator[McapRecord]:
         found = reader.records
+        begun = past_data = False
         while True:
             try:
                 record = next(found, None)
-            except InvalidMagic as error:
-                if not self.ended:
-                    raise BadInput.single(str(self.path), "", "not a recording: no MCAP file") from error
-                return
             except _BROKEN as error:
-                if self.path.stat().st_size < len(b"\x89MCAP0\r\n"):
-                    raise BadInput.single(str(self.path), "", "not a recording: too short for an MCAP file") from error
+                if not begun:
+                    text = "not a recording: it does not begin as an MCAP file does"
+                    raise BadInput.single(str(self.path), "", text) from error
                 return
-            if record is None or isinstance(record, Footer):
+            begun = True
+            if record is None:
                 self.ended = True
                 return
             if isinstance(record, DataEnd):
-                self.ended = True
+                past_data = True
             elif isinstance(record, Chunk):
                 yield from self._messages(record)
-            elif isinstance(record, (Schema, Channel)) or not self.ended:  # the index repeats those two
+            elif isinstance(record, (Schema, Channel)) or not past_data:  # the index repeats those two
                 yield record
 
     def _messages(self, chunk: Chunk) -> list[McapRecord]:
