@@ -2,9 +2,9 @@
 
 python benchmarks/recording.py [--seconds 20]
 
-A paced loop puts rows of a real run of scheme 1 into the rings of the recorder process, as a run on wires does, at 50 Hz
-and at 1 kHz, with a frame of the vision unit at 12.5 Hz. Beside it, in turn: the same loop that puts its rows into a
-ring which nobody reads, which every run on wires does in any case. The difference is what recording adds.
+A paced loop puts rows of a real run of scheme 1 into the rings of the recorder process, as a run on wires does, at
+50 Hz and at 1 kHz, with a frame of the vision unit at 12.5 Hz. Beside it, in turn: the same loop that puts its rows
+into a ring which nobody reads, which every run on wires does in any case. The difference is what recording adds.
 """
 
 from __future__ import annotations

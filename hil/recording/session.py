@@ -32,7 +32,7 @@ from hil.recording.taps import Taps
 from hil.recording.utc import utc_ns, utc_text
 from hil.recording.writer import Account, Header, RunFile
 
-_RING_S: Final = 20.0  # of cycles: how long the recorder may stand still before anything is lost
+_RING_S: Final = 5.0  # of cycles: how long the recorder may stand still before anything is lost
 _ROWS_LEAST: Final = 2048
 _SLOTS: Final = {"arrivals": 1024, "notes": 256, "pictures": 8}
 _READY_WALL_S: Final = 60.0
