@@ -34,7 +34,7 @@ from hil.modes import Mode
 from hil.orders import Operator
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.realtime import REAL_TIME, Precedence, RealTime
-from hil.recording.taps import Taps
+from hil.recording.taps import Notes, Taps
 from hil.runner import Runner
 from hil.truth_check import truth_problems
 
@@ -131,6 +131,8 @@ class WiredBench:
         self._devices = hosts.devices()
         self._telemetry = telemetry
         self._taps = taps
+        self.notes: Notes | None = None
+        """Where to put down what an operator changes, while a run is recorded."""
 
     def runner(self, watch: Watch = lambda *_: None, operator: Operator | None = None) -> Runner:
         """Return a Runner of the job."""
@@ -139,7 +141,7 @@ class WiredBench:
             self._job, self._rig, rate, *self._devices, _FRAMES_TO_ARM, watch, operator, self._realtime, self._telemetry
         )
         if self._taps:
-            self._taps.attach(made)
+            self.notes = self._taps.attach(made)
         return made
 
 

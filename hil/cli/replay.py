@@ -77,6 +77,9 @@ def _print(recorded: Recorded, found: Replayed, changed: bool, errors: dict[str,
         say(f"{recorded.path} broke off or is damaged: what is whole in it is replayed")
     if found.ended:
         say(found.ended)
+    for note in recorded.notes:
+        if note["kind"] == "setting":
+            say(f"changed while it ran, from cycle {note['cycle']} on: {note['message']}; the replay does not follow")
     of = f"{recorded.run['scenario']} on {recorded.run['rig']}, seed {recorded.run['seed']}, {len(found.rows)} cycles"
     if found.identical:
         say(f"identical, bit by bit: {of}")

@@ -91,7 +91,7 @@ def record(configuration: dict[str, Any]) -> None:
     try:
         file = RunFile(path, Header(**configuration["header"]))
     except OSError as error:
-        parent.sendall(f"{path}: {error.strerror}\n".encode())
+        parent.sendall(f"{error.strerror}\n".encode())
         return
     parent.sendall(READY)
     recorder = Recorder(file, rings)

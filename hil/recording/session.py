@@ -95,6 +95,10 @@ def recording(job: Job, rig_name: str, folder: Path, announce: Callable[[str], N
     try:
         folder.mkdir(parents=True, exist_ok=True)
         made: _Recorder = _InMemory(path, header) if job.rig.value.kind == "mock" else _Process(job, path, run, header)
+    except OSError as error:
+        text = f"{folder}: cannot record there: {error.strerror or error}"
+        raise BadInput.single("--record", "", text) from error
+    try:
         catalogue.begin(
             {
                 "run": run,
@@ -107,8 +111,12 @@ def recording(job: Job, rig_name: str, folder: Path, announce: Callable[[str], N
                 "hil": __version__,
             }
         )
-    except (OSError, sqlite3.Error) as error:
-        text = f"{folder}: cannot record there: {getattr(error, 'strerror', None) or error}"
+    except (BadInput, sqlite3.Error) as error:
+        made.finish({"stop": "not begun", "ended_utc": utc_text()}, "")
+        path.unlink(missing_ok=True)
+        if isinstance(error, BadInput):
+            raise
+        text = f"{catalogue.path}: the run cannot be entered: {error}"
         raise BadInput.single("--record", "", text) from error
     taken = Recording(run, path, catalogue, made)
     announce(f"recording to {path}")

@@ -68,6 +68,10 @@ class RunFile:
         for name, text in header.files.items():
             self._writer.add_attachment(self._started_ns, self._started_ns, name, "application/json", text.encode())
         self.flush()
+        if self._sink.problem:
+            self._sink.close()
+            path.unlink()
+            raise OSError(0, self._sink.problem)
 
     def _record_channel(self, topic: str) -> int:
         name, dtype = schema.RECORDS[topic]

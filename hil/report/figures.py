@@ -17,6 +17,7 @@ from hil.gnc.watch import WINDOWS, nis_band
 from hil.late_cycles import lateness_histogram
 from hil.messages import Array
 from hil.report.bench_error import pose_errors
+from hil.report.summary import attitude_error
 from hil.report.verdict import Verdict, deviations, tolerances
 
 mpl.use("Agg")
@@ -46,14 +47,6 @@ def thin(t_s: Array, values: Array) -> tuple[Array, Array]:
         kept |= {begin + int(np.argmin(part)), begin + int(np.argmax(part))}
     chosen = np.array(sorted(kept))
     return t_s[chosen], values[chosen]
-
-
-def attitude_error(history: np.ndarray) -> Array:
-    """Return the small turn from the estimated to the true attitude, (n, 3), rad, in c."""
-    q, p = history["truth"]["q_CH"], history["navigation"]["q_CH"]
-    vector = p[:, 3:] * q[:, :3] - q[:, 3:] * p[:, :3] + np.cross(q[:, :3], p[:, :3])
-    turn: Array = 2.0 * vector * np.sign(np.sum(p * q, axis=1))[:, None]
-    return turn
 
 
 def figures(history: np.ndarray, scenario: Scenario, rig: Rig, verdict: Verdict) -> Iterator[tuple[str, str]]:

@@ -134,6 +134,15 @@ def test_bad_input_is_one_clear_line(folder: Path, tmp_path: Path, capsys: pytes
     assert "cannot record there" in refused(capsys, "run", "scheme-1", "--record", str(foreign))
 
 
+@pytest.mark.parametrize("rig", ["mock", "emulated"])
+def test_a_catalogue_that_is_none_leaves_no_recording_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], rig: str
+) -> None:
+    (tmp_path / "catalogue.sqlite").write_bytes(b"no database at all, but long enough to be looked at" * 40)
+    assert "not a catalogue" in refused(capsys, "run", "scheme-1", "--rig", rig, "--record", str(tmp_path))
+    assert not files(tmp_path)
+
+
 def test_an_existing_file_is_not_recovered_over(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
