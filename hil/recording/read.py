@@ -122,8 +122,8 @@ def contents(path: Path, topics: frozenset[str] | None = None) -> Contents:
     """Return what stands in the recording at ``path``; topics: those wanted, None for all. Raises BadInput."""
     found = Contents(path)
     schemas, channels = directory(path)
-    for channel in channels.values():
-        _note_channel(found, channel, schemas)
+    for known in channels.values():
+        _note_channel(found, known, schemas)
     scan = Scan(path)
     for record in scan.records():
         match record:
