@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.scenario import Requirements
+from hil.config.scenario import Scenario
 from hil.messages import Array
 from hil.report.verdict import deviations, tolerances
 
@@ -26,9 +26,9 @@ _QUANTITIES: Final = (
 class Parting:
     """How far two runs' truths are apart in one axis.
 
-    largest: |difference| in ``unit``, at ``at_s``. sigmas: largest by both filters' own standard deviations together,
-    None where they have none. beyond: share of the time above LEFT_SIGMAS. left_s: when it began to be above for a
-    second, None for never. of_tolerance: largest by Table III's tolerance.
+    largest: |difference| in ``unit``, at ``at_s``. sigmas: largest by the standard deviations of both runs together,
+    of filter and dead band, None where the filters have none. beyond: share of the time above LEFT_SIGMAS. left_s: when
+    it began to be above for a second, None for never. of_tolerance: largest by Table III's tolerance.
     """
 
     name: str
@@ -41,24 +41,39 @@ class Parting:
     of_tolerance: float
 
 
-def part(a: np.ndarray, b: np.ndarray, requirements: Requirements, step_s: float) -> list[Parting]:
-    """Return the partings of two runs of one scenario, histories of CYCLE, over the time that both have flown."""
+def part(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[Parting]:
+    """Return the partings of two runs of ``scenario``, histories of CYCLE, over the time that both have flown."""
     n = min(len(a), len(b))
     a, b = a[:n], b[:n]
     if not n:
         return []
-    of_a, of_b, allowed = deviations(a, requirements), deviations(b, requirements), tolerances(requirements)
+    of_a, of_b = (deviations(rows, scenario.requirements) for rows in (a, b))
+    allowed = tolerances(scenario.requirements)
     known = (a["navigation"]["valid"] == 1) & (b["navigation"]["valid"] == 1)
     found = []
     for row, sigma, name, unit, scale, of_sigma in _QUANTITIES:
         apart = np.abs(getattr(of_a, row) - getattr(of_b, row))
-        spread = of_sigma * np.hypot(a["navigation"][sigma], b["navigation"][sigma])
+        spread = np.hypot(*(_spread(of_sigma * rows["navigation"][sigma], row, scenario) for rows in (a, b)))
         for i, axis in enumerate("xyz"):
-            found.append(
-                _parting(f"{name} {axis}", unit, scale, apart[:, i], spread[:, i], known, a["t_s"], step_s)
-                | {"of_tolerance": float(apart[:, i].max() / allowed[row][i])}
+            content = _parting(
+                f"{name} {axis}", unit, scale, apart[:, i], spread[:, i], known, a["t_s"], scenario.step_s
             )
-    return [Parting(**content) for content in found]
+            found.append(Parting(**content, of_tolerance=float(apart[:, i].max() / allowed[row][i])))
+    return found
+
+
+def _spread(sigma: Array, row: str, scenario: Scenario) -> Array:
+    """Return the standard deviation, (n, 3), that the truth of one run has about its plan.
+
+    Control sees the estimate, and lets it drift freely through its dead band: equally likely anywhere in it.
+    """
+    control = scenario.gnc.control
+    deadband, caution = {
+        "position_m": (control.deadband_m, control.caution),
+        "attitude_deg": (control.deadband_deg, control.attitude_caution),
+    }.get(row, (0.0, 0.0))
+    spread: Array = np.hypot(sigma, (deadband + caution * sigma) / np.sqrt(3.0))
+    return spread
 
 
 def _parting(

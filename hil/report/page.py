@@ -184,7 +184,7 @@ def _partings(first: Judged, other: Judged) -> str:
             "never" if found.left_s is None else f"{found.left_s:.2f}",
             f"{100.0 * found.of_tolerance:.0f} %",
         )
-        for found in part(a.cycles, b.cycles, a.scenario.requirements, a.scenario.step_s)
+        for found in part(a.cycles, b.cycles, a.scenario)
     ]
     head = (
         "truth",
@@ -195,7 +195,5 @@ def _partings(first: Judged, other: Judged) -> str:
         f"left for 1 s and more, s (> {LEFT_SIGMAS:g} sigma)",
         "of Table III",
     )
-    caption = (
-        f"Twin consistency: {other.name} against {first.name}; sigma: both filters' own standard deviations together"
-    )
+    caption = f"Twin consistency: {other.name} against {first.name}; sigma: both filters' own, and dead bands"
     return html.table(head, rows, caption)
