@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.config.other_gnc import with_other_gnc
 from hil.errors import BadInput
+from hil.modes import Mode
+from hil.orders import Operator, Order
 from hil.recording.read import Recorded, load
 from hil.recording.replay import replay
 from hil.recording.session import recording
@@ -59,16 +62,44 @@ def test_orders_are_given_again_in_their_cycles(tmp_path: Path) -> None:
     assert replay(recorded, recorded.scenario).identical
 
 
-def test_an_abort_by_the_operator_is_replayed(tmp_path: Path) -> None:
+def record_operated(folder: Path, operator: Operator, watch: Callable[[Mode, float], None]) -> Recorded:
+    """Return 4 s of scheme-1, recorded, with somebody who gives orders while being told how far the run is."""
     job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 1, 4.0, 1.0)
-    with recording(job, "mock", tmp_path, lambda _: None) as taken:
-        with build.runner(job, lambda *_: None, lambda _: None, taps=taken.taps) as runner:
-            runner._watch = lambda _, share: runner.loop.gnc.order_abort() if 0.4 < share < 0.6 else None
-            runner.run()
+    with recording(job, "mock", folder, lambda _: None) as taken:
+        with build.runner(job, watch, lambda _: None, operator, taken.taps) as runner:
+            assert runner.run().stop == "completed"
         taken.break_off("test")
-    recorded = load(taken.path)
+    return load(taken.path)
+
+
+def test_an_abort_by_the_operator_is_replayed(tmp_path: Path) -> None:
+    operator = Operator()
+    recorded = record_operated(
+        tmp_path, operator, lambda _, share: operator.order(Order.ABORT) if 0.4 < share < 0.6 else None
+    )
     assert [(n["cycle"], n["message"]) for n in recorded.notes if n["kind"] == "order"] == [(101, "abort")]
     assert recorded.cycles["supervision"]["aborted"][-1] != 0
+    assert replay(recorded, recorded.scenario).identical
+
+
+def test_a_hold_is_replayed_without_the_frames_that_came_in_it(tmp_path: Path) -> None:
+    operator = Operator()
+
+    def watch(mode: Mode, share: float) -> None:
+        if mode is Mode.RUNNING and 0.4 < share < 0.6:
+            operator.order(Order.HOLD)
+        elif mode is Mode.HOLD:
+            operator.order(Order.RESUME)
+
+    recorded = record_operated(tmp_path, operator, watch)
+    assert [n["message"] for n in recorded.notes if n["kind"] == "mode"][-4:] == [
+        "running",
+        "hold",
+        "running",
+        "standby",
+    ]
+    assert (recorded.arrivals["cycle"][1:] == -1).any()
+    assert len(recorded.cycles) == 201
     assert replay(recorded, recorded.scenario).identical
 
 
