@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import json
 import platform
@@ -160,9 +161,23 @@ def _header(job: Job, rig_name: str, run: str, started_ns: int) -> Header:
         "calibration_motion": motion_digest(rig),
         "calibration_sign_off": (rig.sign_off.digest or "") if rig.sign_off else "",
         **versions,
+        **file_digests({"scenario": scenario.model_dump(mode="json"), "rig": rig.model_dump(mode="json")}),
     }
     files = {"scenario.json": scenario.model_dump_json(), "rig.json": rig.model_dump_json()}
     return Header(facts, files, started_ns)
+
+
+def file_digests(table: dict[str, Any], prefix: str = "calibration_") -> dict[str, str]:
+    """Return a digest of each file that the configuration names: keys that end in ``_file``, dotted, after ``prefix``."""
+    found: dict[str, str] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            found |= file_digests(value, f"{prefix}{key}.")
+        elif key.endswith("_file") and isinstance(value, str):
+            path = Path(value)
+            digest = f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" if path.is_file() else "missing"
+            found[f"{prefix}{key}"] = f"{path.name} {digest}"
+    return found
 
 
 class _Direct:

@@ -154,7 +154,8 @@ def _diary(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:
 
 def _made_of(recorded: Recorded) -> Iterator[str]:
     yield html.heading(2, "Configuration and versions")
-    rows = [(name.replace("_", " "), recorded.run.get(name, "")) for name in (*_VERSIONS, *_CALIBRATION)]
+    named = sorted(name for name in recorded.run if name.startswith("calibration_") and name not in _CALIBRATION)
+    rows = [(name.replace("_", " "), recorded.run.get(name, "")) for name in (*_VERSIONS, *_CALIBRATION, *named)]
     yield html.table(("", ""), [row for row in rows if row[1]], words=True)
     for title, model in (("scenario", recorded.scenario), ("rig", recorded.rig)):
         yield html.folded(title, json.dumps(model.model_dump(mode="json"), indent=1))

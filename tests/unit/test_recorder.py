@@ -15,6 +15,7 @@ from hil.frmn.ring import Ring
 from hil.messages import CYCLE
 from hil.recording.read import contents
 from hil.recording.recorder import Recorder, record_until_told
+from hil.recording.session import file_digests
 from hil.recording.writer import Header, RunFile
 
 
@@ -58,3 +59,13 @@ def test_what_was_overwritten_before_it_was_fetched_is_counted(tmp_path: Path) -
     end = contents(path).end
     assert end is not None
     assert end["dropped"] == "151"
+
+
+def test_files_that_the_configuration_names_are_told_by_their_digest(tmp_path: Path) -> None:
+    (tmp_path / "lamps.json").write_bytes(b"{}")
+    table = {"rig": {"vmu": {"geometry_file": str(tmp_path / "lamps.json"), "rate_hz": 25.0}, "eds_file": "/none.eds"}}
+    assert file_digests(table) == {
+        "calibration_rig.vmu.geometry_file": "lamps.json sha256:"
+        "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a",
+        "calibration_rig.eds_file": "none.eds missing",
+    }
