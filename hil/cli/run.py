@@ -37,7 +37,6 @@ def run_command(
     console = Console(stderr=True)
 
     from hil import build
-    from hil.recording.session import recording
     from hil.report.summary import summarise
     from hil.report.table import render
 
@@ -50,7 +49,11 @@ def run_command(
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
     with ExitStack() as stack:
-        taken = stack.enter_context(recording(job, rig_name, Path(record), announce)) if record is not None else None
+        taken = None
+        if record is not None:
+            from hil.recording.session import recording  # what it needs is not loaded in vain
+
+            taken = stack.enter_context(recording(job, rig_name, Path(record), announce))
         taps = taken.taps if taken else None
         with (
             _Watch(console, "opening the devices") as bar,

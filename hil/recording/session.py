@@ -168,7 +168,7 @@ def _header(job: Job, rig_name: str, run: str, started_ns: int) -> Header:
 
 
 def file_digests(table: dict[str, Any], prefix: str = "calibration_") -> dict[str, str]:
-    """Return a digest of each file that the configuration names: keys that end in ``_file``, dotted, after ``prefix``."""
+    """Return a digest of each file that the configuration names by a key that ends in ``_file``; prefix: of the key."""
     found: dict[str, str] = {}
     for key, value in table.items():
         if isinstance(value, dict):
