@@ -68,8 +68,12 @@ def run_command(
             seed,
             1.0 / scenario.value.step_s,
         )
-        if taken and (problem := taken.finish(summary).problem):
-            console.print(f"recording: {problem}", style="yellow", highlight=False, soft_wrap=True, markup=False)
+        if taken:
+            account = taken.finish(summary)
+            summary["recording"] = {"file": str(taken.path), "dropped": account.dropped, "problem": account.problem}
+            if account.problem:
+                text = f"recording: {account.problem}"
+                console.print(text, style="yellow", highlight=False, soft_wrap=True, markup=False)
     if json_path is not None:
         write_json(summary, json_path)
     if json_path != "-":

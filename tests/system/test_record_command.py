@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 
 from hil.cli.main import execute
+from hil.recording.catalogue import BROKEN_OFF, Catalogue
 from hil.recording.read import contents, load
 from hil.recording.recover import recover
 from hil.recording.replay import replay
@@ -29,7 +31,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two recorded runs of one scenario, seeds 1 and 2."""
     found = tmp_path_factory.mktemp("runs") / "made" / "here"
     for seed in (1, 2):
-        assert execute(["run", "scheme-1", "--seed", str(seed), "--duration", "4", "--record", str(found)]) == 1
+        options = [
+            "--seed",
+            str(seed),
+            "--duration",
+            "4",
+            "--record",
+            str(found),
+            "--json",
+            f"{found.parents[1]}/run.json",
+        ]
+        assert execute(["run", "scheme-1", *options]) == 1
     return found
 
 
@@ -60,8 +72,15 @@ def test_recorded_runs_are_listed(folder: Path, capsys: pytest.CaptureFixture[st
         assert capsys.readouterr().out.startswith("0 runs")
 
 
+def test_the_run_s_json_tells_its_recording(folder: Path) -> None:
+    told = json.loads((folder.parents[1] / "run.json").read_text())["recording"]
+    assert told["file"] in files(folder)
+    assert (told["dropped"], told["problem"]) == (0, "")
+
+
 def test_a_recording_holds_configuration_versions_and_the_run_s_numbers(folder: Path) -> None:
     recorded = load(Path(files(folder)[0]))
+    assert "recording" not in (recorded.summary or {})
     assert recorded.scenario.name == "scheme-1"
     assert recorded.rig.kind == "mock"
     assert recorded.run["hil"]
@@ -191,6 +210,26 @@ def test_a_run_on_wires_outlives_its_recorder(tmp_path: Path) -> None:
     assert "recorder process was ended by SIGKILL" in err
     [path] = files(tmp_path)
     assert recover(Path(path)).out is not None
+
+
+@pytest.mark.slow
+def test_a_killed_loop_on_wires_leaves_a_whole_file_that_replays(tmp_path: Path) -> None:
+    process, pids = start_on_wires(tmp_path, 60.0)
+    end = time.monotonic() + 60.0
+    while Path(files(tmp_path)[0]).stat().st_size < 200_000:  # well into the run
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    process.kill()
+    process.communicate()
+    while Path(f"/proc/{pids['recorder']}").exists():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    recorded = load(Path(files(tmp_path)[0]))
+    assert recorded.intact
+    assert recorded.summary is None
+    assert len(recorded.cycles) > 50
+    assert replay(recorded, recorded.scenario).identical
+    assert Catalogue(tmp_path).runs()[0]["state"] == BROKEN_OFF
 
 
 @pytest.fixture
