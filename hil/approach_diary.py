@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.messages import Event
+from hil.told import Told
 
 ABORT_CAUSES = ("", "the corridor was left", "the closing rate was too high", "ordered")
 _AFTER_THE_LIST = ("abort: brake", "abort: retreat", "abort: hold")
@@ -25,7 +26,7 @@ class ApproachDiary:
         self._aborted = False
         self._was_ready = False
         self.decided = False
-        self.events: list[Event] = []
+        self.events: Told[Event] = Told()
         self._add(0.0, "guidance", f"phase {self._names[0]} begins")
 
     def _add(self, t_s: float, source: str, text: str) -> None:

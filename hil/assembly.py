@@ -82,22 +82,11 @@ def assemble(
     bench = parameters.bench(rig, scenario.step_s)
     axis_names = (*rails.axis_names, *turntable.axis_names)
     supervisor = Supervisor(limits_of(rig, bench), axis_names, _links(rig, rails, turntable, source))
-    sets, strength = parameters.allocation(scenario.chaser)
-    navigation = parameters.navigation(scenario)
     loop = Loop(
         dss=_dss(scenario, job.seed),
         bench=Bench(rails, turntable, bench, supervisor),
         vision=Vision(source, parameters.stations(rig)),
-        gnc=Gnc(
-            navigation,
-            parameters.guidance(scenario),
-            parameters.supervision(scenario),
-            parameters.control(scenario, strength),
-            sets,
-            len(scenario.chaser.thrusters.position_m),
-            ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
-            FilterWatch(navigation, _shadow_limits(scenario)),
-        ),
+        gnc=make_gnc(scenario),
         history=np.zeros(job.cycles, CYCLE),
         telemetry=telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
@@ -124,6 +113,22 @@ def assemble(
         operator,
         parking_place(rig),
         rig.bench.park_after_run,
+    )
+
+
+def make_gnc(scenario: Scenario) -> Gnc:
+    """Return navigation, guidance, supervision and control of ``scenario``, before their first cycle."""
+    sets, strength = parameters.allocation(scenario.chaser)
+    navigation = parameters.navigation(scenario)
+    return Gnc(
+        navigation,
+        parameters.guidance(scenario),
+        parameters.supervision(scenario),
+        parameters.control(scenario, strength),
+        sets,
+        len(scenario.chaser.thrusters.position_m),
+        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+        FilterWatch(navigation, _shadow_limits(scenario)),
     )
 
 

@@ -35,6 +35,7 @@ from hil.modes import Mode
 from hil.orders import Operator
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.realtime import REAL_TIME, Precedence, RealTime
+from hil.recording.taps import Notes, Taps
 from hil.runner import Runner
 from hil.truth_check import truth_problems
 
@@ -78,18 +79,28 @@ def _rig_problems(job: Job) -> list[Problem]:
 
 @contextmanager
 def runner(
-    job: Job, watch: Watch, announce: Callable[[str], None], operator: Operator | None = None
+    job: Job,
+    watch: Watch,
+    announce: Callable[[str], None],
+    operator: Operator | None = None,
+    taps: Taps | None = None,
 ) -> Iterator[Runner]:
     """Give a Runner for ``job``; emulators that it needs are started before and ended after.
 
     announce: told in a line what is being started. operator: gives the orders; None: the run goes
-    through by itself. Raises DeviceError when an emulator does not come up.
+    through by itself. taps: who records it. Raises DeviceError when an emulator does not come up.
     """
     scenario, rig = job.scenario.value, job.rig.value
     if rig.kind == "mock":
-        yield in_memory(job, SimulatedRate(SimulatedClock(), scenario.step_s), watch, operator=operator)
+        telemetry = taps.cycles if taps else None
+        made = in_memory(
+            job, SimulatedRate(SimulatedClock(), scenario.step_s), watch, telemetry=telemetry, operator=operator
+        )
+        if taps:
+            taps.attach(made)
+        yield made
         return
-    with wired_bench(job, announce) as bench:
+    with wired_bench(job, announce, taps) as bench:
         yield bench.runner(watch, operator)
 
 
@@ -109,6 +120,7 @@ class WiredBench:
         realtime: RealTime,
         hosts: HostProcesses,
         telemetry: Ring,
+        taps: Taps | None,
         emulated: EmulatedDevices | None,
         addresses: dict[str, str],
     ) -> None:
@@ -121,20 +133,29 @@ class WiredBench:
         self._realtime = realtime
         self._devices = hosts.devices()
         self.telemetry = telemetry
+        self._taps = taps
+        self.notes: Notes | None = None
+        """Where to put down what an operator changes, while a run is recorded."""
 
     def runner(self, watch: Watch = lambda *_: None, operator: Operator | None = None) -> Runner:
         """Return a Runner of the job."""
         rate = WallRate(self._clock, self._job.scenario.value.step_s)
-        return assemble(
+        made = assemble(
             self._job, self._rig, rate, *self._devices, _FRAMES_TO_ARM, watch, operator, self._realtime, self.telemetry
         )
+        if self._taps:
+            self.notes = self._taps.attach(made)
+        return made
 
 
 @contextmanager
-def wired_bench(job: Job, announce: Callable[[str], None] = lambda _: None) -> Iterator[WiredBench]:
+def wired_bench(
+    job: Job, announce: Callable[[str], None] = lambda _: None, taps: Taps | None = None
+) -> Iterator[WiredBench]:
     """Give the bench of ``job``'s rig, which is not a mock; its processes are ended after.
 
-    announce: told in a line what is being started. Raises DeviceError when a process does not come up.
+    announce: told in a line what is being started. taps: who records it. Raises DeviceError when a process does
+    not come up.
     """
     rig = job.rig.value
     with RealTime(rig.host.fifo, rig.host.cpu) as realtime:
@@ -147,12 +168,12 @@ def wired_bench(job: Job, announce: Callable[[str], None] = lambda _: None) -> I
         with (
             _emulated(job, wall, announce) as (wired, emulated, addresses),
             HostProcesses(wired, wall) as hosts,
-            _telemetry() as ring,
+            _telemetry(taps) as telemetry,
         ):
             hosts.wait_ready()
             for name, pid in hosts.pids.items():
                 announce(f"{TITLES[name]} {pid}")
-            yield WiredBench(job, wired, wall, realtime, hosts, ring, emulated, addresses)
+            yield WiredBench(job, wired, wall, realtime, hosts, telemetry, taps, emulated, addresses)
 
 
 def _insist_on_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
@@ -171,8 +192,13 @@ def _insist_on_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
 
 
 @contextmanager
-def _telemetry() -> Iterator[Ring]:
-    """Give the ring that each cycle's row is put into, for other processes to read."""
+def _telemetry(taps: Taps | None) -> Iterator[Ring]:
+    """Give the ring that each cycle's row is put into, for other processes to read; a recorder brings its own."""
+    if taps:
+        if not isinstance(taps.cycles, Ring):
+            raise TypeError("a bench on wires is recorded from a ring: its recorder is another process")
+        yield taps.cycles
+        return
     ring = Ring.create(CYCLE, _TELEMETRY_ROWS)
     try:
         yield ring

@@ -188,7 +188,7 @@ class Handling:
                 break
             tick = self.tick()
             if back is Mode.RUNNING:
-                self.loop.vision.source.poll(tick.now_s)
+                self.loop.vision.look_away(tick.now_s)
             if self.ticks % WATCH_CYCLES == 0:
                 self._watch(Mode.HOLD, 0.0)
         bench.seed_for_run(tick.now_s, now.feedback)

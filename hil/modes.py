@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import Enum
 
 from hil.errors import BenchError
+from hil.told import Told
 
 
 class Mode(Enum):
@@ -52,6 +53,8 @@ class ModeMachine:
 
     def __init__(self) -> None:
         self.mode = Mode.OFF
+        self.history: Told[Mode] = Told([Mode.OFF])
+        """All modes so far, the present one last."""
         self.held_from: Mode | None = None
 
     def go(self, to: Mode) -> None:
@@ -61,3 +64,4 @@ class ModeMachine:
             raise BenchError(f"bench: cannot go from {self.mode.value} to {to.value}")
         self.held_from = self.mode if to is Mode.HOLD else None
         self.mode = to
+        self.history.append(to)

@@ -10,6 +10,7 @@ from hil.config.load import load_scene
 from hil.errors import DeviceError
 from hil.handling import Watch
 from hil.monitor_beside import MonitorProcess, Watched, watch_recorded
+from hil.recording.taps import Taps
 from hil.runner import Outcome, Runner
 
 Look = Callable[[Outcome], Watched | None]
@@ -17,23 +18,25 @@ Look = Callable[[Outcome], Watched | None]
 
 
 @contextmanager
-def runner(job: build.Job, watch: Watch, announce: Callable[[str], None]) -> Iterator[tuple[Runner, Look]]:
+def runner(
+    job: build.Job, watch: Watch, announce: Callable[[str], None], taps: Taps | None = None
+) -> Iterator[tuple[Runner, Look]]:
     """Give a Runner for ``job`` as ``build.runner`` does, and what to ask for the monitor afterwards.
 
     Raises DeviceError when an emulator, or the monitor's process, does not come up.
     """
     scenario, rig, seed = job.scenario.value, job.rig.value, job.seed
     if scenario.monitor.source == "none":
-        with build.runner(job, watch, announce) as plain:
+        with build.runner(job, watch, announce, taps=taps) as plain:
             yield plain, lambda _: None
         return
     scene = load_scene(scenario.monitor.scene).value
     if rig.kind == "mock":
-        with build.runner(job, watch, announce) as in_memory:
+        with build.runner(job, watch, announce, taps=taps) as in_memory:
             yield in_memory, lambda outcome: watch_recorded(scenario, scene, rig, seed, outcome.history)
         return
     with (
-        build.wired_bench(job, announce) as bench,
+        build.wired_bench(job, announce, taps) as bench,
         MonitorProcess(scenario, scene, rig, seed, bench.telemetry) as process,
     ):
         announce("starting the docking monitor; its first start compiles its kernels")

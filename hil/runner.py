@@ -24,6 +24,7 @@ from hil.orders import Operator, Order, OrderedToStop
 from hil.rate import Rate
 from hil.realtime import Grant, Precedence, no_garbage_collection
 from hil.safety.alarms import Alarm, alarm_of
+from hil.told import Told
 
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
@@ -85,7 +86,8 @@ class Runner:
         self._modes = self.supervisor.modes
         self._handling = Handling(loop, rate, late_cycles, step_s, self.operator, watch)
         self._faults: list[str] = []
-        self._events: list[Event] = []
+        self.events: Told[Event] = Told()
+        """What the bench did beside the approach: holds."""
         self._done = 0
         self._parking = parking
         self._park_after_run = park_after_run
@@ -110,7 +112,7 @@ class Runner:
         end = Mode.SAFE_STOP if self._faults else Mode.STANDBY
         if self._modes.mode is not end:
             self._modes.go(end)
-        events = sorted([*self.loop.gnc.events(), *self._events], key=lambda event: event.t_s)
+        events = sorted([*self.loop.gnc.events(), *self.events], key=lambda event: event.t_s)
         return Outcome(
             history=self.loop.history[: self._done],
             stop=stop,
@@ -185,7 +187,7 @@ class Runner:
     def _stand_by(self) -> None:
         """Let one supervised cycle pass in which nothing moves."""
         tick = self._handling.tick()
-        self.source.poll(tick.now_s)
+        self.loop.vision.look_away(tick.now_s)
         if self._handling.ticks % self.WATCH_CYCLES == 0:
             self._watch(self._modes.mode, 0.0)
 
@@ -221,7 +223,7 @@ class Runner:
         while frames < self._frames_to_arm:
             tick = self._handling.tick()
             self.loop.target.look(tick.now_s)
-            frames += len(self.source.poll(tick.now_s))
+            frames += self.loop.vision.look_away(tick.now_s)
             self._watch(Mode.ARMED, 0.0)
 
     def _close_the_loop(self) -> None:
@@ -259,11 +261,11 @@ class Runner:
         reason = self.supervisor.hold_reason or "ordered by the operator"
         if not self.operator.attended and self.supervisor.hold_reason:
             raise SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone")
-        self._events.append(Event(t_s, "bench", f"hold: {reason}"))
+        self.events.append(Event(t_s, "bench", f"hold: {reason}"))
         before = self._handling.ticks
         self._handling.hold(self._handling.tick())
         held_s = (self._handling.ticks - before) * self._step_s
-        self._events.append(Event(t_s, "bench", f"resumed after {held_s:.2f} s"))
+        self.events.append(Event(t_s, "bench", f"resumed after {held_s:.2f} s"))
         return held_s
 
     def _safe_stop(self, fault: BenchError) -> None:

@@ -6,13 +6,16 @@ A stage owns its parameters and its state; the records that pass between stages 
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
 
 from hil.approach_diary import ApproachDiary
 from hil.drivers.base import PoseSource
+from hil.drivers.remote.cells import ARRIVAL, write_frame
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
+from hil.frmn.ring import Telemetry
 from hil.gnc import allocation, control, guidance, navigation, supervision
 from hil.gnc.fusion import MEMORY, STEP
 from hil.gnc.guidance import GUIDANCE_STATE
@@ -20,7 +23,10 @@ from hil.gnc.navigation import NAVIGATION_STATE
 from hil.gnc.watch import FilterWatch
 from hil.maths.stations import chaser_pose
 from hil.maths.streams import NormalRows
-from hil.messages import MAX_POSES, POSE, Array, Event, new
+from hil.messages import MAX_POSES, POSE, Array, Event, PoseFrame, new
+from hil.told import Told
+
+_NO_POSE = new(POSE)
 
 
 class Dss:
@@ -47,40 +53,75 @@ class Dss:
         return self._rate
 
 
+class Poses(Protocol):
+    """What came in a cycle: the first ``arrived`` of ``poses``, (MAX_POSES,) of POSE."""
+
+    poses: np.ndarray
+    arrived: int
+
+
 class Vision:
     """The poses of the vision unit, brought from the camera to the chaser."""
 
     def __init__(self, source: PoseSource, stations: np.record) -> None:
         self.source = source
         self._stations = stations
-        self.poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
+        self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self._records = [self.poses[i] for i in range(MAX_POSES)]
         self.arrived = 0
         self.dropped = 0  # beyond MAX_POSES in one cycle
         self.not_before_s = -math.inf
         """Frames exposed before this bench time are of another life of the run: they are left out."""
+        self.tap: Telemetry | None = None
+        """Is given each frame that comes, a row of ARRIVAL."""
+        self._row = np.zeros(1, ARRIVAL)
+        self._cycle = -1
 
     def take(self, bench_s: float, run_zero_s: float, row: np.ndarray) -> None:
         """Bring the frames that came since the last cycle into ``poses``; the newest one also into ``row["pose"]``.
 
         run_zero_s: bench time at which the run's time is zero.
         """
-        frames = self.source.poll(bench_s)
+        came = frames = self.source.poll(bench_s)
+        self._cycle += 1
         if frames:
             frames = [frame for frame in frames if frame.t_s >= self.not_before_s]
         self.dropped += max(0, len(frames) - MAX_POSES)
         self.arrived = min(len(frames), MAX_POSES)
+        frames = frames[-MAX_POSES:]
+        if self.tap is not None:
+            self._show_unused([frame for frame in came if not any(frame is used for used in frames)])
         if not frames:
             row["pose"]["fresh"] = 0
             return
-        frames = frames[-MAX_POSES:]
         for frame, pose in zip(frames, self._records, strict=False):
             chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
             pose.t_s = frame.t_s - run_zero_s
+            if self.tap is not None:
+                self._show(frame, self._cycle, pose)
         newest = self.poses[: self.arrived]["t_s"].argmax()
         row["pose"] = self.poses[newest]
         row["pose"]["fresh"] = self.arrived
         row["received_s"] = frames[newest].received_s - run_zero_s
+
+    def look_away(self, bench_s: float) -> int:
+        """Take the frames that came since the last cycle and use none; return how many."""
+        frames = self.source.poll(bench_s)
+        if self.tap is not None:
+            self._show_unused(frames)
+        return len(frames)
+
+    def _show_unused(self, frames: list[PoseFrame]) -> None:
+        for frame in frames:
+            self._show(frame, -1, _NO_POSE)
+
+    def _show(self, frame: PoseFrame, cycle: int, pose: np.record) -> None:
+        """Give the tap ``frame`` with the number of the cycle that uses it and what navigation gets of it."""
+        assert self.tap is not None
+        self._row["cycle"] = cycle
+        write_frame(self._row["frame"], frame)
+        self._row["pose"] = pose
+        self.tap.put(self._row)
 
 
 class Gnc:
@@ -111,25 +152,30 @@ class Gnc:
         guidance.start(guidance_params, self._flown)
         self._go = self._abort = 0
         self._nees = np.empty(2)
-        self._cycle = -1
+        self.cycle = -1
+        """Number of the last cycle, -1 before the first."""
+        self.orders: Told[tuple[int, str]] = Told()
+        """Each order with the number of the cycle from which on it acts."""
         self._fuses = bool(navigation_params.sensors == navigation.VISION_AND_IMU)
         self._fuses_now = False
 
     def order_go(self) -> None:
         """Order the approach to go on from its wait, from the next cycle on."""
         self._go = 1
+        self.orders.append((self.cycle + 1, "go"))
 
     def order_abort(self) -> None:
         """Order an abort, from the next cycle on."""
         self._abort = 1
+        self.orders.append((self.cycle + 1, "abort"))
 
-    def navigate(self, imu: np.record, vision: Vision, out: np.record) -> None:
+    def navigate(self, imu: np.record, vision: Poses, out: np.record) -> None:
         """Write NAVIGATION from the step's IMU sample and the poses that came."""
         navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
-        self._cycle += 1
+        self.cycle += 1
         self._fuses_now = self._fuses and vision.arrived > 0
         if self._fuses_now or (self._fuses and self.watch.looks_always):
-            self.watch.look(self._cycle, imu, vision.poses[: vision.arrived], out, self._memory)
+            self.watch.look(self.cycle, imu, vision.poses[: vision.arrived], out, self._memory)
 
     def guide(self, t_s: float, found: np.record, out: np.record) -> None:
         """Write REFERENCE for ``t_s`` of the run; moves on to the next phase when its time or its order has come."""

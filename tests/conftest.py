@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import settings
 
+from hil import build
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.recording.session import recording
+from hil.report.summary import summarise
 
 # examples drawn from a fixed seed; no deadline, because a first call may compile a kernel
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
@@ -70,3 +75,20 @@ def plain_2() -> Scenario:
 def mock_rig() -> Rig:
     """Return the shipped rig mock."""
     return load_rig("mock").value
+
+
+LATE = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_share=0.2", "vmu.loss_share=0.1")
+"""Poses that come late, out of order, twice and not at all: several in one cycle, none in others."""
+
+
+@pytest.fixture(scope="session")
+def recorded_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the recording of 8 s of scheme-1 on the mock rig whose poses come as in LATE; do not change it."""
+    job = build.Job(load_scenario("scheme-1", LATE), load_rig("mock"), 3, 8.0, 1.0)
+    folder = tmp_path_factory.mktemp("recorded")
+    with recording(job, "mock", folder, lambda _: None) as taken:
+        with build.runner(job, lambda *_: None, lambda _: None, taps=taken.taps) as runner:
+            outcome = runner.run()
+        summary, _ = summarise(outcome, job.scenario.value, job.rig.value, "mock", 3, 50.0)
+        taken.finish(summary)
+    return taken.path

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
 
 from rich.console import Console
 
@@ -26,6 +28,7 @@ def run_command(
     settings: Sequence[str],
     speed: float,
     json_path: str | None,
+    record: str | None = None,
 ) -> int:
     """Do ``hil run``; return its exit code. Raises BadInput before anything is started."""
     _check_options(seed, duration_s, speed, json_path)
@@ -46,19 +49,35 @@ def run_command(
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
-    with _Watch(console, "opening the devices") as bar, monitored.runner(job, bar.watch, announce) as (runner, look):
-        outcome = runner.run()
-        watched = look(outcome)
-    summary, verdict = summarise(
-        outcome,
-        scenario.value,
-        rig.value,
-        rig_name,
-        seed,
-        1.0 / scenario.value.step_s,
-    )
-    if watched is not None:
-        summary["monitor"] = judge_monitor(watched, outcome.history, scenario.value, rig.value)
+    with ExitStack() as stack:
+        taken = None
+        if record is not None:
+            from hil.recording.session import recording  # what it needs is not loaded in vain
+
+            taken = stack.enter_context(recording(job, rig_name, Path(record), announce))
+        taps = taken.taps if taken else None
+        with (
+            _Watch(console, "opening the devices") as bar,
+            monitored.runner(job, bar.watch, announce, taps) as (runner, look),
+        ):
+            outcome = runner.run()
+            watched = look(outcome)
+        summary, verdict = summarise(
+            outcome,
+            scenario.value,
+            rig.value,
+            rig_name,
+            seed,
+            1.0 / scenario.value.step_s,
+        )
+        if watched is not None:
+            summary["monitor"] = judge_monitor(watched, outcome.history, scenario.value, rig.value)
+        if taken:
+            account = taken.finish(summary)
+            summary["recording"] = {"file": str(taken.path), "dropped": account.dropped, "problem": account.problem}
+            if account.problem:
+                text = f"recording: {account.problem}"
+                console.print(text, style="yellow", highlight=False, soft_wrap=True, markup=False)
     if json_path is not None:
         write_json(summary, json_path)
     if json_path != "-":

@@ -84,7 +84,7 @@ def load_protocol(name: str) -> Loaded[Protocol]:
 def load_file(path: Path, model: type[Model]) -> Loaded[Model]:
     """Return the file at ``path``, JSON or TOML as its name ends, checked against ``model``; raise BadInput."""
     origin: dict[str, str] = {}
-    return _check(_read_with_bases(path, "", origin, chain=()), model, str(path), origin, prefix="")
+    return check_table(read_with_bases(path, "", origin, chain=()), model, str(path), origin, prefix="")
 
 
 def load_scene(name: str) -> Loaded[Scene]:
@@ -95,13 +95,16 @@ def load_scene(name: str) -> Loaded[Scene]:
 def _load(name: str, kind: str, model: type[Model], settings: Sequence[str], prefix: str) -> Loaded[Model]:
     path = _find(name, kind)
     origin: dict[str, str] = {}
-    table = _read_with_bases(path, kind, origin, chain=())
+    table = read_with_bases(path, kind, origin, chain=())
     for text in settings:
-        _apply_setting(table, text, prefix, origin)
-    return _check(table, model, str(path), origin, prefix)
+        apply_setting(table, text, prefix, origin)
+    return check_table(table, model, str(path), origin, prefix)
 
 
-def _check(table: Table, model: type[Model], source: str, origin: Mapping[str, str], prefix: str) -> Loaded[Model]:
+def check_table(
+    table: Table, model: type[Model], source: str, origin: Mapping[str, str], prefix: str = ""
+) -> Loaded[Model]:
+    """Return ``table`` as ``model``; raise BadInput with every fault. prefix: of the keys in what is said of them."""
     try:
         # through JSON: its strict mode takes lists for tuples and whole numbers for floats, and no more
         value = model.model_validate_json(json.dumps(table, default=str))
@@ -125,8 +128,8 @@ def _find(name: str, kind: str) -> Path:
     raise BadInput.single(name, "", f"{reason}: give {names} or the path of a {what} file ({patterns})")
 
 
-def _read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple[Path, ...]) -> Table:
-    """Return the file's table laid over that of the file it extends."""
+def read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple[Path, ...]) -> Table:
+    """Return the file's table laid over that of the file it extends; ``origin`` gets the file of each key."""
     table = _read_table(path)
     _find_files_beside(table, path.parent)
     base_name = table.pop("extends", None)
@@ -142,8 +145,8 @@ def _read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple
             raise BadInput.single(str(path), "extends", text) from error
         if base_path.resolve() in chain or base_path.resolve() == path.resolve():
             raise BadInput.single(str(path), "extends", f"{base_name!r}: the files extend each other in a ring")
-        base = _read_with_bases(base_path, kind, origin, (*chain, path.resolve()))
-    _lay_over(base, table, str(path), origin, "")
+        base = read_with_bases(base_path, kind, origin, (*chain, path.resolve()))
+    lay_over(base, table, str(path), origin, "")
     return base
 
 
@@ -171,12 +174,13 @@ def _find_files_beside(table: Table, folder: Path) -> None:
             table[key] = str(folder / value)
 
 
-def _lay_over(base: Table, table: Table, source: str, origin: dict[str, str], prefix: str) -> None:
+def lay_over(base: Table, table: Table, source: str, origin: dict[str, str], prefix: str = "") -> None:
+    """Put the keys of ``table`` over those of ``base``, table by table."""
     for key, value in table.items():
         dotted = f"{prefix}{key}"
         if isinstance(value, dict) and isinstance(base.get(key), dict):
             origin[dotted] = source  # what does not go together in a table is told of the last file that touched it
-            _lay_over(base[key], value, source, origin, f"{dotted}.")
+            lay_over(base[key], value, source, origin, f"{dotted}.")
         else:
             base[key] = value
             for stale in [known for known in origin if known.startswith(f"{dotted}.")]:
@@ -191,7 +195,8 @@ def _note_origin(value: Any, dotted: str, source: str, origin: dict[str, str]) -
             _note_origin(inner, f"{dotted}.{key}", source, origin)
 
 
-def _apply_setting(table: Table, text: str, prefix: str, origin: dict[str, str]) -> None:
+def apply_setting(table: Table, text: str, prefix: str, origin: dict[str, str]) -> None:
+    """Put ``key=value`` into ``table``; raise BadInput where it is none. prefix: may stand before the key."""
     key, equals, value_text = text.partition("=")
     key = key.strip()
     if not equals or not key:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import gammainccinv, gammaincinv
 
 from hil.messages import Event
+from hil.told import Told
 
 WINDOWS = (64, 512)  # updates that a mean is taken over: quick, and fine
 _TAIL = 1e-6  # of that mean, on either side: what chance may do in a long campaign
@@ -65,7 +66,7 @@ class FilterWatch:
     """
 
     def __init__(self, navigation: np.record, shadow_limits: tuple[float, float] | None) -> None:
-        self.events: list[Event] = []
+        self.events: Told[Event] = Told()
         self.largest_parting = (0.0, 0.0)  # m, rad
         self._dt = float(navigation.fusion.pkf.dt_s)
         self._position = [NisMonitor("pkf", window) for window in WINDOWS]

@@ -25,26 +25,33 @@ def judge_bench_error(history: np.ndarray, rig: Rig, step_s: float, settled_s: f
     ``share_of_attitude_error``: rms of the pose error by rms of the estimate's error, both from
     ``settled_s`` on (all, where the run ended before). What the run did not have is None.
     """
-    rows, rail_m, gimbal_rad = encoders_at_truth(history)
+    rows, distance, angle = pose_errors(history, rig, step_s)
     if not len(rows):
         none = {"rms": None, "max": None}
         return {"pose_error_mm": none, "pose_error_deg": none} | _shares(None, None)
-    truth = rows["truth"]
-    distance, angle = np.empty(len(rows)), np.empty(len(rows))
-    camera_errors(
-        parameters.bench(rig, step_s),
-        parameters.stations(rig),
-        rail_m,
-        gimbal_rad,
-        np.ascontiguousarray(truth["r_CT_H"]),
-        np.ascontiguousarray(truth["q_CH"]),
-        distance,
-        angle,
-    )
     return {
         "pose_error_mm": _rms_and_max(1e3 * distance),
         "pose_error_deg": _rms_and_max(np.degrees(angle)),
     } | _navigation_shares(rows, distance, angle, settled_s)
+
+
+def pose_errors(history: np.ndarray, rig: Rig, step_s: float) -> tuple[np.ndarray, Array, Array]:
+    """Return the rows (n,) of which the encoders are known, and the left camera's errors then: m, rad, (n,)."""
+    rows, rail_m, gimbal_rad = encoders_at_truth(history)
+    distance, angle = np.empty(len(rows)), np.empty(len(rows))
+    if len(rows):
+        truth = rows["truth"]
+        camera_errors(
+            parameters.bench(rig, step_s),
+            parameters.stations(rig),
+            rail_m,
+            gimbal_rad,
+            np.ascontiguousarray(truth["r_CT_H"]),
+            np.ascontiguousarray(truth["q_CH"]),
+            distance,
+            angle,
+        )
+    return rows, distance, angle
 
 
 def encoders_at_truth(history: np.ndarray) -> tuple[np.ndarray, Array, Array]:

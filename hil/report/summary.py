@@ -57,7 +57,7 @@ def summarise(
         "held_since_s": verdict.held_since_s,
         "ready_phase": {name: _list(verdict.worst[name]) for name in ROW_NAMES} if verdict.worst else None,
         "verdict": parts,
-        "navigation": _navigation(history),
+        "navigation": navigation_errors(history),
         "thrusters": thrusters,
         "vision": outcome.vision_counters,
         "bench": _bench(history, outcome) | judge_bench_error(history, rig, scenario.step_s, SETTLED_S),
@@ -107,7 +107,7 @@ def _list(values: Array) -> list[float]:
     return [float(value) for value in values]
 
 
-def _navigation(history: np.ndarray) -> dict[str, Any]:
+def navigation_errors(history: np.ndarray) -> dict[str, Any]:
     """Errors of the estimate against the truth, and the filters' own bound, from SETTLED_S on (all, if shorter)."""
     known = history[history["navigation"]["valid"] == 1]
     late = known[known["t_s"] >= SETTLED_S]
@@ -116,20 +116,24 @@ def _navigation(history: np.ndarray) -> dict[str, Any]:
     if not len(chosen):
         return dict.fromkeys((*keys, "nees_pkf", "nees_akf"))
     truth, estimate = chosen["truth"], chosen["navigation"]
-    q, p = truth["q_CH"], estimate["q_CH"]
-    # small turn from the estimated to the true frame: twice the vector part of q_true * conj(q_estimate)
-    vector = (p[:, 3:] * q[:, :3] - q[:, 3:] * p[:, :3] + np.cross(q[:, :3], p[:, :3])) * np.sign(
-        np.sum(p * q, axis=1)
-    )[:, None]
     return {
         "position_rmse_m": _rms(truth["r_CT_H"] - estimate["r_CT_H"]),
         "velocity_rmse_mps": _rms(truth["v_CT_H"] - estimate["v_CT_H"]),
-        "attitude_rmse_deg": _rms(np.degrees(2.0 * vector)),
+        "attitude_rmse_deg": _rms(np.degrees(attitude_error(chosen))),
         "position_bound_m": _rms(estimate["sigma_r_m"]),
         "attitude_bound_deg": _rms(np.degrees(estimate["sigma_attitude_rad"])),
         "nees_pkf": _mean(chosen["nees_position"]),
         "nees_akf": _mean(chosen["nees_attitude"]),
     }
+
+
+def attitude_error(history: np.ndarray) -> Array:
+    """Return the small turn from the estimated to the true attitude in each row of CYCLE, (n, 3), rad, in c."""
+    q, p = history["truth"]["q_CH"], history["navigation"]["q_CH"]
+    # twice the vector part of q_true * conj(q_estimate)
+    vector = p[:, 3:] * q[:, :3] - q[:, 3:] * p[:, :3] + np.cross(q[:, :3], p[:, :3])
+    turn: Array = 2.0 * vector * np.sign(np.sum(p * q, axis=1))[:, None]
+    return turn
 
 
 def _rms(values: Array) -> list[float] | None:

@@ -12,7 +12,7 @@ from hil.realtime import REAL_TIME
 from hil.report.paper import TABLE_V
 from hil.report.verdict import ROW_NAMES, Verdict, tolerances
 
-_LABELS = {
+ROW_LABELS = {
     "position_m": ("distance", ("x - 0.4 m", "y", "z"), "mm", 1e3),
     "velocity_mps": ("rate", ("x", "y", "z"), "mm/s", 1e3),
     "attitude_deg": ("angle", ("theta1", "theta2", "theta3"), "deg", 1.0),
@@ -91,7 +91,7 @@ def _ready_phase(summary: dict[str, Any], verdict: Verdict, requirements: Requir
     for column in ("", "axis", "limit", "here", "margin", "Table V", ""):
         table.add_column(column, justify="left" if column in ("", "axis") else "right")
     for name in ROW_NAMES:
-        label, axes, unit, scale = _LABELS[name]
+        label, axes, unit, scale = ROW_LABELS[name]
         assert verdict.worst is not None
         for i, axis in enumerate(axes):
             limit, here = allowed[name][i] * scale, verdict.worst[name][i] * scale
@@ -109,16 +109,24 @@ def _ready_phase(summary: dict[str, Any], verdict: Verdict, requirements: Requir
     return table
 
 
+def parts_in_words(parts: dict[str, Any]) -> list[tuple[str, bool, str]]:
+    """Return name, verdict and key numbers of each of the four parts."""
+    return [
+        (name.replace("_", " "), parts[name]["passed"], text)
+        for name, text in (
+            ("control_precision", _precision_text(parts["control_precision"])),
+            ("security", _security_text(parts["security"])),
+            ("energy", _energy_text(parts["energy"])),
+            ("field_of_view", _view_text(parts["field_of_view"])),
+        )
+    ]
+
+
 def _print_parts(parts: dict[str, Any], console: Console) -> None:
     """Print a line for each of the four parts of the verdict."""
-    for name, text in (
-        ("control_precision", _precision_text(parts["control_precision"])),
-        ("security", _security_text(parts["security"])),
-        ("energy", _energy_text(parts["energy"])),
-        ("field_of_view", _view_text(parts["field_of_view"])),
-    ):
-        word = "[green]ok  [/]" if parts[name]["passed"] else "[red]fail[/]"
-        console.print(f"{word} {name.replace('_', ' '):<18} {text}", highlight=False, soft_wrap=True)
+    for name, passed, text in parts_in_words(parts):
+        word = "[green]ok  [/]" if passed else "[red]fail[/]"
+        console.print(f"{word} {name:<18} {text}", highlight=False, soft_wrap=True)
 
 
 def _precision_text(part: dict[str, Any]) -> str:

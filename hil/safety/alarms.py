@@ -14,6 +14,7 @@ from hil.errors import (
     ProtocolError,
     SafetyTrip,
 )
+from hil.told import Told
 
 _KINDS: dict[type[DeviceError], tuple[str, str]] = {
     LinkLost: ("link", "connected"),
@@ -67,6 +68,8 @@ class AlarmBook:
 
     def __init__(self) -> None:
         self._alarms: list[Alarm] = []
+        self.entered: Told[Alarm] = Told()
+        """Each alarm as it came, whatever became of it."""
 
     def enter(self, alarm: Alarm) -> Alarm:
         """Latch ``alarm``; return it, or the one that is latched for the same device and quantity already."""
@@ -74,6 +77,7 @@ class AlarmBook:
             if known.latched and (known.device, known.quantity) == (alarm.device, alarm.quantity):
                 return known
         self._alarms.append(replace(alarm, latched=True, acknowledged=False))
+        self.entered.append(self._alarms[-1])
         return self._alarms[-1]
 
     def acknowledge(self) -> int:

@@ -15,7 +15,7 @@ import numpy as np
 from hil.errors import BenchError, DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 from hil.frmn.cell import Block
 from hil.frmn.ring import Ring
-from hil.messages import MAX_THRUSTERS, AxisFeedback, Homing, IoInputs, IoOutputs, PoseFrame
+from hil.messages import MAX_THRUSTERS, POSE, AxisFeedback, Homing, IoInputs, IoOutputs, PoseFrame
 
 AXIS_DEVICES: Final = ("rails", "turntable", "target")
 DEVICES: Final = (*AXIS_DEVICES, "vmu", "io")
@@ -44,6 +44,9 @@ FRAME: Final = np.dtype(
         ("leds_right", "i8"),
     ]
 )
+ARRIVAL: Final = np.dtype([("cycle", "i8"), ("frame", FRAME), ("pose", POSE)])
+"""A frame as the loop took it. cycle: number of the cycle that used it, -1 for none (loop open, hold, too old, too
+many). pose: what navigation got, in chaser and target; zero where no cycle used it."""
 INPUTS: Final = np.dtype(
     [("t_s", "f8"), ("estop_closed", "i8"), ("chain_closed", "i8"), ("interlocks", "S512"), ("thrusters_s", "f8")]
 )

@@ -1,0 +1,135 @@
+"""``hil replay``: recorded inputs through today's GNC, laid beside what was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from hil.cli.columns import columns
+from hil.cli.output import check_json_path, write_json
+from hil.config.other_gnc import with_other_gnc
+from hil.errors import BadInput
+from hil.recording.fields import FIELDS
+from hil.recording.read import Recorded, load
+from hil.recording.replay import Difference, Replayed, replay
+from hil.report.summary import navigation_errors
+
+_SAME, _DIFFERS = 0, 1
+_ROWS = (
+    ("position_rmse_m", "position rmse", "mm", 1e3),
+    ("velocity_rmse_mps", "velocity rmse", "mm/s", 1e3),
+    ("attitude_rmse_deg", "attitude rmse", "deg", 1.0),
+    ("position_bound_m", "position sigma", "mm", 1e3),
+    ("attitude_bound_deg", "attitude sigma", "deg", 1.0),
+)
+
+
+def replay_command(recording: str, gnc: str | None, settings: Sequence[str], json_path: str | None) -> int:
+    """Do ``hil replay``; return its exit code. Raises BadInput."""
+    if problems := check_json_path("--json", json_path):
+        raise BadInput(problems)
+    recorded = load(Path(recording))
+    changed = gnc is not None or bool(settings)
+    scenario = with_other_gnc(recorded.scenario, recording, gnc, settings).value if changed else recorded.scenario
+    found = replay(recorded, scenario)
+    errors = {
+        "recorded": navigation_errors(recorded.cycles[: len(found.rows)]),
+        "replayed": navigation_errors(found.rows),
+    }
+    if json_path is not None:
+        write_json(_as_json(recorded, found, changed, errors), json_path)
+    if json_path != "-":
+        _print(recorded, found, changed, errors, Console())
+    return _SAME if found.identical or (changed and not found.ended) else _DIFFERS
+
+
+def _as_json(recorded: Recorded, found: Replayed, changed: bool, errors: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "recording": str(recorded.path),
+        "run": recorded.run["run"],
+        "intact": recorded.intact,
+        "changed": changed,
+        "identical": found.identical,
+        "cycles_recorded": len(recorded.cycles),
+        "cycles_replayed": len(found.rows),
+        "ended": found.ended,
+        "first_difference_cycle": min((d.first_cycle for d in found.differences), default=None),
+        "first_difference_s": min((d.first_s for d in found.differences), default=None),
+        "differences": [difference.as_json() for difference in found.differences],
+        "missing_events": [_event(event) for event in found.missing_events],
+        "new_events": [_event(event) for event in found.new_events],
+        "navigation": errors,
+    }
+
+
+def _event(event: tuple[float, str, str]) -> dict[str, Any]:
+    return dict(zip(("t_s", "source", "text"), event, strict=True))
+
+
+def _print(recorded: Recorded, found: Replayed, changed: bool, errors: dict[str, Any], console: Console) -> None:
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+    if not recorded.intact:
+        say(f"{recorded.path} broke off or is damaged: what is whole in it is replayed")
+    if found.ended:
+        say(found.ended)
+    for note in recorded.notes:
+        if note["kind"] == "setting":
+            say(f"changed while it ran, from cycle {note['cycle']} on: {note['message']}; the replay does not follow")
+    of = f"{recorded.run['scenario']} on {recorded.run['rig']}, seed {recorded.run['seed']}, {len(found.rows)} cycles"
+    if found.identical:
+        say(f"identical, bit by bit: {of}")
+        return
+    if found.differences:
+        for line in _table(found.differences):
+            say(line)
+    for word, events in (("no longer", found.missing_events), ("new", found.new_events)):
+        for t_s, source, text in events:
+            say(f"{word:<9} {t_s:.2f} s {source}: {text}")
+    if changed:
+        for line in _navigation(errors):
+            say(line)
+    if found.differences:
+        first = min(found.differences, key=lambda d: d.first_cycle)
+        say(f"differs from cycle {first.first_cycle} on, {first.first_s:.2f} s: {of}")
+    elif found.ended:
+        say(f"identical as far as it was replayed: {of}")
+
+
+def _table(differences: Sequence[Difference]) -> list[str]:
+    rows = [
+        (
+            d.field,
+            FIELDS[d.field][0],
+            str(d.cycles),
+            str(d.first_cycle),
+            f"{d.first_s:.2f}",
+            _size(d.first_size),
+            _size(d.largest),
+            f"{d.largest_s:.2f}",
+        )
+        for d in differences
+    ]
+    head = ("differs", "unit", "cycles", "from cycle", "at, s", "there by", "at most by", "at, s")
+    return columns(head, rows, frozenset({0, 1}))
+
+
+def _size(value: float | None) -> str:
+    return "nan" if value is None else f"{value:.3g}"
+
+
+def _navigation(errors: dict[str, Any]) -> list[str]:
+    both = ("recorded", "replayed")
+    rows = [(f"{label}, {unit}", *(_three(errors[w][key], scale) for w in both)) for key, label, unit, scale in _ROWS]
+    for key, label in (("nees_pkf", "mean NEES, 9 states"), ("nees_akf", "mean NEES, 6 states")):
+        values = [errors[which][key] for which in both]
+        rows.append((label, *("-" if value is None else f"{value:.2f}" for value in values)))
+    return columns(("estimate against truth, x y z", *both), rows)
+
+
+def _three(values: list[float] | None, scale: float) -> str:
+    return "-" if values is None else " ".join(f"{scale * value:.4g}" for value in values)

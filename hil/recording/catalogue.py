@@ -1,0 +1,229 @@
+"""The catalogue of runs: one embedded database beside the recordings, safe against several writers."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from hil.errors import BadInput
+
+NAME: Final = "catalogue.sqlite"
+VERSION: Final = 1
+RUNNING, DONE, BROKEN_OFF = "running", "done", "broken off"
+"""States of an entry."""
+
+_PATIENCE_S: Final = 20.0  # for another writer to be done
+_RETRY_S: Final = 0.02
+_TABLE: Final = """
+CREATE TABLE IF NOT EXISTS runs (
+    run TEXT PRIMARY KEY,
+    state TEXT NOT NULL,
+    started_utc TEXT NOT NULL,
+    ended_utc TEXT,
+    scenario TEXT NOT NULL,
+    rig TEXT NOT NULL,
+    seed INTEGER NOT NULL,
+    duration_s REAL NOT NULL,
+    passed INTEGER,
+    passed_all_parts INTEGER,
+    stop TEXT,
+    ready_time_s REAL,
+    propellant_kg REAL,
+    position_rmse_mm REAL,
+    attitude_rmse_deg REAL,
+    cycles INTEGER,
+    dropped INTEGER,
+    file TEXT NOT NULL,
+    hil TEXT NOT NULL,
+    host TEXT NOT NULL,
+    process TEXT NOT NULL,
+    summary TEXT
+)
+"""
+COLUMNS: Final = (
+    "run",
+    "state",
+    "started_utc",
+    "ended_utc",
+    "scenario",
+    "rig",
+    "seed",
+    "duration_s",
+    "passed",
+    "passed_all_parts",
+    "stop",
+    "ready_time_s",
+    "propellant_kg",
+    "position_rmse_mm",
+    "attitude_rmse_deg",
+    "cycles",
+    "dropped",
+    "file",
+    "hil",
+)
+"""What is told of a run."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which runs are asked for. failed: verdict fail, safe-stopped or broken off; since: begin of an ISO time, UTC."""
+
+    failed: bool = False
+    passed: bool = False
+    scenario: str | None = None
+    since: str | None = None
+
+
+class Catalogue:
+    """The database in ``folder``. Raises BadInput where it cannot be used, sqlite3.Error when a write fails."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / NAME
+
+    @contextmanager
+    def _connection(self, begin: str = "BEGIN IMMEDIATE") -> Iterator[sqlite3.Connection]:
+        """Give a connection with a transaction, by default one that no other writer shares; what raises undoes it."""
+        connection = sqlite3.connect(self.path, timeout=_PATIENCE_S, isolation_level=None)
+        try:
+            connection.row_factory = sqlite3.Row
+            self._prepare(connection)
+            connection.execute(begin)
+            try:
+                yield connection
+            except BaseException:
+                connection.execute("ROLLBACK")
+                raise
+            connection.execute("COMMIT")
+        finally:
+            connection.close()
+
+    def _prepare(self, connection: sqlite3.Connection) -> None:
+        try:
+            version = connection.execute("PRAGMA user_version").fetchone()[0]
+        except sqlite3.DatabaseError as error:
+            if isinstance(error, sqlite3.OperationalError):
+                raise
+            raise BadInput.single(str(self.path), "", f"not a catalogue of runs: {error}") from error
+        if version == VERSION:
+            return
+        if version != 0:
+            text = f"a catalogue of version {version}; this program reads version {VERSION}"
+            raise BadInput.single(str(self.path), "", text)
+        _use_a_log_ahead(connection)
+        connection.execute("BEGIN IMMEDIATE")
+        connection.execute(_TABLE)
+        connection.execute(f"PRAGMA user_version={VERSION}")
+        connection.execute("COMMIT")
+
+    def begin(self, entry: dict[str, Any]) -> None:
+        """Enter a run that begins; ``entry``: run, started_utc, scenario, rig, seed, duration_s, file, hil."""
+        whole = entry | {"state": RUNNING, "host": socket.gethostname(), "process": process_now()}
+        names, places = ", ".join(whole), ", ".join(f":{name}" for name in whole)
+        with self._connection() as connection:
+            connection.execute(f"INSERT INTO runs ({names}) VALUES ({places})", whole)
+
+    def end(
+        self, run: str, ended_utc: str, state: str, cycles: int | None, dropped: int, summary: dict[str, Any]
+    ) -> None:
+        """Enter how ``run`` ended; summary: as of ``hil run --json``, empty where there is none."""
+        found = {
+            "run": run,
+            "state": state,
+            "ended_utc": ended_utc,
+            "cycles": cycles,
+            "dropped": dropped,
+            "summary": json.dumps(summary, allow_nan=False) if summary else None,
+            **_key_numbers(summary),
+        }
+        changes = ", ".join(f"{name} = :{name}" for name in found if name != "run")
+        with self._connection() as connection:
+            connection.execute(f"UPDATE runs SET {changes} WHERE run = :run", found)
+
+    def runs(self, wanted: Wanted = Wanted()) -> list[dict[str, Any]]:
+        """Return the entries asked for, oldest first, by ``COLUMNS``; the file's path is as it is from here."""
+        if not self.path.is_file():
+            raise BadInput.single(str(self.path), "", "no such catalogue: hil run ... --record FOLDER makes one")
+        with self._connection("BEGIN") as connection:
+            rows = connection.execute("SELECT * FROM runs ORDER BY started_utc, run").fetchall()
+        entries = [self._entry(row) for row in rows]
+        return [entry for entry in entries if _fits(entry, wanted)]
+
+    def _entry(self, row: sqlite3.Row) -> dict[str, Any]:
+        entry = {name: row[name] for name in COLUMNS}
+        entry["file"] = str(self.path.parent / row["file"])
+        for name in ("passed", "passed_all_parts"):
+            entry[name] = None if entry[name] is None else bool(entry[name])
+        if entry["state"] == RUNNING and row["host"] == socket.gethostname() and not _lives(row["process"]):
+            entry["state"] = BROKEN_OFF
+        return entry
+
+
+def _use_a_log_ahead(connection: sqlite3.Connection) -> None:
+    """Switch to write-ahead logging; two that do so at once are told "locked" without the wait that is set."""
+    give_up_s = time.monotonic() + _PATIENCE_S
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode=WAL")
+            return
+        except sqlite3.OperationalError:
+            if time.monotonic() > give_up_s:
+                raise
+            time.sleep(_RETRY_S)
+
+
+def _key_numbers(summary: dict[str, Any]) -> dict[str, Any]:
+    if not summary:
+        return {}
+    navigation = summary["navigation"]
+    rms = {}
+    for name, scale, unit in (("position_rmse_m", 1e3, "mm"), ("attitude_rmse_deg", 1.0, "deg")):
+        axes = navigation[name]
+        key = f"{name.rpartition('_')[0]}_{unit}"
+        rms[key] = None if axes is None else scale * sum(value**2 for value in axes) ** 0.5
+    return {
+        "passed": summary["passed"],
+        "passed_all_parts": summary["passed_all_parts"],
+        "stop": summary["stop"],
+        "ready_time_s": summary["ready_time_s"],
+        "propellant_kg": summary["thrusters"]["propellant_kg"],
+        **rms,
+    }
+
+
+def _fits(entry: dict[str, Any], wanted: Wanted) -> bool:
+    failed = entry["passed"] is False or entry["state"] == BROKEN_OFF
+    return (
+        (not wanted.failed or failed)
+        and (not wanted.passed or entry["passed"] is True)
+        and (wanted.scenario is None or entry["scenario"] == wanted.scenario)
+        and (wanted.since is None or entry["started_utc"] >= wanted.since)
+    )
+
+
+def process_now() -> str:
+    """Return what tells this process from every other one on this host: its number and when it was started."""
+    return f"{os.getpid()} {_started(os.getpid())}"
+
+
+def _lives(process: str) -> bool:
+    number, _, started = process.partition(" ")
+    return _started(int(number)) == started
+
+
+def _started(pid: int) -> str:
+    """Return the kernel's start time of a process with the boot it belongs to, "" for one that is gone."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
+    fields = stat.rpartition(")")[2].split()
+    return "" if fields[0] in "ZX" else f"{fields[19]} {boot}"

@@ -1,0 +1,118 @@
+"""Takes the numbers of a recording into tables that other tools read: Parquet or CSV, one column a number."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from hil.errors import BadInput
+from hil.recording import show
+from hil.recording.read import Contents, contents
+
+FORMATS: Final = ("parquet", "csv")
+TABLES: Final = {"/cycle": "cycles", "/vmu/frames": "frames", show.LOG_TOPIC: "log"}
+"""Topic -> name of its table; the cycles are the file itself, the others go beside it."""
+
+_CSV_ROWS: Final = 1000
+
+
+def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the columns of ``flat`` (n,): name and values (n,); ``truth.r_CT_H[0]`` for an element of an array."""
+    for name in flat.dtype.names or ():
+        values = flat[name]
+        if values.ndim == 1:
+            yield name, values
+            continue
+        inner = values.shape[1:]
+        for index in np.ndindex(*inner):
+            place = "".join(f"[{i}]" for i in index)
+            yield f"{name}{place}", values[(slice(None), *index)]
+
+
+def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple[Path, int]]:
+    """Write the tables of the recording at ``path``; return each file with its number of rows.
+
+    ``out`` has the cycles; frames and log go beside it, ``OUT-frames`` and ``OUT-log``. Works on recordings of any
+    version, since each tells its own layout. Raises BadInput.
+    """
+    if form == "parquet":
+        _pyarrow()
+    found = contents(path, frozenset(TABLES))
+    written = []
+    for topic, name in TABLES.items():
+        table = _table(found, topic)
+        if table is None:
+            continue
+        target = out if name == "cycles" else out.with_name(f"{out.stem}-{name}{out.suffix}")
+        units = _units(found, topic)
+        part = target.with_name(f"{target.name}.part")
+        try:
+            _write(form, table, units, part)
+            os.replace(part, target)
+        except OSError as error:
+            part.unlink(missing_ok=True)
+            raise BadInput.single("--out", "", f"{target}: {error.strerror or error}") from error
+        written.append((target, len(next(iter(table.values())))))
+    return written
+
+
+def _table(found: Contents, topic: str) -> dict[str, Any] | None:
+    if topic in found.layouts:
+        return dict(columns(found.flat(topic)))
+    if topic == show.LOG_TOPIC and topic in found.lines:
+        names = ("t_s", "bench_s", "cycle", "kind", "name", "message")
+        return {name: [line.get(name) for line in found.lines[topic]] for name in names}
+    return None
+
+
+def _units(found: Contents, topic: str) -> dict[str, str]:
+    """Return the unit and frame of each field, by its name, as the recording tells them."""
+    if topic not in found.schemas:
+        return {"t_s": "s", "bench_s": "s"}
+    fields = json.loads(found.schemas[topic])["fields"]
+    return {f["name"]: " in ".join(word for word in (f.get("unit", ""), f.get("frame", "")) if word) for f in fields}
+
+
+def _write(form: str, table: dict[str, Any], units: dict[str, str], path: Path) -> None:
+    if form == "parquet":
+        _write_parquet(table, units, path)
+    else:
+        _write_csv(table, path)
+
+
+def _write_csv(table: dict[str, Any], path: Path) -> None:
+    """Write numbers so that reading them gives the very same ones; nan stays nan."""
+    lists = [values.tolist() if isinstance(values, np.ndarray) else values for values in table.values()]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(table)
+        rows = list(zip(*lists, strict=True))
+        for start in range(0, len(rows), _CSV_ROWS):
+            writer.writerows(rows[start : start + _CSV_ROWS])
+
+
+def _write_parquet(table: dict[str, Any], units: dict[str, str], path: Path) -> None:
+    arrow, parquet = _pyarrow()
+    fields, arrays = [], []
+    for name, values in table.items():
+        array = arrow.array(np.ascontiguousarray(values) if isinstance(values, np.ndarray) else values)
+        unit = units.get(name.partition("[")[0], "")
+        fields.append(arrow.field(name, array.type, metadata={"unit": unit} if unit else None))
+        arrays.append(array)
+    parquet.write_table(arrow.table(arrays, schema=arrow.schema(fields)), path, compression="zstd")
+
+
+def _pyarrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        text = "needs pyarrow, which is not installed: pip install 'hil-bench[parquet]', or take --format csv"
+        raise BadInput.single("--format", "parquet", text) from error
+    return pyarrow, parquet

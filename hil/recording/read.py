@@ -1,0 +1,253 @@
+"""Reads a recording back: whole ones, those that broke off, and those of another program's version as far as they tell.
+
+The file is read from front to back, so that one without its end reads as well: what is whole in it counts.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+import zstandard
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from pydantic import ValidationError
+
+from hil.config.model import Strict
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.errors import BadInput
+from hil.messages import CYCLE
+from hil.recording import schema, show, writer
+
+_Model = TypeVar("_Model", bound=Strict)
+
+_BROKEN: Final = (
+    McapError,
+    ValueError,
+    LookupError,
+    struct.error,
+    EOFError,
+    zstandard.ZstdError,
+    MemoryError,
+    OverflowError,
+)
+"""What the package raises at bytes that are no record."""
+_RECORD_BYTES_MAX: Final = 1 << 30
+
+
+@dataclass
+class Scan:
+    """Goes through a file record by record. lost_chunks: found damaged and left out; ended: the file has its end."""
+
+    path: Path
+    lost_chunks: int = 0
+    ended: bool = False
+
+    @property
+    def intact(self) -> bool:
+        return self.ended and not self.lost_chunks
+
+    def records(self) -> Iterator[McapRecord]:
+        """Yield schemas, channels, messages, attachments and metadata. Raises BadInput where the file is no MCAP."""
+        try:
+            with self.path.open("rb") as stream:
+                yield from self._records(StreamReader(stream, emit_chunks=True, record_size_limit=_RECORD_BYTES_MAX))
+        except OSError as error:
+            raise BadInput.single(str(self.path), "", f"cannot be read: {error.strerror}") from error
+
+    def _records(self, reader: StreamReader) -> Iterator[McapRecord]:
+        found = reader.records
+        begun = past_data = False
+        while True:
+            try:
+                record = next(found, None)
+            except _BROKEN as error:
+                if not begun:
+                    text = "not a recording: it does not begin as an MCAP file does"
+                    raise BadInput.single(str(self.path), "", text) from error
+                return
+            begun = True
+            if record is None:
+                self.ended = True
+                return
+            if isinstance(record, DataEnd):
+                past_data = True
+            elif isinstance(record, Chunk):
+                yield from self._messages(record)
+            elif isinstance(record, (Schema, Channel)) or not past_data:  # the index repeats those two
+                yield record
+
+    def _messages(self, chunk: Chunk) -> list[McapRecord]:
+        try:
+            return breakup_chunk(chunk, validate_crc=True)
+        except _BROKEN:
+            self.lost_chunks += 1
+            return []
+
+
+@dataclass
+class Contents:
+    """All that stands in a recording, as it is: nothing of it has been interpreted yet.
+
+    records: topic -> its flat layout and its messages' bytes, in the order of writing. lines: topic -> JSON messages.
+    """
+
+    path: Path
+    run: dict[str, str] = field(default_factory=dict)
+    end: dict[str, str] | None = None
+    files: dict[str, str] = field(default_factory=dict)
+    layouts: dict[str, np.dtype] = field(default_factory=dict)
+    schemas: dict[str, bytes] = field(default_factory=dict)
+    records: dict[str, list[bytes]] = field(default_factory=dict)
+    lines: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    intact: bool = False
+
+    @property
+    def version(self) -> str:
+        return self.run.get("schema_version", "")
+
+    def flat(self, topic: str) -> np.ndarray:
+        """Return the messages of ``topic``, (n,), with dotted names of fields."""
+        return np.frombuffer(b"".join(self.records[topic]), self.layouts[topic])
+
+
+def contents(path: Path, topics: frozenset[str] | None = None) -> Contents:
+    """Return what stands in the recording at ``path``; topics: those wanted, None for all. Raises BadInput."""
+    found = Contents(path)
+    schemas, channels = directory(path)
+    for known in channels.values():
+        _note_channel(found, known, schemas)
+    scan = Scan(path)
+    for record in scan.records():
+        match record:
+            case Message():
+                channel = channels.get(record.channel_id)
+                if channel and (topics is None or channel.topic in topics):
+                    _note_message(found, channel, record)
+            case Metadata(name=writer.RUN):
+                found.run = dict(record.metadata)
+            case Metadata(name=writer.END):
+                found.end = dict(record.metadata)
+            case Attachment():
+                found.files[record.name] = record.data.decode(errors="replace")
+            case _:
+                pass
+    if not found.version:
+        raise BadInput.single(str(path), "", f"no recording of hil: an MCAP file without the metadata {writer.RUN}")
+    found.intact = scan.intact
+    return found
+
+
+def directory(path: Path) -> tuple[dict[int, Schema], dict[int, Channel]]:
+    """Return schemas and channels by their numbers, also where the block that first told them is damaged."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    for record in Scan(path).records():
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+    return schemas, channels
+
+
+def _note_channel(found: Contents, channel: Channel, schemas: dict[int, Schema]) -> None:
+    if channel.message_encoding == schema.RECORD_ENCODING and channel.schema_id in schemas:
+        text = schemas[channel.schema_id].data
+        found.layouts[channel.topic] = schema.layout_of(text, f"{found.path}: {channel.topic}")
+        found.schemas[channel.topic] = text
+        found.records.setdefault(channel.topic, [])
+    else:
+        found.lines.setdefault(channel.topic, [])
+
+
+def _note_message(found: Contents, channel: Channel, message: Message) -> None:
+    if channel.topic in found.layouts:
+        found.records[channel.topic].append(message.data)
+    elif channel.message_encoding == "json":
+        found.lines[channel.topic].append(json.loads(message.data))
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A run as this program understands it.
+
+    cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. notes: log lines as recorded. summary: as of ``hil run --json``,
+    None for a run that broke off. intact: the file has its end and no damage.
+    """
+
+    path: Path
+    run: dict[str, str]
+    end: dict[str, str] | None
+    scenario: Scenario
+    rig: Rig
+    cycles: np.ndarray
+    arrivals: np.ndarray
+    notes: list[dict[str, Any]]
+    summary: dict[str, Any] | None
+    intact: bool
+
+
+def load(path: Path) -> Recorded:
+    """Return the run recorded at ``path``.
+
+    Raises BadInput for a file that is no recording, or one of another version of the schemas or configuration.
+    """
+    found = contents(path, frozenset({"/cycle", "/vmu/frames", show.LOG_TOPIC}))
+    _check_version(found)
+    summary = found.files.get(writer.SUMMARY)
+    return Recorded(
+        path,
+        found.run,
+        found.end,
+        _model(found, "scenario.json", Scenario),
+        _model(found, "rig.json", Rig),
+        _rows(found, "/cycle"),
+        _rows(found, "/vmu/frames"),
+        found.lines.get(show.LOG_TOPIC, []),
+        json.loads(summary) if summary else None,
+        found.intact,
+    )
+
+
+def _check_version(found: Contents) -> None:
+    if found.version != str(schema.VERSION):
+        hil = found.run.get("hil", "unknown")
+        text = (
+            f"a recording of schema version {found.version}, written by hil {hil}; this program reads version "
+            f"{schema.VERSION}: read it with hil {hil}, or take its numbers with hil export"
+        )
+        raise BadInput.single(str(found.path), "", text)
+
+
+def _rows(found: Contents, topic: str) -> np.ndarray:
+    dtype = schema.RECORDS[topic][1]
+    if topic not in found.layouts:
+        return np.zeros(0, dtype)
+    if not schema.same_layout(found.layouts[topic], dtype):
+        text = (
+            f"the records of {topic} have another layout than this program's, though both say version {found.version}"
+        )
+        raise BadInput.single(str(found.path), "", text)
+    return np.frombuffer(bytearray().join(found.records[topic]), dtype)  # kernels are compiled for arrays to write in
+
+
+def _model(found: Contents, name: str, model: type[_Model]) -> _Model:
+    if name not in found.files:
+        raise BadInput.single(str(found.path), name, "is missing in this recording")
+    try:
+        return model.model_validate_json(found.files[name])
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        text = f"{first['msg']}: not what this program's configuration has; read it with hil {found.run.get('hil')}"
+        raise BadInput.single(str(found.path), f"{name}: {key}", text) from error
+
+
+assert CYCLE is schema.RECORDS["/cycle"][1]

@@ -1,0 +1,85 @@
+"""Makes a recording that broke off whole again: copies what can be read into a new file with an end and an index."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, cast
+
+from mcap.records import Attachment, Message, Metadata
+from mcap.writer import CompressionType, Writer
+
+from hil.errors import BadInput
+from hil.recording.read import Scan, directory
+from hil.recording.sink import Sink
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What was found. out: the new file, None where the old one is intact. length_s: from first to last message."""
+
+    out: Path | None
+    messages: int
+    lost_chunks: int
+    length_s: float
+
+
+def recover(path: Path, out: Path | None = None) -> Recovered:
+    """Write what is whole in the file at ``path`` into ``out``, by default ``NAME.recovered.mcap`` beside it.
+
+    The file itself stays as it is; an intact one is only counted. Raises BadInput where it is no MCAP file, or
+    ``out`` exists already or cannot be written.
+    """
+    scan = Scan(path)
+    counted = _count(scan)
+    if scan.intact:
+        return counted
+    out = out or path.with_name(f"{path.stem}.recovered.mcap")
+    try:
+        sink = Sink(out)
+    except OSError as error:
+        raise BadInput.single("--out", "", f"{out}: {error.strerror}") from error
+    _copy(path, sink)
+    if sink.problem:
+        out.unlink()
+        raise BadInput.single("--out", "", f"{out}: {sink.problem}")
+    return Recovered(out, counted.messages, counted.lost_chunks, counted.length_s)
+
+
+def _count(scan: Scan) -> Recovered:
+    times = [record.log_time for record in scan.records() if isinstance(record, Message)]
+    length_s = (max(times) - min(times)) * 1e-9 if times else 0.0
+    return Recovered(None, len(times), scan.lost_chunks, length_s)
+
+
+def _copy(path: Path, sink: Sink) -> None:
+    writer = Writer(cast(IO[bytes], sink), compression=CompressionType.ZSTD)
+    writer.start("hil", "hil recover")
+    channels = _register(path, writer)
+    for record in Scan(path).records():
+        match record:
+            case Message() if record.channel_id in channels:
+                channel = channels[record.channel_id]
+                writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
+            case Attachment():
+                writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+            case Metadata():
+                writer.add_metadata(record.name, record.metadata)
+            case _:
+                pass
+    writer.finish()
+    sink.close()
+
+
+def _register(path: Path, writer: Writer) -> dict[int, int]:
+    """Make schemas and channels of the old file known to ``writer``; return old -> new number of each channel."""
+    schemas, channels = directory(path)
+    known = {0: 0}
+    for number, schema in schemas.items():
+        known[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
+    return {
+        number: writer.register_channel(
+            channel.topic, channel.message_encoding, known.get(channel.schema_id, 0), channel.metadata
+        )
+        for number, channel in channels.items()
+    }

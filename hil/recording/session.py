@@ -1,0 +1,279 @@
+"""One recorded run, from the loop's side: catalogue entry, header, recorder, and how it ended."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+import secrets
+import select
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from hil import __version__
+from hil.assembly import Job
+from hil.config.digest import motion_digest
+from hil.errors import BadInput
+from hil.frmn.ring import Ring
+from hil.recording import recorder
+from hil.recording.catalogue import BROKEN_OFF, DONE, Catalogue
+from hil.recording.schema import VERSION
+from hil.recording.taps import Taps
+from hil.recording.utc import utc_ns, utc_text
+from hil.recording.writer import Account, Header, RunFile
+
+_RING_S: Final = 5.0  # of cycles: how long the recorder may stand still before anything is lost
+_ROWS_LEAST: Final = 2048
+_SLOTS: Final = {"arrivals": 1024, "notes": 256, "pictures": 8}
+_READY_WALL_S: Final = 60.0
+_FINISH_WALL_S: Final = 30.0
+_EXIT_WALL_S: Final = 1.0
+
+
+class _Recorder(Protocol):
+    taps: Taps
+
+    def finish(self, end: dict[str, str], summary: str) -> Account:
+        """Close the file."""
+
+
+class Recording:
+    """A run that is being recorded into ``path``. Tap the run with ``taps``; ``finish`` it with its summary."""
+
+    def __init__(self, run: str, path: Path, catalogue: Catalogue, recorder: _Recorder) -> None:
+        self.run = run
+        self.path = path
+        self.taps = recorder.taps
+        self.account: Account | None = None
+        self._catalogue = catalogue
+        self._recorder = recorder
+
+    def finish(self, summary: dict[str, Any]) -> Account:
+        """Close the recording with the run's numbers (as of ``hil run --json``); enter them into the catalogue."""
+        return self._finish(DONE, summary["stop"], summary)
+
+    def break_off(self, reason: str) -> Account:
+        """Close the recording of a run that came to no verdict."""
+        return self._finish(BROKEN_OFF, reason, {})
+
+    def _finish(self, state: str, stop: str, summary: dict[str, Any]) -> Account:
+        ended = utc_text()
+        end = {"stop": stop, "ended_utc": ended}
+        account = self._recorder.finish(end, json.dumps(summary, allow_nan=False) if summary else "")
+        try:
+            self._catalogue.end(self.run, ended, state, account.cycles, account.dropped, summary)
+        except (sqlite3.Error, BadInput) as error:
+            trouble = f"{self._catalogue.path}: the run's end is not entered: {error}"
+            account = Account(account.cycles, account.dropped, account.size_bytes, account.problem or trouble)
+        self.account = account
+        return account
+
+
+@contextmanager
+def recording(job: Job, rig_name: str, folder: Path, announce: Callable[[str], None]) -> Iterator[Recording]:
+    """Give a recording of ``job`` in ``folder``, which is made if need be.
+
+    Whatever leaves without ``finish`` is entered as broken off. Raises BadInput where nothing can be written there.
+    """
+    started_ns = utc_ns()
+    scenario = job.scenario.value
+    stamp = utc_text(started_ns)[:19].replace("-", "").replace(":", "")
+    run = f"{stamp}Z-{_plain(scenario.name)}-{_plain(Path(rig_name).stem)}-s{job.seed}-{secrets.token_hex(2)}"
+    path = folder / f"{run}.mcap"
+    catalogue = Catalogue(folder)
+    header = _header(job, rig_name, run, started_ns)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        made: _Recorder = _InMemory(path, header) if job.rig.value.kind == "mock" else _Process(job, path, run, header)
+    except OSError as error:
+        text = f"{folder}: cannot record there: {error.strerror or error}"
+        raise BadInput.single("--record", "", text) from error
+    try:
+        catalogue.begin(
+            {
+                "run": run,
+                "started_utc": utc_text(started_ns),
+                "scenario": scenario.name,
+                "rig": rig_name,
+                "seed": job.seed,
+                "duration_s": job.duration_s,
+                "file": path.name,
+                "hil": __version__,
+            }
+        )
+    except (BadInput, sqlite3.Error) as error:
+        made.finish({"stop": "not begun", "ended_utc": utc_text()}, "")
+        path.unlink(missing_ok=True)
+        if isinstance(error, BadInput):
+            raise
+        text = f"{catalogue.path}: the run cannot be entered: {error}"
+        raise BadInput.single("--record", "", text) from error
+    taken = Recording(run, path, catalogue, made)
+    announce(f"recording to {path}")
+    if isinstance(made, _Process):
+        announce(f"recorder process {made.pid}")
+    try:
+        yield taken
+    except BaseException as error:
+        if taken.account is None:
+            taken.break_off(str(error) or type(error).__name__)
+        raise
+    if taken.account is None:
+        taken.break_off("no summary")
+
+
+def _plain(name: str) -> str:
+    """Return ``name`` as it may stand in a file's name."""
+    return "".join(c if c.isalnum() or c in "-_" else "-" for c in name)[:40] or "run"
+
+
+def _header(job: Job, rig_name: str, run: str, started_ns: int) -> Header:
+    scenario, rig = job.scenario.value, job.rig.value
+    versions = {name: importlib.metadata.version(name) for name in ("numpy", "numba", "scipy", "mcap")}
+    facts = {
+        "schema_version": str(VERSION),
+        "run": run,
+        "scenario": scenario.name,
+        "scenario_file": job.scenario.source,
+        "rig": rig_name,
+        "rig_file": job.rig.source,
+        "rig_kind": rig.kind,
+        "seed": str(job.seed),
+        "duration_s": repr(job.duration_s),
+        "step_s": repr(scenario.step_s),
+        "speed": repr(job.speed),
+        "started_utc": utc_text(started_ns),
+        "hil": __version__,
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        "host": platform.node(),
+        "calibration_motion": motion_digest(rig),
+        "calibration_sign_off": (rig.sign_off.digest or "") if rig.sign_off else "",
+        **versions,
+        **file_digests({"scenario": scenario.model_dump(mode="json"), "rig": rig.model_dump(mode="json")}),
+    }
+    files = {"scenario.json": scenario.model_dump_json(), "rig.json": rig.model_dump_json()}
+    return Header(facts, files, started_ns)
+
+
+def file_digests(table: dict[str, Any], prefix: str = "calibration_") -> dict[str, str]:
+    """Return a digest of each file that the configuration names by a key that ends in ``_file``; prefix: of the key."""
+    found: dict[str, str] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            found |= file_digests(value, f"{prefix}{key}.")
+        elif key.endswith("_file") and isinstance(value, str):
+            path = Path(value)
+            digest = f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" if path.is_file() else "missing"
+            found[f"{prefix}{key}"] = f"{path.name} {digest}"
+    return found
+
+
+class _Direct:
+    """Puts rows into the file at once."""
+
+    def __init__(self, write: Callable[[np.ndarray], None]) -> None:
+        self._write = write
+
+    def put(self, row: np.ndarray) -> None:
+        self._write(row)
+
+
+class _InMemory:
+    """Records a run in simulated time, which waits for its recorder: nothing is lost."""
+
+    def __init__(self, path: Path, header: Header) -> None:
+        self._file = RunFile(path, header)
+        file = self._file
+        self.taps = Taps(*(_Direct(write) for write in (file.cycles, file.arrivals, file.notes, file.pictures)))
+
+    def finish(self, end: dict[str, str], summary: str) -> Account:
+        return self._file.finish(end, summary)
+
+
+class _Process:
+    """The recorder process and the rings that lead to it. Started in the thread that lives as long as the run."""
+
+    def __init__(self, job: Job, path: Path, run: str, header: Header) -> None:
+        self._path = path
+        rows = max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s))
+        slots = {"cycles": rows, **_SLOTS}
+        self._rings = {name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items()}
+        self.taps = Taps(**self._rings)
+        self._socket, there = socket.socketpair()
+        configuration = {
+            "file": str(path),
+            "run": run,
+            "header": {"run": header.run, "files": header.files, "started_ns": header.started_ns},
+            "rings": {name: (ring.descriptor, ring.slots) for name, ring in self._rings.items()},
+            "socket": there.fileno(),
+        }
+        descriptors = (*(ring.descriptor for ring in self._rings.values()), there.fileno())
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "hil.recording.recorder"], stdin=subprocess.PIPE, pass_fds=descriptors
+        )
+        there.close()
+        assert self._child.stdin is not None
+        with suppress(BrokenPipeError):
+            self._child.stdin.write(json.dumps(configuration).encode() + b"\n")
+            self._child.stdin.close()
+        said = self._hear(_READY_WALL_S)
+        if said != recorder.READY:
+            self._close()
+            raise OSError(0, said.decode(errors="replace").strip() or "the recorder process did not start")
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    def finish(self, end: dict[str, str], summary: str) -> Account:
+        """Let the recorder close the file; tell what became of it, also where the recorder has died."""
+        with suppress(OSError):
+            self._socket.sendall(json.dumps({"end": end, "summary": summary}).encode() + b"\n")
+        said = self._hear(_FINISH_WALL_S)
+        code = self._close()
+        if said.endswith(b"\n"):
+            return Account(**json.loads(said))
+        how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        size = self._path.stat().st_size if self._path.exists() else 0
+        text = f"{self._path}: the recorder process {how}; make what it wrote whole with hil recover"
+        return Account(None, 0, size, text)
+
+    def _hear(self, within_s: float) -> bytes:
+        """Return the line that the recorder says within ``within_s`` of wall time, what came of it otherwise."""
+        said = b""
+        give_up_s = time.monotonic() + within_s
+        while not said.endswith(b"\n"):
+            if not select.select([self._socket], [], [], max(0.0, give_up_s - time.monotonic()))[0]:
+                break
+            try:
+                part = self._socket.recv(1 << 16)
+            except OSError:
+                break
+            if not part:
+                break
+            said += part
+        return said
+
+    def _close(self) -> int:
+        """Let go of everything; return the recorder's exit code."""
+        self._socket.close()
+        try:
+            code = self._child.wait(_EXIT_WALL_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            code = self._child.wait()
+        for ring in self._rings.values():
+            ring.close()
+        return code

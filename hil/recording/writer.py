@@ -1,0 +1,177 @@
+"""Writes one run into one MCAP file; the same code in the recorder process and, on a mock rig, in the run's own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Final, cast
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from hil.messages import CYCLE
+from hil.recording import schema, show
+from hil.recording.sink import Sink
+
+FLUSH_S: Final = 0.1
+"""Time of the run after which what came is in the file, and would survive this process."""
+
+RUN, END, SUMMARY = "hil.run", "hil.end", "summary.json"
+"""Names of the metadata at the begin and at the end, and of the attachment with the run's numbers."""
+
+_SHOWN_EACH_S: Final = 0.1  # the JSON group is for the eye
+_SLACK_S: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class Header:
+    """What is known before a run. run: names, versions, calibration. files: name of an attachment -> its text."""
+
+    run: Mapping[str, str]
+    files: Mapping[str, str]
+    started_ns: int
+    """UTC; a message's log time is this plus the time of the run."""
+
+
+@dataclass(frozen=True)
+class Account:
+    """What became of a recording.
+
+    cycles: in the file, None where that is not known. dropped: messages that are not in the file; problem: why, ""
+    where none is missing.
+    """
+
+    cycles: int | None = 0
+    dropped: int = 0
+    size_bytes: int = 0
+    problem: str = ""
+
+
+class RunFile:
+    """A recording under way. Raises OSError where the file cannot be made; later trouble is counted, not raised."""
+
+    def __init__(self, path: Path, header: Header) -> None:
+        self.path = path
+        self._sink = Sink(path)
+        self._started_ns = header.started_ns
+        self._writer = Writer(cast(IO[bytes], self._sink), compression=CompressionType.ZSTD)
+        self._writer.start("hil", f"hil {header.run.get('hil', '')}")
+        self._channels = {topic: self._record_channel(topic) for topic in schema.RECORDS}
+        self._channels |= {topic: self._json_channel(topic, content) for topic, content in show.SCHEMAS.items()}
+        self._picture_schema = 0
+        self._cycles = self._dropped = self._unflushed = 0
+        self._last_s = 0.0
+        self._flushed_s = self._shown_s = -np.inf
+        self._writer.add_metadata(RUN, dict(header.run))
+        for name, text in header.files.items():
+            self._writer.add_attachment(self._started_ns, self._started_ns, name, "application/json", text.encode())
+        self.flush()
+        if self._sink.problem:
+            self._sink.close()
+            path.unlink()
+            raise OSError(0, self._sink.problem)
+
+    def _record_channel(self, topic: str) -> int:
+        name, dtype = schema.RECORDS[topic]
+        number = self._writer.register_schema(name, schema.FIELDS_ENCODING, schema.describe(name, dtype))
+        return self._writer.register_channel(topic, schema.RECORD_ENCODING, number)
+
+    def _json_channel(self, topic: str, content: Mapping[str, Any]) -> int:
+        text = json.dumps(content).encode()
+        number = self._writer.register_schema(content["title"], "jsonschema", text)
+        return self._writer.register_channel(topic, "json", number)
+
+    def cycles(self, rows: np.ndarray) -> None:
+        """Write rows (n,) of CYCLE."""
+        for row in rows:
+            self._cycle(row)
+
+    def _cycle(self, row: np.void) -> None:
+        t_s = self._last_s = float(row["t_s"])
+        self._add("/cycle", row.tobytes(), t_s, self._cycles)
+        self._cycles += 1
+        if t_s - self._shown_s >= _SHOWN_EACH_S - _SLACK_S:
+            self._shown_s = t_s
+            self._add(show.STATE_TOPIC, show.encoded(show.state(row)), t_s)
+            self._add(show.TRANSFORM_TOPIC, show.encoded(show.transform(row, self._time_ns(t_s))), t_s)
+        if t_s - self._flushed_s >= FLUSH_S - _SLACK_S:
+            self.flush()
+
+    def arrivals(self, rows: np.ndarray) -> None:
+        """Write frames of the vision unit, (n,) of ARRIVAL."""
+        for row in rows:
+            t_s = float(row["pose"]["t_s"]) if row["cycle"] >= 0 else self._last_s
+            self._add("/vmu/frames", row.tobytes(), t_s)
+
+    def notes(self, rows: np.ndarray) -> None:
+        """Write what was noted, (n,) of NOTE."""
+        for row in rows:
+            t_s = float(row["t_s"])
+            self._add(show.LOG_TOPIC, show.encoded(show.log(row, self._time_ns(t_s))), t_s)
+
+    def pictures(self, rows: np.ndarray) -> None:
+        """Write pictures, (n,) of PICTURE."""
+        for row in rows:
+            camera, t_s = row["camera"].decode(errors="replace"), float(row["t_s"])
+            jpeg = row["jpeg"][: int(row["size"])].tobytes()
+            self._add(self._camera(camera), show.encoded(show.picture(camera, jpeg, t_s, self._time_ns(t_s))), t_s)
+
+    def _camera(self, name: str) -> str:
+        topic = f"{show.PICTURE_TOPICS}{name}"
+        if topic not in self._channels:
+            if not self._picture_schema:
+                text = json.dumps(show.PICTURE_SCHEMA).encode()
+                self._picture_schema = self._writer.register_schema(show.PICTURE_SCHEMA["title"], "jsonschema", text)
+            self._channels[topic] = self._writer.register_channel(topic, "json", self._picture_schema)
+        return topic
+
+    def lost(self, messages: int) -> None:
+        """Count messages that never came here."""
+        self._dropped += messages
+
+    def flush(self) -> None:
+        """Bring what came into the file."""
+        self._flushed_s = self._last_s
+        if not self._sink.problem:
+            self._writer.flush()
+            if self._sink.problem:
+                self._dropped += self._unflushed
+        self._unflushed = 0
+
+    def finish(self, end: Mapping[str, str], summary: str = "") -> Account:
+        """Write how it ended, the summary (JSON) and the index; close the file."""
+        self.flush()
+        if not self._sink.problem:
+            end = {**end, "cycles": str(self._cycles), "dropped": str(self._dropped)}
+            if summary:
+                time_ns = self._time_ns(self._last_s)
+                self._writer.add_attachment(time_ns, time_ns, SUMMARY, "application/json", summary.encode())
+            self._writer.add_metadata(END, end)
+            self._writer.finish()
+        self._sink.close()
+        return Account(self._cycles, self._dropped, self._sink.size, self._problem())
+
+    def _problem(self) -> str:
+        if self._sink.problem:
+            return (
+                f"{self.path}: {self._sink.problem}: {self._dropped} messages are not recorded; "
+                f"what was written before stands, make it whole with hil recover"
+            )
+        return f"{self.path}: {self._dropped} messages came too fast and are not recorded" if self._dropped else ""
+
+    def _add(self, topic: str, message: bytes, t_s: float, sequence: int = 0) -> None:
+        if self._sink.problem:
+            self._dropped += 1
+            return
+        time_ns = self._time_ns(t_s)
+        self._writer.add_message(self._channels[topic], time_ns, message, time_ns, sequence)
+        self._unflushed += 1
+
+    def _time_ns(self, t_s: float) -> int:
+        """Return the log time of what happened at ``t_s`` of the run; what was before the run is put to its begin."""
+        return self._started_ns + (round(t_s * 1e9) if t_s > 0.0 else 0)
+
+
+assert CYCLE.itemsize % 8 == 0  # rows follow each other in files and rings without a gap

@@ -1,0 +1,155 @@
+"""Two or more recorded runs beside each other; of one scenario on two rigs: where one leaves the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from hil.config.scenario import Scenario
+from hil.messages import Array
+from hil.report.verdict import deviations, tolerances
+
+LEFT_SIGMAS: Final = 3.0
+_LEFT_FOR_S: Final = 1.0  # shorter excursions are noise
+
+_QUANTITIES: Final = (
+    ("position_m", "sigma_r_m", "position", "mm", 1e3, 1.0),
+    ("velocity_mps", "sigma_v_mps", "velocity", "mm/s", 1e3, 1.0),
+    ("attitude_deg", "sigma_attitude_rad", "attitude", "deg", 1.0, 180.0 / np.pi),
+)
+
+
+@dataclass(frozen=True)
+class Parting:
+    """How far two runs' truths are apart in one axis.
+
+    largest: |difference| in ``unit``, at ``at_s``. sigmas: largest by the standard deviations of both runs together,
+    of filter and dead band, None where the filters have none. beyond: share of the time above LEFT_SIGMAS. left_s: when
+    it began to be above for a second, None for never. of_tolerance: largest by Table III's tolerance.
+    """
+
+    name: str
+    unit: str
+    largest: float
+    at_s: float
+    sigmas: float | None
+    beyond: float | None
+    left_s: float | None
+    of_tolerance: float
+
+
+def part(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[Parting]:
+    """Return the partings of two runs of ``scenario``, histories of CYCLE, over the time that both have flown."""
+    n = min(len(a), len(b))
+    a, b = a[:n], b[:n]
+    if not n:
+        return []
+    of_a, of_b = (deviations(rows, scenario.requirements) for rows in (a, b))
+    allowed = tolerances(scenario.requirements)
+    known = (a["navigation"]["valid"] == 1) & (b["navigation"]["valid"] == 1)
+    found = []
+    for row, sigma, name, unit, scale, of_sigma in _QUANTITIES:
+        apart = np.abs(getattr(of_a, row) - getattr(of_b, row))
+        spread = np.hypot(*(_spread(of_sigma * rows["navigation"][sigma], row, scenario) for rows in (a, b)))
+        for i, axis in enumerate("xyz"):
+            content = _parting(
+                f"{name} {axis}", unit, scale, apart[:, i], spread[:, i], known, a["t_s"], scenario.step_s
+            )
+            found.append(Parting(**content, of_tolerance=float(apart[:, i].max() / allowed[row][i])))
+    return found
+
+
+def _spread(sigma: Array, row: str, scenario: Scenario) -> Array:
+    """Return the standard deviation, (n, 3), that the truth of one run has about its plan.
+
+    Control sees the estimate, and lets it drift freely through its dead band: equally likely anywhere in it.
+    """
+    control = scenario.gnc.control
+    deadband, caution = {
+        "position_m": (control.deadband_m, control.caution),
+        "attitude_deg": (control.deadband_deg, control.attitude_caution),
+    }.get(row, (0.0, 0.0))
+    spread: Array = np.hypot(sigma, (deadband + caution * sigma) / np.sqrt(3.0))
+    return spread
+
+
+def _parting(
+    name: str, unit: str, scale: float, apart: Array, spread: Array, known: np.ndarray, t_s: Array, step_s: float
+) -> dict[str, Any]:
+    worst = int(np.argmax(apart))
+    usable = known & np.isfinite(spread) & (spread > 0.0)
+    content: dict[str, Any] = {
+        "name": name,
+        "unit": unit,
+        "largest": scale * float(apart[worst]),
+        "at_s": float(t_s[worst]),
+        "sigmas": None,
+        "beyond": None,
+        "left_s": None,
+    }
+    if not usable.any():
+        return content
+    ratio = np.where(usable, apart / np.where(usable, spread, 1.0), 0.0)
+    out = ratio > LEFT_SIGMAS
+    return content | {
+        "sigmas": float(ratio.max()),
+        "beyond": float(out[usable].mean()),
+        "left_s": _first_stretch(out, t_s, max(1, round(_LEFT_FOR_S / step_s))),
+    }
+
+
+def _first_stretch(out: np.ndarray, t_s: Array, least: int) -> float | None:
+    """Return when ``out`` first began to hold for ``least`` cycles on end, None for never."""
+    edges = np.diff(np.concatenate([[0], out.astype(np.int8), [0]]))
+    for begin, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        if end - begin >= least:
+            return float(t_s[begin])
+    return None
+
+
+def key_numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return what is laid beside each other of several runs: label and text."""
+    navigation, thrusters, timing = summary["navigation"], summary["thrusters"], summary["timing"]
+    bench, latency = summary["bench"], summary["latency"]
+    return [
+        ("verdict", "pass" if summary["passed"] else "fail"),
+        ("stop", str(summary["stop"])),
+        ("ready, s", _text(summary["ready_time_s"], ".2f")),
+        ("least margin to Table III", _percent(summary["verdict"]["control_precision"]["margin"])),
+        ("position rmse x y z, mm", _three(navigation["position_rmse_m"], 1e3)),
+        ("velocity rmse x y z, mm/s", _three(navigation["velocity_rmse_mps"], 1e3)),
+        ("attitude rmse x y z, deg", _three(navigation["attitude_rmse_deg"], 1.0)),
+        ("mean NEES position, 9 states", _text(navigation["nees_pkf"], ".2f")),
+        ("mean NEES attitude, 6 states", _text(navigation["nees_akf"], ".2f")),
+        ("propellant, kg", _text(thrusters["propellant_kg"], ".4f")),
+        ("firings", str(sum(thrusters["thruster_firings"]))),
+        ("camera off, rms mm", _text(bench["pose_error_mm"]["rms"], ".3f")),
+        ("pose to command p50 p99, ms", _times(latency["pose_to_command_ms"])),
+        ("setpoint to encoder p50 p99, ms", _times(latency["setpoint_to_encoder_ms"])),
+        ("overruns, periods lost", f"{timing['overruns']}, {timing['skipped_periods']}"),
+        ("lateness p50 p99 max, us", " ".join(f"{timing['lateness_us'][p]:.0f}" for p in ("p50", "p99", "max"))),
+    ]
+
+
+def same_flight(runs: Sequence[dict[str, str]]) -> bool:
+    """Return whether all metadata of ``runs`` name one scenario and one step."""
+    return len({(run["scenario"], run["step_s"]) for run in runs}) == 1
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100.0 * value:.0f} %"
+
+
+def _three(values: list[float] | None, scale: float) -> str:
+    return "-" if values is None else " ".join(f"{scale * value:.4g}" for value in values)
+
+
+def _times(times: dict[str, float | None]) -> str:
+    return f"{_text(times['p50'], '.2f')} {_text(times['p99'], '.2f')}"

@@ -1,0 +1,215 @@
+"""Figures of a recorded run, as SVG: figures 5 to 8 of the bench paper, NIS, lateness, bench error."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.gnc.watch import WINDOWS, nis_band
+from hil.late_cycles import lateness_histogram
+from hil.messages import Array
+from hil.report.bench_error import pose_errors
+from hil.report.summary import attitude_error
+from hil.report.verdict import Verdict, deviations, tolerances
+
+mpl.use("Agg")
+mpl.rcParams["svg.hashsalt"] = "hil"  # the same run draws the same bytes
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by the colour-blind
+_POINTS = 1500  # in a line: more is not seen
+_WIDTH_IN = 11.0
+_TAIL = 0.005  # of the NIS' mean on either side of its band
+_ROWS = (
+    ("position_m", "distance, m", ("x - 0.4 m", "y", "z")),
+    ("velocity_mps", "rate, m/s", ("x", "y", "z")),
+    ("attitude_deg", "angle, deg", ("theta1", "theta2", "theta3")),
+    ("rate_degps", "angular rate, deg/s", ("omega1", "omega2", "omega3")),
+)
+
+
+def thin(t_s: Array, values: Array) -> tuple[Array, Array]:
+    """Return a line of at most ``_POINTS`` points that keeps the extremes of each stretch."""
+    n = len(values)
+    if n <= _POINTS:
+        return t_s, values
+    edges = np.linspace(0, n, _POINTS // 2 + 1).astype(int)
+    kept = set()
+    for begin, end in pairwise(edges):
+        part = np.nan_to_num(values[begin:end])
+        kept |= {begin + int(np.argmin(part)), begin + int(np.argmax(part))}
+    chosen = np.array(sorted(kept))
+    return t_s[chosen], values[chosen]
+
+
+def figures(history: np.ndarray, scenario: Scenario, rig: Rig, verdict: Verdict) -> Iterator[tuple[str, str]]:
+    """Yield title and picture (a ``data:`` address) of each figure that the run has something for."""
+    yield "Truth against the ready state (bench paper figures 6 and 7)", _drawn(_motion(history, scenario, verdict))
+    known = history[history["navigation"]["valid"] == 1]
+    if len(known):
+        yield "Estimation error and 3 sigma (bench paper figure 5)", _drawn(_estimate(known))
+    updates = known[np.isfinite(known["navigation"]["nis_position"])]
+    if len(updates) > WINDOWS[0]:
+        yield "Normalised innovations squared and the band of their mean", _drawn(_nis(updates))
+    yield "Thruster firings (bench paper figure 8)", _drawn(_firings(history, scenario))
+    yield "Security: margins of the estimate", _drawn(_security(history))
+    rows, distance, angle = pose_errors(history, rig, scenario.step_s)
+    if len(rows):
+        yield "Bench: the camera against the truth, by the encoders", _drawn(_bench(rows["t_s"], distance, angle))
+    yield "Lateness of the cycles", _drawn(_lateness(history["lateness_s"]))
+
+
+def _drawn(figure: Any) -> str:
+    """Return ``figure`` as an address that holds all of it."""
+    from matplotlib import pyplot as plt
+
+    file = io.BytesIO()
+    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    plt.close(figure)
+    return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"
+
+
+def _axes(rows: int, columns: int, height_in: float, **keywords: Any) -> tuple[Any, Any]:
+    from matplotlib import pyplot as plt
+
+    return plt.subplots(
+        rows, columns, figsize=(_WIDTH_IN, height_in), constrained_layout=True, squeeze=False, **keywords
+    )
+
+
+def _line(plot: Any, t_s: Array, values: Array, **keywords: Any) -> None:
+    plot.plot(*thin(t_s, values), linewidth=0.9, **keywords)
+
+
+def _motion(history: np.ndarray, scenario: Scenario, verdict: Verdict) -> Any:
+    wanted = scenario.requirements
+    found, allowed = deviations(history, wanted), tolerances(wanted)
+    figure, axes = _axes(4, 2, 9.5, width_ratios=(2, 1))
+    last_s = float(found.t_s[-1])
+    for row, (key, label, names) in enumerate(_ROWS):
+        whole, close = axes[row]
+        for plot in (whole, close):
+            for i, name in enumerate(names):
+                _line(plot, found.t_s, getattr(found, key)[:, i], color=COLOURS[i], label=name)
+            if verdict.ready_time_s is not None:
+                plot.axvline(verdict.ready_time_s, color="0.4", linestyle=":", linewidth=1)
+        whole.set_ylabel(label)
+        whole.legend(loc="upper right", ncols=3, fontsize=8)
+        for limit in sorted(set(np.round(allowed[key], 9))):
+            close.axhspan(-limit, limit, color="0.93", zorder=0)
+        close.set_ylim(-1.3 * allowed[key].max(), 1.3 * allowed[key].max())
+        begin_s = max(0.0, (verdict.ready_time_s if verdict.ready_time_s is not None else last_s - 60.0) - 20.0)
+        close.set_xlim(begin_s, max(last_s, begin_s + scenario.step_s))
+    axes[0, 0].set_title("whole run; dotted: ready", loc="left", fontsize=10)
+    axes[0, 1].set_title("at the end, grey: Table III", loc="left", fontsize=10)
+    for plot in axes[3]:
+        plot.set_xlabel("time, s")
+    return figure
+
+
+def _estimate(known: np.ndarray) -> Any:
+    figure, axes = _axes(3, 3, 6.5, sharex=True)
+    truth, estimate = known["truth"], known["navigation"]
+    for column, (title, unit, error, sigma) in enumerate(
+        (
+            ("position", "mm", 1e3 * (truth["r_CT_H"] - estimate["r_CT_H"]), 1e3 * estimate["sigma_r_m"]),
+            ("velocity", "mm/s", 1e3 * (truth["v_CT_H"] - estimate["v_CT_H"]), 1e3 * estimate["sigma_v_mps"]),
+            ("attitude", "deg", np.degrees(attitude_error(known)), np.degrees(estimate["sigma_attitude_rad"])),
+        )
+    ):
+        for i in range(3):
+            plot = axes[i, column]
+            _band(plot, known["t_s"], 3.0 * sigma[:, i])
+            _line(plot, known["t_s"], error[:, i], color=COLOURS[i])
+            late = len(known) // 20
+            extent = np.abs(np.concatenate([error[late:, i], np.nan_to_num(3.0 * sigma[late:, i])])).max()
+            if extent > 0.0 and np.isfinite(extent):
+                plot.set_ylim(-1.2 * extent, 1.2 * extent)
+            plot.set_ylabel(f"{'xyz'[i]}, {unit}")
+        axes[0, column].set_title(f"{title}, grey: 3 sigma", loc="left", fontsize=10)
+        axes[2, column].set_xlabel("time, s")
+    return figure
+
+
+def _band(plot: Any, t_s: Array, half: Array) -> None:
+    if np.isfinite(half).any():
+        t_s, half = thin(t_s, half)
+        plot.fill_between(t_s, -half, half, color="0.88", linewidth=0)
+
+
+def _nis(updates: np.ndarray) -> Any:
+    figure, axes = _axes(2, 1, 4.5, sharex=True)
+    window = WINDOWS[0]
+    low, high = nis_band(window, _TAIL)
+    for plot, key, name in zip(axes[:, 0], ("nis_position", "nis_attitude"), ("position", "attitude"), strict=True):
+        nis, t_s = updates["navigation"][key], updates["t_s"]
+        plot.plot(t_s, nis, ".", markersize=1.5, color="0.6", rasterized=len(nis) > _POINTS)
+        mean = np.convolve(np.nan_to_num(nis), np.ones(window) / window, "valid")
+        plot.axhspan(low, high, color="0.9", zorder=0)
+        _line(plot, t_s[window - 1 :], mean, color=COLOURS[0], label=f"mean of {window}")
+        plot.set_ylim(0.0, 16.0)
+        plot.set_ylabel(f"NIS {name}")
+        plot.legend(loc="upper right", fontsize=8)
+    axes[1, 0].set_xlabel("time, s")
+    return figure
+
+
+def _firings(history: np.ndarray, scenario: Scenario) -> Any:
+    n = len(scenario.chaser.thrusters.position_m)
+    figure, axes = _axes(2, 1, 6.0, sharex=True, height_ratios=(2, 1))
+    raster, sums = axes[:, 0]
+    t_s, step_s = history["t_s"], scenario.step_s
+    for i in range(n):
+        on = np.concatenate([[0], history["command"]["on"][:, i], [0]])
+        begins, ends = np.flatnonzero(np.diff(on) == 1), np.flatnonzero(np.diff(on) == -1)
+        spans = [(t_s[a], max(step_s, t_s[b - 1] - t_s[a] + step_s)) for a, b in zip(begins, ends, strict=True)]
+        raster.broken_barh(spans, (i - 0.4, 0.8), color=COLOURS[i % 3], linewidth=0)
+    raster.set_ylim(-0.7, n - 0.3)
+    raster.set_ylabel("thruster")
+    for i, kind in enumerate(("force", "torque")):
+        spent = step_s * np.cumsum(np.abs(history["command"][kind]).sum(axis=1))
+        _line(sums, t_s, spent, color=COLOURS[i], label=f"{kind} demand, all axes")
+    sums.set_ylabel("time on, s")
+    sums.legend(loc="upper left", fontsize=8)
+    sums.set_xlabel("time, s")
+    return figure
+
+
+def _security(history: np.ndarray) -> Any:
+    figure, axes = _axes(1, 2, 2.6)
+    for plot, key, label in zip(
+        axes[0], ("corridor_margin_m", "closing_margin_mps"), ("corridor, m", "closing rate, m/s"), strict=True
+    ):
+        _line(plot, history["t_s"], history["supervision"][key], color=COLOURS[0])
+        plot.axhline(0.0, color=COLOURS[1], linewidth=1)
+        plot.set_ylabel(label)
+        plot.set_xlabel("time, s")
+    return figure
+
+
+def _bench(t_s: Array, distance: Array, angle: Array) -> Any:
+    figure, axes = _axes(1, 2, 2.6)
+    for plot, values, label in zip(axes[0], (1e3 * distance, np.degrees(angle)), ("mm", "deg"), strict=True):
+        _line(plot, t_s, values, color=COLOURS[0])
+        plot.set_ylabel(f"camera off, {label}")
+        plot.set_xlabel("time, s")
+    return figure
+
+
+def _lateness(lateness_s: Array) -> Any:
+    figure, axes = _axes(1, 1, 2.6)
+    bins = lateness_histogram(lateness_s)
+    labels = [f"< {b['below_us']}" if b["below_us"] is not None else "more" for b in bins]
+    axes[0, 0].bar(range(len(bins)), [b["cycles"] for b in bins], color=COLOURS[0])
+    axes[0, 0].set_xticks(range(len(bins)), labels, fontsize=7)
+    axes[0, 0].set_yscale("symlog")
+    axes[0, 0].set_xlabel("lateness, us")
+    axes[0, 0].set_ylabel("cycles")
+    return figure

@@ -1,0 +1,66 @@
+"""Pieces of a page: every text is escaped here, nothing is loaded from anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; color: #1a1a1a; max-width: 1150px; margin: 1.5em auto; padding: 0 1em; }
+h1 { font-size: 1.6em; margin-bottom: .2em; } h2 { font-size: 1.25em; margin-top: 2em; border-bottom: 1px solid #bbb; }
+h3 { font-size: 1.05em; }
+table { border-collapse: collapse; margin: .6em 0 1em; } caption { text-align: left; font-weight: 600; }
+th, td { padding: .2em .7em; border-bottom: 1px solid #ddd; text-align: right; vertical-align: top; }
+th:first-child, td:first-child, .words td, .words th { text-align: left; }
+img { width: 100%; height: auto; } pre { white-space: pre-wrap; font-size: 12px; background: #f5f5f5; padding: .7em; }
+.verdict { font-size: 1.3em; font-weight: 700; padding: .4em .8em; display: inline-block; border: 3px solid; }
+.pass { color: #00543b; border-color: #009e73; } .fail { color: #7c2d00; border-color: #d55e00; }
+.note { background: #fff4d6; padding: .5em .8em; border-left: 5px solid #e69f00; }
+.out { color: #7c2d00; font-weight: 700; }
+@media print { h2 { break-after: avoid; } img, table { break-inside: avoid; } }
+"""
+
+
+def page(title: str, body: Sequence[str]) -> str:
+    """Return a whole page."""
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        + "\n".join(body)
+        + "\n</body>\n</html>\n"
+    )
+
+
+def heading(level: int, text: str) -> str:
+    return f"<h{level}>{escape(text)}</h{level}>"
+
+
+def paragraph(text: str, kind: str = "") -> str:
+    """Return a paragraph; kind: its class."""
+    return f'<p class="{kind}">{escape(text)}</p>' if kind else f"<p>{escape(text)}</p>"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "", words: bool = False) -> str:
+    """Return a table; cells that begin with "out" are marked. words: all columns are text."""
+    opening = '<table class="words">' if words else "<table>"
+    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    top = "".join(f'<th scope="col">{escape(word)}</th>' for word in head)
+    lines = "\n".join("<tr>" + "".join(_cell(word) for word in row) + "</tr>" for row in rows)
+    return f"{opening}{title}<thead><tr>{top}</tr></thead>\n<tbody>\n{lines}\n</tbody></table>"
+
+
+def _cell(word: str) -> str:
+    kind = ' class="out"' if word == "out" or word.startswith("fail") else ""
+    return f"<td{kind}>{escape(word)}</td>"
+
+
+def picture(title: str, address: str) -> str:
+    """Return a figure with its title; address: ``data:``."""
+    assert address.startswith("data:")
+    return f'<figure><figcaption>{escape(title)}</figcaption><img alt="{escape(title)}" src="{address}"></figure>'
+
+
+def folded(title: str, text: str) -> str:
+    """Return text that opens at a click."""
+    return f"<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>"

@@ -1,0 +1,200 @@
+"""The report of one or more recorded runs: one page that holds everything."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from hil.recording.read import Recorded
+from hil.report import html
+from hil.report.comparison import LEFT_SIGMAS, key_numbers, part, same_flight
+from hil.report.figures import figures
+from hil.report.paper import TABLE_V
+from hil.report.summary import summarise
+from hil.report.table import ROW_LABELS, parts_in_words
+from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
+from hil.runner import Outcome
+
+BROKE_OFF: Final = "the recording broke off"
+_VERSIONS: Final = ("hil", "schema_version", "python", "numpy", "numba", "scipy", "mcap", "system", "host")
+_CALIBRATION: Final = ("calibration_motion", "calibration_sign_off", "scenario_file", "rig_file", "rig_kind")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A recorded run with its numbers and verdict."""
+
+    recorded: Recorded
+    summary: dict[str, Any]
+    verdict: Verdict
+
+    @property
+    def name(self) -> str:
+        run = self.recorded.run
+        return f"{run['scenario']} on {run['rig']}, seed {run['seed']}"
+
+
+def judged(recorded: Recorded) -> Judged:
+    """Return the run's numbers as recorded; of a run that broke off, what its cycles tell."""
+    scenario, history = recorded.scenario, recorded.cycles
+    summary = recorded.summary
+    if summary is None:
+        stop = (recorded.end or {}).get("stop", BROKE_OFF)
+        outcome = Outcome(history, stop, faults=[stop])
+        run = recorded.run
+        summary, _ = summarise(outcome, scenario, recorded.rig, run["rig"], int(run["seed"]), 1.0 / scenario.step_s)
+    return Judged(recorded, summary, judge(deviations(history, scenario.requirements), scenario.requirements))
+
+
+def report(runs: Sequence[Recorded]) -> str:
+    """Return the page, HTML; runs: one, or several to be compared. Each has at least one cycle."""
+    all_judged = [judged(run) for run in runs]
+    title = all_judged[0].name if len(runs) == 1 else f"{len(runs)} runs compared"
+    body = [html.heading(1, title)]
+    if len(runs) > 1:
+        body += _comparison(all_judged)
+    for run in all_judged:
+        body += _one(run, alone=len(runs) == 1)
+    return html.page(title, body)
+
+
+def _one(run: Judged, alone: bool) -> Iterator[str]:
+    recorded, summary = run.recorded, run.summary
+    if not alone:
+        yield html.heading(1, run.name)
+    yield html.paragraph("PASS" if summary["passed"] else "FAIL", f"verdict {'pass' if summary['passed'] else 'fail'}")
+    yield html.paragraph(
+        f"{recorded.run['run']}, begun {recorded.run['started_utc']}, {len(recorded.cycles)} cycles recorded, "
+        f"ended: {summary['stop']}"
+    )
+    if not recorded.intact or recorded.summary is None:
+        yield html.paragraph(f"{BROKE_OFF} or is damaged: this is what is whole in it.", "note")
+    dropped = int((recorded.end or {}).get("dropped", "0"))
+    if dropped:
+        yield html.paragraph(f"{dropped} messages are missing in this recording.", "note")
+    yield from _verdict(run)
+    yield html.heading(2, "Figures")
+    for title, address in figures(recorded.cycles, recorded.scenario, recorded.rig, run.verdict):
+        yield html.picture(title, address)
+    yield from _numbers(summary)
+    yield from _diary(recorded, summary)
+    yield from _made_of(recorded)
+
+
+def _verdict(run: Judged) -> Iterator[str]:
+    summary, scenario = run.summary, run.recorded.scenario
+    yield html.heading(2, "Verdict")
+    rows = [("ok" if passed else "fail", name, text) for name, passed, text in parts_in_words(summary["verdict"])]
+    yield html.table(("", "part", ""), rows, words=True)
+    paper = TABLE_V.get(summary["scenario"])
+    if run.verdict.worst is None:
+        yield html.paragraph("The ready phase was not reached, so there is nothing to lay beside Table V.", "note")
+        return
+    allowed, lines = tolerances(scenario.requirements), []
+    for name in ROW_NAMES:
+        label, axes, unit, scale = ROW_LABELS[name]
+        for i, axis in enumerate(axes):
+            limit, here = scale * allowed[name][i], scale * run.verdict.worst[name][i]
+            lines.append(
+                (
+                    f"{label} {axis}, {unit}",
+                    f"{limit:.4g}",
+                    f"{here:.3g}",
+                    f"{100.0 * (1.0 - here / limit):.0f} %",
+                    f"{scale * getattr(paper, name)[i]:.4g}" if paper else "-",
+                    "ok" if here <= limit else "out",
+                )
+            )
+    beside = f"{paper.ready_time_s:g}" if paper and paper.ready_time_s is not None else "-"
+    lines.append(("ready, s", "", f"{summary['ready_time_s']:.2f}", "", beside, ""))
+    head = ("", "Table III", "here", "margin", "Table V", "")
+    yield html.table(head, lines, "Ready phase: largest deviations against Table III, beside the paper's Table V")
+
+
+def _numbers(summary: dict[str, Any]) -> Iterator[str]:
+    yield html.heading(2, "Key numbers")
+    yield html.table(("", "here"), key_numbers(summary))
+    thrusters = summary["thrusters"]
+    rows = [
+        (str(i), str(firings), f"{on_s:.2f}")
+        for i, (firings, on_s) in enumerate(
+            zip(thrusters["thruster_firings"], thrusters["thruster_on_time_s"], strict=True)
+        )
+    ]
+    yield html.table(("thruster", "firings", "open, s"), rows, "Thruster use")
+    timing = summary["timing"]
+    asked = [(p["name"], "granted" if p["granted"] else "refused", p["detail"]) for p in timing["privileges"]]
+    if asked:
+        yield html.table(("asked of the system", "", ""), asked, "Real time", words=True)
+    latency = [
+        (name.replace("_", " "), *("-" if value is None else f"{value:.2f}" for value in times.values()))
+        for name, times in summary["latency"].items()
+    ]
+    yield html.table(("latency", "p50", "p99", "max"), latency)
+    if summary["vision"]:
+        counted = [(name, str(count)) for name, count in summary["vision"].items()]
+        yield html.table(("vision unit", "count"), counted)
+
+
+def _diary(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:
+    yield html.heading(2, "Faults, alarms, events")
+    if summary["faults"]:
+        yield html.table(("fault",), [(text,) for text in summary["faults"]], words=True)
+    if summary["alarms"]:
+        alarms = [(f"{a['t_s']:.2f}", a["text"]) for a in summary["alarms"]]
+        yield html.table(("bench time, s", "alarm"), alarms, words=True)
+    rows = [
+        ("" if n["t_s"] is None else f"{n['t_s']:.2f}", f"{n['bench_s']:.2f}", n["kind"], n["name"], n["message"])
+        for n in recorded.notes
+    ]
+    yield html.table(("run, s", "bench, s", "kind", "source", ""), rows, words=True)
+
+
+def _made_of(recorded: Recorded) -> Iterator[str]:
+    yield html.heading(2, "Configuration and versions")
+    named = sorted(name for name in recorded.run if name.startswith("calibration_") and name not in _CALIBRATION)
+    rows = [(name.replace("_", " "), recorded.run.get(name, "")) for name in (*_VERSIONS, *_CALIBRATION, *named)]
+    yield html.table(("", ""), [row for row in rows if row[1]], words=True)
+    for title, model in (("scenario", recorded.scenario), ("rig", recorded.rig)):
+        yield html.folded(title, json.dumps(model.model_dump(mode="json"), indent=1))
+
+
+def _comparison(runs: Sequence[Judged]) -> Iterator[str]:
+    numbers = [dict(key_numbers(run.summary)) for run in runs]
+    rows = [(label, *(found[label] for found in numbers)) for label in numbers[0]]
+    yield html.table(("", *(run.name for run in runs)), rows, "Side by side")
+    if not same_flight([run.recorded.run for run in runs]):
+        yield html.paragraph("These are not runs of one scenario, so their trajectories are not compared.", "note")
+        return
+    first = runs[0]
+    for other in runs[1:]:
+        yield _partings(first, other)
+
+
+def _partings(first: Judged, other: Judged) -> str:
+    a, b = first.recorded, other.recorded
+    rows = [
+        (
+            found.name,
+            f"{found.largest:.4g} {found.unit}",
+            f"{found.at_s:.2f}",
+            "-" if found.sigmas is None else f"{found.sigmas:.1f}",
+            "-" if found.beyond is None else f"{100.0 * found.beyond:.1f} %",
+            "never" if found.left_s is None else f"{found.left_s:.2f}",
+            f"{100.0 * found.of_tolerance:.0f} %",
+        )
+        for found in part(a.cycles, b.cycles, a.scenario)
+    ]
+    head = (
+        "truth",
+        "apart at most",
+        "at, s",
+        "in sigmas",
+        f"of the time beyond {LEFT_SIGMAS:g} sigma",
+        f"left for 1 s and more, s (> {LEFT_SIGMAS:g} sigma)",
+        "of Table III",
+    )
+    caption = f"Twin consistency: {other.name} against {first.name}; sigma: both filters' own, and dead bands"
+    return html.table(head, rows, caption)
