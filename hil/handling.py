@@ -52,6 +52,7 @@ class Handling:
         tick = self._late_cycles.wait(self._rate)
         self.ticks += 1
         self.look(tick.now_s)
+        self._operator.listen(tick.now_s)
         if self.ticks % self.links_each == 0:
             self.look_at_links(tick.now_s)
         return tick
