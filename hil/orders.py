@@ -87,7 +87,8 @@ class Operator:
     def listen(self, now_s: float) -> None:
         """Fetch what has come from outside; called by the loop once a cycle, at bench time ``now_s``.
 
-        Here nothing has: whoever shares the loop's process calls ``order``. Raises BenchError where the bench must stop.
+        Here nothing has: whoever shares the loop's process calls ``order``. Raises BenchError where the bench must
+        stop.
         """
 
     def order(self, order: Order) -> None:

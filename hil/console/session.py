@@ -2,15 +2,16 @@
 
 It gets its configuration as a JSON line on stdin and speaks with the console over a socket pair
 (``hil.console.remote_operator``). It is the loop's process: nothing of the web is in it. It says, in this order,
-``{"word": ...}`` for what is being started, ``{"hello": ...}`` with the descriptors of telemetry and status once the bench
-is up, what ``RemoteOperator`` tells, and at last ``{"ended": ...}``, or ``{"refused": [...]}`` where it could not begin.
-It outlives a console that dies, and brings the bench to a stand then.
+``{"word": ...}`` for what is being started, ``{"hello": ...}`` with the descriptors of telemetry and status once the
+bench is up, what ``RemoteOperator`` tells, and at last ``{"ended": ...}``, or ``{"refused": [...]}`` where it could not
+begin. It outlives a console that dies, and brings the bench to a stand then.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import socket
 import sys
 from collections.abc import Callable, Iterator
@@ -129,9 +130,7 @@ def _say_how_it_ended(words: Words, choice: Choice, job: build.Job, outcome: Out
     rate_hz = 1.0 / job.scenario.value.step_s
     ended: dict[str, Any] = {"stop": outcome.stop, "faults": outcome.faults, "mode": outcome.mode.value, "passed": None}
     if len(outcome.history):
-        summary, _ = summarise(
-            outcome, job.scenario.value, job.rig.value, choice.rig, job.seed, rate_hz
-        )
+        summary, _ = summarise(outcome, job.scenario.value, job.rig.value, choice.rig, job.seed, rate_hz)
         ended |= {
             "passed": summary["passed"],
             "ready_time_s": summary["ready_time_s"],
@@ -144,6 +143,8 @@ def _say_how_it_ended(words: Words, choice: Choice, job: build.Job, outcome: Out
 
 def main() -> None:
     """Be the child."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # also where a shell started the console with Ctrl-C ignored
+        signal.signal(number, signal.default_int_handler)
     configuration = json.loads(sys.stdin.readline())
     choice = Choice.model_validate(configuration["choice"], strict=False)
     with socket.socket(fileno=configuration["channel"]) as channel:

@@ -1,0 +1,427 @@
+"""What the console knows and does: the session, who commands it, what is ordered. Nothing of the web is in it."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from hil import parameters
+from hil.config.load import load_rig
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.scenario import Scenario
+from hil.console.columns import COLUMNS, NAMES, console_rows
+from hil.console.faultboard import FaultBoard
+from hil.console.lease import Lease, Refused
+from hil.console.message import Picture
+from hil.console.rows import Cursor, RowStore
+from hil.console.session import Choice
+from hil.console.session_process import SessionProcess
+from hil.console.status import DEVICES, MODES, UNKNOWN, status_of
+from hil.errors import BadInput
+from hil.gnc.watch import nis_band
+from hil.modes import Mode
+from hil.orders import OBEYED_IN, Order
+
+PRESENT_EACH_S: Final = 0.2
+_KEPT_LOG: Final = 200
+_NIS_TAIL: Final = 0.5 * 0.0027  # three sigma of a normal number, of both sides
+_BENCH_AT_REST: Final = frozenset({Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.HOLD, Mode.SAFE_STOP})
+
+HAZARDS: Final = {
+    Order.HOME: "Home: axes without a place look for their switches. Is the bench clear of people?",
+    Order.ARM: "Arm: all axes move to the start pose. Is the bench clear of people?",
+    Order.START: "Start: the loop is closed, the bench moves by itself. Is the bench clear of people?",
+    Order.RESUME: "Resume: the bench moves on from where it stands. Is the bench clear of people?",
+    Order.ABORT: "Abort: the chaser brakes and retreats, and the bench with it. The run cannot go on after it.",
+    Order.GO: "Go: the chaser leaves its waiting point and closes in.",
+    Order.PARK: "Park: all axes move to the parking place, and the session ends. Is the bench clear of people?",
+    Order.RESET: "Reset: the devices are opened anew and the drives get power. Is the cause gone, is the bench clear?",
+}
+"""Orders that are asked back, and the question."""
+
+
+@dataclass(slots=True)
+class Client:
+    """One page. key: its secret, by which the lease knows it; name: by which people do."""
+
+    key: str
+    name: str
+    cursor: Cursor = field(default_factory=Cursor)
+    page_seen: int = -1
+    picture_seen: int = 0
+
+
+class Desk:
+    """Holds the one session of a console and the lease. Every method that takes ``now_s`` wants wall time.
+
+    first: what is offered to begin with. scenarios, rigs: what may be chosen. log: told each line of the console's
+    own log.
+    """
+
+    def __init__(
+        self,
+        first: Choice,
+        scenarios: Sequence[str],
+        rigs: Sequence[str],
+        wall_s: Callable[[], float],
+        log: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.choice = first
+        self.scenarios, self.rigs = tuple(scenarios), tuple(rigs)
+        self.lease = Lease(load_rig(first.rig, first.settings).value.console.lease_s)
+        self.session: SessionProcess | None = None
+        self.faults = FaultBoard()
+        self.rows = RowStore()
+        self.page_version = 0
+        self.clients: list[Client] = []
+        self.log: deque[dict[str, Any]] = deque(maxlen=_KEPT_LOG)
+        self._say = log
+        self._wall_s = wall_s
+        self._alarms: list[dict[str, Any]] = []
+        self._events: list[dict[str, Any]] = []
+        self._hold_reason = ""
+        self._word = "no session is open"
+        self._ended: dict[str, Any] | None = None
+        self._bench: dict[str, Any] = {}
+        self._params: np.record | None = None
+        self._status_number = 0
+        self._status_came_s = -math.inf
+        self._present_said: tuple[bool, float] = (False, -math.inf)
+        self._picture: tuple[int, Picture | None] = (0, None)
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    # what the pages ask for
+
+    async def obey(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
+        """Do what a page asks for; return its answer: ok, text, and ``ask`` where it has to be confirmed first."""
+        try:
+            return await self._obey(client, command)
+        except Refused as refusal:
+            return {"ok": False, "text": str(refusal)}
+        except BadInput as error:
+            return {"ok": False, "text": str(error)}
+
+    async def _obey(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
+        match command.get("do"):
+            case "take":
+                self.lease.take(client.key, client.name, self._wall_s())
+                self.note(f"{client.name} has the command")
+            case "take_over":
+                return self._take_over(client, bool(command.get("confirmed")))
+            case "release":
+                self._release(client)
+            case "open":
+                self.lease.require(client.key)
+                await self._open(command)
+            case "order":
+                self.lease.require(client.key)
+                return await self._order(client, str(command.get("order")), bool(command.get("confirmed")))
+            case "jog":
+                self.lease.require(client.key)
+                self._jog(str(command.get("axis")), command.get("direction"))
+            case "acknowledge":
+                self.lease.require(client.key)
+                await self._acknowledge(client)
+            case "fault":
+                self.lease.require(client.key)
+                await self.faults.switch(str(command.get("device")), str(command.get("line")))
+                self.note(f"{client.name} switched a fault: {command['device']} {command['line']}")
+            case other:
+                raise Refused(f"{other!r}: unknown request")
+        return {"ok": True, "text": ""}
+
+    def heard(self, client: Client) -> None:
+        """The page of ``client`` is alive."""
+        self.lease.renew(client.key, self._wall_s())
+
+    def _take_over(self, client: Client, confirmed: bool) -> dict[str, Any]:
+        if self.lease.held and self.lease.key != client.key and not confirmed:
+            return {"ok": False, "ask": f"Take the command over from {self.lease.name}? They can only watch then."}
+        before = self.lease.take_over(client.key, client.name, self._wall_s())
+        self.note(f"{client.name} took the command over from {before}" if before else f"{client.name} has the command")
+        return {"ok": True, "text": ""}
+
+    def _release(self, client: Client) -> None:
+        self.lease.require(client.key)
+        if self._mode not in _BENCH_AT_REST:
+            raise Refused(f"the bench is {self._mode.value}: hold or stop it first, or let somebody take over")
+        self.lease.release(client.key)
+        self.note(f"{client.name} gave the command back")
+
+    async def _open(self, command: dict[str, Any]) -> None:
+        if self.session is not None:
+            raise Refused("a session is open: stop it first")
+        if any(not alarm["acknowledged"] for alarm in self._alarms):
+            raise Refused("an alarm has not been acknowledged: read it, acknowledge it, then open the bench")
+        changes: dict[str, Any] = {name: command[name] for name in ("scenario", "rig", "seed") if name in command}
+        for name, allowed in (("scenario", self.scenarios), ("rig", self.rigs)):
+            if changes.get(name, allowed[0]) not in allowed:
+                raise Refused(f"{name} {changes[name]!r}: allowed {', '.join(allowed)}")
+        seed = changes.get("seed", 0)
+        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+            raise Refused(f"seed {seed!r}: allowed a whole number from 0 on")
+        choice = self.choice.model_copy(update=changes)
+        job = choice.job()
+        self.choice = choice
+        self._params = parameters.bench(job.rig.value, job.scenario.value.step_s)
+        self._bench = _described(job.rig.value, job.scenario.value)
+        self.lease.lasts_s = job.rig.value.console.lease_s
+        self._alarms, self._events, self._ended, self._hold_reason = [], [], None, ""
+        self._status_number = 0
+        self.rows.begin()
+        self._word = "starting"
+        self.session = SessionProcess(choice, self._hear)
+        self._present_said = (False, -math.inf)
+        self.note(f"{choice.scenario} on {choice.rig}, seed {choice.seed}: session process {self.session.pid}")
+
+    async def _order(self, client: Client, word: str, confirmed: bool) -> dict[str, Any]:
+        if word not in [order.value for order in Order if order is not Order.JOG]:
+            raise Refused(f"{word!r}: unknown order")
+        order = Order(word)
+        if self.session is None:
+            if order is Order.RESET:
+                return self._let_go_of_alarms()
+            raise Refused(f"bench: cannot {word}, no session is open")
+        if not self.session.ready:
+            if order is not Order.STOP:
+                raise Refused(f"bench: cannot {word}, it is being opened")
+            self.session.interrupt()
+            return {"ok": True, "text": ""}
+        if order in HAZARDS and self._mode in OBEYED_IN[order] and not confirmed:
+            return {"ok": False, "ask": HAZARDS[order]}
+        text = await self.session.ask(order=word)
+        self.note(f"{client.name}: {word}{f' refused: {text}' if text else ''}")
+        return {"ok": not text, "text": text}
+
+    def _let_go_of_alarms(self) -> dict[str, Any]:
+        if any(not alarm["acknowledged"] for alarm in self._alarms):
+            raise Refused("an alarm has not been acknowledged: read it, acknowledge it, then reset")
+        self._alarms = [alarm | {"latched": False} for alarm in self._alarms]
+        self.changed()
+        return {"ok": True, "text": ""}
+
+    def _jog(self, axis: str, direction: object) -> None:
+        if axis not in self._bench.get("axes", {}) or direction not in (-1, 1):
+            raise Refused(f"cannot jog {axis} by {direction}")
+        if self.session is None or not self.session.ready:
+            raise Refused("bench: cannot jog, no session is open")
+        if self._mode in (Mode.STANDBY, Mode.JOGGING):
+            self.session.send(jog=[axis, direction])
+        else:
+            raise Refused(f"bench: cannot jog in {self._mode.value}")
+
+    async def _acknowledge(self, client: Client) -> None:
+        if self.session is not None and self.session.ready:
+            text = await self.session.ask(acknowledge=True)
+            if text:
+                raise Refused(text)
+        self._alarms = [alarm | {"acknowledged": True} for alarm in self._alarms]
+        self.note(f"{client.name} acknowledged the alarms")
+
+    # what happens by itself
+
+    def tick(self) -> None:
+        """Take what the session has written, tell it whether its operator is there; call some 20 times a second."""
+        now_s = self._wall_s()
+        if lost := self.lease.expire(now_s):
+            self.note(f"{lost} is lost: nothing heard for {self.lease.lasts_s:g} s; nobody has the command")
+        session = self.session
+        if session is None:
+            return
+        if session.ready and self._params is not None:
+            self.rows.add(console_rows(self._params, session.take_rows()))
+            number, _ = session.read_status()
+            if number != self._status_number:
+                self._status_number, self._status_came_s = number, now_s
+            present, said_s = self._present_said
+            if present != self.lease.held or now_s - said_s >= PRESENT_EACH_S:
+                session.send(present=self.lease.held)
+                self._present_said = (self.lease.held, now_s)
+        if session.ended:
+            self.session = None
+            self.faults.disconnect()
+            self._in_background(session.close())
+            self.changed()
+
+    def _hear(self, message: dict[str, Any]) -> None:
+        """Take a message of the session."""
+        if "hello" in message and self.session is not None:
+            self._word = ""
+            self._in_background(self._connect_faults(message["hello"]["addresses"]))
+        if "alarms" in message:
+            known = {alarm["text"] for alarm in self._alarms}
+            self._alarms, self._events = message["alarms"], message["events"]
+            if message["hold_reason"] and message["hold_reason"] != self._hold_reason:
+                self.note(f"hold: {message['hold_reason']}")
+            self._hold_reason = message["hold_reason"]
+            for alarm in self._alarms:
+                if alarm["text"] not in known:
+                    self.note(f"alarm: {alarm['text']}")
+        if "word" in message:
+            self._word = message["word"]
+            self.note(message["word"])
+        if "ended" in message:
+            self._ended = message["ended"]
+            self._word = f"session ended: {self._ended['stop']}"
+            self.note(self._word)
+        if "refused" in message:
+            self._word = message["refused"][0]
+            for line in message["refused"]:
+                self.note(line)
+        self.changed()
+
+    async def _connect_faults(self, addresses: dict[str, str]) -> None:
+        with suppress(Refused):  # a device that does not answer has no switches
+            await self.faults.connect(addresses)
+        self.changed()
+
+    def _in_background(self, work: Any) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def show(self, picture: Picture) -> None:
+        """Show a camera's picture with its overlay from now on; the pages get the newest one."""
+        self._picture = (self._picture[0] + 1, picture)
+
+    def note(self, text: str) -> None:
+        """Write a line into the console's log."""
+        self.log.append({"wall_s": self._wall_s(), "text": text})
+        self._say(text)
+        self.changed()
+
+    def changed(self) -> None:
+        """Let the pages have the slow part of the state anew."""
+        self.page_version += 1
+
+    async def close(self) -> None:
+        """End the session, the bench first at a stand."""
+        if self.session is not None:
+            await self.session.close()
+            self.session = None
+        while self._tasks:
+            await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    # what the pages see
+
+    @property
+    def _mode(self) -> Mode:
+        if self.session is None or not self.session.ready or self._status_number == 0:
+            return Mode.OFF
+        mode: Mode = MODES[int(self.session.read_status()[1]["mode"][0])]
+        return mode
+
+    def news_for(
+        self, client: Client
+    ) -> tuple[dict[str, Any], dict[str, Any] | None, np.ndarray[Any, Any], int, Picture | None]:
+        """Return the arguments of ``message.pack`` for ``client``, of all that it has not seen."""
+        page = None
+        if client.page_seen != self.page_version:
+            client.page_seen, page = self.page_version, self._page()
+        number, picture = self._picture
+        fresh = number != client.picture_seen
+        client.picture_seen = number
+        before = client.cursor.seen
+        rows = self.rows.since(client.cursor)
+        first = 0 if client.cursor.restarted else before
+        return self._now(client), page, rows.reshape(-1, COLUMNS), first, picture if fresh else None
+
+    def _now(self, client: Client) -> dict[str, Any]:
+        now_s = self._wall_s()
+        lease = self.lease
+        state: dict[str, Any] = {
+            "wall_s": now_s,
+            "mode": self._mode.value,
+            "open": self.session is not None,
+            "ready": self.session is not None and self.session.ready,
+            "lease": {"holder": lease.name, "mine": lease.held and lease.key == client.key},
+            "watching": len(self.clients),
+        }
+        if self.session is None or self._status_number == 0:
+            return state
+        status = status_of(self.session.read_status()[1])
+        ages = {name: _number(status.age_s[i]) for i, name in enumerate(DEVICES)}
+        return state | {
+            "status_age_s": now_s - self._status_came_s,
+            "ages_s": ages,
+            "bench_s": _number(status.bench_s),
+            "run_s": _number(status.run_s),
+            "share": _number(status.share),
+            "rail_m": [_number(v) for v in status.feedback.rail_m],
+            "gimbal_deg": [_number(math.degrees(v)) for v in status.feedback.gimbal_rad],
+            "rail_mps": [_number(v) for v in status.feedback.rail_mps],
+            "gimbal_degps": [_number(math.degrees(v)) for v in status.feedback.gimbal_radps],
+            "homing": [int(v) for v in status.homing],
+            "limit": [int(v) for v in status.limit],
+            "estop": None if status.estop == UNKNOWN else bool(status.estop),
+            "frames": int(status.frames),
+            "overruns": int(status.overruns),
+            "skipped_periods": int(status.skipped_periods),
+            "limited_cycles": int(status.limited_cycles),
+        }
+
+    def _page(self) -> dict[str, Any]:
+        return {
+            "session": self.rows.session,
+            "columns": NAMES,
+            "choice": {"scenario": self.choice.scenario, "rig": self.choice.rig, "seed": self.choice.seed},
+            "scenarios": self.scenarios,
+            "rigs": self.rigs,
+            "bench": self._bench,
+            "obeyed_in": {order.value: [mode.value for mode in modes] for order, modes in OBEYED_IN.items()},
+            "alarms": self._alarms,
+            "events": self._events[-20:],
+            "log": list(self.log)[-40:],
+            "word": self._word,
+            "hold_reason": self._hold_reason,
+            "ended": self._ended,
+            "faults": {"menu": self.faults.menu, "on": self.faults.on},
+        }
+
+
+def _number(value: float) -> float | None:
+    """Return ``value``; None for one that is not finite, which JSON does not have."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _described(rig: Rig, scenario: Scenario) -> dict[str, Any]:
+    """Return what a page has to know of the bench and of the run to draw them."""
+    rails = {f"rails.{name}": [*getattr(rig.rails, name).travel_m] for name in RAIL_NAMES}
+    gimbals = {f"turntable.{name}": [*getattr(rig.turntable, name).travel_deg] for name in GIMBAL_NAMES}
+    guidance, corridor = scenario.gnc.guidance, scenario.gnc.corridor
+    return {
+        "axes": rails | gimbals,
+        "stale_s": {
+            "rails": rig.rails.timeout_s,
+            "turntable": rig.turntable.timeout_s,
+            "vmu": rig.vmu.timeout_s,
+            "io": rig.io.timeout_s if rig.io is not None and rig.has_io else None,
+        },
+        "lever_arm_m": rig.bench.lever_arm_m,
+        "ring_m": rig.vmu.leds_m,
+        "ring_axes": rig.bench.ring_axes,
+        "ring_station_m": rig.bench.ring_station_m,
+        "camera_station_m": rig.bench.camera_station_m,
+        "camera_axes": rig.bench.camera_axes,
+        "camera": rig.vmu.camera.model_dump(),
+        "ready_point_m": guidance.ready_point_m,
+        "corridor": {
+            "axis": corridor.axis,
+            "half_angle_deg": corridor.half_angle_deg,
+            "minimum_radius_m": corridor.minimum_radius_m,
+        },
+        "start_m": scenario.initial.position_m,
+        "phases": guidance.sequence,
+        "thrusters": len(scenario.chaser.thrusters.position_m),
+        "step_s": scenario.step_s,
+        "duration_s": scenario.duration_s,
+        "nis_bound": nis_band(1, _NIS_TAIL)[1],
+        "late_us": rig.host.late_wakeup_us,
+    }
