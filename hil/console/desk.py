@@ -26,6 +26,7 @@ from hil.console.session_process import SessionProcess
 from hil.console.status import DEVICES, MODES, UNKNOWN, status_of
 from hil.errors import BadInput
 from hil.gnc.watch import nis_band
+from hil.messages import CYCLE
 from hil.modes import Mode
 from hil.orders import OBEYED_IN, Order
 
@@ -300,6 +301,11 @@ class Desk:
     def changed(self) -> None:
         """Let the pages have the slow part of the state anew."""
         self.page_version += 1
+
+    def warm_up(self) -> None:
+        """Compile what is called while a bench moves: it must not keep the console from saying that it is there."""
+        job = self.choice.job()
+        console_rows(parameters.bench(job.rig.value, job.scenario.value.step_s), np.zeros(2, CYCLE))
 
     async def close(self) -> None:
         """End the session, the bench first at a stand."""

@@ -71,6 +71,7 @@ def serve(choice: Choice, listener: socket.socket, host: str, token: str | None,
     scenarios = [*dict.fromkeys([choice.scenario, *shipped("scenarios")])]
     rigs = [*dict.fromkeys([choice.rig, *shipped("rigs")])]
     desk = Desk(choice, scenarios, rigs, time.monotonic, log)
+    desk.warm_up()
     hosts = frozenset({host, *_LOOPBACK_NAMES}) if is_loopback(host) else None
     config = uvicorn.Config(
         make_app(desk, token, hosts),
