@@ -66,6 +66,7 @@ class SessionProcess:
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError), self._process.stdin as stdin:
             stdin.write(json.dumps(configuration).encode() + b"\n")
+        self._dying: asyncio.Task[None] | None = None
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._channel, self._read)
 
@@ -89,8 +90,6 @@ class SessionProcess:
 
     def send(self, **message: Any) -> bool:
         """Send one packet; return whether it left. Never waits."""
-        if self.ended:
-            return False
         try:
             self._channel.send(json.dumps(message).encode())
         except OSError:  # no room, or nobody there: then its end is read soon
@@ -123,6 +122,8 @@ class SessionProcess:
                 with contextlib.suppress(ProcessLookupError):
                     self._process.send_signal(number)
         await self._gone_within(_STOP_WALL_S)
+        if self._dying is not None:
+            await self._dying
         self._end()
         self._forget()
 
@@ -142,7 +143,8 @@ class SessionProcess:
         except OSError:
             packet, descriptors = b"", []
         if not packet:
-            self._died()
+            self._loop.remove_reader(self._channel)
+            self._dying = self._loop.create_task(self._died())
             return
         message = json.loads(packet)
         if "hello" in message:
@@ -163,16 +165,22 @@ class SessionProcess:
         self._block = Block(descriptors[1], CELLS, "console")
         self.ready = True
 
-    def _died(self) -> None:
-        if self.ended:
-            return
-        self._end()
-        text = self._last_words()
-        self._on_words({"refused": [f"the session's process ended without a word{': ' + text if text else ''}"]})
+    async def _died(self) -> None:
+        """Say how the process ended that has closed its end without a last word."""
+        await self._gone_within(_STOP_WALL_S)  # it may be writing down why
+        text = self._last_words().splitlines()
+        self._on_words({"refused": [f"the session's process ended without a word: {self._how()}", *text[-12:]]})
+        self.ended = True
+
+    def _how(self) -> str:
+        code = self._process.poll()
+        if code is None:
+            return "it still runs"
+        return f"by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
 
     def _end(self) -> None:
-        if not self.ended:
-            self.ended = True
+        self.ended = True
+        if self._channel.fileno() >= 0:
             self._loop.remove_reader(self._channel)
             self._channel.close()
 
