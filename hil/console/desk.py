@@ -14,8 +14,7 @@ import numpy as np
 
 from hil import parameters
 from hil.config.load import load_rig
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
-from hil.config.scenario import Scenario
+from hil.console.account import Account, described
 from hil.console.columns import COLUMNS, NAMES, console_rows
 from hil.console.faultboard import FaultBoard
 from hil.console.lease import Lease, Refused
@@ -23,16 +22,13 @@ from hil.console.message import Picture
 from hil.console.rows import Cursor, RowStore
 from hil.console.session import Choice
 from hil.console.session_process import SessionProcess
-from hil.console.status import DEVICES, MODES, UNKNOWN, status_of
 from hil.errors import BadInput
-from hil.gnc.watch import nis_band
 from hil.messages import CYCLE
 from hil.modes import Mode
 from hil.orders import OBEYED_IN, Order
 
 PRESENT_EACH_S: Final = 0.2
 _KEPT_LOG: Final = 200
-_NIS_TAIL: Final = 0.5 * 0.0027  # three sigma of a normal number, of both sides
 _BENCH_AT_REST: Final = frozenset({Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.HOLD, Mode.SAFE_STOP})
 
 HAZARDS: Final = {
@@ -85,15 +81,8 @@ class Desk:
         self.log: deque[dict[str, Any]] = deque(maxlen=_KEPT_LOG)
         self._say = log
         self._wall_s = wall_s
-        self._alarms: list[dict[str, Any]] = []
-        self._events: list[dict[str, Any]] = []
-        self._hold_reason = ""
-        self._word = "no session is open"
-        self._ended: dict[str, Any] | None = None
-        self._bench: dict[str, Any] = {}
+        self.account = Account({}, "no session is open")
         self._params: np.record | None = None
-        self._status_number = 0
-        self._status_came_s = -math.inf
         self._present_said: tuple[bool, float] = (False, -math.inf)
         self._picture: tuple[int, Picture | None] = (0, None)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -159,7 +148,7 @@ class Desk:
     async def _open(self, command: dict[str, Any]) -> None:
         if self.session is not None:
             raise Refused("a session is open: stop it first")
-        if any(not alarm["acknowledged"] for alarm in self._alarms):
+        if self.account.unseen:
             raise Refused("an alarm has not been acknowledged: read it, acknowledge it, then open the bench")
         changes: dict[str, Any] = {name: command[name] for name in ("scenario", "rig", "seed") if name in command}
         for name, allowed in (("scenario", self.scenarios), ("rig", self.rigs)):
@@ -172,12 +161,9 @@ class Desk:
         job = choice.job()
         self.choice = choice
         self._params = parameters.bench(job.rig.value, job.scenario.value.step_s)
-        self._bench = _described(job.rig.value, job.scenario.value)
+        self.account = Account(described(job.rig.value, job.scenario.value), "starting")
         self.lease.lasts_s = job.rig.value.console.lease_s
-        self._alarms, self._events, self._ended, self._hold_reason = [], [], None, ""
-        self._status_number = 0
         self.rows.begin()
-        self._word = "starting"
         self.session = SessionProcess(choice, self._hear)
         self._present_said = (False, -math.inf)
         self.note(f"{choice.scenario} on {choice.rig}, seed {choice.seed}: session process {self.session.pid}")
@@ -202,14 +188,14 @@ class Desk:
         return {"ok": not text, "text": text}
 
     def _let_go_of_alarms(self) -> dict[str, Any]:
-        if any(not alarm["acknowledged"] for alarm in self._alarms):
+        if self.account.unseen:
             raise Refused("an alarm has not been acknowledged: read it, acknowledge it, then reset")
-        self._alarms = [alarm | {"latched": False} for alarm in self._alarms]
+        self.account.let_go()
         self.changed()
         return {"ok": True, "text": ""}
 
     def _jog(self, axis: str, direction: object) -> None:
-        if axis not in self._bench.get("axes", {}) or direction not in (-1, 1):
+        if axis not in self.account.bench.get("axes", {}) or direction not in (-1, 1):
             raise Refused(f"cannot jog {axis} by {direction}")
         if self.session is None or not self.session.ready:
             raise Refused("bench: cannot jog, no session is open")
@@ -223,7 +209,7 @@ class Desk:
             text = await self.session.ask(acknowledge=True)
             if text:
                 raise Refused(text)
-        self._alarms = [alarm | {"acknowledged": True} for alarm in self._alarms]
+        self.account.acknowledge()
         self.note(f"{client.name} acknowledged the alarms")
 
     # what happens by itself
@@ -238,9 +224,7 @@ class Desk:
             return
         if session.ready and self._params is not None:
             self.rows.add(console_rows(self._params, session.take_rows()))
-            number, _ = session.read_status()
-            if number != self._status_number:
-                self._status_number, self._status_came_s = number, now_s
+            self.account.take_status(*session.read_status(), now_s)
             present, said_s = self._present_said
             if present != self.lease.held or now_s - said_s >= PRESENT_EACH_S:
                 session.send(present=self.lease.held)
@@ -254,28 +238,10 @@ class Desk:
     def _hear(self, message: dict[str, Any]) -> None:
         """Take a message of the session."""
         if "hello" in message and self.session is not None:
-            self._word = ""
+            self.account.word = ""
             self._in_background(self._connect_faults(message["hello"]["addresses"]))
-        if "alarms" in message:
-            known = {alarm["text"] for alarm in self._alarms}
-            self._alarms, self._events = message["alarms"], message["events"]
-            if message["hold_reason"] and message["hold_reason"] != self._hold_reason:
-                self.note(f"hold: {message['hold_reason']}")
-            self._hold_reason = message["hold_reason"]
-            for alarm in self._alarms:
-                if alarm["text"] not in known:
-                    self.note(f"alarm: {alarm['text']}")
-        if "word" in message:
-            self._word = message["word"]
-            self.note(message["word"])
-        if "ended" in message:
-            self._ended = message["ended"]
-            self._word = f"session ended: {self._ended['stop']}"
-            self.note(self._word)
-        if "refused" in message:
-            self._word = message["refused"][0]
-            for line in message["refused"]:
-                self.note(line)
+        for line in self.account.hear(message):
+            self.note(line)
         self.changed()
 
     async def _connect_faults(self, addresses: dict[str, str]) -> None:
@@ -319,10 +285,9 @@ class Desk:
 
     @property
     def _mode(self) -> Mode:
-        if self.session is None or not self.session.ready or self._status_number == 0:
+        if self.session is None or not self.session.ready:
             return Mode.OFF
-        mode: Mode = MODES[int(self.session.read_status()[1]["mode"][0])]
-        return mode
+        return self.account.mode
 
     def news_for(
         self, client: Client
@@ -342,35 +307,14 @@ class Desk:
     def _now(self, client: Client) -> dict[str, Any]:
         now_s = self._wall_s()
         lease = self.lease
-        state: dict[str, Any] = {
+        return {
             "wall_s": now_s,
             "mode": self._mode.value,
             "open": self.session is not None,
             "ready": self.session is not None and self.session.ready,
             "lease": {"holder": lease.name, "mine": lease.held and lease.key == client.key},
             "watching": len(self.clients),
-        }
-        if self.session is None or self._status_number == 0:
-            return state
-        status = status_of(self.session.read_status()[1])
-        ages = {name: _number(status.age_s[i]) for i, name in enumerate(DEVICES)}
-        return state | {
-            "status_age_s": now_s - self._status_came_s,
-            "ages_s": ages,
-            "bench_s": _number(status.bench_s),
-            "run_s": _number(status.run_s),
-            "share": _number(status.share),
-            "rail_m": [_number(v) for v in status.feedback.rail_m],
-            "gimbal_deg": [_number(math.degrees(v)) for v in status.feedback.gimbal_rad],
-            "rail_mps": [_number(v) for v in status.feedback.rail_mps],
-            "gimbal_degps": [_number(math.degrees(v)) for v in status.feedback.gimbal_radps],
-            "homing": [int(v) for v in status.homing],
-            "limit": [int(v) for v in status.limit],
-            "estop": None if status.estop == UNKNOWN else bool(status.estop),
-            "frames": int(status.frames),
-            "overruns": int(status.overruns),
-            "skipped_periods": int(status.skipped_periods),
-            "limited_cycles": int(status.limited_cycles),
+            **self.account.now(now_s),
         }
 
     def _page(self) -> dict[str, Any]:
@@ -380,54 +324,8 @@ class Desk:
             "choice": {"scenario": self.choice.scenario, "rig": self.choice.rig, "seed": self.choice.seed},
             "scenarios": self.scenarios,
             "rigs": self.rigs,
-            "bench": self._bench,
             "obeyed_in": {order.value: [mode.value for mode in modes] for order, modes in OBEYED_IN.items()},
-            "alarms": self._alarms,
-            "events": self._events[-20:],
             "log": list(self.log)[-40:],
-            "word": self._word,
-            "hold_reason": self._hold_reason,
-            "ended": self._ended,
             "faults": {"menu": self.faults.menu, "on": self.faults.on},
+            **self.account.page(),
         }
-
-
-def _number(value: float) -> float | None:
-    """Return ``value``; None for one that is not finite, which JSON does not have."""
-    return float(value) if math.isfinite(value) else None
-
-
-def _described(rig: Rig, scenario: Scenario) -> dict[str, Any]:
-    """Return what a page has to know of the bench and of the run to draw them."""
-    rails = {f"rails.{name}": [*getattr(rig.rails, name).travel_m] for name in RAIL_NAMES}
-    gimbals = {f"turntable.{name}": [*getattr(rig.turntable, name).travel_deg] for name in GIMBAL_NAMES}
-    guidance, corridor = scenario.gnc.guidance, scenario.gnc.corridor
-    return {
-        "axes": rails | gimbals,
-        "stale_s": {
-            "rails": rig.rails.timeout_s,
-            "turntable": rig.turntable.timeout_s,
-            "vmu": rig.vmu.timeout_s,
-            "io": rig.io.timeout_s if rig.io is not None and rig.has_io else None,
-        },
-        "lever_arm_m": rig.bench.lever_arm_m,
-        "ring_m": rig.vmu.leds_m,
-        "ring_axes": rig.bench.ring_axes,
-        "ring_station_m": rig.bench.ring_station_m,
-        "camera_station_m": rig.bench.camera_station_m,
-        "camera_axes": rig.bench.camera_axes,
-        "camera": rig.vmu.camera.model_dump(),
-        "ready_point_m": guidance.ready_point_m,
-        "corridor": {
-            "axis": corridor.axis,
-            "half_angle_deg": corridor.half_angle_deg,
-            "minimum_radius_m": corridor.minimum_radius_m,
-        },
-        "start_m": scenario.initial.position_m,
-        "phases": guidance.sequence,
-        "thrusters": len(scenario.chaser.thrusters.position_m),
-        "step_s": scenario.step_s,
-        "duration_s": scenario.duration_s,
-        "nis_bound": nis_band(1, _NIS_TAIL)[1],
-        "late_us": rig.host.late_wakeup_us,
-    }

@@ -47,7 +47,7 @@ export class Camera {
     const put = this.fit(c, width, height, bench.camera.width_px, bench.camera.height_px);
     for (const lamp of lampsInView(bench, pose)) if (lamp) this.shape(c, put, { kind: "circle", at: lamp, radius: 14, good: true });
     this.shape(c, put, { kind: "cross", at: [bench.camera.width_px / 2, bench.camera.height_px / 2], good: false });
-    this.text.textContent = "no picture: the lamps as the encoders have them";
+    this.text.textContent = "no picture: lamps by the encoders";
   }
 
   fit(c, width, height, across, down) {

@@ -64,12 +64,14 @@ export class Chart {
     c.textAlign = "left";
     c.fillStyle = TEXT;
     c.fillText(this.title, 6, 3);
+    const left = 12 + c.measureText(this.title).width;
     c.textAlign = "right";
     let right = width - 6;
     for (const series of [...this.series].reverse()) {
       if (!series.name) continue;
       const value = this.shows === "last" ? shown(this.value(store, store.count - 1, series)) : "";
       const text = `${series.name}${value ? ` ${value}` : ""}`;
+      if (right - c.measureText(text).width < left) break;
       c.fillStyle = stale ? "#6d7884" : series.color;
       c.fillText(text, right, 3);
       right -= c.measureText(text).width + 9;
@@ -212,6 +214,7 @@ export class Firings {
     const box = { left: 46, right: width - 6, top: 21, bottom: height - 15 };
     c.font = `700 14px ${FONT}`;
     c.textBaseline = "top";
+    c.textAlign = "left";
     c.fillStyle = TEXT;
     c.fillText("Thrusters open", 6, 3);
     if (!store.count) return;
@@ -269,6 +272,7 @@ export class Lateness {
     const box = { left: 46, right: width - 6, top: 21, bottom: height - 15 };
     c.font = `700 14px ${FONT}`;
     c.textBaseline = "top";
+    c.textAlign = "left";
     c.fillStyle = TEXT;
     c.fillText(`Lateness, cycles by us; worst ${shown(this.largest)} us`, 6, 3);
     const most = Math.max(10, ...this.bins), wide = (box.right - box.left) / this.bins.length;

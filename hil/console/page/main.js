@@ -45,7 +45,7 @@ window.hil = { store, link, get now() { return now; }, get page() { return page;
 
 function poseNow() {
   const q = [0, 1, 2, 3].map((i) => store.last(`q_bench_${i}`));
-  if (now.rail_m && isRunning(now.mode) && q.every(Number.isFinite)) return { r: store.vector("bench_m"), q, rail: now.rail_m };
+  if (now.rail_m && (isRunning(now.mode) || !now.open) && q.every(Number.isFinite)) return { r: store.vector("bench_m"), q, rail: now.rail_m };
   if (!now.rail_m || !page.bench.axes) return null;
   // outside the run there are no rows: the pose by the newest encoder values, yaw pitch roll
   const [roll, pitch, yaw] = now.gimbal_deg.map((v) => (v * Math.PI) / 360);

@@ -11,7 +11,7 @@ export function isStale(now) {
 
 export function header(now, page, store) {
   const stale = isStale(now);
-  document.body.classList.toggle("stale", stale);
+  document.body.classList.toggle("old", stale);
   $("mode").textContent = now.mode;
   $("mode").dataset.mode = now.mode;
   $("run_s").textContent = now.run_s === undefined || now.run_s === null ? "-" : now.run_s.toFixed(1);

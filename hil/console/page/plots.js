@@ -25,12 +25,12 @@ export class Plots {
       }),
       this.compared,
       chart("velocity", { title: "Velocity m/s", low: 0.001, series: [...lines("velocity_estimate_mps"), ...quiet("velocity_truth_mps", { dash: [3, 3], width: 1 })] }),
-      chart("position_error", { title: "Position error mm, 3\u03c3", low: 0.2, series: lines("position_error_mm", { width: 1.5 }), bands: AXES.map(([axis, color]) => ({ column: `position_band_mm.${axis}`, color })) }),
+      chart("position_error", { title: "Error mm, 3\u03c3", low: 0.2, series: lines("position_error_mm", { width: 1.5 }), bands: AXES.map(([axis, color]) => ({ column: `position_band_mm.${axis}`, color })) }),
       chart("attitude", {
         title: "Attitude deg", low: 0.05,
         series: [...lines("angle_estimate_deg"), ...quiet("angle_bench_deg", { dash: [3, 3], width: 1 })],
       }),
-      chart("attitude_error", { title: "Attitude error deg, 3\u03c3", low: 0.005, series: lines("angle_error_deg", { width: 1.5 }), bands: AXES.map(([axis, color]) => ({ column: `angle_band_deg.${axis}`, color })) }),
+      chart("attitude_error", { title: "Error deg, 3\u03c3", low: 0.005, series: lines("angle_error_deg", { width: 1.5 }), bands: AXES.map(([axis, color]) => ({ column: `angle_band_deg.${axis}`, color })) }),
       chart("rate", { title: "Rates deg/s", low: 0.01, series: [...lines("rate_estimate_degps"), ...quiet("rate_truth_degps", { dash: [3, 3], width: 1 })] }),
       chart("nis", {
         title: "NIS", log: true, bound: this.nis, shows: null,
@@ -62,7 +62,7 @@ export class Plots {
     this.axis = axis;
     const name = "xyz"[axis];
     const off = (what, more) => ({ column: `${what}_m.${name}`, minus: `reference_m.${name}`, scale: 1000, ...more });
-    this.compared.title = `${name} off the plan mm (v: next axis)`;
+    this.compared.title = `${name} off the plan, mm [v]`;
     this.compared.series = [
       off("vision", { name: "VMU", color: YELLOW, dots: true }),
       off("bench", { name: "encoders", color: WHITE, width: 2.5 }),

@@ -34,7 +34,7 @@ export class Scene {
     const [c, width, height] = prepare(this.canvas);
     if (!bench || !bench.axes) return;
     const r = pose ? pose.r : bench.start_m;
-    const wanted = Math.max(1.6, 1.25 * norm(r) + 0.8);
+    const wanted = Math.max(0.7, 1.15 * norm(r) + 0.35);
     this.span = this.span ? this.span + 0.1 * (wanted - this.span) : wanted;
     this.centre = plus([0, 0, 0], r, 0.5);
     this.project = this.camera(width, height);
