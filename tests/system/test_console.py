@@ -1,0 +1,165 @@
+"""``hil console``: its server, its session and its security, by a client that is no browser."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import numpy as np
+import pytest
+from console_client import NEAR, Page, console
+
+from hil.console.serve import is_loopback
+
+TOKEN = "0123456789abcdef-right"
+
+
+def start(page: Page) -> None:
+    """Take the command, open the bench, close the loop."""
+    assert page.ask("take")["ok"]
+    assert page.ask("open")["ok"]
+    page.until_mode("standby")
+    page.order("arm")
+    page.until_mode("armed")
+    page.order("start")
+    page.until(lambda: page.now["mode"] == "running" and page.now["run_s"] > 0.5 and len(page.rows) > 20, "a run")
+
+
+def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed() -> None:
+    with console("--rig", "mock", *NEAR) as (address, _):
+        ann, bob = Page(address, "ann"), Page(address, "bob")
+        start(ann)
+        assert np.all(np.diff(ann.column("t_s")) > 0.0)
+        assert np.isfinite(ann.column("estimate_m.x")[-1])
+
+        answer = bob.ask("order", order="hold")
+        assert answer["text"] == "ann has the command: take it before you order anything"
+        assert "watch, or take it over" in bob.ask("take")["text"]
+        assert ann.ask("order", order="abort")["ask"].startswith("Abort: the chaser brakes and retreats")
+
+        ann.order("hold")
+        ann.until_mode("hold")
+        held_s = ann.now["run_s"]
+        ann.order("resume")
+        ann.until(lambda: ann.now["mode"] == "running" and ann.now["run_s"] > held_s + 0.2, "the run's time to go on")
+        ann.order("abort")
+        ann.until(lambda: ann.column("aborted")[-1] > 0.0, "the abort")
+
+        ann.beats = False
+        bob.until_mode("hold")
+        assert "the operator's page silent" in bob.page["hold_reason"]
+        assert bob.now["lease"]["holder"] == ""
+
+        assert bob.ask("take")["ok"]
+        bob.order("stop")
+        bob.until(lambda: not bob.now["open"], "the end")
+        assert bob.page["ended"]["stop"] == "stopped by the operator"
+        assert bob.ask("order", order="hold")["text"] == "bench: cannot hold, no session is open"
+
+
+def test_takeover_is_asked_back_and_logged() -> None:
+    with console("--rig", "mock") as (address, _):
+        ann, bob = Page(address, "ann"), Page(address, "bob")
+        assert ann.ask("take")["ok"]
+        assert bob.ask("take_over")["ask"] == "Take the command over from ann? They can only watch then."
+        assert bob.ask("take_over", confirmed=True)["ok"]
+        bob.until(lambda: bob.now["lease"]["mine"], "the lease")
+        assert "bob took the command over from ann" in bob.log()
+        assert ann.ask("open")["text"] == "bob has the command: take it before you order anything"
+
+
+def test_wrong_token_and_other_sites_are_turned_away_in_clear_words(tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    path.write_text(TOKEN + "\n")
+    path.chmod(0o600)
+    with console("--rig", "mock", "--token-file", str(path)) as (address, _):
+        for token, words in (("0123456789abcdef-wrong", "wrong token"), ("", "this console wants a token")):
+            assert Page(address, "eve", token).take() == {"refused": words}
+        page = Page(address, "ann", TOKEN)
+        page.until(lambda: True, "the state")
+        assert not page.refused
+        other = Page(address, "eve", TOKEN, origin="http://elsewhere.example")
+        assert other.take() == {"refused": "this console is not to be used from another site's page"}
+        short = Page(address, "eve", TOKEN, key="short")
+        assert "at least 16" in (short.take() or {})["refused"]
+        with pytest.raises(HTTPError) as rebound:
+            urlopen(Request(f"http://{address}/", headers={"Host": "rebound.example"}))
+        assert rebound.value.code == 421
+        rebound.value.close()
+
+
+def test_page_needs_nothing_from_outside() -> None:
+    folder = Path(__file__).parents[2] / "hil" / "console" / "page"
+    with console("--rig", "mock") as (address, _):
+        for name in ["", *(f"page/{path.name}" for path in folder.iterdir())]:
+            with urlopen(f"http://{address}/{name}") as answer:
+                text = answer.read().decode()
+                assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+            outside = [
+                word for word in ("http://", "https://", "//cdn") if word in text.replace("http://www.w3.org", "")
+            ]
+            assert not outside, f"{name}: {outside}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--host", "0.0.0.0"), "--host: 0.0.0.0: other computers can reach it: give --token-file"),
+        (("--port", "70000"), "--port: 70000: allowed 0 to 65535"),
+        (("--rig", "no-such"), "no-such: unknown rig"),
+        (("--seed", "-1"), "--seed: -1: must not be negative"),
+        (("--token-file", "/does/not/exist"), "--token-file: /does/not/exist: cannot be read"),
+        (("--host", "not.an.address.invalid", "--token-file", "TOKEN"), "cannot listen there"),
+        (("--token-file", "OPEN"), "others may read it, mode 644: chmod 600"),
+        (("--token-file", "SHORT"), "5 characters, at least 16"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(arguments: tuple[str, ...], words: str, tmp_path: Path) -> None:
+    for name, text, mode in (("TOKEN", TOKEN, 0o600), ("OPEN", TOKEN, 0o644), ("SHORT", "12345", 0o600)):
+        (tmp_path / name).write_text(text)
+        (tmp_path / name).chmod(mode)
+    given = [str(tmp_path / a) if (tmp_path / a).exists() and a.isupper() else a for a in arguments]
+    command = [sys.executable, "-m", "hil", "console", *given]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
+    assert done.returncode == 2, done.stderr
+    assert words in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_console_ends_with_its_session_on_ctrl_c() -> None:
+    with console("--rig", "mock", *NEAR) as (address, process):
+        page = Page(address, "ann")
+        start(page)
+        (line,) = [line for line in page.log() if "session process" in line]
+        pid = int(line.split()[-1])
+    assert process.returncode == 0
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_session_of_a_console_that_is_killed_brings_the_bench_to_a_stand_and_ends() -> None:
+    with console("--rig", "mock", *NEAR) as (address, process):
+        page = Page(address, "ann")
+        start(page)
+        (line,) = [line for line in page.log() if "session process" in line]
+        pid = int(line.split()[-1])
+        process.kill()
+        process.wait()
+        end_s = time.monotonic() + 20.0
+        while Path(f"/proc/{pid}").exists():
+            assert time.monotonic() < end_s, "the session goes on without its console"
+            time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    ("host", "expected"),
+    [("127.0.0.1", True), ("127.5.0.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False)]
+    + [("::", False), ("192.168.1.2", False), ("lab-computer", False)],
+)
+def test_only_this_computers_own_addresses_go_without_a_token(host: str, expected: bool) -> None:
+    assert is_loopback(host) is expected
