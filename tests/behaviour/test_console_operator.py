@@ -221,7 +221,7 @@ def test_alarm_is_told_latched_acknowledged_over_the_line_and_reset() -> None:
     def script(talk: Talk) -> None:
         if talk.once("fail", talk.mode is Mode.STANDBY and talk.now_s > 0.2):
             talk.button = True
-        if talk.once("acknowledge", talk.mode is Mode.SAFE_STOP):
+        if talk.once("acknowledge", any(message.get("alarms") for message in talk.said)):
             talk.send(acknowledge=True, id=77)
         if talk.once("release", "acknowledge" in talk.done and 77 in [m.get("answer") for m in talk.said]):
             talk.send(order="stop", id=78)

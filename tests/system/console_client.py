@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -23,17 +23,34 @@ NEAR = ("--set", "initial.position_m=[0.7, -0.03, 0.03]", "--set", "rig.rails.x.
 """A start from which the ready point is near."""
 
 
+class Console:
+    """A console that listens at ``address``, and its pages."""
+
+    def __init__(self, address: str, process: subprocess.Popen[str], pages: ExitStack) -> None:
+        self.address = address
+        self.process = process
+        self._pages = pages
+
+    def page(self, name: str, token: str = "", key: str | None = None, **options: Any) -> Page:
+        """Return a new page, open until the console ends."""
+        socket = connect(f"ws://{self.address}/ws", max_size=None, open_timeout=60.0, **options)
+        page = Page(self._pages.enter_context(socket))
+        with suppress(ConnectionClosed):  # turned away at once: the reason is there to be read
+            page.socket.send(json.dumps({"key": key or name * 8, "name": name, "token": token}))
+        return page
+
+
 @contextmanager
-def console(*arguments: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Start ``hil console`` on a free port; give its address once it listens, and its process."""
+def console(*arguments: str) -> Iterator[Console]:
+    """Start ``hil console`` on a free port; give it once it listens; it is ended by Ctrl-C."""
     command = [sys.executable, "-m", "hil", "console", "--port", "0", *arguments]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process, ExitStack() as pages:
         try:
             assert process.stderr is not None
             line = process.stderr.readline()
             found = re.match(r"console on http://(\S+)/", line)
             assert found, line + process.stderr.read()
-            yield found[1], process
+            yield Console(found[1], process, pages)
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=30.0)
         finally:
@@ -43,13 +60,11 @@ def console(*arguments: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
 class Page:
     """One client; ``now``, ``page`` and ``rows`` are what came last, and all rows of the session."""
 
-    def __init__(self, address: str, name: str, token: str = "", key: str | None = None, **options: Any) -> None:
-        self.socket: ClientConnection = connect(f"ws://{address}/ws", max_size=None, open_timeout=60.0, **options)
-        self.socket.send(json.dumps({"key": key or name * 8, "name": name, "token": token}))
+    def __init__(self, socket: ClientConnection) -> None:
+        self.socket = socket
         self.now: dict[str, Any] = {}
         self.page: dict[str, Any] = {}
         self.rows = np.empty((0, len(INDEX)), "<f4")
-        self.first = 0
         self.refused = ""
         self.beats = True
         self._number = 0

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
-from console_client import NEAR, Page, console
+from console_client import NEAR, Console, Page, console
 
+from hil.cli.main import BAD_INPUT, execute
 from hil.console.serve import is_loopback
 
 TOKEN = "0123456789abcdef-right"
+
+
+@pytest.fixture(scope="module")
+def idle() -> Iterator[Console]:
+    """Return a console that has no session."""
+    with console("--rig", "mock") as c:
+        yield c
 
 
 def start(page: Page) -> None:
@@ -31,8 +38,8 @@ def start(page: Page) -> None:
 
 
 def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed() -> None:
-    with console("--rig", "mock", *NEAR) as (address, _):
-        ann, bob = Page(address, "ann"), Page(address, "bob")
+    with console("--rig", "mock", *NEAR) as c:
+        ann, bob = c.page("ann"), c.page("bob")
         start(ann)
         assert np.all(np.diff(ann.column("t_s")) > 0.0)
         assert np.isfinite(ann.column("estimate_m.x")[-1])
@@ -52,7 +59,7 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed() -> None
 
         ann.beats = False
         bob.until_mode("hold")
-        assert "the operator's page silent" in bob.page["hold_reason"]
+        bob.until(lambda: "the operator's page silent" in bob.page["hold_reason"], "the reason")
         assert bob.now["lease"]["holder"] == ""
 
         assert bob.ask("take")["ok"]
@@ -62,48 +69,44 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed() -> None
         assert bob.ask("order", order="hold")["text"] == "bench: cannot hold, no session is open"
 
 
-def test_takeover_is_asked_back_and_logged() -> None:
-    with console("--rig", "mock") as (address, _):
-        ann, bob = Page(address, "ann"), Page(address, "bob")
-        assert ann.ask("take")["ok"]
-        assert bob.ask("take_over")["ask"] == "Take the command over from ann? They can only watch then."
-        assert bob.ask("take_over", confirmed=True)["ok"]
-        bob.until(lambda: bob.now["lease"]["mine"], "the lease")
-        assert "bob took the command over from ann" in bob.log()
-        assert ann.ask("open")["text"] == "bob has the command: take it before you order anything"
+def test_takeover_is_asked_back_and_logged(idle: Console) -> None:
+    ann, bob = idle.page("ann"), idle.page("bob")
+    assert ann.ask("take")["ok"]
+    assert bob.ask("take_over")["ask"] == "Take the command over from ann? They can only watch then."
+    assert bob.ask("take_over", confirmed=True)["ok"]
+    bob.until(lambda: bob.now["lease"]["mine"], "the lease")
+    assert "bob took the command over from ann" in bob.log()
+    assert ann.ask("open")["text"] == "bob has the command: take it before you order anything"
 
 
 def test_wrong_token_and_other_sites_are_turned_away_in_clear_words(tmp_path: Path) -> None:
     path = tmp_path / "token"
     path.write_text(TOKEN + "\n")
     path.chmod(0o600)
-    with console("--rig", "mock", "--token-file", str(path)) as (address, _):
+    with console("--rig", "mock", "--token-file", str(path)) as c:
         for token, words in (("0123456789abcdef-wrong", "wrong token"), ("", "this console wants a token")):
-            assert Page(address, "eve", token).take() == {"refused": words}
-        page = Page(address, "ann", TOKEN)
+            assert c.page("eve", token).take() == {"refused": words}
+        page = c.page("ann", TOKEN)
         page.until(lambda: True, "the state")
         assert not page.refused
-        other = Page(address, "eve", TOKEN, origin="http://elsewhere.example")
+        other = c.page("eve", TOKEN, origin="http://elsewhere.example")
         assert other.take() == {"refused": "this console is not to be used from another site's page"}
-        short = Page(address, "eve", TOKEN, key="short")
+        short = c.page("eve", TOKEN, key="short")
         assert "at least 16" in (short.take() or {})["refused"]
         with pytest.raises(HTTPError) as rebound:
-            urlopen(Request(f"http://{address}/", headers={"Host": "rebound.example"}))
+            urlopen(Request(f"http://{c.address}/", headers={"Host": "rebound.example"}))
         assert rebound.value.code == 421
         rebound.value.close()
 
 
-def test_page_needs_nothing_from_outside() -> None:
+def test_page_needs_nothing_from_outside(idle: Console) -> None:
     folder = Path(__file__).parents[2] / "hil" / "console" / "page"
-    with console("--rig", "mock") as (address, _):
-        for name in ["", *(f"page/{path.name}" for path in folder.iterdir())]:
-            with urlopen(f"http://{address}/{name}") as answer:
-                text = answer.read().decode()
-                assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
-            outside = [
-                word for word in ("http://", "https://", "//cdn") if word in text.replace("http://www.w3.org", "")
-            ]
-            assert not outside, f"{name}: {outside}"
+    for name in ["", *(f"page/{path.name}" for path in folder.iterdir())]:
+        with urlopen(f"http://{idle.address}/{name}") as answer:
+            text = answer.read().decode()
+            assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+        outside = [word for word in ("http://", "https://", "//cdn") if word in text.replace("http://www.w3.org", "")]
+        assert not outside, f"{name}: {outside}"
 
 
 @pytest.mark.parametrize(
@@ -119,37 +122,38 @@ def test_page_needs_nothing_from_outside() -> None:
         (("--token-file", "SHORT"), "5 characters, at least 16"),
     ],
 )
-def test_bad_options_are_refused_in_one_line(arguments: tuple[str, ...], words: str, tmp_path: Path) -> None:
+def test_bad_options_are_refused_in_one_line(
+    arguments: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for name, text, mode in (("TOKEN", TOKEN, 0o600), ("OPEN", TOKEN, 0o644), ("SHORT", "12345", 0o600)):
         (tmp_path / name).write_text(text)
         (tmp_path / name).chmod(mode)
     given = [str(tmp_path / a) if (tmp_path / a).exists() and a.isupper() else a for a in arguments]
-    command = [sys.executable, "-m", "hil", "console", *given]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
-    assert done.returncode == 2, done.stderr
-    assert words in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    assert execute(["console", *given]) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.strip().splitlines()) == 1
 
 
 def test_console_ends_with_its_session_on_ctrl_c() -> None:
-    with console("--rig", "mock", *NEAR) as (address, process):
-        page = Page(address, "ann")
+    with console("--rig", "mock", *NEAR) as c:
+        page = c.page("ann")
         start(page)
         (line,) = [line for line in page.log() if "session process" in line]
         pid = int(line.split()[-1])
-    assert process.returncode == 0
+    assert c.process.returncode == 0
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
 
 
 def test_session_of_a_console_that_is_killed_brings_the_bench_to_a_stand_and_ends() -> None:
-    with console("--rig", "mock", *NEAR) as (address, process):
-        page = Page(address, "ann")
+    with console("--rig", "mock", *NEAR) as c:
+        page = c.page("ann")
         start(page)
         (line,) = [line for line in page.log() if "session process" in line]
         pid = int(line.split()[-1])
-        process.kill()
-        process.wait()
+        c.process.kill()
+        c.process.wait()
         end_s = time.monotonic() + 20.0
         while Path(f"/proc/{pid}").exists():
             assert time.monotonic() < end_s, "the session goes on without its console"
@@ -158,8 +162,16 @@ def test_session_of_a_console_that_is_killed_brings_the_bench_to_a_stand_and_end
 
 @pytest.mark.parametrize(
     ("host", "expected"),
-    [("127.0.0.1", True), ("127.5.0.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False)]
-    + [("::", False), ("192.168.1.2", False), ("lab-computer", False)],
+    [
+        ("127.0.0.1", True),
+        ("127.5.0.1", True),
+        ("::1", True),
+        ("localhost", True),
+        ("0.0.0.0", False),
+        ("::", False),
+        ("192.168.1.2", False),
+        ("lab-computer", False),
+    ],
 )
 def test_only_this_computers_own_addresses_go_without_a_token(host: str, expected: bool) -> None:
     assert is_loopback(host) is expected
