@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -169,13 +170,11 @@ def test_page_that_lost_its_console_greys_out_and_comes_back(browser: Any, pictu
     with console("--rig", "mock") as c:
         screen = open_screen(browser, c, pictures)
         screen.press("t", "take")
-        screen.page.context.set_offline(True)
-        screen.page.evaluate("window.hil.link.socket.close()")
+        screen.until("window.hil.now.lease.mine")
+        c.process.send_signal(signal.SIGSTOP)
         screen.page.wait_for_selector("body.lost")
-        screen.page.context.set_offline(False)
+        c.process.send_signal(signal.SIGCONT)
         screen.page.wait_for_selector("body:not(.lost)")
-        screen.until("window.hil.now.lease.holder === '' || window.hil.now.lease.mine")
-        screen.picture("idle")
         assert screen.errors == []
 
 

@@ -9,7 +9,7 @@ import { Scene } from "/page/scene.js";
 import { Store } from "/page/store.js";
 
 const $ = (id) => document.getElementById(id);
-const SLOW_EACH_MS = 500;
+const SLOW_EACH_MS = 500, LOST_MS = 1000;
 
 const store = new Store();
 const plots = new Plots($("plots"));
@@ -29,7 +29,6 @@ const link = new Link({
     }
     store.add(rows, header.rows, header.first);
     if (header.picture) camera.take(header.picture, jpeg);
-    document.body.classList.remove("lost");
   },
   refused(text) {
     $("who_text").textContent = text;
@@ -37,7 +36,7 @@ const link = new Link({
     if (!$("who").open) $("who").showModal();
   },
   lost() {
-    document.body.classList.add("lost");
+    link.came_ms = -Infinity;
   },
 });
 const controls = new Controls(link);
@@ -64,6 +63,8 @@ let frames = 0;
 
 function draw(time_ms) {
   requestAnimationFrame(draw);
+  // also where the network has died without a word
+  document.body.classList.toggle("lost", performance.now() - link.came_ms > LOST_MS);
   if (!now || !page) return;
   const stale = isStale(now) || document.body.classList.contains("lost");
   header(now, page, store);

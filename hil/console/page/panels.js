@@ -49,7 +49,7 @@ export function ages(now, page, link_age_s) {
   fill($("ages"), entries, "div", (row, [name, age_s, limit_s]) => {
     if (!row.firstChild) row.innerHTML = "<span></span><b></b>";
     row.firstChild.textContent = name;
-    row.lastChild.textContent = age_s === null || age_s === undefined ? "-" : age_s < 10 ? `${Math.max(0, age_s).toFixed(2)} s` : "old";
+    row.lastChild.textContent = age_s === null || age_s === undefined ? "-" : age_s < 100 ? `${Math.max(0, age_s).toFixed(2)} s` : "old";
     const old = limit_s && age_s > limit_s;
     row.lastChild.className = old ? "old" : age_s === null || age_s === undefined ? "stale" : "";
   });
