@@ -53,6 +53,10 @@ class RowStore:
         """The last row, (COLUMNS,)."""
         return self._rows[self._count - 1] if self._count else None
 
+    def all(self) -> np.ndarray[Any, Any]:
+        """Return a copy of all that is kept."""
+        return self._rows[: self._count].copy()
+
     def since(self, cursor: Cursor) -> np.ndarray[Any, Any]:
         """Return what ``cursor`` has not seen, at most AT_MOST rows, and move it to the end."""
         new = cursor.session != self.session or cursor.each != self._each

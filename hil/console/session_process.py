@@ -100,6 +100,11 @@ class SessionProcess:
         """Return the rows of CYCLE, (n,), that came since the last call."""
         return self._rows.take() if self._rows else np.empty(0, CYCLE)
 
+    @property
+    def lost_rows(self) -> int:
+        """How many rows were overwritten before they were taken."""
+        return self._rows.lost if self._rows else 0
+
     def read_status(self) -> tuple[int, np.ndarray]:
         """Return how often the status was written, and the newest one, STATUS (1,)."""
         if self._block is None:
