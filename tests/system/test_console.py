@@ -175,3 +175,9 @@ def test_session_of_a_console_that_is_killed_brings_the_bench_to_a_stand_and_end
 )
 def test_only_this_computers_own_addresses_go_without_a_token(host: str, expected: bool) -> None:
     assert is_loopback(host) is expected
+
+
+def test_missing_extra_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "uvicorn" else object())
+    assert execute(["console"]) == BAD_INPUT
+    assert capsys.readouterr().err == "hil console: uvicorn missing: pip install 'hil-bench[console]'\n"
