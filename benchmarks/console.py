@@ -3,7 +3,7 @@
 python benchmarks/console.py [--rig emulated] [--clients 3] [--browser] [--rounds 4] [--seconds 15]
 
 A session of scheme 1 is opened by a console as ``hil console`` serves it; clients connect for a turn, leave for the
-next, and so on. --browser: each client is a page in a headless Chromium, otherwise a process that reads all messages.
+next, and so on. --browser: the clients are pages in a headless Chromium, otherwise processes that read all messages.
 Lateness is the clock just after the loop's wait minus its deadline; the table has the whole run's cycles by turn.
 """
 
@@ -45,17 +45,18 @@ def read_everything(address: str) -> None:
             line.send('{"do": "beat"}')
 
 
-def browse(address: str) -> None:
-    """Be a page in a browser."""
+def browse(address: str, pages: int) -> None:
+    """Be pages in a browser, each with a context of its own."""
     from playwright.sync_api import sync_playwright
 
     path = shutil.which("chromium") or shutil.which("google-chrome")
     with sync_playwright() as p:
         browser = p.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
-        page = browser.new_page(viewport={"width": 1280, "height": 720})
-        page.add_init_script("localStorage.setItem('hil.name', 'benchmark')")
-        page.goto(f"http://{address}/")
-        page.wait_for_selector("body:not(.lost)")
+        for _ in range(pages):
+            page = browser.new_page(viewport={"width": 1280, "height": 720})
+            page.add_init_script("localStorage.setItem('hil.name', 'benchmark')")
+            page.goto(f"http://{address}/")
+            page.wait_for_selector("body:not(.lost)", timeout=120_000)
         print("connected", flush=True)
         sys.stdin.readline()
         browser.close()
@@ -115,10 +116,11 @@ def start(command: list[str]) -> subprocess.Popen[str]:
 def turns(console: Console, clients: int, kind: str, rounds: int, seconds: float) -> list[tuple[bool, float, float]]:
     """Let clients come and go; return (with clients, begin, end) of each turn, time of the run."""
     found = []
-    command = [sys.executable, __file__, kind, console.address]
+    command = [sys.executable, __file__, kind, console.address, "--clients", str(clients)]
     for _ in range(rounds):
         for watched in (False, True):
-            children = [start(command) for _ in range(clients if watched else 0)]
+            processes = 1 if kind == "--browse" else clients
+            children = [start(command) for _ in range(processes if watched else 0)]
             for child in children:
                 assert child.stdout is not None
                 assert child.stdout.readline() == "connected\n"
@@ -127,8 +129,10 @@ def turns(console: Console, clients: int, kind: str, rounds: int, seconds: float
             time.sleep(seconds)
             found.append((watched, begin_s, console.run_s()))
             for child in children:
-                child.kill()
-                child.communicate()
+                child.stdin.close() if kind == "--browse" and child.stdin else child.kill()
+                child.wait()
+            ended = console.desk.account.ended
+            assert ended is None, f"the session ended: {ended}"
     return found
 
 
@@ -157,7 +161,7 @@ def main() -> None:
     if options.read:
         return read_everything(options.read)
     if options.browse:
-        return browse(options.browse)
+        return browse(options.browse, options.clients)
     whole_s = options.rounds * 2 * (options.seconds + _SETTLE_S + _START_WALL_S) + 10.0
     console = Console(options.rig, whole_s)
     try:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
+import signal
+import traceback
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -39,6 +41,7 @@ def make_app(desk: Desk, token: str | None, hosts: frozenset[str] | None) -> Fas
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
         ticking = asyncio.create_task(_keep_ticking(desk, news))
+        ticking.add_done_callback(_end_with_a_defect)
         yield
         ticking.cancel()
         with suppress(asyncio.CancelledError):
@@ -78,6 +81,13 @@ async def _keep_ticking(desk: Desk, news: asyncio.Condition) -> None:
         await asyncio.sleep(TICK_S)
 
 
+def _end_with_a_defect(ticking: asyncio.Task[None]) -> None:
+    """End a console that does not tick any more: the loop hears nothing of it by now, and acts as its rig says."""
+    if not ticking.cancelled() and (defect := ticking.exception()) is not None:
+        traceback.print_exception(defect)
+        signal.raise_signal(signal.SIGINT)
+
+
 async def _serve_page(
     socket: WebSocket, desk: Desk, token: str | None, hosts: frozenset[str] | None, news: asyncio.Condition
 ) -> None:
@@ -88,17 +98,18 @@ async def _serve_page(
         return
     desk.clients.append(client)
     desk.changed()
-    feeding = asyncio.create_task(_feed(socket, desk, client, news))
+    works = [asyncio.create_task(_feed(socket, desk, client, news)), asyncio.create_task(_listen(socket, desk, client))]
     try:
-        await _listen(socket, desk, client)
-    except WebSocketDisconnect:
-        pass
+        await asyncio.wait(works, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        feeding.cancel()
-        with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-            await feeding
+        for work in works:
+            work.cancel()
+        ends = await asyncio.gather(*works, return_exceptions=True)
         desk.clients.remove(client)
         desk.changed()
+    for end in ends:
+        if isinstance(end, Exception) and not isinstance(end, (WebSocketDisconnect, RuntimeError)):
+            raise end  # a defect: the page is disconnected and the server's log tells
 
 
 async def _let_in(socket: WebSocket, token: str | None, hosts: frozenset[str] | None) -> Client | None:
@@ -133,7 +144,9 @@ async def _feed(socket: WebSocket, desk: Desk, client: Client, news: asyncio.Con
     while True:
         async with news:
             await news.wait()
-        await socket.send_bytes(pack(*desk.news_for(client)))
+        if not client.behind:
+            client.sent += 1
+            await socket.send_bytes(pack(*desk.news_for(client)))
 
 
 async def _listen(socket: WebSocket, desk: Desk, client: Client) -> None:
@@ -146,7 +159,7 @@ async def _listen(socket: WebSocket, desk: Desk, client: Client) -> None:
         if not isinstance(message, dict):
             await socket.send_text(json.dumps({"answer": None, "ok": False, "text": "not a JSON object, or too long"}))
             continue
-        desk.heard(client)
+        desk.heard(client, message.get("got"))
         if message.get("do") == "beat":
             continue
         answer = await desk.obey(client, message)

@@ -28,6 +28,8 @@ from hil.modes import Mode
 from hil.orders import OBEYED_IN, Order
 
 PRESENT_EACH_S: Final = 0.2
+UNREAD_AT_MOST: Final = 20
+"""Messages that may be on their way to a page: about a second."""
 _KEPT_LOG: Final = 200
 _BENCH_AT_REST: Final = frozenset({Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.HOLD, Mode.SAFE_STOP})
 
@@ -53,6 +55,14 @@ class Client:
     cursor: Cursor = field(default_factory=Cursor)
     page_seen: int = -1
     picture_seen: int = 0
+    sent: int = 0
+    got: int | None = None
+    """Messages that it has, by its own word; None where it does not tell."""
+
+    @property
+    def behind(self) -> bool:
+        """Whether it has enough to read: what waits on the wire is old before it is read."""
+        return self.got is not None and self.sent - self.got >= UNREAD_AT_MOST
 
 
 class Desk:
@@ -127,8 +137,10 @@ class Desk:
                 raise Refused(f"{other!r}: unknown request")
         return {"ok": True, "text": ""}
 
-    def heard(self, client: Client) -> None:
-        """The page of ``client`` is alive."""
+    def heard(self, client: Client, got: object = None) -> None:
+        """The page of ``client`` is alive, and has ``got`` so many messages, where it says so."""
+        if isinstance(got, int):
+            client.got = got
         self.lease.renew(client.key, self._wall_s())
 
     def _take_over(self, client: Client, confirmed: bool) -> dict[str, Any]:
@@ -195,10 +207,10 @@ class Desk:
         return {"ok": True, "text": ""}
 
     def _jog(self, axis: str, direction: object) -> None:
-        if axis not in self.account.bench.get("axes", {}) or direction not in (-1, 1):
-            raise Refused(f"cannot jog {axis} by {direction}")
         if self.session is None or not self.session.ready:
             raise Refused("bench: cannot jog, no session is open")
+        if axis not in self.account.bench["axes"] or direction not in (-1, 1):
+            raise Refused(f"bench: cannot jog {axis} by {direction}")
         if self._mode in (Mode.STANDBY, Mode.JOGGING):
             self.session.send(jog=[axis, direction])
         else:

@@ -45,7 +45,7 @@ def ask(desk: Desk, **command: Any) -> str:
         ({"do": "open", "seed": -1}, "seed -1: allowed a whole number from 0 on"),
         ({"do": "open", "seed": 1.5}, "seed 1.5: allowed a whole number from 0 on"),
         ({"do": "open", "seed": True}, "seed True: allowed a whole number from 0 on"),
-        ({"do": "jog", "axis": "rails.x", "direction": 1}, "cannot jog rails.x by 1"),
+        ({"do": "jog", "axis": "rails.x", "direction": 1}, "bench: cannot jog, no session is open"),
         ({"do": "fault", "device": "io", "line": "on drop"}, "io: no emulated device with fault switches; here: none"),
     ],
 )
@@ -74,6 +74,17 @@ def test_page_gets_the_slow_part_of_the_state_when_it_has_changed(desk: Desk) ->
     desk.note("something")
     page = unpack(pack(*desk.news_for(client)))[0]["page"]
     assert page["log"][-1]["text"] == "something"
+
+
+def test_page_that_tells_what_it_has_gets_no_more_than_it_can_read_in_a_second(desk: Desk) -> None:
+    client = Client("b" * 16, "bob", sent=1000)
+    assert not client.behind
+    desk.heard(client, 981)
+    assert not client.behind
+    client.sent += 1
+    assert client.behind
+    desk.heard(client, 990)
+    assert not client.behind
 
 
 def test_lease_that_runs_out_is_logged(desk: Desk) -> None:

@@ -9,6 +9,7 @@ export class Link {
     this.waiting = new Map();
     this.number = 0;
     this.beaten_ms = 0;
+    this.got = 0; // messages of this connection: the console sends no more than can be read
     this.came_ms = -Infinity;
     // of this tab, also after it was loaded anew: the lease goes on
     this.key = sessionStorage.getItem("hil.key") || crypto.getRandomValues(new Uint32Array(6)).join("-");
@@ -18,6 +19,7 @@ export class Link {
   open(name, token) {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
     socket.binaryType = "arraybuffer";
+    this.got = 0;
     socket.onopen = () => socket.send(JSON.stringify({ key: this.key, name, token }));
     socket.onmessage = (event) => this.take(event.data);
     socket.onclose = (event) => {
@@ -39,10 +41,11 @@ export class Link {
     }
     const now = performance.now();
     this.came_ms = now;
+    this.got++;
     // answered here and not by a timer: timers of a page in the background hardly run
     if (now - this.beaten_ms > BEAT_MS) {
       this.beaten_ms = now;
-      this.send({ do: "beat" });
+      this.send({ do: "beat", got: this.got });
     }
     const length = new DataView(data).getUint32(0, true);
     const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
