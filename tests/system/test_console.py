@@ -38,7 +38,7 @@ def start(page: Page) -> None:
 
 
 def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed() -> None:
-    with console("--rig", "mock", *NEAR) as c:
+    with console("--rig", "mock", "--set", "rig.console.lease_s=3", *NEAR) as c:
         ann, bob = c.page("ann"), c.page("bob")
         start(ann)
         assert np.all(np.diff(ann.column("t_s")) > 0.0)
@@ -135,6 +135,7 @@ def test_bad_options_are_refused_in_one_line(
     assert len(said.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_console_ends_with_its_session_on_ctrl_c() -> None:
     with console("--rig", "mock", *NEAR) as c:
         page = c.page("ann")
