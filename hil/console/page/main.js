@@ -9,13 +9,13 @@ import { Scene } from "/page/scene.js";
 import { Store } from "/page/store.js";
 
 const $ = (id) => document.getElementById(id);
-const SLOW_EACH_MS = 500, LOST_MS = 1000;
+const SLOW_EACH_MS = 500, LOST_MS = 1000, DRAW_EACH_MS = 90;
 
 const store = new Store();
 const plots = new Plots($("plots"));
 const scene = new Scene($("scene"));
 const camera = new Camera($("camera"), $("camera_text"));
-let now = null, page = null, drawn = -1, slow_ms = 0;
+let now = null, page = null, drawn = -1, drawn_ms = 0, slow_ms = 0;
 
 const link = new Link({
   message(header, rows, jpeg) {
@@ -73,11 +73,12 @@ function draw(time_ms) {
     slow_ms = time_ms;
     ages(now, page, (performance.now() - link.came_ms) / 1000);
     log(page, now.wall_s);
+    if (plots.stale !== stale || !store.count) drawn = -1;
     plots.stale = stale;
-    drawn = -1;
   }
-  if (drawn === store.version) return;
+  if (drawn === store.version || time_ms - drawn_ms < DRAW_EACH_MS) return;
   drawn = store.version;
+  drawn_ms = time_ms;
   frames++;
   plots.draw(store);
   const pose = poseNow();
