@@ -27,8 +27,9 @@ import uvicorn
 
 from hil.config.load import shipped
 from hil.console.app import make_app
+from hil.console.client import Client
 from hil.console.columns import INDEX
-from hil.console.desk import Client, Desk
+from hil.console.desk import Desk
 from hil.console.session import Choice
 from hil.late_cycles import lateness_percentiles_us
 

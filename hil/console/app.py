@@ -17,7 +17,8 @@ from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.requests import HTTPConnection
 
-from hil.console.desk import Client, Desk
+from hil.console.client import Client
+from hil.console.desk import Desk
 from hil.console.message import pack
 
 PAGE: Final = Path(__file__).parent / "page"

@@ -7,7 +7,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -15,11 +14,13 @@ import numpy as np
 from hil import parameters
 from hil.config.load import load_rig
 from hil.console.account import Account, described
+from hil.console.client import Client
 from hil.console.columns import COLUMNS, NAMES, console_rows
 from hil.console.faultboard import FaultBoard
+from hil.console.hazards import HAZARDS
 from hil.console.lease import Lease, Refused
 from hil.console.message import Picture
-from hil.console.rows import Cursor, RowStore
+from hil.console.rows import RowStore
 from hil.console.session import Choice
 from hil.console.session_process import SessionProcess
 from hil.errors import BadInput
@@ -28,41 +29,8 @@ from hil.modes import Mode
 from hil.orders import OBEYED_IN, Order
 
 PRESENT_EACH_S: Final = 0.2
-UNREAD_AT_MOST: Final = 20
-"""Messages that may be on their way to a page: about a second."""
 _KEPT_LOG: Final = 200
 _BENCH_AT_REST: Final = frozenset({Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.HOLD, Mode.SAFE_STOP})
-
-HAZARDS: Final = {
-    Order.HOME: "Home: axes without a place look for their switches. Is the bench clear of people?",
-    Order.ARM: "Arm: all axes move to the start pose. Is the bench clear of people?",
-    Order.START: "Start: the loop is closed, the bench moves by itself. Is the bench clear of people?",
-    Order.RESUME: "Resume: the bench moves on from where it stands. Is the bench clear of people?",
-    Order.ABORT: "Abort: the chaser brakes and retreats, and the bench with it. The run cannot go on after it.",
-    Order.GO: "Go: the chaser leaves its waiting point and closes in.",
-    Order.PARK: "Park: all axes move to the parking place, and the session ends. Is the bench clear of people?",
-    Order.RESET: "Reset: the devices are opened anew and the drives get power. Is the cause gone, is the bench clear?",
-}
-"""Orders that are asked back, and the question."""
-
-
-@dataclass(slots=True)
-class Client:
-    """One page. key: its secret, by which the lease knows it; name: by which people do."""
-
-    key: str
-    name: str
-    cursor: Cursor = field(default_factory=Cursor)
-    page_seen: int = -1
-    picture_seen: int = 0
-    sent: int = 0
-    got: int | None = None
-    """Messages that it has, by its own word; None where it does not tell."""
-
-    @property
-    def behind(self) -> bool:
-        """Whether it has enough to read: what waits on the wire is old before it is read."""
-        return self.got is not None and self.sent - self.got >= UNREAD_AT_MOST
 
 
 class Desk:

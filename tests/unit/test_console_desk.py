@@ -8,7 +8,9 @@ from typing import Any
 import pytest
 
 from hil.console.account import Account
-from hil.console.desk import HAZARDS, Client, Desk
+from hil.console.client import Client
+from hil.console.desk import Desk
+from hil.console.hazards import HAZARDS
 from hil.console.message import Picture, pack, unpack
 from hil.console.session import Choice
 from hil.modes import Mode

@@ -58,6 +58,8 @@ function poseNow() {
   return { r: now.rail_m, q: turn, rail: now.rail_m };
 }
 
+for (const event of ["keydown", "click", "pointermove"]) document.addEventListener(event, () => (drawn = -1));
+
 const isRunning = (mode) => mode === "running" || mode === "hold";
 let frames = 0;
 
@@ -73,8 +75,8 @@ function draw(time_ms) {
     slow_ms = time_ms;
     ages(now, page, (performance.now() - link.came_ms) / 1000);
     log(page, now.wall_s);
-    if (plots.stale !== stale || !store.count) drawn = -1;
     plots.stale = stale;
+    drawn = -1; // what changes without new rows: sizes, ages, axes that are jogged
   }
   if (drawn === store.version || time_ms - drawn_ms < DRAW_EACH_MS) return;
   drawn = store.version;
