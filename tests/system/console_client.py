@@ -33,7 +33,7 @@ class Console:
 
     def page(self, name: str, token: str = "", key: str | None = None, **options: Any) -> Page:
         """Return a new page, open until the console ends."""
-        socket = connect(f"ws://{self.address}/ws", max_size=None, open_timeout=60.0, **options)
+        socket = connect(f"ws://{self.address}/ws", max_size=None, open_timeout=60.0, close_timeout=0.1, **options)
         page = Page(self._pages.enter_context(socket))
         with suppress(ConnectionClosed):  # turned away at once: the reason is there to be read
             page.socket.send(json.dumps({"key": key or name * 8, "name": name, "token": token}))
