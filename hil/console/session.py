@@ -31,6 +31,7 @@ from hil.frmn.ring import Ring
 from hil.maths.jit import kernels_are_cached, mark_kernels_cached
 from hil.messages import CYCLE
 from hil.rate import WallRate
+from hil.realtime import RealTime
 from hil.report.summary import summarise
 from hil.runner import Outcome, Runner
 
@@ -71,10 +72,12 @@ class Bench:
 def opened(job: build.Job, operator: RemoteOperator, announce: Callable[[str], None]) -> Iterator[Bench]:
     """Give the bench of ``job``; its processes are ended after."""
     if job.rig.value.kind == "mock":
+        host = job.rig.value.host
         ring = Ring.create(CYCLE, TELEMETRY_ROWS)
         try:
-            rate = WallRate(WallClock(speed=job.speed), job.scenario.value.step_s)
-            yield Bench(build.in_memory(job, rate, operator.watch, None, ring, operator), ring, {})
+            with RealTime(host.fifo, host.cpu) as realtime:
+                rate = WallRate(WallClock(speed=job.speed), job.scenario.value.step_s)
+                yield Bench(build.in_memory(job, rate, operator.watch, realtime, ring, operator), ring, {})
         finally:
             ring.close()
         return

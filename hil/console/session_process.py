@@ -143,8 +143,8 @@ class SessionProcess:
     def _read(self) -> None:
         try:
             packet, descriptors, _, _ = socket.recv_fds(self._channel, _PACKET, 4)
-        except BlockingIOError:
-            return
+        except (BlockingIOError, ConnectionResetError):
+            return  # reset: it ended without reading all that was sent; its own last words come yet, then the end
         except OSError:
             packet, descriptors = b"", []
         if not packet:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
@@ -15,6 +17,8 @@ from console_client import NEAR, Console, Page, console
 
 from hil.cli.main import BAD_INPUT, execute
 from hil.console.serve import is_loopback
+from hil.console.session import Choice
+from hil.console.session_process import SessionProcess
 
 TOKEN = "0123456789abcdef-right"
 
@@ -182,3 +186,19 @@ def test_missing_extra_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "uvicorn" else object())
     assert execute(["console"]) == BAD_INPUT
     assert capsys.readouterr().err == "hil console: uvicorn missing: pip install 'hil-bench[console]'\n"
+
+
+def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread() -> None:
+    async def talk() -> list[dict[str, Any]]:
+        heard: list[dict[str, Any]] = []
+        choice = Choice(scenario="scheme-1", rig="mock", settings=("rig.rails.x.park_m=99",))
+        session = SessionProcess(choice, heard.append)
+        for _ in range(50):
+            session.send(present=True)
+        while not session.ended:
+            await asyncio.sleep(0.01)
+        await session.close()
+        return heard
+
+    (word,) = asyncio.run(talk())[-1]["refused"]
+    assert "park_m must lie within travel_m" in word
