@@ -195,6 +195,7 @@ def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread() -
         session = SessionProcess(choice, heard.append)
         for _ in range(50):
             session.send(present=True)
+        os.waitid(os.P_PID, session.pid, os.WEXITED | os.WNOWAIT)  # nothing is read before it is gone
         while not session.ended:
             await asyncio.sleep(0.01)
         await session.close()
