@@ -52,6 +52,7 @@ class Handling:
         tick = self._late_cycles.wait(self._rate)
         self.ticks += 1
         self.look(tick.now_s)
+        self._operator.listen(tick.now_s)
         if self.ticks % self.links_each == 0:
             self.look_at_links(tick.now_s)
         return tick
@@ -121,7 +122,8 @@ class Handling:
         self.loop.bench.seed_for_run(tick.now_s, self.loop.now.feedback)
         self.modes.go(Mode.PARKING)
         self.loop.bench.park_turntable(place, tick.now_s)
-        self._move_to(place, tick)
+        if not self._move_to(place, tick):  # a hold was asked for: the bench stays where it comes to a stand
+            self.brake()
         self.modes.go(Mode.STANDBY)
 
     def brake(self) -> None:

@@ -84,6 +84,13 @@ class Operator:
         self._jog: JogWish | None = None
         self._refreshed = False
 
+    def listen(self, now_s: float) -> None:
+        """Fetch what has come from outside; called by the loop once a cycle, at bench time ``now_s``.
+
+        Here nothing has: whoever shares the loop's process calls ``order``. Raises BenchError where the bench must
+        stop.
+        """
+
     def order(self, order: Order) -> None:
         """Let ``order`` wait for the loop; STOP goes before all others."""
         with self._lock:

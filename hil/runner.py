@@ -105,6 +105,10 @@ class Runner:
         """Return bench time; for any thread."""
         return self._rate.now_s()
 
+    def all_events(self) -> list[Event]:
+        """Return what happened so far, in the order of the run's time; for the loop's thread."""
+        return sorted([*self.loop.gnc.events(), *self.events], key=lambda event: event.t_s)
+
     def run(self) -> Outcome:
         """Run to the end, to a fault, or to Ctrl-C; the bench stands still whatever happened."""
         with no_garbage_collection(freeze=self._rate.on_the_wall):
@@ -112,7 +116,6 @@ class Runner:
         end = Mode.SAFE_STOP if self._faults else Mode.STANDBY
         if self._modes.mode is not end:
             self._modes.go(end)
-        events = sorted([*self.loop.gnc.events(), *self.events], key=lambda event: event.t_s)
         return Outcome(
             history=self.loop.history[: self._done],
             stop=stop,
@@ -123,7 +126,7 @@ class Runner:
             privileges=list(self._precedence.grants),
             limited_cycles=self.loop.bench.limited_cycles,
             vision_counters=self.source.counters(),
-            events=events,
+            events=self.all_events(),
             alarms=list(self.supervisor.alarms.all()),
         )
 
@@ -239,6 +242,7 @@ class Runner:
                 self._watch(Mode.RUNNING, k / self._cycles)
             if k % self._handling.links_each == 0:
                 self._handling.look_at_links(tick.now_s)
+            self.operator.listen(tick.now_s)
             if self.operator.waiting or self.supervisor.hold_reason:
                 held_s += self._obey_while_running(k * self._step_s)
         self.loop.gnc.finish((self._cycles - 1) * self._step_s, self.loop.now.supervision)
@@ -292,6 +296,7 @@ class Runner:
             tick = self._rate.wait()
             with suppress(DeviceError):  # counts as pressed
                 self.loop.bench.look_at_emergency_input(tick.now_s)
+            self.operator.listen(tick.now_s)
             order = self.operator.take(Mode.SAFE_STOP)
             if order is Order.STOP:
                 raise OrderedToStop

@@ -223,6 +223,48 @@ def commission(
     return commission_command(rig, axis, out, by, date, limits, yes, scenario, settings, speed)
 
 
+@app.command
+def console(
+    *,
+    host: str = "127.0.0.1",
+    port: Whole = 8765,
+    token_file: str | None = None,
+    rig: str = "emulated",
+    scenario: str = "scheme-1",
+    seed: Whole = 0,
+    duration: float | None = None,
+    settings: Settings = (),
+    speed: float = 1.0,
+    on_loss: Literal["hold", "continue", "stop"] | None = None,
+) -> int:
+    """Serve the page from which a session at the bench is seen and commanded, until Ctrl-C.
+
+    Parameters
+    ----------
+    host
+        Address to listen on. Any but this computer's own needs a token.
+    port
+        0 takes any that is free.
+    token_file
+        File with the token that a page must know, readable by its owner alone.
+    rig
+        mock, emulated, or the path of a rig file: what is offered first.
+    scenario
+        scheme-1, scheme-2, scheme-3, or the path of a scenario file: what is offered first.
+    seed
+        Of all random numbers.
+    duration
+        Seconds to run, instead of the scenario's.
+    speed
+        Bench seconds a wall second, on a mock or emulated rig.
+    on_loss
+        What the loop does when the operator's page is lost while the bench moves, instead of the rig's console.on_loss.
+    """
+    from hil.cli.console import console_command
+
+    return console_command(host, port, token_file, rig, scenario, seed, duration, speed, settings, on_loss)
+
+
 add_vision_commands(app)
 add_recording_commands(app)
 

@@ -31,7 +31,7 @@ def run_command(
     record: str | None = None,
 ) -> int:
     """Do ``hil run``; return its exit code. Raises BadInput before anything is started."""
-    _check_options(seed, duration_s, speed, json_path)
+    check_options(seed, duration_s, speed, json_path)
     scenario = load_scenario(scenario_name, settings)
     rig = load_rig(rig_name, settings)
     console = Console(stderr=True)
@@ -90,7 +90,8 @@ def run_command(
     return _PASSED if summary["passed"] else _FAILED
 
 
-def _check_options(seed: int, duration_s: float | None, speed: float, json_path: str | None) -> None:
+def check_options(seed: int, duration_s: float | None, speed: float, json_path: str | None) -> None:
+    """Raise BadInput with every option that cannot be used."""
     problems = []
     if seed < 0:
         problems.append(Problem("--seed", "", f"{seed}: must not be negative"))

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from hil.config.console import ConsoleTable
 from hil.config.host import Host, LateCycle
 from hil.config.io import Io
 from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
@@ -303,6 +304,7 @@ class Rig(Strict):
     vmu: Vmu
     safety: Safety = Safety()
     host: Host = Host()
+    console: ConsoleTable = ConsoleTable()
     io: Io | None = None
     target_manipulator: TargetManipulator | None = None
     sign_off: SignOff | None = None

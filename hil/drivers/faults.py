@@ -6,16 +6,19 @@ The control port speaks lines of text (``nc 127.0.0.1 PORT`` will do); each gets
     on stuck y        the y axis stands still             off stuck y
     on jump y 0.05    its encoder jumps by 50 mm, once    clear          all faults off
     list              what is on                          help           what can be switched on here
+    kinds             the same for programs, a line of JSON
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import socket
+import sys
 import threading
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -125,7 +128,13 @@ class Faults:
             return "ok"
         if line.strip() == "list":
             return self.shown()
+        if line.strip() == "kinds":
+            return json.dumps({"axes": self.axes, "kinds": {name: asdict(kind) for name, kind in self._finite_kinds()}})
         return f"error: allowed: on FAULT, off FAULT, clear, list; faults: {self._menu()}"
+
+    def _finite_kinds(self) -> list[tuple[str, Kind]]:
+        """Return the kinds with a number for an end that is not there: JSON has no infinity."""
+        return [(name, replace(kind, high=min(kind.high, sys.float_info.max))) for name, kind in self.kinds.items()]
 
     def _kind(self, kind: str, axis: str) -> Kind:
         known = self.kinds.get(kind)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -104,3 +106,12 @@ def test_the_control_port_answers_each_line(faults: Faults) -> None:
         port.close()
     with pytest.raises(OSError, match="refused"):
         FaultControl(port.address)
+
+
+def test_kinds_tell_programs_what_can_be_switched_on() -> None:
+    faults = Faults("rails", {**WIRE, **AXIS}, ("x", "y"))
+    told = json.loads(faults.obey("kinds"))
+    assert told["axes"] == ["x", "y"]
+    assert list(told["kinds"]) == [*WIRE, *AXIS]
+    assert told["kinds"]["drop"]["value"] == "share"
+    assert told["kinds"]["stuck"]["of_axis"]

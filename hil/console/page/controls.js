@@ -1,0 +1,220 @@
+// Buttons, keys, jogging, fault switches: everything by which the page orders something.
+
+const $ = (id) => document.getElementById(id);
+const JOG_MS = 60; // the bench stops 0.2 s after the last one
+const ANSWER_MS = 6000;
+
+const ORDERS = [
+  ["hold", "HOLD", "h"], ["home", "Home", "o"], ["arm", "Arm", "m"], ["start", "Start", "s"], ["resume", "Resume", "r"],
+  ["go", "Go", "g"], ["abort", "Abort", "a"], ["disarm", "Disarm", "d"], ["park", "Park", "k"], ["reset", "Reset", "e"],
+];
+
+export class Controls {
+  constructor(link) {
+    this.link = link;
+    this.now = {};
+    this.page = {};
+    this.jogging = null;
+    this.axis = 0;
+    for (const [order, text, key] of ORDERS) this.button($("orders"), order, text, key);
+    for (const button of document.querySelectorAll("button[data-key]")) button.innerHTML += `<kbd>${button.dataset.key}</kbd>`;
+    $("take").onclick = () => this.takeOrGiveBack();
+    $("open").onclick = () => this.open();
+    $("stop").onclick = () => this.ask({ do: "order", order: "stop" });
+    $("acknowledge").onclick = () => this.ask({ do: "acknowledge" });
+    $("fault_device").onchange = () => this.faultKinds();
+    $("fault_kind").onchange = () => this.faultAxes();
+    $("fault_on").onclick = () => this.switchFault();
+    $("fault_clear").onclick = () => this.ask({ do: "fault", device: $("fault_device").value, line: "clear" });
+    $("no").onclick = () => $("confirm").close();
+    document.addEventListener("keydown", (event) => this.keyDown(event));
+    document.addEventListener("keyup", (event) => {
+      if (event.key === "ArrowLeft" || event.key === "ArrowRight") this.jog(null);
+    });
+    for (const event of ["blur", "pointerup", "pointercancel"]) window.addEventListener(event, () => this.jog(null));
+    document.addEventListener("visibilitychange", () => this.jog(null));
+  }
+
+  button(where, order, text, key) {
+    const button = document.createElement("button");
+    button.id = `order_${order}`;
+    button.textContent = text;
+    button.dataset.key = key;
+    if (order === "hold") button.className = "hold";
+    button.onclick = () => this.ask({ do: "order", order });
+    where.append(button);
+  }
+
+  // Ask; where the console asks back, let the operator confirm it first.
+  async ask(message) {
+    const answer = await this.link.ask(message);
+    if (!answer.ask) return this.say(answer.ok ? "" : answer.text);
+    $("question").textContent = answer.ask;
+    $("yes").onclick = () => {
+      $("confirm").close();
+      this.ask({ ...message, confirmed: true });
+    };
+    if (!$("confirm").open) $("confirm").showModal();
+  }
+
+  say(text) {
+    $("answer").textContent = text;
+    clearTimeout(this.silence);
+    if (text) this.silence = setTimeout(() => ($("answer").textContent = ""), ANSWER_MS);
+  }
+
+  takeOrGiveBack() {
+    if (this.now.lease && this.now.lease.mine) this.ask({ do: "release" });
+    else this.ask({ do: "take_over" });
+  }
+
+  open() {
+    this.ask({ do: "open", scenario: $("scenario").value, rig: $("rig").value, seed: Number($("seed").value) });
+  }
+
+  keyDown(event) {
+    if (event.ctrlKey || event.altKey || event.metaKey || $("who").open) return;
+    if ($("confirm").open) {
+      if (event.key === "y") $("yes").click();
+      return;
+    }
+    const typing = /^(INPUT|SELECT)$/.test(event.target.tagName);
+    if (event.key === "Escape" && typing) event.target.blur();
+    if (typing) return;
+    if (/^[1-6]$/.test(event.key)) this.choose(Number(event.key) - 1);
+    else if (event.key === "ArrowLeft" || event.key === "ArrowRight") {
+      event.preventDefault();
+      if (!event.repeat) this.jog(this.axis, event.key === "ArrowLeft" ? -1 : 1);
+    } else if (!event.repeat) {
+      const button = document.querySelector(`button[data-key="${CSS.escape(event.key)}"]`);
+      if (button && button.id !== "yes" && !button.disabled) button.click();
+    }
+  }
+
+  choose(axis) {
+    this.axis = axis;
+    document.querySelectorAll(".axis").forEach((row, i) => row.classList.toggle("chosen", i === axis));
+  }
+
+  // Press the key of one axis, or let go of it: axis null.
+  jog(axis, direction) {
+    clearInterval(this.jogging);
+    this.jogging = null;
+    if (axis === null || !this.page.bench.axes) return;
+    const name = Object.keys(this.page.bench.axes)[axis];
+    const press = async (first) => {
+      const message = { do: "jog", axis: name, direction };
+      if (!first) return this.link.send(message);
+      const answer = await this.link.ask(message);
+      if (!answer.ok) {
+        this.jog(null);
+        this.say(answer.text);
+      }
+    };
+    this.choose(axis);
+    press(true);
+    this.jogging = setInterval(() => press(false), JOG_MS);
+  }
+
+  // Bring the controls up to what the console says.
+  show(now, page) {
+    const changed = page !== this.page;
+    this.now = now;
+    this.page = page;
+    const mine = now.lease.mine, open = now.open;
+    for (const [order] of ORDERS) {
+      const allowed = open ? page.obeyed_in[order].includes(now.mode) : order === "reset" && page.alarms.some((a) => a.latched);
+      $(`order_${order}`).disabled = !(mine && allowed);
+    }
+    $("open").disabled = !mine || open;
+    $("stop").disabled = !mine || !open;
+    $("acknowledge").disabled = !mine || !page.alarms.some((alarm) => !alarm.acknowledged);
+    const jogs = mine && open && ["standby", "jogging"].includes(now.mode);
+    for (const button of document.querySelectorAll(".axis button, #faults button")) button.disabled = !(button.closest(".axis") ? jogs : mine && page.faults && Object.keys(page.faults.menu).length);
+    if (!jogs && this.jogging) this.jog(null);
+    const text = mine ? "Give back" : now.lease.holder ? "Take over" : "Take command";
+    if ($("take").firstChild.textContent !== text) $("take").firstChild.textContent = text;
+    if (changed) this.lists(page, open);
+    this.positions(now, page);
+  }
+
+  lists(page, open) {
+    for (const [id, names] of [["scenario", page.scenarios], ["rig", page.rigs]]) {
+      options($(id), names);
+      if (open || !$(id).dataset.set) $(id).value = page.choice[id];
+      $(id).dataset.set = "1";
+      $(id).disabled = open;
+    }
+    if (open) $("seed").value = page.choice.seed;
+    $("seed").disabled = open;
+    options($("fault_device"), Object.keys(page.faults.menu));
+    this.faultKinds();
+    const on = Object.entries(page.faults.on).filter(([, list]) => list !== "none");
+    $("fault_list").textContent = on.map(([device, list]) => `${device}: ${list}`).join("; ");
+    if (page.bench.axes && document.querySelectorAll(".axis").length === 0) this.axes(Object.keys(page.bench.axes));
+  }
+
+  axes(names) {
+    names.forEach((name, i) => {
+      const row = document.createElement("div");
+      row.className = i === this.axis ? "axis chosen" : "axis";
+      row.innerHTML = `<span>${i + 1} ${name.split(".")[1]}</span><span class="where"><b>-</b><i></i></span>`;
+      for (const [direction, sign] of [[-1, "\u2212"], [1, "+"]]) {
+        const button = document.createElement("button");
+        button.textContent = sign;
+        button.ariaLabel = `jog ${name} ${direction < 0 ? "down" : "up"} while held`;
+        button.disabled = true;
+        button.onpointerdown = () => this.jog(i, direction);
+        button.onpointerleave = () => this.jog(null);
+        row.append(button);
+      }
+      $("jog").append(row);
+    });
+  }
+
+  positions(now, page) {
+    if (!now.rail_m) return;
+    const limits = Object.values(page.bench.axes), values = [...now.rail_m, ...now.gimbal_deg];
+    document.querySelectorAll(".axis .where").forEach((where, i) => {
+      const [low, high] = limits[i], value = values[i];
+      const note = now.limit[i] ? " on its switch" : now.homing[i] === 2 ? "" : " not homed";
+      where.firstChild.textContent = `${value === null ? "-" : value.toFixed(i < 3 ? 3 : 2)} ${i < 3 ? "m" : "\u00b0"}${note}`;
+      where.classList.toggle("limit", Boolean(note));
+      where.lastChild.style.left = `${Math.min(97, Math.max(0, (100 * (value - low)) / (high - low)))}%`;
+    });
+  }
+
+  kind() {
+    const device = this.page.faults.menu[$("fault_device").value];
+    return device && device.kinds[$("fault_kind").value];
+  }
+
+  faultKinds() {
+    const device = this.page.faults.menu[$("fault_device").value];
+    options($("fault_kind"), device ? Object.keys(device.kinds) : []);
+    this.faultAxes();
+  }
+
+  faultAxes() {
+    const device = this.page.faults.menu[$("fault_device").value], kind = this.kind();
+    options($("fault_axis"), kind && kind.of_axis ? device.axes : []);
+    $("fault_axis").disabled = !(kind && kind.of_axis);
+    $("fault_value").disabled = !(kind && kind.value);
+    $("fault_value").placeholder = kind && kind.value ? `${kind.value} (${kind.default})` : "";
+  }
+
+  switchFault() {
+    const kind = this.kind();
+    const words = ["on", $("fault_kind").value];
+    if (kind && kind.of_axis) words.push($("fault_axis").value);
+    if (kind && kind.value && $("fault_value").value !== "") words.push($("fault_value").value);
+    this.ask({ do: "fault", device: $("fault_device").value, line: words.join(" ") });
+  }
+}
+
+function options(select, names) {
+  if ([...select.options].map((option) => option.value).join() === names.join()) return;
+  const before = select.value;
+  select.replaceChildren(...names.map((name) => new Option(name)));
+  if (names.includes(before)) select.value = before;
+}

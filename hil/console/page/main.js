@@ -1,0 +1,105 @@
+// The console's page: takes messages, draws the newest state when the browser is ready to, and never falls behind.
+
+import { Camera } from "/page/camera.js";
+import { Controls } from "/page/controls.js";
+import { Link } from "/page/link.js";
+import { ages, alarms, header, isStale, log } from "/page/panels.js";
+import { Plots } from "/page/plots.js";
+import { Scene } from "/page/scene.js";
+import { Store } from "/page/store.js";
+
+const $ = (id) => document.getElementById(id);
+const SLOW_EACH_MS = 500, LOST_MS = 1000, DRAW_EACH_MS = 90;
+
+const store = new Store();
+const plots = new Plots($("plots"));
+const scene = new Scene($("scene"));
+const camera = new Camera($("camera"), $("camera_text"));
+let now = null, page = null, drawn = -1, drawn_ms = 0, slow_ms = 0;
+
+const link = new Link({
+  message(header, rows, jpeg) {
+    now = header.now;
+    if (header.page) {
+      if (page && page.session !== header.page.session) camera.picture = null;
+      page = header.page;
+      store.name(page.columns);
+      plots.describe(page.bench);
+      alarms(page);
+    }
+    store.add(rows, header.rows, header.first);
+    if (header.picture) camera.take(header.picture, jpeg);
+  },
+  refused(text) {
+    $("who_text").textContent = text;
+    sessionStorage.removeItem("hil.token");
+    if (!$("who").open) $("who").showModal();
+  },
+  lost() {
+    link.came_ms = -Infinity;
+  },
+});
+const controls = new Controls(link);
+window.hil = { store, link, get now() { return now; }, get page() { return page; }, get frames() { return frames; } };
+
+function poseNow() {
+  const q = [0, 1, 2, 3].map((i) => store.last(`q_bench_${i}`));
+  if (now.rail_m && (isRunning(now.mode) || !now.open) && q.every(Number.isFinite)) return { r: store.vector("bench_m"), q, rail: now.rail_m };
+  if (!now.rail_m || !page.bench.axes) return null;
+  // outside the run there are no rows: the pose by the newest encoder values, yaw pitch roll
+  const [roll, pitch, yaw] = now.gimbal_deg.map((v) => (v * Math.PI) / 360);
+  const s = [roll, pitch, yaw].map(Math.sin), k = [roll, pitch, yaw].map(Math.cos);
+  const turn = [
+    s[0] * k[1] * k[2] - k[0] * s[1] * s[2],
+    k[0] * s[1] * k[2] + s[0] * k[1] * s[2],
+    k[0] * k[1] * s[2] - s[0] * s[1] * k[2],
+    k[0] * k[1] * k[2] + s[0] * s[1] * s[2],
+  ];
+  return { r: now.rail_m, q: turn, rail: now.rail_m };
+}
+
+for (const event of ["keydown", "click", "pointermove"]) document.addEventListener(event, () => (drawn = -1));
+
+const isRunning = (mode) => mode === "running" || mode === "hold";
+let frames = 0;
+
+function draw(time_ms) {
+  requestAnimationFrame(draw);
+  // also where the network has died without a word
+  document.body.classList.toggle("lost", performance.now() - link.came_ms > LOST_MS);
+  if (!now || !page) return;
+  const stale = isStale(now) || document.body.classList.contains("lost");
+  header(now, page, store);
+  controls.show(now, page);
+  if (time_ms - slow_ms > SLOW_EACH_MS) {
+    slow_ms = time_ms;
+    ages(now, page, (performance.now() - link.came_ms) / 1000);
+    log(page, now.wall_s);
+    plots.stale = stale;
+    drawn = -1; // what changes without new rows: sizes, ages, axes that are jogged
+  }
+  if (drawn === store.version || time_ms - drawn_ms < DRAW_EACH_MS) return;
+  drawn = store.version;
+  drawn_ms = time_ms;
+  frames++;
+  plots.draw(store);
+  const pose = poseNow();
+  scene.draw(page.bench, pose, store, stale);
+  camera.draw(page.bench, pose);
+}
+
+function enter() {
+  const name = localStorage.getItem("hil.name") || "";
+  const token = new URLSearchParams(location.hash.slice(1)).get("token") || sessionStorage.getItem("hil.token") || "";
+  if (name) link.open(name, token);
+  else $("who").showModal();
+}
+
+$("who").addEventListener("close", () => {
+  localStorage.setItem("hil.name", $("name").value.trim() || "operator");
+  sessionStorage.setItem("hil.token", $("token").value);
+  link.open(localStorage.getItem("hil.name"), $("token").value);
+});
+$("name").value = localStorage.getItem("hil.name") || "";
+enter();
+requestAnimationFrame(draw);

@@ -1,0 +1,87 @@
+// The values in words: header, ages, alarms, log.
+
+import { norm } from "/page/space.js";
+
+const $ = (id) => document.getElementById(id);
+const STATUS_OLD_S = 0.5;
+
+export function isStale(now) {
+  return !now.ready || now.status_age_s === undefined || now.status_age_s > STATUS_OLD_S;
+}
+
+export function header(now, page, store) {
+  const stale = isStale(now);
+  document.body.classList.toggle("old", stale);
+  $("mode").textContent = now.mode;
+  $("mode").dataset.mode = now.mode;
+  $("run_s").textContent = now.run_s === undefined || now.run_s === null ? "-" : now.run_s.toFixed(1);
+  const r = store.vector("estimate_m"), v = store.vector("velocity_estimate_mps");
+  const range = norm(r), closing = -(r[0] * v[0] + r[1] * v[1] + r[2] * v[2]) / range;
+  $("range").textContent = Number.isFinite(range) ? range.toFixed(3) : "-";
+  $("closing").textContent = Number.isFinite(closing) ? (1000 * closing).toFixed(1) : "-";
+  const margin = store.last("corridor_margin_m");
+  $("margin").textContent = Number.isFinite(margin) ? margin.toFixed(3) : "-";
+  const phase = store.last("phase");
+  const names = page.bench.phases ? [...page.bench.phases, "brake", "retreat", "hold"] : [];
+  $("phase").textContent = store.last("aborted") > 0 ? `ABORT ${names[phase] || ""}` : names[phase] || "-";
+  $("share").value = now.mode === "running" && page.bench.duration_s ? now.run_s / page.bench.duration_s : now.share || 0;
+  $("holder").textContent = now.lease.mine ? "You have the command" : now.lease.holder ? `${now.lease.holder} commands` : "nobody commands";
+  $("word").textContent = words(now, page);
+}
+
+function words(now, page) {
+  if (now.mode === "hold" && page.hold_reason) return page.hold_reason;
+  if (page.ended && !now.open) {
+    const { passed, stop } = page.ended;
+    return `${passed === null ? "" : passed ? "PASS. " : "FAIL. "}${page.word || stop}`;
+  }
+  return page.word || (page.ended ? page.ended.stop : `${page.choice.scenario} on ${page.choice.rig}, seed ${page.choice.seed}`);
+}
+
+// link_age_s: since the last message came
+export function ages(now, page, link_age_s) {
+  const stale = page.bench.stale_s || {};
+  const entries = [
+    ...["rails", "turntable", "vmu", "io"].map((name) => [name, now.ages_s ? now.ages_s[name] : null, stale[name]]),
+    ["loop", now.status_age_s ?? null, STATUS_OLD_S],
+    ["link", link_age_s, STATUS_OLD_S],
+  ];
+  fill($("ages"), entries, "div", (row, [name, age_s, limit_s]) => {
+    if (!row.firstChild) row.innerHTML = "<span></span><b></b>";
+    row.firstChild.textContent = name;
+    row.lastChild.textContent = age_s === null || age_s === undefined ? "-" : age_s < 100 ? `${Math.max(0, age_s).toFixed(2)} s` : "old";
+    const old = limit_s && age_s > limit_s;
+    row.lastChild.className = old ? "old" : age_s === null || age_s === undefined ? "stale" : "";
+  });
+}
+
+export function alarms(page) {
+  const newest = [...page.alarms].reverse();
+  fill($("alarmlist"), newest, "li", (row, alarm) => {
+    row.className = `${alarm.latched ? "latched" : ""} ${alarm.acknowledged ? "" : "new"}`;
+    const state = `${alarm.latched ? "latched" : "reset"}, ${alarm.acknowledged ? "acknowledged" : "NEW"}`;
+    text(row, `${alarm.t_s.toFixed(2)} s ${state}`, alarm.text);
+  });
+  const first = page.alarms.find((alarm) => alarm.latched);
+  $("alarmline").textContent = first ? `\u26a0 ${first.text}${first.acknowledged ? " (acknowledged)" : ""}` : "";
+  $("alarmline").classList.toggle("seen", Boolean(first && first.acknowledged));
+}
+
+export function log(page, wall_s) {
+  const events = page.events.map((event) => ({ when: `run ${event.t_s.toFixed(1)} s`, text: event.text }));
+  const lines = page.log.map((line) => ({ when: `${Math.max(0, wall_s - line.wall_s).toFixed(0)} s ago`, text: line.text }));
+  fill($("loglist"), [...lines.reverse().slice(0, 20), ...events.reverse()], "li", (row, line) => text(row, line.when, line.text));
+}
+
+function text(row, small, words) {
+  if (!row.firstChild) row.append(document.createElement("small"), "");
+  row.firstChild.textContent = small;
+  row.lastChild.textContent = words;
+}
+
+// Keep as many children as entries, and let show(child, entry) fill each.
+function fill(list, entries, tag, show) {
+  while (list.children.length > entries.length) list.lastChild.remove();
+  while (list.children.length < entries.length) list.append(document.createElement(tag));
+  entries.forEach((entry, i) => show(list.children[i], entry));
+}

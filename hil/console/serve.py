@@ -1,0 +1,87 @@
+"""Serves the console: the address, the token, and the web server about the desk."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+import stat
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from hil.config.load import shipped
+from hil.console.session import Choice
+from hil.errors import BadInput, Problem
+
+_TOKEN_AT_LEAST: Final = 16
+_LOOPBACK_NAMES: Final = ("localhost", "127.0.0.1", "::1")
+
+
+def read_token(path: str) -> str:
+    """Return the token in the file at ``path``; raises BadInput where it is none, or others can read it."""
+    option = "--token-file"
+    try:
+        mode = Path(path).stat().st_mode
+        token = Path(path).read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput.single(option, "", f"{path}: cannot be read: {error}") from error
+    if stat.S_IMODE(mode) & 0o077:
+        raise BadInput.single(option, "", f"{path}: others may read it, mode {stat.S_IMODE(mode):o}: chmod 600 {path}")
+    if len(token) < _TOKEN_AT_LEAST:
+        text = f"{path}: {len(token)} characters, at least {_TOKEN_AT_LEAST}: openssl rand -hex 16 > {path}"
+        raise BadInput.single(option, "", text)
+    return token
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether only programs on this computer reach ``host``."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def listen(host: str, port: int, token: str | None) -> socket.socket:
+    """Return a socket that listens; raises BadInput where it cannot, or where others could come in without a token."""
+    problems = []
+    if not 0 <= port <= 65535:
+        problems.append(Problem("--port", "", f"{port}: allowed 0 to 65535, 0 for any that is free"))
+    if not is_loopback(host) and token is None:
+        text = f"{host}: other computers can reach it: give --token-file, or stay on 127.0.0.1"
+        problems.append(Problem("--host", "", text))
+    if problems:
+        raise BadInput(problems)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        raise BadInput.single("--port", "", f"{host}:{port}: cannot listen there: {error.strerror or error}") from error
+
+
+def serve(choice: Choice, listener: socket.socket, host: str, token: str | None, log: Callable[[str], None]) -> None:
+    """Serve the page until Ctrl-C, which a KeyboardInterrupt tells; a session that is open is stopped before."""
+    import uvicorn
+
+    from hil.console.app import make_app
+    from hil.console.desk import Desk
+
+    scenarios = [*dict.fromkeys([choice.scenario, *shipped("scenarios")])]
+    rigs = [*dict.fromkeys([choice.rig, *shipped("rigs")])]
+    desk = Desk(choice, scenarios, rigs, time.monotonic, log)
+    desk.warm_up()
+    hosts = frozenset({host, *_LOOPBACK_NAMES}) if is_loopback(host) else None
+    config = uvicorn.Config(
+        make_app(desk, token, hosts),
+        log_level="warning",
+        access_log=False,
+        ws="websockets-sansio",
+        ws_max_size=65536,
+        ws_per_message_deflate=False,
+        ws_ping_interval=5.0,
+        ws_ping_timeout=10.0,
+        timeout_graceful_shutdown=1,
+    )
+    uvicorn.Server(config).run(sockets=[listener])

@@ -1,0 +1,158 @@
+"""One session at the bench, as a process of its own: ``python -m hil.console.session``, started by the console.
+
+It gets its configuration as a JSON line on stdin and speaks with the console over a socket pair
+(``hil.console.remote_operator``). It is the loop's process: nothing of the web is in it. It says, in this order,
+``{"word": ...}`` for what is being started, ``{"hello": ...}`` with the descriptors of telemetry and status once the
+bench is up, what ``RemoteOperator`` tells, and at last ``{"ended": ...}``, or ``{"refused": [...]}`` where it could not
+begin. It outlives a console that dies, and brings the bench to a stand then.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+from hil import build
+from hil.clock import WallClock
+from hil.config.console import OnLoss
+from hil.config.load import load_rig, load_scenario
+from hil.config.model import Strict
+from hil.console.remote_operator import RemoteOperator, Words
+from hil.console.status import CELLS
+from hil.errors import BadInput, BenchError
+from hil.frmn.cell import Block
+from hil.frmn.ring import Ring
+from hil.maths.jit import kernels_are_cached, mark_kernels_cached
+from hil.messages import CYCLE
+from hil.rate import WallRate
+from hil.realtime import RealTime
+from hil.report.summary import summarise
+from hil.runner import Outcome, Runner
+
+TELEMETRY_ROWS: Final = 2048
+_LAST_WORDS_WALL_S: Final = 2.0
+
+
+class Choice(Strict):
+    """What is to be run, as the operator chose it."""
+
+    scenario: str
+    rig: str
+    seed: int = 0
+    duration_s: float | None = None
+    speed: float = 1.0
+    settings: tuple[str, ...] = ()
+    on_loss: OnLoss | None = None
+    """Instead of the rig's."""
+
+    def job(self) -> build.Job:
+        """Return the job; raises BadInput."""
+        scenario = load_scenario(self.scenario, self.settings)
+        rig = load_rig(self.rig, self.settings)
+        duration_s = scenario.value.duration_s if self.duration_s is None else self.duration_s
+        return build.Job(scenario, rig, self.seed, duration_s, self.speed)
+
+
+class Bench:
+    """A runner and the way to its telemetry: the mock rig keeps the time of the wall here, so that one can watch."""
+
+    def __init__(self, runner: Runner, telemetry: Ring, addresses: dict[str, str]) -> None:
+        self.runner = runner
+        self.telemetry = telemetry
+        self.addresses = addresses
+
+
+@contextmanager
+def opened(job: build.Job, operator: RemoteOperator, announce: Callable[[str], None]) -> Iterator[Bench]:
+    """Give the bench of ``job``; its processes are ended after."""
+    if job.rig.value.kind == "mock":
+        host = job.rig.value.host
+        ring = Ring.create(CYCLE, TELEMETRY_ROWS)
+        try:
+            with RealTime(host.fifo, host.cpu) as realtime:
+                rate = WallRate(WallClock(speed=job.speed), job.scenario.value.step_s)
+                yield Bench(build.in_memory(job, rate, operator.watch, realtime, ring, operator), ring, {})
+        finally:
+            ring.close()
+        return
+    with build.wired_bench(job, announce) as bench:
+        runner = bench.runner(operator.watch, operator)
+        assert isinstance(runner.loop.telemetry, Ring)
+        yield Bench(runner, runner.loop.telemetry, bench.addresses)
+
+
+def run_session(choice: Choice, channel: socket.socket) -> None:
+    """Open the bench, run it as it is ordered, say how it ended."""
+    words = Words(channel)
+    status = Block.create(CELLS, "console")
+    try:
+        job = choice.job()
+        _prepare(job, words)
+        rig = job.rig.value
+        operator = RemoteOperator(words, status["status"], choice.on_loss or rig.console.on_loss, rig.console.lease_s)
+        with opened(job, operator, lambda text: words.say(word=text)) as bench:
+            operator.attach(bench.runner)
+            hello = {"hello": {"pid": os.getpid(), "addresses": bench.addresses}}
+            descriptors = [bench.telemetry.descriptor, status.descriptor]
+            socket.send_fds(channel, [json.dumps(hello).encode()], descriptors)
+            outcome = bench.runner.run()
+            operator.tell(bench.runner.now_s())
+        _say_how_it_ended(words, choice, job, outcome)
+    except BadInput as error:
+        words.say(refused=[str(problem) for problem in error.problems])
+    except BenchError as error:
+        words.say(refused=[str(error)])
+    except KeyboardInterrupt:
+        words.say(refused=["stopped by the operator while the bench was being opened"])
+    finally:
+        channel.settimeout(_LAST_WORDS_WALL_S)  # the loop is over: now there is time to wait
+        words.push()
+        status.close()
+
+
+def _prepare(job: build.Job, words: Words) -> None:
+    """Check that rig and scenario suit each other, and compile what has not been compiled before anything moves."""
+    words.say(word="checking that the rig can follow the scenario")
+    if job.rig.value.kind == "mock" and job.speed != 1.0:
+        build.check(build.Job(job.scenario, job.rig, job.seed, job.duration_s, 1.0))
+    else:
+        build.check(job)
+    if not kernels_are_cached():
+        words.say(word="first start: compiling the kernels for this computer, once, about 40 s")
+    build.warm_up(job)
+    mark_kernels_cached()
+
+
+def _say_how_it_ended(words: Words, choice: Choice, job: build.Job, outcome: Outcome) -> None:
+    rate_hz = 1.0 / job.scenario.value.step_s
+    ended: dict[str, Any] = {"stop": outcome.stop, "faults": outcome.faults, "mode": outcome.mode.value, "passed": None}
+    if len(outcome.history):
+        summary, _ = summarise(outcome, job.scenario.value, job.rig.value, choice.rig, job.seed, rate_hz)
+        ended |= {
+            "passed": summary["passed"],
+            "ready_time_s": summary["ready_time_s"],
+            "parts": {name: part["passed"] for name, part in summary["verdict"].items()},
+            "cycles": len(outcome.history),
+            "timing": summary["timing"],
+        }
+    words.say(ended=ended)
+
+
+def main() -> None:
+    """Be the child."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # also where a shell started the console with Ctrl-C ignored
+        signal.signal(number, signal.default_int_handler)
+    configuration = json.loads(sys.stdin.readline())
+    choice = Choice.model_validate(configuration["choice"], strict=False)
+    with socket.socket(fileno=configuration["channel"]) as channel:
+        run_session(choice, channel)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""The console's hold on a session's process: starts it, sends orders, keeps what it says, reads its shared memory."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from hil.console.session import TELEMETRY_ROWS, Choice
+from hil.console.status import CELLS, empty_status
+from hil.frmn.cell import Block
+from hil.frmn.ring import Reader, Ring
+from hil.messages import CYCLE
+
+_PACKET: Final = 1 << 18
+_ANSWER_WALL_S: Final = 2.0
+_STOP_WALL_S: Final = 5.0  # for a bench to be stopped and its processes ended
+_LAST_WORDS_BYTES: Final = 2000
+
+
+class SessionProcess:
+    """One session. ``on_words`` is called, in the event loop, with each message that is not an answer.
+
+    ready: the bench is up. ended: the process has said its last word, or has died; ``why`` then holds its stderr's end
+    where it died without one.
+    """
+
+    def __init__(self, choice: Choice, on_words: Callable[[dict[str, Any]], None]) -> None:
+        self.choice = choice
+        self.ready = False
+        self.ended = False
+        self.addresses: dict[str, str] = {}
+        self._on_words = on_words
+        self._answers: dict[int, asyncio.Future[str]] = {}
+        self._numbers = itertools.count(1)
+        self._ring: Ring | None = None
+        self._rows: Reader | None = None
+        self._block: Block | None = None
+        self._status = empty_status()
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
+        self._channel, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._channel.setblocking(False)
+        configuration = {"choice": choice.model_dump(mode="json"), "channel": there.fileno()}
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "hil.console.session"],
+                stdin=subprocess.PIPE,
+                stdout=self._stderr,
+                stderr=self._stderr,
+                pass_fds=(there.fileno(),),
+                start_new_session=True,  # Ctrl-C at the console's terminal is the console's to act upon
+            )
+        finally:
+            there.close()
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError), self._process.stdin as stdin:
+            stdin.write(json.dumps(configuration).encode() + b"\n")
+        self._dying: asyncio.Task[None] | None = None
+        self._loop = asyncio.get_running_loop()
+        self._loop.add_reader(self._channel, self._read)
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    async def ask(self, **message: Any) -> str:
+        """Send one packet that wants an answer; return it: "" for done, else why not."""
+        number = next(self._numbers)
+        answer: asyncio.Future[str] = self._loop.create_future()
+        self._answers[number] = answer
+        try:
+            if not self.send(**message, id=number):
+                return "the session does not listen"
+            return await asyncio.wait_for(answer, _ANSWER_WALL_S)
+        except TimeoutError:
+            return f"the session has not answered within {_ANSWER_WALL_S:g} s: its devices are being opened or closed"
+        finally:
+            del self._answers[number]
+
+    def send(self, **message: Any) -> bool:
+        """Send one packet; return whether it left. Never waits."""
+        try:
+            self._channel.send(json.dumps(message).encode())
+        except OSError:  # no room, or nobody there: then its end is read soon
+            return False
+        return True
+
+    def take_rows(self) -> np.ndarray:
+        """Return the rows of CYCLE, (n,), that came since the last call."""
+        return self._rows.take() if self._rows else np.empty(0, CYCLE)
+
+    @property
+    def lost_rows(self) -> int:
+        """How many rows were overwritten before they were taken."""
+        return self._rows.lost if self._rows else 0
+
+    def read_status(self) -> tuple[int, np.ndarray]:
+        """Return how often the status was written, and the newest one, STATUS (1,)."""
+        if self._block is None:
+            return 0, self._status
+        return self._block["status"].read(self._status)[0], self._status
+
+    def interrupt(self) -> None:
+        """Let a session that is still being opened end."""
+        with contextlib.suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGINT)
+
+    async def close(self) -> None:
+        """End the session: by its own way out, then at once. Idempotent."""
+        if self._process.poll() is None:
+            if not (self.ready and self.send(order="stop", id=0)):
+                self.interrupt()
+            for number in (signal.SIGTERM, signal.SIGKILL):
+                if await self._gone_within(_STOP_WALL_S):
+                    break
+                with contextlib.suppress(ProcessLookupError):
+                    self._process.send_signal(number)
+        await self._gone_within(_STOP_WALL_S)
+        if self._dying is not None:
+            await self._dying
+        self._end()
+        self._forget()
+
+    async def _gone_within(self, wall_s: float) -> bool:
+        end = self._loop.time() + wall_s
+        while self._process.poll() is None:
+            if self._loop.time() > end:
+                return False
+            await asyncio.sleep(0.01)
+        return True
+
+    def _read(self) -> None:
+        try:
+            packet, descriptors, _, _ = socket.recv_fds(self._channel, _PACKET, 4)
+        except (BlockingIOError, ConnectionResetError):
+            return  # reset: it ended without reading all that was sent; its own last words come yet, then the end
+        except OSError:
+            packet, descriptors = b"", []
+        if not packet:
+            self._loop.remove_reader(self._channel)
+            self._dying = self._loop.create_task(self._died())
+            return
+        message = json.loads(packet)
+        if "hello" in message:
+            self._attach(message["hello"], descriptors)
+        if "answer" in message:
+            answer = self._answers.get(message["answer"])
+            if answer is not None and not answer.done():
+                answer.set_result(message["text"])
+            return
+        self._on_words(message)
+        if "ended" in message or "refused" in message:
+            self._end()
+
+    def _attach(self, hello: dict[str, Any], descriptors: list[int]) -> None:
+        self.addresses = hello["addresses"]
+        self._ring = Ring(descriptors[0], CYCLE, TELEMETRY_ROWS)
+        self._rows = self._ring.reader()
+        self._block = Block(descriptors[1], CELLS, "console")
+        self.ready = True
+
+    async def _died(self) -> None:
+        """Say how the process ended that has closed its end without a last word."""
+        await self._gone_within(_STOP_WALL_S)  # it may be writing down why
+        text = self._last_words().splitlines()
+        self._on_words({"refused": [f"the session's process ended without a word: {self._how()}", *text[-12:]]})
+        self.ended = True
+
+    def _how(self) -> str:
+        code = self._process.poll()
+        if code is None:
+            return "it still runs"
+        return f"by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+
+    def _end(self) -> None:
+        self.ended = True
+        if self._channel.fileno() >= 0:
+            self._loop.remove_reader(self._channel)
+            self._channel.close()
+
+    def _forget(self) -> None:
+        self._rows = None
+        if self._ring is not None:
+            self._ring.close()
+        if self._block is not None:
+            self._block.close()
+        self._ring = self._block = None
+        self._stderr.close()
+
+    def _last_words(self) -> str:
+        size = os.fstat(self._stderr.fileno()).st_size
+        start = max(0, size - _LAST_WORDS_BYTES)
+        return os.pread(self._stderr.fileno(), _LAST_WORDS_BYTES, start).decode(errors="replace").strip()

@@ -1,0 +1,100 @@
+"""How the bench is, some twenty times a second in every mode: a record in shared memory, written by the loop."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from typing import Final
+
+import numpy as np
+
+from hil.errors import BenchError
+from hil.io_stage import IoStage
+from hil.messages import AXES
+from hil.modes import Mode
+from hil.runner import Runner
+
+MODES: Final = tuple(Mode)
+DEVICES: Final = ("rails", "turntable", "vmu", "io")
+UNKNOWN: Final = -1
+
+STATUS = np.dtype(
+    [
+        ("mode", "i8"),  # its place in MODES
+        ("bench_s", "f8"),
+        ("run_s", "f8"),  # time of the run's last cycle
+        ("share", "f8"),  # of what is under way, 0..1
+        ("feedback", AXES),
+        ("setpoint", AXES),
+        ("age_s", "f8", len(DEVICES)),  # of what each of DEVICES last said; nan where it is not known
+        ("homing", "i8", 6),
+        ("limit", "i8", 6),
+        ("estop", "i8"),  # 1 pressed, 0 released, UNKNOWN
+        ("frames", "i8"),
+        ("overruns", "i8"),
+        ("skipped_periods", "i8"),
+        ("limited_cycles", "i8"),
+    ],
+    align=True,
+)
+CELLS: Final = {"status": STATUS}
+
+
+class StatusWriter:
+    """Fills STATUS from a runner; in the loop's thread."""
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
+        self.record = np.zeros(1, STATUS)
+        self._view: np.record = self.record.view(np.recarray)[0]
+        self._frames = -1
+        self._frame_s = math.nan
+        self.share = 0.0
+
+    def fill(self, now_s: float) -> np.ndarray:
+        """Return STATUS (1,) as of bench time ``now_s``; the same array each time."""
+        runner, out = self._runner, self._view
+        loop, bench = runner.loop, runner.loop.bench
+        out.mode = MODES.index(runner.supervisor.modes.mode)
+        out.bench_s, out.run_s, out.share = now_s, loop.now.t_s[0], self.share
+        self.record["feedback"] = loop.now.row["feedback"]
+        self.record["setpoint"] = loop.now.row["setpoint"]
+        out.estop = UNKNOWN
+        out.age_s[:] = math.nan
+        if hasattr(bench, "seen"):
+            rails, turntable = bench.seen
+            out.age_s[0], out.age_s[1] = now_s - rails.t_s, now_s - turntable.t_s
+            out.homing[:] = (*rails.homing, *turntable.homing)
+            out.limit[:] = (*rails.limit, *turntable.limit)
+            out.age_s[2] = self._age_of_frames(now_s)
+            self._look_at_lines(now_s)
+        rate = runner.rate
+        out.overruns, out.skipped_periods = rate.overruns, rate.skipped_periods
+        out.limited_cycles = bench.limited_cycles
+        return self.record
+
+    def _age_of_frames(self, now_s: float) -> float:
+        frames = self._runner.source.counters().get("frames", 0)
+        if frames != self._frames:
+            self._frame_s = now_s if self._frames >= 0 else math.nan
+            self._frames = self._view.frames = frames
+        return now_s - self._frame_s
+
+    def _look_at_lines(self, now_s: float) -> None:
+        lines = self._runner.loop.lines
+        if isinstance(lines, IoStage):
+            with suppress(BenchError):  # its reader in the cycle makes the alarm
+                inputs = lines.io.read(now_s)
+                self._view.estop = 0 if inputs.estop_closed else 1
+                self._view.age_s[3] = now_s - inputs.t_s
+
+
+def status_of(record: np.ndarray) -> np.record:
+    """Return STATUS (1,) as a record with attributes."""
+    view: np.record = record.view(np.recarray)[0]
+    return view
+
+
+def empty_status() -> np.ndarray:
+    """Return a STATUS (1,) to read into."""
+    return np.zeros(1, STATUS)

@@ -1,0 +1,260 @@
+"""The operator behind the console's socket: his orders, and what the loop does when he is lost."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil import build
+from hil.clock import SimulatedClock
+from hil.config.console import OnLoss
+from hil.config.load import load_rig, load_scenario
+from hil.console.remote_operator import RemoteOperator, Words
+from hil.console.status import CELLS, MODES, empty_status, status_of
+from hil.frmn.cell import Block
+from hil.modes import Mode
+from hil.rate import SimulatedRate
+from hil.runner import STOPPED_BY_OPERATOR, Outcome, Runner
+
+LEASE_S = 1.0
+
+
+@dataclass
+class Talk:
+    """The console's end of the line, on a bench in simulated time."""
+
+    end: socket.socket
+    runner: Runner
+    status: Any
+    now_s: float = 0.0
+    beats: bool = True
+    present: bool = True
+    button: bool = False
+    said: list[dict[str, Any]] = field(default_factory=list)
+    modes: list[Mode] = field(default_factory=list)
+    done: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def mode(self) -> Mode:
+        return self.runner.supervisor.modes.mode
+
+    def send(self, **message: Any) -> None:
+        self.end.send(json.dumps(message).encode())
+
+    def once(self, step: str, condition: bool) -> bool:
+        if step in self.done or not condition:
+            return False
+        self.done[step] = self.now_s
+        return True
+
+    def order(self, word: str, condition: bool) -> None:
+        if self.once(word, condition):
+            self.send(order=word, id=len(self.done))
+
+    def fly(self) -> None:
+        """Arm and start."""
+        self.order("arm", self.mode is Mode.STANDBY and self.now_s > 0.1)
+        self.order("start", self.mode is Mode.ARMED)
+
+    def answers(self) -> list[str]:
+        return [message["text"] for message in self.said if "answer" in message]
+
+    def take(self) -> None:
+        while True:
+            try:
+                self.said.append(json.loads(self.end.recv(1 << 18)))
+            except BlockingIOError:
+                return
+
+
+Script = Callable[[Talk], None]
+
+
+def converse(script: Script, on_loss: OnLoss = "hold", duration_s: float = 2.0) -> tuple[Outcome, Talk]:
+    """Run scheme 1 on the mock rig; ``script`` is called before each look at the encoders. It ends by itself."""
+    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, duration_s, 1.0)
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    here.setblocking(False)
+    block = Block.create(CELLS, "console")
+    rate = SimulatedRate(SimulatedClock(), job.scenario.value.step_s)
+    operator = RemoteOperator(Words(there), block["status"], on_loss, LEASE_S, rate.now_s)
+    runner = build.in_memory(job, rate, operator.watch, operator=operator)
+    operator.attach(runner)
+    talk = Talk(here, runner, block["status"])
+
+    def look(now_s: float) -> tuple[bool | None, bool]:
+        talk.now_s = now_s
+        if not talk.modes or talk.modes[-1] is not talk.mode:
+            talk.modes.append(talk.mode)
+        if talk.beats and here.fileno() >= 0:
+            talk.send(present=talk.present)
+            talk.take()
+        script(talk)
+        if now_s > 60.0:  # a script that forgets to end
+            raise AssertionError(f"still {talk.mode.value} after 60 s: {talk.said[-3:]}")
+        return talk.button, False
+
+    runner.loop.bench.emergency_input = look
+    try:
+        outcome = runner.run()
+        operator.tell(talk.now_s)
+        if here.fileno() >= 0:
+            talk.take()
+        return outcome, talk
+    finally:
+        here.close()
+        there.close()
+        block.close()
+
+
+def test_run_goes_by_orders_over_the_line_with_hold_and_resume() -> None:
+    def script(talk: Talk) -> None:
+        talk.fly()
+        talk.order("hold", talk.mode is Mode.RUNNING and talk.runner.loop.now.t_s[0] > 0.5)
+        talk.order("resume", talk.mode is Mode.HOLD)
+
+    outcome, talk = converse(script)
+    assert outcome.stop == "completed"
+    assert [mode for mode in talk.modes if mode is not Mode.OFF] == [
+        Mode.STANDBY,
+        Mode.ARMED,
+        Mode.RUNNING,
+        Mode.HOLD,
+        Mode.RUNNING,
+    ]
+    assert talk.answers() == [""] * 4
+    assert any("hold: ordered by the operator" in e["text"] for m in talk.said for e in m.get("events", []))
+
+
+def test_order_that_its_mode_does_not_allow_is_refused_in_words_and_does_nothing() -> None:
+    def script(talk: Talk) -> None:
+        talk.order("start", talk.mode is Mode.STANDBY)
+        talk.order("stop", bool(talk.answers()))
+
+    outcome, talk = converse(script)
+    assert talk.answers()[0] == "bench: cannot start in standby"
+    assert len(outcome.history) == 0
+
+
+@pytest.mark.parametrize("how", ["silent", "absent"])
+def test_lost_operator_holds_a_run_and_it_goes_on_only_by_an_order(how: str) -> None:
+    def script(talk: Talk) -> None:
+        talk.fly()
+        if talk.once("lose", talk.mode is Mode.RUNNING and talk.runner.loop.now.t_s[0] > 0.5):
+            talk.beats, talk.present = how != "silent", False
+        if talk.once("back", talk.mode is Mode.HOLD and talk.now_s - talk.done["lose"] > 5.0):
+            talk.beats = talk.present = True
+        talk.order("resume", "back" in talk.done and talk.now_s - talk.done["back"] > 1.0)
+
+    outcome, talk = converse(script)
+    assert outcome.stop == "completed"
+    assert talk.modes.count(Mode.HOLD) == 1
+    (event,) = [event.text for event in outcome.events if event.text.startswith("hold: ")]
+    assert event.startswith("hold: console: the operator's page silent for 1")
+    assert event.endswith("allowed 1 s")
+    assert not outcome.alarms
+    assert talk.done["resume"] - talk.done["lose"] > 6.0
+
+
+def test_lost_operator_does_not_matter_where_the_rig_lets_the_run_continue() -> None:
+    def script(talk: Talk) -> None:
+        talk.fly()
+        talk.beats &= talk.mode is not Mode.RUNNING
+
+    outcome, talk = converse(script, "continue")
+    assert outcome.stop == "completed"
+    assert Mode.HOLD not in talk.modes
+
+
+def test_lost_operator_stops_the_bench_with_an_alarm_where_the_rig_says_so() -> None:
+    def script(talk: Talk) -> None:
+        talk.fly()
+        talk.beats &= talk.mode is not Mode.RUNNING
+
+    outcome, _ = converse(script, "stop", duration_s=10.0)
+    assert outcome.mode is Mode.SAFE_STOP
+    (alarm,) = outcome.alarms
+    assert (alarm.device, alarm.limit) == ("console", "an operator while the bench moves")
+    assert alarm.quantity == "the operator's page"
+    assert len(outcome.history) * 0.02 < LEASE_S + 0.1
+
+
+def test_operator_lost_while_nothing_moves_changes_nothing() -> None:
+    def script(talk: Talk) -> None:
+        if talk.once("lose", talk.mode is Mode.STANDBY):
+            talk.beats = False
+        talk.beats |= talk.now_s > 5.0
+        talk.order("stop", talk.now_s > 6.0)
+
+    outcome, talk = converse(script, "stop")
+    assert outcome.stop == STOPPED_BY_OPERATOR
+    assert not outcome.alarms
+    assert talk.now_s > 6.0
+
+
+@pytest.mark.parametrize(("on_loss", "cycles"), [("hold", 60), ("continue", 101), ("stop", 60)])
+def test_session_without_its_console_ends_by_itself_with_the_bench_at_rest(on_loss: OnLoss, cycles: int) -> None:
+    def script(talk: Talk) -> None:
+        talk.fly()
+        if talk.once("die", talk.mode is Mode.RUNNING and talk.runner.loop.now.t_s[0] >= 1.0):
+            talk.end.close()
+
+    outcome, talk = converse(script, on_loss)
+    assert len(outcome.history) == pytest.approx(cycles, abs=10)
+    assert not np.abs(talk.runner.loop.bench.motion.rate).max() > 0.05
+    if on_loss == "continue":
+        assert outcome.stop == "completed"
+    elif on_loss == "hold":
+        assert Mode.HOLD in talk.modes
+        assert outcome.stop == STOPPED_BY_OPERATOR
+    else:
+        assert outcome.alarms[0].text.startswith("console: its process gone")
+
+
+def test_alarm_is_told_latched_acknowledged_over_the_line_and_reset() -> None:
+    def script(talk: Talk) -> None:
+        if talk.once("fail", talk.mode is Mode.STANDBY and talk.now_s > 0.2):
+            talk.button = True
+        if talk.once("acknowledge", any(message.get("alarms") for message in talk.said)):
+            talk.send(acknowledge=True, id=77)
+        if talk.once("release", "acknowledge" in talk.done and 77 in [m.get("answer") for m in talk.said]):
+            talk.send(order="stop", id=78)
+
+    _, talk = converse(script)
+    told = [message["alarms"][0] for message in talk.said if message.get("alarms")]
+    assert told[0]["text"] == "bench: emergency stop pressed, allowed released and reset"
+    assert (told[0]["latched"], told[0]["acknowledged"]) == (True, False)
+    assert (told[-1]["latched"], told[-1]["acknowledged"]) == (True, True)
+
+
+def test_status_tells_mode_and_axes_in_shared_memory() -> None:
+    seen = []
+
+    def script(talk: Talk) -> None:
+        record = empty_status()
+        if talk.status.read(record)[0]:
+            status = status_of(record)
+            seen.append((MODES[int(status.mode)], status.feedback.rail_m.copy(), float(status.age_s[0])))
+        talk.fly()
+
+    converse(script, duration_s=0.5)
+    assert {Mode.STANDBY, Mode.RUNNING} <= {mode for mode, _, _ in seen}
+    assert np.isfinite([position for _, position, _ in seen]).all()
+    assert all(age >= 0.0 for _, _, age in seen)
+
+
+def test_line_that_nobody_reads_never_stops_the_loop() -> None:
+    def script(talk: Talk) -> None:
+        talk.take = lambda: None  # type: ignore[method-assign]
+        talk.fly()
+        if talk.mode is Mode.RUNNING:
+            talk.send(order="resume", id=1)  # refused each time
+
+    outcome, _ = converse(script, duration_s=10.0)
+    assert outcome.stop == "completed"

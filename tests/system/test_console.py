@@ -1,0 +1,205 @@
+"""``hil console``: its server, its session and its security, by a client that is no browser."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import numpy as np
+import pytest
+from console_client import NEAR, Console, Page, console
+
+from hil.cli.main import BAD_INPUT, execute
+from hil.console.serve import is_loopback
+from hil.console.session import Choice
+from hil.console.session_process import SessionProcess
+
+TOKEN = "0123456789abcdef-right"
+
+
+@pytest.fixture(scope="module")
+def idle() -> Iterator[Console]:
+    """Return a console that has no session."""
+    with console("--rig", "mock") as c:
+        yield c
+
+
+def start(page: Page) -> None:
+    """Take the command, open the bench, close the loop."""
+    assert page.ask("take")["ok"]
+    assert page.ask("open")["ok"]
+    page.until_mode("standby")
+    page.order("arm")
+    page.until_mode("armed")
+    page.order("start")
+    page.until(lambda: page.now["mode"] == "running" and page.now["run_s"] > 0.5 and len(page.rows) > 20, "a run")
+
+
+def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed() -> None:
+    with console("--rig", "mock", "--set", "rig.console.lease_s=3", *NEAR) as c:
+        ann, bob = c.page("ann"), c.page("bob")
+        start(ann)
+        assert np.all(np.diff(ann.column("t_s")) > 0.0)
+        assert np.isfinite(ann.column("estimate_m.x")[-1])
+
+        answer = bob.ask("order", order="hold")
+        assert answer["text"] == "ann has the command: take it before you order anything"
+        assert "watch, or take it over" in bob.ask("take")["text"]
+        assert ann.ask("order", order="abort")["ask"].startswith("Abort: the chaser brakes and retreats")
+
+        ann.order("hold")
+        ann.until_mode("hold")
+        held_s = ann.now["run_s"]
+        ann.order("resume")
+        ann.until(lambda: ann.now["mode"] == "running" and ann.now["run_s"] > held_s + 0.2, "the run's time to go on")
+        ann.order("abort")
+        ann.until(lambda: ann.column("aborted")[-1] > 0.0, "the abort")
+
+        ann.beats = False
+        bob.until_mode("hold")
+        bob.until(lambda: "the operator's page silent" in bob.page["hold_reason"], "the reason")
+        assert bob.now["lease"]["holder"] == ""
+
+        assert bob.ask("take")["ok"]
+        bob.order("stop")
+        bob.until(lambda: not bob.now["open"], "the end")
+        assert bob.page["ended"]["stop"] == "stopped by the operator"
+        assert bob.ask("order", order="hold")["text"] == "bench: cannot hold, no session is open"
+
+
+def test_takeover_is_asked_back_and_logged(idle: Console) -> None:
+    ann, bob = idle.page("ann"), idle.page("bob")
+    assert ann.ask("take")["ok"]
+    assert bob.ask("take_over")["ask"] == "Take the command over from ann? They can only watch then."
+    assert bob.ask("take_over", confirmed=True)["ok"]
+    bob.until(lambda: bob.now["lease"]["mine"], "the lease")
+    assert "bob took the command over from ann" in bob.log()
+    assert ann.ask("open")["text"] == "bob has the command: take it before you order anything"
+
+
+def test_wrong_token_and_other_sites_are_turned_away_in_clear_words(tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    path.write_text(TOKEN + "\n")
+    path.chmod(0o600)
+    with console("--rig", "mock", "--token-file", str(path)) as c:
+        for token, words in (("0123456789abcdef-wrong", "wrong token"), ("", "this console wants a token")):
+            assert c.page("eve", token).take() == {"refused": words}
+        page = c.page("ann", TOKEN)
+        page.until(lambda: True, "the state")
+        assert not page.refused
+        other = c.page("eve", TOKEN, origin="http://elsewhere.example")
+        assert other.take() == {"refused": "this console is not to be used from another site's page"}
+        short = c.page("eve", TOKEN, key="short")
+        assert "at least 16" in (short.take() or {})["refused"]
+        with pytest.raises(HTTPError) as rebound:
+            urlopen(Request(f"http://{c.address}/", headers={"Host": "rebound.example"}))
+        assert rebound.value.code == 421
+        rebound.value.close()
+
+
+def test_page_needs_nothing_from_outside(idle: Console) -> None:
+    folder = Path(__file__).parents[2] / "hil" / "console" / "page"
+    for name in ["", *(f"page/{path.name}" for path in folder.iterdir())]:
+        with urlopen(f"http://{idle.address}/{name}") as answer:
+            text = answer.read().decode()
+            assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+        outside = [word for word in ("http://", "https://", "//cdn") if word in text.replace("http://www.w3.org", "")]
+        assert not outside, f"{name}: {outside}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--host", "0.0.0.0"), "--host: 0.0.0.0: other computers can reach it: give --token-file"),
+        (("--port", "70000"), "--port: 70000: allowed 0 to 65535"),
+        (("--rig", "no-such"), "no-such: unknown rig"),
+        (("--seed", "-1"), "--seed: -1: must not be negative"),
+        (("--token-file", "/does/not/exist"), "--token-file: /does/not/exist: cannot be read"),
+        (("--host", "not.an.address.invalid", "--token-file", "TOKEN"), "cannot listen there"),
+        (("--token-file", "OPEN"), "others may read it, mode 644: chmod 600"),
+        (("--token-file", "SHORT"), "5 characters, at least 16"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(
+    arguments: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, text, mode in (("TOKEN", TOKEN, 0o600), ("OPEN", TOKEN, 0o644), ("SHORT", "12345", 0o600)):
+        (tmp_path / name).write_text(text)
+        (tmp_path / name).chmod(mode)
+    given = [str(tmp_path / a) if (tmp_path / a).exists() and a.isupper() else a for a in arguments]
+    assert execute(["console", *given]) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.strip().splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_console_ends_with_its_session_on_ctrl_c() -> None:
+    with console("--rig", "mock", *NEAR) as c:
+        page = c.page("ann")
+        start(page)
+        (line,) = [line for line in page.log() if "session process" in line]
+        pid = int(line.split()[-1])
+    assert c.process.returncode == 0
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_session_of_a_console_that_is_killed_brings_the_bench_to_a_stand_and_ends() -> None:
+    with console("--rig", "mock", *NEAR) as c:
+        page = c.page("ann")
+        start(page)
+        (line,) = [line for line in page.log() if "session process" in line]
+        pid = int(line.split()[-1])
+        c.process.kill()
+        c.process.wait()
+        end_s = time.monotonic() + 20.0
+        while Path(f"/proc/{pid}").exists():
+            assert time.monotonic() < end_s, "the session goes on without its console"
+            time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    ("host", "expected"),
+    [
+        ("127.0.0.1", True),
+        ("127.5.0.1", True),
+        ("::1", True),
+        ("localhost", True),
+        ("0.0.0.0", False),
+        ("::", False),
+        ("192.168.1.2", False),
+        ("lab-computer", False),
+    ],
+)
+def test_only_this_computers_own_addresses_go_without_a_token(host: str, expected: bool) -> None:
+    assert is_loopback(host) is expected
+
+
+def test_missing_extra_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "uvicorn" else object())
+    assert execute(["console"]) == BAD_INPUT
+    assert capsys.readouterr().err == "hil console: uvicorn missing: pip install 'hil-bench[console]'\n"
+
+
+def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread() -> None:
+    async def talk() -> list[dict[str, Any]]:
+        heard: list[dict[str, Any]] = []
+        choice = Choice(scenario="scheme-1", rig="mock", settings=("rig.rails.x.park_m=99",))
+        session = SessionProcess(choice, heard.append)
+        for _ in range(50):
+            session.send(present=True)
+        os.waitid(os.P_PID, session.pid, os.WEXITED | os.WNOWAIT)  # nothing is read before it is gone
+        while not session.ended:
+            await asyncio.sleep(0.01)
+        await session.close()
+        return heard
+
+    (word,) = asyncio.run(talk())[-1]["refused"]
+    assert "park_m must lie within travel_m" in word

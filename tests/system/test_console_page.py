@@ -1,0 +1,192 @@
+"""The console's page in a real browser, on the emulated rig. HIL_PICTURES names a folder for its screenshots."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from console_client import NEAR, Console, console
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+class Screen:
+    """A page in the browser and what it asked for outside of the console."""
+
+    def __init__(self, page: Any, address: str, pictures: Path) -> None:
+        self.page = page
+        self.outside: list[str] = []
+        self.errors: list[str] = []
+        self._pictures = pictures
+        page.on("request", lambda request: self._note(request.url, address))
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.add_init_script("localStorage.setItem('hil.name', 'ann')")
+        page.goto(f"http://{address}/")
+        self.until("window.hil && window.hil.page")
+
+    def _note(self, url: str, address: str) -> None:
+        if f"//{address}/" not in url:
+            self.outside.append(url)
+
+    def until(self, expression: str, wall_s: float = 120.0) -> None:
+        """Wait for ``expression``; by looks from outside, for the page's own policy forbids evaluation in it."""
+        end_s = time.monotonic() + wall_s
+        while not self.page.evaluate(expression):
+            state = self.page.evaluate("window.hil && [window.hil.now, window.hil.page && window.hil.page.log]")
+            assert time.monotonic() < end_s, f"{expression} did not come: {state}"
+            time.sleep(0.05)
+
+    def until_mode(self, mode: str) -> None:
+        self.page.wait_for_selector(f"#mode[data-mode='{mode}']", timeout=120_000)
+
+    def press(self, key: str, button: str, confirm: bool = False) -> None:
+        """Press a key once its button is there to be pressed; answer the question."""
+        self.page.wait_for_selector(f"#{button}:not([disabled])", timeout=30_000)
+        self.page.keyboard.press(key)
+        if confirm:
+            self.page.wait_for_selector("#confirm[open]")
+            self.page.keyboard.press("y")
+
+    def picture(self, name: str) -> None:
+        self.page.screenshot(path=str(self._pictures / f"console-{name}.png"))
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    return Path(os.environ.get("HIL_PICTURES", tmp_path))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Return a headless Chromium."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this computer: apt-get install chromium")
+    with playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield browser
+        browser.close()
+
+
+def open_screen(browser: Any, c: Console, pictures: Path) -> Screen:
+    return Screen(browser.new_page(viewport={"width": 1280, "height": 720}), c.address, pictures)
+
+
+def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(browser: Any, pictures: Path) -> None:
+    with console("--rig", "emulated", *NEAR) as c:
+        screen = open_screen(browser, c, pictures)
+        screen.press("t", "take")
+        screen.press("n", "open")
+        screen.until_mode("standby")
+
+        before_m = screen.page.evaluate("window.hil.now.rail_m[1]")
+        screen.page.keyboard.press("2")
+        screen.page.keyboard.down("ArrowRight")
+        screen.until_mode("jogging")
+        time.sleep(0.5)
+        screen.page.keyboard.up("ArrowRight")
+        screen.until_mode("standby")
+        assert screen.page.evaluate("window.hil.now.rail_m[1]") > before_m + 0.002
+
+        screen.page.keyboard.press("m")
+        screen.page.wait_for_selector("#confirm[open]")
+        screen.picture("asks-back")
+        screen.page.keyboard.press("Escape")
+        assert screen.page.evaluate("window.hil.now.mode") == "standby"
+        screen.press("m", "order_arm", confirm=True)
+        screen.until_mode("armed")
+        screen.press("s", "order_start", confirm=True)
+        screen.until_mode("running")
+        screen.until("window.hil.now.run_s > 14")
+        assert screen.page.evaluate("window.hil.store.count") > 300
+        first, second = screen.page.inner_text("#range"), ""
+        for _ in range(50):
+            time.sleep(0.1)
+            second = screen.page.inner_text("#range")
+            if second != first:
+                break
+        assert second != first
+        screen.picture("running")
+
+        screen.press("h", "order_hold")
+        screen.until_mode("hold")
+        held_s = screen.page.evaluate("window.hil.now.run_s")
+        time.sleep(1.0)
+        assert screen.page.evaluate("window.hil.now.run_s") == held_s
+        screen.press("r", "order_resume", confirm=True)
+        screen.until_mode("running")
+        screen.press("a", "order_abort", confirm=True)
+        screen.until("window.hil.store.last('aborted') > 0")
+        screen.until("document.getElementById('phase').textContent.startsWith('ABORT')")
+
+        screen.page.select_option("#fault_device", "io")
+        screen.page.select_option("#fault_kind", "estop")
+        screen.page.click("#fault_on")
+        screen.until("window.hil.page.alarms.length > 0")
+        screen.until("document.getElementById('alarmline').textContent.includes('emergency stop pressed, allowed')")
+        screen.until("!window.hil.now.open")
+        screen.picture("alarm")
+        assert screen.page.is_enabled("#acknowledge")
+        screen.press("n", "open")
+        screen.until("document.getElementById('answer').textContent.includes('has not been acknowledged')")
+        screen.press("c", "acknowledge")
+        screen.until("window.hil.page.alarms.every(alarm => alarm.acknowledged)")
+        assert "acknowledged" in screen.page.inner_text("#alarmline")
+        assert screen.outside == []
+        assert screen.errors == []
+
+
+def test_reset_leads_out_of_an_alarm_before_the_run_into_standby(browser: Any, pictures: Path) -> None:
+    with console("--rig", "emulated", *NEAR) as c:
+        screen = open_screen(browser, c, pictures)
+        screen.press("t", "take")
+        screen.press("n", "open")
+        screen.until_mode("standby")
+        screen.until("Object.keys(window.hil.page.faults.menu).length == 4")
+        screen.page.select_option("#fault_device", "rails")
+        screen.page.select_option("#fault_kind", "drive_fault")
+        screen.page.select_option("#fault_axis", "y")
+        screen.page.click("#fault_on")
+        screen.until_mode("safe-stop")
+        screen.until("document.getElementById('alarmline').textContent.includes('rails.y')")
+        screen.press("c", "acknowledge")
+        screen.until("window.hil.page.alarms.every(alarm => alarm.acknowledged && alarm.latched)")
+        screen.page.click("#fault_clear")
+        screen.press("e", "order_reset", confirm=True)
+        screen.until_mode("standby")
+        screen.until("window.hil.page.alarms.every(alarm => !alarm.latched)")
+        assert screen.page.inner_text("#alarmline") == ""
+
+
+def test_page_that_lost_its_console_greys_out_and_comes_back(browser: Any, pictures: Path) -> None:
+    with console("--rig", "mock") as c:
+        screen = open_screen(browser, c, pictures)
+        screen.press("t", "take")
+        screen.until("window.hil.now.lease.mine")
+        c.process.send_signal(signal.SIGSTOP)
+        screen.page.wait_for_selector("body.lost")
+        c.process.send_signal(signal.SIGCONT)
+        screen.page.wait_for_selector("body:not(.lost)")
+        assert screen.errors == []
+
+
+def test_page_fits_the_small_screen_and_every_button_has_a_name(browser: Any, pictures: Path) -> None:
+    with console("--rig", "mock") as c:
+        screen = open_screen(browser, c, pictures)
+        size = screen.page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+        assert size == [1280, 720]
+        bottom = screen.page.evaluate("document.getElementById('faults').getBoundingClientRect().bottom")
+        assert bottom <= 720
+        names = screen.page.evaluate("[...document.querySelectorAll('button')].map(b => b.textContent || b.ariaLabel)")
+        assert len(names) >= 18
+        assert all(names)
+        keys = screen.page.evaluate("[...document.querySelectorAll('button[data-key]')].map(b => b.dataset.key)")
+        assert len(keys) == len(set(keys))
