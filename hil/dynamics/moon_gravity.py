@@ -109,28 +109,32 @@ def perturbation(params, field, t_s, x, y, z):
 
 
 @kernel
-def acceleration(params, field, t_s, r, out):
-    """Write the gravity (3,), m/s^2, at ``r`` (3,), m, both in inertial axes with the origin at the Moon's centre."""
-    px, py, pz = perturbation(params, field, t_s, r[0], r[1], r[2])
+def central_pull(gm, r, out):
+    """Write the gravity (3,), m/s^2, of a point mass of ``gm``, m^3/s^2, at ``r`` (3,), m."""
     squared = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
-    central = -params.gm / (squared * math.sqrt(squared))
-    out[0] = central * r[0] + px
-    out[1] = central * r[1] + py
-    out[2] = central * r[2] + pz
+    central = -gm / (squared * math.sqrt(squared))
+    for i in range(3):
+        out[i] = central * r[i]
 
 
 @kernel
-def differential(params, field, t_s, r_T, rho, target, difference):
-    """Write the target's gravity and the chaser's minus the target's, each (3,), m/s^2, inertial.
+def acceleration(params, field, t_s, r, out):
+    """Write the gravity (3,), m/s^2, at ``r`` (3,), m, both in inertial axes with the origin at the Moon's centre."""
+    px, py, pz = perturbation(params, field, t_s, r[0], r[1], r[2])
+    central_pull(params.gm, r, out)
+    out[0] += px
+    out[1] += py
+    out[2] += pz
 
-    r_T: (3,), m, of the target. rho: (3,), m, chaser relative to target. The point mass is taken after
+
+@kernel
+def point_mass_differential(gm, r_T, rho, target, difference):
+    """Write the target's gravity and the chaser's minus the target's, each (3,), m/s^2, of a point mass.
+
+    gm: m^3/s^2. r_T: (3,), m, of the target. rho: (3,), m, chaser relative to target. The difference is taken after
     Battin (An Introduction to the Mathematics and Methods of Astrodynamics, 1999, section 8.4): with
-    ``q = rho.(rho + 2 r) / r^2`` the difference is ``-GM/r^3 (rho + f(q) (r + rho))`` and nothing cancels.
-    The harmonics are 1e-4 of it; their plain difference is good to 1e-19 m/s^2.
+    ``q = rho.(rho + 2 r) / r^2`` it is ``-GM/r^3 (rho + f(q) (r + rho))`` and nothing cancels.
     """
-    cx, cy, cz = r_T[0] + rho[0], r_T[1] + rho[1], r_T[2] + rho[2]
-    tx, ty, tz = perturbation(params, field, t_s, r_T[0], r_T[1], r_T[2])
-    px, py, pz = perturbation(params, field, t_s, cx, cy, cz)
     squared = r_T[0] * r_T[0] + r_T[1] * r_T[1] + r_T[2] * r_T[2]
     q = (
         rho[0] * (rho[0] + 2.0 * r_T[0]) + rho[1] * (rho[1] + 2.0 * r_T[1]) + rho[2] * (rho[2] + 2.0 * r_T[2])
@@ -138,10 +142,46 @@ def differential(params, field, t_s, r_T, rho, target, difference):
     power = math.sqrt(1.0 + q)
     power = power * (1.0 + q)  # (1 + q)^(3/2) = (|r + rho| / |r|)^3
     f = -q * (3.0 + 3.0 * q + q * q) / (power * (1.0 + power))  # (1 + q)^(-3/2) - 1
+    central = -gm / (squared * math.sqrt(squared))
+    for i in range(3):
+        target[i] = central * r_T[i]
+        difference[i] = central * (rho[i] + f * (r_T[i] + rho[i]))
+
+
+@kernel
+def hold_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held):
+    """Write the harmonics' accelerations of a step of ``dt``, s, from ``t_s`` on, m/s^2, into ``held`` (4, 3).
+
+    Rows: the target's at the begin, in the middle and at the end of the step, and the chaser's minus the target's in
+    the middle, which stands for the whole step: plain differences are good to 1e-19 m/s^2. r_T: (3,), m, and v_T:
+    (3,), m/s, of the target, inertial; rho: (3,), m, and rho_rate: (3,), m/s, of the chaser relative to it. The places
+    are those of a parabola under the point mass; what that leaves out moves them by a micrometre.
+    """
+    squared = r_T[0] * r_T[0] + r_T[1] * r_T[1] + r_T[2] * r_T[2]
     central = -params.gm / (squared * math.sqrt(squared))
-    target[0] = central * r_T[0] + tx
-    target[1] = central * r_T[1] + ty
-    target[2] = central * r_T[2] + tz
-    difference[0] = central * (rho[0] + f * cx) + (px - tx)
-    difference[1] = central * (rho[1] + f * cy) + (py - ty)
-    difference[2] = central * (rho[2] + f * cz) + (pz - tz)
+    for row in range(3):
+        t = 0.5 * row * dt
+        reach = 1.0 + 0.5 * t * t * central
+        x, y, z = reach * r_T[0] + t * v_T[0], reach * r_T[1] + t * v_T[1], reach * r_T[2] + t * v_T[2]
+        held[row, 0], held[row, 1], held[row, 2] = perturbation(params, field, t_s + t, x, y, z)
+        if row == 1:
+            x, y, z = x + rho[0] + t * rho_rate[0], y + rho[1] + t * rho_rate[1], z + rho[2] + t * rho_rate[2]
+            px, py, pz = perturbation(params, field, t_s + t, x, y, z)
+            held[3, 0], held[3, 1], held[3, 2] = px - held[1, 0], py - held[1, 1], pz - held[1, 2]
+
+
+@kernel
+def differential(params, field, t_s, r_T, rho, target, difference):
+    """Write the target's gravity and the chaser's minus the target's, each (3,), m/s^2, under the whole field.
+
+    params: GRAVITY_PARAMS. Arguments as for ``point_mass_differential``; the truth's step holds the harmonics' part.
+    """
+    point_mass_differential(params.gm, r_T, rho, target, difference)
+    tx, ty, tz = perturbation(params, field, t_s, r_T[0], r_T[1], r_T[2])
+    px, py, pz = perturbation(params, field, t_s, r_T[0] + rho[0], r_T[1] + rho[1], r_T[2] + rho[2])
+    target[0] += tx
+    target[1] += ty
+    target[2] += tz
+    difference[0] += px - tx
+    difference[1] += py - ty
+    difference[2] += pz - tz

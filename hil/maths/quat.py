@@ -15,13 +15,19 @@ from hil.maths.jit import kernel
 
 
 @kernel
-def multiply(p, q):
-    """Return the quaternion of ``A(p) @ A(q)``, shape (4,)."""
-    out = np.empty(4)
+def multiply_into(p, q, out):
+    """Write the quaternion of ``A(p) @ A(q)`` into ``out`` (4,), which is neither of them."""
     out[0] = p[3] * q[0] + p[2] * q[1] - p[1] * q[2] + p[0] * q[3]
     out[1] = -p[2] * q[0] + p[3] * q[1] + p[0] * q[2] + p[1] * q[3]
     out[2] = p[1] * q[0] - p[0] * q[1] + p[3] * q[2] + p[2] * q[3]
     out[3] = -p[0] * q[0] - p[1] * q[1] - p[2] * q[2] + p[3] * q[3]
+
+
+@kernel
+def multiply(p, q):
+    """Return the quaternion of ``A(p) @ A(q)``, shape (4,)."""
+    out = np.empty(4)
+    multiply_into(p, q, out)
     return out
 
 
@@ -45,10 +51,9 @@ def normalise(q):
 
 
 @kernel
-def to_matrix(q):
-    """Return A(q), shape (3, 3), for a unit quaternion."""
+def to_matrix_into(q, a):
+    """Write A(q) into ``a`` (3, 3), for a unit quaternion."""
     q1, q2, q3, q4 = q[0], q[1], q[2], q[3]
-    a = np.empty((3, 3))
     a[0, 0] = q1 * q1 - q2 * q2 - q3 * q3 + q4 * q4
     a[0, 1] = 2.0 * (q1 * q2 + q3 * q4)
     a[0, 2] = 2.0 * (q1 * q3 - q2 * q4)
@@ -58,6 +63,13 @@ def to_matrix(q):
     a[2, 0] = 2.0 * (q1 * q3 + q2 * q4)
     a[2, 1] = 2.0 * (q2 * q3 - q1 * q4)
     a[2, 2] = -q1 * q1 - q2 * q2 + q3 * q3 + q4 * q4
+
+
+@kernel
+def to_matrix(q):
+    """Return A(q), shape (3, 3), for a unit quaternion."""
+    a = np.empty((3, 3))
+    to_matrix_into(q, a)
     return a
 
 
@@ -131,28 +143,40 @@ def to_rotation_vector(q):
 
 
 @kernel
-def transform(q, v):
-    """Return A(q) @ v, shape (3,)."""
+def transform_into(q, v, out):
+    """Write A(q) @ v into ``out`` (3,), which may be ``v``."""
     tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
     ty = 2.0 * (q[2] * v[0] - q[0] * v[2])
     tz = 2.0 * (q[0] * v[1] - q[1] * v[0])
-    out = np.empty(3)
     out[0] = v[0] - q[3] * tx + q[1] * tz - q[2] * ty
     out[1] = v[1] - q[3] * ty + q[2] * tx - q[0] * tz
     out[2] = v[2] - q[3] * tz + q[0] * ty - q[1] * tx
+
+
+@kernel
+def transform(q, v):
+    """Return A(q) @ v, shape (3,)."""
+    out = np.empty(3)
+    transform_into(q, v, out)
     return out
+
+
+@kernel
+def transform_back_into(q, v, out):
+    """Write A(q).T @ v into ``out`` (3,), which may be ``v``."""
+    tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
+    ty = 2.0 * (q[2] * v[0] - q[0] * v[2])
+    tz = 2.0 * (q[0] * v[1] - q[1] * v[0])
+    out[0] = v[0] + q[3] * tx + q[1] * tz - q[2] * ty
+    out[1] = v[1] + q[3] * ty + q[2] * tx - q[0] * tz
+    out[2] = v[2] + q[3] * tz + q[0] * ty - q[1] * tx
 
 
 @kernel
 def transform_back(q, v):
     """Return A(q).T @ v, shape (3,)."""
-    tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
-    ty = 2.0 * (q[2] * v[0] - q[0] * v[2])
-    tz = 2.0 * (q[0] * v[1] - q[1] * v[0])
     out = np.empty(3)
-    out[0] = v[0] + q[3] * tx + q[1] * tz - q[2] * ty
-    out[1] = v[1] + q[3] * ty + q[2] * tx - q[0] * tz
-    out[2] = v[2] + q[3] * tz + q[0] * ty - q[1] * tx
+    transform_back_into(q, v, out)
     return out
 
 
