@@ -81,6 +81,11 @@ class Flight:
         params.ready = ready_params(scenario.requirements)
         return params
 
+    def tell(self, scenario: Scenario) -> None:
+        """Give the GNC another scenario of the same length, rig and thrusters."""
+        self.scenario = scenario
+        self._params = self._fixed_params()
+
     def fly(self, truth: Scenario, seed: int, history: np.ndarray | None = None) -> tuple[np.record, str]:
         """Fly one case; return its TALLY, valid until the next call, and why it ended.
 

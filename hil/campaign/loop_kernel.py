@@ -8,15 +8,13 @@ What a run leaves is a TALLY; nothing grows with its length.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hil.bench import guard as guards
 from hil.bench import kinematics
 from hil.bench.guard import BREACH, GUARD
 from hil.bench.kinematics import BENCH_PARAMS, MOTION
-from hil.campaign.tally_kernel import TALLY, count_cycle, count_exposure
+from hil.campaign.tally_kernel import count_cycle, count_exposure
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.dynamics.imu import IMU_PARAMS
@@ -28,7 +26,8 @@ from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
 from hil.gnc.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
 from hil.gnc.ready_phase import READY_PARAMS
 from hil.gnc.supervision import SUPERVISION_PARAMS
-from hil.maths.arrays import copy_into, copy_matrix
+from hil.maths import local
+from hil.maths.arrays import copy_into, copy_matrix, fill
 from hil.maths.camera import CAMERA
 from hil.maths.exposure import TIME_SLACK_S, TRAVEL, delays, exposure_time, first_exposure
 from hil.maths.jit import kernel
@@ -135,7 +134,7 @@ def _move_axes(axes, now_s):
 @kernel
 def _send(axes, position, rate, now_s, accepted):
     """Give three mock axes their setpoint; write what they took into ``accepted`` (3,), return False for a bad number."""
-    feedforward = np.empty(3)
+    feedforward = local.vector(3)
     if cut_to_range(position, axes.low, axes.high, accepted) >= 0:
         return False
     if cut_to_range(rate, axes.rate_min, axes.rate_max, feedforward) >= 0:
@@ -149,8 +148,8 @@ def _send(axes, position, rate, now_s, accepted):
 @kernel
 def _expose(params, state, until_s, vision_noise, travel_draws, leds, frames, tally):
     """Let the vision unit take what it sees up to ``until_s`` and send it on its way into ``frames``."""
-    late = np.empty(2)
-    r, q = np.empty(3), np.empty(4)
+    late = local.vector(2)
+    r, q = local.vector(3), local.vector(4)
     while True:
         t_s = exposure_time(state.next_exposure, params.vmu_rate_hz)
         if t_s > until_s:
@@ -192,7 +191,7 @@ def _next_arrival(state, frames):
 
 @kernel
 def _take_poses(params, state, now_s, frames, poses):
-    """Write the poses that have arrived by ``now_s`` into ``poses`` (MAX_POSES,); return how many, -1 where none may be.
+    """Write the poses that have arrived by ``now_s`` into ``poses`` (MAX_POSES,); return how many, -1 after a silence.
 
     Of more than MAX_POSES the last ones stay.
     """
@@ -270,7 +269,7 @@ def _decide(params, state, sets, t_s):
     allocation.select(sets, params.n_thrusters, now.command)
     now.nees_position = now.nees_attitude = np.nan
     if state.fuses_now != 0:
-        nees = np.empty(2)
+        nees = local.vector(2)
         navigation.normalised_errors(state.navigation.fusion.filters, now.truth, now.imu, nees)
         now.nees_position, now.nees_attitude = nees[0], nees[1]
 
@@ -279,13 +278,13 @@ def _decide(params, state, sets, t_s):
 def _follow(params, state, now_s):
     """Stage 11: setpoints towards the truth's pose. Returns False where one is not a finite number."""
     now = state.now
-    rate = np.empty(3)
+    rate = local.vector(3)
     truth_kernels.rate_against_hill(now.truth, rate)
     truth = now.truth
     kinematics.axes_of_pose(params.bench, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, state.wanted)
     out = state.next
     limited = kinematics.limit_setpoint(params.bench, state.motion, state.wanted, out)
-    rails, gimbals = np.empty(3), np.empty(3)
+    rails, gimbals = local.vector(3), local.vector(3)
     fine = _send(state.rails, out.rail_m, out.rail_mps, now_s, rails) and _send(
         state.turntable, out.gimbal_rad, out.gimbal_radps, now_s, gimbals
     )
@@ -302,7 +301,8 @@ def _begin(params, state):
     guidance.start(params.guidance, state.flown)
     _read_axes(state, 0.0)
     feedback = state.now.feedback
-    rest = np.zeros(3)
+    rest = local.vector(3)
+    fill(rest, 0.0)
     kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, state.before)
     kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, state.motion)
     state.next_exposure = state.first_exposure = first_exposure(0.0, params.vmu_rate_hz)

@@ -9,6 +9,7 @@ import numpy as np
 from hil.dynamics import truth as truth_kernels
 from hil.gnc import ready_phase, supervision
 from hil.gnc.ready_phase import READY_STATE
+from hil.maths import local
 from hil.maths.arrays import copy_into
 from hil.maths.camera import view_margin
 from hil.maths.jit import kernel
@@ -57,7 +58,7 @@ def start_tally(tally):
 @kernel
 def count_exposure(camera, stations, leds, r, q, tally):
     """Take account of the view at an exposure with the bench at ``r`` (3,), m, ``q`` (4,)."""
-    t_v, q_vt = np.empty(3), np.empty(4)
+    t_v, q_vt = local.vector(3), local.vector(4)
     camera_pose(stations, r, q, t_v, q_vt)
     tally.view_margin = min(tally.view_margin, view_margin(camera, leds, t_v, q_vt))
 
@@ -129,7 +130,7 @@ def _count_navigation(now, tally):
 def count_cycle(params, state, tally):
     """Take account of the cycle in ``state.now``. params: LOOP_PARAMS."""
     now = state.now
-    rate = np.empty(3)
+    rate = local.vector(3)
     truth_kernels.rate_against_hill(now.truth, rate)
     ready_phase.deviations(params.ready, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, rate, tally.room)
     ready_phase.judge_moment(params.ready, tally.ready, now.t_s, tally.room)

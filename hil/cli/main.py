@@ -15,7 +15,7 @@ import cyclopts
 from cyclopts import App, Parameter
 
 from hil import __version__
-from hil.errors import BadInput, BenchError
+from hil.errors import BadInput, BenchError, CampaignStopped
 
 PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
 
@@ -251,7 +251,7 @@ def execute(arguments: Sequence[str]) -> int:
         return _say(str(error), BAD_INPUT)
     except cyclopts.CycloptsError as error:
         return _say(" ".join(str(error).split()), BAD_INPUT)
-    except BenchError as error:
+    except (BenchError, CampaignStopped) as error:
         return _say(str(error), SAFE_STOPPED)
     except KeyboardInterrupt:
         return _say("stopped by the operator", SAFE_STOPPED)

@@ -90,6 +90,14 @@ def load_file(path: Path, model: type[Model]) -> Loaded[Model]:
     return _check(_read_with_bases(path, "", {}, chain=()), model, str(path), {}, prefix="")
 
 
+def check_table(table: Table, model: type[Model], source: str, prefix: str = "") -> Loaded[Model]:
+    """Return ``table``, of plain lists and numbers, checked against ``model``; raise BadInput.
+
+    prefix: of the keys in its messages, with a dot at its end.
+    """
+    return _check(table, model, source, {}, prefix)
+
+
 def _load(name: str, kind: str, model: type[Model], settings: Sequence[str], prefix: str) -> Loaded[Model]:
     path = _find(name, kind)
     origin: dict[str, str] = {}

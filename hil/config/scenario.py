@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from hil.config.dispersions import Dispersions
 from hil.config.model import (
     Matrix3,
     NotNegative,
@@ -288,3 +289,4 @@ class Scenario(Strict):
     gnc: Gnc
     requirements: Requirements
     reach: Reach = Reach()
+    dispersions: Dispersions = Dispersions()

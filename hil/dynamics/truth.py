@@ -24,8 +24,8 @@ from hil.dynamics.moon_gravity import GRAVITY_PARAMS
 from hil.dynamics.rigid_body import angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
 from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
-from hil.maths import quat
-from hil.maths.arrays import copy_into
+from hil.maths import local, quat
+from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.maths.jit import kernel
 from hil.messages import MAX_THRUSTERS
 
@@ -145,9 +145,9 @@ def _integrate(params, held, y, load, sun_F, dt):
 
     held: (4, 3), the harmonics over the step, of ``moon_gravity.hold_perturbation``.
     """
-    k = np.empty((4, _N))
-    trial = np.empty(_N)
-    room = np.empty((_ROOM, 3))
+    k = local.matrix(4, _N)
+    trial = local.vector(_N)
+    room = local.matrix(_ROOM, 3)
     copy_into(trial, y)
     for stage in range(4):
         if stage > 0:
@@ -164,9 +164,10 @@ def _enter(params, truth, y):
     """Write the integrated state for ``truth``: from H into F, from the reference point to the centre of mass."""
     r = y[0:3]
     v = y[3:6]
-    w = np.empty(3)
-    q_ch = truth.q_CH.copy()
-    a = quat.to_matrix(q_ch)
+    w, a = local.vector(3), local.matrix(3, 3)
+    q_ch, q_hi = local.vector(4), local.vector(4)
+    copy_into(q_ch, truth.q_CH)
+    quat.to_matrix_into(q_ch, a)
     for i in range(3):
         r[i] = truth.r_CT_H[i]
         v[i] = truth.v_CT_H[i]
@@ -181,7 +182,7 @@ def _enter(params, truth, y):
     copy_into(y[6:10], q_ch)
     y[19], y[20] = truth.eta, truth.eta_rate
     if params.relative_motion != HILL:
-        q_hi = truth.q_HI.copy()
+        copy_into(q_hi, truth.q_HI)
         w_HI = truth.w_HI_H
         v[0] += w_HI[1] * r[2] - w_HI[2] * r[1]
         v[1] += w_HI[2] * r[0] - w_HI[0] * r[2]
@@ -194,22 +195,22 @@ def _enter(params, truth, y):
 @kernel
 def _move_frame(params, pull, y, truth):
     """Bring the target and its Hill frame in ``truth`` to the end of the step; pull: (3,), m/s^2, of the harmonics."""
-    a = np.empty((3, 3))
+    a = local.matrix(3, 3)
     r = y[21:24]
     v = y[24:27]
-    rate = np.zeros(3)
+    rate, acceleration, q_hi = local.vector(3), local.vector(3), local.vector(4)
+    fill(rate, 0.0)
     if params.relative_motion == HILL:
         orbit.turn_on_circle(r, v, params.orbit_rate * params.dt_s)
         orbit.hill_frame(r, v, a)
         rate[1] = -params.orbit_rate
     else:
-        acceleration = np.empty(3)
         moon_gravity.central_pull(params.gravity.gm, r, acceleration)
         for i in range(3):
             acceleration[i] += pull[i]
         orbit.hill_frame(r, v, a)
         orbit.hill_rate(r, v, acceleration, a, rate)
-    q_hi = orbit.quaternion_near(a, truth.q_HI)
+    orbit.quaternion_near(a, truth.q_HI, q_hi)
     copy_into(truth.r_T_I, r)
     copy_into(truth.v_T_I, v)
     copy_into(truth.q_HI, q_hi)
@@ -222,21 +223,23 @@ def _leave(params, y, truth):
     r = y[0:3]
     v = y[3:6]
     q_ch = y[6:10]
+    q_hi, q_cf, w = local.vector(4), local.vector(4), local.vector(3)
     quat.normalise(q_ch)
     if params.relative_motion != HILL:
-        q_hi = truth.q_HI.copy()
+        copy_into(q_hi, truth.q_HI)
         w_HI = truth.w_HI_H
         quat.transform_into(q_hi, r, r)
         quat.transform_into(q_hi, v, v)
         v[0] -= w_HI[1] * r[2] - w_HI[2] * r[1]
         v[1] -= w_HI[2] * r[0] - w_HI[0] * r[2]
         v[2] -= w_HI[0] * r[1] - w_HI[1] * r[0]
-        copy_into(q_ch, quat.multiply(q_ch, quat.conjugate(q_hi)))
+        copy_into(q_cf, q_ch)
+        quat.conjugate_into(q_hi, q_hi)
+        quat.multiply_into(q_cf, q_hi, q_ch)
     for i in range(3):
         truth.w_CI_C[i] = y[10 + i]
     for i in range(4):
         truth.q_CH[i] = q_ch[i]
-    w = np.empty(3)
     rate_against_hill(truth, w)
     shift(q_ch, params.mass_centre, w, -1.0, r, v)
     for i in range(3):
@@ -255,7 +258,8 @@ def step(params, field, truth, on):
     n = params.n_thrusters
     fraction = truth.thrust_fraction
     step_valves(on[:n], truth.open_s[:n], params.minimum_on_s, dt, fraction[:n])
-    load = np.empty(7)
+    load, y, sun_f, w_before = local.vector(7), local.vector(_N), local.vector(3), local.vector(3)
+    held = local.matrix(4, 3)
     wrench(
         fraction,
         params.thruster_position,
@@ -268,12 +272,11 @@ def step(params, field, truth, on):
     load[6] = truth.mass_kg
     for i in range(3):
         load[i] /= truth.mass_kg
-    y = np.empty(_N)
     _enter(params, truth, y)
-    sun_f = params.sun_I.copy()
+    copy_into(sun_f, params.sun_I)
     if params.relative_motion == HILL:
         quat.transform_into(truth.q_HI, sun_f, sun_f)
-    held = np.zeros((4, 3))
+    fill_matrix(held, 0.0)
     if params.relative_motion != HILL:
         moon_gravity.hold_perturbation(
             params.gravity, field, truth.t_s, y[21:24], y[24:27], y[0:3], y[3:6], dt, held
@@ -281,7 +284,7 @@ def step(params, field, truth, on):
     _integrate(params, held, y, load, sun_f, dt)
     truth.t_s += dt
     _move_frame(params, held[2], y, truth)
-    w_before = truth.w_CI_C.copy()
+    copy_into(w_before, truth.w_CI_C)
     _leave(params, y, truth)
     for i in range(3):
         truth.mean_rate_C[i] = y[13 + i] / dt
@@ -294,7 +297,8 @@ def step(params, field, truth, on):
 @kernel
 def rate_against_hill(truth, out):
     """Write w_CH_C (3,), rad/s: the chaser's rate against H, ``w_CI_C - A(q_CH) w_HI_H``, in c."""
-    a = quat.to_matrix(truth.q_CH)
+    a = local.matrix(3, 3)
+    quat.to_matrix_into(truth.q_CH, a)
     w = truth.w_HI_H
     for i in range(3):
         out[i] = truth.w_CI_C[i] - (a[i, 0] * w[0] + a[i, 1] * w[1] + a[i, 2] * w[2])

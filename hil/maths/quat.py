@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from hil.maths import local
 from hil.maths.jit import kernel
 
 
@@ -32,13 +33,19 @@ def multiply(p, q):
 
 
 @kernel
-def conjugate(q):
-    """Return the quaternion of the opposite transformation, shape (4,)."""
-    out = np.empty(4)
+def conjugate_into(q, out):
+    """Write the quaternion of the opposite transformation into ``out`` (4,)."""
     out[0] = -q[0]
     out[1] = -q[1]
     out[2] = -q[2]
     out[3] = q[3]
+
+
+@kernel
+def conjugate(q):
+    """Return the quaternion of the opposite transformation, shape (4,)."""
+    out = np.empty(4)
+    conjugate_into(q, out)
     return out
 
 
@@ -74,13 +81,12 @@ def to_matrix(q):
 
 
 @kernel
-def from_matrix(a):
-    """Return the unit quaternion q with A(q) = ``a`` and q4 >= 0, shape (4,).
+def from_matrix_into(a, q):
+    """Write the unit quaternion with A(q) = ``a`` and q4 >= 0 into ``q`` (4,).
 
     The largest of the four components is found first (Shepperd's method), so no angle is bad.
     """
     trace = a[0, 0] + a[1, 1] + a[2, 2]
-    q = np.empty(4)
     best = 3
     value = trace
     for i in range(3):
@@ -106,39 +112,58 @@ def from_matrix(a):
     if q[3] < 0.0:
         for i in range(4):
             q[i] = -q[i]
+
+
+@kernel
+def from_matrix(a):
+    """Return the unit quaternion q with A(q) = ``a`` and q4 >= 0, shape (4,)."""
+    q = np.empty(4)
+    from_matrix_into(a, q)
     return q
 
 
 @kernel
-def from_rotation_vector(phi):
-    """Return the quaternion of a frame turned by ``phi`` (3,), rad: A = exp(-[phi]x)."""
+def from_rotation_vector_into(phi, q):
+    """Write the quaternion of a frame turned by ``phi`` (3,), rad, into ``q`` (4,): A = exp(-[phi]x)."""
     angle = math.sqrt(phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
     half = 0.5 * angle
     if angle < 1e-6:
         scale = 0.5 - angle * angle / 48.0
     else:
         scale = math.sin(half) / angle
-    q = np.empty(4)
     q[0] = scale * phi[0]
     q[1] = scale * phi[1]
     q[2] = scale * phi[2]
     q[3] = math.cos(half)
+
+
+@kernel
+def from_rotation_vector(phi):
+    """Return the quaternion of a frame turned by ``phi`` (3,), rad: A = exp(-[phi]x)."""
+    q = np.empty(4)
+    from_rotation_vector_into(phi, q)
     return q
 
 
 @kernel
-def to_rotation_vector(q):
-    """Return the shortest turn phi (3,), rad, with A(q) = exp(-[phi]x)."""
+def to_rotation_vector_into(q, phi):
+    """Write the shortest turn, rad, with A(q) = exp(-[phi]x) into ``phi`` (3,)."""
     sign = 1.0 if q[3] >= 0.0 else -1.0
     norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     if norm < 1e-9:
         scale = 2.0 * sign
     else:
         scale = 2.0 * sign * math.atan2(norm, abs(q[3])) / norm
-    phi = np.empty(3)
     phi[0] = scale * q[0]
     phi[1] = scale * q[1]
     phi[2] = scale * q[2]
+
+
+@kernel
+def to_rotation_vector(q):
+    """Return the shortest turn phi (3,), rad, with A(q) = exp(-[phi]x)."""
+    phi = np.empty(3)
+    to_rotation_vector_into(q, phi)
     return phi
 
 
@@ -187,3 +212,12 @@ def rate_of_change(q, w, out):
     out[1] = 0.5 * (-w[2] * q[0] + w[0] * q[2] + w[1] * q[3])
     out[2] = 0.5 * (w[1] * q[0] - w[0] * q[1] + w[2] * q[3])
     out[3] = 0.5 * (-w[0] * q[0] - w[1] * q[1] - w[2] * q[2])
+
+
+@kernel
+def turn_between(p, q, phi):
+    """Write the shortest turn, rad, from the frame of ``q`` to that of ``p`` into ``phi`` (3,): of A(p) A(q).T."""
+    back, turn = local.vector(4), local.vector(4)
+    conjugate_into(q, back)
+    multiply_into(p, back, turn)
+    to_rotation_vector_into(turn, phi)
