@@ -58,9 +58,7 @@ class LocalEngine:
             for batch in suspects:
                 yield batch[0], self._alone(spec, batch)
 
-    def _until_a_worker_dies(
-        self, spec: Spec, left: deque[Batch]
-    ) -> Generator[tuple[int, Rows], None, list[Batch]]:
+    def _until_a_worker_dies(self, spec: Spec, left: deque[Batch]) -> Generator[tuple[int, Rows], None, list[Batch]]:
         """Take batches from ``left`` until it is empty; after the death of a worker return those under way."""
         waiting: dict[Future[Rows], Batch] = {}
         with _pool(self.workers) as pool:

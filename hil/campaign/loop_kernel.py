@@ -133,7 +133,7 @@ def _move_axes(axes, now_s):
 
 @kernel
 def _send(axes, position, rate, now_s, accepted):
-    """Give three mock axes their setpoint; write what they took into ``accepted`` (3,), return False for a bad number."""
+    """Give three mock axes their setpoint and write what they took into ``accepted`` (3,); False for a bad number."""
     feedforward = local.vector(3)
     if cut_to_range(position, axes.low, axes.high, accepted) >= 0:
         return False
@@ -246,7 +246,7 @@ def _read_axes(state, now_s):
 
 @kernel
 def _navigate(params, state, memory, poses, arrived):
-    """Stage 4, and how consistent the filters are."""
+    """Stage 4: both filters, or vision alone."""
     now = state.now
     navigation.navigate(
         params.navigation, state.navigation, memory, now.imu, poses, arrived, now.navigation
@@ -256,7 +256,7 @@ def _navigate(params, state, memory, poses, arrived):
 
 @kernel
 def _decide(params, state, sets, t_s):
-    """Stages 5 to 7: guidance, supervision of the approach, control."""
+    """Stages 5 to 7: guidance, supervision of the approach, control; and how consistent the filters are."""
     now = state.now
     found = now.supervision
     go = found.aborted == 0 and has_held(found.ready_since_s, t_s, params.dwell_s)
@@ -276,7 +276,7 @@ def _decide(params, state, sets, t_s):
 
 @kernel
 def _follow(params, state, now_s):
-    """Stage 11: setpoints towards the truth's pose. Returns False where one is not a finite number."""
+    """Stage 11: setpoints towards the truth's pose. Returns how many were limited, -1 where one is not finite."""
     now = state.now
     rate = local.vector(3)
     truth_kernels.rate_against_hill(now.truth, rate)

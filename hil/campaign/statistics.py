@@ -28,7 +28,13 @@ _REASONS: Final = 20
 def wilson(passed: int, runs: int) -> dict[str, float | int]:
     """Return the share ``passed`` / ``runs`` with Wilson's interval of ``CONFIDENCE``."""
     interval = binomtest(passed, runs).proportion_ci(CONFIDENCE, method="wilson")
-    return {"passed": passed, "runs": runs, "rate": passed / runs, "low": float(interval.low), "high": float(interval.high)}
+    return {
+        "passed": passed,
+        "runs": runs,
+        "rate": passed / runs,
+        "low": float(interval.low),
+        "high": float(interval.high),
+    }
 
 
 def mean_interval(values: Array) -> dict[str, float | int | None]:

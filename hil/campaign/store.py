@@ -69,7 +69,7 @@ class Store:
             elif self.folder.is_dir() and any(self.folder.iterdir()):
                 raise BadInput.single("--out", "", f"{self.folder}: is not empty and holds no campaign")
             self._parts.mkdir(parents=True, exist_ok=True)
-            with _whole_or_not_at_all(manifest) as partial:
+            with whole_or_not_at_all(manifest) as partial:
                 partial.write_text(json.dumps(identity, indent=2) + "\n", encoding="utf-8")
             for left_over in self._parts.glob("*.part"):
                 left_over.unlink()
@@ -110,13 +110,13 @@ class Store:
         """Keep a batch. Raises CampaignStopped where the disk does not take it."""
         columns = {field.name: [row[field.name] for row in rows] for field in self.schema}
         table = self._pa.table(columns, schema=self.schema)
-        with _whole_or_not_at_all(self._part(first)) as partial:
+        with whole_or_not_at_all(self._part(first)) as partial:
             self._pq.write_table(table, partial)
 
     def finish(self, runs: int) -> Path:
         """Write all ``runs`` cases into one file, in their order; return its path."""
         with (
-            _whole_or_not_at_all(self.table_path) as partial,
+            whole_or_not_at_all(self.table_path) as partial,
             self._pq.ParquetWriter(partial, self.schema) as writer,
         ):
             for first in range(0, runs, BATCH):
@@ -134,7 +134,7 @@ class Store:
         for group in range(file.num_row_groups):
             path = self._part(group * BATCH)
             if not path.is_file():
-                with _whole_or_not_at_all(path) as partial:
+                with whole_or_not_at_all(path) as partial:
                     self._pq.write_table(file.read_row_group(group), partial)
 
     def column(self, name: str) -> Any:
@@ -143,7 +143,7 @@ class Store:
 
 
 @contextmanager
-def _whole_or_not_at_all(path: Path) -> Iterator[Path]:
+def whole_or_not_at_all(path: Path) -> Iterator[Path]:
     """Give a path to write to that becomes ``path`` at the end; what fails half-way leaves nothing."""
     partial = path.with_name(f"{path.name}.part")
     try:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
 from rich.console import Console
 
+from hil.assembly import Job
 from hil.cli.bar import Bar
 from hil.cli.output import check_json_path, write_json
 from hil.cli.warm_up import warm_up_with_a_word
@@ -22,13 +24,14 @@ def run_command(
     scenario_name: str,
     rig_name: str,
     seed: int,
+    case: int | None,
     duration_s: float | None,
     settings: Sequence[str],
     speed: float,
     json_path: str | None,
 ) -> int:
     """Do ``hil run``; return its exit code. Raises BadInput before anything is started."""
-    _check_options(seed, duration_s, speed, json_path)
+    _check_options(seed, case, duration_s, speed, json_path)
     scenario = load_scenario(scenario_name, settings)
     rig = load_rig(rig_name, settings)
     console = Console(stderr=True)
@@ -38,6 +41,8 @@ def run_command(
     from hil.report.table import render
 
     job = build.Job(scenario, rig, seed, scenario.value.duration_s if duration_s is None else duration_s, speed)
+    if case is not None:
+        job = _dispersed(job, case)
     with console.status("checking that the rig can follow the scenario"):
         build.check(job)
     warm_up_with_a_word(job, console)
@@ -49,12 +54,14 @@ def run_command(
         outcome = runner.run()
     summary, verdict = summarise(
         outcome,
-        scenario.value,
+        job.scenario.value,
         rig.value,
         rig_name,
-        seed,
+        job.seed,
         1.0 / scenario.value.step_s,
     )
+    if case is not None:
+        summary |= {"campaign_seed": seed, "case": case}
     if json_path is not None:
         write_json(summary, json_path)
     if json_path != "-":
@@ -65,8 +72,19 @@ def run_command(
     return _PASSED if summary["passed"] else _FAILED
 
 
-def _check_options(seed: int, duration_s: float | None, speed: float, json_path: str | None) -> None:
+def _dispersed(job: Job, case: int) -> Job:
+    """Return the job of a campaign's case: what is true, what the GNC is told, and the case's own seed."""
+    from hil.campaign.dispersions import Design, case_seed
+
+    design = Design(job.scenario, job.seed)
+    truth, told = design.apply(design.values(case))
+    return replace(job, scenario=replace(job.scenario, value=told), seed=case_seed(job.seed, case), dispersed=truth)
+
+
+def _check_options(seed: int, case: int | None, duration_s: float | None, speed: float, json_path: str | None) -> None:
     problems = []
+    if case is not None and case < 0:
+        problems.append(Problem("--case", "", f"{case}: must not be negative"))
     if seed < 0:
         problems.append(Problem("--seed", "", f"{seed}: must not be negative"))
     if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0.0):

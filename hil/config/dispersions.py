@@ -50,6 +50,9 @@ def _each(value: Number | None) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,)
 
 
+Table = dict[str, Any]
+
+
 class Dispersions(Strict):
     """Spreads under the names of the scenario's own tables; each leaf is a ``Spread`` (docs/campaign.md).
 
@@ -58,13 +61,13 @@ class Dispersions(Strict):
 
     sampling: Literal["random", "latin_hypercube", "sobol"] = "random"
     cases_per_hypercube: Annotated[int, Field(ge=2, le=100_000)] = 100
-    orbit: dict[str, Any] = {}
-    truth: dict[str, Any] = {}
-    initial: dict[str, Any] = {}
-    chaser: dict[str, Any] = {}
-    imu: dict[str, Any] = {}
-    vmu: dict[str, Any] = {}
-    gnc: dict[str, Any] = {}
+    orbit: Table = Field(default_factory=dict)
+    truth: Table = Field(default_factory=dict)
+    initial: Table = Field(default_factory=dict)
+    chaser: Table = Field(default_factory=dict)
+    imu: Table = Field(default_factory=dict)
+    vmu: Table = Field(default_factory=dict)
+    gnc: Table = Field(default_factory=dict)
 
 
 TABLES = ("orbit", "truth", "initial", "chaser", "imu", "vmu", "gnc")

@@ -160,25 +160,30 @@ def _joint_product(phi, lever, sign, p, c, attitude_p, mixed, half):
 
     phi: (9, 9). lever: (9, 3), of the turn theta. What is zero in them costs nothing, see ``hil.maths.kalman``.
     """
+    of_p, of_c = local.vector(9), local.vector(6)  # sums of one row: kept in registers
     for i in range(9):
         for j in range(9):
-            half[i, j] = 0.0
+            of_p[j] = 0.0
         for j in range(6):
-            mixed[i, j] = 0.0
+            of_c[j] = 0.0
         for m in range(9):
             factor = phi[i, m]
             if factor != 0.0:
                 for j in range(9):
-                    half[i, j] += factor * p[m, j]
+                    of_p[j] += factor * p[m, j]
                 for j in range(6):
-                    mixed[i, j] += factor * c[m, j]
+                    of_c[j] += factor * c[m, j]
         for m in range(3):
             factor = sign * lever[i, m]
             if factor != 0.0:
                 for j in range(9):
-                    half[i, j] += factor * c[j, m]
+                    of_p[j] += factor * c[j, m]
                 for j in range(6):
-                    mixed[i, j] += factor * attitude_p[m, j]
+                    of_c[j] += factor * attitude_p[m, j]
+        for j in range(9):
+            half[i, j] = of_p[j]
+        for j in range(6):
+            mixed[i, j] = of_c[j]
 
 
 @kernel
