@@ -85,7 +85,8 @@ class Design:
 
     def _add(self, path: tuple[str, ...], raw: Any, scenario: Loaded[Scenario], problems: list[Problem]) -> None:
         key = f"dispersions.{'.'.join(path)}"
-        where = scenario.where(key)
+        set_by = [origin for name, origin in scenario.origin.items() if name.startswith(f"{key}.")]
+        where = "--set" if "--set" in set_by else scenario.where(key)
         if not isinstance(raw, dict):
             problems.append(Problem(where, key, f'{raw!r}: must be a table, {{ kind = "normal", sigma = 0.1 }}'))
             return
@@ -93,7 +94,7 @@ class Design:
             spread = check_table(raw, Spread, where, f"{key}.").value
             self.components += _components(path, _at(self._table, path), spread)
         except BadInput as error:
-            problems += error.problems
+            problems += [Problem(fault.source, fault.key or key, fault.message) for fault in error.problems]
         except ValueError as error:
             problems.append(Problem(where, key, str(error)))
 
@@ -129,7 +130,8 @@ class Design:
             unit = _sobol_point(self._seed, case, n)
         else:
             unit = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_DESIGN, case))).random(n)
-        return np.clip(unit, _SMALLEST, 1.0 - _SMALLEST)
+        inside: Array = np.clip(unit, _SMALLEST, 1.0 - _SMALLEST)
+        return inside
 
 
 @lru_cache(maxsize=4)

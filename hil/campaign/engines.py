@@ -122,16 +122,16 @@ class DaskEngine:
     @property
     def workers(self) -> int:
         """Threads of all workers that are there now, at least one."""
-        return max(1, sum(self._client.nthreads().values()))
+        return max(1, int(sum(self._client.nthreads().values())))
 
     def fly(self, spec: Spec, batches: Iterable[Batch]) -> Iterator[tuple[int, Rows]]:
         """Give first case and rows of each batch; what a lost worker had is given to others by the scheduler."""
         from distributed import CancelledError, as_completed
-        from distributed.comm import CommClosedError
+        from distributed.comm.core import CommClosedError
 
         left = iter(batches)
         tries: dict[Batch, int] = {}
-        of: dict[str, Batch] = {}
+        of: dict[Any, Batch] = {}
         done = as_completed()
 
         def hand_out(batch: Batch) -> None:

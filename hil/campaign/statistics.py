@@ -70,7 +70,7 @@ def _stops(store: Store) -> list[dict[str, Any]]:
     stop, abort = store.column("stop"), store.column("abort")
     reasons = np.where(stop != COMPLETED, stop, np.where(abort != "", "aborted: " + abort.astype(object), ""))
     found, first, count = np.unique(reasons.astype(str), return_index=True, return_counts=True)
-    rows = [
+    rows: list[dict[str, Any]] = [
         {"reason": str(reason), "cases": int(n), "first_case": int(i)}
         for reason, i, n in zip(found, first, count, strict=True)
         if reason

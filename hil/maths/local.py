@@ -40,7 +40,7 @@ def _on_the_stack(shape: tuple[int, ...]) -> tuple[types.Array, Any]:
 
 
 @intrinsic
-def vector(_typing, n):  # type: ignore[no-untyped-def]
+def vector(_typing, n):
     """Return an array of floats of shape (n,)."""
     if not isinstance(n, types.IntegerLiteral):
         return None
@@ -49,7 +49,7 @@ def vector(_typing, n):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def matrix(_typing, m, n):  # type: ignore[no-untyped-def]
+def matrix(_typing, m, n):
     """Return an array of floats of shape (m, n)."""
     if not (isinstance(m, types.IntegerLiteral) and isinstance(n, types.IntegerLiteral)):
         return None

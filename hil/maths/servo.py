@@ -10,42 +10,33 @@ from hil.maths.jit import kernel
 
 
 @kernel
-def _move(position, rate, setpoint, feedforward, kp, tau, rate_max, acceleration_max, low, high, i, h):
-    """Move axis ``i`` on by ``h``, s."""
-    wanted = feedforward[i] + kp[i] * (setpoint[i] - position[i])
-    wanted = min(rate_max[i], max(-rate_max[i], wanted))
-    acceleration = (wanted - rate[i]) / tau[i]
-    acceleration = min(acceleration_max[i], max(-acceleration_max[i], acceleration))
-    rate[i] += acceleration * h
-    position[i] += rate[i] * h
-    if position[i] < low[i]:
-        position[i] = low[i]
-        rate[i] = 0.0
-    elif position[i] > high[i]:
-        position[i] = high[i]
-        rate[i] = 0.0
-
-
-@kernel
 def servo_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceleration_max, low, high, dt):
     """Move axes on by ``dt``, s, in place. All arguments but ``dt`` are arrays of shape (n,).
 
     position, rate: state, m and m/s (or rad and rad/s). setpoint, feedforward: wanted position and
     its rate. kp: 1/s. tau: s. rate_max, acceleration_max: limits. low, high: end stops, where the
-    axis stands still. The step is split so that it stays well inside the lag.
+    axis stands still. The step is split so that it stays well inside the lag. Neighbours of the same lag
+    go through its parts side by side: a part waits for the one before it, another axis does not.
     """
-    alike = True
-    for i in range(tau.shape[0]):
-        alike = alike and tau[i] == tau[0]
-    if alike:  # side by side: a part of an axis waits for the one before it, the other axes do not
-        n = int(dt / (0.25 * tau[0])) + 1
+    first = 0
+    while first < position.shape[0]:
+        end = first + 1
+        while end < position.shape[0] and tau[end] == tau[first]:
+            end += 1
+        n = int(dt / (0.25 * tau[first])) + 1
         h = dt / n
         for _ in range(n):
-            for i in range(position.shape[0]):
-                _move(position, rate, setpoint, feedforward, kp, tau, rate_max, acceleration_max, low, high, i, h)
-        return
-    for i in range(position.shape[0]):
-        n = int(dt / (0.25 * tau[i])) + 1
-        h = dt / n
-        for _ in range(n):
-            _move(position, rate, setpoint, feedforward, kp, tau, rate_max, acceleration_max, low, high, i, h)
+            for i in range(first, end):
+                wanted = feedforward[i] + kp[i] * (setpoint[i] - position[i])
+                wanted = min(rate_max[i], max(-rate_max[i], wanted))
+                acceleration = (wanted - rate[i]) / tau[i]
+                acceleration = min(acceleration_max[i], max(-acceleration_max[i], acceleration))
+                rate[i] += acceleration * h
+                position[i] += rate[i] * h
+                if position[i] < low[i]:
+                    position[i] = low[i]
+                    rate[i] = 0.0
+                elif position[i] > high[i]:
+                    position[i] = high[i]
+                    rate[i] = 0.0
+        first = end

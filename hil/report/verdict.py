@@ -48,8 +48,8 @@ def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
     # scipy's rotation of the same four numbers takes c to H: w_CH = w_CI - A(q_CH) w_HI
     rate = truth["w_CI_C"] - Rotation.from_quat(q).apply(truth["w_HI_H"], inverse=True) if len(q) else np.empty((0, 3))
     found = np.empty((len(history), ready_phase.DEVIATIONS))
-    state = (np.ascontiguousarray(values) for values in (truth["r_CT_H"], truth["v_CT_H"], q, rate))
-    ready_phase.all_deviations(ready_params(requirements), *state, found)
+    r, v, q, rate = (np.ascontiguousarray(values) for values in (truth["r_CT_H"], truth["v_CT_H"], q, rate))
+    ready_phase.all_deviations(ready_params(requirements), r, v, q, rate, found)
     return Deviations(history["t_s"], found[:, 0:3], found[:, 3:6], found[:, 6:9], found[:, 9:12])
 
 
