@@ -149,7 +149,9 @@ def main() -> None:
     for workers, beside in ((1, one), (2, two)):
         rate = workers_rate(workers, options.seconds, one)
         share = rate / beside
-        print(f"  {workers} workers {rate:.2f}, {100 * share:.0f} % of as many copies (goal {100 * SCALING_GOAL:.0f} %)")
+        print(
+            f"  {workers} workers {rate:.2f}, {100 * share:.0f} % of as many copies (goal {100 * SCALING_GOAL:.0f} %)"
+        )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The closed loop as one would write it without a compiler: numpy, filterpy's filters, the same algorithm.
 
 The truth under the whole field (held over a step as the product holds it), IMU, poses at 6.25 Hz, filterpy's
-KalmanFilter for position and for the attitude's small error, the straight-line reference, a phase plane an axis, thruster
+KalmanFilter for position and for the attitude's small error, the reference line, a phase plane an axis, thruster
 sets. The bench, the late poses and all bookkeeping are left out: this loop does less than the product's.
 """
 
@@ -262,4 +262,6 @@ if __name__ == "__main__":
         loop = PlainLoop()
         begun_s = time.process_time()
         place, angles = loop.run(span_s)
-        print(f"{span_s:g} s: {time.process_time() - begun_s:.2f} s of CPU, at {place.round(4)} m, {angles.round(3)} deg")
+        print(
+            f"{span_s:g} s: {time.process_time() - begun_s:.2f} s of CPU, at {place.round(4)} m, {angles.round(3)} deg"
+        )

@@ -7,6 +7,7 @@ number of cases.
 
 from __future__ import annotations
 
+import signal
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -65,7 +66,8 @@ class LocalEngine:
             try:
                 while left or waiting:
                     while left and len(waiting) < _AHEAD * self.workers:
-                        waiting[pool.submit(run_batch, spec, *left[0])] = left.popleft()
+                        future = pool.submit(run_batch, spec, *left[0])
+                        waiting[future] = left.popleft()
                     for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                         rows = future.result()
                         yield waiting.pop(future)[0], rows
@@ -93,7 +95,13 @@ class LocalEngine:
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=get_context("forkserver"), initializer=die_with_parent)
+    return ProcessPoolExecutor(workers, mp_context=get_context("forkserver"), initializer=_begin)
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the process that hands out the batches, and end with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    die_with_parent()
 
 
 def died_row(spec: Spec, case: int) -> dict[str, Any]:

@@ -17,7 +17,9 @@ IDENTITY = {"scenario": "scheme-1", "seed": 0}
 
 def put(store: Store, first: int, count: int) -> None:
     """Keep made-up rows of these cases."""
-    store.put(first, [{"case": k, "seed": k, "a": 0.5 * k, **failed_row("made up")} for k in range(first, first + count)])
+    store.put(
+        first, [{"case": k, "seed": k, "a": 0.5 * k, **failed_row("made up")} for k in range(first, first + count)]
+    )
 
 
 def test_only_batches_that_are_whole_count_as_done(tmp_path: Path) -> None:
@@ -56,7 +58,7 @@ def test_finished_campaign_can_be_made_longer(tmp_path: Path) -> None:
 
 def test_folder_of_another_campaign_is_refused(tmp_path: Path) -> None:
     Store(tmp_path / "c", IDENTITY, ["a"])
-    with pytest.raises(BadInput, match='holds another campaign.*scenario "scheme-1".*"scheme-2"'):
+    with pytest.raises(BadInput, match=r'holds another campaign.*scenario "scheme-1".*"scheme-2"'):
         Store(tmp_path / "c", IDENTITY | {"scenario": "scheme-2"}, ["a"])
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.txt").write_text("mine")
