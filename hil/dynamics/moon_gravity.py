@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from hil.maths import local
 from hil.maths.jit import kernel
 
 GRAVITY_PARAMS = np.dtype(
@@ -25,6 +26,7 @@ GRAVITY_PARAMS = np.dtype(
     align=True,
 )
 
+LANES = 4  # places that are looked at side by side
 FIELD_COLUMNS = 6  # C, S, alpha, beta, coupled C, coupled S
 
 
@@ -55,43 +57,74 @@ def field_table(c, s):
 
 
 @kernel
-def harmonics(params, field, x, y, z):
-    """Return the acceleration by the harmonics of degree 1 and above, m/s^2, in Moon-fixed axes, as three floats.
+def harmonics_of_four(params, field, place, out):
+    """Write the acceleration by the harmonics of degree 1 and above, m/s^2, at four places, in Moon-fixed axes.
 
-    params: GRAVITY_PARAMS. field: (N + 1, N + 1, 6) of ``field_table``, N >= params.degree. x, y, z: m, Moon-fixed.
+    params: GRAVITY_PARAMS. field: (N + 1, N + 1, 6) of ``field_table``, N >= params.degree. place: (4, 3), m,
+    Moon-fixed. out: (4, 3). The recursion is a chain that a processor has to wait for; four of them side by side,
+    in the lanes of its registers, take hardly longer than one.
     """
-    r = math.sqrt(x * x + y * y + z * z)
-    s, t, u = x / r, y / r, z / r
-    step = params.radius / r
-    degree = params.degree
-    a1, a2, a3, a4 = 0.0, 0.0, 0.0, 0.0
-    diagonal = params.gm / (r * r)  # GM / r^2 (R / r)^m A_mm
-    real, imaginary = 1.0, 0.0  # (s + i t)^m
-    real_below, imaginary_below = 0.0, 0.0  # (s + i t)^(m - 1)
-    for m in range(degree + 1):
+    s, t, u, step = local.vector(LANES), local.vector(LANES), local.vector(LANES), local.vector(LANES)
+    a1, a2, a3, a4 = local.vector(LANES), local.vector(LANES), local.vector(LANES), local.vector(LANES)
+    diagonal = local.vector(LANES)  # GM / r^2 (R / r)^m A_mm
+    real, imaginary = local.vector(LANES), local.vector(LANES)  # (s + i t)^m
+    real_below, imaginary_below = local.vector(LANES), local.vector(LANES)  # (s + i t)^(m - 1)
+    legendre, before = local.vector(LANES), local.vector(LANES)
+    sum_c, sum_s = local.vector(LANES), local.vector(LANES)
+    radial_c, radial_s = local.vector(LANES), local.vector(LANES)
+    coupled_c, coupled_s = local.vector(LANES), local.vector(LANES)
+    for j in range(LANES):
+        x, y, z = place[j, 0], place[j, 1], place[j, 2]
+        r = math.sqrt(x * x + y * y + z * z)
+        s[j], t[j], u[j], step[j] = x / r, y / r, z / r, params.radius / r
+        a1[j], a2[j], a3[j], a4[j] = 0.0, 0.0, 0.0, 0.0
+        diagonal[j] = params.gm / (r * r)
+        real[j], imaginary[j], real_below[j], imaginary_below[j] = 1.0, 0.0, 0.0, 0.0
+    for m in range(params.degree + 1):
         if m > 0:
-            diagonal *= step * field[m, m, 2]
-            real_below, imaginary_below = real, imaginary
-            real, imaginary = s * real_below - t * imaginary_below, s * imaginary_below + t * real_below
-        legendre, before = diagonal, 0.0
-        sum_c, sum_s, radial_c, radial_s, coupled_c, coupled_s = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for n in range(m, degree + 1):
+            alpha = field[m, m, 2]
+            for j in range(LANES):
+                diagonal[j] *= step[j] * alpha
+                real_below[j], imaginary_below[j] = real[j], imaginary[j]
+                real[j] = s[j] * real_below[j] - t[j] * imaginary_below[j]
+                imaginary[j] = s[j] * imaginary_below[j] + t[j] * real_below[j]
+        for j in range(LANES):
+            legendre[j], before[j] = diagonal[j], 0.0
+            sum_c[j], sum_s[j], radial_c[j], radial_s[j], coupled_c[j], coupled_s[j] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for n in range(m, params.degree + 1):
+            c, d, alpha, beta = field[m, n, 0], field[m, n, 1], field[m, n, 2], field[m, n, 3]
+            below_c, below_d = field[m, n, 4], field[m, n, 5]
+            weight = float(n + m + 1)
             if n > m:
-                following = step * (field[m, n, 2] * u * legendre - step * field[m, n, 3] * before)
-                before, legendre = legendre, following
-            c, d = legendre * field[m, n, 0], legendre * field[m, n, 1]
-            sum_c += c
-            sum_s += d
-            radial_c += (n + m + 1) * c
-            radial_s += (n + m + 1) * d
-            coupled_c += legendre * field[m, n, 4]
-            coupled_s += legendre * field[m, n, 5]
-        along_u = coupled_c * real_below + coupled_s * imaginary_below
-        a1 += m * (sum_c * real_below + sum_s * imaginary_below)
-        a2 += m * (sum_s * real_below - sum_c * imaginary_below)
-        a3 += along_u
-        a4 -= radial_c * real + radial_s * imaginary + u * along_u
-    return a1 + s * a4, a2 + t * a4, a3 + u * a4
+                for j in range(LANES):
+                    following = step[j] * (alpha * u[j] * legendre[j] - step[j] * beta * before[j])
+                    before[j], legendre[j] = legendre[j], following
+            for j in range(LANES):
+                of_c, of_d = legendre[j] * c, legendre[j] * d
+                sum_c[j] += of_c
+                sum_s[j] += of_d
+                radial_c[j] += weight * of_c
+                radial_s[j] += weight * of_d
+                coupled_c[j] += legendre[j] * below_c
+                coupled_s[j] += legendre[j] * below_d
+        for j in range(LANES):
+            along_u = coupled_c[j] * real_below[j] + coupled_s[j] * imaginary_below[j]
+            a1[j] += m * (sum_c[j] * real_below[j] + sum_s[j] * imaginary_below[j])
+            a2[j] += m * (sum_s[j] * real_below[j] - sum_c[j] * imaginary_below[j])
+            a3[j] += along_u
+            a4[j] -= radial_c[j] * real[j] + radial_s[j] * imaginary[j] + u[j] * along_u
+    for j in range(LANES):
+        out[j, 0], out[j, 1], out[j, 2] = a1[j] + s[j] * a4[j], a2[j] + t[j] * a4[j], a3[j] + u[j] * a4[j]
+
+
+@kernel
+def harmonics(params, field, x, y, z):
+    """Return the acceleration by the harmonics at one place, m/s^2, as three floats; see ``harmonics_of_four``."""
+    place, out = local.matrix(LANES, 3), local.matrix(LANES, 3)
+    for j in range(LANES):
+        place[j, 0], place[j, 1], place[j, 2] = x, y, z
+    harmonics_of_four(params, field, place, out)
+    return out[0, 0], out[0, 1], out[0, 2]
 
 
 @kernel
@@ -157,17 +190,34 @@ def hold_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held):
     (3,), m/s, of the target, inertial; rho: (3,), m, and rho_rate: (3,), m/s, of the chaser relative to it. The places
     are those of a parabola under the point mass; what that leaves out moves them by a micrometre.
     """
+    if params.degree < 2:
+        for row in range(4):
+            held[row, 0], held[row, 1], held[row, 2] = 0.0, 0.0, 0.0
+        return
+    place, pull = local.matrix(LANES, 3), local.matrix(LANES, 3)
+    cosine, sine = local.vector(LANES), local.vector(LANES)
     squared = r_T[0] * r_T[0] + r_T[1] * r_T[1] + r_T[2] * r_T[2]
     central = -params.gm / (squared * math.sqrt(squared))
-    for row in range(3):
-        t = 0.5 * row * dt
+    for row in range(4):
+        t = 0.5 * (1 if row == 3 else row) * dt
         reach = 1.0 + 0.5 * t * t * central
         x, y, z = reach * r_T[0] + t * v_T[0], reach * r_T[1] + t * v_T[1], reach * r_T[2] + t * v_T[2]
-        held[row, 0], held[row, 1], held[row, 2] = perturbation(params, field, t_s + t, x, y, z)
-        if row == 1:
+        if row == 3:
+            cosine[3], sine[3] = cosine[1], sine[1]
             x, y, z = x + rho[0] + t * rho_rate[0], y + rho[1] + t * rho_rate[1], z + rho[2] + t * rho_rate[2]
-            px, py, pz = perturbation(params, field, t_s + t, x, y, z)
-            held[3, 0], held[3, 1], held[3, 2] = px - held[1, 0], py - held[1, 1], pz - held[1, 2]
+        else:
+            angle = params.rotation + params.rate * (t_s + t)
+            cosine[row], sine[row] = math.cos(angle), math.sin(angle)
+        place[row, 0] = cosine[row] * x + sine[row] * y
+        place[row, 1] = cosine[row] * y - sine[row] * x
+        place[row, 2] = z
+    harmonics_of_four(params, field, place, pull)
+    for row in range(4):
+        held[row, 0] = cosine[row] * pull[row, 0] - sine[row] * pull[row, 1]
+        held[row, 1] = sine[row] * pull[row, 0] + cosine[row] * pull[row, 1]
+        held[row, 2] = pull[row, 2]
+    for i in range(3):
+        held[3, i] -= held[1, i]
 
 
 @kernel
