@@ -68,7 +68,7 @@ class Flight:
         params.step_s = scenario.step_s
         params.dwell_s = scenario.requirements.dwell_s
         params.vmu_rate_hz, params.vmu_timeout_s = rig.vmu.rate_hz, rig.vmu.timeout_s
-        params.settled_s = min(SETTLED_S, 0.5 * self.cycles * scenario.step_s)
+        params.settled_s = SETTLED_S if (self.cycles - 1) * scenario.step_s >= SETTLED_S else 0.0
         params.stations = parameters.stations(rig)
         params.camera = parameters.camera(rig)[0]
         params.bench = parameters.bench(rig, scenario.step_s)

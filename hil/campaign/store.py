@@ -19,6 +19,7 @@ from hil.errors import BadInput, CampaignStopped
 
 BATCH: Final = 50
 """Cases a batch: on fixed borders, so that the files do not depend on who flies them."""
+_GROUP: Final = 100 * BATCH  # cases a row group of the finished table
 _MANIFEST: Final = "campaign.json"
 _TABLE: Final = "cases.parquet"
 
@@ -66,11 +67,12 @@ class Store:
         try:
             if manifest.is_file():
                 self._check(manifest, identity)
-            elif self.folder.is_dir() and any(self.folder.iterdir()):
+            elif self.folder.is_dir() and any(path.suffix != ".part" for path in self.folder.iterdir()):
                 raise BadInput.single("--out", "", f"{self.folder}: is not empty and holds no campaign")
-            self._parts.mkdir(parents=True, exist_ok=True)
+            self.folder.mkdir(parents=True, exist_ok=True)
             with whole_or_not_at_all(manifest) as partial:
                 partial.write_text(json.dumps(identity, indent=2) + "\n", encoding="utf-8")
+            self._parts.mkdir(exist_ok=True)
             for left_over in self._parts.glob("*.part"):
                 left_over.unlink()
         except (PermissionError, NotADirectoryError, FileExistsError) as error:
@@ -90,7 +92,7 @@ class Store:
 
     def missing(self, runs: int) -> list[tuple[int, int]]:
         """Return the batches, first case and count, that are not there yet for a campaign of ``runs`` cases."""
-        self._restore_parts(runs)
+        self._restore_parts()
         batches = [(first, min(BATCH, runs - first)) for first in range(0, runs, BATCH)]
         return [batch for batch in batches if self._rows_of(batch[0]) < batch[1]]
 
@@ -119,23 +121,29 @@ class Store:
             whole_or_not_at_all(self.table_path) as partial,
             self._pq.ParquetWriter(partial, self.schema) as writer,
         ):
-            for first in range(0, runs, BATCH):
-                table = self._pq.read_table(self._part(first), schema=self.schema)
-                writer.write_table(table.slice(0, min(BATCH, runs - first)))
+            for group in range(0, runs, _GROUP):
+                end = min(runs, group + _GROUP)
+                parts = [
+                    self._pq.read_table(self._part(first), schema=self.schema).slice(0, end - first)
+                    for first in range(group, end, BATCH)
+                ]
+                writer.write_table(self._pa.concat_tables(parts), row_group_size=_GROUP)
         for path in self._parts.glob("*.parquet"):
             path.unlink()
         return self.table_path
 
-    def _restore_parts(self, runs: int) -> None:
-        """Take a finished table apart again where more cases are wanted, or fewer."""
+    def _restore_parts(self) -> None:
+        """Take a finished table apart again: more cases may be wanted, or fewer."""
         if not self.table_path.is_file():
             return
         file = self._pq.ParquetFile(self.table_path)
         for group in range(file.num_row_groups):
-            path = self._part(group * BATCH)
-            if not path.is_file():
-                with whole_or_not_at_all(path) as partial:
-                    self._pq.write_table(file.read_row_group(group), partial)
+            table = file.read_row_group(group)
+            for first in range(0, len(table), BATCH):
+                path = self._part(group * _GROUP + first)
+                if not path.is_file():
+                    with whole_or_not_at_all(path) as partial:
+                        self._pq.write_table(table.slice(first, BATCH), partial)
 
     def column(self, name: str) -> Any:
         """Return one column of the finished table as a numpy array; null numbers are nan."""

@@ -114,5 +114,7 @@ def test_row_of_a_case_holds_the_numbers_of_the_report() -> None:
     for i, axis in enumerate("xyz"):
         for name in ("position_m", "velocity_mps", "attitude_deg", "rate_degps"):
             assert row[f"{name}_{axis}"] == pytest.approx(summary["ready_phase"][name][i], rel=1e-9)
+        for name in ("position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg"):
+            assert row[f"{name}_{axis}"] == pytest.approx(summary["navigation"][name][i], rel=1e-6)
         assert row[f"force_on_time_s_{axis}"] == pytest.approx(thrusters["force_on_time_s"][i])
         assert row[f"torque_on_time_s_{axis}"] == pytest.approx(thrusters["torque_on_time_s"][i])
