@@ -38,6 +38,7 @@ def _whole_number(_type: object, tokens: Sequence[cyclopts.Token]) -> int:
 
 
 Whole = Annotated[int, Parameter(converter=_whole_number)]
+MaybeWhole = Annotated[int | None, Parameter(converter=_whole_number)]
 Output = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
 
 
@@ -48,7 +49,7 @@ def run(
     *,
     rig: str = "mock",
     seed: Whole = 0,
-    case: Whole | None = None,
+    case: MaybeWhole = None,
     duration: float | None = None,
     settings: Settings = (),
     speed: float = 1.0,

@@ -15,7 +15,13 @@ from hil.report.summary import summarise
 from hil.runner import COMPLETED, Outcome
 
 CLOSE = ("initial.position_m=[0.55, 0.01, -0.01]", "initial.attitude_deg=[0.3, 0.2, -0.2]")
-LATE = ("vmu.latency_s=0.07", "vmu.latency_jitter_s=0.3", "vmu.duplicate_share=0.2", "vmu.loss_share=0.1")
+LATE = (
+    "vmu.latency_s=0.07",
+    "vmu.latency_jitter_s=0.3",
+    "vmu.duplicate_share=0.2",
+    "vmu.loss_share=0.1",
+    "rig.vmu.timeout_s=2.0",
+)
 OF_THE_CLOCK = ("sampled_s", "received_s", "commanded_s", "on_wire_s", "lateness_s")
 """Stamps of devices, which a loop without devices does not have."""
 
