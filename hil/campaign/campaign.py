@@ -144,6 +144,22 @@ def campaigns_of(
 ) -> list[Campaign]:
     """Return the campaign of the scenario ``name``, or one for each value of ``sweep``."""
     laid_over = [()] if sweep is None else [(f"{sweep.key}={value!r}",) for value in sweep.values]
+    try:
+        return _campaigns(name, settings, laid_over, seed, duration_s)
+    except BadInput as error:
+        if sweep is None:
+            raise
+        told = [
+            Problem("--sweep" if p.source == "--set" and p.key == sweep.key else p.source, p.key, p.message)
+            for p in error.problems
+        ]
+        raise BadInput(told) from error
+
+
+def _campaigns(
+    name: str, settings: Sequence[str], laid_over: Sequence[tuple[str, ...]], seed: int, duration_s: float | None
+) -> list[Campaign]:
+    """Return a campaign for each of the settings ``laid_over`` the others."""
     return [
         Campaign(
             load_scenario(name, (*settings, *more)), load_rig(RIG, (*settings, *more)), seed, duration_s

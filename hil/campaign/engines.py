@@ -13,7 +13,7 @@ from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, Self
 
 from hil.campaign.batch import Case, Rows, Spec, run_batch
 from hil.campaign.dispersions import case_seed
@@ -56,8 +56,9 @@ class LocalEngine:
         left = deque(batches)
         while left:
             suspects = yield from self._until_a_worker_dies(spec, left)
-            for batch in suspects:
-                yield batch[0], self._alone(spec, batch)
+            with _Alone(spec) as alone:
+                for batch in suspects:
+                    yield batch[0], alone.fly(*batch)
 
     def _until_a_worker_dies(self, spec: Spec, left: deque[Batch]) -> Generator[tuple[int, Rows], None, list[Batch]]:
         """Take batches from ``left`` until it is empty; after the death of a worker return those under way."""
@@ -77,21 +78,37 @@ class LocalEngine:
                 pool.shutdown(wait=False, cancel_futures=True)
         return []
 
-    def _alone(self, spec: Spec, batch: Batch) -> Rows:
-        """Fly a batch that was under way when a worker died, in a worker of its own; find the case that kills it."""
-        first, count = batch
-        for _ in range(_TRIES):
-            with _pool(1) as pool:
-                try:
-                    return pool.submit(run_batch, spec, first, count).result()
-                except BrokenProcessPool:
-                    continue
-        if count > 1:
-            return [row for case in range(first, first + count) for row in self._alone(spec, (case, 1))]
-        return [died_row(spec, first)]
-
     def close(self) -> None:
         """Nothing is held between two calls of ``fly``."""
+
+
+class _Alone:
+    """Flies what was under way when a worker died, one batch after the other in one worker; finds who kills it."""
+
+    def __init__(self, spec: Spec) -> None:
+        self._spec = spec
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def fly(self, first: int, count: int) -> Rows:
+        """Return the rows of a batch, those of a case that kills its worker each time with that as their reason."""
+        for _ in range(_TRIES):
+            if self._pool is None:
+                self._pool = _pool(1)
+            try:
+                return self._pool.submit(run_batch, self._spec, first, count).result()
+            except BrokenProcessPool:
+                self._pool.shutdown()
+                self._pool = None
+        if count > 1:
+            return [row for case in range(first, first + count) for row in self.fly(case, 1)]
+        return [died_row(self._spec, first)]
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:

@@ -29,12 +29,13 @@ def draw_percentiles(store: Store, title: str, path: Path) -> None:
     for place, (name, label) in zip(axes, _PANELS, strict=False):
         values = np.asarray(store.column(name), dtype=float)
         _curve(place, values[np.isfinite(values)], label)
-    worst = np.concatenate([[_greatest(store, row, axis) for axis in "xyz"] for row in ROW_NAMES])
+    worst = np.array([_greatest(store, row, axis) for row in ROW_NAMES for axis in "xyz"])
     labels = [f"{row.split('_')[0]} {axis}" for row in ROW_NAMES for axis in "xyz"]
-    axes[5].barh(np.arange(12), worst)
+    axes[5].barh(np.arange(12), np.nan_to_num(worst))
     axes[5].set_yticks(np.arange(12), labels, fontsize=7)
     axes[5].invert_yaxis()
-    axes[5].set_xscale("log")
+    if (worst > 0.0).any():
+        axes[5].set_xscale("log")
     axes[5].set_xlabel("worst deviation, m, m/s, deg, deg/s")
     figure.suptitle(title)
     figure.savefig(path, dpi=110)
