@@ -98,9 +98,8 @@ def test_case_that_kills_its_worker_is_recorded_and_the_rest_flown(
     rows = dict(LocalEngine(2).fly(spec, [(0, 1), (1, 2)]))
     found = [row for first in sorted(rows) for row in rows[first]]
     assert [row["case"] for row in found] == [0, 1, 2]
-    assert [row["stop"].startswith("not flown: its worker process ended") for row in found] == [
-        k == 3 for k in range(6)
-    ]
+    died = [row["case"] for row in found if row["stop"].startswith("not flown: its worker process ended")]
+    assert died == [2]
 
 
 def _deadly_batch(spec: batch.Spec, first: int, count: int) -> batch.Rows:
