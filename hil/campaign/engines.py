@@ -157,7 +157,7 @@ class DaskEngine:
         left = iter(batches)
         tries: dict[Batch, int] = {}
         of: dict[Any, Batch] = {}
-        done = as_completed()
+        done = as_completed(loop=self._client.loop)
 
         def hand_out(batch: Batch) -> None:
             future = self._client.submit(run_batch, spec, *batch, pure=False)
