@@ -55,7 +55,7 @@ class Field:
             self.alpha = np.sqrt((2 * n + 1) * (2 * n - 1) / ((n - m) * (n + m)))
             lower = (2 * n + 1) * (n + m - 1) * (n - m - 1) / ((2 * n - 3) * (n + m) * (n - m))
             self.beta = np.sqrt(np.where(lower > 0.0, lower, 0.0))
-            self.up = np.sqrt((n - m) * (n + m + 1) * np.where(m == 0, 0.5, 1.0))
+            self.up = np.sqrt(np.maximum(0.0, (n - m) * (n + m + 1) * np.where(m == 0, 0.5, 1.0)))
         self.diagonal = [math.sqrt((2 * k + 1) / (2 * k) * (2.0 if k == 1 else 1.0)) if k else 1.0 for k in range(size)]
         self.weight = np.arange(size)[:, None] + np.arange(size)[None, :] + 1
 
