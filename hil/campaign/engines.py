@@ -7,6 +7,7 @@ number of cases.
 
 from __future__ import annotations
 
+import logging
 import signal
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
@@ -138,6 +139,9 @@ class DaskEngine:
             text = "needs distributed, which is not installed: pip install 'hil-bench[campaign]'"
             raise BadInput.single("--scheduler", "", text) from error
         self._address = address
+        for name in ("distributed", *logging.root.manager.loggerDict):  # what matters of theirs is told as ours
+            if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
+                logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             self._client = Client(address, timeout=_CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
