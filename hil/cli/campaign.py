@@ -199,8 +199,8 @@ def _render_comparison(found: dict[str, Any], console: Console) -> None:
             name,
             f"{cell['first_mean']:.4g}",
             f"{cell['second_mean']:.4g}",
-            f"{cell['mean']:+.4g}",
-            f"{cell['low']:+.4g} .. {cell['high']:+.4g}",
+            f"{cell['mean']:+.3g}",
+            f"{cell['low']:+.3g} .. {cell['high']:+.3g}",
         )
     console.print(rows)
     rate = found["pass_rate"]
