@@ -32,6 +32,7 @@ oracle: .venv-oracle/ready
 bench: .venv-oracle/ready
 	.venv-oracle/bin/python benchmarks/filters.py
 	.venv-oracle/bin/python benchmarks/truth_step.py
+	.venv-oracle/bin/python benchmarks/campaign.py
 
 lateness: .venv/ready
 	$(BIN)/python benchmarks/lateness.py

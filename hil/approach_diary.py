@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.maths.limits import has_held
 from hil.messages import Event
 from hil.told import Told
 
@@ -34,7 +35,7 @@ class ApproachDiary:
 
     def docking_is_go(self, t_s: float, ready_since_s: float) -> bool:
         """Return whether the ready state has held for the dwell time up to ``t_s``; since nan: it does not hold."""
-        return not self._aborted and bool(t_s - ready_since_s >= self._dwell_s - 1e-9)
+        return not self._aborted and bool(has_held(ready_since_s, t_s, self._dwell_s))
 
     def phase_began(self, t_s: float, phase: int) -> None:
         """Note the phase that now begins."""

@@ -11,7 +11,7 @@ from hil import parameters
 from hil.approach_diary import ApproachDiary
 from hil.bench_stage import Bench
 from hil.config.load import Loaded
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable
 from hil.config.scenario import Scenario
 from hil.cycle import Loop
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
@@ -45,13 +45,23 @@ Devices = tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None, AxisGroup |
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be run, checked."""
+    """What is to be run, checked.
+
+    dispersed: the scenario as it is in truth, where chance has moved it away from what guidance, navigation and
+    control were told; None where it has not.
+    """
 
     scenario: Loaded[Scenario]
     rig: Loaded[Rig]
     seed: int
     duration_s: float
     speed: float
+    dispersed: Scenario | None = None
+
+    @property
+    def truth(self) -> Scenario:
+        """The scenario of vehicle, sensors and start; ``scenario`` is that of the GNC."""
+        return self.dispersed or self.scenario.value
 
     @property
     def cycles(self) -> int:
@@ -83,7 +93,7 @@ def assemble(
     axis_names = (*rails.axis_names, *turntable.axis_names)
     supervisor = Supervisor(limits_of(rig, bench), axis_names, _links(rig, rails, turntable, source))
     loop = Loop(
-        dss=_dss(scenario, job.seed),
+        dss=_dss(job.truth, job.seed),
         bench=Bench(rails, turntable, bench, supervisor),
         vision=Vision(source, parameters.stations(rig)),
         gnc=make_gnc(scenario),
@@ -97,8 +107,8 @@ def assemble(
         loop.bench.emergency_input = lines.emergency_input
     if target is not None and rig.moved_target is not None:
         loop.target = PlacedTarget(target, rig.moved_target)
-    loop.now.row["truth"] = parameters.initial_truth(scenario)
-    _draw_initial_imu_errors(scenario, job.seed, loop.now.imu)
+    loop.now.row["truth"] = parameters.initial_truth(job.truth)
+    draw_initial_imu_errors(job.truth, job.seed, loop.now.imu)
     late_cycles = LateCycles(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
     late_cycles.on_hold = lambda trip: supervisor.ask_for_hold(str(trip))
     return Runner(
@@ -164,16 +174,21 @@ def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
 
 def _dss(scenario: Scenario, seed: int) -> Dss:
     """Return the simulation with thrusters as chance has built them."""
-    draws = stream(seed, "thrusters").standard_normal(parameters.thruster_draws_shape(scenario))
     return Dss(
-        parameters.dss(scenario, draws),
+        dss_as_built(scenario, seed),
         parameters.field(scenario),
         parameters.imu(scenario),
         NormalRows(stream(seed, "imu"), IMU_NOISE),
     )
 
 
-def _draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:
+def dss_as_built(scenario: Scenario, seed: int) -> np.record:
+    """Return DSS_PARAMS with the thrusters that the run's seed gives."""
+    draws = stream(seed, "thrusters").standard_normal(parameters.thruster_draws_shape(scenario))
+    return parameters.dss(scenario, draws)
+
+
+def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:
     """Draw the true drift and bias about their means."""
     draws = stream(seed, "initial").standard_normal(6)
     drift = np.array(scenario.imu.gyro_drift_degps) + scenario.imu.gyro_drift_initial_sigma_degps * draws[:3]
@@ -188,6 +203,21 @@ def mocks(scenario: Scenario, rig: Rig, seed: int) -> Devices:
     from hil.drivers.mock_axes import MockAxes
     from hil.drivers.vmu.mock import MockVmu
 
+    rails_config, turntable_config = axes_at_start(scenario, rig)
+    rails = MockAxes("rails", RAIL_NAMES, rails_config)
+    turntable = MockAxes("turntable", GIMBAL_NAMES, turntable_config)
+    eye = make_eye(scenario, rig, seed)
+
+    def pose_at(t_s: float) -> PoseFrame | None:
+        return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
+
+    io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
+    target = MockAxes("target", RAIL_NAMES, rig.moved_target) if rig.moved_target else None
+    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io, target
+
+
+def axes_at_start(scenario: Scenario, rig: Rig) -> tuple[Rails, Turntable]:
+    """Return both devices' settings with the scenario's start pose as the place where their axes stand."""
     start = start_axes(scenario, rig)
     rails_config = rig.rails.model_copy(
         update={
@@ -201,16 +231,7 @@ def mocks(scenario: Scenario, rig: Rig, seed: int) -> Devices:
             for i, name in enumerate(GIMBAL_NAMES)
         }
     )
-    rails = MockAxes("rails", RAIL_NAMES, rails_config)
-    turntable = MockAxes("turntable", GIMBAL_NAMES, turntable_config)
-    eye = make_eye(scenario, rig, seed)
-
-    def pose_at(t_s: float) -> PoseFrame | None:
-        return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
-
-    io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
-    target = MockAxes("target", RAIL_NAMES, rig.moved_target) if rig.moved_target else None
-    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io, target
+    return rails_config, turntable_config
 
 
 def start_axes(scenario: Scenario, rig: Rig) -> np.record:

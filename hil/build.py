@@ -215,7 +215,7 @@ def in_memory(
     operator: Operator | None = None,
 ) -> Runner:
     """Return a Runner of ``job`` on mocks, whatever its rig, kept in time by ``rate``."""
-    devices = mocks(job.scenario.value, job.rig.value, job.seed)
+    devices = mocks(job.truth, job.rig.value, job.seed)
     return assemble(job, job.rig.value, rate, *devices, 0, watch, operator, precedence, telemetry)
 
 
@@ -228,7 +228,7 @@ def _emulated(
     if rig.kind == "hardware":
         yield rig, None, {}
         return
-    with EmulatedDevices(job.scenario.value, rig, clock, job.seed) as emulated:
+    with EmulatedDevices(job.truth, rig, clock, job.seed) as emulated:
         wired, addresses = emulated.wait_ready()
         for process in emulated.processes:
             wires = ", ".join(f"{n} on {a}" for n, a in addresses.items() if n.split(".")[0] == process.name)

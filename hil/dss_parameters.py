@@ -134,7 +134,8 @@ def initial_truth(scenario: Scenario) -> np.record:
 
 def _set_target(truth: np.record, scenario: Scenario) -> None:
     """Write the target's state and its Hill frame."""
-    params = dss(scenario)
+    params = new(DSS_PARAMS)
+    _set_gravity(params, scenario)
     elements = scenario.orbit
     r, v = orbit.state_of_elements(
         params.gravity.gm,
@@ -147,8 +148,8 @@ def _set_target(truth: np.record, scenario: Scenario) -> None:
     )
     a, rate = np.empty((3, 3)), np.empty(3)
     orbit.hill_frame(r, v, a)
-    if params.relative_motion == HILL:
-        rate[:] = 0.0, -params.orbit_rate, 0.0
+    if scenario.truth.relative_motion == "hill":
+        rate[:] = 0.0, -orbit_rate(scenario), 0.0
     else:
         pull = np.empty(3)
         acceleration(params.gravity, field(scenario), 0.0, r, pull)

@@ -2,6 +2,7 @@
 
 HilError
 ├── BadInput            what the user gave cannot be used: exit code 2, one line a problem
+├── CampaignStopped     a campaign cannot go on; the cases that are done are kept: exit code 3
 └── BenchError          something on the bench: the run ends as a safe stop, exit code 3
     ├── DeviceError     names the device
     │   ├── LinkLost        the wire is gone (closed port, reset connection)
@@ -46,6 +47,10 @@ class BadInput(HilError):
     @classmethod
     def single(cls, source: str, key: str, message: str) -> BadInput:
         return cls([Problem(source, key, message)])
+
+
+class CampaignStopped(HilError):
+    """A campaign cannot go on: its disk is full, its scheduler is gone. What is done is kept."""
 
 
 class BenchError(HilError):

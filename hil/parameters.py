@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import gammainccinv, ndtr
 
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.config.rig import Rig
-from hil.config.scenario import Chaser, Scenario
+from hil.config.scenario import Chaser, Scenario, Thrusters
 from hil.dss_parameters import YAW_PITCH_ROLL as YAW_PITCH_ROLL
 from hil.dss_parameters import dss as dss
 from hil.dss_parameters import field as field
@@ -185,7 +186,13 @@ def allocation(chaser: Chaser) -> tuple[np.ndarray, Array]:
 
     Raises ValueError where the layout cannot move an axis.
     """
-    thrusters = chaser.thrusters
+    sets, strength = _allocation(chaser.thrusters)
+    return sets.copy(), strength.copy()
+
+
+@lru_cache(maxsize=8)
+def _allocation(thrusters: Thrusters) -> tuple[np.ndarray, Array]:
+    """Return what ``allocation`` does; thousands of sets are looked through, so each layout is looked at once."""
     n = len(thrusters.position_m)
     wrenches = unit_wrenches(
         np.array(thrusters.position_m), np.array(thrusters.direction), np.full(n, thrusters.force_n)

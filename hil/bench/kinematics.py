@@ -11,8 +11,7 @@ import math
 
 import numpy as np
 
-from hil.maths import euler, quat
-from hil.maths.arrays import copy_into
+from hil.maths import euler, local, quat
 from hil.maths.jit import kernel
 
 BENCH_PARAMS = np.dtype(
@@ -35,14 +34,15 @@ MOTION = np.dtype([("position", "f8", 6), ("rate", "f8", 6)], align=True)  # rai
 @kernel
 def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
     """Write ``axes`` (AXES): positions and rates that put the chaser's reference point at this pose."""
-    arm = quat.transform_back(q_CH, params.lever_arm)
-    turning = np.empty(3)
+    arm, turning, arm_rate, angles = local.vector(3), local.vector(3), local.vector(3), local.vector(3)
+    jacobian = local.matrix(3, 3)
+    quat.transform_back_into(q_CH, params.lever_arm, arm)
     turning[0] = w_CH_C[1] * params.lever_arm[2] - w_CH_C[2] * params.lever_arm[1]
     turning[1] = w_CH_C[2] * params.lever_arm[0] - w_CH_C[0] * params.lever_arm[2]
     turning[2] = w_CH_C[0] * params.lever_arm[1] - w_CH_C[1] * params.lever_arm[0]
-    arm_rate = quat.transform_back(q_CH, turning)
-    angles = euler.from_quaternion(q_CH, params.order)
-    jacobian = euler.rate_jacobian(angles, params.order)
+    quat.transform_back_into(q_CH, turning, arm_rate)
+    euler.from_quaternion_into(q_CH, params.order, angles)
+    euler.rate_jacobian_into(angles, params.order, jacobian)
     for i in range(3):
         axes.rail_m[i] = r_CT_H[i] - arm[i]
         axes.rail_mps[i] = v_CT_H[i] - arm_rate[i]
@@ -55,10 +55,10 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
 @kernel
 def pose_of_axes(params, rail_m, gimbal_rad, r_CT_H, q_CH):
     """Write the pose ``r_CT_H`` (3,), m, ``q_CH`` (4,) of a bench whose axes stand at the given positions."""
-    copy_into(q_CH, euler.to_quaternion(gimbal_rad, params.order))
-    arm = quat.transform_back(q_CH, params.lever_arm)
+    euler.to_quaternion_into(gimbal_rad, params.order, q_CH)
+    quat.transform_back_into(q_CH, params.lever_arm, r_CT_H)
     for i in range(3):
-        r_CT_H[i] = rail_m[i] + arm[i]
+        r_CT_H[i] += rail_m[i]
 
 
 @kernel

@@ -15,10 +15,10 @@ import cyclopts
 from cyclopts import App, Parameter
 
 from hil import __version__
-from hil.cli.options import Output, Settings, Whole
+from hil.cli.options import MaybeWhole, Output, Settings, Whole
 from hil.cli.recording_commands import add_recording_commands
 from hil.cli.vision_commands import add_vision_commands
-from hil.errors import BadInput, BenchError
+from hil.errors import BadInput, BenchError, CampaignStopped
 
 PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
 
@@ -37,6 +37,7 @@ def run(
     *,
     rig: str = "mock",
     seed: Whole = 0,
+    case: MaybeWhole = None,
     duration: float | None = None,
     settings: Settings = (),
     speed: float = 1.0,
@@ -53,6 +54,8 @@ def run(
         mock, emulated, or the path of a rig file.
     seed
         Of all random numbers: the same seed gives the same run on the mock rig.
+    case
+        Number of a case of the campaign of this scenario and seed, to be run in full detail.
     duration
         Seconds to run, instead of the scenario's.
     speed
@@ -64,7 +67,7 @@ def run(
     """
     from hil.cli.run import run_command
 
-    return run_command(scenario, rig, seed, duration, settings, speed, json, record)
+    return run_command(scenario, rig, seed, case, duration, settings, speed, json, record)
 
 
 @app.command
@@ -98,6 +101,54 @@ def fusion(
     from hil.cli.fusion import fusion_command
 
     return fusion_command(vmu_noise, runs, seed, settings, workers, json, figure)
+
+
+@app.command
+def campaign(
+    scenario: str,
+    /,
+    *,
+    runs: Whole,
+    out: Output,
+    seed: Whole = 0,
+    workers: Whole = 0,
+    scheduler: str | None = None,
+    against: str | None = None,
+    sweep: str | None = None,
+    duration: float | None = None,
+    settings: Settings = (),
+    json: Output = None,
+) -> int:
+    """Fly many cases of a scenario with its dispersions, on the mock rig: pass rates, worst cases, what they hang on.
+
+    Parameters
+    ----------
+    scenario
+        scheme-1, scheme-2, scheme-3, or the path of a scenario file; what is dispersed stands in [dispersions].
+    runs
+        Cases, numbered from 0. A case depends on its number and the seed alone.
+    out
+        Folder for the results; one that holds a part of this campaign is gone on with.
+    seed
+        Of the whole campaign.
+    workers
+        Processes of this computer; 0 takes one a core.
+    scheduler
+        Address of a Dask scheduler, tcp://host:8786, whose workers fly instead.
+    against
+        A second scenario, flown with the same seeds: differences with intervals.
+    sweep
+        key=low:high:n, as gnc.control.deadband_m=0.002:0.02:10: the campaign once for each value.
+    duration
+        Seconds a run, instead of the scenario's.
+    json
+        File to write the summary to, - for standard output.
+    """
+    from hil.cli.campaign import campaign_command
+
+    return campaign_command(
+        scenario, runs, seed, workers, scheduler, out or "", against, sweep, duration, settings, json
+    )
 
 
 @app.command
@@ -289,7 +340,7 @@ def execute(arguments: Sequence[str]) -> int:
         return _say(str(error), BAD_INPUT)
     except cyclopts.CycloptsError as error:
         return _say(" ".join(str(error).split()), BAD_INPUT)
-    except BenchError as error:
+    except (BenchError, CampaignStopped) as error:
         return _say(str(error), SAFE_STOPPED)
     except KeyboardInterrupt:
         return _say("stopped by the operator", SAFE_STOPPED)

@@ -20,4 +20,5 @@ def _whole_number(_type: object, tokens: Sequence[cyclopts.Token]) -> int:
 
 
 Whole = Annotated[int, Parameter(converter=_whole_number)]
+MaybeWhole = Annotated[int | None, Parameter(converter=_whole_number)]
 Output = Annotated[str | None, Parameter(allow_leading_hyphen=True)]

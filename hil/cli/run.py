@@ -6,10 +6,12 @@ import math
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 
+from hil.assembly import Job
 from hil.cli.bar import Bar
 from hil.cli.output import check_json_path, write_json
 from hil.cli.warm_up import warm_up_with_a_word
@@ -24,6 +26,7 @@ def run_command(
     scenario_name: str,
     rig_name: str,
     seed: int,
+    case: int | None,
     duration_s: float | None,
     settings: Sequence[str],
     speed: float,
@@ -31,7 +34,7 @@ def run_command(
     record: str | None = None,
 ) -> int:
     """Do ``hil run``; return its exit code. Raises BadInput before anything is started."""
-    check_options(seed, duration_s, speed, json_path)
+    check_options(seed, duration_s, speed, json_path, case)
     scenario = load_scenario(scenario_name, settings)
     rig = load_rig(rig_name, settings)
     console = Console(stderr=True)
@@ -42,6 +45,8 @@ def run_command(
     from hil.report.table import render
 
     job = build.Job(scenario, rig, seed, scenario.value.duration_s if duration_s is None else duration_s, speed)
+    if case is not None:
+        job = _dispersed(job, case)
     with console.status("checking that the rig can follow the scenario"):
         build.check(job)
     warm_up_with_a_word(job, console)
@@ -64,12 +69,14 @@ def run_command(
             watched = look(outcome)
         summary, verdict = summarise(
             outcome,
-            scenario.value,
+            job.scenario.value,
             rig.value,
             rig_name,
-            seed,
+            job.seed,
             1.0 / scenario.value.step_s,
         )
+        if case is not None:
+            summary |= {"campaign_seed": seed, "case": case}
         if watched is not None:
             summary["monitor"] = judge_monitor(watched, outcome.history, scenario.value, rig.value)
         if taken:
@@ -90,9 +97,22 @@ def run_command(
     return _PASSED if summary["passed"] else _FAILED
 
 
-def check_options(seed: int, duration_s: float | None, speed: float, json_path: str | None) -> None:
+def _dispersed(job: Job, case: int) -> Job:
+    """Return the job of a campaign's case: what is true, what the GNC is told, and the case's own seed."""
+    from hil.campaign.dispersions import Design, case_seed
+
+    design = Design(job.scenario, job.seed)
+    truth, told = design.apply(design.values(case))
+    return replace(job, scenario=replace(job.scenario, value=told), seed=case_seed(job.seed, case), dispersed=truth)
+
+
+def check_options(
+    seed: int, duration_s: float | None, speed: float, json_path: str | None, case: int | None = None
+) -> None:
     """Raise BadInput with every option that cannot be used."""
     problems = []
+    if case is not None and case < 0:
+        problems.append(Problem("--case", "", f"{case}: must not be negative"))
     if seed < 0:
         problems.append(Problem("--seed", "", f"{seed}: must not be negative"))
     if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0.0):

@@ -102,15 +102,15 @@ def _load(name: str, kind: str, model: type[Model], settings: Sequence[str], pre
 
 
 def check_table(
-    table: Table, model: type[Model], source: str, origin: Mapping[str, str], prefix: str = ""
+    table: Table, model: type[Model], source: str, origin: Mapping[str, str] | None = None, prefix: str = ""
 ) -> Loaded[Model]:
     """Return ``table`` as ``model``; raise BadInput with every fault. prefix: of the keys in what is said of them."""
     try:
         # through JSON: its strict mode takes lists for tuples and whole numbers for floats, and no more
         value = model.model_validate_json(json.dumps(table, default=str))
     except ValidationError as error:
-        raise BadInput(_problems(error, model, table, source, origin, prefix)) from error
-    return Loaded(value, source, origin)
+        raise BadInput(_problems(error, model, table, source, origin or {}, prefix)) from error
+    return Loaded(value, source, origin or {})
 
 
 def _find(name: str, kind: str) -> Path:

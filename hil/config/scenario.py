@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitor
 from hil.config.model import (
     Matrix3,
@@ -304,3 +305,4 @@ class Scenario(Strict):
     requirements: Requirements
     reach: Reach = Reach()
     monitor: DockingMonitor = DockingMonitor()
+    dispersions: Dispersions = Dispersions()

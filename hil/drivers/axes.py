@@ -14,8 +14,8 @@ from hil.messages import Array
 class ServoAxes:
     """Three axes that follow setpoints; inside SI units: m and m/s, or rad and rad/s.
 
-    position, rate, setpoint, feedforward, low, high: arrays of shape (3,), rails x y z or gimbals
-    roll pitch yaw. The axes start at their park position, at rest.
+    position, rate, setpoint, feedforward, low, high, kp (1/s), tau (s): arrays of shape (3,), rails x y z or
+    gimbals roll pitch yaw. The axes start at their park position, at rest.
     """
 
     def __init__(self, config: Rails | Turntable) -> None:
@@ -37,8 +37,8 @@ class ServoAxes:
         self.rate: Array = np.zeros(3)
         self.setpoint: Array = self.position.copy()
         self.feedforward: Array = np.zeros(3)
-        self._kp = np.full(3, config.servo.gain_per_s)
-        self._tau = np.full(3, config.servo.lag_s)
+        self.kp = np.full(3, config.servo.gain_per_s)
+        self.tau = np.full(3, config.servo.lag_s)
 
     def hold(self) -> None:
         """Make the present position the setpoint."""
@@ -52,8 +52,8 @@ class ServoAxes:
             self.rate,
             self.setpoint,
             self.feedforward,
-            self._kp,
-            self._tau,
+            self.kp,
+            self.tau,
             self.rate_max,
             self.acceleration_max,
             self.low,

@@ -6,11 +6,9 @@ reference point, the origin of c. The two are one where the offset is zero.
 
 from __future__ import annotations
 
-import numpy as np
-
-from hil.maths import quat
+from hil.maths import local, quat
 from hil.maths.jit import kernel
-from hil.maths.vectors import cross
+from hil.maths.vectors import cross_into
 
 
 @kernel
@@ -20,9 +18,10 @@ def shift(q, offset_C, w_C, sign, r, v):
     q: quaternion from the frame F of r and v to c. offset_C: (3,), m, in c. w_C: (3,), rad/s, of c against F, in c.
     sign: 1.0 from the reference point to the centre of mass, -1.0 back.
     """
-    across = cross(w_C, offset_C)
-    far = quat.transform_back(q, offset_C)
-    fast = quat.transform_back(q, across)
+    far, fast = local.vector(3), local.vector(3)
+    cross_into(w_C, offset_C, fast)
+    quat.transform_back_into(q, offset_C, far)
+    quat.transform_back_into(q, fast, fast)
     for i in range(3):
         r[i] += sign * far[i]
         v[i] += sign * fast[i]
@@ -35,10 +34,11 @@ def add_lever_terms(offset_C, w_before, w_after, w_mean, dt, force):
     The mean over a step of ``-(dw/dt x d + w x (w x d))``, d the offset (3,), m, in c. w_before, w_after, w_mean: (3,),
     rad/s, inertial rate at both ends and its mean. The first term is exact, the second to the change of w in a step.
     """
-    gained = np.empty(3)
+    gained, turned, across, drawn = local.vector(3), local.vector(3), local.vector(3), local.vector(3)
     for i in range(3):
         gained[i] = (w_after[i] - w_before[i]) / dt
-    turned = cross(gained, offset_C)
-    drawn = cross(w_mean, cross(w_mean, offset_C))
+    cross_into(gained, offset_C, turned)
+    cross_into(w_mean, offset_C, across)
+    cross_into(w_mean, across, drawn)
     for i in range(3):
         force[i] -= turned[i] + drawn[i]

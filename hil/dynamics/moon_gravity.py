@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from hil.maths import local
 from hil.maths.jit import kernel
 
 GRAVITY_PARAMS = np.dtype(
@@ -25,6 +26,7 @@ GRAVITY_PARAMS = np.dtype(
     align=True,
 )
 
+LANES = 4  # places that are looked at side by side
 FIELD_COLUMNS = 6  # C, S, alpha, beta, coupled C, coupled S
 
 
@@ -55,43 +57,74 @@ def field_table(c, s):
 
 
 @kernel
-def harmonics(params, field, x, y, z):
-    """Return the acceleration by the harmonics of degree 1 and above, m/s^2, in Moon-fixed axes, as three floats.
+def harmonics_of_four(params, field, place, out):
+    """Write the acceleration by the harmonics of degree 1 and above, m/s^2, at four places, in Moon-fixed axes.
 
-    params: GRAVITY_PARAMS. field: (N + 1, N + 1, 6) of ``field_table``, N >= params.degree. x, y, z: m, Moon-fixed.
+    params: GRAVITY_PARAMS. field: (N + 1, N + 1, 6) of ``field_table``, N >= params.degree. place: (4, 3), m,
+    Moon-fixed. out: (4, 3). The recursion is a chain that a processor has to wait for; four of them side by side,
+    in the lanes of its registers, take hardly longer than one.
     """
-    r = math.sqrt(x * x + y * y + z * z)
-    s, t, u = x / r, y / r, z / r
-    step = params.radius / r
-    degree = params.degree
-    a1, a2, a3, a4 = 0.0, 0.0, 0.0, 0.0
-    diagonal = params.gm / (r * r)  # GM / r^2 (R / r)^m A_mm
-    real, imaginary = 1.0, 0.0  # (s + i t)^m
-    real_below, imaginary_below = 0.0, 0.0  # (s + i t)^(m - 1)
-    for m in range(degree + 1):
+    s, t, u, step = local.vector(LANES), local.vector(LANES), local.vector(LANES), local.vector(LANES)
+    a1, a2, a3, a4 = local.vector(LANES), local.vector(LANES), local.vector(LANES), local.vector(LANES)
+    diagonal = local.vector(LANES)  # GM / r^2 (R / r)^m A_mm
+    real, imaginary = local.vector(LANES), local.vector(LANES)  # (s + i t)^m
+    real_below, imaginary_below = local.vector(LANES), local.vector(LANES)  # (s + i t)^(m - 1)
+    legendre, before = local.vector(LANES), local.vector(LANES)
+    sum_c, sum_s = local.vector(LANES), local.vector(LANES)
+    radial_c, radial_s = local.vector(LANES), local.vector(LANES)
+    coupled_c, coupled_s = local.vector(LANES), local.vector(LANES)
+    for j in range(LANES):
+        x, y, z = place[j, 0], place[j, 1], place[j, 2]
+        r = math.sqrt(x * x + y * y + z * z)
+        s[j], t[j], u[j], step[j] = x / r, y / r, z / r, params.radius / r
+        a1[j], a2[j], a3[j], a4[j] = 0.0, 0.0, 0.0, 0.0
+        diagonal[j] = params.gm / (r * r)
+        real[j], imaginary[j], real_below[j], imaginary_below[j] = 1.0, 0.0, 0.0, 0.0
+    for m in range(params.degree + 1):
         if m > 0:
-            diagonal *= step * field[m, m, 2]
-            real_below, imaginary_below = real, imaginary
-            real, imaginary = s * real_below - t * imaginary_below, s * imaginary_below + t * real_below
-        legendre, before = diagonal, 0.0
-        sum_c, sum_s, radial_c, radial_s, coupled_c, coupled_s = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for n in range(m, degree + 1):
+            alpha = field[m, m, 2]
+            for j in range(LANES):
+                diagonal[j] *= step[j] * alpha
+                real_below[j], imaginary_below[j] = real[j], imaginary[j]
+                real[j] = s[j] * real_below[j] - t[j] * imaginary_below[j]
+                imaginary[j] = s[j] * imaginary_below[j] + t[j] * real_below[j]
+        for j in range(LANES):
+            legendre[j], before[j] = diagonal[j], 0.0
+            sum_c[j], sum_s[j], radial_c[j], radial_s[j], coupled_c[j], coupled_s[j] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for n in range(m, params.degree + 1):
+            c, d, alpha, beta = field[m, n, 0], field[m, n, 1], field[m, n, 2], field[m, n, 3]
+            below_c, below_d = field[m, n, 4], field[m, n, 5]
+            weight = float(n + m + 1)
             if n > m:
-                following = step * (field[m, n, 2] * u * legendre - step * field[m, n, 3] * before)
-                before, legendre = legendre, following
-            c, d = legendre * field[m, n, 0], legendre * field[m, n, 1]
-            sum_c += c
-            sum_s += d
-            radial_c += (n + m + 1) * c
-            radial_s += (n + m + 1) * d
-            coupled_c += legendre * field[m, n, 4]
-            coupled_s += legendre * field[m, n, 5]
-        along_u = coupled_c * real_below + coupled_s * imaginary_below
-        a1 += m * (sum_c * real_below + sum_s * imaginary_below)
-        a2 += m * (sum_s * real_below - sum_c * imaginary_below)
-        a3 += along_u
-        a4 -= radial_c * real + radial_s * imaginary + u * along_u
-    return a1 + s * a4, a2 + t * a4, a3 + u * a4
+                for j in range(LANES):
+                    following = step[j] * (alpha * u[j] * legendre[j] - step[j] * beta * before[j])
+                    before[j], legendre[j] = legendre[j], following
+            for j in range(LANES):
+                of_c, of_d = legendre[j] * c, legendre[j] * d
+                sum_c[j] += of_c
+                sum_s[j] += of_d
+                radial_c[j] += weight * of_c
+                radial_s[j] += weight * of_d
+                coupled_c[j] += legendre[j] * below_c
+                coupled_s[j] += legendre[j] * below_d
+        for j in range(LANES):
+            along_u = coupled_c[j] * real_below[j] + coupled_s[j] * imaginary_below[j]
+            a1[j] += m * (sum_c[j] * real_below[j] + sum_s[j] * imaginary_below[j])
+            a2[j] += m * (sum_s[j] * real_below[j] - sum_c[j] * imaginary_below[j])
+            a3[j] += along_u
+            a4[j] -= radial_c[j] * real[j] + radial_s[j] * imaginary[j] + u[j] * along_u
+    for j in range(LANES):
+        out[j, 0], out[j, 1], out[j, 2] = a1[j] + s[j] * a4[j], a2[j] + t[j] * a4[j], a3[j] + u[j] * a4[j]
+
+
+@kernel
+def harmonics(params, field, x, y, z):
+    """Return the acceleration by the harmonics at one place, m/s^2, as three floats; see ``harmonics_of_four``."""
+    place, out = local.matrix(LANES, 3), local.matrix(LANES, 3)
+    for j in range(LANES):
+        place[j, 0], place[j, 1], place[j, 2] = x, y, z
+    harmonics_of_four(params, field, place, out)
+    return out[0, 0], out[0, 1], out[0, 2]
 
 
 @kernel
@@ -109,28 +142,32 @@ def perturbation(params, field, t_s, x, y, z):
 
 
 @kernel
-def acceleration(params, field, t_s, r, out):
-    """Write the gravity (3,), m/s^2, at ``r`` (3,), m, both in inertial axes with the origin at the Moon's centre."""
-    px, py, pz = perturbation(params, field, t_s, r[0], r[1], r[2])
+def central_pull(gm, r, out):
+    """Write the gravity (3,), m/s^2, of a point mass of ``gm``, m^3/s^2, at ``r`` (3,), m."""
     squared = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
-    central = -params.gm / (squared * math.sqrt(squared))
-    out[0] = central * r[0] + px
-    out[1] = central * r[1] + py
-    out[2] = central * r[2] + pz
+    central = -gm / (squared * math.sqrt(squared))
+    for i in range(3):
+        out[i] = central * r[i]
 
 
 @kernel
-def differential(params, field, t_s, r_T, rho, target, difference):
-    """Write the target's gravity and the chaser's minus the target's, each (3,), m/s^2, inertial.
+def acceleration(params, field, t_s, r, out):
+    """Write the gravity (3,), m/s^2, at ``r`` (3,), m, both in inertial axes with the origin at the Moon's centre."""
+    px, py, pz = perturbation(params, field, t_s, r[0], r[1], r[2])
+    central_pull(params.gm, r, out)
+    out[0] += px
+    out[1] += py
+    out[2] += pz
 
-    r_T: (3,), m, of the target. rho: (3,), m, chaser relative to target. The point mass is taken after
+
+@kernel
+def point_mass_differential(gm, r_T, rho, target, difference):
+    """Write the target's gravity and the chaser's minus the target's, each (3,), m/s^2, of a point mass.
+
+    gm: m^3/s^2. r_T: (3,), m, of the target. rho: (3,), m, chaser relative to target. The difference is taken after
     Battin (An Introduction to the Mathematics and Methods of Astrodynamics, 1999, section 8.4): with
-    ``q = rho.(rho + 2 r) / r^2`` the difference is ``-GM/r^3 (rho + f(q) (r + rho))`` and nothing cancels.
-    The harmonics are 1e-4 of it; their plain difference is good to 1e-19 m/s^2.
+    ``q = rho.(rho + 2 r) / r^2`` it is ``-GM/r^3 (rho + f(q) (r + rho))`` and nothing cancels.
     """
-    cx, cy, cz = r_T[0] + rho[0], r_T[1] + rho[1], r_T[2] + rho[2]
-    tx, ty, tz = perturbation(params, field, t_s, r_T[0], r_T[1], r_T[2])
-    px, py, pz = perturbation(params, field, t_s, cx, cy, cz)
     squared = r_T[0] * r_T[0] + r_T[1] * r_T[1] + r_T[2] * r_T[2]
     q = (
         rho[0] * (rho[0] + 2.0 * r_T[0]) + rho[1] * (rho[1] + 2.0 * r_T[1]) + rho[2] * (rho[2] + 2.0 * r_T[2])
@@ -138,10 +175,63 @@ def differential(params, field, t_s, r_T, rho, target, difference):
     power = math.sqrt(1.0 + q)
     power = power * (1.0 + q)  # (1 + q)^(3/2) = (|r + rho| / |r|)^3
     f = -q * (3.0 + 3.0 * q + q * q) / (power * (1.0 + power))  # (1 + q)^(-3/2) - 1
+    central = -gm / (squared * math.sqrt(squared))
+    for i in range(3):
+        target[i] = central * r_T[i]
+        difference[i] = central * (rho[i] + f * (r_T[i] + rho[i]))
+
+
+@kernel
+def hold_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held):
+    """Write the harmonics' accelerations of a step of ``dt``, s, from ``t_s`` on, m/s^2, into ``held`` (4, 3).
+
+    Rows: the target's at the begin, in the middle and at the end of the step, and the chaser's minus the target's in
+    the middle, which stands for the whole step: plain differences are good to 1e-19 m/s^2. r_T: (3,), m, and v_T:
+    (3,), m/s, of the target, inertial; rho: (3,), m, and rho_rate: (3,), m/s, of the chaser relative to it. The places
+    are those of a parabola under the point mass; what that leaves out moves them by a micrometre.
+    """
+    if params.degree < 2:
+        for row in range(4):
+            held[row, 0], held[row, 1], held[row, 2] = 0.0, 0.0, 0.0
+        return
+    place, pull = local.matrix(LANES, 3), local.matrix(LANES, 3)
+    cosine, sine = local.vector(LANES), local.vector(LANES)
+    squared = r_T[0] * r_T[0] + r_T[1] * r_T[1] + r_T[2] * r_T[2]
     central = -params.gm / (squared * math.sqrt(squared))
-    target[0] = central * r_T[0] + tx
-    target[1] = central * r_T[1] + ty
-    target[2] = central * r_T[2] + tz
-    difference[0] = central * (rho[0] + f * cx) + (px - tx)
-    difference[1] = central * (rho[1] + f * cy) + (py - ty)
-    difference[2] = central * (rho[2] + f * cz) + (pz - tz)
+    for row in range(4):
+        t = 0.5 * (1 if row == 3 else row) * dt
+        reach = 1.0 + 0.5 * t * t * central
+        x, y, z = reach * r_T[0] + t * v_T[0], reach * r_T[1] + t * v_T[1], reach * r_T[2] + t * v_T[2]
+        if row == 3:
+            cosine[3], sine[3] = cosine[1], sine[1]
+            x, y, z = x + rho[0] + t * rho_rate[0], y + rho[1] + t * rho_rate[1], z + rho[2] + t * rho_rate[2]
+        else:
+            angle = params.rotation + params.rate * (t_s + t)
+            cosine[row], sine[row] = math.cos(angle), math.sin(angle)
+        place[row, 0] = cosine[row] * x + sine[row] * y
+        place[row, 1] = cosine[row] * y - sine[row] * x
+        place[row, 2] = z
+    harmonics_of_four(params, field, place, pull)
+    for row in range(4):
+        held[row, 0] = cosine[row] * pull[row, 0] - sine[row] * pull[row, 1]
+        held[row, 1] = sine[row] * pull[row, 0] + cosine[row] * pull[row, 1]
+        held[row, 2] = pull[row, 2]
+    for i in range(3):
+        held[3, i] -= held[1, i]
+
+
+@kernel
+def differential(params, field, t_s, r_T, rho, target, difference):
+    """Write the target's gravity and the chaser's minus the target's, each (3,), m/s^2, under the whole field.
+
+    params: GRAVITY_PARAMS. Arguments as for ``point_mass_differential``; the truth's step holds the harmonics' part.
+    """
+    point_mass_differential(params.gm, r_T, rho, target, difference)
+    tx, ty, tz = perturbation(params, field, t_s, r_T[0], r_T[1], r_T[2])
+    px, py, pz = perturbation(params, field, t_s, r_T[0] + rho[0], r_T[1] + rho[1], r_T[2] + rho[2])
+    target[0] += tx
+    target[1] += ty
+    target[2] += tz
+    difference[0] += px - tx
+    difference[1] += py - ty
+    difference[2] += pz - tz

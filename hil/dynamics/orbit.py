@@ -83,10 +83,9 @@ def turn_on_circle(r, v, angle):
 
 
 @kernel
-def quaternion_near(a, before):
-    """Return the unit quaternion of ``a`` (3, 3) whose sign is that of ``before`` (4,): no jump along an orbit."""
-    q = quat.from_matrix(a)
+def quaternion_near(a, before, q):
+    """Write the unit quaternion of ``a`` (3, 3) with the sign of ``before`` (4,) into ``q``: no jump along an orbit."""
+    quat.from_matrix_into(a, q)
     if q[0] * before[0] + q[1] * before[1] + q[2] * before[2] + q[3] * before[3] < 0.0:
         for i in range(4):
             q[i] = -q[i]
-    return q

@@ -17,12 +17,11 @@ def as_built(
     direction: (n, 3), unit vectors. force_n: (n,). tilt_sigma: rad, about each of two axes at right angles to the
     thrust. force_sigma: 1 sigma over the nominal force. draws: standard normals, (n, 3). A force is never negative.
     """
-    built = np.empty_like(direction)
-    for j, nominal in enumerate(direction):
-        first = np.cross(nominal, np.eye(3)[int(np.argmin(np.abs(nominal)))])
-        first /= np.linalg.norm(first)
-        aside = draws[j, 0] * first + draws[j, 1] * np.cross(nominal, first)
-        size = float(np.linalg.norm(aside))
-        angle = tilt_sigma * size
-        built[j] = nominal if angle == 0.0 else np.cos(angle) * nominal + np.sin(angle) * aside / size
+    first = np.cross(direction, np.eye(3)[np.abs(direction).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    aside = draws[:, 0:1] * first + draws[:, 1:2] * np.cross(direction, first)
+    size = np.linalg.norm(aside, axis=1, keepdims=True)
+    angle = tilt_sigma * size
+    turned = np.cos(angle) * direction + np.sin(angle) * aside / np.where(size > 0.0, size, 1.0)
+    built = np.where(angle == 0.0, direction, turned)
     return built, force_n * np.maximum(0.0, 1.0 + force_sigma * draws[:, 2])

@@ -7,7 +7,8 @@ the attitude during the step is that of c against F. H is the instantaneous fram
 position and velocity; the relative state is turned back into it at the end of each step.
 
 Thrust is constant over the step; everything else is integrated with the classical fourth-order
-Runge-Kutta method. Effects are switched in the parameters; each has its file.
+Runge-Kutta method, the harmonics' pull at places that are known beforehand (docs/decisions/0110-held-harmonics.md).
+Effects are switched in the parameters; each has its file.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from hil.dynamics.moon_gravity import GRAVITY_PARAMS
 from hil.dynamics.rigid_body import angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
 from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
-from hil.maths import quat
-from hil.maths.arrays import copy_into
+from hil.maths import local, quat
+from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.maths.jit import kernel
 from hil.messages import MAX_THRUSTERS
 
@@ -59,11 +60,15 @@ DSS_PARAMS = np.dtype(
 # the integrated state, in axes F: r 0:3, v 3:6, q_CF 6:10, w_CI_C 10:13, integral of w 13:16, integral of the
 # pressure's specific force in c 16:19, eta 19, its rate 20, and in the nonlinear model r_T_I 21:24, v_T_I 24:27
 _N = 27
+_ROOM = 7  # vectors that a derivative works in
 
 
 @kernel
-def _translate(params, field, t_s, y, dy, nadir_F):
-    """Write the free motion into ``dy`` and the direction to the Moon into ``nadir_F``; return GM/r^3, 1/s^2."""
+def _translate(params, pull, difference, y, dy, nadir_F):
+    """Write the free motion into ``dy`` and the direction to the Moon into ``nadir_F``; return GM/r^3, 1/s^2.
+
+    pull: (3,), m/s^2, of the harmonics on the target; difference: (3,), on the chaser minus that.
+    """
     for i in range(3):
         dy[i] = y[3 + i]
         dy[21 + i] = y[24 + i]
@@ -73,9 +78,11 @@ def _translate(params, field, t_s, y, dy, nadir_F):
         for i in range(6):
             dy[21 + i] = 0.0  # the target's circle is turned exactly, once a step
         return params.orbit_rate * params.orbit_rate
-    moon_gravity.differential(params.gravity, field, t_s, y[21:24], y[0:3], dy[24:27], dy[3:6])
+    moon_gravity.point_mass_differential(params.gravity.gm, y[21:24], y[0:3], dy[24:27], dy[3:6])
     squared = 0.0
     for i in range(3):
+        dy[24 + i] += pull[i]
+        dy[3 + i] += difference[i]
         nadir_F[i] = -(y[21 + i] + y[i])
         squared += nadir_F[i] * nadir_F[i]
     distance = np.sqrt(squared)
@@ -85,22 +92,24 @@ def _translate(params, field, t_s, y, dy, nadir_F):
 
 
 @kernel
-def _derivative(params, field, t_s, y, load, sun_F, dy):
+def _derivative(params, pull, difference, y, load, sun_F, room, dy):
     """Write dy/dt.
 
-    load: specific thrust (3,), m/s^2, the thrust's torque (3,), N m, both in c, and the mass, kg. sun_F: (3,), unit.
+    pull, difference: see ``_translate``. load: specific thrust (3,), m/s^2, the thrust's torque (3,), N m, both in c,
+    and the mass, kg. sun_F: (3,), unit. room: (_ROOM, 3), to work in.
     """
-    force = load[0:3].copy()
-    torque = load[3:6].copy()
-    direction = np.empty(3)
-    rate_squared = _translate(params, field, t_s, y, dy, direction)
+    force, torque, direction, seen = room[0], room[1], room[2], room[3]
+    for i in range(3):
+        force[i], torque[i] = load[i], load[3 + i]
+        dy[16 + i] = 0.0
+    rate_squared = _translate(params, pull, difference, y, dy, direction)
     q = y[6:10]
     if params.gravity_gradient != 0:
-        add_gravity_gradient(params.inertia, quat.transform(q, direction), rate_squared, torque)
-    for i in range(3):
-        dy[16 + i] = 0.0
+        quat.transform_into(q, direction, seen)
+        add_gravity_gradient(params.inertia, seen, rate_squared, torque)
     if params.solar_pressure != 0:
-        pressure_force(params.plate, quat.transform(q, sun_F), direction)
+        quat.transform_into(q, sun_F, seen)
+        pressure_force(params.plate, seen, direction)
         arm = params.plate.arm
         torque[0] += arm[1] * direction[2] - arm[2] * direction[1]
         torque[1] += arm[2] * direction[0] - arm[0] * direction[2]
@@ -108,12 +117,13 @@ def _derivative(params, field, t_s, y, load, sun_F, dy):
         for i in range(3):
             dy[16 + i] = direction[i] / load[6]
             force[i] += dy[16 + i]
-    force_f = quat.transform_back(q, force)
+    quat.transform_back_into(q, force, seen)
     # rate of c against F, in c: w_CF = w_CI - A(q) w_FI (bench paper eq. (3)); H turns with [0, -w0, 0]
     frame_rate = params.orbit_rate if params.relative_motion == HILL else 0.0
-    a = quat.to_matrix(q)
+    a = room[4:7]
+    quat.to_matrix_into(q, a)
     for i in range(3):
-        dy[3 + i] += force_f[i]
+        dy[3 + i] += seen[i]
         dy[13 + i] = y[10 + i]
         direction[i] = y[10 + i] + a[i, 1] * frame_rate
     quat.rate_of_change(q, direction, dy[6:10])
@@ -130,18 +140,21 @@ def _derivative(params, field, t_s, y, load, sun_F, dy):
 
 
 @kernel
-def _integrate(params, field, t_s, y, load, sun_F, dt):
-    """Move ``y`` on by ``dt`` with one classical Runge-Kutta step, in place."""
-    k = np.empty((4, _N))
-    trial = np.empty(_N)
+def _integrate(params, held, y, load, sun_F, dt):
+    """Move ``y`` on by ``dt`` with one classical Runge-Kutta step, in place.
+
+    held: (4, 3), the harmonics over the step, of ``moon_gravity.hold_perturbation``.
+    """
+    k = local.matrix(4, _N)
+    trial = local.vector(_N)
+    room = local.matrix(_ROOM, 3)
     copy_into(trial, y)
-    part = 0.0
     for stage in range(4):
         if stage > 0:
             part = dt if stage == 3 else 0.5 * dt
             for i in range(_N):
                 trial[i] = y[i] + part * k[stage - 1, i]
-        _derivative(params, field, t_s + part, trial, load, sun_F, k[stage])
+        _derivative(params, held[(stage + 1) // 2], held[3], trial, load, sun_F, room, k[stage])
     for i in range(_N):
         y[i] += dt / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
 
@@ -151,9 +164,10 @@ def _enter(params, truth, y):
     """Write the integrated state for ``truth``: from H into F, from the reference point to the centre of mass."""
     r = y[0:3]
     v = y[3:6]
-    w = np.empty(3)
-    q_ch = truth.q_CH.copy()
-    a = quat.to_matrix(q_ch)
+    w, a = local.vector(3), local.matrix(3, 3)
+    q_ch, q_hi = local.vector(4), local.vector(4)
+    copy_into(q_ch, truth.q_CH)
+    quat.to_matrix_into(q_ch, a)
     for i in range(3):
         r[i] = truth.r_CT_H[i]
         v[i] = truth.v_CT_H[i]
@@ -168,33 +182,35 @@ def _enter(params, truth, y):
     copy_into(y[6:10], q_ch)
     y[19], y[20] = truth.eta, truth.eta_rate
     if params.relative_motion != HILL:
-        q_hi = truth.q_HI.copy()
+        copy_into(q_hi, truth.q_HI)
         w_HI = truth.w_HI_H
         v[0] += w_HI[1] * r[2] - w_HI[2] * r[1]
         v[1] += w_HI[2] * r[0] - w_HI[0] * r[2]
         v[2] += w_HI[0] * r[1] - w_HI[1] * r[0]
-        copy_into(v, quat.transform_back(q_hi, v))
-        copy_into(r, quat.transform_back(q_hi, r))
-        copy_into(y[6:10], quat.multiply(q_ch, q_hi))
+        quat.transform_back_into(q_hi, v, v)
+        quat.transform_back_into(q_hi, r, r)
+        quat.multiply_into(q_ch, q_hi, y[6:10])
 
 
 @kernel
-def _move_frame(params, field, y, truth):
-    """Bring the target and its Hill frame in ``truth`` to the end of the step, ``truth.t_s``."""
-    a = np.empty((3, 3))
+def _move_frame(params, pull, y, truth):
+    """Bring the target and its Hill frame in ``truth`` to the end of the step; pull: (3,), m/s^2, of the harmonics."""
+    a = local.matrix(3, 3)
     r = y[21:24]
     v = y[24:27]
-    rate = np.zeros(3)
+    rate, acceleration, q_hi = local.vector(3), local.vector(3), local.vector(4)
+    fill(rate, 0.0)
     if params.relative_motion == HILL:
         orbit.turn_on_circle(r, v, params.orbit_rate * params.dt_s)
         orbit.hill_frame(r, v, a)
         rate[1] = -params.orbit_rate
     else:
-        acceleration = np.empty(3)
-        moon_gravity.acceleration(params.gravity, field, truth.t_s, r, acceleration)
+        moon_gravity.central_pull(params.gravity.gm, r, acceleration)
+        for i in range(3):
+            acceleration[i] += pull[i]
         orbit.hill_frame(r, v, a)
         orbit.hill_rate(r, v, acceleration, a, rate)
-    q_hi = orbit.quaternion_near(a, truth.q_HI)
+    orbit.quaternion_near(a, truth.q_HI, q_hi)
     copy_into(truth.r_T_I, r)
     copy_into(truth.v_T_I, v)
     copy_into(truth.q_HI, q_hi)
@@ -207,21 +223,23 @@ def _leave(params, y, truth):
     r = y[0:3]
     v = y[3:6]
     q_ch = y[6:10]
+    q_hi, q_cf, w = local.vector(4), local.vector(4), local.vector(3)
     quat.normalise(q_ch)
     if params.relative_motion != HILL:
-        q_hi = truth.q_HI.copy()
+        copy_into(q_hi, truth.q_HI)
         w_HI = truth.w_HI_H
-        copy_into(r, quat.transform(q_hi, r))
-        copy_into(v, quat.transform(q_hi, v))
+        quat.transform_into(q_hi, r, r)
+        quat.transform_into(q_hi, v, v)
         v[0] -= w_HI[1] * r[2] - w_HI[2] * r[1]
         v[1] -= w_HI[2] * r[0] - w_HI[0] * r[2]
         v[2] -= w_HI[0] * r[1] - w_HI[1] * r[0]
-        copy_into(q_ch, quat.multiply(q_ch, quat.conjugate(q_hi)))
+        copy_into(q_cf, q_ch)
+        quat.conjugate_into(q_hi, q_hi)
+        quat.multiply_into(q_cf, q_hi, q_ch)
     for i in range(3):
         truth.w_CI_C[i] = y[10 + i]
     for i in range(4):
         truth.q_CH[i] = q_ch[i]
-    w = np.empty(3)
     rate_against_hill(truth, w)
     shift(q_ch, params.mass_centre, w, -1.0, r, v)
     for i in range(3):
@@ -240,7 +258,8 @@ def step(params, field, truth, on):
     n = params.n_thrusters
     fraction = truth.thrust_fraction
     step_valves(on[:n], truth.open_s[:n], params.minimum_on_s, dt, fraction[:n])
-    load = np.empty(7)
+    load, y, sun_f, w_before = local.vector(7), local.vector(_N), local.vector(3), local.vector(3)
+    held = local.matrix(4, 3)
     wrench(
         fraction,
         params.thruster_position,
@@ -253,15 +272,19 @@ def step(params, field, truth, on):
     load[6] = truth.mass_kg
     for i in range(3):
         load[i] /= truth.mass_kg
-    y = np.empty(_N)
     _enter(params, truth, y)
-    sun_f = params.sun_I.copy()
+    copy_into(sun_f, params.sun_I)
     if params.relative_motion == HILL:
-        sun_f = quat.transform(truth.q_HI, sun_f)
-    _integrate(params, field, truth.t_s, y, load, sun_f, dt)
+        quat.transform_into(truth.q_HI, sun_f, sun_f)
+    fill_matrix(held, 0.0)
+    if params.relative_motion != HILL:
+        moon_gravity.hold_perturbation(
+            params.gravity, field, truth.t_s, y[21:24], y[24:27], y[0:3], y[3:6], dt, held
+        )  # fmt: skip
+    _integrate(params, held, y, load, sun_f, dt)
     truth.t_s += dt
-    _move_frame(params, field, y, truth)
-    w_before = truth.w_CI_C.copy()
+    _move_frame(params, held[2], y, truth)
+    copy_into(w_before, truth.w_CI_C)
     _leave(params, y, truth)
     for i in range(3):
         truth.mean_rate_C[i] = y[13 + i] / dt
@@ -274,7 +297,8 @@ def step(params, field, truth, on):
 @kernel
 def rate_against_hill(truth, out):
     """Write w_CH_C (3,), rad/s: the chaser's rate against H, ``w_CI_C - A(q_CH) w_HI_H``, in c."""
-    a = quat.to_matrix(truth.q_CH)
+    a = local.matrix(3, 3)
+    quat.to_matrix_into(truth.q_CH, a)
     w = truth.w_HI_H
     for i in range(3):
         out[i] = truth.w_CI_C[i] - (a[i, 0] * w[0] + a[i, 1] * w[1] + a[i, 2] * w[2])

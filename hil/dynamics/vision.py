@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from hil.maths import quat
+from hil.maths import local, quat
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.maths.jit import kernel
 from hil.maths.stations import camera_pose
@@ -43,7 +43,7 @@ def see(params, stations, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
     """
     factor = range_factor(params, r_CT_H)
     camera_pose(stations, r_CT_H, q_CH, t_v, q_vt)
-    turn = np.empty(3)
+    turn, aside, q_true = local.vector(3), local.vector(4), local.vector(4)
     fill_matrix(covariance, 0.0)
     for i in range(3):
         t_v[i] += params.sigma_position * factor * noise[i]
@@ -51,4 +51,6 @@ def see(params, stations, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
         turn[i] = -params.sigma_angle * factor * noise[3 + i]
         covariance[i, i] = (params.reported_scale * params.sigma_position * factor) ** 2
         covariance[3 + i, 3 + i] = (params.reported_scale * params.sigma_angle * factor) ** 2
-    copy_into(q_vt, quat.multiply(quat.from_rotation_vector(turn), q_vt))
+    copy_into(q_true, q_vt)
+    quat.from_rotation_vector_into(turn, aside)
+    quat.multiply_into(aside, q_true, q_vt)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.maths import quat
+from hil.maths import local, quat
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.maths.jit import kernel
 from hil.maths.kalman import gain_of_three, joseph, propagate_covariance
@@ -61,7 +61,9 @@ def transition(turn, dt, phi):
 
     ``theta' = A(turn) theta - dt J drift error`` with ``J = I - [turn]x / 2`` up to second order.
     """
-    a = quat.to_matrix(quat.from_rotation_vector(turn))
+    q, a = local.vector(4), local.matrix(3, 3)
+    quat.from_rotation_vector_into(turn, q)
+    quat.to_matrix_into(q, a)
     fill_matrix(phi, 0.0)
     for i in range(3):
         phi[3 + i, 3 + i] = 1.0
@@ -83,23 +85,26 @@ def predict(params, state, measured_rate):
     The quaternion moves by the exact turn of a constant rate over the step, of c and of H.
     """
     dt = params.dt_s
-    turn = np.empty(3)
-    hill_turn = np.zeros(3)
+    turn, hill_turn, a = local.vector(3), local.vector(3), local.matrix(3, 3)
+    q, of_c, of_h, moved = local.vector(4), local.vector(4), local.vector(4), local.vector(4)
     for i in range(3):
+        hill_turn[i] = 0.0
         turn[i] = (measured_rate[i] - state.x[4 + i]) * dt
     hill_turn[1] = params.orbit_rate * dt  # minus the turn of H, which is -w0 dt about y
-    q = quat.multiply(
-        quat.from_rotation_vector(turn), quat.multiply(state.x[0:4], quat.from_rotation_vector(hill_turn))
-    )
+    quat.from_rotation_vector_into(turn, of_c)
+    quat.from_rotation_vector_into(hill_turn, of_h)
+    quat.multiply_into(state.x[0:4], of_h, moved)
+    quat.multiply_into(of_c, moved, q)
     quat.normalise(q)
     copy_into(state.x[0:4], q)
     transition(turn, dt, state.phi)
-    noise = np.zeros((6, 6))
+    noise = local.matrix(6, 6)
+    fill_matrix(noise, 0.0)
     for i in range(3):
         noise[i, i] = (dt * params.sigma_gyro) ** 2
         noise[3 + i, 3 + i] = (dt * params.sigma_drift) ** 2
     propagate_covariance(state.p, state.phi, noise)
-    a = quat.to_matrix(q)
+    quat.to_matrix_into(q, a)
     for i in range(3):
         state.w_CH_C[i] = turn[i] / dt + a[i, 1] * params.orbit_rate
     state.nis = np.nan
@@ -108,9 +113,9 @@ def predict(params, state, measured_rate):
 @kernel
 def innovate(state, q_measured, covariance, gain, out):
     """Write the innovation (3,), a small turn in rad, and the gain (6, 3); return the NIS. Nothing is changed."""
-    turn = quat.to_rotation_vector(quat.multiply(q_measured, quat.conjugate(state.x[0:4])))
-    h = np.zeros((3, 6))
-    s_inverse = np.empty((3, 3))
+    turn, h, s_inverse = local.vector(3), local.matrix(3, 6), local.matrix(3, 3)
+    quat.turn_between(q_measured, state.x[0:4], turn)
+    fill_matrix(h, 0.0)
     for i in range(3):
         h[i, i] = 1.0
         out[i] = turn[i]
@@ -125,17 +130,20 @@ def innovate(state, q_measured, covariance, gain, out):
 @kernel
 def update(state, covariance, gain, innovation):
     """Fuse an innovation that was let in; ``state.keep`` is left for whoever is correlated with this filter."""
-    correction = np.zeros(6)
-    h = np.zeros((3, 6))
+    correction, q, aside = local.vector(6), local.vector(4), local.vector(4)
+    h = local.matrix(3, 6)
+    fill_matrix(h, 0.0)
     for i in range(3):
         h[i, i] = 1.0
     for i in range(6):
+        correction[i] = 0.0
         for j in range(3):
             correction[i] += gain[i, j] * innovation[j]
             state.keep[i, j] = -gain[i, j]
             state.keep[i, 3 + j] = 0.0
         state.keep[i, i] += 1.0
-    q = quat.multiply(quat.from_rotation_vector(correction[0:3]), state.x[0:4])
+    quat.from_rotation_vector_into(correction, aside)
+    quat.multiply_into(aside, state.x[0:4], q)
     quat.normalise(q)
     copy_into(state.x[0:4], q)
     for i in range(3):
@@ -146,7 +154,8 @@ def update(state, covariance, gain, innovation):
 @kernel
 def error(state, q_true, drift_true, out):
     """Write the error (6,): small turn from the estimated to the true c, rad, and true minus estimated drift."""
-    turn = quat.to_rotation_vector(quat.multiply(q_true, quat.conjugate(state.x[0:4])))
+    turn = local.vector(3)
+    quat.turn_between(q_true, state.x[0:4], turn)
     for i in range(3):
         out[i] = turn[i]
         out[3 + i] = drift_true[i] - state.x[4 + i]

@@ -26,7 +26,7 @@ import math
 
 import numpy as np
 
-from hil.maths import quat
+from hil.maths import local, quat
 from hil.maths.arrays import fill
 from hil.maths.jit import kernel
 
@@ -117,15 +117,14 @@ def control(params, navigation, reference, command):
     if navigation.valid == 0:
         rest(command)
         return
-    error_h = np.empty(3)
-    rate_h = np.empty(3)
+    error_c, rate_c, wanted_c, turn = local.vector(3), local.vector(3), local.vector(3), local.vector(3)
     for i in range(3):
-        error_h[i] = navigation.r_CT_H[i] - reference.r_CT_H[i]
-        rate_h[i] = navigation.v_CT_H[i] - reference.v_CT_H[i]
-    error_c = quat.transform(navigation.q_CH, error_h)
-    rate_c = quat.transform(navigation.q_CH, rate_h)
-    wanted_c = quat.transform(navigation.q_CH, reference.a_CT_H)
-    turn = quat.to_rotation_vector(quat.multiply(navigation.q_CH, quat.conjugate(reference.q_CH)))
+        error_c[i] = navigation.r_CT_H[i] - reference.r_CT_H[i]
+        rate_c[i] = navigation.v_CT_H[i] - reference.v_CT_H[i]
+    quat.transform_into(navigation.q_CH, error_c, error_c)
+    quat.transform_into(navigation.q_CH, rate_c, rate_c)
+    quat.transform_into(navigation.q_CH, reference.a_CT_H, wanted_c)
+    quat.turn_between(navigation.q_CH, reference.q_CH, turn)
     for i in range(3):
         acceleration = params.boosted_acceleration[i] if command.boost != 0 else params.acceleration[i]
         sigma = math.sqrt(navigation.sigma_r_m[i] ** 2 + (params.lead[i] * navigation.sigma_v_mps[i]) ** 2)

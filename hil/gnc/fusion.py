@@ -16,7 +16,7 @@ from hil.gnc import akf, akf_additive, pkf
 from hil.gnc.akf import AKF_PARAMS, AKF_STATE
 from hil.gnc.akf_additive import AKF_ADDITIVE_STATE
 from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
-from hil.maths import quat
+from hil.maths import local, quat
 from hil.maths.arrays import copy_into, copy_matrix
 from hil.maths.jit import kernel
 from hil.messages import POSE
@@ -108,8 +108,9 @@ def _start(params, pose, filters):
 @kernel
 def _predict(params, filters, rate_C, force_C):
     """Carry both filters over one step."""
-    middle = filters.akf.x[0:4].copy()
-    before = filters.akf.p.copy()
+    middle, before = local.vector(4), local.matrix(6, 6)
+    copy_into(middle, filters.akf.x[0:4])
+    copy_matrix(before, filters.akf.p)
     akf.predict(params.akf, filters.akf, rate_C)
     if params.attitude_form == AS_PRINTED:
         akf_additive.predict(params.akf, filters.additive, rate_C)
@@ -136,16 +137,16 @@ def _fuse(params, state, pose, moment_s, judged):
     """
     filters = state.filters
     delta_s = pose.t_s - moment_s
-    turn = np.empty(3)
+    turn, z, back, q_measured = local.vector(3), local.vector(3), local.vector(4), local.vector(4)
     for i in range(3):
         turn[i] = -delta_s * filters.akf.w_CH_C[i]
     # c at the filter's moment, from c at the exposure
-    back = quat.from_rotation_vector(turn)
-    q_measured = quat.multiply(back, pose.q_CH)
-    z = quat.transform(back, pose.z_TC_C)
-    gain_a, innovation_a = np.empty((6, 3)), np.empty(3)
-    gain_p, innovation_p = np.empty((9, 3)), np.empty(3)
-    h, h_turn = np.empty((3, 9)), np.empty((3, 3))
+    quat.from_rotation_vector_into(turn, back)
+    quat.multiply_into(back, pose.q_CH, q_measured)
+    quat.transform_into(back, pose.z_TC_C, z)
+    gain_a, innovation_a = local.matrix(6, 3), local.vector(3)
+    gain_p, innovation_p = local.matrix(9, 3), local.vector(3)
+    h, h_turn = local.matrix(3, 9), local.matrix(3, 3)
     open_gate = state.in_a_row >= _REOPEN_AFTER
     nis_a = akf.innovate(filters.akf, q_measured, pose.covariance_attitude, gain_a, innovation_a)
     nis_p = np.nan

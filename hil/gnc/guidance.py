@@ -12,7 +12,8 @@ import math
 
 import numpy as np
 
-from hil.maths.arrays import copy_into
+from hil.maths import local
+from hil.maths.arrays import copy_into, fill
 from hil.maths.jit import kernel
 from hil.maths.profile import along_line, duration
 from hil.messages import MAX_PHASES
@@ -211,7 +212,8 @@ def reference(params, state, t_s, out):
             out.r_CT_H[i] = state.from_H[i] + state.brake_H[i] * t - 0.5 * loss * t * t
         return
     length = 0.0 if kind in (HOLD, WAIT) else _length(state)
-    along = np.zeros(3)
+    along = local.vector(3)
+    fill(along, 0.0)
     if length > 0.0:
         speed, acceleration, deceleration = _limits(params, state.phase)
         along_line(length, speed, acceleration, deceleration, since, along)

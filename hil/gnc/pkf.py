@@ -15,8 +15,8 @@ import math
 
 import numpy as np
 
-from hil.maths import quat
-from hil.maths.arrays import fill_matrix
+from hil.maths import local, quat
+from hil.maths.arrays import copy_matrix, fill_matrix
 from hil.maths.jit import kernel
 from hil.maths.kalman import invert_symmetric_3
 
@@ -81,7 +81,8 @@ def start(params, pose, attitude_p, state):
 @kernel
 def transition(params, q_CH, phi):
     """Write the transition matrix ``phi`` (9, 9) for the attitude in mid-step ``q_CH``."""
-    a = quat.to_matrix(q_CH)
+    a = local.matrix(3, 3)
+    quat.to_matrix_into(q_CH, a)
     fill_matrix(phi, 0.0)
     for i in range(6):
         for j in range(6):
@@ -102,15 +103,15 @@ def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi):
     measured_force: accelerometer's sample (3,), m/s^2, in c. q_CH: attitude in mid-step. attitude_p,
     attitude_phi: covariance before the step and transition over it, (6, 6), of the attitude filter's error.
     """
-    phi = np.empty((9, 9))
+    phi, lever = local.matrix(9, 9), local.matrix(9, 3)
+    x, force = local.vector(9), local.vector(3)
     transition(params, q_CH, phi)
-    force = np.empty(3)
     for i in range(3):
         force[i] = measured_force[i] - state.x[6 + i]
     # phi's bias columns b are minus the response to a force in c; a turn theta of c adds b (force x theta)
-    lever = np.zeros((9, 6))
-    x = np.zeros(9)
+    fill_matrix(lever, 0.0)
     for i in range(9):
+        x[i] = 0.0
         for j in range(9):
             x[i] += phi[i, j] * state.x[j]
     for i in range(6):
@@ -128,48 +129,95 @@ def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi):
 @kernel
 def _propagate(params, state, phi, lever, attitude_p, attitude_phi):
     """Carry ``p`` and ``c`` over the step: joint covariance of this filter's and the attitude filter's error."""
-    mixed = np.zeros((9, 6))  # phi c + lever attitude_p
-    half = np.zeros((9, 9))  # phi p + lever c.T
-    for i in range(9):
-        for j in range(6):
-            total = 0.0
-            for m in range(9):
-                total += phi[i, m] * state.c[m, j]
-            for m in range(3):
-                total += lever[i, m] * attitude_p[m, j]
-            mixed[i, j] = total
-        for j in range(9):
-            total = 0.0
-            for m in range(9):
-                total += phi[i, m] * state.p[m, j]
-            for m in range(3):
-                total += lever[i, m] * state.c[j, m]
-            half[i, j] = total
+    mixed, half = local.matrix(9, 6), local.matrix(9, 9)
+    _joint_product(phi, lever, 1.0, state.p, state.c, attitude_p, mixed, half)
+    noise = local.matrix(9, 9)
     accelerometer = params.sigma_accelerometer**2
     for i in range(9):
-        for j in range(i, 9):
+        for j in range(9):
             total = 0.0
-            for m in range(9):
-                total += half[i, m] * phi[j, m]
-            for m in range(3):
-                total += mixed[i, m] * lever[j, m]
-                if i < 6 and j < 6:
+            if i < 6 and j < 6:
+                for m in range(3):
                     total += accelerometer * phi[i, 6 + m] * phi[j, 6 + m]
-            if i == j and i >= 6:
-                total += (params.dt_s * params.sigma_bias) ** 2
-            state.p[i, j] = total
-            state.p[j, i] = total
+            noise[i, j] = total
+    for i in range(6, 9):
+        noise[i, i] = (params.dt_s * params.sigma_bias) ** 2
+    _close_product(phi, lever, 1.0, mixed, half, noise, state.p)
+    row = local.vector(6)
+    for i in range(9):
         for j in range(6):
-            total = 0.0
-            for m in range(6):
-                total += mixed[i, m] * attitude_phi[j, m]
-            state.c[i, j] = total
+            row[j] = 0.0
+        for m in range(6):
+            for j in range(6):
+                row[j] += mixed[i, m] * attitude_phi[j, m]
+        for j in range(6):
+            state.c[i, j] = row[j]
+
+
+@kernel
+def _joint_product(phi, lever, sign, p, c, attitude_p, mixed, half):
+    """Write ``phi c + sign lever attitude_p`` into ``mixed`` (9, 6), ``phi p + sign lever c.T`` into ``half`` (9, 9).
+
+    phi: (9, 9). lever: (9, 3), of the turn theta. What is zero in them costs nothing, see ``hil.maths.kalman``.
+    """
+    of_p, of_c = local.vector(9), local.vector(6)  # sums of one row: kept in registers
+    for i in range(9):
+        for j in range(9):
+            of_p[j] = 0.0
+        for j in range(6):
+            of_c[j] = 0.0
+        for m in range(9):
+            factor = phi[i, m]
+            if factor != 0.0:
+                for j in range(9):
+                    of_p[j] += factor * p[m, j]
+                for j in range(6):
+                    of_c[j] += factor * c[m, j]
+        for m in range(3):
+            factor = sign * lever[i, m]
+            if factor != 0.0:
+                for j in range(9):
+                    of_p[j] += factor * c[j, m]
+                for j in range(6):
+                    of_c[j] += factor * attitude_p[m, j]
+        for j in range(9):
+            half[i, j] = of_p[j]
+        for j in range(6):
+            mixed[i, j] = of_c[j]
+
+
+@kernel
+def _close_product(phi, lever, sign, mixed, half, noise, p):
+    """Write ``half phi.T + sign mixed lever.T + noise``, which is symmetric, into ``p`` (9, 9)."""
+    turned, turned_mixed = local.matrix(9, 9), local.matrix(3, 9)
+    row = local.vector(9)
+    for i in range(9):
+        for j in range(9):
+            turned[j, i] = half[i, j]
+        for j in range(3):
+            turned_mixed[j, i] = mixed[i, j]
+    for i in range(9):
+        for j in range(9):
+            row[j] = noise[i, j]
+        for m in range(9):
+            factor = phi[i, m]
+            if factor != 0.0:
+                for j in range(9):
+                    row[j] += factor * turned[m, j]
+        for m in range(3):
+            factor = sign * lever[i, m]
+            if factor != 0.0:
+                for j in range(9):
+                    row[j] += factor * turned_mixed[m, j]
+        for j in range(i, 9):
+            p[i, j] = row[j]
+            p[j, i] = row[j]
 
 
 @kernel
 def follow_attitude_update(state, keep):
     """Carry ``c`` through an update of the attitude filter; keep: its ``I - K H`` (6, 6)."""
-    row = np.empty(6)
+    row = local.vector(6)
     for i in range(9):
         for j in range(6):
             total = 0.0
@@ -187,11 +235,11 @@ def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_turn, ga
     z_TC_C: measured position (3,), in c as it stood at the filter's moment; covariance: (3, 3).
     delta_s: exposure after the filter's moment, a fraction of a step. h: (3, 9). h_turn: (3, 3), of theta.
     """
-    a = quat.to_matrix(q_CH)
-    r = np.empty(3)
+    a, expected = local.matrix(3, 3), local.vector(3)
+    quat.to_matrix_into(q_CH, a)
     for i in range(3):
-        r[i] = state.x[i] + delta_s * state.x[3 + i]
-    expected = quat.transform(q_CH, r)
+        expected[i] = state.x[i] + delta_s * state.x[3 + i]
+    quat.transform_into(q_CH, expected, expected)
     fill_matrix(h, 0.0)
     fill_matrix(h_turn, 0.0)
     h_turn[0, 1], h_turn[0, 2] = expected[2], -expected[1]
@@ -203,10 +251,8 @@ def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_turn, ga
             h[i, j] = -a[i, j]
             h[i, 3 + j] = -delta_s * a[i, j]
     # with[i, j]: covariance of state i with innovation j; s: of the innovation
-    s = np.empty((3, 3))
-    s_inverse = np.empty((3, 3))
-    reach = np.empty((9, 3))
-    reach_turn = np.empty((3, 3))
+    s, s_inverse = local.matrix(3, 3), local.matrix(3, 3)
+    reach, reach_turn = local.matrix(9, 3), local.matrix(3, 3)
     for i in range(9):
         for j in range(3):
             total = 0.0
@@ -249,8 +295,8 @@ def update(state, covariance, attitude_p, h, h_turn, gain, innovation):
     ``p' = L p L.T - L c T.T - T c.T L.T + T attitude_p T.T + K R K.T``, ``c' = L c - T attitude_p`` with
     ``L = I - K h``, ``T = K h_turn``.
     """
-    keep = np.zeros((9, 9))
-    turn = np.zeros((9, 3))
+    keep, turn = local.matrix(9, 9), local.matrix(9, 3)
+    fill_matrix(keep, 0.0)
     for i in range(9):
         for j in range(6):
             keep[i, j] = -(gain[i, 0] * h[0, j] + gain[i, 1] * h[1, j] + gain[i, 2] * h[2, j])
@@ -258,38 +304,16 @@ def update(state, covariance, attitude_p, h, h_turn, gain, innovation):
         for j in range(3):
             turn[i, j] = gain[i, 0] * h_turn[0, j] + gain[i, 1] * h_turn[1, j] + gain[i, 2] * h_turn[2, j]
             state.x[i] += gain[i, j] * innovation[j]
-    mixed = np.empty((9, 6))  # L c - T attitude_p: the new c
-    half = np.empty((9, 9))  # L p - T c.T
-    for i in range(9):
-        for j in range(6):
-            total = 0.0
-            for m in range(9):
-                total += keep[i, m] * state.c[m, j]
-            for m in range(3):
-                total -= turn[i, m] * attitude_p[m, j]
-            mixed[i, j] = total
-        for j in range(9):
-            total = 0.0
-            for m in range(9):
-                total += keep[i, m] * state.p[m, j]
-            for m in range(3):
-                total -= turn[i, m] * state.c[j, m]
-            half[i, j] = total
+    mixed, half, noise = local.matrix(9, 6), local.matrix(9, 9), local.matrix(9, 9)
+    _joint_product(keep, turn, -1.0, state.p, state.c, attitude_p, mixed, half)
     for i in range(9):
         kr0 = gain[i, 0] * covariance[0, 0] + gain[i, 1] * covariance[1, 0] + gain[i, 2] * covariance[2, 0]
         kr1 = gain[i, 0] * covariance[0, 1] + gain[i, 1] * covariance[1, 1] + gain[i, 2] * covariance[2, 1]
         kr2 = gain[i, 0] * covariance[0, 2] + gain[i, 1] * covariance[1, 2] + gain[i, 2] * covariance[2, 2]
-        for j in range(i, 9):
-            total = kr0 * gain[j, 0] + kr1 * gain[j, 1] + kr2 * gain[j, 2]
-            for m in range(9):
-                total += half[i, m] * keep[j, m]
-            for m in range(3):
-                total -= mixed[i, m] * turn[j, m]
-            state.p[i, j] = total
-            state.p[j, i] = total
-    for i in range(9):
-        for j in range(6):
-            state.c[i, j] = mixed[i, j]
+        for j in range(9):
+            noise[i, j] = kr0 * gain[j, 0] + kr1 * gain[j, 1] + kr2 * gain[j, 2]
+    _close_product(keep, turn, -1.0, mixed, half, noise, state.p)
+    copy_matrix(state.c, mixed)  # L c - T attitude_p
 
 
 @kernel

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from hil.gnc import guidance
-from hil.maths import quat
+from hil.maths import local, quat
 from hil.maths.jit import kernel
 
 NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
@@ -103,7 +103,8 @@ def _largest(sigma):
 @kernel
 def _is_ready(params, navigation):
     """Return whether the estimate is within Table III, each axis alone (angles as a rotation vector)."""
-    turn = quat.to_rotation_vector(navigation.q_CH)
+    turn = local.vector(3)
+    quat.to_rotation_vector_into(navigation.q_CH, turn)
     for i in range(3):
         if not (
             abs(navigation.r_CT_H[i] - params.ready_point[i]) <= params.ready_distance[i]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.maths import quat
+from hil.maths import local, quat
 from hil.maths.arrays import copy_into
 from hil.maths.jit import kernel
 
@@ -58,11 +58,13 @@ def _start(pose, state):
 @kernel
 def predict(params, state):
     """Carry the pose on by one step with the smoothed rates."""
-    turn = np.empty(3)
+    turn, aside, moved = local.vector(3), local.vector(4), local.vector(4)
     for i in range(3):
         state.r_CT_H[i] += params.dt_s * state.v_CT_H[i]
         turn[i] = params.dt_s * state.w_CH_C[i]
-    copy_into(state.q_CH, quat.multiply(quat.from_rotation_vector(turn), state.q_CH))
+    quat.from_rotation_vector_into(turn, aside)
+    quat.multiply_into(aside, state.q_CH, moved)
+    copy_into(state.q_CH, moved)
 
 
 @kernel

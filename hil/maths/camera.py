@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.maths import quat
+from hil.maths import local, quat
 from hil.maths.jit import kernel
 
 CAMERA = np.dtype(
@@ -42,8 +42,9 @@ def view_margin(camera, leds, t_v, q_vt):
     leds: (n, 3), m, in t. t_v: (3,), m, and q_vt: (4,), the pose t -> v, ``p_v = A(q_vt) p_t + t_v``.
     """
     least = np.inf
+    p = local.vector(3)
     for j in range(leds.shape[0]):
-        p = quat.transform(q_vt, leds[j])
+        quat.transform_into(q_vt, leds[j], p)
         x, y, z = p[0] + t_v[0], p[1] + t_v[1], p[2] + t_v[2]
         least = min(least, edge_distance(camera, x, y, z), edge_distance(camera, x - camera.baseline, y, z))
     return least

@@ -19,7 +19,13 @@ from numba import njit
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _KERNEL_FOLDERS = ("maths", "dynamics", "gnc", "bench", "vmu/kernels", "monitor")
-_KERNEL_FILES = ("messages.py", "campaign/fusion_kernel.py", "console/columns.py")
+_KERNEL_FILES = (
+    "messages.py",
+    "campaign/fusion_kernel.py",
+    "campaign/loop_kernel.py",
+    "campaign/tally_kernel.py",
+    "console/columns.py",
+)
 _KEPT_CACHES = 6
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])

@@ -1,30 +1,48 @@
-"""Kalman updates in plain loops: no library call, no allocation that grows, the same time every cycle."""
+"""Kalman updates in plain loops: no library call, no heap. States: up to MAX_STATES.
+
+A product is summed up row by row, ``row += a[i, m] * b[m]``: the inner loop runs along memory without a chain
+of sums, and what is zero in ``a``, most of a transition, costs nothing.
+"""
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
+from hil.maths import local
 from hil.maths.jit import kernel
+
+MAX_STATES: Final = 9
 
 
 @kernel
 def propagate_covariance(p, phi, noise):
-    """Replace ``p`` by ``phi p phi.T + noise``; all (n, n)."""
+    """Replace ``p`` by ``phi p phi.T + noise``; all (n, n), ``p`` and ``noise`` symmetric."""
     n = p.shape[0]
-    half = np.empty((n, n))
+    row = local.vector(MAX_STATES)
+    turned = local.matrix(MAX_STATES, MAX_STATES)  # (phi p).T
     for i in range(n):
         for j in range(n):
-            total = 0.0
-            for m in range(n):
-                total += phi[i, m] * p[m, j]
-            half[i, j] = total
+            row[j] = 0.0
+        for m in range(n):
+            factor = phi[i, m]
+            if factor != 0.0:
+                for j in range(n):
+                    row[j] += factor * p[m, j]
+        for j in range(n):
+            turned[j, i] = row[j]
     for i in range(n):
+        for j in range(n):
+            row[j] = noise[i, j]
+        for m in range(n):
+            factor = phi[i, m]
+            if factor != 0.0:
+                for j in range(n):
+                    row[j] += factor * turned[m, j]
         for j in range(i, n):
-            total = noise[i, j]
-            for m in range(n):
-                total += half[i, m] * phi[j, m]
-            p[i, j] = total
-            p[j, i] = total
+            p[i, j] = row[j]
+            p[j, i] = row[j]
 
 
 @kernel
@@ -49,8 +67,7 @@ def gain_of_three(p, h, r, gain, s_inverse):
     p: (n, n). h: (3, n). r: (3, 3).
     """
     n = p.shape[0]
-    ph = np.empty((n, 3))
-    s = np.empty((3, 3))
+    ph, s = local.matrix(MAX_STATES, 3), local.matrix(3, 3)
     for i in range(n):
         for j in range(3):
             total = 0.0
@@ -73,12 +90,11 @@ def gain_of_three(p, h, r, gain, s_inverse):
 def joseph(p, h, r, gain):
     """Replace ``p`` by ``(I - K H) p (I - K H).T + K R K.T``: symmetric and positive whatever the gain."""
     n = p.shape[0]
-    a = np.empty((n, n))
+    a, noise = local.matrix(MAX_STATES, MAX_STATES), local.matrix(MAX_STATES, MAX_STATES)
     for i in range(n):
         for j in range(n):
             a[i, j] = -(gain[i, 0] * h[0, j] + gain[i, 1] * h[1, j] + gain[i, 2] * h[2, j])
         a[i, i] += 1.0
-    noise = np.empty((n, n))
     for i in range(n):
         kr0 = gain[i, 0] * r[0, 0] + gain[i, 1] * r[1, 0] + gain[i, 2] * r[2, 0]
         kr1 = gain[i, 0] * r[0, 1] + gain[i, 1] * r[1, 1] + gain[i, 2] * r[2, 1]
@@ -95,8 +111,7 @@ def update_three(x, p, h, r, innovation):
     h: (3, n). r: (3, 3). innovation: (3,), measured minus expected.
     """
     n = x.shape[0]
-    gain = np.empty((n, 3))
-    s_inverse = np.empty((3, 3))
+    gain, s_inverse = local.matrix(MAX_STATES, 3), local.matrix(3, 3)
     gain_of_three(p, h, r, gain, s_inverse)
     for i in range(n):
         x[i] += gain[i, 0] * innovation[0] + gain[i, 1] * innovation[1] + gain[i, 2] * innovation[2]
@@ -112,8 +127,7 @@ def update_three(x, p, h, r, innovation):
 def normalised_square(error, p):
     """Return ``error.T p^-1 error`` for a positive definite ``p`` (n, n), by Cholesky; nan if it is not."""
     n = error.shape[0]
-    low = np.zeros((n, n))
-    y = np.empty(n)
+    low, y = local.matrix(MAX_STATES, MAX_STATES), local.vector(MAX_STATES)
     total = 0.0
     for i in range(n):
         for j in range(i + 1):

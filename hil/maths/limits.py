@@ -1,4 +1,4 @@
-"""Cutting numbers to what is allowed."""
+"""Cutting numbers to what is allowed, and for how long something has held."""
 
 from __future__ import annotations
 
@@ -16,3 +16,9 @@ def cut_to_range(values, low, high, out):
             bad = i
         out[i] = min(high[i], max(low[i], values[i]))
     return bad
+
+
+@kernel
+def has_held(since_s, now_s, dwell_s):
+    """Return whether what holds since ``since_s`` has held for ``dwell_s`` at ``now_s``; nan: it does not hold."""
+    return now_s - since_s >= dwell_s - 1e-9

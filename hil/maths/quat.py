@@ -11,28 +11,41 @@ import math
 
 import numpy as np
 
+from hil.maths import local
 from hil.maths.jit import kernel
+
+
+@kernel
+def multiply_into(p, q, out):
+    """Write the quaternion of ``A(p) @ A(q)`` into ``out`` (4,), which is neither of them."""
+    out[0] = p[3] * q[0] + p[2] * q[1] - p[1] * q[2] + p[0] * q[3]
+    out[1] = -p[2] * q[0] + p[3] * q[1] + p[0] * q[2] + p[1] * q[3]
+    out[2] = p[1] * q[0] - p[0] * q[1] + p[3] * q[2] + p[2] * q[3]
+    out[3] = -p[0] * q[0] - p[1] * q[1] - p[2] * q[2] + p[3] * q[3]
 
 
 @kernel
 def multiply(p, q):
     """Return the quaternion of ``A(p) @ A(q)``, shape (4,)."""
     out = np.empty(4)
-    out[0] = p[3] * q[0] + p[2] * q[1] - p[1] * q[2] + p[0] * q[3]
-    out[1] = -p[2] * q[0] + p[3] * q[1] + p[0] * q[2] + p[1] * q[3]
-    out[2] = p[1] * q[0] - p[0] * q[1] + p[3] * q[2] + p[2] * q[3]
-    out[3] = -p[0] * q[0] - p[1] * q[1] - p[2] * q[2] + p[3] * q[3]
+    multiply_into(p, q, out)
     return out
+
+
+@kernel
+def conjugate_into(q, out):
+    """Write the quaternion of the opposite transformation into ``out`` (4,)."""
+    out[0] = -q[0]
+    out[1] = -q[1]
+    out[2] = -q[2]
+    out[3] = q[3]
 
 
 @kernel
 def conjugate(q):
     """Return the quaternion of the opposite transformation, shape (4,)."""
     out = np.empty(4)
-    out[0] = -q[0]
-    out[1] = -q[1]
-    out[2] = -q[2]
-    out[3] = q[3]
+    conjugate_into(q, out)
     return out
 
 
@@ -45,10 +58,9 @@ def normalise(q):
 
 
 @kernel
-def to_matrix(q):
-    """Return A(q), shape (3, 3), for a unit quaternion."""
+def to_matrix_into(q, a):
+    """Write A(q) into ``a`` (3, 3), for a unit quaternion."""
     q1, q2, q3, q4 = q[0], q[1], q[2], q[3]
-    a = np.empty((3, 3))
     a[0, 0] = q1 * q1 - q2 * q2 - q3 * q3 + q4 * q4
     a[0, 1] = 2.0 * (q1 * q2 + q3 * q4)
     a[0, 2] = 2.0 * (q1 * q3 - q2 * q4)
@@ -58,17 +70,23 @@ def to_matrix(q):
     a[2, 0] = 2.0 * (q1 * q3 + q2 * q4)
     a[2, 1] = 2.0 * (q2 * q3 - q1 * q4)
     a[2, 2] = -q1 * q1 - q2 * q2 + q3 * q3 + q4 * q4
+
+
+@kernel
+def to_matrix(q):
+    """Return A(q), shape (3, 3), for a unit quaternion."""
+    a = np.empty((3, 3))
+    to_matrix_into(q, a)
     return a
 
 
 @kernel
-def from_matrix(a):
-    """Return the unit quaternion q with A(q) = ``a`` and q4 >= 0, shape (4,).
+def from_matrix_into(a, q):
+    """Write the unit quaternion with A(q) = ``a`` and q4 >= 0 into ``q`` (4,).
 
     The largest of the four components is found first (Shepperd's method), so no angle is bad.
     """
     trace = a[0, 0] + a[1, 1] + a[2, 2]
-    q = np.empty(4)
     best = 3
     value = trace
     for i in range(3):
@@ -94,65 +112,96 @@ def from_matrix(a):
     if q[3] < 0.0:
         for i in range(4):
             q[i] = -q[i]
+
+
+@kernel
+def from_matrix(a):
+    """Return the unit quaternion q with A(q) = ``a`` and q4 >= 0, shape (4,)."""
+    q = np.empty(4)
+    from_matrix_into(a, q)
     return q
 
 
 @kernel
-def from_rotation_vector(phi):
-    """Return the quaternion of a frame turned by ``phi`` (3,), rad: A = exp(-[phi]x)."""
+def from_rotation_vector_into(phi, q):
+    """Write the quaternion of a frame turned by ``phi`` (3,), rad, into ``q`` (4,): A = exp(-[phi]x)."""
     angle = math.sqrt(phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
     half = 0.5 * angle
     if angle < 1e-6:
         scale = 0.5 - angle * angle / 48.0
     else:
         scale = math.sin(half) / angle
-    q = np.empty(4)
     q[0] = scale * phi[0]
     q[1] = scale * phi[1]
     q[2] = scale * phi[2]
     q[3] = math.cos(half)
+
+
+@kernel
+def from_rotation_vector(phi):
+    """Return the quaternion of a frame turned by ``phi`` (3,), rad: A = exp(-[phi]x)."""
+    q = np.empty(4)
+    from_rotation_vector_into(phi, q)
     return q
 
 
 @kernel
-def to_rotation_vector(q):
-    """Return the shortest turn phi (3,), rad, with A(q) = exp(-[phi]x)."""
+def to_rotation_vector_into(q, phi):
+    """Write the shortest turn, rad, with A(q) = exp(-[phi]x) into ``phi`` (3,)."""
     sign = 1.0 if q[3] >= 0.0 else -1.0
     norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     if norm < 1e-9:
         scale = 2.0 * sign
     else:
         scale = 2.0 * sign * math.atan2(norm, abs(q[3])) / norm
-    phi = np.empty(3)
     phi[0] = scale * q[0]
     phi[1] = scale * q[1]
     phi[2] = scale * q[2]
+
+
+@kernel
+def to_rotation_vector(q):
+    """Return the shortest turn phi (3,), rad, with A(q) = exp(-[phi]x)."""
+    phi = np.empty(3)
+    to_rotation_vector_into(q, phi)
     return phi
+
+
+@kernel
+def transform_into(q, v, out):
+    """Write A(q) @ v into ``out`` (3,), which may be ``v``."""
+    tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
+    ty = 2.0 * (q[2] * v[0] - q[0] * v[2])
+    tz = 2.0 * (q[0] * v[1] - q[1] * v[0])
+    out[0] = v[0] - q[3] * tx + q[1] * tz - q[2] * ty
+    out[1] = v[1] - q[3] * ty + q[2] * tx - q[0] * tz
+    out[2] = v[2] - q[3] * tz + q[0] * ty - q[1] * tx
 
 
 @kernel
 def transform(q, v):
     """Return A(q) @ v, shape (3,)."""
+    out = np.empty(3)
+    transform_into(q, v, out)
+    return out
+
+
+@kernel
+def transform_back_into(q, v, out):
+    """Write A(q).T @ v into ``out`` (3,), which may be ``v``."""
     tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
     ty = 2.0 * (q[2] * v[0] - q[0] * v[2])
     tz = 2.0 * (q[0] * v[1] - q[1] * v[0])
-    out = np.empty(3)
-    out[0] = v[0] - q[3] * tx + q[1] * tz - q[2] * ty
-    out[1] = v[1] - q[3] * ty + q[2] * tx - q[0] * tz
-    out[2] = v[2] - q[3] * tz + q[0] * ty - q[1] * tx
-    return out
+    out[0] = v[0] + q[3] * tx + q[1] * tz - q[2] * ty
+    out[1] = v[1] + q[3] * ty + q[2] * tx - q[0] * tz
+    out[2] = v[2] + q[3] * tz + q[0] * ty - q[1] * tx
 
 
 @kernel
 def transform_back(q, v):
     """Return A(q).T @ v, shape (3,)."""
-    tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
-    ty = 2.0 * (q[2] * v[0] - q[0] * v[2])
-    tz = 2.0 * (q[0] * v[1] - q[1] * v[0])
     out = np.empty(3)
-    out[0] = v[0] + q[3] * tx + q[1] * tz - q[2] * ty
-    out[1] = v[1] + q[3] * ty + q[2] * tx - q[0] * tz
-    out[2] = v[2] + q[3] * tz + q[0] * ty - q[1] * tx
+    transform_back_into(q, v, out)
     return out
 
 
@@ -163,3 +212,12 @@ def rate_of_change(q, w, out):
     out[1] = 0.5 * (-w[2] * q[0] + w[0] * q[2] + w[1] * q[3])
     out[2] = 0.5 * (w[1] * q[0] - w[0] * q[1] + w[2] * q[3])
     out[3] = 0.5 * (-w[0] * q[0] - w[1] * q[1] - w[2] * q[2])
+
+
+@kernel
+def turn_between(p, q, phi):
+    """Write the shortest turn, rad, from the frame of ``q`` to that of ``p`` into ``phi`` (3,): of A(p) A(q).T."""
+    back, turn = local.vector(4), local.vector(4)
+    conjugate_into(q, back)
+    multiply_into(p, back, turn)
+    to_rotation_vector_into(turn, phi)

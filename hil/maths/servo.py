@@ -15,21 +15,28 @@ def servo_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceler
 
     position, rate: state, m and m/s (or rad and rad/s). setpoint, feedforward: wanted position and
     its rate. kp: 1/s. tau: s. rate_max, acceleration_max: limits. low, high: end stops, where the
-    axis stands still. The step is split so that it stays well inside the lag.
+    axis stands still. The step is split so that it stays well inside the lag. Neighbours of the same lag
+    go through its parts side by side: a part waits for the one before it, another axis does not.
     """
-    for i in range(position.shape[0]):
-        n = int(dt / (0.25 * tau[i])) + 1
+    first = 0
+    while first < position.shape[0]:
+        end = first + 1
+        while end < position.shape[0] and tau[end] == tau[first]:
+            end += 1
+        n = int(dt / (0.25 * tau[first])) + 1
         h = dt / n
         for _ in range(n):
-            wanted = feedforward[i] + kp[i] * (setpoint[i] - position[i])
-            wanted = min(rate_max[i], max(-rate_max[i], wanted))
-            acceleration = (wanted - rate[i]) / tau[i]
-            acceleration = min(acceleration_max[i], max(-acceleration_max[i], acceleration))
-            rate[i] += acceleration * h
-            position[i] += rate[i] * h
-            if position[i] < low[i]:
-                position[i] = low[i]
-                rate[i] = 0.0
-            elif position[i] > high[i]:
-                position[i] = high[i]
-                rate[i] = 0.0
+            for i in range(first, end):
+                wanted = feedforward[i] + kp[i] * (setpoint[i] - position[i])
+                wanted = min(rate_max[i], max(-rate_max[i], wanted))
+                acceleration = (wanted - rate[i]) / tau[i]
+                acceleration = min(acceleration_max[i], max(-acceleration_max[i], acceleration))
+                rate[i] += acceleration * h
+                position[i] += rate[i] * h
+                if position[i] < low[i]:
+                    position[i] = low[i]
+                    rate[i] = 0.0
+                elif position[i] > high[i]:
+                    position[i] = high[i]
+                    rate[i] = 0.0
+        first = end

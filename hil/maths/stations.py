@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.maths import quat
+from hil.maths import local, quat
 from hil.maths.arrays import copy_into
 from hil.maths.jit import kernel
 
@@ -27,14 +27,16 @@ STATIONS = np.dtype(
 @kernel
 def camera_pose(stations, r_CT_H, q_CH, t_v, q_vt):
     """Write the pose t -> v, ``t_v`` (3,), m, and ``q_vt`` (4,), of a chaser at ``r_CT_H`` with ``q_CH``."""
-    ring_c = np.empty(3)
+    ring_c, q_ht, q_ct = local.vector(3), local.vector(4), local.vector(4)
     for i in range(3):
         ring_c[i] = stations.ring_station[i] - r_CT_H[i]
-    ring_c = quat.transform(q_CH, ring_c)
+    quat.transform_into(q_CH, ring_c, ring_c)
     for i in range(3):
         ring_c[i] -= stations.camera_station[i]
-    copy_into(t_v, quat.transform(stations.q_vc, ring_c))
-    copy_into(q_vt, quat.multiply(stations.q_vc, quat.multiply(q_CH, quat.conjugate(stations.q_th))))
+    quat.transform_into(stations.q_vc, ring_c, t_v)
+    quat.conjugate_into(stations.q_th, q_ht)
+    quat.multiply_into(q_CH, q_ht, q_ct)
+    quat.multiply_into(stations.q_vc, q_ct, q_vt)
 
 
 @kernel

@@ -38,17 +38,22 @@ def slew_impulse(scenario: Scenario) -> float:
 
 
 def judge_energy(v_CT_H: Array, scenario: Scenario, propellant_kg: float, firings: int) -> dict[str, Any]:
-    """Return ``passed`` and the numbers; ``v_CT_H`` (n, 3): velocities of the reference, m/s.
+    """Return ``passed`` and the numbers; ``v_CT_H`` (n, 3): velocities of the reference, m/s."""
+    found = energy_part(impulsive_delta_v(v_CT_H), scenario, propellant_kg, firings)
+    return found | {"passed": len(v_CT_H) > 0 and found["passed"]}
+
+
+def energy_part(line: float, scenario: Scenario, propellant_kg: float, firings: int) -> dict[str, Any]:
+    """Return ``passed`` and the numbers; line: the reference's changes of velocity summed, m/s.
 
     delta_v_mps is what the rocket equation makes of the propellant, as if all thrust had pushed one way.
     """
     exhaust_speed = scenario.chaser.thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2
     mass_kg, factor = scenario.chaser.mass_kg, scenario.requirements.propellant_factor
-    line = impulsive_delta_v(v_CT_H)
     slews = slew_impulse(scenario) / mass_kg
     least_kg = mass_kg * -math.expm1(-(line + slews) / exhaust_speed)
     return {
-        "passed": len(v_CT_H) > 0 and propellant_kg <= factor * least_kg,
+        "passed": propellant_kg <= factor * least_kg,
         "propellant_kg": propellant_kg,
         "delta_v_mps": -exhaust_speed * math.log1p(-propellant_kg / mass_kg),
         "least_propellant_kg": least_kg,

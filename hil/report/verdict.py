@@ -14,10 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.config.scenario import Requirements
-from hil.maths import euler
-from hil.messages import Array
+from hil.gnc import ready_phase
+from hil.messages import Array, new
 
-_YAW_PITCH_ROLL = np.array([2, 1, 0])
 ROW_NAMES = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
 
 
@@ -45,13 +44,22 @@ class Verdict:
 def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
     """Return the deviations of the truth in ``history`` (n,) of CYCLE."""
     truth = history["truth"]
-    position = truth["r_CT_H"].copy()
-    position[:, 0] -= requirements.axial_distance_m
     q = truth["q_CH"]
-    attitude = np.array([euler.from_quaternion(row, _YAW_PITCH_ROLL) for row in q]).reshape(-1, 3)
     # scipy's rotation of the same four numbers takes c to H: w_CH = w_CI - A(q_CH) w_HI
     rate = truth["w_CI_C"] - Rotation.from_quat(q).apply(truth["w_HI_H"], inverse=True) if len(q) else np.empty((0, 3))
-    return Deviations(history["t_s"], position, truth["v_CT_H"], np.degrees(attitude), np.degrees(rate))
+    found = np.empty((len(history), ready_phase.DEVIATIONS))
+    r, v, q, rate = (np.ascontiguousarray(values) for values in (truth["r_CT_H"], truth["v_CT_H"], q, rate))
+    ready_phase.all_deviations(ready_params(requirements), r, v, q, rate, found)
+    return Deviations(history["t_s"], found[:, 0:3], found[:, 3:6], found[:, 6:9], found[:, 9:12])
+
+
+def ready_params(requirements: Requirements) -> np.record:
+    """Return READY_PARAMS."""
+    params = new(ready_phase.READY_PARAMS)
+    params.axial_distance = requirements.axial_distance_m
+    params.dwell_s = requirements.dwell_s
+    params.tolerance = np.concatenate([tolerances(requirements)[name] for name in ROW_NAMES])
+    return params
 
 
 def tolerances(requirements: Requirements) -> dict[str, Array]:
@@ -67,24 +75,15 @@ def tolerances(requirements: Requirements) -> dict[str, Array]:
 
 def judge(found: Deviations, requirements: Requirements) -> Verdict:
     """Return the verdict on a run's deviations."""
-    allowed = tolerances(requirements)
-    within = np.ones(len(found.t_s), dtype=bool)
-    for name in ROW_NAMES:
-        within &= (np.abs(getattr(found, name)) <= allowed[name]).all(axis=1)
-    start = _first_dwell(found.t_s, within, requirements.dwell_s)
-    if start is None:
+    state = new(ready_phase.READY_STATE)
+    rows = np.ascontiguousarray(np.hstack([getattr(found, name) for name in ROW_NAMES]))
+    ready_phase.judge_all(ready_params(requirements), state, np.ascontiguousarray(found.t_s), rows)
+    return verdict_of(state)
+
+
+def verdict_of(state: np.record) -> Verdict:
+    """Return the verdict that READY_STATE holds at the end of a run."""
+    if not state.is_ready:
         return Verdict(None, None, False, None)
-    held_since_s = float(found.t_s[start])
-    ready = int(np.searchsorted(found.t_s, held_since_s + requirements.dwell_s - 1e-9))
-    worst = {name: np.abs(getattr(found, name)[ready:]).max(axis=0) for name in ROW_NAMES}
-    return Verdict(float(found.t_s[ready]), held_since_s, bool(within[ready:].all()), worst)
-
-
-def _first_dwell(t_s: Array, within: np.ndarray, dwell_s: float) -> int | None:
-    """Return the first index from which ``within`` holds for ``dwell_s``, None if there is none."""
-    edges = np.diff(np.concatenate([[False], within, [False]]).astype(np.int8))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
-    for start, end in zip(starts, ends, strict=True):
-        if t_s[end] - t_s[start] >= dwell_s - 1e-9:
-            return int(start)
-    return None
+    worst = {name: state.worst[3 * row : 3 * row + 3].copy() for row, name in enumerate(ROW_NAMES)}
+    return Verdict(float(state.ready_s), float(state.since_s), not state.left, worst)

@@ -112,7 +112,7 @@ class Supervisor:
         if checks.following:
             breach = guards.first_breach(self._guard, setpoint, feedback, self._breach)
             if breach != guards.NOTHING:
-                return self._breached(now_s, breach)
+                return breach_alarm(now_s, self._axis_names, breach, self._breach)
         return None
 
     def refuse_open(self, now_s: float) -> Alarm | None:
@@ -131,7 +131,7 @@ class Supervisor:
             return self._on_a_switch(now_s, rails, turntable)
         breach = guards.first_beyond_travel(self._guard, feedback, self.limits.slack, self._breach)
         if breach != guards.NOTHING:
-            return self._breached(now_s, breach)
+            return breach_alarm(now_s, self._axis_names, breach, self._breach)
         return self.refuse_seed(now_s, feedback)
 
     def refuse_seed(self, now_s: float, feedback: np.record) -> Alarm | None:
@@ -215,16 +215,17 @@ class Supervisor:
         axis = next(i for i, switch in enumerate(switches) if switch != 0)
         return Alarm(now_s, self._axis_names[axis], "limit switch", _SWITCHES[switches[axis]], "none")
 
-    def _breached(self, now_s: float, what: int) -> Alarm:
-        found = self._breach
-        axis = int(found.axis)
-        name = self._axis_names[axis]
-        if what == guards.FOLLOWING:
-            return Alarm(now_s, name, "following error", _shown(axis, found.value), _limit(axis, found.high))
-        if what == guards.NOT_FINITE:
-            return Alarm(now_s, name, "position", str(float(found.value)), "a finite number")
-        limit = f"{_limit(axis, found.low)} to {_limit(axis, found.high)}"
-        return Alarm(now_s, name, "position", _shown(axis, found.value), limit)
+
+def breach_alarm(now_s: float, axis_names: Sequence[str], what: int, found: np.record) -> Alarm:
+    """Return the alarm for ``what`` the guard's kernels returned and ``found`` (BREACH)."""
+    axis = int(found.axis)
+    name = axis_names[axis]
+    if what == guards.FOLLOWING:
+        return Alarm(now_s, name, "following error", _shown(axis, found.value), _limit(axis, found.high))
+    if what == guards.NOT_FINITE:
+        return Alarm(now_s, name, "position", str(float(found.value)), "a finite number")
+    limit = f"{_limit(axis, found.low)} to {_limit(axis, found.high)}"
+    return Alarm(now_s, name, "position", _shown(axis, found.value), limit)
 
 
 def _shown(axis: int, value: float) -> str:

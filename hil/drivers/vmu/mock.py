@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import heapq
-import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Final
 
 from hil.config.rig import Vmu
 from hil.drivers.latest import Latest
 from hil.drivers.vmu import COUNTERS, NAME
 from hil.drivers.vmu.transport import Transport
 from hil.errors import DeviceError, LinkLost
+from hil.maths.exposure import TIME_SLACK_S, exposure_time, first_exposure
 from hil.messages import PoseFrame
-
-_TIME_SLACK_S: Final = 1e-9  # sums of cycle times are off by a few 1e-16 of themselves
 
 
 class MockVmu:
@@ -40,7 +37,7 @@ class MockVmu:
         self._heard: Latest[bool] = Latest(self.name)
         self._on_the_way: list[tuple[float, int, PoseFrame | None]] = []  # a heap by time of arrival
         self._sent = 0
-        self._next = math.ceil((now_s - _TIME_SLACK_S) * self._rate_hz)  # number of the next exposure
+        self._next = int(first_exposure(now_s, self._rate_hz))  # number of the next exposure
         self._counter = 0
         self._counts = dict.fromkeys(COUNTERS, 0)
 
@@ -55,9 +52,9 @@ class MockVmu:
         Raises LinkTimeout after more than ``timeout_s`` without a frame, or the error given to ``fail``.
         """
         self._heard.check()
-        self._expose_until(now_s + _TIME_SLACK_S)
+        self._expose_until(now_s + TIME_SLACK_S)
         frames = []
-        while self._on_the_way and self._on_the_way[0][0] <= now_s + _TIME_SLACK_S:
+        while self._on_the_way and self._on_the_way[0][0] <= now_s + TIME_SLACK_S:
             received_s, _, frame = heapq.heappop(self._on_the_way)
             self._heard.put(True, received_s)
             self._counts["no_pose" if frame is None else "frames"] += 1
@@ -79,7 +76,7 @@ class MockVmu:
         self._heard.fail(LinkLost(self.name, "is closed"))
 
     def _expose_until(self, now_s: float) -> None:
-        while (t_s := self._next / self._rate_hz) <= now_s:
+        while (t_s := exposure_time(self._next, self._rate_hz)) <= now_s:
             pose = self._pose_at(t_s)
             for delay_s in self._transport.delays() if self._transport else (0.0,):
                 received_s = t_s + delay_s

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.maths.exposure import TRAVEL, TRAVEL_DRAWS, delays
+from hil.messages import new
+
 
 class Transport:
     """Draws for each frame how long after its exposure it arrives; the same generator, the same fate.
@@ -21,20 +24,17 @@ class Transport:
         loss_share: float = 0.0,
     ) -> None:
         self._generator = generator
-        self._latency_s = latency_s
-        self._jitter_s = jitter_s
-        self._duplicate_share = duplicate_share
-        self._loss_share = loss_share
+        self._travel = new(TRAVEL)
+        self._travel.latency_s, self._travel.jitter_s = latency_s, jitter_s
+        self._travel.duplicate_share, self._travel.loss_share = duplicate_share, loss_share
+        self._delays = np.empty(2)
 
     @property
     def longest_s(self) -> float:
         """The longest delay that can be drawn."""
-        return self._latency_s + self._jitter_s
+        return float(self._travel.latency_s + self._travel.jitter_s)
 
     def delays(self) -> tuple[float, ...]:
         """Return the delays of the next frame, s: one, two for a repeated frame, none for a lost one."""
-        lost, twice, first, second = self._generator.random(4)
-        if lost < self._loss_share:
-            return ()
-        delays = (self._latency_s + first * self._jitter_s, self._latency_s + second * self._jitter_s)
-        return delays if twice < self._duplicate_share else delays[:1]
+        count = delays(self._travel, self._generator.random(TRAVEL_DRAWS), self._delays)
+        return tuple(float(delay) for delay in self._delays[:count])

@@ -1,0 +1,73 @@
+"""A few cases of a campaign, flown where a worker is: the unit of work of every engine."""
+
+from __future__ import annotations
+
+import json
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+from hil.campaign.dispersions import Design, case_seed
+from hil.campaign.flight import Flight
+from hil.campaign.outcome import failed_row, row_of
+from hil.config.load import Loaded, check_table
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.errors import BadInput
+
+Rows = list[dict[str, Any]]
+_here = threading.local()
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What a campaign flies, in a form that goes to any worker: scenario and rig as JSON text, with all files read."""
+
+    scenario: str
+    rig: str
+    seed: int
+    duration_s: float
+
+    @classmethod
+    def of(cls, scenario: Scenario, rig: Rig, seed: int, duration_s: float) -> Spec:
+        """Return the campaign of ``scenario`` on ``rig``."""
+        return cls(scenario.model_dump_json(), rig.model_dump_json(), seed, duration_s)
+
+
+class Case:
+    """Flies the cases of one ``Spec``; made once a worker, or a thread of it."""
+
+    def __init__(self, spec: Spec) -> None:
+        scenario: Loaded[Scenario] = check_table(json.loads(spec.scenario), Scenario, "campaign")
+        self._rig = check_table(json.loads(spec.rig), Rig, "campaign").value
+        self._spec = spec
+        self._design = Design(scenario, spec.seed)
+        self._flight = Flight(scenario.value, self._rig, spec.duration_s)
+
+    def row(self, case: int) -> dict[str, Any]:
+        """Fly ``case``; return its row: dispersions and outcome. A case that cannot be flown says why."""
+        seed = case_seed(self._spec.seed, case)
+        try:
+            outcome = self._outcome(self._design.values(case), seed)
+        except Exception as error:  # one case must not end the campaign: its row tells
+            kind = "" if isinstance(error, BadInput) else f"{type(error).__name__}: "
+            outcome = failed_row(f"not flown: {kind}{' '.join(str(error).split())}")
+        return {"case": case, "seed": seed, **self.drawn(case), **outcome}
+
+    def drawn(self, case: int) -> dict[str, float]:
+        """Return the dispersions of ``case`` by their names."""
+        return dict(zip(self._design.names, map(float, self._design.values(case)), strict=True))
+
+    def _outcome(self, values: Any, seed: int) -> dict[str, Any]:
+        truth, told = self._design.apply(values)
+        if self._design.touches_gnc:
+            self._flight.tell(told)
+        tally, stop = self._flight.fly(truth, seed)
+        return row_of(tally, stop, told, truth)
+
+
+def run_batch(spec: Spec, first: int, count: int) -> Rows:
+    """Return the rows of the cases ``first`` .. ``first + count``, whoever asks and whatever came before."""
+    if getattr(_here, "spec", None) != spec:
+        _here.case, _here.spec = Case(spec), spec
+    return [_here.case.row(case) for case in range(first, first + count)]

@@ -1,0 +1,186 @@
+"""A campaign from its options to its summary: one scenario, two of them beside each other, or a sweep of one key."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from hil import build
+from hil.assembly import Job
+from hil.campaign.batch import Spec
+from hil.campaign.dispersions import Design
+from hil.campaign.engines import Engine
+from hil.campaign.flight import Flight
+from hil.campaign.statistics import compare, mean_interval, summarise, wilson
+from hil.campaign.store import Store, whole_or_not_at_all
+from hil.config.load import Loaded, load_rig, load_scenario
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.scenario import Scenario
+from hil.errors import BadInput, Problem
+from hil.maths.jit import CACHE_FOLDER
+
+RIG: Final = "mock"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Cases done of all, those of an earlier start included; simulated seconds a wall second since this start."""
+
+    title: str
+    done: int
+    runs: int
+    speed: float
+
+
+Watch = Callable[[Progress], None]
+
+
+class Campaign:
+    """One scenario with its dispersions, checked. Raises BadInput with every fault of them."""
+
+    def __init__(
+        self, scenario: Loaded[Scenario], rig: Loaded[Rig], seed: int, duration_s: float | None = None
+    ) -> None:
+        self.scenario = scenario
+        self.duration_s = scenario.value.duration_s if duration_s is None else duration_s
+        self._rig = rig
+        self._check()
+        self.design = Design(scenario, seed)
+        self._spec = Spec.of(scenario.value, rig.value, seed, self.duration_s)
+        self._seed = seed
+
+    def _check(self) -> None:
+        build.check(Job(self.scenario, self._rig, 0, self.duration_s, 1.0))
+        rig, problems = self._rig.value, []
+        if rig.moved_target is not None:
+            problems.append(
+                Problem(self._rig.where("target_manipulator"), "rig.target_manipulator", "no campaign moves it")
+            )
+        for device, names in (("rails", RAIL_NAMES), ("turntable", GIMBAL_NAMES)):
+            for name in names:
+                if getattr(getattr(rig, device), name).encoder == "incremental":
+                    key = f"{device}.{name}.encoder"
+                    text = '"incremental": the axes of a campaign know their places'
+                    problems.append(Problem(self._rig.where(key), f"rig.{key}", text))
+        if problems:
+            raise BadInput(problems)
+
+    def store(self, folder: Path) -> Store:
+        """Return the folder's store; raise BadInput where it holds something else."""
+        digest = hashlib.sha256(f"{self._spec.scenario}\n{self._spec.rig}".encode()).hexdigest()[:16]
+        identity = {
+            "scenario": self.scenario.value.name,
+            "digest": digest,
+            "seed": self._seed,
+            "duration_s": self.duration_s,
+            "kernels": CACHE_FOLDER.name,
+        }
+        return Store(folder, identity, self.design.names)
+
+    def warm_up(self) -> None:
+        """Compile the loop where it is not yet."""
+        value = self.scenario.value
+        Flight(value, self._rig.value, 2.0 * value.step_s).fly(value, 0)
+
+    def fly(self, store: Store, runs: int, engine: Engine, watch: Watch) -> dict[str, Any]:
+        """Fly what is missing of ``runs`` cases; return the summary, which the folder has as well."""
+        missing = store.missing(runs)
+        left = sum(count for _, count in missing)
+        begun_s = time.perf_counter()
+        flown = 0
+        for first, rows in engine.fly(self._spec, missing):
+            store.put(first, rows)
+            flown += len(rows)
+            speed = flown * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
+            watch(Progress(self.scenario.value.name, runs - left + flown, runs, speed))
+        store.finish(runs)
+        summary = summarise(store, self.scenario.value.name, self.design.names) | {"seed": self._seed}
+        write_summary(store.folder / "summary.json", summary)
+        return summary
+
+
+def write_summary(path: Path, found: dict[str, Any]) -> None:
+    """Write ``found`` as JSON, whole or not at all. Raises CampaignStopped where the disk does not take it."""
+    with whole_or_not_at_all(path) as partial:
+        partial.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """``key=low:high:n``: values of one key, evenly spread, both ends included."""
+
+    key: str
+    values: tuple[float, ...]
+
+    @classmethod
+    def parse(cls, text: str) -> Sweep:
+        """Return the sweep that ``text`` names; raise BadInput."""
+        key, equals, bounds = text.partition("=")
+        parts = bounds.split(":")
+        try:
+            if not equals or not key.strip() or len(parts) != 3:
+                raise ValueError
+            low, high, n = float(parts[0]), float(parts[1]), int(parts[2])
+            if not (math.isfinite(low) and math.isfinite(high)):
+                raise ValueError
+        except ValueError as error:
+            text = f"{text}: must look like gnc.control.deadband_m=0.002:0.02:10"
+            raise BadInput.single("--sweep", "", text) from error
+        if not (low < high and 2 <= n <= 1000):
+            raise BadInput.single("--sweep", key, f"{bounds}: low must be below high, and the number 2 to 1000")
+        return cls(key.strip(), tuple(float(value) for value in np.linspace(low, high, n)))
+
+
+def campaigns_of(
+    name: str, settings: Sequence[str], seed: int, duration_s: float | None, sweep: Sweep | None
+) -> list[Campaign]:
+    """Return the campaign of the scenario ``name``, or one for each value of ``sweep``."""
+    laid_over = [()] if sweep is None else [(f"{sweep.key}={value!r}",) for value in sweep.values]
+    try:
+        return _campaigns(name, settings, laid_over, seed, duration_s)
+    except BadInput as error:
+        if sweep is None:
+            raise
+        told = [
+            Problem("--sweep" if p.source == "--set" and p.key == sweep.key else p.source, p.key, p.message)
+            for p in error.problems
+        ]
+        raise BadInput(told) from error
+
+
+def _campaigns(
+    name: str, settings: Sequence[str], laid_over: Sequence[tuple[str, ...]], seed: int, duration_s: float | None
+) -> list[Campaign]:
+    """Return a campaign for each of the settings ``laid_over`` the others."""
+    return [
+        Campaign(
+            load_scenario(name, (*settings, *more)), load_rig(RIG, (*settings, *more)), seed, duration_s
+        )
+        for more in laid_over
+    ]  # fmt: skip
+
+
+def sweep_summary(sweep: Sweep, stores: Sequence[Store]) -> dict[str, Any]:
+    """Return pass rate and means for each value of the sweep."""
+    points = []
+    for value, store in zip(sweep.values, stores, strict=True):
+        passed = np.asarray(store.column("passed"), dtype=bool)
+        means = {
+            name: mean_interval(np.asarray(store.column(name), dtype=float))
+            for name in ("propellant_kg", "firings", "ready_time_s", "control_margin")
+        }
+        points.append({"value": value, "pass_rate": wilson(int(passed.sum()), len(passed)), **means})
+    return {"key": sweep.key, "points": points}
+
+
+def compare_stores(first: tuple[str, Store], second: tuple[str, Store]) -> dict[str, Any]:
+    """Return the paired comparison of two finished campaigns of the same seed."""
+    return compare(first[1], second[1], (first[0], second[0]))

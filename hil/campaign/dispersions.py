@@ -1,0 +1,249 @@
+"""From a case's number to the scenario that chance makes of it.
+
+A case depends on its number and the campaign's seed alone, never on how many cases there are: ``hil run --case K``
+and a campaign that is made longer find the same one. Latin hypercubes therefore come in blocks of
+``cases_per_hypercube``; Sobol's points are scrambled by the seed and counted through.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+from scipy.stats import qmc
+
+from hil.config.dispersions import TABLES, Number, Spread
+from hil.config.load import Loaded, check_table
+from hil.config.scenario import Scenario
+from hil.errors import BadInput, Problem
+from hil.messages import Array
+
+_DESIGN, _CASE = 0, 1
+_SMALLEST = 2.0**-40  # a unit point is kept off 0 and 1 by so much, where a normal has no value
+
+
+def case_seed(campaign_seed: int, case: int) -> int:
+    """Return the seed of all sensor noise and thruster errors of a case: as for ``hil run --seed``."""
+    sequence = np.random.SeedSequence(campaign_seed, spawn_key=(_CASE, case))
+    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+@dataclass(frozen=True)
+class Component:
+    """One number that is drawn: of the key at ``path``, its component ``index``, None for the key as a whole."""
+
+    path: tuple[str, ...]
+    index: int | None
+    kind: str
+    centre: float
+    sigma: float
+    low: float
+    high: float
+    factor: bool  # the drawn number multiplies a whole matrix
+
+    @property
+    def name(self) -> str:
+        key = ".".join(self.path)
+        return key if self.index is None else f"{key}[{self.index}]"
+
+    def value(self, unit: float) -> float:
+        """Return the number at ``unit``, 0..1, of the distribution."""
+        if self.kind == "uniform":
+            return self.low + unit * (self.high - self.low)
+        if self.sigma == 0.0:
+            return min(self.high, max(self.low, self.centre))
+        below, above = ndtr((self.low - self.centre) / self.sigma), ndtr((self.high - self.centre) / self.sigma)
+        drawn = self.centre + self.sigma * float(ndtri(below + unit * (above - below)))
+        return min(self.high, max(self.low, drawn))
+
+
+class Design:
+    """The dispersions of a scenario, checked; raises BadInput with every fault of them."""
+
+    def __init__(self, scenario: Loaded[Scenario], seed: int) -> None:
+        self._nominal = scenario.value
+        self._table = scenario.value.model_dump(exclude={"dispersions"})
+        self._text = json.dumps(self._table)
+        self._settings = scenario.value.dispersions
+        self._seed = seed
+        problems: list[Problem] = []
+        self.components: list[Component] = []
+        for name in TABLES:
+            for path, raw in _leaves(getattr(self._settings, name), self._table[name], (name,), scenario, problems):
+                self._add(path, raw, scenario, problems)
+        if problems:
+            raise BadInput(problems)
+        self.touches_gnc = any(component.path[0] == "gnc" for component in self.components)
+
+    def _add(self, path: tuple[str, ...], raw: Any, scenario: Loaded[Scenario], problems: list[Problem]) -> None:
+        key = f"dispersions.{'.'.join(path)}"
+        set_by = [origin for name, origin in scenario.origin.items() if name.startswith(f"{key}.")]
+        where = "--set" if "--set" in set_by else scenario.where(key)
+        if not isinstance(raw, dict):
+            problems.append(Problem(where, key, f'{raw!r}: must be a table, {{ kind = "normal", sigma = 0.1 }}'))
+            return
+        try:
+            spread = check_table(raw, Spread, where, prefix=f"{key}.").value
+            self.components += _components(path, _at(self._table, path), spread)
+        except BadInput as error:
+            problems += [Problem(fault.source, fault.key or key, fault.message) for fault in error.problems]
+        except ValueError as error:
+            problems.append(Problem(where, key, str(error)))
+
+    @property
+    def names(self) -> list[str]:
+        """What the drawn numbers are called, in their order."""
+        return [component.name for component in self.components]
+
+    def values(self, case: int) -> Array:
+        """Return the numbers of ``case``, in the order of ``names``."""
+        unit = self._unit(case)
+        return np.array([component.value(float(u)) for component, u in zip(self.components, unit, strict=True)])
+
+    def apply(self, values: Array) -> tuple[Scenario, Scenario]:
+        """Return the scenario as it is in truth, and as the GNC has it; raise BadInput where it cannot be."""
+        truth, told = (json.loads(self._text) for _ in range(2))
+        for component, value in zip(self.components, values, strict=True):
+            _put(truth, component, float(value))
+            if component.path[0] == "gnc":
+                _put(told, component, float(value))
+        dispersed = check_table(truth, Scenario, "dispersed").value if self.components else self._nominal
+        return dispersed, check_table(told, Scenario, "dispersed").value if self.touches_gnc else self._nominal
+
+    def _unit(self, case: int) -> Array:
+        """Return the point of ``case`` in the unit cube, (n,), without its faces."""
+        n, settings = len(self.components), self._settings
+        if n == 0:
+            return np.empty(0)
+        if settings.sampling == "latin_hypercube":
+            block, row = divmod(case, settings.cases_per_hypercube)
+            unit = _hypercube(self._seed, block, settings.cases_per_hypercube, n)[row]
+        elif settings.sampling == "sobol":
+            unit = _sobol_point(self._seed, case, n)
+        else:
+            unit = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_DESIGN, case))).random(n)
+        inside: Array = np.clip(unit, _SMALLEST, 1.0 - _SMALLEST)
+        return inside
+
+
+@lru_cache(maxsize=4)
+def _hypercube(seed: int, block: int, cases: int, n: int) -> Array:
+    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DESIGN, block)))
+    points: Array = qmc.LatinHypercube(n, rng=generator).random(cases)
+    return points
+
+
+_SOBOL_BLOCK = 64
+
+
+@lru_cache(maxsize=4)
+def _sobol_block(seed: int, block: int, n: int) -> Array:
+    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DESIGN,)))
+    engine = qmc.Sobol(n, scramble=True, rng=generator)
+    if block:
+        engine.fast_forward(block * _SOBOL_BLOCK)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a part of the sequence need not be balanced
+        points: Array = engine.random(_SOBOL_BLOCK)
+    return points
+
+
+def _sobol_point(seed: int, case: int, n: int) -> Array:
+    block, row = divmod(case, _SOBOL_BLOCK)
+    point: Array = _sobol_block(seed, block, n)[row]
+    return point
+
+
+def _at(table: Any, path: tuple[str, ...]) -> Any:
+    for key in path:
+        table = table[key]
+    return table
+
+
+def _leaves(
+    given: dict[str, Any], table: Any, path: tuple[str, ...], scenario: Loaded[Scenario], problems: list[Problem]
+) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Give the path and the spread of each key under ``given``; note the keys that the scenario does not have."""
+    for key, inner in given.items():
+        here = (*path, key)
+        if not isinstance(table, dict) or key not in table:
+            known = sorted(table) if isinstance(table, dict) else []
+            close = difflib.get_close_matches(key, known, n=1)
+            hint = f"did you mean {close[0]}? " if close else ""
+            name = f"dispersions.{'.'.join(here)}"
+            problems.append(
+                Problem(scenario.where(name), name, f"unknown key: {hint}known here: {', '.join(known) or 'none'}")
+            )
+        elif isinstance(table[key], dict) and isinstance(inner, dict):
+            yield from _leaves(inner, table[key], here, scenario, problems)
+        else:
+            yield here, inner
+
+
+def _components(path: tuple[str, ...], nominal: Any, spread: Spread) -> list[Component]:
+    """Return what is drawn for one key; raise ValueError where its value cannot be spread like that."""
+    matrix = isinstance(nominal, (tuple, list)) and any(isinstance(row, (tuple, list)) for row in nominal)
+    if matrix:
+        if not spread.relative:
+            raise ValueError("is a matrix: needs relative = true, one factor for all of it")
+        return [_component(path, None, 1.0, spread, 0, 1, factor=True)]
+    if isinstance(nominal, (tuple, list)):
+        return [_component(path, i, value, spread, i, len(nominal)) for i, value in enumerate(nominal)]
+    return [_component(path, None, nominal, spread, 0, 1)]
+
+
+def _component(
+    path: tuple[str, ...], index: int | None, nominal: Any, spread: Spread, i: int, n: int, factor: bool = False
+) -> Component:
+    is_number = isinstance(nominal, float)
+    if not is_number and nominal is not None:
+        raise ValueError(f"{nominal!r}: only keys with decimal numbers can be spread")
+    if nominal is None and (spread.relative or (spread.kind == "normal" and spread.mean is None)):
+        raise ValueError("has no value in this scenario: give mean and sigma, or low and high, without relative")
+    scale = nominal if spread.relative else 1.0
+    centre = _pick(spread.mean, i, n)
+    ends = sorted(
+        (
+            -math.inf if spread.low is None else scale * _pick(spread.low, i, n, 0.0),
+            math.inf if spread.high is None else scale * _pick(spread.high, i, n, 0.0),
+        )
+    )
+    return Component(
+        path,
+        index,
+        spread.kind,
+        (nominal if nominal is not None else 0.0) if centre is None else scale * centre,
+        abs(scale) * _pick(spread.sigma, i, n, 0.0),
+        ends[0],
+        ends[1],
+        factor,
+    )
+
+
+def _pick(value: Number | None, i: int, n: int, otherwise: Any = None) -> Any:
+    if value is None:
+        return otherwise
+    if not isinstance(value, tuple):
+        return value
+    if len(value) != n:
+        raise ValueError(f"{list(value)}: must be one number or {n}")
+    return value[i]
+
+
+def _put(table: Any, component: Component, value: float) -> None:
+    *parents, last = component.path
+    place = _at(table, tuple(parents))
+    if component.factor:
+        place[last] = [[value * entry for entry in row] for row in place[last]]
+    elif component.index is None:
+        place[last] = value
+    else:
+        place[last][component.index] = value

@@ -1,0 +1,196 @@
+"""Who flies the batches: processes of this computer, or the workers of a Dask cluster.
+
+An engine is given batches and gives back their rows, in whatever order they are done; it starts anew what a killed
+worker took with it. No more batches are handed out than keep the workers busy, so memory does not grow with the
+number of cases.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from typing import Any, Final, Protocol, Self
+
+from hil.campaign.batch import Case, Rows, Spec, run_batch
+from hil.campaign.dispersions import case_seed
+from hil.campaign.outcome import failed_row
+from hil.drivers.emulator_process import die_with_parent
+from hil.errors import BadInput, CampaignStopped
+
+Batch = tuple[int, int]
+"""First case, and how many."""
+
+_AHEAD: Final = 2  # batches a worker that wait or are flown
+_TRIES: Final = 3  # times that a batch may take its worker with it
+_CONNECT_S: Final = 10.0
+
+
+class Engine(Protocol):
+    """Flies batches."""
+
+    workers: int
+
+    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Iterator[tuple[int, Rows]]:
+        """Give first case and rows of each of the ``batches``. Raises CampaignStopped."""
+
+    def close(self) -> None:
+        """Let go of the workers."""
+
+
+class LocalEngine:
+    """Worker processes of this computer; one alone is this very process."""
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+
+    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Iterator[tuple[int, Rows]]:
+        """Give first case and rows of each batch."""
+        if self.workers == 1:
+            for first, count in batches:
+                yield first, run_batch(spec, first, count)
+            return
+        left = deque(batches)
+        while left:
+            suspects = yield from self._until_a_worker_dies(spec, left)
+            with _Alone(spec) as alone:
+                for batch in suspects:
+                    yield batch[0], alone.fly(*batch)
+
+    def _until_a_worker_dies(self, spec: Spec, left: deque[Batch]) -> Generator[tuple[int, Rows], None, list[Batch]]:
+        """Take batches from ``left`` until it is empty; after the death of a worker return those under way."""
+        waiting: dict[Future[Rows], Batch] = {}
+        with _pool(self.workers) as pool:
+            try:
+                while left or waiting:
+                    while left and len(waiting) < _AHEAD * self.workers:
+                        future = pool.submit(run_batch, spec, *left[0])
+                        waiting[future] = left.popleft()
+                    for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                        rows = future.result()
+                        yield waiting.pop(future)[0], rows
+            except BrokenProcessPool:
+                return sorted(waiting.values())
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)
+        return []
+
+    def close(self) -> None:
+        """Nothing is held between two calls of ``fly``."""
+
+
+class _Alone:
+    """Flies what was under way when a worker died, one batch after the other in one worker; finds who kills it."""
+
+    def __init__(self, spec: Spec) -> None:
+        self._spec = spec
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def fly(self, first: int, count: int) -> Rows:
+        """Return the rows of a batch, those of a case that kills its worker each time with that as their reason."""
+        for _ in range(_TRIES):
+            if self._pool is None:
+                self._pool = _pool(1)
+            try:
+                return self._pool.submit(run_batch, self._spec, first, count).result()
+            except BrokenProcessPool:
+                self._pool.shutdown()
+                self._pool = None
+        if count > 1:
+            return [row for case in range(first, first + count) for row in self.fly(case, 1)]
+        return [died_row(self._spec, first)]
+
+
+def _pool(workers: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(workers, mp_context=get_context("forkserver"), initializer=_begin)
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the process that hands out the batches, and end with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    die_with_parent()
+
+
+def died_row(spec: Spec, case: int) -> dict[str, Any]:
+    """Return the row of a case whose worker ended each time it was flown."""
+    drawn = Case(spec).drawn(case)
+    reason = f"not flown: its worker process ended, {_TRIES} times"
+    return {"case": case, "seed": case_seed(spec.seed, case), **drawn, **failed_row(reason)}
+
+
+class DaskEngine:
+    """The workers of the Dask scheduler at ``address``; raises BadInput where there is none."""
+
+    def __init__(self, address: str) -> None:
+        try:
+            from distributed import Client
+        except ImportError as error:
+            text = "needs distributed, which is not installed: pip install 'hil-bench[campaign]'"
+            raise BadInput.single("--scheduler", "", text) from error
+        self._address = address
+        for name in ("distributed", *logging.root.manager.loggerDict):  # what matters of theirs is told as ours
+            if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
+                logging.getLogger(name).setLevel(logging.CRITICAL)
+        try:
+            self._client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise BadInput.single("--scheduler", "", f"{address}: cannot be reached: {reason}") from error
+
+    @property
+    def workers(self) -> int:
+        """Threads of all workers that are there now, at least one."""
+        return max(1, int(sum(self._client.nthreads().values())))
+
+    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Iterator[tuple[int, Rows]]:
+        """Give first case and rows of each batch; what a lost worker had is given to others by the scheduler."""
+        from distributed import CancelledError, as_completed
+        from distributed.comm.core import CommClosedError
+
+        left = iter(batches)
+        tries: dict[Batch, int] = {}
+        of: dict[Any, Batch] = {}
+        done = as_completed(loop=self._client.loop)
+
+        def hand_out(batch: Batch) -> None:
+            future = self._client.submit(run_batch, spec, *batch, pure=False)
+            of[future.key] = batch
+            done.add(future)
+
+        try:
+            for batch, _ in zip(left, range(_AHEAD * self.workers), strict=False):
+                hand_out(batch)
+            for future in done:
+                batch = of.pop(future.key)
+                if future.status == "finished":
+                    yield batch[0], future.result()
+                    if (following := next(left, None)) is not None:
+                        hand_out(following)
+                    continue
+                if future.status in ("cancelled", "lost") or self._client.status != "running":
+                    raise CommClosedError
+                tries[batch] = tries.get(batch, 0) + 1
+                if tries[batch] >= _TRIES:
+                    yield batch[0], [died_row(spec, case) for case in range(batch[0], sum(batch))]
+                    if (following := next(left, None)) is not None:
+                        hand_out(following)
+                else:
+                    hand_out(batch)
+        except (CommClosedError, CancelledError, TimeoutError, OSError) as error:
+            text = "is gone: what is done so far is kept, run it again"
+            raise CampaignStopped(f"scheduler {self._address}: {text}") from error
+
+    def close(self) -> None:
+        """Let go of the scheduler."""
+        self._client.close(timeout=2)

@@ -1,0 +1,118 @@
+"""A case's outcome as a row of numbers, under the names that docs/campaign.md lists."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from hil.approach_diary import ABORT_CAUSES
+from hil.config.scenario import Scenario
+from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
+from hil.messages import Array
+from hil.report.energy import energy_part
+from hil.report.verdict import ROW_NAMES, tolerances, verdict_of
+from hil.runner import COMPLETED
+
+_AXES: Final = ("x", "y", "z")
+_TRIPLES: Final = (
+    *ROW_NAMES, "force_on_time_s", "torque_on_time_s", "position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg",
+)  # fmt: skip
+_SINGLE: Final = (
+    "ready_time_s", "held_since_s", "control_margin", "corridor_margin_m", "closing_margin_mps", "nearest_m",
+    "aborted_at_s", "view_margin_px", "propellant_kg", "propellant_share", "thruster_on_time_s", "nees_pkf", "nees_akf",
+)  # fmt: skip
+FLAGS: Final = ("passed", "passed_all_parts", "security_passed", "energy_passed", "view_passed")
+COUNTS: Final = ("firings", "limited_cycles", "cycles")
+TEXTS: Final = ("stop", "abort")
+NUMBERS: Final = (*_SINGLE, *(f"{name}_{axis}" for name in _TRIPLES for axis in _AXES))
+"""Columns with floats; null where a run did not get far enough."""
+
+
+def row_of(tally: np.record, stop: str, scenario: Scenario, truth: Scenario) -> dict[str, Any]:
+    """Return the outcome of a run by the names of FLAGS, COUNTS, TEXTS and NUMBERS.
+
+    scenario: as the GNC has it, with the requirements; truth: as it was flown.
+    """
+    verdict = verdict_of(tally.ready)
+    aborted = int(tally.aborted)
+    firings = int(np.sum(tally.thruster_firings))
+    propellant_kg = _propellant_kg(tally, truth)
+    energy = energy_part(float(tally.line), scenario, propellant_kg, firings)
+    flown = int(tally.cycles) > 0
+    passed = bool(verdict.passed and stop == COMPLETED and not aborted)
+    security = bool(flown and tally.corridor_margin >= 0.0 and tally.closing_margin >= 0.0)
+    view = bool(flown and tally.view_margin >= 0.0)
+    allowed = tolerances(scenario.requirements)
+    row: dict[str, Any] = {
+        "passed": passed,
+        "passed_all_parts": passed and security and bool(energy["passed"]) and view,
+        "security_passed": security,
+        "energy_passed": bool(flown and energy["passed"]),
+        "view_passed": view,
+        "firings": firings,
+        "limited_cycles": int(tally.limited_cycles),
+        "cycles": int(tally.cycles),
+        "stop": stop,
+        "abort": ABORT_CAUSES[aborted],
+        "ready_time_s": verdict.ready_time_s,
+        "held_since_s": verdict.held_since_s,
+        "aborted_at_s": float(tally.aborted_at_s) if aborted else None,
+        "propellant_kg": propellant_kg,
+        "propellant_share": propellant_kg / energy["least_propellant_kg"] if energy["least_propellant_kg"] else None,
+        "thruster_on_time_s": scenario.step_s * float(np.sum(tally.thruster_open)),
+        "control_margin": None,
+        **{
+            name: _number(tally[field]) if flown else None
+            for name, field in (
+                ("corridor_margin_m", "corridor_margin"),
+                ("closing_margin_mps", "closing_margin"),
+                ("nearest_m", "nearest"),
+                ("view_margin_px", "view_margin"),
+            )
+        },
+        **_three("force_on_time_s", scenario.step_s * tally.force_cycles),
+        **_three("torque_on_time_s", scenario.step_s * tally.torque_cycles),
+        **_navigation(tally),
+    }
+    if verdict.worst is not None:
+        row["control_margin"] = min(float((1.0 - verdict.worst[n] / allowed[n]).min()) for n in ROW_NAMES)
+    for name in ROW_NAMES:
+        row |= _three(name, np.full(3, np.nan) if verdict.worst is None else verdict.worst[name])
+    return row
+
+
+def failed_row(reason: str) -> dict[str, Any]:
+    """Return the outcome of a case that could not be flown at all."""
+    row: dict[str, Any] = dict.fromkeys(NUMBERS)
+    row |= dict.fromkeys(FLAGS, False) | dict.fromkeys(COUNTS, 0)
+    return row | {"stop": reason, "abort": ""}
+
+
+def _propellant_kg(tally: np.record, truth: Scenario) -> float:
+    if truth.truth.mass_loss:
+        return float(tally.mass_start - tally.mass_end)
+    thrusters = truth.chaser.thrusters
+    open_s = truth.step_s * float(np.sum(tally.thruster_open))
+    return open_s * thrusters.force_n / (thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2)
+
+
+def _navigation(tally: np.record) -> dict[str, float | None]:
+    rms = np.sqrt(tally.square_error / tally.known) if tally.known else np.full(9, np.nan)
+    fused = int(tally.fused)
+    return {
+        **_three("position_rmse_m", rms[0:3]),
+        **_three("velocity_rmse_mps", rms[3:6]),
+        **_three("attitude_rmse_deg", np.degrees(rms[6:9])),
+        "nees_pkf": _number(tally.nees_position / fused) if fused else None,
+        "nees_akf": _number(tally.nees_attitude / fused) if fused else None,
+    }
+
+
+def _three(name: str, values: Array) -> dict[str, float | None]:
+    return {f"{name}_{axis}": _number(value) for axis, value in zip(_AXES, values, strict=True)}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,170 @@
+"""What a finished campaign says: pass rates with intervals, worst cases, what the outcome hangs on."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from scipy.stats import binomtest, rankdata, t
+
+from hil.campaign.outcome import FLAGS
+from hil.campaign.store import Store
+from hil.messages import Array
+from hil.report.paper import TABLE_V
+from hil.report.verdict import ROW_NAMES
+from hil.runner import COMPLETED
+
+CONFIDENCE: Final = 0.95
+PERCENTILES: Final = (5.0, 50.0, 95.0, 99.0)
+SPREAD_OF: Final = (
+    "ready_time_s", "control_margin", "propellant_kg", "firings", "corridor_margin_m", "closing_margin_mps",
+    "nearest_m", "view_margin_px",
+)  # fmt: skip
+SENSITIVE: Final = ("control_margin", "propellant_kg", "ready_time_s", "corridor_margin_m", "closing_margin_mps")
+_REASONS: Final = 20
+
+
+def wilson(passed: int, runs: int) -> dict[str, float | int]:
+    """Return the share ``passed`` / ``runs`` with Wilson's interval of ``CONFIDENCE``."""
+    interval = binomtest(passed, runs).proportion_ci(CONFIDENCE, method="wilson")
+    return {
+        "passed": passed,
+        "runs": runs,
+        "rate": passed / runs,
+        "low": float(interval.low),
+        "high": float(interval.high),
+    }
+
+
+def mean_interval(values: Array) -> dict[str, float | int | None]:
+    """Return the mean of ``values`` with Student's interval of ``CONFIDENCE``; None where too few are known."""
+    known = values[np.isfinite(values)]
+    n = len(known)
+    if n < 2:
+        return {"n": n, "mean": float(known[0]) if n else None, "low": None, "high": None}
+    half = float(t.ppf(0.5 * (1.0 + CONFIDENCE), n - 1)) * float(known.std(ddof=1)) / math.sqrt(n)
+    mean = float(known.mean())
+    return {"n": n, "mean": mean, "low": mean - half, "high": mean + half}
+
+
+def summarise(store: Store, scenario: str, names: list[str]) -> dict[str, Any]:
+    """Return the numbers of a finished campaign; names: of its dispersions."""
+    case = store.column("case")
+    runs = len(case)
+    return {
+        "scenario": scenario,
+        "runs": runs,
+        "confidence": CONFIDENCE,
+        "pass_rate": {flag: wilson(int(np.count_nonzero(store.column(flag))), runs) for flag in FLAGS},
+        "stops": _stops(store),
+        "worst": _worst(store, scenario, case),
+        "percentiles": {name: _percentiles(store.column(name)) for name in SPREAD_OF},
+        "least_margin_cases": _least(store, case),
+        "sensitivity": {name: _ranking(store, name, names) for name in SENSITIVE} if names else {},
+    }
+
+
+def _stops(store: Store) -> list[dict[str, Any]]:
+    """Return the most frequent reasons for which cases ended early or were not flown, each with its first case."""
+    stop, abort = store.column("stop"), store.column("abort")
+    reasons = np.where(stop != COMPLETED, stop, np.where(abort != "", "aborted: " + abort.astype(object), ""))
+    found, first, count = np.unique(reasons.astype(str), return_index=True, return_counts=True)
+    rows: list[dict[str, Any]] = [
+        {"reason": str(reason), "cases": int(n), "first_case": int(i)}
+        for reason, i, n in zip(found, first, count, strict=True)
+        if reason
+    ]
+    return sorted(rows, key=lambda row: (-row["cases"], row["first_case"]))[:_REASONS]
+
+
+def _worst(store: Store, scenario: str, case: Array) -> dict[str, list[dict[str, Any]]]:
+    """Return for each row and axis of Table III the largest deviation of all cases, its case, and Table V's value."""
+    paper = TABLE_V.get(scenario)
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in ROW_NAMES:
+        found[row] = []
+        for i, axis in enumerate("xyz"):
+            values = store.column(f"{row}_{axis}")
+            known = np.isfinite(values).any()
+            at = int(np.nanargmax(values)) if known else None
+            found[row].append(
+                {
+                    "value": None if at is None else float(values[at]),
+                    "case": None if at is None else int(case[at]),
+                    "table_v": getattr(paper, row)[i] if paper else None,
+                }
+            )
+    return found
+
+
+def _percentiles(values: Array) -> dict[str, float | int | None]:
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known)]
+    if not len(known):
+        return {"n": 0}
+    cut = np.percentile(known, PERCENTILES)
+    return {
+        "n": len(known),
+        "least": float(known.min()),
+        **{f"p{p:g}": float(v) for p, v in zip(PERCENTILES, cut, strict=True)},
+        "greatest": float(known.max()),
+    }
+
+
+def _least(store: Store, case: Array) -> list[dict[str, Any]]:
+    """Return the ten cases with the least margin to Table III, those without a ready phase first."""
+    margin = store.column("control_margin")
+    order = np.argsort(np.where(np.isfinite(margin), margin, -np.inf), kind="stable")[:10]
+    return [
+        {"case": int(case[i]), "control_margin": float(margin[i]) if math.isfinite(margin[i]) else None} for i in order
+    ]
+
+
+def _ranking(store: Store, outcome: str, names: list[str]) -> list[dict[str, Any]]:
+    """Return Spearman's rank correlation of each dispersion with ``outcome``, the strongest first.
+
+    ``threshold``: what chance alone stays below in 95 of 100 cases.
+    """
+    values = np.asarray(store.column(outcome), dtype=float)
+    known = np.isfinite(values)
+    n = int(known.sum())
+    rows = []
+    for name in names:
+        drawn = store.column(name)[known]
+        rho = 0.0
+        if n > 2 and np.ptp(drawn) > 0.0 and np.ptp(values[known]) > 0.0:
+            rho = float(np.corrcoef(rankdata(drawn), rankdata(values[known]))[0, 1])
+        rows.append({"dispersion": name, "rank_correlation": rho})
+    threshold = min(1.0, 1.96 / math.sqrt(n - 1)) if n > 2 else 1.0
+    rows.sort(key=lambda row: -abs(row["rank_correlation"]))  # type: ignore[arg-type]
+    return [row | {"significant": bool(abs(row["rank_correlation"]) > threshold)} for row in rows]  # type: ignore[arg-type]
+
+
+COMPARED: Final = (
+    "propellant_kg", "firings", "thruster_on_time_s", "ready_time_s",
+    *(f"{row}_{axis}" for row in ROW_NAMES for axis in "xyz"),
+)  # fmt: skip
+
+
+def compare(first: Store, second: Store, names: tuple[str, str]) -> dict[str, Any]:
+    """Return second minus first, case by case with the same seeds, with intervals of the mean difference.
+
+    share: the same as a part of the first's mean. Cases in which one of both has no value are left out.
+    """
+    passed = [np.asarray(store.column("passed"), dtype=bool) for store in (first, second)]
+    runs = len(passed[0])
+    found: dict[str, Any] = {"first": names[0], "second": names[1], "runs": runs, "confidence": CONFIDENCE}
+    found["pass_rate"] = {
+        "first": wilson(int(passed[0].sum()), runs),
+        "second": wilson(int(passed[1].sum()), runs),
+        "first_alone": int((passed[0] & ~passed[1]).sum()),
+        "second_alone": int((passed[1] & ~passed[0]).sum()),
+    }
+    found["difference"] = {}
+    for name in COMPARED:
+        a, b = (np.asarray(store.column(name), dtype=float) for store in (first, second))
+        both = np.isfinite(a) & np.isfinite(b)
+        means = (float(a[both].mean()), float(b[both].mean())) if both.any() else (None, None)
+        found["difference"][name] = {"first_mean": means[0], "second_mean": means[1], **mean_interval(b - a)}
+    return found

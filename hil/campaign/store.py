@@ -1,0 +1,175 @@
+"""The folder of a campaign: what it is, which cases are done, and the whole of them in one Parquet file.
+
+A batch is written to a file of its own and takes its name only when it is whole, so a process killed at any moment
+leaves no case lost or doubled: what has a name is done.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from hil.campaign.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
+from hil.errors import BadInput, CampaignStopped
+
+BATCH: Final = 50
+"""Cases a batch: on fixed borders, so that the files do not depend on who flies them."""
+_GROUP: Final = 100 * BATCH  # cases a row group of the finished table
+_MANIFEST: Final = "campaign.json"
+_TABLE: Final = "cases.parquet"
+
+
+def parquet() -> tuple[Any, Any]:
+    """Return pyarrow and its parquet module; raise BadInput where they are not installed."""
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        text = "needs pyarrow, which is not installed: pip install 'hil-bench[campaign]'"
+        raise BadInput.single("hil campaign", "", text) from error
+    return pa, pq
+
+
+class Store:
+    """The results of one campaign in ``folder``. identity: what must be the same for a folder to be gone on with.
+
+    names: of the dispersions. Raises BadInput for a folder with other results.
+    """
+
+    def __init__(self, folder: Path, identity: dict[str, Any], names: list[str]) -> None:
+        self._pa, self._pq = parquet()
+        self.folder = folder
+        self._parts = folder / "parts"
+        self.schema = self._pa.schema(
+            [
+                ("case", self._pa.int64()),
+                ("seed", self._pa.int64()),
+                *((name, self._pa.float64()) for name in names),
+                *((name, self._pa.bool_()) for name in FLAGS),
+                *((name, self._pa.int64()) for name in COUNTS),
+                *((name, self._pa.string()) for name in TEXTS),
+                *((name, self._pa.float64()) for name in NUMBERS),
+            ]
+        )
+        self._open(identity)
+
+    @property
+    def table_path(self) -> Path:
+        return self.folder / _TABLE
+
+    def _open(self, identity: dict[str, Any]) -> None:
+        manifest = self.folder / _MANIFEST
+        try:
+            if manifest.is_file():
+                self._check(manifest, identity)
+            elif self.folder.is_dir() and any(path.suffix != ".part" for path in self.folder.iterdir()):
+                raise BadInput.single("--out", "", f"{self.folder}: is not empty and holds no campaign")
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with whole_or_not_at_all(manifest) as partial:
+                partial.write_text(json.dumps(identity, indent=2) + "\n", encoding="utf-8")
+            self._parts.mkdir(exist_ok=True)
+            for left_over in self._parts.glob("*.part"):
+                left_over.unlink()
+        except (PermissionError, NotADirectoryError, FileExistsError) as error:
+            raise BadInput.single("--out", "", f"{self.folder}: {error.strerror}") from error
+
+    def _check(self, manifest: Path, identity: dict[str, Any]) -> None:
+        try:
+            found = json.loads(manifest.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise BadInput.single("--out", "", f"{manifest}: cannot be read: {error}") from error
+        if found != identity:
+            different = [key for key in identity if not isinstance(found, dict) or found.get(key) != identity[key]]
+            shown = ", ".join(f"{key} {_short(found.get(key))}" for key in different if isinstance(found, dict))
+            text = f"{self.folder}: holds another campaign ({shown}; asked for: "
+            text += ", ".join(f"{key} {_short(identity[key])}" for key in different) + "), give a new folder"
+            raise BadInput.single("--out", "", text)
+
+    def missing(self, runs: int) -> list[tuple[int, int]]:
+        """Return the batches, first case and count, that are not there yet for a campaign of ``runs`` cases."""
+        self._restore_parts()
+        batches = [(first, min(BATCH, runs - first)) for first in range(0, runs, BATCH)]
+        return [batch for batch in batches if self._rows_of(batch[0]) < batch[1]]
+
+    def _rows_of(self, first: int) -> int:
+        path = self._part(first)
+        if not path.is_file():
+            return 0
+        try:
+            return int(self._pq.read_metadata(path).num_rows)
+        except (OSError, self._pa.ArrowException):
+            return 0  # cut by a crash of the whole computer: flown again
+
+    def _part(self, first: int) -> Path:
+        return self._parts / f"{first:010d}.parquet"
+
+    def put(self, first: int, rows: list[dict[str, Any]]) -> None:
+        """Keep a batch. Raises CampaignStopped where the disk does not take it."""
+        columns = {field.name: [row[field.name] for row in rows] for field in self.schema}
+        table = self._pa.table(columns, schema=self.schema)
+        with whole_or_not_at_all(self._part(first)) as partial:
+            self._pq.write_table(table, partial)
+
+    def finish(self, runs: int) -> Path:
+        """Write all ``runs`` cases into one file, in their order; return its path."""
+        with (
+            whole_or_not_at_all(self.table_path) as partial,
+            self._pq.ParquetWriter(partial, self.schema) as writer,
+        ):
+            for group in range(0, runs, _GROUP):
+                end = min(runs, group + _GROUP)
+                parts = [
+                    self._pq.read_table(self._part(first), schema=self.schema).slice(0, end - first)
+                    for first in range(group, end, BATCH)
+                ]
+                writer.write_table(self._pa.concat_tables(parts), row_group_size=_GROUP)
+        for path in self._parts.glob("*.parquet"):
+            path.unlink()
+        return self.table_path
+
+    def _restore_parts(self) -> None:
+        """Take a finished table apart again: more cases may be wanted, or fewer."""
+        if not self.table_path.is_file():
+            return
+        file = self._pq.ParquetFile(self.table_path)
+        for group in range(file.num_row_groups):
+            table = file.read_row_group(group)
+            for first in range(0, len(table), BATCH):
+                path = self._part(group * _GROUP + first)
+                if not path.is_file():
+                    with whole_or_not_at_all(path) as partial:
+                        self._pq.write_table(table.slice(first, BATCH), partial)
+
+    def column(self, name: str) -> Any:
+        """Return one column of the finished table as a numpy array; null numbers are nan."""
+        return self._pq.read_table(self.table_path, columns=[name]).column(name).to_numpy()
+
+
+@contextmanager
+def whole_or_not_at_all(path: Path) -> Iterator[Path]:
+    """Give a path to write to that becomes ``path`` at the end; what fails half-way leaves nothing."""
+    partial = path.with_name(f"{path.name}.part")
+    try:
+        yield partial
+        with partial.open("rb") as written:
+            os.fsync(written.fileno())
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG) or "No space" in str(error):
+            reason = error.strerror or "no space left"
+            raise CampaignStopped(f"{path.parent}: {reason}: what is done so far is kept, run it again") from error
+        raise
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."

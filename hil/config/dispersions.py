@@ -1,0 +1,73 @@
+"""What chance does to a scenario from case to case of a campaign: a spread for any of its numbers."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from hil.config.model import Strict
+
+Number = float | tuple[float, ...]
+
+
+class Spread(Strict):
+    """The distribution of one key. A list has one number for each component of the key, one number counts for all.
+
+    normal: about ``mean``, or the scenario's own value, with ``sigma``, cut off below ``low`` and above ``high`` where
+    these are given. uniform: from ``low`` to ``high``. With ``relative`` all four are factors of the scenario's value.
+    """
+
+    kind: Literal["normal", "uniform"]
+    sigma: Number | None = None
+    mean: Number | None = None
+    low: Number | None = None
+    high: Number | None = None
+    relative: bool = False
+
+    @model_validator(mode="after")
+    def _numbers_suit_the_kind(self) -> Self:
+        needed, foreign = (("sigma",), ()) if self.kind == "normal" else (("low", "high"), ("sigma", "mean"))
+        for name in needed:
+            if getattr(self, name) is None:
+                raise ValueError(f'kind = "{self.kind}" needs {name}')
+        for name in foreign:
+            if getattr(self, name) is not None:
+                raise ValueError(f'{name} does not go with kind = "{self.kind}", which takes: {", ".join(needed)}')
+        for value in _each(self.sigma):
+            if value < 0.0:
+                raise ValueError(f"sigma = {value:g}: must not be negative")
+        lows, highs = _each(self.low), _each(self.high)
+        for low, high in zip(lows * max(1, len(highs)), highs * max(1, len(lows)), strict=False):
+            if not low < high:
+                raise ValueError(f"low = {low:g}, high = {high:g}: low must be below high")
+        return self
+
+
+def _each(value: Number | None) -> tuple[float, ...]:
+    if value is None:
+        return ()
+    return value if isinstance(value, tuple) else (value,)
+
+
+Table = dict[str, Any]
+
+
+class Dispersions(Strict):
+    """Spreads under the names of the scenario's own tables; each leaf is a ``Spread`` (docs/campaign.md).
+
+    What stands under ``gnc`` changes what the GNC is told; all else is truth that it is not told of.
+    """
+
+    sampling: Literal["random", "latin_hypercube", "sobol"] = "random"
+    cases_per_hypercube: Annotated[int, Field(ge=2, le=100_000)] = 100
+    orbit: Table = Field(default_factory=dict)
+    truth: Table = Field(default_factory=dict)
+    initial: Table = Field(default_factory=dict)
+    chaser: Table = Field(default_factory=dict)
+    imu: Table = Field(default_factory=dict)
+    vmu: Table = Field(default_factory=dict)
+    gnc: Table = Field(default_factory=dict)
+
+
+TABLES = ("orbit", "truth", "initial", "chaser", "imu", "vmu", "gnc")

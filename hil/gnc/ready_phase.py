@@ -1,0 +1,86 @@
+"""The ready phase on the truth: bench paper Table III, twelve deviations a moment, each axis alone.
+
+The ready phase begins when all twelve have been within their tolerances for the dwell time without a break;
+from then on their largest absolute values count.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.maths import euler, local
+from hil.maths.jit import kernel
+from hil.maths.limits import has_held
+
+DEVIATIONS = 12  # position, m, velocity, m/s, 3-2-1 angles, deg, and their axes' rates, deg/s, three each
+
+READY_PARAMS = np.dtype([("axial_distance", "f8"), ("dwell_s", "f8"), ("tolerance", "f8", DEVIATIONS)], align=True)
+
+READY_STATE = np.dtype(
+    [
+        ("is_ready", "i8"),  # the ready phase has begun
+        ("left", "i8"),  # a tolerance was broken in it
+        ("holding", "i8"),  # all deviations are within their tolerances
+        ("since_s", "f8"),  # begin of that; once ready: of the dwell
+        ("ready_s", "f8"),
+        ("worst", "f8", DEVIATIONS),  # largest absolute deviations of the ready phase
+    ],
+    align=True,
+)
+
+_YAW_PITCH_ROLL = (2, 1, 0)
+
+
+@kernel
+def deviations(params, r_CT_H, v_CT_H, q_CH, w_CH_C, out):
+    """Write the deviations (12,) from the ready state: axial distance from the ready point, all else from zero.
+
+    params: READY_PARAMS. r_CT_H: (3,), m. v_CT_H: (3,), m/s. q_CH: (4,). w_CH_C: (3,), rad/s, against H.
+    """
+    angles = local.vector(3)
+    euler.from_quaternion_into(q_CH, _YAW_PITCH_ROLL, angles)
+    for i in range(3):
+        out[i] = r_CT_H[i]
+        out[3 + i] = v_CT_H[i]
+        out[6 + i] = math.degrees(angles[i])
+        out[9 + i] = math.degrees(w_CH_C[i])
+    out[0] -= params.axial_distance
+
+
+@kernel
+def judge_moment(params, state, t_s, deviation):
+    """Take account of the ``deviation`` (12,) at ``t_s``. state: READY_STATE, zeroed at the start of a run."""
+    within = True
+    for i in range(DEVIATIONS):
+        if not abs(deviation[i]) <= params.tolerance[i]:
+            within = False
+    if state.is_ready == 0:
+        if not within:
+            state.holding = 0
+            return
+        if state.holding == 0:
+            state.holding, state.since_s = 1, t_s
+        if not has_held(state.since_s, t_s, params.dwell_s):
+            return
+        state.is_ready, state.ready_s = 1, t_s
+    if not within:
+        state.left = 1
+    for i in range(DEVIATIONS):
+        if not (abs(deviation[i]) <= state.worst[i] or math.isnan(state.worst[i])):  # nan stays
+            state.worst[i] = abs(deviation[i])
+
+
+@kernel
+def judge_all(params, state, t_s, deviation):
+    """``judge_moment`` for each of the moments ``t_s`` (n,) with its row of ``deviation`` (n, 12)."""
+    for k in range(t_s.shape[0]):
+        judge_moment(params, state, t_s[k], deviation[k])
+
+
+@kernel
+def all_deviations(params, r_CT_H, v_CT_H, q_CH, w_CH_C, out):
+    """``deviations`` of each row of the four arrays into those of ``out`` (n, 12)."""
+    for k in range(out.shape[0]):
+        deviations(params, r_CT_H[k], v_CT_H[k], q_CH[k], w_CH_C[k], out[k])

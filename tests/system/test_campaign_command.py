@@ -1,0 +1,222 @@
+"""``hil campaign`` from its command line: the same results whoever flies, and nothing lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from hil.campaign import batch, engines
+from hil.campaign.campaign import Campaign
+from hil.campaign.engines import LocalEngine
+from hil.cli.main import execute
+from hil.config.load import load_rig, load_scenario
+
+SHORT = ("--duration", "1.0")
+
+
+def fly(folder: Path, *options: str, runs: int = 120) -> None:
+    """Run a short campaign into ``folder``."""
+    assert execute(["campaign", "scheme-1", "--runs", str(runs), "--out", str(folder), *SHORT, *options]) == 0
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a campaign that one process flew."""
+    folder = tmp_path_factory.mktemp("alone") / "c"
+    fly(folder, "--workers", "1")
+    return folder
+
+
+def assert_same(one: Path, other: Path) -> None:
+    """Compare the cases of two campaigns."""
+    assert pq.read_table(one / "cases.parquet").equals(pq.read_table(other / "cases.parquet"))
+    assert (one / "cases.parquet").read_bytes() == (other / "cases.parquet").read_bytes()
+
+
+def test_campaign_leaves_cases_summary_and_picture(alone: Path) -> None:
+    table = pq.read_table(alone / "cases.parquet")
+    assert table.column("case").to_pylist() == list(range(120))
+    assert len(set(table.column("initial.position_m[0]").to_pylist())) == 120
+    summary = json.loads((alone / "summary.json").read_text())
+    assert summary["runs"] == 120
+    assert summary["pass_rate"]["passed"]["low"] == 0.0  # one second is too short to be ready
+    assert summary["percentiles"]["propellant_kg"]["n"] == 120
+    assert len(summary["sensitivity"]["propellant_kg"]) == 24
+    assert (alone / "percentiles.png").stat().st_size > 10_000
+    assert not list((alone / "parts").iterdir())
+
+
+def test_result_does_not_depend_on_the_number_of_workers(alone: Path, tmp_path: Path) -> None:
+    fly(tmp_path / "two", "--workers", "2")
+    assert_same(alone, tmp_path / "two")
+
+
+def test_campaign_of_one_run_is_the_first_case_of_a_long_one(alone: Path, tmp_path: Path) -> None:
+    fly(tmp_path / "one", "--workers", "1", runs=1)
+    one, many = (pq.read_table(folder / "cases.parquet").slice(0, 1) for folder in (tmp_path / "one", alone))
+    assert one.equals(many)
+
+
+class Deadly(LocalEngine):
+    """Kills one of its workers with -9 after the first batch."""
+
+    def fly(self, spec: batch.Spec, batches: list[engines.Batch]) -> Iterator[tuple[int, batch.Rows]]:  # type: ignore[override]
+        for number, done in enumerate(super().fly(spec, batches)):
+            if number == 0:
+                children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+                workers = [w for child in children for w in _children(int(child))]
+                os.kill(workers[0], signal.SIGKILL)
+            yield done
+
+
+def _children(pid: int) -> list[int]:
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def test_worker_killed_in_the_middle_changes_nothing(alone: Path, tmp_path: Path) -> None:
+    campaign = Campaign(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0)
+    store = campaign.store(tmp_path / "c")
+    campaign.fly(store, 120, Deadly(2), lambda _: None)
+    assert_same(alone, tmp_path / "c")
+
+
+def test_case_that_kills_its_worker_is_recorded_and_the_rest_flown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engines, "run_batch", _deadly_batch)
+    scenario = load_scenario("scheme-1").value
+    spec = batch.Spec.of(scenario, load_rig("mock").value, 0, 0.1)
+    rows = dict(LocalEngine(2).fly(spec, [(0, 1), (1, 2)]))
+    found = [row for first in sorted(rows) for row in rows[first]]
+    assert [row["case"] for row in found] == [0, 1, 2]
+    died = [row["case"] for row in found if row["stop"].startswith("not flown: its worker process ended")]
+    assert died == [2]
+
+
+def _deadly_batch(spec: batch.Spec, first: int, count: int) -> batch.Rows:
+    if first <= 2 < first + count:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return batch.run_batch(spec, first, count)
+
+
+def test_campaign_killed_in_the_middle_goes_on_where_it_was(alone: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "c"
+    command = [sys.executable, "-m", "hil", "campaign", "scheme-1", "--runs", "120", "--out", str(folder), *SHORT]
+    with subprocess.Popen([*command, "--workers", "1"], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as child:
+        until = time.monotonic() + 120.0
+        while not list(folder.glob("parts/*.parquet")) and child.poll() is None and time.monotonic() < until:
+            time.sleep(0.002)
+        child.kill()
+    fly(folder, "--workers", "1")
+    assert_same(alone, folder)
+
+
+def test_case_that_cannot_be_flown_is_recorded_with_its_reason(tmp_path: Path) -> None:
+    mass = "dispersions.chaser.mass_kg={kind='uniform', low=-500.0, high=1500.0}"
+    fly(tmp_path / "c", "--workers", "1", "--set", mass, runs=20)
+    table = pq.read_table(tmp_path / "c" / "cases.parquet")
+    for kilograms, stop in zip(table["chaser.mass_kg"].to_pylist(), table["stop"].to_pylist(), strict=True):
+        assert ("chaser.mass_kg" in stop) == (kilograms <= 0.0), stop
+    assert table["stop"].to_pylist().count("completed") > 5
+
+
+def test_one_case_in_full_detail_is_that_of_the_campaign(alone: Path, tmp_path: Path) -> None:
+    path = tmp_path / "case.json"
+    assert execute(["run", "scheme-1", "--case", "17", *SHORT, "--json", str(path)]) == 1
+    summary = json.loads(path.read_text())
+    row = pq.read_table(alone / "cases.parquet").slice(17, 1).to_pylist()[0]
+    assert summary["seed"] == row["seed"]
+    assert summary["case"] == 17
+    assert summary["thrusters"]["propellant_kg"] == row["propellant_kg"]
+    assert summary["verdict"]["security"]["corridor_margin_m"] == row["corridor_margin_m"]
+    assert summary["verdict"]["security"]["nearest_m"] == pytest.approx(row["nearest_m"], rel=1e-14)
+
+
+def test_pairs_of_two_scenarios_share_their_chance(tmp_path: Path) -> None:
+    fly(tmp_path / "c", "--workers", "1", "--against", "scheme-1-printed", runs=5)
+    tables = [pq.read_table(tmp_path / "c" / name / "cases.parquet") for name in ("first", "second")]
+    assert tables[0]["seed"].equals(tables[1]["seed"])
+    assert tables[0]["initial.position_m[0]"].equals(tables[1]["initial.position_m[0]"])
+    found = json.loads((tmp_path / "c" / "comparison.json").read_text())
+    assert (found["first"], found["second"]) == ("scheme-1", "scheme-1-printed")
+    assert found["difference"]["propellant_kg"]["n"] == 5
+
+
+def test_sweep_flies_the_same_cases_for_each_value(tmp_path: Path) -> None:
+    fly(tmp_path / "c", "--workers", "1", "--sweep", "gnc.control.deadband_m=0.0002:0.02:3", runs=4)
+    found = json.loads((tmp_path / "c" / "sweep.json").read_text())
+    assert found["key"] == "gnc.control.deadband_m"
+    assert [point["value"] for point in found["points"]] == pytest.approx([0.0002, 0.0101, 0.02])
+    assert (tmp_path / "c" / "sweep.png").stat().st_size > 5_000
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--set", "dispersions.initial.position_m.sigma=-1.0"), ("initial.position_m", "-1", "must not be negative")),
+        (("--set", "dispersions.initial.place.sigma=1.0"), ("dispersions.initial.place", "unknown key", "position_m")),
+        (("--runs", "0"), ("--runs", "0", "at least 1")),
+        (("--sweep", "gnc.control.deadband_m=0.02:0.002:10"), ("--sweep", "low must be below high")),
+        (("--sweep", "gnc.control.deadband=0.002:0.02:10"), ("--sweep", "gnc.control.deadband", "unknown key")),
+        (("--sweep", "x=1:2:3", "--against", "scheme-2"), ("--against", "not together with --sweep")),
+        (("--against", "scheme-9"), ("scheme-9", "unknown scenario")),
+        (("--scheduler", "tcp://127.0.0.1:9"), ("--scheduler", "tcp://127.0.0.1:9", "cannot be reached")),
+        (("--set", "rig.rails.x.encoder=incremental"), ("rails.x.encoder", "incremental")),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    options: tuple[str, ...],
+    words: tuple[str, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(engines, "_CONNECT_S", 0.5)
+    runs = () if "--runs" in options else ("--runs", "3")
+    assert execute(["campaign", "scheme-1", *runs, "--out", str(tmp_path / "c"), *SHORT, *options]) == 2
+    said = capsys.readouterr().err.strip()
+    assert len(said.splitlines()) == 1
+    for word in words:
+        assert word in said
+    assert not (tmp_path / "c" / "cases.parquet").exists()
+
+
+def test_folder_of_another_scenario_is_refused(alone: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (alone / "cases.parquet").read_bytes()
+    assert execute(["campaign", "scheme-2", "--runs", "3", "--out", str(alone), *SHORT]) == 2
+    said = capsys.readouterr().err.strip()
+    assert len(said.splitlines()) == 1
+    assert '"scheme-1"' in said
+    assert '"scheme-2"' in said
+    assert (alone / "cases.parquet").read_bytes() == before
+
+
+@pytest.mark.slow
+def test_dask_cluster_gives_the_same_cases_also_when_a_worker_is_killed(alone: Path, tmp_path: Path) -> None:
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        fly(tmp_path / "calm", "--scheduler", cluster.scheduler_address)
+        assert_same(alone, tmp_path / "calm")
+        campaign = Campaign(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0)
+        store = campaign.store(tmp_path / "killed")
+        engine = engines.DaskEngine(cluster.scheduler_address)
+        seen = []
+
+        def kill_one(now: object) -> None:
+            if not seen:
+                os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+            seen.append(now)
+
+        campaign.fly(store, 120, engine, kill_one)
+        engine.close()
+    assert_same(alone, tmp_path / "killed")
