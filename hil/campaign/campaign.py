@@ -7,6 +7,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -96,11 +97,12 @@ class Campaign:
         left = sum(count for _, count in missing)
         begun_s = time.perf_counter()
         flown = 0
-        for first, rows in engine.fly(self._spec, missing):
-            store.put(first, rows)
-            flown += len(rows)
-            speed = flown * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
-            watch(Progress(self.scenario.value.name, runs - left + flown, runs, speed))
+        with closing(engine.fly(self._spec, missing)) as flights:
+            for first, rows in flights:
+                store.put(first, rows)
+                flown += len(rows)
+                speed = flown * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
+                watch(Progress(self.scenario.value.name, runs - left + flown, runs, speed))
         store.finish(runs)
         summary = summarise(store, self.scenario.value.name, self.design.names) | {"seed": self._seed}
         write_summary(store.folder / "summary.json", summary)

@@ -8,12 +8,15 @@ number of cases.
 from __future__ import annotations
 
 import logging
+import os
 import signal
+import threading
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.process import BaseProcess
 from typing import Any, Final, Protocol, Self
 
 from hil.campaign.batch import Case, Rows, Spec, run_batch
@@ -35,8 +38,8 @@ class Engine(Protocol):
 
     workers: int
 
-    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Iterator[tuple[int, Rows]]:
-        """Give first case and rows of each of the ``batches``. Raises CampaignStopped."""
+    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
+        """Give first case and rows of each of the ``batches``; closing it ends the work. Raises CampaignStopped."""
 
     def close(self) -> None:
         """Let go of the workers."""
@@ -48,7 +51,7 @@ class LocalEngine:
     def __init__(self, workers: int) -> None:
         self.workers = workers
 
-    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Iterator[tuple[int, Rows]]:
+    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
         """Give first case and rows of each batch."""
         if self.workers == 1:
             for first, count in batches:
@@ -64,19 +67,19 @@ class LocalEngine:
     def _until_a_worker_dies(self, spec: Spec, left: deque[Batch]) -> Generator[tuple[int, Rows], None, list[Batch]]:
         """Take batches from ``left`` until it is empty; after the death of a worker return those under way."""
         waiting: dict[Future[Rows], Batch] = {}
-        with _pool(self.workers) as pool:
-            try:
-                while left or waiting:
-                    while left and len(waiting) < _AHEAD * self.workers:
-                        future = pool.submit(run_batch, spec, *left[0])
-                        waiting[future] = left.popleft()
-                    for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                        rows = future.result()
-                        yield waiting.pop(future)[0], rows
-            except BrokenProcessPool:
-                return sorted(waiting.values())
-            finally:
-                pool.shutdown(wait=False, cancel_futures=True)
+        pool = _pool(self.workers)
+        try:
+            while left or waiting:
+                while left and len(waiting) < _AHEAD * self.workers:
+                    future = pool.submit(run_batch, spec, *left[0])
+                    waiting[future] = left.popleft()
+                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    rows = future.result()
+                    yield waiting.pop(future)[0], rows
+        except BrokenProcessPool:
+            return sorted(waiting.values())
+        finally:  # also where nobody wants the rest: nobody waits for what is under way either
+            pool.shutdown(wait=False, cancel_futures=True)
         return []
 
     def close(self) -> None:
@@ -117,9 +120,19 @@ def _pool(workers: int) -> ProcessPoolExecutor:
 
 
 def _begin() -> None:
-    """Leave Ctrl-C to the process that hands out the batches, and end with it."""
+    """Leave Ctrl-C to the process that hands out the batches, and end with it.
+
+    It is not the parent of this one, which a server has forked.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent()
+    if (campaign := parent_process()) is not None:
+        threading.Thread(target=_end_with, args=(campaign,), name="campaign", daemon=True).start()
+
+
+def _end_with(campaign: BaseProcess) -> None:
+    campaign.join()
+    os._exit(0)
 
 
 def died_row(spec: Spec, case: int) -> dict[str, Any]:
@@ -153,7 +166,7 @@ class DaskEngine:
         """Threads of all workers that are there now, at least one."""
         return max(1, int(sum(self._client.nthreads().values())))
 
-    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Iterator[tuple[int, Rows]]:
+    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
         """Give first case and rows of each batch; what a lost worker had is given to others by the scheduler."""
         from distributed import CancelledError, as_completed
         from distributed.comm.core import CommClosedError

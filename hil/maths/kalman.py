@@ -1,4 +1,4 @@
-"""Kalman updates in plain loops: no library call, no heap. States: up to MAX_STATES.
+"""Kalman updates in plain loops: no library call, no heap. States: up to MAX_STATES, else ValueError.
 
 A product is summed up row by row, ``row += a[i, m] * b[m]``: the inner loop runs along memory without a chain
 of sums, and what is zero in ``a``, most of a transition, costs nothing.
@@ -13,13 +13,16 @@ import numpy as np
 from hil.maths import local
 from hil.maths.jit import kernel
 
-MAX_STATES: Final = 9
+MAX_STATES: Final = 12
+"""Of any filter here; more are refused, because they would not fit on the stack."""
 
 
 @kernel
 def propagate_covariance(p, phi, noise):
     """Replace ``p`` by ``phi p phi.T + noise``; all (n, n), ``p`` and ``noise`` symmetric."""
     n = p.shape[0]
+    if n > MAX_STATES:
+        raise ValueError("too many states")
     row = local.vector(MAX_STATES)
     turned = local.matrix(MAX_STATES, MAX_STATES)  # (phi p).T
     for i in range(n):
@@ -67,6 +70,8 @@ def gain_of_three(p, h, r, gain, s_inverse):
     p: (n, n). h: (3, n). r: (3, 3).
     """
     n = p.shape[0]
+    if n > MAX_STATES:
+        raise ValueError("too many states")
     ph, s = local.matrix(MAX_STATES, 3), local.matrix(3, 3)
     for i in range(n):
         for j in range(3):
@@ -90,6 +95,8 @@ def gain_of_three(p, h, r, gain, s_inverse):
 def joseph(p, h, r, gain):
     """Replace ``p`` by ``(I - K H) p (I - K H).T + K R K.T``: symmetric and positive whatever the gain."""
     n = p.shape[0]
+    if n > MAX_STATES:
+        raise ValueError("too many states")
     a, noise = local.matrix(MAX_STATES, MAX_STATES), local.matrix(MAX_STATES, MAX_STATES)
     for i in range(n):
         for j in range(n):
@@ -111,6 +118,8 @@ def update_three(x, p, h, r, innovation):
     h: (3, n). r: (3, 3). innovation: (3,), measured minus expected.
     """
     n = x.shape[0]
+    if n > MAX_STATES:
+        raise ValueError("too many states")
     gain, s_inverse = local.matrix(MAX_STATES, 3), local.matrix(3, 3)
     gain_of_three(p, h, r, gain, s_inverse)
     for i in range(n):
@@ -127,6 +136,8 @@ def update_three(x, p, h, r, innovation):
 def normalised_square(error, p):
     """Return ``error.T p^-1 error`` for a positive definite ``p`` (n, n), by Cholesky; nan if it is not."""
     n = error.shape[0]
+    if n > MAX_STATES:
+        raise ValueError("too many states")
     low, y = local.matrix(MAX_STATES, MAX_STATES), local.vector(MAX_STATES)
     total = 0.0
     for i in range(n):

@@ -89,3 +89,14 @@ def test_normalised_square_of_matching_errors_is_chi_square(rng: np.random.Gener
     errors = rng.standard_normal((2000, 6)) @ np.linalg.cholesky(p).T
     total = sum(kalman.normalised_square(np.ascontiguousarray(e), p) for e in errors)
     assert chi2.ppf(0.0005, 12000) < total < chi2.ppf(0.9995, 12000)
+
+
+def test_more_states_than_there_is_room_for_are_refused() -> None:
+    n = kalman.MAX_STATES + 1
+    with pytest.raises(ValueError, match="too many states"):
+        kalman.propagate_covariance(np.eye(n), np.eye(n), np.eye(n))
+    with pytest.raises(ValueError, match="too many states"):
+        kalman.normalised_square(np.ones(n), np.eye(n))
+    p = np.eye(kalman.MAX_STATES)
+    kalman.propagate_covariance(p, 2.0 * np.eye(len(p)), np.eye(len(p)))
+    assert np.array_equal(p, 5.0 * np.eye(len(p)))
