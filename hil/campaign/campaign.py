@@ -65,6 +65,9 @@ class Campaign:
             problems.append(
                 Problem(self._rig.where("target_manipulator"), "rig.target_manipulator", "no campaign moves it")
             )
+        if self.scenario.value.vmu.source != "model":
+            text = f'"{self.scenario.value.vmu.source}": a campaign has the model of the vision unit, allowed "model"'
+            problems.append(Problem(self.scenario.where("vmu.source"), "vmu.source", text))
         for device, names in (("rails", RAIL_NAMES), ("turntable", GIMBAL_NAMES)):
             for name in names:
                 if getattr(getattr(rig, device), name).encoder == "incremental":

@@ -171,6 +171,7 @@ def test_sweep_flies_the_same_cases_for_each_value(tmp_path: Path) -> None:
         (("--against", "scheme-9"), ("scheme-9", "unknown scenario")),
         (("--scheduler", "tcp://127.0.0.1:9"), ("--scheduler", "tcp://127.0.0.1:9", "cannot be reached")),
         (("--set", "rig.rails.x.encoder=incremental"), ("rails.x.encoder", "incremental")),
+        (("--set", "vmu.source=rendered"), ("--set: vmu.source", "rendered", 'allowed "model"')),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(
