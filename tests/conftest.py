@@ -19,15 +19,32 @@ from hil.report.summary import summarise
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
 settings.load_profile("hil")
 
-# modules beside tests/unit that move nothing on the wall clock: these may run beside anything
-_NO_WALL_CLOCK = {"test_approach", "test_approach_events", "test_fusion_study", "test_operated_bench", "test_reach"}
+# modules beside tests/unit that move nothing on the wall clock: they may run beside each other
+_NO_WALL_CLOCK = {
+    "test_approach",
+    "test_approach_events",
+    "test_bad_input",
+    "test_calibrate_command",
+    "test_campaign_command",
+    "test_campaign_parity",
+    "test_fusion_study",
+    "test_monitor_command",
+    "test_operated_bench",
+    "test_reach",
+    "test_record_command",
+    "test_rendered_loop",
+    "test_replay",
+    "test_runs_in_memory",
+    "test_vmu_command",
+    "test_vmu_streams",
+}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Let tests on wires and on the wall clock run one after the other, in the same worker of ``pytest -n``."""
+    """Mark the tests on wires and on the wall clock: nothing else may keep this computer busy meanwhile."""
     for item in items:
         if "unit" not in item.path.parts and item.path.stem not in _NO_WALL_CLOCK:
-            item.add_marker(pytest.mark.xdist_group("wall clock"))
+            item.add_marker(pytest.mark.wall_clock)
 
 
 @pytest.fixture

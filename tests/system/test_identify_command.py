@@ -98,6 +98,7 @@ def test_hardware_does_not_move_before_somebody_says_yes(tmp_path: Path, capsys:
     assert "clear the bench, then add --yes" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_ctrl_c_on_an_emulated_rig_ends_as_a_safe_stop_and_leaves_no_emulator() -> None:
     command = [sys.executable, "-m", "hil", "identify", "emulated", "--axis", "rails.y"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

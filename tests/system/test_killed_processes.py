@@ -124,7 +124,9 @@ def running(folder: Path) -> Iterator[Bench]:
     "how",
     [pytest.param(signal.SIGKILL, id="killed"), pytest.param(signal.SIGSTOP, id="hanging", marks=pytest.mark.slow)],
 )
-@pytest.mark.parametrize("who", ["loop", "I/O", "watchdog"])
+@pytest.mark.parametrize(
+    "who", ["loop", pytest.param("I/O", marks=pytest.mark.slow), pytest.param("watchdog", marks=pytest.mark.slow)]
+)
 def test_the_axes_stand_after_a_process_has_died(tmp_path: Path, who: str, how: signal.Signals) -> None:
     with running(tmp_path) as bench:
         assert bench.speed() > 0.02

@@ -88,7 +88,10 @@ def test_whole_scheme_passes_over_real_wires_at_four_times_the_speed(turntable: 
     "plug",
     [pytest.param(signal.SIGKILL, id="killed"), pytest.param(signal.SIGSTOP, id="frozen", marks=pytest.mark.slow)],
 )
-@pytest.mark.parametrize("device", ["rails", "turntable", "vmu", "io"])
+@pytest.mark.parametrize(
+    "device",
+    ["rails", "vmu", pytest.param("turntable", marks=pytest.mark.slow), pytest.param("io", marks=pytest.mark.slow)],
+)
 def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str, plug: signal.Signals) -> None:
     with _started(*NEAR) as (process, pids):
         time.sleep(2.0)
@@ -103,7 +106,7 @@ def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str,
     assert _none_left(pids)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_operator_ends_the_run_as_a_safe_stop_and_nothing_is_left(number: signal.Signals) -> None:
     with _started(*NEAR) as (process, pids):
         time.sleep(2.0)
