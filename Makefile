@@ -21,7 +21,7 @@ test: .venv/ready
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m hil.cli.warm_up
-	$(BIN)/pytest -m "not slow and not wall_clock" -n 2
+	$(BIN)/pytest -m "not slow and not wall_clock" -n 2 --dist loadgroup
 	$(BIN)/pytest -m "not slow and wall_clock"
 
 slow: .venv/ready

@@ -38,11 +38,23 @@ _NO_WALL_CLOCK = {
     "test_vmu_command",
     "test_vmu_streams",
 }
+_FAMILIES = {
+    "vision unit": ("vmu", "rendered", "calib"),
+    "docking monitor": ("monitor", "docking"),
+    "campaign": ("campaign",),
+}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests on wires and on the wall clock: nothing else may keep this computer busy meanwhile."""
+    """Mark the tests on wires and on the wall clock: nothing else may keep this computer busy meanwhile.
+
+    Tests of the same kernels go to the same worker, so that each kernel is compiled once.
+    """
     for item in items:
+        for family, words in _FAMILIES.items():
+            if any(word in item.path.stem for word in words):
+                item.add_marker(pytest.mark.xdist_group(family))
+                break
         if "unit" not in item.path.parts and item.path.stem not in _NO_WALL_CLOCK:
             item.add_marker(pytest.mark.wall_clock)
 

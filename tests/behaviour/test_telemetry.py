@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from hil import build
 from hil.clock import SimulatedClock
@@ -40,6 +41,7 @@ def test_reader_gets_the_very_rows_of_the_history() -> None:
     ring.close()
 
 
+@pytest.mark.slow
 def test_another_process_attaches_to_a_run_on_wires_and_accounts_for_every_cycle() -> None:
     job = build.Job(load_scenario("scheme-1", NEAR[:1]), load_rig("emulated", NEAR[1:]), 0, 1.0, 1.0)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:

@@ -119,6 +119,7 @@ def test_axis_that_is_wired_wrongly_is_named_with_what_to_do(
     assert runner.supervisor.modes.mode is not Mode.OFF
 
 
+@pytest.mark.slow
 def test_whole_path_ends_in_a_rig_file_that_is_signed_off(rig_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = rig_file.with_name("signed.toml")
     arguments = [

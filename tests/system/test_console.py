@@ -151,6 +151,7 @@ def test_console_ends_with_its_session_on_ctrl_c() -> None:
         os.kill(pid, 0)
 
 
+@pytest.mark.slow
 def test_session_of_a_console_that_is_killed_brings_the_bench_to_a_stand_and_ends() -> None:
     with console("--rig", "mock", *NEAR) as c:
         page = c.page("ann")

@@ -9,7 +9,10 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
 
+
+@pytest.mark.slow
 def test_ctrl_c_in_mid_compilation_ends_the_program_as_a_safe_stop(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "hil", "run", "scheme-1"]
     environment = os.environ | {"HIL_CACHE_DIR": str(tmp_path)}

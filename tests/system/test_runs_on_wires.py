@@ -117,6 +117,7 @@ def test_operator_ends_the_run_as_a_safe_stop_and_nothing_is_left(number: signal
     assert _none_left(pids)
 
 
+@pytest.mark.slow
 def test_emulators_do_not_outlive_a_controller_that_is_killed() -> None:
     with _started(*NEAR) as (process, pids):
         time.sleep(1.0)

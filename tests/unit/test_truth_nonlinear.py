@@ -52,7 +52,13 @@ def fly(scenario: Scenario, span_s: float, step_s: float, on: np.ndarray = QUIET
     return truth
 
 
-@pytest.mark.parametrize(("span_s", "tolerance_m"), [(400.0, 1e-9), (ORBIT_S, 1e-6)], ids=["400 s", "an orbit"])
+@pytest.mark.parametrize(
+    ("span_s", "tolerance_m"),
+    [
+        pytest.param(400.0, 1e-9, id="400 s"),
+        pytest.param(ORBIT_S, 1e-6, id="an orbit", marks=pytest.mark.slow),
+    ],
+)
 def test_relative_position_agrees_with_dop853(drift: Scenario, span_s: float, tolerance_m: float) -> None:
     params, start = parameters.dss(drift), parameters.initial_truth(drift)
 
