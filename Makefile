@@ -18,9 +18,7 @@ demo: .venv/ready
 test: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
-	$(BIN)/python -m hil.cli.warm_up
+	$(BIN)/python -m hil.cli.warm_up & kernels=$$!; $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
 	$(BIN)/pytest -m "not slow and not wall_clock" -n 2 --dist loadgroup
 	$(BIN)/pytest -m "not slow and wall_clock"
 

@@ -89,6 +89,7 @@ def test_worker_killed_in_the_middle_changes_nothing(alone: Path, tmp_path: Path
     assert_same(alone, tmp_path / "c")
 
 
+@pytest.mark.slow
 def test_case_that_kills_its_worker_is_recorded_and_the_rest_flown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -99,6 +99,7 @@ def test_leds_give_cameras_mounting_and_layout_within_their_sigmas(mock_rig: Rig
     assert 0.7 < np.mean(found) < 1.35
 
 
+@pytest.mark.slow
 def test_a_board_gives_cameras_and_mounting_within_their_sigmas(mock_rig: Rig) -> None:
     found = [nees(solved.fit, truth) for solved, truth in (calibrated_by_board(mock_rig, k) for k in range(3))]
     assert 0.65 < np.mean(found) < 1.4
