@@ -90,7 +90,7 @@ def test_whole_scheme_passes_over_real_wires_at_four_times_the_speed(turntable: 
 )
 @pytest.mark.parametrize(
     "device",
-    ["rails", "vmu", pytest.param("turntable", marks=pytest.mark.slow), pytest.param("io", marks=pytest.mark.slow)],
+    ["rails", *(pytest.param(name, marks=pytest.mark.slow) for name in ("vmu", "turntable", "io"))],
 )
 def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str, plug: signal.Signals) -> None:
     with _started(*NEAR) as (process, pids):
