@@ -41,7 +41,7 @@ from hil.truth_check import truth_problems
 
 _FRAMES_TO_ARM = 2
 _WARM_UP_CYCLES = 10
-_TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: how long a reader may look away before it misses something
+TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: how long a reader may look away before it misses something
 
 
 def check(job: Job) -> None:
@@ -199,7 +199,7 @@ def _telemetry(taps: Taps | None) -> Iterator[Ring]:
             raise TypeError("a bench on wires is recorded from a ring: its recorder is another process")
         yield taps.cycles
         return
-    ring = Ring.create(CYCLE, _TELEMETRY_ROWS)
+    ring = Ring.create(CYCLE, TELEMETRY_ROWS)
     try:
         yield ring
     finally:

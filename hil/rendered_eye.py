@@ -16,7 +16,7 @@ from hil.maths.streams import stream
 from hil.messages import Array, PoseFrame
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.render import Extras, Light, Look, Renderer
-from hil.vmu.unit import Solution, VisionUnit
+from hil.vmu.unit import VisionUnit
 
 _DECOY_NEAREST_M: Final = 0.25  # from the ring's centre, in its plane
 _DECOY_FARTHEST_M: Final = 1.0
@@ -53,10 +53,6 @@ class RenderedEye:
         self._rng = stream(seed, "pictures")
         self._decoys = _decoys(self._rng, pictures.decoy_lights)
         self._r, self._q = np.empty(3), np.empty(4)
-        self.pictures: tuple[np.ndarray, np.ndarray] | None = None
-        """The pair that was drawn last, (height, width) of uint8 each."""
-        self.solution: Solution | None = None
-        """What the unit found in it."""
 
     def look(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
         """Return the pose that the unit finds in the pictures of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,)."""
@@ -64,9 +60,8 @@ class RenderedEye:
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
         camera_pose(self._stations, self._r, self._q, t_v, q_vt)
         lights = [Light(tuple(quat.transform(q_vt, place) + t_v)) for place in self._decoys]
-        self.pictures = self._renderer.pair(t_v, q_vt, None, self._rng, Extras(lights=lights))
-        self.solution = self._unit.solve(*self.pictures, t_s)
-        return self.solution.frame(0, t_s)
+        left, right = self._renderer.pair(t_v, q_vt, None, self._rng, Extras(lights=lights))
+        return self._unit.solve(left, right, t_s).frame(0, t_s)
 
 
 def _decoys(rng: np.random.Generator, count: int) -> Array:

@@ -23,11 +23,11 @@ from hil.messages import Array
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.drift import check
 from hil.vmu.calibration.files import Calibrated, Label
-from hil.vmu.calibration.job import geometry_of_rig
 from hil.vmu.calibration.model import PARTS, Setup, Turntable
 from hil.vmu.calibration.refine import Fit, Problem, belief, layout_basis
 from hil.vmu.calibration.solve import robust
 from hil.vmu.calibration.synthetic import plan, shifted, sight
+from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.kernels.chain import COMMON, SCALE
 
 AXIS_SIGMA = np.array([5e-5] * 3 + [np.radians(0.005)] * 3)

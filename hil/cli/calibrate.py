@@ -19,6 +19,7 @@ from hil.cli.output import base_of, check_json_path, check_picture_path, check_r
 from hil.config.load import load_file, load_rig
 from hil.config.vmu_geometry import VmuGeometry
 from hil.errors import BadInput, Problem
+from hil.vmu.geometry import geometry_of_rig
 
 if TYPE_CHECKING:
     from hil.vmu.calibration.board import Board
@@ -75,7 +76,7 @@ def _calibrate(options: Options) -> int:
     if options.geometry is not None:
         geometry = load_file(Path(options.geometry), VmuGeometry).value
     else:
-        geometry = job.geometry_of_rig(rig.value)
+        geometry = geometry_of_rig(rig.value)
     board = _board(options)
     views = read_views(Path(options.views))
     sigma = np.array([1e-3 * options.rail_sigma_mm] * 3 + [math.radians(options.gimbal_sigma_deg)] * 3)

@@ -35,7 +35,6 @@ from hil.realtime import RealTime
 from hil.report.summary import summarise
 from hil.runner import Outcome, Runner
 
-TELEMETRY_ROWS: Final = 2048
 _LAST_WORDS_WALL_S: Final = 2.0
 
 
@@ -73,7 +72,7 @@ def opened(job: build.Job, operator: RemoteOperator, announce: Callable[[str], N
     """Give the bench of ``job``; its processes are ended after."""
     if job.rig.value.kind == "mock":
         host = job.rig.value.host
-        ring = Ring.create(CYCLE, TELEMETRY_ROWS)
+        ring = Ring.create(CYCLE, build.TELEMETRY_ROWS)
         try:
             with RealTime(host.fifo, host.cpu) as realtime:
                 rate = WallRate(WallClock(speed=job.speed), job.scenario.value.step_s)
@@ -82,9 +81,7 @@ def opened(job: build.Job, operator: RemoteOperator, announce: Callable[[str], N
             ring.close()
         return
     with build.wired_bench(job, announce) as bench:
-        runner = bench.runner(operator.watch, operator)
-        assert isinstance(runner.loop.telemetry, Ring)
-        yield Bench(runner, runner.loop.telemetry, bench.addresses)
+        yield Bench(bench.runner(operator.watch, operator), bench.telemetry, bench.addresses)
 
 
 def run_session(choice: Choice, channel: socket.socket) -> None:

@@ -17,7 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.console.session import TELEMETRY_ROWS, Choice
+from hil.build import TELEMETRY_ROWS
+from hil.console.session import Choice
 from hil.console.status import CELLS, empty_status
 from hil.frmn.cell import Block
 from hil.frmn.ring import Reader, Ring

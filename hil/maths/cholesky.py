@@ -1,23 +1,32 @@
-"""Symmetric positive definite systems of a few unknowns, in plain loops."""
+"""Symmetric positive definite systems of a few unknowns, by Cholesky in plain loops.
+
+n: how many of the leading rows and columns belong to the system; the arrays may be larger.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from hil.maths.jit import kernel
 
+LEAST_SHARE: Final = 1e-14
+"""Of a diagonal element: what least squares of many points must leave of it."""
+
 
 @kernel
-def factor(a, low):
-    """Write the lower triangle L of ``a = L L.T`` (n, n) to low; return False where ``a`` is not positive definite."""
-    n = a.shape[0]
+def factor(a, n, low, least_share=0.0):
+    """Write the lower triangle L of ``a = L L.T`` to low, which may be a; return False where there is none.
+
+    least_share: of each diagonal element that must be left once the unknowns before it are taken out.
+    """
     for i in range(n):
         for j in range(i + 1):
             s = a[i, j]
             for m in range(j):
                 s -= low[i, m] * low[j, m]
             if i == j:
-                if not s > 0.0:
+                if not s > 0.0 or s <= least_share * abs(a[i, i]):
                     return False
                 low[i, i] = math.sqrt(s)
             else:
@@ -26,20 +35,29 @@ def factor(a, low):
 
 
 @kernel
-def solve(low, b, x):
-    """Write the x (n,) with ``L L.T x = b``; x may be b itself."""
-    n = b.shape[0]
+def solve(low, n, b, x):
+    """Write the x with ``L L.T x = b``; x may be b itself."""
     for i in range(n):
         s = b[i]
         for m in range(i):
             s -= low[i, m] * x[m]
         x[i] = s / low[i, i]
-    for k in range(n):
-        i = n - 1 - k
+    for i in range(n - 1, -1, -1):
         s = x[i]
         for m in range(i + 1, n):
             s -= low[m, i] * x[m]
         x[i] = s / low[i, i]
+
+
+@kernel
+def solve_system(a, b, x):
+    """Write the solution of ``a x = b`` to x, (n,); return whether ``a`` (n, n) is positive definite. a, b are kept."""
+    n = b.shape[0]
+    low = a.copy()
+    if not factor(low, n, low, LEAST_SHARE):
+        return False
+    solve(low, n, b, x)
+    return True
 
 
 @kernel
@@ -49,7 +67,7 @@ def invert(low, column, out):
     for j in range(n):
         for i in range(n):
             column[i] = 1.0 if i == j else 0.0
-        solve(low, column, column)
+        solve(low, n, column, column)
         for i in range(n):
             out[i, j] = column[i]
     for i in range(n):

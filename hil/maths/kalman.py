@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.maths import local
+from hil.maths import cholesky, local
 from hil.maths.jit import kernel
 
 MAX_STATES: Final = 12
@@ -139,18 +139,10 @@ def normalised_square(error, p):
     if n > MAX_STATES:
         raise ValueError("too many states")
     low, y = local.matrix(MAX_STATES, MAX_STATES), local.vector(MAX_STATES)
+    if not cholesky.factor(p, n, low):
+        return np.nan
     total = 0.0
     for i in range(n):
-        for j in range(i + 1):
-            s = p[i, j]
-            for m in range(j):
-                s -= low[i, m] * low[j, m]
-            if i == j:
-                if not s > 0.0:
-                    return np.nan
-                low[i, i] = np.sqrt(s)
-            else:
-                low[i, j] = s / low[j, j]
         s = error[i]
         for m in range(i):
             s -= low[i, m] * y[m]

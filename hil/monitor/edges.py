@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hil.maths import normal_equations
+from hil.maths import cholesky
 from hil.maths.jit import kernel
 from hil.monitor.cells import BAR
 
@@ -148,12 +148,12 @@ def fit_cells(image, first_line, line_step, cells, count, blur, noise, turns, su
         for _ in range(turns):
             misfit = _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right)
             factor = normal.copy()
-            if not normal_equations.factorise(factor, known):
+            if not cholesky.factor(factor, known, factor, cholesky.LEAST_SHARE):
                 solved = False
                 break
             for i in range(4):
                 step[i] = right[i]
-            normal_equations.substitute(factor, known, step)
+            cholesky.solve(factor, known, step, step)
             step[2] = min(max(step[2], -1.5 * blur), 1.5 * blur)
             for i in range(known):
                 x[i] += step[i]
@@ -194,7 +194,7 @@ def _keep(cell, x, factor, known, misfit, n, bar):
     """Write a cell's result; the shift's variance from the factor of the normal equations."""
     unit = np.zeros(4)
     unit[2] = 1.0
-    normal_equations.substitute(factor, known, unit)
+    cholesky.solve(factor, known, unit, unit)
     cell.shift, cell.variance = x[2], unit[2]
     cell.low, cell.high = x[0], 0.5 * (x[1] + x[3]) if bar else x[1]
     cell.misfit, cell.pixels = misfit, n
@@ -206,7 +206,7 @@ def _ask_blur(normal, right, factor, step, sums, cell):
     """Add to ``sums`` what is left of the blur's gradient and weight once the cell's own three are taken out."""
     for i in range(3):
         step[i] = normal[3, i]
-    normal_equations.substitute(factor, 3, step)
+    cholesky.solve(factor, 3, step, step)
     gradient, weight = right[3], normal[3, 3]
     for i in range(3):
         gradient -= step[i] * right[i]

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from hil.maths import docking_view, normal_equations
+from hil.maths import cholesky, docking_view
 from hil.maths.jit import kernel
 from hil.monitor.cells import STEP
 
@@ -119,7 +119,7 @@ def fit_pose(lens, cells, count, pose, robust, prior, turns, normal):
             for j in range(UNKNOWNS):
                 full[i, j] = normal[i, j]
         _add_prior(full, right, pose, prior)
-        if not normal_equations.solve(full, right, step):
+        if not cholesky.solve_system(full, right, step):
             return False
         for i in range(UNKNOWNS):
             pose[i] += step[i]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hil.config.rig import Rig
 from hil.config.vmu_geometry import Camera, VmuGeometry
 from hil.messages import Array
 from hil.vmu.kernels.lens import LENS, CameraPair
@@ -35,3 +36,17 @@ def camera_pair(geometry: VmuGeometry) -> CameraPair:
 def led_positions(geometry: VmuGeometry) -> Array:
     """Return where the LEDs are in t, (n, 3), m."""
     return np.array(geometry.leds_m, dtype=float)
+
+
+def geometry_of_rig(rig: Rig) -> VmuGeometry:
+    """Return the cameras and LEDs that a rig file has on paper: principal points in the middle, no distortion."""
+    on_paper = rig.vmu.camera
+    camera = Camera(
+        fx=on_paper.focal_px,
+        fy=on_paper.focal_px,
+        cx=0.5 * (on_paper.width_px - 1),
+        cy=0.5 * (on_paper.height_px - 1),
+        width=on_paper.width_px,
+        height=on_paper.height_px,
+    )
+    return VmuGeometry(leds_m=rig.vmu.leds_m, left=camera, right=camera, baseline_m=(on_paper.baseline_m, 0.0, 0.0))

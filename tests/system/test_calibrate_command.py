@@ -15,10 +15,10 @@ from hil.cli.main import execute
 from hil.config.load import load_file, load_rig
 from hil.config.vmu_geometry import VmuGeometry
 from hil.vmu.calibration.board import Board
-from hil.vmu.calibration.job import geometry_of_rig
 from hil.vmu.calibration.model import Setup, Turntable
 from hil.vmu.calibration.synthetic import plan, shifted
 from hil.vmu.calibration.synthetic_images import board_pair, led_pair, led_renderer, write_views
+from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.render import NOTHING
 
 BOARD = Board(7, 5, 0.05)

@@ -13,11 +13,12 @@ import pytest
 from hil import build, parameters
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
-from hil.eyes import make_eye, rig_geometry
+from hil.eyes import make_eye
 from hil.fitness import axes_at
 from hil.maths import quat
 from hil.maths.stations import camera_pose
 from hil.messages import PoseFrame
+from hil.vmu.geometry import geometry_of_rig
 
 RENDERED = "vmu.source=rendered"
 HALF_WAY = (2.0, -0.1, 0.1)  # m
@@ -61,7 +62,7 @@ def test_an_error_of_the_bench_reaches_the_pose() -> None:
 
 def believing(path: Path, shift_px: float = 0.0, baseline: float = 1.0) -> str:
     """Write a geometry that is wrong; return the setting that lets the unit believe it."""
-    believed = rig_geometry(load_rig("mock").value).model_dump(mode="json")
+    believed = geometry_of_rig(load_rig("mock").value).model_dump(mode="json")
     believed["baseline_m"][0] *= baseline
     for side in ("left", "right"):
         believed[side]["cx"] += shift_px

@@ -16,9 +16,8 @@ import pytest
 from hil.cli.main import execute
 from hil.config.load import load_rig
 from hil.drivers.vmu.codec import Decoded, Decoder
-from hil.eyes import rig_geometry
 from hil.maths import quat
-from hil.vmu.geometry import camera_pair, led_positions
+from hil.vmu.geometry import camera_pair, geometry_of_rig, led_positions
 from hil.vmu.render import Look, Renderer
 
 FRAMES = 6
@@ -28,7 +27,7 @@ FRAMES = 6
 def streams(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
     """Write two videos of an approach, and the geometry; return what names both, and the geometry's path."""
     folder = tmp_path_factory.mktemp("streams")
-    geometry = rig_geometry(load_rig("mock").value)
+    geometry = geometry_of_rig(load_rig("mock").value)
     path = folder / "geometry.json"
     path.write_text(json.dumps(geometry.model_dump(mode="json")))
     renderer = Renderer(camera_pair(geometry), led_positions(geometry), Look())

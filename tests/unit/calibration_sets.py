@@ -6,10 +6,10 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.vmu.calibration.board import Board
-from hil.vmu.calibration.job import geometry_of_rig
 from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable
 from hil.vmu.calibration.refine import layout_basis
 from hil.vmu.calibration.synthetic import plan, sight
+from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.kernels.chain import COMMON
 
 AXIS_SIGMA = np.array([5e-5] * 3 + [np.radians(0.005)] * 3)

@@ -45,7 +45,7 @@ def test_pixels_are_those_of_bench_kinematics_and_stations(mock_rig: Rig) -> Non
     r_CT_H, q_CH, t_v, q_vt = np.empty(3), np.empty(4), np.empty(3), np.empty(4)
     pose_of_axes(params, AXES[:3], AXES[3:], r_CT_H, q_CH)
     camera_pose(stations, r_CT_H, q_CH, t_v, q_vt)
-    from hil.vmu.calibration.job import geometry_of_rig
+    from hil.vmu.geometry import geometry_of_rig
 
     pair = camera_pair(geometry_of_rig(mock_rig))
     seen = see(paper, turntable, AXES).pixels

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.config.rig import Rig
-from hil.config.vmu_geometry import Camera, VmuGeometry
+from hil.config.vmu_geometry import VmuGeometry
 from hil.errors import BadInput
 from hil.messages import Array
 from hil.vmu.calibration import board as boards
@@ -83,20 +83,6 @@ class Outcome:
     @property
     def passed(self) -> bool:
         return all(check.passed for check in self.checks)
-
-
-def geometry_of_rig(rig: Rig) -> VmuGeometry:
-    """Return the cameras and LEDs that a rig file has on paper."""
-    on_paper = rig.vmu.camera
-    camera = Camera(
-        fx=on_paper.focal_px,
-        fy=on_paper.focal_px,
-        cx=0.5 * (on_paper.width_px - 1),
-        cy=0.5 * (on_paper.height_px - 1),
-        width=on_paper.width_px,
-        height=on_paper.height_px,
-    )
-    return VmuGeometry(leds_m=rig.vmu.leds_m, left=camera, right=camera, baseline_m=(on_paper.baseline_m, 0.0, 0.0))
 
 
 def target_name(board: Board | None) -> str:

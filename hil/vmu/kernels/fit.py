@@ -8,10 +8,9 @@ pixel at full scale says only that the light is at least that.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from hil.maths import cholesky
 from hil.maths.jit import kernel
 from hil.vmu.kernels.shape import node, point_sums, strip_sums, strips
 
@@ -127,17 +126,8 @@ def invert(a, out):
     """Write the inverse of the positive definite ``a`` (n, n) by Cholesky; return False where it is not one."""
     n = a.shape[0]
     low = np.zeros((n, n))
-    for i in range(n):
-        for j in range(i + 1):
-            s = a[i, j]
-            for m in range(j):
-                s -= low[i, m] * low[j, m]
-            if i == j:
-                if not s > 1e-12 * a[i, i]:
-                    return False
-                low[i, i] = math.sqrt(s)
-            else:
-                low[i, j] = s / low[j, j]
+    if not cholesky.factor(a, n, low, 1e-12):
+        return False
     half = np.zeros((n, n))  # the inverse of low
     for j in range(n):
         half[j, j] = 1.0 / low[j, j]

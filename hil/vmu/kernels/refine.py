@@ -125,9 +125,9 @@ def refine(scene, view, fit):
             for b in range(6):
                 damped[a, b] = normal[a, b]
             damped[a, a] = normal[a, a] * (1.0 + damping) + 1e-12
-        if not cholesky.factor(damped, low):
+        if not cholesky.factor(damped, 6, low):
             return
-        cholesky.solve(low, gradient, step)
+        cholesky.solve(low, 6, gradient, step)
         for a in range(3):
             t_new[a] = fit.t[a] + step[a]
         turn(fit.r, step[3:6], r_new)
@@ -146,7 +146,7 @@ def refine(scene, view, fit):
             break
         if damping > 1e8:
             break
-    if not cholesky.factor(normal, low):
+    if not cholesky.factor(normal, 6, low):
         return
     cholesky.invert(low, column, fit.covariance)
     fit.chi2 = cost
