@@ -67,6 +67,8 @@ def stations(rig: Rig) -> np.record:
     params.q_vc = quat.from_matrix(np.array(rig.bench.camera_axes))
     params.ring_station = rig.bench.ring_station_m
     params.q_th = quat.from_matrix(np.array(rig.bench.ring_axes))
+    params.position_variance = rig.vmu.bench_sigma_m**2
+    params.attitude_variance = math.radians(rig.vmu.bench_sigma_deg) ** 2
     return params
 
 

@@ -282,6 +282,8 @@ class Vmu(Strict):
     camera: Camera = Camera()
     leds_m: Annotated[tuple[Triple, ...], Field(min_length=1)] = _ring(0.12, 0.06)  # in t
     geometry_file: str | None = None  # what the unit takes its cameras and LEDs for; left away: camera and leds_m
+    bench_sigma_m: NotNegative = 0.0  # what bench and calibration add to the error that the unit reports, per axis
+    bench_sigma_deg: NotNegative = 0.0
     identity: VmuIdentity = VmuIdentity()
     rs422: SerialLine | None = None
 

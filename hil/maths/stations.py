@@ -19,6 +19,8 @@ STATIONS = np.dtype(
         ("q_vc", "f8", 4),
         ("ring_station", "f8", 3),  # m, in H
         ("q_th", "f8", 4),
+        ("position_variance", "f8"),  # m^2, of each axis: what the bench adds to the error of a pose
+        ("attitude_variance", "f8"),  # rad^2, the same about each axis
     ],
     align=True,
 )
@@ -44,7 +46,8 @@ def chaser_pose(stations, t_v, q_vt, covariance, pose):
     """Write ``pose`` (POSE without t_s and fresh) of the chaser from the camera's pose and covariance.
 
     covariance: (6, 6) of t_v and of the small rotation e about v's axes, ``R_est = exp([e]x) R_true``.
-    The attitude error of c is that rotation seen in c; the position picks up its lever arm.
+    The attitude error of c is that rotation seen in c; the position picks up its lever arm. What the bench itself is
+    off, which no unit can know, comes on top.
     """
     q_cv = quat.conjugate(stations.q_vc)
     copy_into(pose.q_CH, quat.multiply(q_cv, quat.multiply(q_vt, stations.q_th)))
@@ -76,3 +79,5 @@ def chaser_pose(stations, t_v, q_vt, covariance, pose):
                     attitude += a[i, m] * covariance[3 + m, 3 + n] * a[j, n]
             pose.covariance_position[i, j] = position
             pose.covariance_attitude[i, j] = attitude
+        pose.covariance_position[i, i] += stations.position_variance
+        pose.covariance_attitude[i, i] += stations.attitude_variance

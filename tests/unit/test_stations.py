@@ -107,3 +107,12 @@ def test_scatter_of_noisy_poses_matches_their_covariance(odd_stations: np.record
     for sample, expected in ((position, true.covariance_position), (turn, true.covariance_attitude)):
         whitened = np.linalg.solve(np.linalg.cholesky(expected), sample.T)
         np.testing.assert_allclose(whitened @ whitened.T / len(noise), np.eye(3), atol=0.1)
+
+
+def test_what_the_bench_adds_stands_on_top_of_what_the_unit_reports(odd_stations: np.record) -> None:
+    t_v, q_vt = see(odd_stations, np.array([3.0, 0.4, -0.5]), IDENTITY)
+    reported = chaser(odd_stations, t_v, q_vt, 1e-8 * np.eye(6))
+    odd_stations.position_variance, odd_stations.attitude_variance = 4e-6, 9e-8
+    pose = chaser(odd_stations, t_v, q_vt, 1e-8 * np.eye(6))
+    np.testing.assert_allclose(pose.covariance_position - reported.covariance_position, 4e-6 * np.eye(3), atol=1e-18)
+    np.testing.assert_allclose(pose.covariance_attitude - reported.covariance_attitude, 9e-8 * np.eye(3), atol=1e-20)
