@@ -18,6 +18,7 @@ from hil.campaign.tally_kernel import count_cycle, count_exposure
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.dynamics.imu import IMU_PARAMS
+from hil.dynamics.moon_gravity import HELD
 from hil.dynamics.truth import DSS_PARAMS
 from hil.dynamics.vision import VISION_PARAMS, see
 from hil.gnc import allocation, control, guidance, navigation, supervision
@@ -87,6 +88,7 @@ LOOP_PARAMS = np.dtype(
 LOOP_STATE = np.dtype(
     [
         ("now", CYCLE),
+        ("harmonics", HELD),
         ("rails", SERVO),
         ("turntable", SERVO),
         ("motion", MOTION),
@@ -341,7 +343,7 @@ def run_loop(
         count_cycle(params, state, tally)
         if k < history.shape[0]:
             history[k] = now
-        truth_kernels.step(params.dss, field, now.truth, now.command.on)
+        truth_kernels.step(params.dss, field, state.harmonics, now.truth, now.command.on)
         imu_kernels.sample(params.imu, now.truth, imu_noise[k], now.imu)
         limited = _follow(params, state, t_s)
         if limited < 0:

@@ -249,10 +249,10 @@ def _leave(params, y, truth):
 
 
 @kernel
-def step(params, field, truth, on):
+def step(params, field, span, truth, on):
     """Move ``truth`` (TRUTH) on by one step, in place, with the thruster commands ``on`` (n,), 0 or 1.
 
-    field: the harmonics, (N + 1, N + 1, 6), as ``moon_gravity.field_table`` gives them.
+    field: the harmonics, (N + 1, N + 1, 6), as ``moon_gravity.field_table`` gives them. span: HELD of this run.
     """
     dt = params.dt_s
     n = params.n_thrusters
@@ -276,11 +276,12 @@ def step(params, field, truth, on):
     copy_into(sun_f, params.sun_I)
     if params.relative_motion == HILL:
         quat.transform_into(truth.q_HI, sun_f, sun_f)
-    fill_matrix(held, 0.0)
-    if params.relative_motion != HILL:
-        moon_gravity.hold_perturbation(
-            params.gravity, field, truth.t_s, y[21:24], y[24:27], y[0:3], y[3:6], dt, held
+    if params.relative_motion != HILL and params.gravity.degree >= 2:
+        moon_gravity.follow_perturbation(
+            params.gravity, field, truth.t_s, y[21:24], y[24:27], y[0:3], y[3:6], dt, span, held
         )  # fmt: skip
+    else:
+        fill_matrix(held, 0.0)
     _integrate(params, held, y, load, sun_f, dt)
     truth.t_s += dt
     _move_frame(params, held[2], y, truth)
