@@ -33,7 +33,7 @@ from hil.maths.camera import CAMERA
 from hil.maths.exposure import TIME_SLACK_S, TRAVEL, delays, exposure_time, first_exposure
 from hil.maths.jit import kernel
 from hil.maths.limits import cut_to_range, has_held
-from hil.maths.servo import servo_step
+from hil.maths.servo import servo_step, servo_step_of_two
 from hil.maths.stations import STATIONS, chaser_pose
 from hil.messages import AXES, CYCLE, MAX_POSES
 
@@ -134,6 +134,19 @@ def _move_axes(axes, now_s):
 
 
 @kernel
+def _move_all(state, now_s):
+    """Move rails and turntable on to ``now_s``."""
+    rails, turntable = state.rails, state.turntable
+    left_s = now_s - rails.t_s
+    if rails.t_s != turntable.t_s:
+        _move_axes(rails, now_s)
+        _move_axes(turntable, now_s)
+    elif left_s > 0.0:
+        rails.t_s = turntable.t_s = now_s
+        servo_step_of_two(rails, turntable, left_s)
+
+
+@kernel
 def _send(axes, position, rate, now_s, accepted):
     """Give three mock axes their setpoint and write what they took into ``accepted`` (3,); False for a bad number."""
     feedforward = local.vector(3)
@@ -157,8 +170,7 @@ def _expose(params, state, until_s, vision_noise, travel_draws, leds, frames, ta
         if t_s > until_s:
             return
         row = state.next_exposure - state.first_exposure
-        _move_axes(state.rails, t_s)
-        _move_axes(state.turntable, t_s)
+        _move_all(state, t_s)
         kinematics.pose_of_axes(params.bench, state.rails.position, state.turntable.position, r, q)
         frame = frames[state.on_the_way]
         see(params.vision, params.stations, r, q, vision_noise[row], frame.t_v, frame.q_vt, frame.covariance)
@@ -240,8 +252,7 @@ def _show_pose(state, poses, arrived):
 @kernel
 def _read_axes(state, now_s):
     """Write the encoders' values into the present row."""
-    _move_axes(state.rails, now_s)
-    _move_axes(state.turntable, now_s)
+    _move_all(state, now_s)
     rails, turntable = state.rails, state.turntable
     kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, state.now.feedback)
 

@@ -122,7 +122,7 @@ def move(params, state, measured_rate):
 
 @kernel
 def spread(params, state):
-    """Carry the covariance over the step of ``move``: ``phi p phi.T`` and the noise, phi's lower rows being ``[0 I]``."""
+    """Carry the covariance over the step of ``move``: ``phi p phi.T`` and noise; below, phi is ``[0 I]``."""
     p, f = state.p, state.phi
     rows = local.matrix(3, 6)
     for i in range(3):

@@ -6,7 +6,37 @@ with velocity feed-forward, a drive that follows its speed command as a first-or
 
 from __future__ import annotations
 
+from typing import Final
+
+from hil.maths import local
 from hil.maths.jit import kernel
+
+_LANES: Final = 8
+_ROWS: Final = 10
+
+
+@kernel
+def _parts(tau, dt):
+    """Return into how many parts a step of ``dt``, s, is split for a lag of ``tau``, s."""
+    return int(dt / (0.25 * tau)) + 1
+
+
+@kernel
+def _part(position, rate, setpoint, feedforward, kp, quickness, rate_max, acceleration_max, low, high, h):
+    """Return position and rate of one axis after a part of ``h``, s; all arguments are numbers. quickness: 1 / tau."""
+    wanted = feedforward + kp * (setpoint - position)
+    wanted = min(rate_max, max(-rate_max, wanted))
+    acceleration = (wanted - rate) * quickness
+    acceleration = min(acceleration_max, max(-acceleration_max, acceleration))
+    rate += acceleration * h
+    position += rate * h
+    if position < low:
+        position = low
+        rate = 0.0
+    elif position > high:
+        position = high
+        rate = 0.0
+    return position, rate
 
 
 @kernel
@@ -23,20 +53,59 @@ def servo_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceler
         end = first + 1
         while end < position.shape[0] and tau[end] == tau[first]:
             end += 1
-        n = int(dt / (0.25 * tau[first])) + 1
-        h = dt / n
+        n = _parts(tau[first], dt)
+        h, quickness = dt / n, 1.0 / tau[first]
         for _ in range(n):
             for i in range(first, end):
-                wanted = feedforward[i] + kp[i] * (setpoint[i] - position[i])
-                wanted = min(rate_max[i], max(-rate_max[i], wanted))
-                acceleration = (wanted - rate[i]) / tau[i]
-                acceleration = min(acceleration_max[i], max(-acceleration_max[i], acceleration))
-                rate[i] += acceleration * h
-                position[i] += rate[i] * h
-                if position[i] < low[i]:
-                    position[i] = low[i]
-                    rate[i] = 0.0
-                elif position[i] > high[i]:
-                    position[i] = high[i]
-                    rate[i] = 0.0
+                position[i], rate[i] = _part(
+                    position[i], rate[i], setpoint[i], feedforward[i], kp[i], quickness,
+                    rate_max[i], acceleration_max[i], low[i], high[i], h,
+                )  # fmt: skip
         first = end
+
+
+@kernel
+def servo_step_of_two(one, other, dt):
+    """``servo_step`` of two devices of three axes each, with the same bits: side by side neither waits for the other.
+
+    one, other: records with the arguments of ``servo_step`` as fields; the three axes of each have one lag.
+    """
+    lanes, numbers = local.matrix(_ROWS, _LANES), local.vector(_LANES)
+    _lay_out(one, 0, lanes)
+    _lay_out(other, 4, lanes)
+    n_one, n_other = _parts(one.tau[0], dt), _parts(other.tau[0], dt)
+    for i in range(_LANES):
+        numbers[i] = dt / (n_one if i < 4 else n_other)
+    both = min(n_one, n_other)
+    _run_parts(lanes, numbers, both)
+    if n_one != n_other:
+        for i in range(_LANES):
+            if (i < 4) == (n_one == both):
+                numbers[i] = 0.0  # a part of no time
+        _run_parts(lanes, numbers, max(n_one, n_other) - both)
+    for i in range(3):
+        one.position[i], one.rate[i] = lanes[0, i], lanes[1, i]
+        other.position[i], other.rate[i] = lanes[0, 4 + i], lanes[1, 4 + i]
+
+
+@kernel
+def _lay_out(axes, first, lanes):
+    """Write the axes' numbers into four columns of ``lanes`` from ``first`` on, the third axis twice."""
+    for k in range(4):
+        i, j = min(k, 2), first + k
+        lanes[0, j], lanes[1, j] = axes.position[i], axes.rate[i]
+        lanes[2, j], lanes[3, j] = axes.setpoint[i], axes.feedforward[i]
+        lanes[4, j], lanes[5, j] = axes.kp[i], 1.0 / axes.tau[0]
+        lanes[6, j], lanes[7, j] = axes.rate_max[i], axes.acceleration_max[i]
+        lanes[8, j], lanes[9, j] = axes.low[i], axes.high[i]
+
+
+@kernel
+def _run_parts(lanes, h, n):
+    """Move all lanes on by ``n`` parts of ``h`` (_LANES,), s."""
+    for _ in range(n):
+        for i in range(_LANES):
+            lanes[0, i], lanes[1, i] = _part(
+                lanes[0, i], lanes[1, i], lanes[2, i], lanes[3, i], lanes[4, i], lanes[5, i],
+                lanes[6, i], lanes[7, i], lanes[8, i], lanes[9, i], h[i],
+            )  # fmt: skip
