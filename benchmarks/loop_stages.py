@@ -22,6 +22,8 @@ from hil.campaign.tally_kernel import count_cycle
 from hil.config.load import load_rig, load_scenario
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
+from hil.gnc import navigation
+from hil.maths import local
 from hil.maths.jit import kernel
 
 REPEATS, TIMES = 7, 20_000
@@ -73,8 +75,16 @@ def fuse(params, state, memory, poses, n):
 
 @kernel
 def decide(params, state, sets, n):
+    state.fuses_now = 0  # the filters' consistency is a line of its own
     for _ in range(n):
         loop._decide(params, state, sets, state.now.t_s)
+
+
+@kernel
+def errors(state, n):
+    out = local.vector(2)
+    for _ in range(n):
+        navigation.normalised_errors(state.navigation.fusion.filters, state.now.truth, state.now.imu, out)
 
 
 @kernel
@@ -141,6 +151,7 @@ def main() -> None:
         + best_ns(flight, lambda n: take_poses(p, s, frames, poses, n)) / a_pose,
         "filters, prediction": (alone := best_ns(flight, lambda n: predict(p, s, memory, poses, n))),
         "filters, poses": (best_ns(flight, lambda n: fuse(p, s, memory, poses, n)) - alone) / a_pose,
+        "consistency of the filters": best_ns(flight, lambda n: errors(s, n)) / a_pose,
         "guidance, supervision, control": best_ns(flight, lambda n: decide(p, s, sets, n)),
         "tally": best_ns(flight, lambda n: tally_cycle(p, s, tally, n)),
         "truth": best_ns(flight, lambda n: move_truth(p, field, s, n)),

@@ -90,7 +90,10 @@ def _limit_axis(params, axis, position, rate, wanted, wanted_rate):
         and abs(step) <= fastest * slack
         and abs(step - rate) <= acceleration * dt * slack
         and abs(step - wanted_rate) <= acceleration * dt * slack
-        and abs(step) <= acceleration * dt * slack + braking_speed(room, acceleration, dt)
+        and (
+            abs(step) <= acceleration * dt * slack  # which no braking can be too short for
+            or abs(step) <= acceleration * dt * slack + braking_speed(room, acceleration, dt)
+        )
     ):
         return step, True
     speed = min(fastest, braking_speed(abs(target - position), acceleration, dt))

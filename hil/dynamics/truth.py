@@ -13,6 +13,8 @@ Effects are switched in the parameters; each has its file.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hil.dynamics import moon_gravity, orbit
@@ -65,7 +67,7 @@ _ROOM = 7  # vectors that a derivative works in
 
 @kernel
 def _translate(params, pull, difference, y, dy, nadir_F):
-    """Write the free motion into ``dy`` and the direction to the Moon into ``nadir_F``; return GM/r^3, 1/s^2.
+    """Write the free motion into ``dy`` and the way to the Moon, of length d, into ``nadir_F``; return GM/(r^3 d^2).
 
     pull: (3,), m/s^2, of the harmonics on the target; difference: (3,), on the chaser minus that.
     """
@@ -85,10 +87,7 @@ def _translate(params, pull, difference, y, dy, nadir_F):
         dy[3 + i] += difference[i]
         nadir_F[i] = -(y[21 + i] + y[i])
         squared += nadir_F[i] * nadir_F[i]
-    distance = np.sqrt(squared)
-    for i in range(3):
-        nadir_F[i] /= distance
-    return params.gravity.gm / (squared * distance)
+    return params.gravity.gm / (squared * squared * math.sqrt(squared))
 
 
 @kernel
@@ -96,7 +95,7 @@ def _derivative(params, pull, difference, y, load, sun_F, room, dy):
     """Write dy/dt.
 
     pull, difference: see ``_translate``. load: specific thrust (3,), m/s^2, the thrust's torque (3,), N m, both in c,
-    and the mass, kg. sun_F: (3,), unit. room: (_ROOM, 3), to work in.
+    and one over the mass, 1/kg. sun_F: (3,), unit. room: (_ROOM, 3), to work in.
     """
     force, torque, direction, seen = room[0], room[1], room[2], room[3]
     for i in range(3):
@@ -115,7 +114,7 @@ def _derivative(params, pull, difference, y, load, sun_F, room, dy):
         torque[1] += arm[2] * direction[0] - arm[0] * direction[2]
         torque[2] += arm[0] * direction[1] - arm[1] * direction[0]
         for i in range(3):
-            dy[16 + i] = direction[i] / load[6]
+            dy[16 + i] = direction[i] * load[6]
             force[i] += dy[16 + i]
     quat.transform_back_into(q, force, seen)
     # rate of c against F, in c: w_CF = w_CI - A(q) w_FI (bench paper eq. (3)); H turns with [0, -w0, 0]
@@ -269,7 +268,7 @@ def step(params, field, span, truth, on):
         load[0:3],
         load[3:6],
     )
-    load[6] = truth.mass_kg
+    load[6] = 1.0 / truth.mass_kg
     for i in range(3):
         load[i] /= truth.mass_kg
     _enter(params, truth, y)

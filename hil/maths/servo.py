@@ -22,13 +22,19 @@ def _parts(tau, dt):
 
 
 @kernel
-def _part(position, rate, setpoint, feedforward, kp, quickness, rate_max, acceleration_max, low, high, h):
-    """Return position and rate of one axis after a part of ``h``, s; all arguments are numbers. quickness: 1 / tau."""
-    wanted = feedforward + kp * (setpoint - position)
-    wanted = min(rate_max, max(-rate_max, wanted))
-    acceleration = (wanted - rate) * quickness
-    acceleration = min(acceleration_max, max(-acceleration_max, acceleration))
-    rate += acceleration * h
+def _goal(setpoint, feedforward, kp):
+    """Return the rate that is asked for at position zero."""
+    return feedforward + kp * setpoint
+
+
+@kernel
+def _part(position, rate, goal, kp, share, rate_max, change_max, low, high, h):
+    """Return position and rate of one axis after a part of ``h``, s; all arguments are numbers.
+
+    goal: see ``_goal``. share: of the way to the wanted rate that is made, h / tau. change_max: of the rate in a part.
+    """
+    wanted = min(rate_max, max(-rate_max, goal - kp * position))
+    rate += min(change_max, max(-change_max, (wanted - rate) * share))
     position += rate * h
     if position < low:
         position = low
@@ -54,12 +60,13 @@ def servo_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceler
         while end < position.shape[0] and tau[end] == tau[first]:
             end += 1
         n = _parts(tau[first], dt)
-        h, quickness = dt / n, 1.0 / tau[first]
+        h = dt / n
+        share = h / tau[first]
         for _ in range(n):
             for i in range(first, end):
                 position[i], rate[i] = _part(
-                    position[i], rate[i], setpoint[i], feedforward[i], kp[i], quickness,
-                    rate_max[i], acceleration_max[i], low[i], high[i], h,
+                    position[i], rate[i], _goal(setpoint[i], feedforward[i], kp[i]), kp[i], share,
+                    rate_max[i], acceleration_max[i] * h, low[i], high[i], h,
                 )  # fmt: skip
         first = end
 
@@ -70,42 +77,40 @@ def servo_step_of_two(one, other, dt):
 
     one, other: records with the arguments of ``servo_step`` as fields; the three axes of each have one lag.
     """
-    lanes, numbers = local.matrix(_ROWS, _LANES), local.vector(_LANES)
-    _lay_out(one, 0, lanes)
-    _lay_out(other, 4, lanes)
+    lanes = local.matrix(_ROWS, _LANES)
     n_one, n_other = _parts(one.tau[0], dt), _parts(other.tau[0], dt)
-    for i in range(_LANES):
-        numbers[i] = dt / (n_one if i < 4 else n_other)
+    _lay_out(one, dt / n_one, 0, lanes)
+    _lay_out(other, dt / n_other, 4, lanes)
     both = min(n_one, n_other)
-    _run_parts(lanes, numbers, both)
+    _run_parts(lanes, both)
     if n_one != n_other:
-        for i in range(_LANES):
-            if (i < 4) == (n_one == both):
-                numbers[i] = 0.0  # a part of no time
-        _run_parts(lanes, numbers, max(n_one, n_other) - both)
+        done = 0 if n_one == both else 4
+        for i in range(done, done + 4):  # parts of no time
+            lanes[4, i] = lanes[6, i] = lanes[9, i] = 0.0
+        _run_parts(lanes, max(n_one, n_other) - both)
     for i in range(3):
         one.position[i], one.rate[i] = lanes[0, i], lanes[1, i]
         other.position[i], other.rate[i] = lanes[0, 4 + i], lanes[1, 4 + i]
 
 
 @kernel
-def _lay_out(axes, first, lanes):
-    """Write the axes' numbers into four columns of ``lanes`` from ``first`` on, the third axis twice."""
+def _lay_out(axes, h, first, lanes):
+    """Write the arguments of ``_part`` of three axes, the last twice, into columns of ``lanes`` from ``first`` on."""
+    share = h / axes.tau[0]
     for k in range(4):
         i, j = min(k, 2), first + k
         lanes[0, j], lanes[1, j] = axes.position[i], axes.rate[i]
-        lanes[2, j], lanes[3, j] = axes.setpoint[i], axes.feedforward[i]
-        lanes[4, j], lanes[5, j] = axes.kp[i], 1.0 / axes.tau[0]
-        lanes[6, j], lanes[7, j] = axes.rate_max[i], axes.acceleration_max[i]
-        lanes[8, j], lanes[9, j] = axes.low[i], axes.high[i]
+        lanes[2, j], lanes[3, j] = _goal(axes.setpoint[i], axes.feedforward[i], axes.kp[i]), axes.kp[i]
+        lanes[4, j], lanes[5, j], lanes[6, j] = share, axes.rate_max[i], axes.acceleration_max[i] * h
+        lanes[7, j], lanes[8, j], lanes[9, j] = axes.low[i], axes.high[i], h
 
 
 @kernel
-def _run_parts(lanes, h, n):
-    """Move all lanes on by ``n`` parts of ``h`` (_LANES,), s."""
+def _run_parts(lanes, n):
+    """Move all lanes on by ``n`` parts."""
     for _ in range(n):
         for i in range(_LANES):
             lanes[0, i], lanes[1, i] = _part(
-                lanes[0, i], lanes[1, i], lanes[2, i], lanes[3, i], lanes[4, i], lanes[5, i],
-                lanes[6, i], lanes[7, i], lanes[8, i], lanes[9, i], h[i],
+                lanes[0, i], lanes[1, i], lanes[2, i], lanes[3, i], lanes[4, i],
+                lanes[5, i], lanes[6, i], lanes[7, i], lanes[8, i], lanes[9, i],
             )  # fmt: skip
