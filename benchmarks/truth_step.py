@@ -20,6 +20,7 @@ from hil import parameters
 from hil.config.load import load_scenario
 from hil.dynamics import moon_gravity
 from hil.dynamics import truth as kernels
+from hil.dynamics.held_gravity import HELD
 from hil.maths import quat
 from hil.maths.jit import kernel
 from hil.messages import MAX_THRUSTERS, new
@@ -74,7 +75,7 @@ def main() -> None:
     ):
         scenario = load_scenario("scheme-2", settings).value
         params, field, truth = parameters.dss(scenario), parameters.field(scenario), parameters.initial_truth(scenario)
-        span = new(moon_gravity.HELD)
+        span = new(HELD)
         n = round(span_s / params.dt_s)
         steps(params, field, span, truth, quiet, 1)
         taken = best_s(lambda: steps(params, field, span, truth, quiet, n))  # noqa: B023

@@ -15,7 +15,7 @@ from hil.drivers.base import PoseSource
 from hil.drivers.remote.cells import ARRIVAL, write_frame
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
-from hil.dynamics.moon_gravity import HELD
+from hil.dynamics.held_gravity import HELD
 from hil.frmn.ring import Telemetry
 from hil.gnc import allocation, control, guidance, navigation, supervision
 from hil.gnc.fusion import MEMORY, STEP

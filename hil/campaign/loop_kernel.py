@@ -17,8 +17,8 @@ from hil.bench.kinematics import BENCH_PARAMS, MOTION
 from hil.campaign.tally_kernel import count_cycle, count_exposure
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
+from hil.dynamics.held_gravity import HELD
 from hil.dynamics.imu import IMU_PARAMS
-from hil.dynamics.moon_gravity import HELD
 from hil.dynamics.truth import DSS_PARAMS
 from hil.dynamics.vision import VISION_PARAMS, see
 from hil.gnc import allocation, control, guidance, navigation, supervision

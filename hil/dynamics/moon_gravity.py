@@ -27,16 +27,6 @@ GRAVITY_PARAMS = np.dtype(
 )
 
 LANES = 4  # places that are looked at side by side
-HOLD_S = 0.2  # span over which the harmonics are held; one step where that is longer
-
-HELD = np.dtype(
-    [
-        ("steps", "i8"),  # of the span, 0 before the first
-        ("step", "i8"),  # number of the next one
-        ("pull", "f8", (LANES, 3)),  # m/s^2, see hold_perturbation
-    ],
-    align=True,
-)
 FIELD_COLUMNS = 6  # C, S, alpha, beta, coupled C, coupled S
 
 
@@ -228,30 +218,6 @@ def hold_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held):
         held[row, 2] = pull[row, 2]
     for i in range(3):
         held[3, i] -= held[1, i]
-
-
-@kernel
-def follow_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held, out):
-    """Write the harmonics' accelerations of the step of ``dt``, s, from ``t_s`` on, m/s^2, into ``out`` (4, 3).
-
-    Rows and arguments as for ``hold_perturbation``, which is asked once every HOLD_S; in between the target's pull
-    follows the parabola through its three values. held: HELD, zeroed at the start of a run, and kept up here; steps of
-    one run follow each other.
-    """
-    if held.step >= held.steps:
-        held.steps = max(1, int(HOLD_S / dt + 1e-6))
-        held.step = 0
-        hold_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, held.steps * dt, held.pull)
-    pull = held.pull
-    for row in range(3):
-        share = (held.step + 0.5 * row) / held.steps  # of the span
-        begin, end = (1.0 - share) * (1.0 - 2.0 * share), share * (2.0 * share - 1.0)
-        middle = 4.0 * share * (1.0 - share)
-        for i in range(3):
-            out[row, i] = begin * pull[0, i] + middle * pull[1, i] + end * pull[2, i]
-    for i in range(3):
-        out[3, i] = pull[3, i]
-    held.step += 1
 
 
 @kernel

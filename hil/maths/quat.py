@@ -108,19 +108,21 @@ def from_matrix_into(a, q):
             value = a[i, i]
     if best == 3:
         s = 2.0 * math.sqrt(max(1.0 + trace, 0.0))
+        share = 1.0 / s
         q[3] = 0.25 * s
-        q[0] = (a[1, 2] - a[2, 1]) / s
-        q[1] = (a[2, 0] - a[0, 2]) / s
-        q[2] = (a[0, 1] - a[1, 0]) / s
+        q[0] = (a[1, 2] - a[2, 1]) * share
+        q[1] = (a[2, 0] - a[0, 2]) * share
+        q[2] = (a[0, 1] - a[1, 0]) * share
     else:
         i = best
         j = (i + 1) % 3
         k = (i + 2) % 3
         s = 2.0 * math.sqrt(max(1.0 + a[i, i] - a[j, j] - a[k, k], 0.0))
+        share = 1.0 / s
         q[i] = 0.25 * s
-        q[j] = (a[i, j] + a[j, i]) / s
-        q[k] = (a[i, k] + a[k, i]) / s
-        q[3] = (a[j, k] - a[k, j]) / s
+        q[j] = (a[i, j] + a[j, i]) * share
+        q[k] = (a[i, k] + a[k, i]) * share
+        q[3] = (a[j, k] - a[k, j]) * share
     normalise(q)
     if q[3] < 0.0:
         for i in range(4):

@@ -11,7 +11,7 @@ from typing import Final
 from hil.maths import local
 from hil.maths.jit import kernel
 
-_LANES: Final = 8
+_LANES: Final = 6
 _ROWS: Final = 10
 
 
@@ -80,25 +80,25 @@ def servo_step_of_two(one, other, dt):
     lanes = local.matrix(_ROWS, _LANES)
     n_one, n_other = _parts(one.tau[0], dt), _parts(other.tau[0], dt)
     _lay_out(one, dt / n_one, 0, lanes)
-    _lay_out(other, dt / n_other, 4, lanes)
+    _lay_out(other, dt / n_other, 3, lanes)
     both = min(n_one, n_other)
     _run_parts(lanes, both)
     if n_one != n_other:
-        done = 0 if n_one == both else 4
-        for i in range(done, done + 4):  # parts of no time
+        done = 0 if n_one == both else 3
+        for i in range(done, done + 3):  # parts of no time
             lanes[4, i] = lanes[6, i] = lanes[9, i] = 0.0
         _run_parts(lanes, max(n_one, n_other) - both)
     for i in range(3):
         one.position[i], one.rate[i] = lanes[0, i], lanes[1, i]
-        other.position[i], other.rate[i] = lanes[0, 4 + i], lanes[1, 4 + i]
+        other.position[i], other.rate[i] = lanes[0, 3 + i], lanes[1, 3 + i]
 
 
 @kernel
 def _lay_out(axes, h, first, lanes):
-    """Write the arguments of ``_part`` of three axes, the last twice, into columns of ``lanes`` from ``first`` on."""
+    """Write the arguments of ``_part`` of three axes into columns of ``lanes`` from ``first`` on."""
     share = h / axes.tau[0]
-    for k in range(4):
-        i, j = min(k, 2), first + k
+    for i in range(3):
+        j = first + i
         lanes[0, j], lanes[1, j] = axes.position[i], axes.rate[i]
         lanes[2, j], lanes[3, j] = _goal(axes.setpoint[i], axes.feedforward[i], axes.kp[i]), axes.kp[i]
         lanes[4, j], lanes[5, j], lanes[6, j] = share, axes.rate_max[i], axes.acceleration_max[i] * h

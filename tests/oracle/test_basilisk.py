@@ -18,7 +18,7 @@ from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.dynamics import moon_gravity
 from hil.dynamics import truth as kernels
-from hil.dynamics.moon_gravity import HELD
+from hil.dynamics.held_gravity import HELD
 from hil.maths import quat
 from hil.messages import MAX_THRUSTERS, new
 

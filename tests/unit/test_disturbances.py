@@ -14,7 +14,7 @@ from hil.config.scenario import Scenario
 from hil.dynamics import truth as kernels
 from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
 from hil.dynamics.gravity_gradient import add_gravity_gradient
-from hil.dynamics.moon_gravity import HELD
+from hil.dynamics.held_gravity import HELD
 from hil.dynamics.orbit import state_of_elements
 from hil.dynamics.rigid_body import angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, SOLAR_PRESSURE_PA, pressure_force

@@ -11,8 +11,8 @@ from scipy.stats import chi2
 from hil import parameters
 from hil.config.scenario import Scenario
 from hil.dynamics import truth as truth_kernels
+from hil.dynamics.held_gravity import HELD
 from hil.dynamics.imu import IMU_NOISE, IMU_PARAMS, sample
-from hil.dynamics.moon_gravity import HELD
 from hil.maths.streams import NormalRows, stream
 from hil.messages import IMU, MAX_THRUSTERS, TRUTH, new
 

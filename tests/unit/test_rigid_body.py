@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from hil import parameters
 from hil.config.scenario import Scenario
 from hil.dynamics import truth as kernels
-from hil.dynamics.moon_gravity import HELD
+from hil.dynamics.held_gravity import HELD
 from hil.dynamics.rigid_body import angular_acceleration
 from hil.maths import quat
 from hil.messages import MAX_THRUSTERS, new

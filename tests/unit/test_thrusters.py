@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hil import parameters
 from hil.config.scenario import Scenario
 from hil.dynamics import truth as kernels
-from hil.dynamics.moon_gravity import HELD
+from hil.dynamics.held_gravity import HELD
 from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
 from hil.messages import MAX_THRUSTERS, new
 

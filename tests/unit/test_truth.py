@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from hil import parameters
 from hil.config.scenario import Scenario
 from hil.dynamics import truth as kernels
+from hil.dynamics.held_gravity import HELD
 from hil.dynamics.hill import input_response, transition
-from hil.dynamics.moon_gravity import HELD
 from hil.maths import quat
 from hil.messages import MAX_THRUSTERS, new
 
