@@ -59,7 +59,8 @@ def hold_gravity(gm, harmonics, y, force_C, dt, gravity):
     In a row: the target's acceleration (3,), the chaser's minus it (3,), m/s^2, the way from the chaser to the Moon's
     centre (3,), m, of length d, and GM/d^5, 1/(s^2 m^2). The places are those of parabolas under the accelerations of
     the begin; what that leaves out moves them by a nanometre. gm: m^3/s^2. harmonics: (4, 3) of
-    ``follow_perturbation``. y: the integrated state of ``truth`` in inertial axes. force_C: (3,), specific thrust, m/s^2, in c.
+    ``follow_perturbation``. y: the integrated state of ``truth`` in inertial axes. force_C: (3,), specific thrust,
+    m/s^2, in c.
     """
     r, rho, thrust = local.vector(3), local.vector(3), local.vector(3)
     quat.transform_back_into(y[6:10], force_C, thrust)

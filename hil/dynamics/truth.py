@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.dynamics import held_gravity, moon_gravity, orbit
+from hil.dynamics import held_gravity, orbit
 from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
 from hil.dynamics.gravity_gradient import add_gravity_gradient
 from hil.dynamics.hill import hill_acceleration
@@ -187,21 +187,18 @@ def _enter(params, truth, y):
 
 
 @kernel
-def _move_frame(params, pull, y, truth):
-    """Bring the target and its Hill frame in ``truth`` to the end of the step; pull: (3,), m/s^2, of the harmonics."""
+def _move_frame(params, acceleration, y, truth):
+    """Bring target and Hill frame of ``truth`` to the end of the step; acceleration: (3,), m/s^2, the target's."""
     a = local.matrix(3, 3)
     r = y[21:24]
     v = y[24:27]
-    rate, acceleration, q_hi = local.vector(3), local.vector(3), local.vector(4)
+    rate, q_hi = local.vector(3), local.vector(4)
     fill(rate, 0.0)
     if params.relative_motion == HILL:
         orbit.turn_on_circle(r, v, params.orbit_rate * params.dt_s)
         orbit.hill_frame(r, v, a)
         rate[1] = -params.orbit_rate
     else:
-        moon_gravity.central_pull(params.gravity.gm, r, acceleration)
-        for i in range(3):
-            acceleration[i] += pull[i]
         orbit.hill_frame(r, v, a)
         orbit.hill_rate(r, v, acceleration, a, rate)
     orbit.quaternion_near(a, truth.q_HI, q_hi)
@@ -279,7 +276,7 @@ def step(params, field, span, truth, on):
         held_gravity.hold_gravity(params.gravity.gm, held, y, load, dt, gravity)
     _integrate(params, gravity, y, load, sun_f, dt)
     truth.t_s += dt
-    _move_frame(params, held[2], y, truth)
+    _move_frame(params, gravity[2], y, truth)
     copy_into(w_before, truth.w_CI_C)
     _leave(params, y, truth)
     for i in range(3):
