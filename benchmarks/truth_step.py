@@ -20,9 +20,10 @@ from hil import parameters
 from hil.config.load import load_scenario
 from hil.dynamics import moon_gravity
 from hil.dynamics import truth as kernels
+from hil.dynamics.held_gravity import HELD
 from hil.maths import quat
 from hil.maths.jit import kernel
-from hil.messages import MAX_THRUSTERS
+from hil.messages import MAX_THRUSTERS, new
 
 GRAVITY_ALONE = (
     "truth.gravity_gradient=false",
@@ -34,10 +35,10 @@ REPEATS = 5
 
 
 @kernel
-def steps(params, field, truth, on, n):
+def steps(params, field, span, truth, on, n):
     """Take ``n`` steps without leaving compiled code, as a campaign does."""
     for _ in range(n):
-        kernels.step(params, field, truth, on)
+        kernels.step(params, field, span, truth, on)
 
 
 @kernel
@@ -74,9 +75,10 @@ def main() -> None:
     ):
         scenario = load_scenario("scheme-2", settings).value
         params, field, truth = parameters.dss(scenario), parameters.field(scenario), parameters.initial_truth(scenario)
+        span = new(HELD)
         n = round(span_s / params.dt_s)
-        steps(params, field, truth, quiet, 1)
-        taken = best_s(lambda: steps(params, field, truth, quiet, n))  # noqa: B023
+        steps(params, field, span, truth, quiet, 1)
+        taken = best_s(lambda: steps(params, field, span, truth, quiet, n))  # noqa: B023
         print(f"  {title:28s} {1e6 * taken / n:8.2f} us a step {taken:9.4f} s")
     scenario = load_scenario("scheme-2").value
     params, field, r = parameters.dss(scenario), parameters.field(scenario), parameters.initial_truth(scenario).r_T_I

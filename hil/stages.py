@@ -15,6 +15,7 @@ from hil.drivers.base import PoseSource
 from hil.drivers.remote.cells import ARRIVAL, write_frame
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
+from hil.dynamics.held_gravity import HELD
 from hil.frmn.ring import Telemetry
 from hil.gnc import allocation, control, guidance, navigation, supervision
 from hil.gnc.fusion import MEMORY, STEP
@@ -35,6 +36,7 @@ class Dss:
     def __init__(self, params: np.record, field: Array, imu_params: np.record, imu_noise: NormalRows) -> None:
         self.params = params
         self._field = field
+        self._harmonics = new(HELD)
         self._imu_params = imu_params
         self._noise = imu_noise
         self._rate = np.empty(3)
@@ -45,7 +47,7 @@ class Dss:
 
     def step(self, truth: np.record, command: np.record) -> None:
         """Move ``truth`` on by one step under the thrusters that ``command`` opens."""
-        truth_kernels.step(self.params, self._field, truth, command.on)
+        truth_kernels.step(self.params, self._field, self._harmonics, truth, command.on)
 
     def rate_against_hill(self, truth: np.record) -> Array:
         """Return the chaser's rate against H, in c, (3,), rad/s; valid until the next call."""

@@ -35,14 +35,15 @@ MOTION = np.dtype([("position", "f8", 6), ("rate", "f8", 6)], align=True)  # rai
 def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
     """Write ``axes`` (AXES): positions and rates that put the chaser's reference point at this pose."""
     arm, turning, arm_rate, angles = local.vector(3), local.vector(3), local.vector(3), local.vector(3)
-    jacobian = local.matrix(3, 3)
+    a, jacobian = local.matrix(3, 3), local.matrix(3, 3)
     quat.transform_back_into(q_CH, params.lever_arm, arm)
     turning[0] = w_CH_C[1] * params.lever_arm[2] - w_CH_C[2] * params.lever_arm[1]
     turning[1] = w_CH_C[2] * params.lever_arm[0] - w_CH_C[0] * params.lever_arm[2]
     turning[2] = w_CH_C[0] * params.lever_arm[1] - w_CH_C[1] * params.lever_arm[0]
     quat.transform_back_into(q_CH, turning, arm_rate)
-    euler.from_quaternion_into(q_CH, params.order, angles)
-    euler.rate_jacobian_into(angles, params.order, jacobian)
+    quat.to_matrix_into(q_CH, a)
+    euler.from_matrix_into(a, params.order, angles)
+    euler.rate_jacobian_of_matrix_into(a, params.order, jacobian)
     for i in range(3):
         axes.rail_m[i] = r_CT_H[i] - arm[i]
         axes.rail_mps[i] = v_CT_H[i] - arm_rate[i]
@@ -89,7 +90,10 @@ def _limit_axis(params, axis, position, rate, wanted, wanted_rate):
         and abs(step) <= fastest * slack
         and abs(step - rate) <= acceleration * dt * slack
         and abs(step - wanted_rate) <= acceleration * dt * slack
-        and abs(step) <= acceleration * dt * slack + braking_speed(room, acceleration, dt)
+        and (
+            abs(step) <= acceleration * dt * slack  # which no braking can be too short for
+            or abs(step) <= acceleration * dt * slack + braking_speed(room, acceleration, dt)
+        )
     ):
         return step, True
     speed = min(fastest, braking_speed(abs(target - position), acceleration, dt))

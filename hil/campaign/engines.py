@@ -28,7 +28,8 @@ from hil.errors import BadInput, CampaignStopped
 Batch = tuple[int, int]
 """First case, and how many."""
 
-_AHEAD: Final = 2  # batches a worker that wait or are flown
+_AHEAD: Final = 2  # batches a worker, or parts of them, that wait or are flown
+_PART: Final = 10  # cases that a worker of this computer is given at once
 _TRIES: Final = 3  # times that a batch may take its worker with it
 _CONNECT_S: Final = 10.0
 
@@ -66,24 +67,49 @@ class LocalEngine:
 
     def _until_a_worker_dies(self, spec: Spec, left: deque[Batch]) -> Generator[tuple[int, Rows], None, list[Batch]]:
         """Take batches from ``left`` until it is empty; after the death of a worker return those under way."""
-        waiting: dict[Future[Rows], Batch] = {}
+        under_way: dict[Batch, _Parts] = {}
+        waiting: dict[Future[Rows], tuple[Batch, int]] = {}
+        parts: deque[tuple[Batch, int]] = deque()
         pool = _pool(self.workers)
         try:
-            while left or waiting:
-                while left and len(waiting) < _AHEAD * self.workers:
-                    future = pool.submit(run_batch, spec, *left[0])
-                    waiting[future] = left.popleft()
+            while left or parts or waiting:
+                while (left or parts) and len(waiting) < _AHEAD * self.workers:
+                    if not parts:
+                        batch = left.popleft()
+                        under_way[batch] = _Parts(batch)
+                        parts.extend((batch, first) for first in under_way[batch].borders)
+                    batch, first = parts[0]
+                    future = pool.submit(run_batch, spec, first, min(_PART, sum(batch) - first))
+                    waiting[future] = parts.popleft()
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                     rows = future.result()
-                    yield waiting.pop(future)[0], rows
+                    batch, first = waiting.pop(future)
+                    if (whole := under_way[batch].put(first, rows)) is not None:
+                        del under_way[batch]
+                        yield batch[0], whole
         except BrokenProcessPool:
-            return sorted(waiting.values())
+            return sorted(under_way)
         finally:  # also where nobody wants the rest: nobody waits for what is under way either
             pool.shutdown(wait=False, cancel_futures=True)
         return []
 
     def close(self) -> None:
         """Nothing is held between two calls of ``fly``."""
+
+
+class _Parts:
+    """A batch that is flown in parts, so that no worker has much to do alone at the end of a campaign."""
+
+    def __init__(self, batch: Batch) -> None:
+        self.borders = range(batch[0], sum(batch), _PART)
+        self._rows: dict[int, Rows] = {}
+
+    def put(self, first: int, rows: Rows) -> Rows | None:
+        """Take the rows of the part that begins with case ``first``; return those of the batch when all are there."""
+        self._rows[first] = rows
+        if len(self._rows) < len(self.borders):
+            return None
+        return [row for border in self.borders for row in self._rows[border]]
 
 
 class _Alone:
@@ -116,7 +142,12 @@ class _Alone:
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=get_context("forkserver"), initializer=_begin)
+    """Return worker processes, forked from one that has imported what they need."""
+    for library in ("OPENBLAS", "OMP", "MKL"):  # a worker is one core's; what this process has loaded stays as it is
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["hil.campaign.batch"])
+    return ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
 
 
 def _begin() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.campaign.store import Store
+from hil.campaign.store import Store, whole_or_not_at_all
 from hil.report.verdict import ROW_NAMES
 
 _MOST_POINTS = 2000  # of a curve
@@ -38,7 +38,8 @@ def draw_percentiles(store: Store, title: str, path: Path) -> None:
         axes[5].set_xscale("log")
     axes[5].set_xlabel("worst deviation, m, m/s, deg, deg/s")
     figure.suptitle(title)
-    figure.savefig(path, dpi=110)
+    with whole_or_not_at_all(path) as partial:
+        figure.savefig(partial, dpi=110, format="png")
 
 
 def _greatest(store: Store, row: str, axis: str) -> float:
@@ -75,4 +76,5 @@ def draw_sweep(found: dict[str, Any], path: Path) -> None:
     below.plot(x, spent[:, 1], marker="o")
     below.set_ylabel("propellant, kg")
     below.set_xlabel(found["key"])
-    figure.savefig(path, dpi=110)
+    with whole_or_not_at_all(path) as partial:
+        figure.savefig(partial, dpi=110, format="png")

@@ -17,6 +17,7 @@ from hil.bench.kinematics import BENCH_PARAMS, MOTION
 from hil.campaign.tally_kernel import count_cycle, count_exposure
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
+from hil.dynamics.held_gravity import HELD
 from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.truth import DSS_PARAMS
 from hil.dynamics.vision import VISION_PARAMS, see
@@ -32,7 +33,7 @@ from hil.maths.camera import CAMERA
 from hil.maths.exposure import TIME_SLACK_S, TRAVEL, delays, exposure_time, first_exposure
 from hil.maths.jit import kernel
 from hil.maths.limits import cut_to_range, has_held
-from hil.maths.servo import servo_step
+from hil.maths.servo import servo_step, servo_step_of_two
 from hil.maths.stations import STATIONS, chaser_pose
 from hil.messages import AXES, CYCLE, MAX_POSES
 
@@ -87,6 +88,7 @@ LOOP_PARAMS = np.dtype(
 LOOP_STATE = np.dtype(
     [
         ("now", CYCLE),
+        ("harmonics", HELD),
         ("rails", SERVO),
         ("turntable", SERVO),
         ("motion", MOTION),
@@ -132,6 +134,19 @@ def _move_axes(axes, now_s):
 
 
 @kernel
+def _move_all(state, now_s):
+    """Move rails and turntable on to ``now_s``."""
+    rails, turntable = state.rails, state.turntable
+    left_s = now_s - rails.t_s
+    if rails.t_s != turntable.t_s:
+        _move_axes(rails, now_s)
+        _move_axes(turntable, now_s)
+    elif left_s > 0.0:
+        rails.t_s = turntable.t_s = now_s
+        servo_step_of_two(rails, turntable, left_s)
+
+
+@kernel
 def _send(axes, position, rate, now_s, accepted):
     """Give three mock axes their setpoint and write what they took into ``accepted`` (3,); False for a bad number."""
     feedforward = local.vector(3)
@@ -155,8 +170,7 @@ def _expose(params, state, until_s, vision_noise, travel_draws, leds, frames, ta
         if t_s > until_s:
             return
         row = state.next_exposure - state.first_exposure
-        _move_axes(state.rails, t_s)
-        _move_axes(state.turntable, t_s)
+        _move_all(state, t_s)
         kinematics.pose_of_axes(params.bench, state.rails.position, state.turntable.position, r, q)
         frame = frames[state.on_the_way]
         see(params.vision, params.stations, r, q, vision_noise[row], frame.t_v, frame.q_vt, frame.covariance)
@@ -238,8 +252,7 @@ def _show_pose(state, poses, arrived):
 @kernel
 def _read_axes(state, now_s):
     """Write the encoders' values into the present row."""
-    _move_axes(state.rails, now_s)
-    _move_axes(state.turntable, now_s)
+    _move_all(state, now_s)
     rails, turntable = state.rails, state.turntable
     kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, state.now.feedback)
 
@@ -341,7 +354,7 @@ def run_loop(
         count_cycle(params, state, tally)
         if k < history.shape[0]:
             history[k] = now
-        truth_kernels.step(params.dss, field, now.truth, now.command.on)
+        truth_kernels.step(params.dss, field, state.harmonics, now.truth, now.command.on)
         imu_kernels.sample(params.imu, now.truth, imu_noise[k], now.imu)
         limited = _follow(params, state, t_s)
         if limited < 0:

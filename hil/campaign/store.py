@@ -7,12 +7,14 @@ leaves no case lost or doubled: what has a name is done.
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from hil.campaign.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
 from hil.errors import BadInput, CampaignStopped
@@ -22,6 +24,8 @@ BATCH: Final = 50
 _GROUP: Final = 100 * BATCH  # cases a row group of the finished table
 _MANIFEST: Final = "campaign.json"
 _TABLE: Final = "cases.parquet"
+_LOCK: Final = "campaign.lock"
+_NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 
 
 def parquet() -> tuple[Any, Any]:
@@ -38,7 +42,8 @@ def parquet() -> tuple[Any, Any]:
 class Store:
     """The results of one campaign in ``folder``. identity: what must be the same for a folder to be gone on with.
 
-    names: of the dispersions. Raises BadInput for a folder with other results.
+    names: of the dispersions. The folder belongs to this store until it is closed or its process ends, however that
+    ends. Raises BadInput for a folder with other results, or where another campaign is under way.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any], names: list[str]) -> None:
@@ -65,11 +70,12 @@ class Store:
     def _open(self, identity: dict[str, Any]) -> None:
         manifest = self.folder / _MANIFEST
         try:
-            if manifest.is_file():
-                self._check(manifest, identity)
-            elif self.folder.is_dir() and any(path.suffix != ".part" for path in self.folder.iterdir()):
+            if not manifest.is_file() and self.folder.is_dir() and any(map(_is_foreign, self.folder.iterdir())):
                 raise BadInput.single("--out", "", f"{self.folder}: is not empty and holds no campaign")
             self.folder.mkdir(parents=True, exist_ok=True)
+            self.close = weakref.finalize(self, os.close, _locked(self.folder / _LOCK))
+            if manifest.is_file():
+                self._check(manifest, identity)
             with whole_or_not_at_all(manifest) as partial:
                 partial.write_text(json.dumps(identity, indent=2) + "\n", encoding="utf-8")
             self._parts.mkdir(exist_ok=True)
@@ -77,6 +83,15 @@ class Store:
                 left_over.unlink()
         except (PermissionError, NotADirectoryError, FileExistsError) as error:
             raise BadInput.single("--out", "", f"{self.folder}: {error.strerror}") from error
+        except OSError as error:
+            _stop_where_full(error, self.folder)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def _check(self, manifest: Path, identity: dict[str, Any]) -> None:
         try:
@@ -161,13 +176,37 @@ def whole_or_not_at_all(path: Path) -> Iterator[Path]:
         os.replace(partial, path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG) or "No space" in str(error):
-            reason = error.strerror or "no space left"
-            raise CampaignStopped(f"{path.parent}: {reason}: what is done so far is kept, run it again") from error
+        _stop_where_full(error, path.parent)
         raise
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
+
+
+def _stop_where_full(error: OSError, folder: Path) -> None:
+    """Raise CampaignStopped where ``error`` says that the disk takes no more."""
+    if error.errno in _NO_ROOM or "No space" in str(error):
+        reason = os.strerror(error.errno) if error.errno in _NO_ROOM else "No space left"
+        raise CampaignStopped(f"{folder}: {reason}: what is done so far is kept, run it again") from error
+
+
+def _is_foreign(path: Path) -> bool:
+    return path.suffix != ".part" and path.name != _LOCK
+
+
+def _locked(path: Path) -> int:
+    """Return the descriptor of the file at ``path``, locked until it is closed; raise BadInput where another has it."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(descriptor)
+        text = f"{path.parent}: another campaign is under way in it, give another folder or wait"
+        raise BadInput.single("--out", "", text) from error
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
 
 
 def _short(value: Any) -> str:

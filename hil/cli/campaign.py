@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +48,14 @@ def campaign_command(
             campaigns += campaigns_of(against, settings, seed, duration_s, None)
     folders = _folders(Path(out), len(campaigns), against is not None)
     engine = DaskEngine(scheduler) if scheduler else LocalEngine(workers or len(os.sched_getaffinity(0)))
-    try:
-        stores = [campaign.store(folder) for campaign, folder in zip(campaigns, folders, strict=True)]
+    with ExitStack() as held:
+        held.callback(engine.close)
+        stores = [
+            held.enter_context(campaign.store(folder)) for campaign, folder in zip(campaigns, folders, strict=True)
+        ]
         with console.status("compiling the loop where it is not yet, up to a minute or two"):
             campaigns[0].warm_up()
         found = _fly(campaigns, stores, runs, engine, console, Path(out), scenario_name, against, sweep)
-    finally:
-        engine.close()
     if json_path is not None:
         write_json(found, json_path)
     if json_path != "-":

@@ -80,7 +80,8 @@ def _print(entries: list[dict[str, Any]], path: Path) -> None:
         for entry in entries
     ]
     lines = columns(_HEAD, rows, frozenset({0, 1, 2, 4, 8})) if rows else []
-    for line in (f"{len(entries)} runs in {path}", *lines):
+    number = "1 run" if len(entries) == 1 else f"{len(entries)} runs"
+    for line in (f"{number} in {path}", *lines):
         print(line)  # noqa: T201
 
 

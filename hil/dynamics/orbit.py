@@ -47,9 +47,10 @@ def hill_frame(r, v, a):
     hx, hy, hz = r[1] * v[2] - r[2] * v[1], r[2] * v[0] - r[0] * v[2], r[0] * v[1] - r[1] * v[0]
     h = math.sqrt(hx * hx + hy * hy + hz * hz)
     distance = math.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
-    a[1, 0], a[1, 1], a[1, 2] = -hx / h, -hy / h, -hz / h
+    across, down = -1.0 / h, -1.0 / distance
+    a[1, 0], a[1, 1], a[1, 2] = hx * across, hy * across, hz * across
     for i in range(3):
-        a[2, i] = -r[i] / distance
+        a[2, i] = r[i] * down
     a[0, 0] = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
     a[0, 1] = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
     a[0, 2] = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]

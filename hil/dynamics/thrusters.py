@@ -56,5 +56,6 @@ def propellant_flow(fraction, force_n, exhaust_speed_mps, n):
     """Return the mean mass flow over the step, kg/s: sum of thrust over exhaust speed."""
     flow = 0.0
     for j in range(n):
-        flow += fraction[j] * force_n[j] / exhaust_speed_mps
+        if fraction[j] > 0.0:
+            flow += fraction[j] * force_n[j] / exhaust_speed_mps
     return flow

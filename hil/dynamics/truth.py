@@ -7,7 +7,7 @@ the attitude during the step is that of c against F. H is the instantaneous fram
 position and velocity; the relative state is turned back into it at the end of each step.
 
 Thrust is constant over the step; everything else is integrated with the classical fourth-order
-Runge-Kutta method, the harmonics' pull at places that are known beforehand (docs/decisions/0110-held-harmonics.md).
+Runge-Kutta method, gravity at places that are known beforehand (docs/decisions/0120-gravity-beforehand.md).
 Effects are switched in the parameters; each has its file.
 """
 
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.dynamics import moon_gravity, orbit
+from hil.dynamics import held_gravity, orbit
 from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
 from hil.dynamics.gravity_gradient import add_gravity_gradient
 from hil.dynamics.hill import hill_acceleration
@@ -64,10 +64,10 @@ _ROOM = 7  # vectors that a derivative works in
 
 
 @kernel
-def _translate(params, pull, difference, y, dy, nadir_F):
-    """Write the free motion into ``dy`` and the direction to the Moon into ``nadir_F``; return GM/r^3, 1/s^2.
+def _translate(params, gravity, y, dy, nadir_F):
+    """Write the free motion into ``dy`` and the way to the Moon, of length d, into ``nadir_F``; return GM/(r^3 d^2).
 
-    pull: (3,), m/s^2, of the harmonics on the target; difference: (3,), on the chaser minus that.
+    gravity: (10,), a row of ``held_gravity.hold_gravity``.
     """
     for i in range(3):
         dy[i] = y[3 + i]
@@ -78,31 +78,25 @@ def _translate(params, pull, difference, y, dy, nadir_F):
         for i in range(6):
             dy[21 + i] = 0.0  # the target's circle is turned exactly, once a step
         return params.orbit_rate * params.orbit_rate
-    moon_gravity.point_mass_differential(params.gravity.gm, y[21:24], y[0:3], dy[24:27], dy[3:6])
-    squared = 0.0
     for i in range(3):
-        dy[24 + i] += pull[i]
-        dy[3 + i] += difference[i]
-        nadir_F[i] = -(y[21 + i] + y[i])
-        squared += nadir_F[i] * nadir_F[i]
-    distance = np.sqrt(squared)
-    for i in range(3):
-        nadir_F[i] /= distance
-    return params.gravity.gm / (squared * distance)
+        dy[24 + i] = gravity[i]
+        dy[3 + i] = gravity[3 + i]
+        nadir_F[i] = gravity[6 + i]
+    return gravity[9]
 
 
 @kernel
-def _derivative(params, pull, difference, y, load, sun_F, room, dy):
+def _derivative(params, gravity, y, load, sun_F, room, dy):
     """Write dy/dt.
 
-    pull, difference: see ``_translate``. load: specific thrust (3,), m/s^2, the thrust's torque (3,), N m, both in c,
-    and the mass, kg. sun_F: (3,), unit. room: (_ROOM, 3), to work in.
+    gravity: see ``_translate``. load: specific thrust (3,), m/s^2, the thrust's torque (3,), N m, both in c,
+    and one over the mass, 1/kg. sun_F: (3,), unit. room: (_ROOM, 3), to work in.
     """
     force, torque, direction, seen = room[0], room[1], room[2], room[3]
     for i in range(3):
         force[i], torque[i] = load[i], load[3 + i]
         dy[16 + i] = 0.0
-    rate_squared = _translate(params, pull, difference, y, dy, direction)
+    rate_squared = _translate(params, gravity, y, dy, direction)
     q = y[6:10]
     if params.gravity_gradient != 0:
         quat.transform_into(q, direction, seen)
@@ -115,7 +109,7 @@ def _derivative(params, pull, difference, y, load, sun_F, room, dy):
         torque[1] += arm[2] * direction[0] - arm[0] * direction[2]
         torque[2] += arm[0] * direction[1] - arm[1] * direction[0]
         for i in range(3):
-            dy[16 + i] = direction[i] / load[6]
+            dy[16 + i] = direction[i] * load[6]
             force[i] += dy[16 + i]
     quat.transform_back_into(q, force, seen)
     # rate of c against F, in c: w_CF = w_CI - A(q) w_FI (bench paper eq. (3)); H turns with [0, -w0, 0]
@@ -140,10 +134,10 @@ def _derivative(params, pull, difference, y, load, sun_F, room, dy):
 
 
 @kernel
-def _integrate(params, held, y, load, sun_F, dt):
+def _integrate(params, gravity, y, load, sun_F, dt):
     """Move ``y`` on by ``dt`` with one classical Runge-Kutta step, in place.
 
-    held: (4, 3), the harmonics over the step, of ``moon_gravity.hold_perturbation``.
+    gravity: (3, 10) of ``held_gravity.hold_gravity``.
     """
     k = local.matrix(4, _N)
     trial = local.vector(_N)
@@ -154,7 +148,7 @@ def _integrate(params, held, y, load, sun_F, dt):
             part = dt if stage == 3 else 0.5 * dt
             for i in range(_N):
                 trial[i] = y[i] + part * k[stage - 1, i]
-        _derivative(params, held[(stage + 1) // 2], held[3], trial, load, sun_F, room, k[stage])
+        _derivative(params, gravity[(stage + 1) // 2], trial, load, sun_F, room, k[stage])
     for i in range(_N):
         y[i] += dt / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
 
@@ -193,21 +187,18 @@ def _enter(params, truth, y):
 
 
 @kernel
-def _move_frame(params, pull, y, truth):
-    """Bring the target and its Hill frame in ``truth`` to the end of the step; pull: (3,), m/s^2, of the harmonics."""
+def _move_frame(params, acceleration, y, truth):
+    """Bring target and Hill frame of ``truth`` to the end of the step; acceleration: (3,), m/s^2, the target's."""
     a = local.matrix(3, 3)
     r = y[21:24]
     v = y[24:27]
-    rate, acceleration, q_hi = local.vector(3), local.vector(3), local.vector(4)
+    rate, q_hi = local.vector(3), local.vector(4)
     fill(rate, 0.0)
     if params.relative_motion == HILL:
         orbit.turn_on_circle(r, v, params.orbit_rate * params.dt_s)
         orbit.hill_frame(r, v, a)
         rate[1] = -params.orbit_rate
     else:
-        moon_gravity.central_pull(params.gravity.gm, r, acceleration)
-        for i in range(3):
-            acceleration[i] += pull[i]
         orbit.hill_frame(r, v, a)
         orbit.hill_rate(r, v, acceleration, a, rate)
     orbit.quaternion_near(a, truth.q_HI, q_hi)
@@ -249,17 +240,17 @@ def _leave(params, y, truth):
 
 
 @kernel
-def step(params, field, truth, on):
+def step(params, field, span, truth, on):
     """Move ``truth`` (TRUTH) on by one step, in place, with the thruster commands ``on`` (n,), 0 or 1.
 
-    field: the harmonics, (N + 1, N + 1, 6), as ``moon_gravity.field_table`` gives them.
+    field: the harmonics, (N + 1, N + 1, 6), as ``moon_gravity.field_table`` gives them. span: HELD of this run.
     """
     dt = params.dt_s
     n = params.n_thrusters
     fraction = truth.thrust_fraction
     step_valves(on[:n], truth.open_s[:n], params.minimum_on_s, dt, fraction[:n])
     load, y, sun_f, w_before = local.vector(7), local.vector(_N), local.vector(3), local.vector(3)
-    held = local.matrix(4, 3)
+    held, gravity = local.matrix(4, 3), local.matrix(3, 10)
     wrench(
         fraction,
         params.thruster_position,
@@ -269,7 +260,7 @@ def step(params, field, truth, on):
         load[0:3],
         load[3:6],
     )
-    load[6] = truth.mass_kg
+    load[6] = 1.0 / truth.mass_kg
     for i in range(3):
         load[i] /= truth.mass_kg
     _enter(params, truth, y)
@@ -278,12 +269,14 @@ def step(params, field, truth, on):
         quat.transform_into(truth.q_HI, sun_f, sun_f)
     fill_matrix(held, 0.0)
     if params.relative_motion != HILL:
-        moon_gravity.hold_perturbation(
-            params.gravity, field, truth.t_s, y[21:24], y[24:27], y[0:3], y[3:6], dt, held
-        )  # fmt: skip
-    _integrate(params, held, y, load, sun_f, dt)
+        if params.gravity.degree >= 2:
+            held_gravity.follow_perturbation(
+                params.gravity, field, truth.t_s, y[21:24], y[24:27], y[0:3], y[3:6], dt, span, held
+            )  # fmt: skip
+        held_gravity.hold_gravity(params.gravity.gm, held, y, load, dt, gravity)
+    _integrate(params, gravity, y, load, sun_f, dt)
     truth.t_s += dt
-    _move_frame(params, held[2], y, truth)
+    _move_frame(params, gravity[2], y, truth)
     copy_into(w_before, truth.w_CI_C)
     _leave(params, y, truth)
     for i in range(3):

@@ -13,7 +13,7 @@ import numpy as np
 from hil.maths import local, quat
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.maths.jit import kernel
-from hil.maths.kalman import gain_of_three, joseph, propagate_covariance
+from hil.maths.kalman import gain_of_three, joseph
 
 AKF_PARAMS = np.dtype(
     [
@@ -61,8 +61,15 @@ def transition(turn, dt, phi):
 
     ``theta' = A(turn) theta - dt J drift error`` with ``J = I - [turn]x / 2`` up to second order.
     """
-    q, a = local.vector(4), local.matrix(3, 3)
+    q = local.vector(4)
     quat.from_rotation_vector_into(turn, q)
+    _transition_of(q, turn, dt, phi)
+
+
+@kernel
+def _transition_of(q, turn, dt, phi):
+    """Write ``transition`` of ``turn``, whose quaternion is ``q`` (4,)."""
+    a = local.matrix(3, 3)
     quat.to_matrix_into(q, a)
     fill_matrix(phi, 0.0)
     for i in range(3):
@@ -80,12 +87,19 @@ def transition(turn, dt, phi):
 
 @kernel
 def predict(params, state, measured_rate):
-    """Carry the state over one step with the gyro's sample ``measured_rate`` (3,), rad/s, in c (eq. (3)).
+    """Carry the state over one step with the gyro's sample ``measured_rate`` (3,), rad/s, in c (eq. (3))."""
+    move(params, state, measured_rate)
+    spread(params, state)
+
+
+@kernel
+def move(params, state, measured_rate):
+    """Carry the state, without its covariance, over one step; ``state.phi`` is then the transition of its error.
 
     The quaternion moves by the exact turn of a constant rate over the step, of c and of H.
     """
     dt = params.dt_s
-    turn, hill_turn, a = local.vector(3), local.vector(3), local.matrix(3, 3)
+    turn, hill_turn = local.vector(3), local.vector(3)
     q, of_c, of_h, moved = local.vector(4), local.vector(4), local.vector(4), local.vector(4)
     for i in range(3):
         hill_turn[i] = 0.0
@@ -97,17 +111,38 @@ def predict(params, state, measured_rate):
     quat.multiply_into(of_c, moved, q)
     quat.normalise(q)
     copy_into(state.x[0:4], q)
-    transition(turn, dt, state.phi)
-    noise = local.matrix(6, 6)
-    fill_matrix(noise, 0.0)
+    _transition_of(of_c, turn, dt, state.phi)
+    # the second column of A(q)
+    along_y = local.vector(3)
+    quat.second_column_into(q, along_y)
     for i in range(3):
-        noise[i, i] = (dt * params.sigma_gyro) ** 2
-        noise[3 + i, 3 + i] = (dt * params.sigma_drift) ** 2
-    propagate_covariance(state.p, state.phi, noise)
-    quat.to_matrix_into(q, a)
-    for i in range(3):
-        state.w_CH_C[i] = turn[i] / dt + a[i, 1] * params.orbit_rate
+        state.w_CH_C[i] = (measured_rate[i] - state.x[4 + i]) + along_y[i] * params.orbit_rate
     state.nis = np.nan
+
+
+@kernel
+def spread(params, state):
+    """Carry the covariance over the step of ``move``: ``phi p phi.T`` and noise; below, phi is ``[0 I]``."""
+    p, f = state.p, state.phi
+    rows = local.matrix(3, 6)
+    for i in range(3):
+        for j in range(6):
+            turn = f[i, 0] * p[0, j] + f[i, 1] * p[1, j] + f[i, 2] * p[2, j]
+            rows[i, j] = turn + (f[i, 3] * p[3, j] + f[i, 4] * p[4, j] + f[i, 5] * p[5, j])
+    for i in range(3):
+        for j in range(i, 3):
+            turn = f[j, 0] * rows[i, 0] + f[j, 1] * rows[i, 1] + f[j, 2] * rows[i, 2]
+            total = turn + (f[j, 3] * rows[i, 3] + f[j, 4] * rows[i, 4] + f[j, 5] * rows[i, 5])
+            p[i, j] = total
+            p[j, i] = total
+        for j in range(3, 6):
+            p[i, j] = rows[i, j]
+            p[j, i] = rows[i, j]
+    gyro = (params.dt_s * params.sigma_gyro) ** 2
+    drift = (params.dt_s * params.sigma_drift) ** 2
+    for i in range(3):
+        p[i, i] += gyro
+        p[3 + i, 3 + i] += drift
 
 
 @kernel

@@ -77,13 +77,15 @@ def select(sets, n, command):
 
     sets: int64 (ROWS, 2, MAX_THRUSTERS); with ``command.boost`` force demands take the last three rows.
     """
+    on = command.on
     for j in range(n):
-        votes = 0
-        for axis in range(6):
-            wanted = command.force[axis] if axis < 3 else command.torque[axis - 3]
+        on[j] = 0
+    for axis in range(6):
+        wanted = command.force[axis] if axis < 3 else command.torque[axis - 3]
+        if wanted != 0:
             row = axis + 6 if axis < 3 and command.boost != 0 else axis
-            if wanted > 0:
-                votes += sets[row, 1, j] - sets[row, 0, j]
-            elif wanted < 0:
-                votes += sets[row, 0, j] - sets[row, 1, j]
-        command.on[j] = 1 if votes > 0 else 0
+            sign = 1 if wanted > 0 else -1
+            for j in range(n):  # votes
+                on[j] += sign * (sets[row, 1, j] - sets[row, 0, j])
+    for j in range(n):
+        on[j] = 1 if on[j] > 0 else 0

@@ -127,7 +127,9 @@ def control(params, navigation, reference, command):
     quat.turn_between(navigation.q_CH, reference.q_CH, turn)
     for i in range(3):
         acceleration = params.boosted_acceleration[i] if command.boost != 0 else params.acceleration[i]
-        sigma = math.sqrt(navigation.sigma_r_m[i] ** 2 + (params.lead[i] * navigation.sigma_v_mps[i]) ** 2)
+        sigma = 0.0
+        if command.until_decision[i] <= 0:
+            sigma = math.sqrt(navigation.sigma_r_m[i] ** 2 + (params.lead[i] * navigation.sigma_v_mps[i]) ** 2)
         _decide(params, i, error_c[i], rate_c[i], sigma, wanted_c[i], acceleration, command)
         _decide(
             params,

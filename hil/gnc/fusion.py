@@ -108,17 +108,22 @@ def _start(params, pose, filters):
 @kernel
 def _predict(params, filters, rate_C, force_C):
     """Carry both filters over one step."""
-    middle, before = local.vector(4), local.matrix(6, 6)
+    middle = local.vector(4)
     copy_into(middle, filters.akf.x[0:4])
-    copy_matrix(before, filters.akf.p)
-    akf.predict(params.akf, filters.akf, rate_C)
-    if params.attitude_form == AS_PRINTED:
+    akf.move(params.akf, filters.akf, rate_C)
+    additive = params.attitude_form == AS_PRINTED
+    if additive:
         akf_additive.predict(params.akf, filters.additive, rate_C)
-        _take_over(filters)
+        copy_into(filters.akf.x, filters.additive.x)
     for i in range(4):
         middle[i] += filters.akf.x[i]
     quat.normalise(middle)
-    pkf.predict(params.pkf, filters.pkf, force_C, middle, before, filters.akf.phi)
+    # with the attitude's covariance as it was before the step
+    pkf.predict(params.pkf, filters.pkf, force_C, middle, filters.akf.p, filters.akf.phi)
+    if additive:
+        _take_over(filters)
+    else:
+        akf.spread(params.akf, filters.akf)
 
 
 @kernel

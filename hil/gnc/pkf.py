@@ -15,8 +15,9 @@ import math
 
 import numpy as np
 
+from hil.gnc import joint_covariance
 from hil.maths import local, quat
-from hil.maths.arrays import copy_matrix, fill_matrix
+from hil.maths.arrays import copy_into, copy_matrix, fill_matrix
 from hil.maths.jit import kernel
 from hil.maths.kalman import invert_symmetric_3
 
@@ -100,118 +101,24 @@ def transition(params, q_CH, phi):
 def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi):
     """Carry the state over one step.
 
-    measured_force: accelerometer's sample (3,), m/s^2, in c. q_CH: attitude in mid-step. attitude_p,
-    attitude_phi: covariance before the step and transition over it, (6, 6), of the attitude filter's error.
+    measured_force: accelerometer's sample (3,), m/s^2, in c. q_CH: attitude in mid-step. attitude_p: covariance (6, 6)
+    before the step of the attitude filter's error; attitude_phi: its transition over it (6, 6), whose lower rows, of
+    a drift that stays, are ``[0 I]``.
     """
-    phi, lever = local.matrix(9, 9), local.matrix(9, 3)
-    x, force = local.vector(9), local.vector(3)
-    transition(params, q_CH, phi)
-    for i in range(3):
-        force[i] = measured_force[i] - state.x[6 + i]
-    # phi's bias columns b are minus the response to a force in c; a turn theta of c adds b (force x theta)
-    fill_matrix(lever, 0.0)
-    for i in range(9):
-        x[i] = 0.0
-        for j in range(9):
-            x[i] += phi[i, j] * state.x[j]
+    a, x = local.matrix(3, 3), local.vector(6)
+    quat.to_matrix_into(q_CH, a)
+    h, g = params.hill_transition, params.hill_response
+    f0, f1, f2 = measured_force[0] - state.x[6], measured_force[1] - state.x[7], measured_force[2] - state.x[8]
+    u0 = a[0, 0] * f0 + a[1, 0] * f1 + a[2, 0] * f2
+    u1 = a[0, 1] * f0 + a[1, 1] * f1 + a[2, 1] * f2
+    u2 = a[0, 2] * f0 + a[1, 2] * f1 + a[2, 2] * f2
     for i in range(6):
-        b0, b1, b2 = phi[i, 6], phi[i, 7], phi[i, 8]
-        x[i] -= b0 * measured_force[0] + b1 * measured_force[1] + b2 * measured_force[2]
-        lever[i, 0] = b1 * force[2] - b2 * force[1]
-        lever[i, 1] = b2 * force[0] - b0 * force[2]
-        lever[i, 2] = b0 * force[1] - b1 * force[0]
-    for i in range(9):
-        state.x[i] = x[i]
-    _propagate(params, state, phi, lever, attitude_p, attitude_phi)
+        x[i] = h[i, 0] * state.x[0] + h[i, 1] * state.x[1] + h[i, 2] * state.x[2]
+        x[i] += h[i, 3] * state.x[3] + h[i, 4] * state.x[4] + h[i, 5] * state.x[5]
+        x[i] += g[i, 0] * u0 + g[i, 1] * u1 + g[i, 2] * u2
+    copy_into(state.x[0:6], x)
+    joint_covariance.propagate(params, state, a, f0, f1, f2, attitude_p, attitude_phi)
     state.nis = np.nan
-
-
-@kernel
-def _propagate(params, state, phi, lever, attitude_p, attitude_phi):
-    """Carry ``p`` and ``c`` over the step: joint covariance of this filter's and the attitude filter's error."""
-    mixed, half = local.matrix(9, 6), local.matrix(9, 9)
-    _joint_product(phi, lever, 1.0, state.p, state.c, attitude_p, mixed, half)
-    noise = local.matrix(9, 9)
-    accelerometer = params.sigma_accelerometer**2
-    for i in range(9):
-        for j in range(9):
-            total = 0.0
-            if i < 6 and j < 6:
-                for m in range(3):
-                    total += accelerometer * phi[i, 6 + m] * phi[j, 6 + m]
-            noise[i, j] = total
-    for i in range(6, 9):
-        noise[i, i] = (params.dt_s * params.sigma_bias) ** 2
-    _close_product(phi, lever, 1.0, mixed, half, noise, state.p)
-    row = local.vector(6)
-    for i in range(9):
-        for j in range(6):
-            row[j] = 0.0
-        for m in range(6):
-            for j in range(6):
-                row[j] += mixed[i, m] * attitude_phi[j, m]
-        for j in range(6):
-            state.c[i, j] = row[j]
-
-
-@kernel
-def _joint_product(phi, lever, sign, p, c, attitude_p, mixed, half):
-    """Write ``phi c + sign lever attitude_p`` into ``mixed`` (9, 6), ``phi p + sign lever c.T`` into ``half`` (9, 9).
-
-    phi: (9, 9). lever: (9, 3), of the turn theta. What is zero in them costs nothing, see ``hil.maths.kalman``.
-    """
-    of_p, of_c = local.vector(9), local.vector(6)  # sums of one row: kept in registers
-    for i in range(9):
-        for j in range(9):
-            of_p[j] = 0.0
-        for j in range(6):
-            of_c[j] = 0.0
-        for m in range(9):
-            factor = phi[i, m]
-            if factor != 0.0:
-                for j in range(9):
-                    of_p[j] += factor * p[m, j]
-                for j in range(6):
-                    of_c[j] += factor * c[m, j]
-        for m in range(3):
-            factor = sign * lever[i, m]
-            if factor != 0.0:
-                for j in range(9):
-                    of_p[j] += factor * c[j, m]
-                for j in range(6):
-                    of_c[j] += factor * attitude_p[m, j]
-        for j in range(9):
-            half[i, j] = of_p[j]
-        for j in range(6):
-            mixed[i, j] = of_c[j]
-
-
-@kernel
-def _close_product(phi, lever, sign, mixed, half, noise, p):
-    """Write ``half phi.T + sign mixed lever.T + noise``, which is symmetric, into ``p`` (9, 9)."""
-    turned, turned_mixed = local.matrix(9, 9), local.matrix(3, 9)
-    row = local.vector(9)
-    for i in range(9):
-        for j in range(9):
-            turned[j, i] = half[i, j]
-        for j in range(3):
-            turned_mixed[j, i] = mixed[i, j]
-    for i in range(9):
-        for j in range(9):
-            row[j] = noise[i, j]
-        for m in range(9):
-            factor = phi[i, m]
-            if factor != 0.0:
-                for j in range(9):
-                    row[j] += factor * turned[m, j]
-        for m in range(3):
-            factor = sign * lever[i, m]
-            if factor != 0.0:
-                for j in range(9):
-                    row[j] += factor * turned_mixed[m, j]
-        for j in range(i, 9):
-            p[i, j] = row[j]
-            p[j, i] = row[j]
 
 
 @kernel
@@ -305,14 +212,14 @@ def update(state, covariance, attitude_p, h, h_turn, gain, innovation):
             turn[i, j] = gain[i, 0] * h_turn[0, j] + gain[i, 1] * h_turn[1, j] + gain[i, 2] * h_turn[2, j]
             state.x[i] += gain[i, j] * innovation[j]
     mixed, half, noise = local.matrix(9, 6), local.matrix(9, 9), local.matrix(9, 9)
-    _joint_product(keep, turn, -1.0, state.p, state.c, attitude_p, mixed, half)
+    joint_covariance.joint_product(keep, turn, -1.0, state.p, state.c, attitude_p, mixed, half)
     for i in range(9):
         kr0 = gain[i, 0] * covariance[0, 0] + gain[i, 1] * covariance[1, 0] + gain[i, 2] * covariance[2, 0]
         kr1 = gain[i, 0] * covariance[0, 1] + gain[i, 1] * covariance[1, 1] + gain[i, 2] * covariance[2, 1]
         kr2 = gain[i, 0] * covariance[0, 2] + gain[i, 1] * covariance[1, 2] + gain[i, 2] * covariance[2, 2]
         for j in range(9):
             noise[i, j] = kr0 * gain[j, 0] + kr1 * gain[j, 1] + kr2 * gain[j, 2]
-    _close_product(keep, turn, -1.0, mixed, half, noise, state.p)
+    joint_covariance.close_product(keep, turn, -1.0, mixed, half, noise, state.p)
     copy_matrix(state.c, mixed)  # L c - T attitude_p
 
 

@@ -60,14 +60,32 @@ def from_quaternion_into(q, order, angles):
     """
     a = local.matrix(3, 3)
     quat.to_matrix_into(q, a)
+    from_matrix_into(a, order, angles)
+
+
+@kernel
+def _angle(y, x):
+    """Return ``atan2(y, x)``; where it is small, by a series that leaves out less than 1e-17."""
+    if x > 0.0 and abs(y) < 0.1 * x:
+        t = y / x
+        s = t * t
+        series = 1.0 / 9.0 - s * (1.0 / 11.0 - s * (1.0 / 13.0 - s * (1.0 / 15.0)))
+        return t * (1.0 - s * (1.0 / 3.0 - s * (1.0 / 5.0 - s * (1.0 / 7.0 - s * series))))
+    return math.atan2(y, x)
+
+
+@kernel
+def from_matrix_into(a, order, angles):
+    """Write the Tait-Bryan angles, rad, of ``a`` (3, 3) in ``order``, by axis, into ``angles`` (3,)."""
     i, j, k = order[0], order[1], order[2]
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
     sine = min(1.0, max(-1.0, sign * a[k, i]))
-    angles[j] = math.asin(sine)
     if abs(sine) < 1.0 - 1e-12:
-        angles[i] = math.atan2(-sign * a[k, j], a[k, k])
-        angles[k] = math.atan2(-sign * a[j, i], a[i, i])
+        angles[i] = _angle(-sign * a[k, j], a[k, k])
+        angles[j] = _angle(sine, math.sqrt(a[i, i] * a[i, i] + a[j, i] * a[j, i]))
+        angles[k] = _angle(-sign * a[j, i], a[i, i])
     else:
+        angles[j] = math.asin(sine)
         angles[k] = 0.0
         angles[i] = math.atan2(sign * a[j, k], a[j, j])
 
@@ -82,32 +100,27 @@ def from_quaternion(q, order):
 
 @kernel
 def rate_jacobian_into(angles, order, e):
-    """Write E with d(angles by axis)/dt = E @ w, w the body rate in the inner frame, into ``e`` (3, 3).
+    """Write E with d(angles by axis)/dt = E @ w, w the body rate in the inner frame, into ``e`` (3, 3)."""
+    q, a = local.vector(4), local.matrix(3, 3)
+    to_quaternion_into(angles, order, q)
+    quat.to_matrix_into(q, a)
+    rate_jacobian_of_matrix_into(a, order, e)
+
+
+@kernel
+def rate_jacobian_of_matrix_into(a, order, e):
+    """Write ``rate_jacobian_into`` of the angles of ``a`` (3, 3).
 
     Each angle turns about its own gimbal axis; the columns of the inverse are those axes seen from
-    the inner frame. Singular where the middle angle is +-90 deg.
+    the inner frame: column i of ``a``, the middle axis turned by the inner angle, and the inner axis. Singular where
+    the middle angle is +-90 deg.
     """
     i, j, k = order[0], order[1], order[2]
-    middle, inner = local.vector(4), local.vector(4)
-    outer_axis, middle_axis = local.vector(3), local.vector(3)
-    _axis_quaternion(j, angles[j], middle)
-    _axis_quaternion(k, angles[k], inner)
-    for n in range(3):
-        outer_axis[n] = 1.0 if n == i else 0.0
-        middle_axis[n] = 1.0 if n == j else 0.0
-    quat.transform_into(middle, outer_axis, outer_axis)
-    quat.transform_into(inner, outer_axis, outer_axis)
-    quat.transform_into(inner, middle_axis, middle_axis)
-    # outer_axis = (o_i, o_j, o_k), middle_axis = (m_i, m_j, 0) in axes i, j, k; inner axis = (0, 0, 1)
-    det = outer_axis[i] * middle_axis[j] - outer_axis[j] * middle_axis[i]
-    e[i, k] = e[j, k] = e[k, i] = e[k, j] = 0.0
-    e[i, i] = middle_axis[j] / det
-    e[i, j] = -middle_axis[i] / det
-    e[j, i] = -outer_axis[j] / det
-    e[j, j] = outer_axis[i] / det
-    e[k, k] = 1.0
-    for column in range(3):
-        e[k, column] -= outer_axis[k] * e[i, column] + middle_axis[k] * e[j, column]
+    square = a[i, i] * a[i, i] + a[j, i] * a[j, i]  # cos^2 of the middle angle
+    cosine = math.sqrt(square)
+    e[i, i], e[i, j], e[i, k] = a[i, i] / square, a[j, i] / square, 0.0
+    e[j, i], e[j, j], e[j, k] = -a[j, i] / cosine, a[i, i] / cosine, 0.0
+    e[k, i], e[k, j], e[k, k] = -a[k, i] * e[i, i], -a[k, i] * e[i, j], 1.0
 
 
 @kernel

@@ -79,4 +79,4 @@ def kernel(function: _Function) -> _Function:
     Division by zero gives inf or nan as in numpy, so that a bad number is caught by the
     supervisor's check for finite values and not by an exception in mid-cycle.
     """
-    return cast(_Function, njit(cache=True, error_model="numpy", nogil=True)(function))
+    return cast(_Function, njit(cache=True, error_model="numpy", nogil=True, forceinline=True)(function))

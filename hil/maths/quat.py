@@ -8,11 +8,15 @@ In this convention ``A(p) @ A(q) = A(multiply(p, q))``: letters that touch cance
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
 from hil.maths import local
 from hil.maths.jit import kernel
+
+_SMALL_TURN: Final = 0.01
+"""rad^2: below it sine, cosine and arc tangent of half the turn are a few terms of their series."""
 
 
 @kernel
@@ -73,6 +77,15 @@ def to_matrix_into(q, a):
 
 
 @kernel
+def second_column_into(q, out):
+    """Write the second column of A(q), y seen after the transformation, into ``out`` (3,), for a unit quaternion."""
+    q1, q2, q3, q4 = q[0], q[1], q[2], q[3]
+    out[0] = 2.0 * (q1 * q2 + q3 * q4)
+    out[1] = -q1 * q1 + q2 * q2 - q3 * q3 + q4 * q4
+    out[2] = 2.0 * (q2 * q3 - q1 * q4)
+
+
+@kernel
 def to_matrix(q):
     """Return A(q), shape (3, 3), for a unit quaternion."""
     a = np.empty((3, 3))
@@ -95,19 +108,21 @@ def from_matrix_into(a, q):
             value = a[i, i]
     if best == 3:
         s = 2.0 * math.sqrt(max(1.0 + trace, 0.0))
+        share = 1.0 / s
         q[3] = 0.25 * s
-        q[0] = (a[1, 2] - a[2, 1]) / s
-        q[1] = (a[2, 0] - a[0, 2]) / s
-        q[2] = (a[0, 1] - a[1, 0]) / s
+        q[0] = (a[1, 2] - a[2, 1]) * share
+        q[1] = (a[2, 0] - a[0, 2]) * share
+        q[2] = (a[0, 1] - a[1, 0]) * share
     else:
         i = best
         j = (i + 1) % 3
         k = (i + 2) % 3
         s = 2.0 * math.sqrt(max(1.0 + a[i, i] - a[j, j] - a[k, k], 0.0))
+        share = 1.0 / s
         q[i] = 0.25 * s
-        q[j] = (a[i, j] + a[j, i]) / s
-        q[k] = (a[i, k] + a[k, i]) / s
-        q[3] = (a[j, k] - a[k, j]) / s
+        q[j] = (a[i, j] + a[j, i]) * share
+        q[k] = (a[i, k] + a[k, i]) * share
+        q[3] = (a[j, k] - a[k, j]) * share
     normalise(q)
     if q[3] < 0.0:
         for i in range(4):
@@ -125,16 +140,19 @@ def from_matrix(a):
 @kernel
 def from_rotation_vector_into(phi, q):
     """Write the quaternion of a frame turned by ``phi`` (3,), rad, into ``q`` (4,): A = exp(-[phi]x)."""
-    angle = math.sqrt(phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
-    half = 0.5 * angle
-    if angle < 1e-6:
-        scale = 0.5 - angle * angle / 48.0
+    squared = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
+    if squared < _SMALL_TURN:
+        x = 0.25 * squared  # of the half angle; what is left out is below 1e-17
+        scale = 0.5 * (1.0 - x * (1.0 / 6.0 - x * (1.0 / 120.0 - x * (1.0 / 5040.0 - x * (1.0 / 362880.0)))))
+        cosine = 1.0 - x * (0.5 - x * (1.0 / 24.0 - x * (1.0 / 720.0 - x * (1.0 / 40320.0))))
     else:
-        scale = math.sin(half) / angle
+        angle = math.sqrt(squared)
+        scale = math.sin(0.5 * angle) / angle
+        cosine = math.cos(0.5 * angle)
     q[0] = scale * phi[0]
     q[1] = scale * phi[1]
     q[2] = scale * phi[2]
-    q[3] = math.cos(half)
+    q[3] = cosine
 
 
 @kernel
@@ -148,11 +166,15 @@ def from_rotation_vector(phi):
 @kernel
 def to_rotation_vector_into(q, phi):
     """Write the shortest turn, rad, with A(q) = exp(-[phi]x) into ``phi`` (3,)."""
-    sign = 1.0 if q[3] >= 0.0 else -1.0
-    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
-    if norm < 1e-9:
-        scale = 2.0 * sign
+    squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
+    whole = q[3] * q[3]
+    if squared < 0.25 * _SMALL_TURN * whole:
+        x = squared / whole  # squared tangent of the half angle; what is left out is below 1e-16
+        series = 1.0 / 5.0 - x * (1.0 / 7.0 - x * (1.0 / 9.0 - x * (1.0 / 11.0)))
+        scale = 2.0 / q[3] * (1.0 - x * (1.0 / 3.0 - x * series))
     else:
+        sign = 1.0 if q[3] >= 0.0 else -1.0
+        norm = math.sqrt(squared)
         scale = 2.0 * sign * math.atan2(norm, abs(q[3])) / norm
     phi[0] = scale * q[0]
     phi[1] = scale * q[1]

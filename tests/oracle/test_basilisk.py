@@ -18,8 +18,9 @@ from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.dynamics import moon_gravity
 from hil.dynamics import truth as kernels
+from hil.dynamics.held_gravity import HELD
 from hil.maths import quat
-from hil.messages import MAX_THRUSTERS
+from hil.messages import MAX_THRUSTERS, new
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # Basilisk's own
 QUIET = np.zeros(MAX_THRUSTERS, dtype=np.int64)
@@ -70,10 +71,11 @@ def test_gravity_agrees_to_rounding(drift: Scenario, field_file: Path, rng: np.r
 @pytest.mark.parametrize(("span_s", "tolerance_m"), [(400.0, 1e-6), (7655.0, 1e-3)], ids=["400 s", "an orbit"])
 def test_relative_position_agrees(drift: Scenario, field_file: Path, span_s: float, tolerance_m: float) -> None:
     params, field, truth = parameters.dss(drift), parameters.field(drift), parameters.initial_truth(drift)
+    span = new(HELD)
     assert 2.0 * math.pi / params.orbit_rate == pytest.approx(7655.0, abs=60.0)
     theirs = Pair(params, inertial_states(truth), field_file, step_s=0.5).run_to(span_s)
     for _ in range(round(span_s / params.dt_s)):
-        kernels.step(params, field, truth, QUIET)
+        kernels.step(params, field, span, truth, QUIET)
     ours = quat.to_matrix(truth.q_HI).T @ truth.r_CT_H
     assert np.linalg.norm(ours) > 1.0
     assert np.linalg.norm(ours - theirs) <= tolerance_m

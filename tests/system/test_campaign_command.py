@@ -109,13 +109,20 @@ def _deadly_batch(spec: batch.Spec, first: int, count: int) -> batch.Rows:
     return batch.run_batch(spec, first, count)
 
 
-def test_campaign_killed_in_the_middle_goes_on_where_it_was(alone: Path, tmp_path: Path) -> None:
+def test_campaign_killed_in_the_middle_goes_on_where_it_was_and_shares_its_folder_with_no_other(
+    alone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "c"
     command = [sys.executable, "-m", "hil", "campaign", "scheme-1", "--runs", "120", "--out", str(folder), *SHORT]
     with subprocess.Popen([*command, "--workers", "1"], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as child:
         until = time.monotonic() + 120.0
         while not list(folder.glob("parts/*.parquet")) and child.poll() is None and time.monotonic() < until:
             time.sleep(0.002)
+        child.send_signal(signal.SIGSTOP)
+        options = ["--runs", "120", "--out", str(folder), *SHORT]
+        assert execute(["campaign", "scheme-1", *options, "--workers", "1"]) == 2
+        said = capsys.readouterr().err.strip()
+        assert said.splitlines()[-1].endswith("another campaign is under way in it, give another folder or wait")
         child.kill()
     fly(folder, "--workers", "1")
     assert_same(alone, folder)

@@ -9,6 +9,8 @@ import pytest
 from hil import parameters
 from hil.config.scenario import Scenario
 from hil.dynamics import moon_gravity
+from hil.dynamics.held_gravity import HELD, follow_perturbation
+from hil.messages import new
 
 
 def test_each_of_four_places_has_its_own_pull(scheme_2: Scenario, rng: np.random.Generator) -> None:
@@ -57,3 +59,26 @@ def test_point_mass_alone_holds_nothing(scheme_2: Scenario) -> None:
         dss.gravity, np.zeros((1, 1, 6)), 0.0, truth.r_T_I, truth.v_T_I, np.ones(3), np.ones(3), 0.02, held
     )
     np.testing.assert_array_equal(held, 0.0)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.07, 1.0])
+def test_pull_between_two_evaluations_is_that_of_the_place(scheme_2: Scenario, dt: float) -> None:
+    dss, field, truth = parameters.dss(scheme_2), parameters.field(scheme_2), parameters.initial_truth(scheme_2)
+    r, v, near = truth.r_T_I.copy(), truth.v_T_I.copy(), np.empty(3)
+    rho, rate = np.array([7.0, -5.0, 4.0]), np.array([0.02, 0.03, -0.01])
+    span, step, evaluated = new(HELD), np.empty((4, 3)), 0
+    moon_gravity.acceleration(dss.gravity, field, 0.0, r, near)
+    for k in range(60):
+        t = k * dt
+        if t > 1.0:
+            break
+        there, then = r + t * v + 0.5 * t * t * near, v + t * near
+        before = span.pull.copy()
+        follow_perturbation(dss.gravity, field, t, there, then, rho + t * rate, rate, dt, span, step)
+        evaluated += not np.array_equal(before, span.pull)
+        for row, share in enumerate((0.0, 0.5, 1.0)):
+            at = there + share * dt * then + 0.5 * (share * dt) ** 2 * near
+            np.testing.assert_allclose(step[row], _pull(dss.gravity, t + share * dt, at), rtol=0.0, atol=2e-11)
+        exact = _pull(dss.gravity, t, there + rho + t * rate) - _pull(dss.gravity, t, there)
+        np.testing.assert_allclose(step[3], exact, rtol=0.0, atol=5e-3 * np.abs(exact).max() * max(1.0, dt / 0.4))
+    assert evaluated == {0.02: 3, 0.07: 3, 1.0: 2}[dt]

@@ -50,14 +50,14 @@ def test_a_frame_turned_by_yaw_sees_the_old_x_axis_at_minus_y() -> None:
     np.testing.assert_allclose(quat.transform(q, np.array([1.0, 0.0, 0.0])), [0.0, -1.0, 0.0], atol=1e-15)
 
 
-@pytest.mark.parametrize("scale", [0.0, 1e-12, 1e-8, 1e-6, 1e-3, 1.0, 3.0])
+@pytest.mark.parametrize("scale", [0.0, 1e-12, 1e-8, 1e-6, 1e-3, 0.05, 0.0577, 0.0578, 1.0, 3.0])
 def test_rotation_vector_gives_the_matrix_exponential_of_minus_its_cross_product(scale: float) -> None:
     phi = scale * np.array([2.0, -1.0, 2.0]) / 3.0
     a = quat.to_matrix(quat.from_rotation_vector(phi))
     np.testing.assert_allclose(a, expm(-cross_matrix(phi)), atol=1e-14)
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.5, 3.0, math.pi - 1e-9])
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.0999, 0.1001, 0.5, 3.0, math.pi - 1e-9])
 def test_rotation_vector_survives_the_round_trip(angle: float) -> None:
     phi = angle * np.array([1.0, 2.0, -2.0]) / 3.0
     np.testing.assert_allclose(quat.to_rotation_vector(quat.from_rotation_vector(phi)), phi, rtol=1e-9, atol=1e-15)

@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from hil.maths.servo import servo_step
+from hil.campaign.loop_kernel import SERVO
+from hil.maths.servo import servo_step, servo_step_of_two
+from hil.messages import new
 
 KP, TAU = 25.0, 0.008
 
@@ -90,3 +92,26 @@ def test_axes_do_not_touch_each_other() -> None:
     servo_step(position, rate, np.array([0.0, 1.0, 0.0]), 0 * n, KP * n, TAU * n, n, n, -n, n, 0.02)
     assert position[1] > 0.0
     np.testing.assert_array_equal(position[[0, 2]], 0.0)
+
+
+@pytest.mark.parametrize("lags_s", [(0.008, 0.006), (0.004, 0.011), (0.005, 0.005)])
+def test_two_devices_side_by_side_have_the_bits_of_each_alone(
+    rng: np.random.Generator, lags_s: tuple[float, float]
+) -> None:
+    pair = [new(SERVO), new(SERVO)]
+    for device, lag_s in zip(pair, lags_s, strict=True):
+        device.kp, device.tau, device.rate_max, device.acceleration_max = KP, lag_s, 0.5, 0.6
+        device.low, device.high = [-1.0, -1.0, -0.01], [1.0, 0.01, 1.0]
+    alone = [device.copy() for device in pair]
+    for _ in range(100):
+        for one, other in zip(pair, alone, strict=True):
+            one.setpoint = other.setpoint = rng.uniform(-0.02, 0.02, 3)
+            one.feedforward = other.feedforward = rng.uniform(-0.1, 0.1, 3)
+        servo_step_of_two(*pair, 0.02)
+        for d in alone:
+            limits = d.rate_max, d.acceleration_max, d.low, d.high
+            servo_step(d.position, d.rate, d.setpoint, d.feedforward, d.kp, d.tau, *limits, 0.02)
+    for one, other in zip(pair, alone, strict=True):
+        np.testing.assert_array_equal(one.position, other.position)
+        np.testing.assert_array_equal(one.rate, other.rate)
+        assert np.abs(one.rate).max() > 0.0

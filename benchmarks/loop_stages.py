@@ -1,0 +1,172 @@
+"""What each stage of the campaign's compiled loop costs, in nanoseconds of processor time a cycle.
+
+    python benchmarks/loop_stages.py [--scheme scheme-1]
+
+Each stage is run many times over on the records of a flight in its middle, as the loop calls it; what a pose costs
+is spread over the cycles between two exposures. One run on one machine: compare the lines with each other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from hil import parameters
+from hil.bench import guard as guards
+from hil.campaign import loop_kernel as loop
+from hil.campaign.flight import Flight
+from hil.campaign.tally_kernel import count_cycle
+from hil.config.load import load_rig, load_scenario
+from hil.dynamics import imu as imu_kernels
+from hil.dynamics import truth as truth_kernels
+from hil.gnc import navigation
+from hil.maths import local
+from hil.maths.jit import kernel
+
+REPEATS, TIMES, FLIGHTS = 100, 1_000, 30  # short ones: some of them nothing else disturbs
+
+
+@kernel
+def read_axes(params, state, n):
+    """Run the stage ``n`` times, as all below."""
+    for _ in range(n):
+        loop._read_axes(state, state.rails.t_s + params.step_s)
+
+
+@kernel
+def supervise_bench(params, state, n):
+    for _ in range(n):
+        guards.first_breach(params.guard, state.before, state.now.feedback, state.breach)
+
+
+@kernel
+def expose(params, state, vision_noise, travel_draws, leds, frames, tally, n):
+    for _ in range(n):
+        state.on_the_way, state.first_exposure = 0, state.next_exposure
+        until_s = (state.next_exposure + 0.5) / params.vmu_rate_hz
+        state.rails.t_s = state.turntable.t_s = until_s  # the axes move in a stage of their own
+        loop._expose(params, state, until_s, vision_noise, travel_draws, leds, frames, tally)
+
+
+@kernel
+def take_poses(params, state, frames, poses, n):
+    for _ in range(n):
+        state.on_the_way = 1
+        frames[0].received_s = 0.0
+        loop._take_poses(params, state, 0.01, frames, poses)
+        loop._show_pose(state, poses, 1)
+
+
+@kernel
+def predict(params, state, memory, poses, n):
+    for _ in range(n):
+        loop._navigate(params, state, memory, poses, 0)
+
+
+@kernel
+def fuse(params, state, memory, poses, n):
+    for _ in range(n):
+        poses[0].t_s = state.navigation.fusion.cycle * params.step_s
+        loop._navigate(params, state, memory, poses, 1)
+
+
+@kernel
+def decide(params, state, sets, n):
+    state.fuses_now = 0  # the filters' consistency is a line of its own
+    for _ in range(n):
+        loop._decide(params, state, sets, state.now.t_s)
+
+
+@kernel
+def errors(state, n):
+    out = local.vector(2)
+    for _ in range(n):
+        navigation.normalised_errors(state.navigation.fusion.filters, state.now.truth, state.now.imu, out)
+
+
+@kernel
+def tally_cycle(params, state, tally, n):
+    for _ in range(n):
+        count_cycle(params, state, tally)
+
+
+@kernel
+def move_truth(params, field, state, n):
+    for _ in range(n):
+        truth_kernels.step(params.dss, field, state.harmonics, state.now.truth, state.now.command.on)
+
+
+@kernel
+def sample_imu(params, state, noise, n):
+    for i in range(n):
+        imu_kernels.sample(params.imu, state.now.truth, noise[i % noise.shape[0]], state.now.imu)
+
+
+@kernel
+def follow(params, state, n):
+    for _ in range(n):
+        loop._follow(params, state, state.rails.t_s)
+
+
+def best_ns(flight: Flight, work: Callable[[int], object]) -> float:
+    """Return the least time of one call, ns, each measurement from the same state."""
+    kept = flight._state_block.copy(), flight._memory.copy()
+    work(1)
+    found = []
+    for _ in range(REPEATS):
+        flight._state_block[...], flight._memory[...] = kept
+        begun = time.thread_time()
+        work(TIMES)
+        found.append((time.thread_time() - begun) / TIMES * 1e9)
+    flight._state_block[...], flight._memory[...] = kept
+    return min(found)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scheme", default="scheme-1")
+    scenario = load_scenario(parser.parse_args().scheme).value
+    whole = Flight(scenario, load_rig("mock").value, scenario.duration_s)
+    whole.fly(scenario, 0)
+    took = []
+    for seed in range(FLIGHTS):
+        begun = time.thread_time()
+        whole.fly(scenario, seed)
+        took.append(time.thread_time() - begun)
+    flight = Flight(scenario, load_rig("mock").value, 0.5 * scenario.duration_s)
+    flight.fly(scenario, 0)
+    p, s, memory, poses = flight._params, flight._state, flight._memory, flight._poses
+    frames, tally = flight._frames, flight._tally
+    field, sets, leds = parameters.field(scenario), flight._sets, flight._leds
+    imu_noise, vision_noise, draws = flight._imu_noise, flight._vision_noise, flight._travel_draws
+    a_pose = 1.0 / (p.vmu_rate_hz * p.step_s)  # cycles
+    s.on_the_way = 1
+    found = {
+        "axes of the mock rig, encoders": best_ns(flight, lambda n: read_axes(p, s, n)),
+        "supervision of the bench": best_ns(flight, lambda n: supervise_bench(p, s, n)),
+        "vision unit": best_ns(flight, lambda n: expose(p, s, vision_noise, draws, leds, frames, tally, n)) / a_pose
+        + best_ns(flight, lambda n: take_poses(p, s, frames, poses, n)) / a_pose,
+        "filters, prediction": (alone := best_ns(flight, lambda n: predict(p, s, memory, poses, n))),
+        "filters, poses": (best_ns(flight, lambda n: fuse(p, s, memory, poses, n)) - alone) / a_pose,
+        "consistency of the filters": best_ns(flight, lambda n: errors(s, n)) / a_pose,
+        "guidance, supervision, control": best_ns(flight, lambda n: decide(p, s, sets, n)),
+        "tally": best_ns(flight, lambda n: tally_cycle(p, s, tally, n)),
+        "truth": best_ns(flight, lambda n: move_truth(p, field, s, n)),
+        "virtual IMU": best_ns(flight, lambda n: sample_imu(p, s, imu_noise, n)),
+        "setpoints": best_ns(flight, lambda n: follow(p, s, n)),
+    }
+    cycle_ns = min(took) / whole.cycles * 1e9
+    for name, ns in found.items():
+        print(f"  {name:34s} {ns:8.0f} ns")
+    total = sum(found.values())
+    print(f"  {'sum of the stages':34s} {total:8.0f} ns")
+    print(f"  {'a cycle of a run, set-up included':34s} {cycle_ns:8.0f} ns  ({scenario.step_s / cycle_ns * 1e9:.0f} x)")
+    if not np.isfinite(total):
+        raise SystemExit("a stage was measured on records that are not finite")
+
+
+if __name__ == "__main__":
+    main()

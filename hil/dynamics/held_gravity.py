@@ -1,0 +1,81 @@
+"""Gravity over a step of the truth, at places that are known beforehand: nothing in a Runge-Kutta stage waits for it.
+
+The point mass is taken three times a step, the harmonics four times every HOLD_S
+(docs/decisions/0120-gravity-beforehand.md).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.dynamics import moon_gravity
+from hil.dynamics.moon_gravity import LANES
+from hil.maths import local, quat
+from hil.maths.arrays import fill_matrix
+from hil.maths.jit import kernel
+
+HOLD_S = 0.4  # span over which the harmonics are held; one step where that is longer
+
+HELD = np.dtype(
+    [
+        ("steps", "i8"),  # of the span, 0 before the first
+        ("step", "i8"),  # number of the next one
+        ("pull", "f8", (LANES, 3)),  # m/s^2, see hold_perturbation
+    ],
+    align=True,
+)
+
+
+@kernel
+def follow_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held, out):
+    """Write the harmonics' accelerations of the step of ``dt``, s, from ``t_s`` on, m/s^2, into ``out`` (4, 3).
+
+    Rows and arguments as for ``moon_gravity.hold_perturbation``, which is asked once every HOLD_S; in between the
+    target's pull follows the parabola through its three values. held: HELD, zeroed at the start of a run, and kept up
+    here; steps of one run follow each other.
+    """
+    if held.step >= held.steps:
+        held.steps = max(1, int(HOLD_S / dt + 1e-6))
+        held.step = 0
+        moon_gravity.hold_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, held.steps * dt, held.pull)
+    pull = held.pull
+    for row in range(3):
+        share = (held.step + 0.5 * row) / held.steps  # of the span
+        begin, end = (1.0 - share) * (1.0 - 2.0 * share), share * (2.0 * share - 1.0)
+        middle = 4.0 * share * (1.0 - share)
+        for i in range(3):
+            out[row, i] = begin * pull[0, i] + middle * pull[1, i] + end * pull[2, i]
+    for i in range(3):
+        out[3, i] = pull[3, i]
+    held.step += 1
+
+
+@kernel
+def hold_gravity(gm, harmonics, y, force_C, dt, gravity):
+    """Write what gravity does at begin, middle and end of a step of ``dt``, s, into the rows of ``gravity`` (3, 10).
+
+    In a row: the target's acceleration (3,), the chaser's minus it (3,), m/s^2, the way from the chaser to the Moon's
+    centre (3,), m, of length d, and GM/d^5, 1/(s^2 m^2). The places are those of parabolas under the accelerations of
+    the begin; what that leaves out moves them by a nanometre. gm: m^3/s^2. harmonics: (4, 3) of
+    ``follow_perturbation``. y: the integrated state of ``truth`` in inertial axes. force_C: (3,), specific thrust,
+    m/s^2, in c.
+    """
+    r, rho, thrust = local.vector(3), local.vector(3), local.vector(3)
+    quat.transform_back_into(y[6:10], force_C, thrust)
+    fill_matrix(gravity, 0.0)
+    for row in range(3):
+        t = 0.5 * row * dt
+        fallen = 0.5 * t * t
+        for i in range(3):
+            r[i] = y[21 + i] + t * y[24 + i] + fallen * gravity[0, i]
+            rho[i] = y[i] + t * y[3 + i] + fallen * (gravity[0, 3 + i] + thrust[i])
+        moon_gravity.point_mass_differential(gm, r, rho, gravity[row, 0:3], gravity[row, 3:6])
+        squared = 0.0
+        for i in range(3):
+            gravity[row, i] += harmonics[row, i]
+            gravity[row, 3 + i] += harmonics[3, i]
+            gravity[row, 6 + i] = -(r[i] + rho[i])
+            squared += gravity[row, 6 + i] * gravity[row, 6 + i]
+        gravity[row, 9] = gm / (squared * squared * math.sqrt(squared))
