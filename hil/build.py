@@ -168,7 +168,7 @@ def wired_bench(
         with (
             _emulated(job, wall, announce) as (wired, emulated, addresses),
             HostProcesses(wired, wall) as hosts,
-            _telemetry(taps) as telemetry,
+            telemetry_ring(taps) as telemetry,
         ):
             hosts.wait_ready()
             for name, pid in hosts.pids.items():
@@ -192,11 +192,11 @@ def _insist_on_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
 
 
 @contextmanager
-def _telemetry(taps: Taps | None) -> Iterator[Ring]:
+def telemetry_ring(taps: Taps | None) -> Iterator[Ring]:
     """Give the ring that each cycle's row is put into, for other processes to read; a recorder brings its own."""
     if taps:
         if not isinstance(taps.cycles, Ring):
-            raise TypeError("a bench on wires is recorded from a ring: its recorder is another process")
+            raise TypeError("a bench on the wall clock is recorded from a ring: its recorder is another process")
         yield taps.cycles
         return
     ring = Ring.create(CYCLE, TELEMETRY_ROWS)

@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
+from hil.console.recording_watch import RecordingWatch
 from hil.console.status import DEVICES, MODES, UNKNOWN, empty_status, status_of
 from hil.gnc.watch import nis_band
 from hil.modes import Mode
@@ -30,6 +31,7 @@ class Account:
         self.events: list[dict[str, Any]] = []
         self.hold_reason = ""
         self.ended: dict[str, Any] | None = None
+        self.recording = RecordingWatch()
         self._status = empty_status()
         self._number = 0
         self._came_s = -math.inf
@@ -62,6 +64,8 @@ class Account:
             self.ended = message["ended"]
             self.word = f"session ended: {message['ended']['stop']}"
             lines.append(self.word)
+            if problem := message["ended"].get("recording", {}).get("problem"):
+                lines.append(f"recording: {problem}")
         if "refused" in message:
             self.word = message["refused"][0]
             lines += message["refused"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -20,6 +21,7 @@ from hil.console.faultboard import FaultBoard
 from hil.console.hazards import HAZARDS
 from hil.console.lease import Lease, Refused
 from hil.console.message import Picture
+from hil.console.recording_watch import RecordingWatch
 from hil.console.rows import RowStore
 from hil.console.session import Choice
 from hil.console.session_process import SessionProcess
@@ -61,7 +63,7 @@ class Desk:
         self._wall_s = wall_s
         self.account = Account({}, "no session is open")
         self._params: np.record | None = None
-        self._present_said: tuple[bool, float] = (False, -math.inf)
+        self._present_said: tuple[str, float] = ("", -math.inf)
         self._picture: tuple[int, Picture | None] = (0, None)
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -101,6 +103,7 @@ class Desk:
                 self.lease.require(client.key)
                 await self.faults.switch(str(command.get("device")), str(command.get("line")))
                 self.note(f"{client.name} switched a fault: {command['device']} {command['line']}")
+                self._put_down("fault", client.name, f"{command['device']}: {command['line']}")
             case other:
                 raise Refused(f"{other!r}: unknown request")
         return {"ok": True, "text": ""}
@@ -145,7 +148,7 @@ class Desk:
         self.lease.lasts_s = job.rig.value.console.lease_s
         self.rows.begin()
         self.session = SessionProcess(choice, self._hear)
-        self._present_said = (False, -math.inf)
+        self._present_said = ("", -math.inf)
         self.note(f"{choice.scenario} on {choice.rig}, seed {choice.seed}: session process {self.session.pid}")
 
     async def _order(self, client: Client, word: str, confirmed: bool) -> dict[str, Any]:
@@ -163,7 +166,7 @@ class Desk:
             return {"ok": True, "text": ""}
         if order in HAZARDS and self._mode in OBEYED_IN[order] and not confirmed:
             return {"ok": False, "ask": HAZARDS[order]}
-        text = await self.session.ask(order=word)
+        text = await self.session.ask(order=word, by=client.name)
         self.note(f"{client.name}: {word}{f' refused: {text}' if text else ''}")
         return {"ok": not text, "text": text}
 
@@ -186,7 +189,7 @@ class Desk:
 
     async def _acknowledge(self, client: Client) -> None:
         if self.session is not None and self.session.ready:
-            text = await self.session.ask(acknowledge=True)
+            text = await self.session.ask(acknowledge=True, by=client.name)
             if text:
                 raise Refused(text)
         self.account.acknowledge()
@@ -205,20 +208,42 @@ class Desk:
         if session.ready and self._params is not None:
             self.rows.add(console_rows(self._params, session.take_rows()))
             self.account.take_status(*session.read_status(), now_s)
-            present, said_s = self._present_said
-            if present != self.lease.held or now_s - said_s >= PRESENT_EACH_S:
-                session.send(present=self.lease.held)
-                self._present_said = (self.lease.held, now_s)
+            self._say_who_is_there(session, now_s)
+            self._look_at_recording(session)
         if session.ended:
             self.session = None
             self.faults.disconnect()
             self._in_background(session.close())
             self.changed()
 
+    def _say_who_is_there(self, session: SessionProcess, now_s: float) -> None:
+        """Tell the session whether somebody has the command, and let its recording know who."""
+        key, said_s = self._present_said
+        if key == self.lease.key and now_s - said_s < PRESENT_EACH_S:
+            return
+        session.send(present=self.lease.held)
+        if key != self.lease.key:
+            name = self.lease.name if self.lease.held else "nobody"
+            session.send(note=["operator", name, f"{name} has the command"])
+        self._present_said = (self.lease.key, now_s)
+
+    def _look_at_recording(self, session: SessionProcess) -> None:
+        found = session.read_recording()
+        if found is not None:
+            state, said_s = found
+            for line in self.account.recording.look(state, time.monotonic() - said_s):
+                self.note(line)
+
+    def _put_down(self, kind: str, who: str, text: str) -> None:
+        """Let the session's recording have what somebody did."""
+        if self.session is not None and self.session.ready:
+            self.session.send(note=[kind, who, text])
+
     def _hear(self, message: dict[str, Any]) -> None:
         """Take a message of the session."""
         if "hello" in message and self.session is not None:
             self.account.word = ""
+            self.account.recording = RecordingWatch(self.session.file)
             self._in_background(self._connect_faults(message["hello"]["addresses"]))
         for line in self.account.hear(message):
             self.note(line)
@@ -294,6 +319,7 @@ class Desk:
             "ready": self.session is not None and self.session.ready,
             "lease": {"holder": lease.name, "mine": lease.held and lease.key == client.key},
             "watching": len(self.clients),
+            "recording": self.account.recording.as_json() if self.session is not None else None,
             **self.account.now(now_s),
         }
 

@@ -17,14 +17,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.build import TELEMETRY_ROWS
 from hil.console.session import Choice
 from hil.console.status import CELLS, empty_status
 from hil.frmn.cell import Block
 from hil.frmn.ring import Reader, Ring
 from hil.messages import CYCLE
+from hil.recording import recorder
 
 _PACKET: Final = 1 << 18
+_SHARED_AT_MOST: Final = 8
 _ANSWER_WALL_S: Final = 2.0
 _STOP_WALL_S: Final = 5.0  # for a bench to be stopped and its processes ended
 _LAST_WORDS_BYTES: Final = 2000
@@ -48,6 +49,9 @@ class SessionProcess:
         self._ring: Ring | None = None
         self._rows: Reader | None = None
         self._block: Block | None = None
+        self._recording: Block | None = None
+        self.file = ""
+        """That the session is recorded into; "" where it is not."""
         self._status = empty_status()
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
         self._channel, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -112,6 +116,17 @@ class SessionProcess:
             return 0, self._status
         return self._block["status"].read(self._status)[0], self._status
 
+    def read_recording(self) -> tuple[np.ndarray, float] | None:
+        """Return how the recording stands, STATE (1,), and when its process said so by ``time.monotonic``.
+
+        None where the session is not recorded.
+        """
+        if self._recording is None:
+            return None
+        state = np.zeros(1, recorder.STATE)
+        _, said_s = self._recording["state"].read(state)
+        return state, said_s
+
     def interrupt(self) -> None:
         """Let a session that is still being opened end."""
         with contextlib.suppress(ProcessLookupError):
@@ -143,7 +158,7 @@ class SessionProcess:
 
     def _read(self) -> None:
         try:
-            packet, descriptors, _, _ = socket.recv_fds(self._channel, _PACKET, 4)
+            packet, descriptors, _, _ = socket.recv_fds(self._channel, _PACKET, _SHARED_AT_MOST)
         except (BlockingIOError, ConnectionResetError):
             return  # reset: it ended without reading all that was sent; its own last words come yet, then the end
         except OSError:
@@ -166,9 +181,13 @@ class SessionProcess:
 
     def _attach(self, hello: dict[str, Any], descriptors: list[int]) -> None:
         self.addresses = hello["addresses"]
-        self._ring = Ring(descriptors[0], CYCLE, TELEMETRY_ROWS)
+        shared = dict(zip(hello["shared"], descriptors, strict=True))
+        self._ring = Ring(shared["telemetry"], CYCLE, hello["rows"])
         self._rows = self._ring.reader()
-        self._block = Block(descriptors[1], CELLS, "console")
+        self._block = Block(shared["status"], CELLS, "console")
+        if "recording" in shared:
+            self._recording = Block(shared["recording"], recorder.CELLS, "recorder")
+            self.file = hello["file"]
         self.ready = True
 
     async def _died(self) -> None:
@@ -194,9 +213,10 @@ class SessionProcess:
         self._rows = None
         if self._ring is not None:
             self._ring.close()
-        if self._block is not None:
-            self._block.close()
-        self._ring = self._block = None
+        for block in (self._block, self._recording):
+            if block is not None:
+                block.close()
+        self._ring = self._block = self._recording = None
         self._stderr.close()
 
     def _last_words(self) -> str:

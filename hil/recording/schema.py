@@ -28,7 +28,8 @@ NOTE: Final = np.dtype(
     [("t_s", "f8"), ("bench_s", "f8"), ("cycle", "i8"), ("kind", "S16"), ("source", "S48"), ("text", "S888")]
 )
 """Something worth a line. t_s: time of the run, nan before it; bench_s: bench time; cycle: the first that it acts on,
-or during which it happened, -1 before the run. kind: event, alarm, mode, order, setting, fault."""
+or during which it happened, -1 before the run. kind: event, alarm, mode, order (what the GNC was told to do), setting,
+operator (who did what at the console), fault (switched on an emulator)."""
 
 PICTURE_BYTES: Final = 768 * 1024
 PICTURE: Final = np.dtype([("t_s", "f8"), ("camera", "S32"), ("size", "i8"), ("jpeg", "u1", PICTURE_BYTES)])

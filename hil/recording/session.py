@@ -25,6 +25,7 @@ from hil import __version__
 from hil.assembly import Job
 from hil.config.digest import motion_digest
 from hil.errors import BadInput
+from hil.frmn.cell import Block
 from hil.frmn.ring import Ring
 from hil.recording import recorder
 from hil.recording.catalogue import BROKEN_OFF, DONE, Catalogue
@@ -43,18 +44,23 @@ _EXIT_WALL_S: Final = 1.0
 
 class _Recorder(Protocol):
     taps: Taps
+    state: Block | None
 
     def finish(self, end: dict[str, str], summary: str) -> Account:
         """Close the file."""
 
 
 class Recording:
-    """A run that is being recorded into ``path``. Tap the run with ``taps``; ``finish`` it with its summary."""
+    """A run that is being recorded into ``path``. Tap the run with ``taps``; ``finish`` it with its summary.
+
+    state: ``recorder.CELLS``, how the recording stands, where a process of its own writes it; None otherwise.
+    """
 
     def __init__(self, run: str, path: Path, catalogue: Catalogue, recorder: _Recorder) -> None:
         self.run = run
         self.path = path
         self.taps = recorder.taps
+        self.state = recorder.state
         self.account: Account | None = None
         self._catalogue = catalogue
         self._recorder = recorder
@@ -81,9 +87,12 @@ class Recording:
 
 
 @contextmanager
-def recording(job: Job, rig_name: str, folder: Path, announce: Callable[[str], None]) -> Iterator[Recording]:
+def recording(
+    job: Job, rig_name: str, folder: Path, announce: Callable[[str], None], on_the_wall: bool = False
+) -> Iterator[Recording]:
     """Give a recording of ``job`` in ``folder``, which is made if need be.
 
+    on_the_wall: the run keeps the time of the wall though its rig is a mock: a process of its own records it, too.
     Whatever leaves without ``finish`` is entered as broken off. Raises BadInput where nothing can be written there.
     """
     started_ns = utc_ns()
@@ -95,7 +104,8 @@ def recording(job: Job, rig_name: str, folder: Path, announce: Callable[[str], N
     header = _header(job, rig_name, run, started_ns)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        made: _Recorder = _InMemory(path, header) if job.rig.value.kind == "mock" else _Process(job, path, run, header)
+        in_memory = job.rig.value.kind == "mock" and not on_the_wall
+        made: _Recorder = _InMemory(path, header) if in_memory else _Process(job, path, run, header)
     except OSError as error:
         text = f"{folder}: cannot record there: {error.strerror or error}"
         raise BadInput.single("--record", "", text) from error
@@ -195,6 +205,7 @@ class _InMemory:
 
     def __init__(self, path: Path, header: Header) -> None:
         self._file = RunFile(path, header)
+        self.state: Block | None = None
         file = self._file
         self.taps = Taps(*(_Direct(write) for write in (file.cycles, file.arrivals, file.notes, file.pictures)))
 
@@ -211,15 +222,17 @@ class _Process:
         slots = {"cycles": rows, **_SLOTS}
         self._rings = {name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items()}
         self.taps = Taps(**self._rings)
+        self.state: Block | None = Block.create(recorder.CELLS, "recorder")
         self._socket, there = socket.socketpair()
         configuration = {
             "file": str(path),
             "run": run,
             "header": {"run": header.run, "files": header.files, "started_ns": header.started_ns},
             "rings": {name: (ring.descriptor, ring.slots) for name, ring in self._rings.items()},
+            "state": self.state.descriptor,
             "socket": there.fileno(),
         }
-        descriptors = (*(ring.descriptor for ring in self._rings.values()), there.fileno())
+        descriptors = (*(ring.descriptor for ring in self._rings.values()), self.state.descriptor, there.fileno())
         self._child = subprocess.Popen(
             [sys.executable, "-m", "hil.recording.recorder"], stdin=subprocess.PIPE, pass_fds=descriptors
         )
@@ -276,4 +289,6 @@ class _Process:
             code = self._child.wait()
         for ring in self._rings.values():
             ring.close()
+        if self.state is not None:
+            self.state.close()
         return code

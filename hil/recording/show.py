@@ -73,7 +73,7 @@ SCHEMAS: Final[dict[str, dict[str, Any]]] = {
             "name": _TEXT,
             "file": _TEXT,
             "line": {"type": "integer"},
-            "kind": {"type": "string", "description": "event, alarm, mode, order, setting or fault"},
+            "kind": {"type": "string", "description": "event, alarm, mode, order, setting, operator or fault"},
             "t_s": _number("s, time of the run, null before it"),
             "bench_s": _number("s, bench time"),
             "cycle": {"type": "integer", "description": "cycle that it acts on or fell into, -1 before the run"},

@@ -127,6 +127,15 @@ class RunFile:
             self._channels[topic] = self._writer.register_channel(topic, "json", self._picture_schema)
         return topic
 
+    @property
+    def trouble(self) -> str:
+        """Why the disk takes nothing any more; "" while it does."""
+        return self._sink.problem
+
+    def account(self) -> Account:
+        """Return how the recording stands."""
+        return Account(self._cycles, self._dropped, self._sink.size, self._problem())
+
     def lost(self, messages: int) -> None:
         """Count messages that never came here."""
         self._dropped += messages
@@ -151,7 +160,7 @@ class RunFile:
             self._writer.add_metadata(END, end)
             self._writer.finish()
         self._sink.close()
-        return Account(self._cycles, self._dropped, self._sink.size, self._problem())
+        return self.account()
 
     def _problem(self) -> str:
         if self._sink.problem:

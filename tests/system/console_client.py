@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,9 +42,10 @@ class Console:
 
 
 @contextmanager
-def console(*arguments: str) -> Iterator[Console]:
-    """Start ``hil console`` on a free port; give it once it listens; it is ended by Ctrl-C."""
-    command = [sys.executable, "-m", "hil", "console", "--port", "0", *arguments]
+def console(*arguments: str, record: Path | None = None) -> Iterator[Console]:
+    """Start ``hil console`` on a free port; give it once it listens; it is ended by Ctrl-C. record: folder."""
+    recording = ["--no-record"] if record is None else ["--record", str(record)]
+    command = [sys.executable, "-m", "hil", "console", "--port", "0", *recording, *arguments]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process, ExitStack() as pages:
         try:
             assert process.stderr is not None
