@@ -24,8 +24,9 @@ from hil.drivers.remote.cells import ARRIVAL
 from hil.errors import BadInput
 from hil.frmn.ring import Reader, Ring
 from hil.messages import CYCLE
+from hil.pictures import PICTURE
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
-from hil.recording.schema import NOTE, PICTURE
+from hil.recording.schema import NOTE
 from hil.recording.utc import utc_text
 from hil.recording.writer import FLUSH_S, Account, Header, RunFile
 

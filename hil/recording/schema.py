@@ -30,10 +30,6 @@ NOTE: Final = np.dtype(
 """Something worth a line. t_s: time of the run, nan before it; bench_s: bench time; cycle: the first that it acts on,
 or during which it happened, -1 before the run. kind: event, alarm, mode, order, setting, fault."""
 
-PICTURE_BYTES: Final = 768 * 1024
-PICTURE: Final = np.dtype([("t_s", "f8"), ("camera", "S32"), ("size", "i8"), ("jpeg", "u1", PICTURE_BYTES)])
-"""A picture, JPEG, of which ``size`` bytes count. t_s: exposure, time of the run."""
-
 RECORDS: Final[dict[str, tuple[str, np.dtype]]] = {
     "/cycle": ("hil.Cycle", CYCLE),
     "/vmu/frames": ("hil.Arrival", ARRIVAL),
