@@ -25,8 +25,9 @@ from hil.errors import BadInput
 from hil.frmn.cell import Block, Cell
 from hil.frmn.ring import Reader, Ring
 from hil.messages import CYCLE
+from hil.pictures import PICTURE
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
-from hil.recording.schema import NOTE, PICTURE
+from hil.recording.schema import NOTE
 from hil.recording.utc import utc_text
 from hil.recording.writer import FLUSH_S, Account, Header, RunFile
 

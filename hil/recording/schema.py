@@ -31,10 +31,6 @@ NOTE: Final = np.dtype(
 or during which it happened, -1 before the run. kind: event, alarm, mode, order (what the GNC was told to do), setting,
 operator (who did what at the console), fault (switched on an emulator)."""
 
-PICTURE_BYTES: Final = 768 * 1024
-PICTURE: Final = np.dtype([("t_s", "f8"), ("camera", "S32"), ("size", "i8"), ("jpeg", "u1", PICTURE_BYTES)])
-"""A picture, JPEG, of which ``size`` bytes count. t_s: exposure, time of the run."""
-
 RECORDS: Final[dict[str, tuple[str, np.dtype]]] = {
     "/cycle": ("hil.Cycle", CYCLE),
     "/vmu/frames": ("hil.Arrival", ARRIVAL),

@@ -5,12 +5,17 @@ from __future__ import annotations
 import base64
 import json
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 
+from hil.pictures import Shape, data_of
+
 STATE_TOPIC, TRANSFORM_TOPIC, LOG_TOPIC = "/state", "/tf", "/log"
 PICTURE_TOPICS: Final = "/pictures/"
+ANNOTATIONS: Final = "/annotations"
+"""Ends the topic of what is drawn over a camera's pictures."""
 
 _INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
 _LEVELS: Final = {"alarm": _ERROR, "fault": _ERROR, "order": _WARNING, "setting": _WARNING}
@@ -87,10 +92,73 @@ PICTURE_SCHEMA: Final = _object(
         "timestamp": _TIME,
         "frame_id": _TEXT,
         "data": {"type": "string", "contentEncoding": "base64"},
-        "format": _TEXT,
-        "t_s": _number("s, exposure, time of the run"),
+        "format": {"type": "string", "description": "jpeg or png"},
+        "t_s": _number("s, exposure, time of the run; null before it and while it is held"),
+        "bench_s": _number("s, exposure, bench time; null where only the run's time is known"),
+        "number": {"type": "integer", "description": "of the exposure; pictures of one exposure share it"},
+        "status": {"type": "string", "description": "what the unit or monitor said of it"},
+        "width_px": {"type": "integer"},
+        "height_px": {"type": "integer"},
     },
 )
+
+_POINT: Final = _object("point", {axis: {"type": "number"} for axis in "xy"})
+_COLOUR: Final = _object("colour", {part: {"type": "number"} for part in "rgba"})
+ANNOTATION_SCHEMA: Final = _object(
+    "foxglove.ImageAnnotations",
+    {
+        "circles": {
+            "type": "array",
+            "items": _object(
+                "circle",
+                {
+                    "timestamp": _TIME,
+                    "position": _POINT,
+                    "diameter": {"type": "number"},
+                    "thickness": {"type": "number"},
+                    "fill_color": _COLOUR,
+                    "outline_color": _COLOUR,
+                },
+            ),
+        },
+        "points": {
+            "type": "array",
+            "items": _object(
+                "points",
+                {
+                    "timestamp": _TIME,
+                    "type": {"type": "integer"},
+                    "points": {"type": "array", "items": _POINT},
+                    "outline_color": _COLOUR,
+                    "outline_colors": {"type": "array", "items": _COLOUR},
+                    "fill_color": _COLOUR,
+                    "thickness": {"type": "number"},
+                },
+            ),
+        },
+        "texts": {
+            "type": "array",
+            "items": _object(
+                "text",
+                {
+                    "timestamp": _TIME,
+                    "position": _POINT,
+                    "text": _TEXT,
+                    "font_size": {"type": "number"},
+                    "text_color": _COLOUR,
+                    "background_color": _COLOUR,
+                },
+            ),
+        },
+    },
+)
+
+_LINE_LIST: Final = 4  # of foxglove.PointsAnnotation: each two points a line
+_CROSS_ARM_PX: Final = 5.0
+_GOOD, _BAD, _CLEAR = (
+    dict(zip("rgba", colour, strict=True))
+    for colour in ((0.34, 0.71, 0.91, 1.0), (0.90, 0.62, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0))
+)  # the first two as on the console's page
 
 
 def state(row: np.void) -> dict[str, Any]:
@@ -144,15 +212,84 @@ def log(note: np.void, time_ns: int) -> dict[str, Any]:
     }
 
 
-def picture(camera: str, jpeg: bytes, t_s: float, time_ns: int) -> dict[str, Any]:
-    """Return a picture for ``PICTURE_TOPICS + camera``."""
+def picture(row: np.void, time_ns: int) -> dict[str, Any]:
+    """Return the picture of ``row`` (PICTURE) for ``PICTURE_TOPICS + camera``."""
     return {
         "timestamp": _time(time_ns),
-        "frame_id": camera,
-        "data": base64.b64encode(jpeg).decode(),
-        "format": "jpeg",
-        "t_s": _finite(t_s),
+        "frame_id": _word(row["camera"]),
+        "data": base64.b64encode(data_of(row)).decode(),
+        "format": _word(row["encoding"]),
+        "t_s": _finite(row["t_s"]),
+        "bench_s": _finite(row["bench_s"]),
+        "number": int(row["number"]),
+        "status": _word(row["status"]),
+        "width_px": int(row["width_px"]),
+        "height_px": int(row["height_px"]),
     }
+
+
+def annotations(shapes: Sequence[Shape], time_ns: int) -> dict[str, Any]:
+    """Return what is drawn over a picture for ``PICTURE_TOPICS + camera + ANNOTATIONS``."""
+    when = _time(time_ns)
+    circles: list[dict[str, Any]] = []
+    texts: list[dict[str, Any]] = []
+    ends: dict[bool, list[dict[str, float]]] = {True: [], False: []}
+    for shape in shapes:
+        good = bool(shape.get("good"))
+        match shape["kind"]:
+            case "circle":
+                circles.append(_circle(shape, when, _GOOD if good else _BAD))
+            case "text":
+                texts.append(_text(shape, when, _GOOD if good else _BAD))
+            case "line":
+                ends[good] += [_point(*shape["from"]), _point(*shape["to"])]
+            case "cross":
+                u, v = shape["at"]
+                arm = _CROSS_ARM_PX
+                ends[good] += [_point(u - arm, v), _point(u + arm, v), _point(u, v - arm), _point(u, v + arm)]
+    return {
+        "circles": circles,
+        "points": [_lines(found, when, _GOOD if good else _BAD) for good, found in ends.items() if found],
+        "texts": texts,
+    }
+
+
+def _circle(shape: Shape, when: dict[str, int], colour: dict[str, float]) -> dict[str, Any]:
+    return {
+        "timestamp": when,
+        "position": _point(*shape["at"]),
+        "diameter": 2.0 * float(shape["radius"]),
+        "thickness": 1.0,
+        "fill_color": _CLEAR,
+        "outline_color": colour,
+    }
+
+
+def _text(shape: Shape, when: dict[str, int], colour: dict[str, float]) -> dict[str, Any]:
+    return {
+        "timestamp": when,
+        "position": _point(*shape["at"]),
+        "text": shape["text"],
+        "font_size": 12.0,
+        "text_color": colour,
+        "background_color": _CLEAR,
+    }
+
+
+def _lines(ends: list[dict[str, float]], when: dict[str, int], colour: dict[str, float]) -> dict[str, Any]:
+    return {
+        "timestamp": when,
+        "type": _LINE_LIST,
+        "points": ends,
+        "outline_color": colour,
+        "outline_colors": [],
+        "fill_color": _CLEAR,
+        "thickness": 1.0,
+    }
+
+
+def _point(u: float, v: float) -> dict[str, float]:
+    return {"x": float(u), "y": float(v)}
 
 
 def encoded(message: dict[str, Any]) -> bytes:

@@ -8,11 +8,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from hil.errors import BadInput
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.messages import Event
 from hil.modes import Mode
-from hil.recording.schema import NOTE, PICTURE, PICTURE_BYTES
+from hil.recording.schema import NOTE
 from hil.runner import Runner
 from hil.safety.alarms import Alarm
 
@@ -81,19 +80,6 @@ class Taps:
         runner.supervisor.alarms.entered.tell(notes.alarm)
         runner.supervisor.modes.history.tell(notes.mode)
         return notes
-
-
-def picture_row(camera: str, t_s: float, jpeg: bytes) -> np.ndarray:
-    """Return a picture as a row for ``Taps.pictures``, shape (1,); t_s: exposure, time of the run.
-
-    Raises BadInput for one that is larger than PICTURE_BYTES.
-    """
-    if len(jpeg) > PICTURE_BYTES:
-        raise BadInput.single(camera, "", f"picture of {len(jpeg)} bytes, at most {PICTURE_BYTES}: compress it more")
-    row = np.zeros(1, PICTURE)
-    row["t_s"], row["camera"], row["size"] = t_s, camera.encode(), len(jpeg)
-    row["jpeg"][0, : len(jpeg)] = np.frombuffer(jpeg, np.uint8)
-    return row
 
 
 def _cut(text: str, size: int) -> bytes:

@@ -1,0 +1,213 @@
+"""A camera's picture as a record: on its way through shared memory to whoever shows or records it, and how it is made.
+
+``Ring.create(PICTURE, SLOTS, "pictures")`` is the way from a process that has pictures to those that want them.
+Cameras are "vmu.left" and "vmu.right", the vision unit's pair of one exposure, and "monitor", the docking monitor's.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, Protocol
+
+import numpy as np
+
+from hil.errors import BadInput
+
+Encoding = Literal["jpeg", "png"]
+Shape = dict[str, Any]
+"""What is drawn over a picture, in its pixels (pixel centres at whole numbers):
+
+``{"kind": "circle", "at": [u, v], "radius": r}``, ``{"kind": "cross", "at": [u, v]}``,
+``{"kind": "line", "from": [u, v], "to": [u, v]}`` or ``{"kind": "text", "at": [u, v], "text": "..."}``, each with
+``"good": true`` or ``false``, and ``"part"``: what it stands for, for who gives parts colours of their own."""
+
+LEFT, RIGHT, MONITOR = "vmu.left", "vmu.right", "monitor"
+CAMERAS: Final = (LEFT, RIGHT, MONITOR)
+
+SLOTS: Final = 8
+"""Of the ring: two seconds of a pair twice a second, and room for a burst."""
+PICTURE_BYTES: Final = 2 * 1024 * 1024
+OVERLAY_BYTES: Final = 16 * 1024
+JPEG_QUALITY: Final = 90
+_PNG_COMPRESSION: Final = 1  # higher levels cost three times the time for a twentieth of the size
+
+PICTURE: Final = np.dtype(
+    [
+        ("t_s", "f8"),  # exposure, time of the run; nan before the run and while it is held
+        ("bench_s", "f8"),  # exposure, bench time as its maker has it; nan where only the run's time is known
+        ("number", "i8"),  # of the exposure, counted by its maker from 0; pictures of one exposure share it
+        ("left_out", "i8"),  # pictures of this camera up to this one that their maker had to leave out
+        ("camera", "S32"),
+        ("encoding", "S8"),  # "jpeg" or "png"
+        ("status", "S24"),  # what its maker said of it: "ok", "too_few", "near", ...
+        ("width_px", "i8"),
+        ("height_px", "i8"),
+        ("size", "i8"),  # how many bytes of data count
+        ("overlay_size", "i8"),  # how many bytes of overlay count
+        ("overlay", "u1", OVERLAY_BYTES),  # UTF-8, a JSON list of Shape
+        ("data", "u1", PICTURE_BYTES),
+    ],
+    align=True,
+)
+"""A picture with what was found in it."""
+
+
+class Takes(Protocol):
+    """Whoever is handed pictures: a ring, or a file."""
+
+    def put(self, row: np.ndarray) -> None:
+        """Take a copy of ``row``, shape (1,) of PICTURE; never waits."""
+
+
+class RunsTime(Protocol):
+    """Whoever knows the run's time."""
+
+    def of(self, bench_s: float) -> float:
+        """Return the time of the run at ``bench_s``; nan while no run's time goes."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which pictures are taken. encoding: "none" for none. each_s: shortest time between two of a camera, 0: all."""
+
+    encoding: Literal["none", "jpeg", "png"] = "none"
+    each_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class View:
+    """A picture before it is encoded. image: (h, w) or (h, w, 3), uint8, grey or BGR. Times as of PICTURE."""
+
+    camera: str
+    image: np.ndarray
+    bench_s: float = math.nan
+    t_s: float = math.nan
+    number: int = 0
+    status: str = ""
+    shapes: Sequence[Shape] = ()
+
+
+def picture_row(
+    camera: str,
+    t_s: float,
+    data: bytes,
+    encoding: Encoding = "jpeg",
+    size_px: tuple[int, int] = (0, 0),
+    shapes: Sequence[Shape] = (),
+    *,
+    bench_s: float = math.nan,
+    number: int = 0,
+    status: str = "",
+    left_out: int = 0,
+    into: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return a picture as a row, shape (1,) of PICTURE; size_px: width, height; into: a row to be written over.
+
+    Shapes beyond OVERLAY_BYTES are cut, the last ones first. Raises BadInput for data beyond PICTURE_BYTES.
+    """
+    if len(data) > PICTURE_BYTES:
+        raise BadInput.single(camera, "", f"picture of {len(data)} bytes, at most {PICTURE_BYTES}: compress it more")
+    row = np.zeros(1, PICTURE) if into is None else into
+    overlay = packed(shapes)
+    row["t_s"], row["bench_s"], row["number"], row["left_out"] = t_s, bench_s, number, left_out
+    row["camera"], row["encoding"], row["status"] = camera.encode(), encoding.encode(), status.encode()[:24]
+    row["width_px"], row["height_px"] = size_px
+    row["size"], row["overlay_size"] = len(data), len(overlay)
+    row["overlay"][0, : len(overlay)] = np.frombuffer(overlay, np.uint8)
+    row["data"][0, : len(data)] = np.frombuffer(data, np.uint8)
+    return row
+
+
+def packed(shapes: Sequence[Shape], room: int = OVERLAY_BYTES) -> bytes:
+    """Return as many of ``shapes``, from the first on, as a JSON list of at most ``room`` bytes holds."""
+    found, left = [], room - 2
+    for shape in shapes:
+        text = json.dumps(shape, separators=(",", ":"), allow_nan=False).encode()
+        left -= len(text) + 1
+        if left < 0:
+            break
+        found.append(text)
+    return b"[" + b",".join(found) + b"]"
+
+
+def shapes_of(row: np.void) -> tuple[Shape, ...]:
+    """Return what is drawn over the picture of ``row``, one of PICTURE."""
+    text = row["overlay"][: int(row["overlay_size"])].tobytes()
+    return tuple(json.loads(text)) if text else ()
+
+
+def data_of(row: np.void) -> bytes:
+    """Return the encoded picture of ``row``, one of PICTURE."""
+    data: bytes = row["data"][: int(row["size"])].tobytes()
+    return data
+
+
+def encode(image: np.ndarray, encoding: Encoding, quality: int = JPEG_QUALITY) -> bytes:
+    """Return ``image`` (h, w) or (h, w, 3), uint8, grey or BGR, as a file; quality: of JPEG, 0 to 100.
+
+    Raises ValueError for what is no such image.
+    """
+    import cv2
+
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or not image.size:
+        raise ValueError(f"{image.dtype} of shape {image.shape} is no picture")
+    if encoding == "png":
+        suffix, options = ".png", [cv2.IMWRITE_PNG_COMPRESSION, _PNG_COMPRESSION]
+    else:
+        suffix, options = ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality]
+    written, code = cv2.imencode(suffix, image, options)
+    if not written:
+        raise ValueError(f"a picture of shape {image.shape} cannot be written as {encoding}")
+    return bytes(code.tobytes())
+
+
+class PictureMaker:
+    """Puts a maker's pictures, encoded, where ``out`` takes them; ``wanted`` says which.
+
+    Not for two threads at once. A picture that has no room is counted and left out.
+    """
+
+    def __init__(self, out: Takes, wanted: Wanted, run: RunsTime | None = None) -> None:
+        self._out = out
+        self._wanted = wanted
+        self._run = run
+        self._last_s = -math.inf
+        self._left_out: dict[str, int] = {}
+        self._row = np.zeros(1, PICTURE)
+
+    def due(self, exposed_s: float) -> bool:
+        """Return whether pictures exposed at ``exposed_s``, of whatever clock their maker has, are wanted.
+
+        To be asked once an exposure, whichever cameras it has.
+        """
+        if self._wanted.encoding == "none":
+            return False
+        if exposed_s < self._last_s:  # the clock was set back
+            self._last_s = -math.inf
+        if exposed_s - self._last_s < self._wanted.each_s - 1e-6:
+            return False
+        self._last_s = exposed_s
+        return True
+
+    def put(self, view: View) -> None:
+        """Encode ``view`` and hand it over; a run's time that it does not have is looked up."""
+        assert self._wanted.encoding != "none"
+        data = encode(view.image, self._wanted.encoding)
+        if len(data) > PICTURE_BYTES:
+            self.leave_out(view.camera)
+            return
+        t_s = self._run.of(view.bench_s) if self._run is not None and math.isnan(view.t_s) else view.t_s
+        height, width = view.image.shape[:2]
+        row = picture_row(
+            view.camera, t_s, data, self._wanted.encoding, (width, height), view.shapes,
+            bench_s=view.bench_s, number=view.number, status=view.status,
+            left_out=self._left_out.get(view.camera, 0), into=self._row,
+        )  # fmt: skip
+        self._out.put(row)
+
+    def leave_out(self, camera: str) -> None:
+        """Count a picture of ``camera`` that does not come."""
+        self._left_out[camera] = self._left_out.get(camera, 0) + 1
