@@ -32,6 +32,8 @@ class Account:
         self.hold_reason = ""
         self.ended: dict[str, Any] | None = None
         self.recording = RecordingWatch()
+        self.closing = False
+        """Whether the loop has ended and only the files are yet to be closed."""
         self._status = empty_status()
         self._number = 0
         self._came_s = -math.inf
@@ -57,6 +59,7 @@ class Account:
                 lines.append(f"hold: {message['hold_reason']}")
             self.alarms, self.events = message["alarms"], message["events"]
             self.hold_reason = message["hold_reason"]
+        self.closing = self.closing or "closing" in message
         if "word" in message:
             self.word = message["word"]
             lines.append(self.word)

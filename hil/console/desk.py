@@ -166,6 +166,7 @@ class Desk:
             return {"ok": True, "text": ""}
         if order in HAZARDS and self._mode in OBEYED_IN[order] and not confirmed:
             return {"ok": False, "ask": HAZARDS[order]}
+        self._say_who_is_there(self.session, self._wall_s())  # whoever orders has the command by then
         text = await self.session.ask(order=word, by=client.name)
         self.note(f"{client.name}: {word}{f' refused: {text}' if text else ''}")
         return {"ok": not text, "text": text}
@@ -229,7 +230,7 @@ class Desk:
 
     def _look_at_recording(self, session: SessionProcess) -> None:
         found = session.read_recording()
-        if found is not None:
+        if found is not None and not self.account.closing:
             state, said_s = found
             for line in self.account.recording.look(state, time.monotonic() - said_s):
                 self.note(line)

@@ -111,6 +111,7 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
                 _say_hello(channel, bench, status, taken)
                 outcome = bench.runner.run()
                 operator.tell(bench.runner.now_s())
+            words.say(word="the loop has ended: judging the run, closing its files", closing=True)
             words.say(ended=_how_it_ended(choice, job, outcome, taken))
     except BadInput as error:
         words.say(refused=[str(problem) for problem in error.problems])
