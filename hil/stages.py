@@ -169,6 +169,21 @@ class Gnc:
         self._abort = 1
         self.orders.append((self.cycle + 1, "abort"))
 
+    def adjust(self, navigation: np.record, supervision: np.record, control: np.record) -> int:
+        """Take over other parameters, between two cycles; return the number of the cycle from which on they act.
+
+        NAVIGATION_PARAMS, SUPERVISION_PARAMS, CONTROL_PARAMS of the same step and sensors. They are written in place:
+        whoever looks at them beside the loop, as the shadow filter does, goes on with the new ones as well.
+        """
+        for mine, theirs in (
+            (self._navigation, navigation),
+            (self._supervision, supervision),
+            (self._control, control),
+        ):
+            for name in mine.dtype.names or ():
+                mine[name] = theirs[name]
+        return self.cycle + 1
+
     def navigate(self, imu: np.record, vision: Poses, out: np.record) -> None:
         """Write NAVIGATION from the step's IMU sample and the poses that came."""
         navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)

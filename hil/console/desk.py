@@ -25,6 +25,7 @@ from hil.console.recording_watch import RecordingWatch
 from hil.console.rows import RowStore
 from hil.console.session import Choice
 from hil.console.session_process import SessionProcess
+from hil.console.tuner import Tuner
 from hil.errors import BadInput
 from hil.messages import CYCLE
 from hil.modes import Mode
@@ -63,6 +64,8 @@ class Desk:
         self._wall_s = wall_s
         self.account = Account({}, "no session is open")
         self._params: np.record | None = None
+        self._tuner: Tuner | None = None
+        self._tuning = asyncio.Lock()  # each change is built on the one before
         self._present_said: tuple[str, float] = ("", -math.inf)
         self._picture: tuple[int, Picture | None] = (0, None)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -96,6 +99,9 @@ class Desk:
             case "jog":
                 self.lease.require(client.key)
                 self._jog(str(command.get("axis")), command.get("direction"))
+            case "adjust":
+                self.lease.require(client.key)
+                return await self._adjust(client, command)
             case "acknowledge":
                 self.lease.require(client.key)
                 await self._acknowledge(client)
@@ -144,6 +150,7 @@ class Desk:
         job = choice.job()
         self.choice = choice
         self._params = parameters.bench(job.rig.value, job.scenario.value.step_s)
+        self._tuner = Tuner(job)
         self.account = Account(described(job.rig.value, job.scenario.value), "starting")
         self.lease.lasts_s = job.rig.value.console.lease_s
         self.rows.begin()
@@ -187,6 +194,22 @@ class Desk:
             self.session.send(jog=[axis, direction])
         else:
             raise Refused(f"bench: cannot jog in {self._mode.value}")
+
+    async def _adjust(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
+        """Let the loop have another value of one of its settings."""
+        if self.session is None or not self.session.ready or self._tuner is None:
+            raise Refused("bench: cannot change a setting, no session is open")
+        async with self._tuning:
+            change = self._tuner.change(command.get("key"), command.get("value"))
+            if not command.get("confirmed"):
+                return {"ok": False, "ask": change.question}
+            self._say_who_is_there(self.session, self._wall_s())
+            text = await self.session.ask(adjust=change.as_message(), by=client.name)
+            if not text:
+                self._tuner.took(change)
+        done = f"refused: {text}" if text else f"was {change.before:g}"
+        self.note(f"{client.name}: {change.key} = {change.value:g}, {done}")
+        return {"ok": not text, "text": text}
 
     async def _acknowledge(self, client: Client) -> None:
         if self.session is not None and self.session.ready:
@@ -333,6 +356,7 @@ class Desk:
             "rigs": self.rigs,
             "obeyed_in": {order.value: [mode.value for mode in modes] for order, modes in OBEYED_IN.items()},
             "log": list(self.log)[-40:],
+            "settings": self._tuner.offered() if self._tuner is not None and self.session is not None else [],
             "faults": {"menu": self.faults.menu, "on": self.faults.on},
             **self.account.page(),
         }

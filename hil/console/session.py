@@ -107,7 +107,7 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
 
         with _recorded(choice, job, announce) as taken:
             with opened(job, operator, announce, taken.taps if taken else None) as bench:
-                operator.attach(bench.runner, bench.notes)
+                operator.attach(bench.runner, bench.notes, job.scenario.value.console.adjustable)
                 _say_hello(channel, bench, status, taken)
                 outcome = bench.runner.run()
                 operator.tell(bench.runner.now_s())

@@ -59,6 +59,10 @@ class Notes:
         """Put down an order that acts from ``cycle`` on; the replay gives it there again."""
         self.note("order", "operator", text, cycle=cycle)
 
+    def setting(self, cycle: int, who: str, text: str) -> None:
+        """Put down ``key=value`` that ``who`` has changed from ``cycle`` on; the replay does it there again."""
+        self.note("setting", who, text, cycle=cycle)
+
 
 @dataclass
 class Taps:
