@@ -24,7 +24,7 @@ from hil.runner import STOPPED_BY_OPERATOR, Outcome, Runner
 from hil.tuning import packed, tuning
 
 LEASE_S = 1.0
-DEADBAND = "gnc.control.deadband_m"
+DEADBAND = "gnc.control.deadband_deg"
 
 
 @dataclass
@@ -263,14 +263,14 @@ def test_line_that_nobody_reads_never_stops_the_loop() -> None:
 
 
 def test_setting_is_changed_between_two_cycles_and_what_the_scenario_does_not_allow_is_refused() -> None:
-    records = packed(tuning(load_scenario("scheme-1", [f"{DEADBAND}=0.5"]).value))
+    records = packed(tuning(load_scenario("scheme-1", [f"{DEADBAND}=90.0"]).value))
 
     def script(talk: Talk) -> None:
         talk.fly()
         running = talk.mode is Mode.RUNNING and talk.runner.loop.now.t_s[0] > 0.5
         for number, (key, text) in enumerate(((DEADBAND, records), ("step_s", records), (DEADBAND, "AAAA"))):
             if talk.once(f"change {number}", running):
-                talk.send(adjust={"key": key, "value": 0.5, "records": text}, by="ann", id=10 + number)
+                talk.send(adjust={"key": key, "value": 90, "records": text}, by="ann", id=10 + number)
 
     outcome, talk = converse(script)
     answers = {message["answer"]: message["text"] for message in talk.said if "answer" in message}
@@ -278,6 +278,7 @@ def test_setting_is_changed_between_two_cycles_and_what_the_scenario_does_not_al
     assert answers[11] == "step_s: this scenario lets nobody change it in flight"
     assert answers[12].startswith(f"{DEADBAND}: 3 bytes of parameters, expected")
     (event,) = [event for event in outcome.events if "changed" in event.text]
-    assert event.text == f"ann changed {DEADBAND}=0.5, from cycle {round(event.t_s / 0.02) + 1} on"
-    across = outcome.history["command"]["force"][round(event.t_s / 0.02) + 12 :, 1:]
-    assert not across.any()  # half a metre is nothing now
+    assert event.text == f"ann changed {DEADBAND}=90.0, from cycle {round(event.t_s / 0.02) + 1} on"
+    changed = round(event.t_s / 0.02) + 11  # when the last burn that had begun is over
+    assert outcome.history["command"]["torque"][:changed].any()
+    assert not outcome.history["command"]["torque"][changed:].any()  # a quarter of a turn is nothing now
