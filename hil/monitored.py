@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from hil import build
 from hil.config.load import load_scene
 from hil.errors import DeviceError
+from hil.frmn.ring import Ring
 from hil.handling import Watch
 from hil.monitor_beside import MonitorProcess, Watched, watch_recorded
 from hil.recording.taps import Taps
@@ -33,16 +34,24 @@ def runner(
     scene = load_scene(scenario.monitor.scene).value
     if rig.kind == "mock":
         with build.runner(job, watch, announce, taps=taps) as in_memory:
-            yield in_memory, lambda outcome: watch_recorded(scenario, scene, rig, seed, outcome.history)
+            outlets = (taps.monitor_maker(rig), taps.portions) if taps else ()
+            yield in_memory, lambda outcome: watch_recorded(scenario, scene, rig, seed, outcome.history, *outlets)
         return
     with (
         build.wired_bench(job, announce, taps) as bench,
-        MonitorProcess(scenario, scene, rig, seed, bench.telemetry) as process,
+        MonitorProcess(scenario, scene, rig, seed, bench.telemetry, *_rings(taps)) as process,
     ):
         announce("starting the docking monitor; its first start compiles its kernels")
         process.wait_ready()
         announce(f"docking monitor process {process.pid}")
         yield bench.runner(watch), lambda _: _what_is_left(process, scenario.monitor.scene)
+
+
+def _rings(taps: Taps | None) -> tuple[Ring | None, Ring | None]:
+    """Return the rings for the monitor's pictures and portions, where a recorder reads some."""
+    if taps is None or not (isinstance(taps.monitor_pictures, Ring) and isinstance(taps.portions, Ring)):
+        return None, None
+    return taps.monitor_pictures, taps.portions
 
 
 def _what_is_left(process: MonitorProcess, scene: str) -> Watched:

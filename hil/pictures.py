@@ -6,8 +6,12 @@ Cameras are "vmu.left" and "vmu.right", the vision unit's pair of one exposure, 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import os
+import queue
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, Protocol
@@ -32,6 +36,7 @@ SLOTS: Final = 8
 PICTURE_BYTES: Final = 2 * 1024 * 1024
 OVERLAY_BYTES: Final = 16 * 1024
 JPEG_QUALITY: Final = 90
+_NICE: Final = 10
 _PNG_COMPRESSION: Final = 1  # higher levels cost three times the time for a twentieth of the size
 
 PICTURE: Final = np.dtype(
@@ -122,10 +127,16 @@ def picture_row(
 
 
 def packed(shapes: Sequence[Shape], room: int = OVERLAY_BYTES) -> bytes:
-    """Return as many of ``shapes``, from the first on, as a JSON list of at most ``room`` bytes holds."""
+    """Return as many of ``shapes``, from the first on, as a JSON list of at most ``room`` bytes holds.
+
+    One that has no place, because a number of it is nan, is left out.
+    """
     found, left = [], room - 2
     for shape in shapes:
-        text = json.dumps(shape, separators=(",", ":"), allow_nan=False).encode()
+        try:
+            text = json.dumps(shape, separators=(",", ":"), allow_nan=False).encode()
+        except ValueError:
+            continue
         left -= len(text) + 1
         if left < 0:
             break
@@ -192,12 +203,16 @@ class PictureMaker:
         self._last_s = exposed_s
         return True
 
-    def put(self, view: View) -> None:
-        """Encode ``view`` and hand it over; a run's time that it does not have is looked up."""
+    def put(self, *views: View) -> None:
+        """Encode the ``views`` of an exposure and hand them over; a run's time that they do not have is looked up."""
+        for view in views:
+            self._put(view)
+
+    def _put(self, view: View) -> None:
         assert self._wanted.encoding != "none"
         data = encode(view.image, self._wanted.encoding)
         if len(data) > PICTURE_BYTES:
-            self.leave_out(view.camera)
+            self.leave_out(view)
             return
         t_s = self._run.of(view.bench_s) if self._run is not None and math.isnan(view.t_s) else view.t_s
         height, width = view.image.shape[:2]
@@ -208,6 +223,65 @@ class PictureMaker:
         )  # fmt: skip
         self._out.put(row)
 
-    def leave_out(self, camera: str) -> None:
-        """Count a picture of ``camera`` that does not come."""
-        self._left_out[camera] = self._left_out.get(camera, 0) + 1
+    def leave_out(self, *views: View) -> None:
+        """Count ``views`` that do not come."""
+        for view in views:
+            self._left_out[view.camera] = self._left_out.get(view.camera, 0) + 1
+
+
+class MakesPictures(Protocol):
+    """What a source of pictures asks and tells; ``PictureMaker`` does it at once, ``MakerBeside`` in a thread."""
+
+    def due(self, exposed_s: float) -> bool:
+        """Return whether pictures exposed at ``exposed_s`` are wanted; to be asked once an exposure."""
+
+    def put(self, *views: View) -> None:
+        """Take the pictures of an exposure; their images are not changed any more."""
+
+
+class MakerBeside:
+    """A PictureMaker in a thread of its own, for a source that keeps time: ``put`` never waits.
+
+    The thread runs at no real-time priority and gives way to everything. An exposure that comes while
+    WAITING_MOST wait is counted and left out.
+    """
+
+    WAITING_MOST: Final = 4
+
+    def __init__(self, maker: PictureMaker) -> None:
+        self._maker = maker
+        self._waiting: queue.Queue[tuple[View, ...] | None] = queue.Queue(self.WAITING_MOST)
+        self._thread: threading.Thread | None = None
+
+    def due(self, exposed_s: float) -> bool:
+        """Return whether pictures exposed at ``exposed_s`` are wanted; to be asked once an exposure."""
+        return self._maker.due(exposed_s)
+
+    def put(self, *views: View) -> None:
+        """Take the pictures of an exposure; their images are not changed any more."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="pictures", daemon=True)
+            self._thread.start()
+        try:
+            self._waiting.put_nowait(views)
+        except queue.Full:
+            self._maker.leave_out(*views)
+
+    def close(self) -> None:
+        """Hand over what waits, and end. Idempotent."""
+        if self._thread is not None:
+            self._waiting.put(None)
+            self._thread.join()
+            self._thread = None
+
+    def _work(self) -> None:
+        _give_way()
+        while (views := self._waiting.get()) is not None:
+            self._maker.put(*views)
+
+
+def _give_way() -> None:
+    """Let this thread run when nothing else wants to, whatever the thread that started it runs at."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)

@@ -6,6 +6,7 @@ A stage owns its parameters and its state; the records that pass between stages 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -74,6 +75,9 @@ class Vision:
         """Frames exposed before this bench time are of another life of the run: they are left out."""
         self.tap: Telemetry | None = None
         """Is given each frame that comes, a row of ARRIVAL."""
+        self.on_run_zero: Callable[[float], None] | None = None
+        """Is told the bench time at which the run's time is zero when that changes; nan while no run's time goes."""
+        self._run_zero_s: float | None = None
         self._row = np.zeros(1, ARRIVAL)
         self._cycle = -1
 
@@ -82,6 +86,8 @@ class Vision:
 
         run_zero_s: bench time at which the run's time is zero.
         """
+        if run_zero_s != self._run_zero_s:
+            self._tell_run_zero(run_zero_s)
         came = frames = self.source.poll(bench_s)
         self._cycle += 1
         if frames:
@@ -104,8 +110,15 @@ class Vision:
         row["pose"]["fresh"] = self.arrived
         row["received_s"] = frames[newest].received_s - run_zero_s
 
+    def _tell_run_zero(self, run_zero_s: float | None) -> None:
+        self._run_zero_s = run_zero_s
+        if self.on_run_zero is not None:
+            self.on_run_zero(math.nan if run_zero_s is None else run_zero_s)
+
     def look_away(self, bench_s: float) -> int:
         """Take the frames that came since the last cycle and use none; return how many."""
+        if self._run_zero_s is not None:
+            self._tell_run_zero(None)
         frames = self.source.poll(bench_s)
         if self.tap is not None:
             self._show_unused(frames)

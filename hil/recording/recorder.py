@@ -25,6 +25,7 @@ from hil.errors import BadInput
 from hil.frmn.cell import Block, Cell
 from hil.frmn.ring import Reader, Ring
 from hil.messages import CYCLE
+from hil.monitor.findings import PORTION
 from hil.pictures import PICTURE
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
 from hil.recording.schema import NOTE
@@ -34,7 +35,14 @@ from hil.recording.writer import FLUSH_S, Account, Header, RunFile
 _LOOK_WALL_S: Final = 0.02
 _AT_MOST: Final = 512  # rows at once, so that no look lasts long
 _PICTURES_AT_MOST: Final = 2
-KINDS: Final = {"cycles": CYCLE, "arrivals": ARRIVAL, "notes": NOTE, "pictures": PICTURE}
+KINDS: Final = {
+    "cycles": CYCLE,
+    "arrivals": ARRIVAL,
+    "notes": NOTE,
+    "pictures": PICTURE,
+    "monitor_pictures": PICTURE,
+    "portions": PORTION,
+}
 """Ring by its name in ``Taps`` -> what is in it."""
 READY: Final = b"ready\n"
 
@@ -63,11 +71,11 @@ class Recorder:
         more = False
         for name, reader in self._readers.items():
             lost = reader.lost
-            at_most = _PICTURES_AT_MOST if name == "pictures" else _AT_MOST
+            at_most = _PICTURES_AT_MOST if KINDS[name] is PICTURE else _AT_MOST
             rows = reader.take(at_most)
             self._file.lost(reader.lost - lost)
             if len(rows):
-                getattr(self._file, name)(rows)
+                self._file.takers[name](rows)
             more = more or len(rows) == at_most
         now_s = time.monotonic()
         if now_s - self._flushed_s >= FLUSH_S:

@@ -15,6 +15,7 @@ import numpy as np
 from hil.drivers.remote.cells import ARRIVAL
 from hil.errors import BadInput
 from hil.messages import CYCLE
+from hil.monitor.findings import PORTION
 from hil.recording.fields import FIELDS
 
 VERSION: Final = 1
@@ -31,9 +32,13 @@ NOTE: Final = np.dtype(
 or during which it happened, -1 before the run. kind: event, alarm, mode, order (what the GNC was told to do), setting,
 operator (who did what at the console), fault (switched on an emulator)."""
 
+GEOMETRY_FILE, SCENE_FILE = "vmu_geometry.json", "monitor_scene.json"
+"""Attachments: what vision unit and docking monitor take their cameras and targets for."""
+
 RECORDS: Final[dict[str, tuple[str, np.dtype]]] = {
     "/cycle": ("hil.Cycle", CYCLE),
     "/vmu/frames": ("hil.Arrival", ARRIVAL),
+    "/monitor/portions": ("hil.Portion", PORTION),
 }
 """Topic -> name of its schema and layout of its messages."""
 

@@ -21,22 +21,31 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from hil import __version__
+from hil import __version__, pictures
 from hil.assembly import Job
 from hil.config.digest import motion_digest
+from hil.config.load import load_scene
 from hil.errors import BadInput
+from hil.eyes import believed_geometry
 from hil.frmn.cell import Block
 from hil.frmn.ring import Ring
+from hil.frmn.run_time import RunTime
 from hil.recording import recorder
 from hil.recording.catalogue import BROKEN_OFF, DONE, Catalogue
-from hil.recording.schema import VERSION
+from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, VERSION
 from hil.recording.taps import Taps
 from hil.recording.utc import utc_ns, utc_text
 from hil.recording.writer import Account, Header, RunFile
 
 _RING_S: Final = 5.0  # of cycles: how long the recorder may stand still before anything is lost
 _ROWS_LEAST: Final = 2048
-_SLOTS: Final = {"arrivals": 1024, "notes": 256, "pictures": 8}
+_SLOTS: Final = {
+    "arrivals": 1024,
+    "notes": 256,
+    "pictures": pictures.SLOTS,
+    "monitor_pictures": pictures.SLOTS,
+    "portions": 64,
+}
 _READY_WALL_S: Final = 60.0
 _FINISH_WALL_S: Final = 30.0
 _EXIT_WALL_S: Final = 1.0
@@ -173,8 +182,19 @@ def _header(job: Job, rig_name: str, run: str, started_ns: int) -> Header:
         **versions,
         **file_digests({"scenario": scenario.model_dump(mode="json"), "rig": rig.model_dump(mode="json")}),
     }
-    files = {"scenario.json": scenario.model_dump_json(), "rig.json": rig.model_dump_json()}
+    files = {"scenario.json": scenario.model_dump_json(), "rig.json": rig.model_dump_json(), **_calibrations(job)}
     return Header(facts, files, started_ns)
+
+
+def _calibrations(job: Job) -> dict[str, str]:
+    """Return what vision unit and docking monitor take their cameras and targets for, where pictures are drawn."""
+    scenario, rig = job.scenario.value, job.rig.value
+    files = {}
+    if scenario.vmu.source == "rendered":
+        files[GEOMETRY_FILE] = believed_geometry(rig).model_dump_json()
+    if scenario.monitor.source == "rendered":
+        files[SCENE_FILE] = load_scene(scenario.monitor.scene).value.model_dump_json()
+    return files
 
 
 def file_digests(table: dict[str, Any], prefix: str = "calibration_") -> dict[str, str]:
@@ -205,11 +225,12 @@ class _InMemory:
 
     def __init__(self, path: Path, header: Header) -> None:
         self._file = RunFile(path, header)
+        self._run_time = RunTime.create()
         self.state: Block | None = None
-        file = self._file
-        self.taps = Taps(*(_Direct(write) for write in (file.cycles, file.arrivals, file.notes, file.pictures)))
+        self.taps = Taps(**{name: _Direct(write) for name, write in self._file.takers.items()}, run_time=self._run_time)
 
     def finish(self, end: dict[str, str], summary: str) -> Account:
+        self._run_time.close()
         return self._file.finish(end, summary)
 
 
@@ -221,7 +242,8 @@ class _Process:
         rows = max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s))
         slots = {"cycles": rows, **_SLOTS}
         self._rings = {name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items()}
-        self.taps = Taps(**self._rings)
+        self._run_time = RunTime.create()
+        self.taps = Taps(**self._rings, run_time=self._run_time)
         self.state: Block | None = Block.create(recorder.CELLS, "recorder")
         self._socket, there = socket.socketpair()
         configuration = {
@@ -289,6 +311,7 @@ class _Process:
             code = self._child.wait()
         for ring in self._rings.values():
             ring.close()
+        self._run_time.close()
         if self.state is not None:
             self.state.close()
         return code

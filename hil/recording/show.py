@@ -228,7 +228,7 @@ def picture(row: np.void, time_ns: int) -> dict[str, Any]:
     }
 
 
-def annotations(shapes: Sequence[Shape], time_ns: int) -> dict[str, Any]:
+def drawn(shapes: Sequence[Shape], time_ns: int) -> dict[str, Any]:
     """Return what is drawn over a picture for ``PICTURE_TOPICS + camera + ANNOTATIONS``."""
     when = _time(time_ns)
     circles: list[dict[str, Any]] = []

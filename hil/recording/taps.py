@@ -8,9 +8,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from hil.frmn.ring import NoTelemetry, Telemetry
+from hil.config.rig import Rig
+from hil.frmn.picture_memory import PictureMemory, wanted_pictures
+from hil.frmn.ring import NoTelemetry, Ring, Telemetry
+from hil.frmn.run_time import RunTime
 from hil.messages import Event
 from hil.modes import Mode
+from hil.pictures import PictureMaker
 from hil.recording.schema import NOTE
 from hil.runner import Runner
 from hil.safety.alarms import Alarm
@@ -66,24 +70,53 @@ class Notes:
 
 @dataclass
 class Taps:
-    """Takers of CYCLE, ARRIVAL, NOTE and PICTURE rows; each keeps a copy of what it is given and never waits."""
+    """Takers of CYCLE, ARRIVAL, NOTE, PICTURE and PORTION rows; each keeps a copy of what it is given and never waits.
+
+    pictures: of the vision unit; monitor_pictures, portions: of the docking monitor. Each has one writer. run_time:
+    is told the run's time for those that know bench time alone.
+    """
 
     cycles: Telemetry = field(default_factory=NoTelemetry)
     arrivals: Telemetry = field(default_factory=NoTelemetry)
     notes: Telemetry = field(default_factory=NoTelemetry)
     pictures: Telemetry = field(default_factory=NoTelemetry)
+    monitor_pictures: Telemetry = field(default_factory=NoTelemetry)
+    portions: Telemetry = field(default_factory=NoTelemetry)
+    run_time: RunTime | None = None
 
     def attach(self, runner: Runner) -> Notes:
         """Tap ``runner``, which has not begun: all but its cycles, which go where its loop's telemetry is."""
         notes = Notes(self.notes, runner)
         loop = runner.loop
         loop.vision.tap = self.arrivals
+        if self.run_time is not None:
+            loop.vision.on_run_zero = self.run_time.tell
         for events in (loop.gnc.diary.events, loop.gnc.watch.events, runner.events):
             events.tell(notes.event)
         loop.gnc.orders.tell(lambda order: notes.order(*order))
         runner.supervisor.alarms.entered.tell(notes.alarm)
         runner.supervisor.modes.history.tell(notes.mode)
         return notes
+
+    def maker(self, rig: Rig) -> PictureMaker | None:
+        """Return what takes the pictures of a vision unit in this process, as ``rig`` wants them; None for nobody."""
+        wanted = wanted_pictures(rig)
+        if wanted.encoding == "none" or isinstance(self.pictures, NoTelemetry):
+            return None
+        return PictureMaker(self.pictures, wanted, self.run_time)
+
+    def monitor_maker(self, rig: Rig) -> PictureMaker | None:
+        """Return what takes the pictures of a docking monitor in this process; None for nobody."""
+        wanted = wanted_pictures(rig)
+        if wanted.encoding == "none" or isinstance(self.monitor_pictures, NoTelemetry):
+            return None
+        return PictureMaker(self.monitor_pictures, wanted)
+
+    def picture_memory(self) -> PictureMemory | None:
+        """Return where a vision unit in another process puts its pictures; None where they go into no ring."""
+        if not isinstance(self.pictures, Ring) or self.run_time is None:
+            return None
+        return PictureMemory(self.pictures.descriptor, self.pictures.slots, self.run_time.descriptor)
 
 
 def _cut(text: str, size: int) -> bytes:

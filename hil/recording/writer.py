@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, cast
@@ -89,6 +89,18 @@ class RunFile:
             self._json_schemas[title] = self._writer.register_schema(title, "jsonschema", text)
         return self._writer.register_channel(topic, "json", self._json_schemas[title])
 
+    @property
+    def takers(self) -> dict[str, Callable[[np.ndarray], None]]:
+        """Who takes the rows of each name in ``Taps``."""
+        return {
+            "cycles": self.cycles,
+            "arrivals": self.arrivals,
+            "notes": self.notes,
+            "pictures": self.pictures,
+            "monitor_pictures": self.pictures,
+            "portions": self.portions,
+        }
+
     def cycles(self, rows: np.ndarray) -> None:
         """Write rows (n,) of CYCLE."""
         for row in rows:
@@ -127,12 +139,17 @@ class RunFile:
             topic = self._picture_channel(camera, "", show.PICTURE_SCHEMA)
             self._add(topic, show.encoded(show.picture(row, time_ns)), t_s)
             topic = self._picture_channel(camera, show.ANNOTATIONS, show.ANNOTATION_SCHEMA)
-            self._add(topic, show.encoded(show.annotations(shapes_of(row), time_ns)), t_s)
+            self._add(topic, show.encoded(show.drawn(shapes_of(row), time_ns)), t_s)
             left_out = int(row["left_out"])
             self.lost(left_out - self._left_out.get(camera, 0))
             self._left_out[camera] = left_out
             if self._sink.waiting >= _WAITING_MOST:
                 self.flush()
+
+    def portions(self, rows: np.ndarray) -> None:
+        """Write what the docking monitor said, (n,) of PORTION."""
+        for row in rows:
+            self._add("/monitor/portions", row.tobytes(), float(row["t_s"]))
 
     def _picture_channel(self, camera: str, ending: str, content: Mapping[str, Any]) -> str:
         topic = f"{show.PICTURE_TOPICS}{camera}{ending}"
