@@ -13,6 +13,8 @@ from hil.console.recording_watch import RecordingWatch
 from hil.console.status import DEVICES, MODES, UNKNOWN, empty_status, status_of
 from hil.gnc.watch import nis_band
 from hil.modes import Mode
+from hil.monitor.findings import QUANTITIES
+from hil.monitor.shapes import NUMBERS
 
 _NIS_TAIL: Final = 0.0027  # what lies beyond three sigma of a normal number
 _SHOWN_EVENTS: Final = 20
@@ -128,6 +130,16 @@ def _number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def _monitor_numbers(scenario: Scenario) -> list[dict[str, Any]]:
+    """Return how each of the docking monitor's numbers is shown; none where there is no monitor."""
+    if scenario.monitor.source == "none":
+        return []
+    return [
+        {"at": QUANTITIES.index(name), "name": label, "unit": unit, "scale": scale, "decimals": decimals}
+        for name, label, unit, scale, decimals in NUMBERS
+    ]
+
+
 def described(rig: Rig, scenario: Scenario) -> dict[str, Any]:
     """Return what a page has to know of the bench and of the run to draw them."""
     rails = {f"rails.{name}": [*getattr(rig.rails, name).travel_m] for name in RAIL_NAMES}
@@ -159,6 +171,8 @@ def described(rig: Rig, scenario: Scenario) -> dict[str, Any]:
         "thrusters": len(scenario.chaser.thrusters.position_m),
         "step_s": scenario.step_s,
         "duration_s": scenario.duration_s,
+        "picture_stale_s": 2.0 * rig.recording.picture_each_s + 1.0,
+        "monitor": _monitor_numbers(scenario),
         "nis_bound": nis_band(1, _NIS_TAIL)[1],
         "late_us": rig.host.late_wakeup_us,
     }

@@ -20,22 +20,20 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil import build
-from hil.clock import WallClock
 from hil.config.console import OnLoss
 from hil.config.load import load_rig, load_scenario
 from hil.config.model import Strict
+from hil.console.bench import Bench, opened
 from hil.console.remote_operator import RemoteOperator, Words
 from hil.console.status import CELLS
 from hil.errors import BadInput, BenchError
 from hil.frmn.cell import Block
-from hil.frmn.ring import Ring
 from hil.maths.jit import kernels_are_cached, mark_kernels_cached
-from hil.rate import WallRate
-from hil.realtime import RealTime
+from hil.monitor_beside import Watched
 from hil.recording.session import Recording, recording
-from hil.recording.taps import Notes, Taps
+from hil.report.docking_monitor import judge_monitor
 from hil.report.summary import summarise
-from hil.runner import Outcome, Runner
+from hil.runner import Outcome
 
 _LAST_WORDS_WALL_S: Final = 2.0
 
@@ -62,36 +60,6 @@ class Choice(Strict):
         return build.Job(scenario, rig, self.seed, duration_s, self.speed)
 
 
-class Bench:
-    """A runner and the way to its telemetry: the mock rig keeps the time of the wall here, so that one can watch.
-
-    notes: where to put down what the operator does, while the session is recorded.
-    """
-
-    def __init__(self, runner: Runner, telemetry: Ring, addresses: dict[str, str], notes: Notes | None) -> None:
-        self.runner = runner
-        self.telemetry = telemetry
-        self.addresses = addresses
-        self.notes = notes
-
-
-@contextmanager
-def opened(
-    job: build.Job, operator: RemoteOperator, announce: Callable[[str], None], taps: Taps | None = None
-) -> Iterator[Bench]:
-    """Give the bench of ``job``; its processes are ended after. taps: who records it."""
-    if job.rig.value.kind == "mock":
-        host = job.rig.value.host
-        with build.telemetry_ring(taps) as ring, RealTime(host.fifo, host.cpu) as realtime:
-            rate = WallRate(WallClock(speed=job.speed), job.scenario.value.step_s)
-            runner = build.in_memory(job, rate, operator.watch, realtime, ring, operator)
-            yield Bench(runner, ring, {}, taps.attach(runner) if taps else None)
-        return
-    with build.wired_bench(job, announce, taps) as bench:
-        runner = bench.runner(operator.watch, operator)
-        yield Bench(runner, bench.telemetry, bench.addresses, bench.notes)
-
-
 def run_session(choice: Choice, channel: socket.socket) -> None:
     """Open the bench, run it as it is ordered, say how it ended."""
     words = Words(channel)
@@ -111,8 +79,9 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
                 _say_hello(channel, bench, status, taken)
                 outcome = bench.runner.run()
                 operator.tell(bench.runner.now_s())
-            words.say(word="the loop has ended: judging the run, closing its files", closing=True)
-            words.say(ended=_how_it_ended(choice, job, outcome, taken))
+                words.say(word="the loop has ended: judging the run, closing its files", closing=True)
+                watched = bench.watched(outcome)
+            words.say(ended=_how_it_ended(choice, job, outcome, watched, taken))
     except BadInput as error:
         words.say(refused=[str(problem) for problem in error.problems])
     except BenchError as error:
@@ -150,26 +119,31 @@ def _recorded(choice: Choice, job: build.Job, announce: Callable[[str], None]) -
 
 def _say_hello(channel: socket.socket, bench: Bench, status: Block, taken: Recording | None) -> None:
     """Tell the console that the bench is up, and hand it what is shared with it: descriptors in the order of names."""
-    shared = {"telemetry": bench.telemetry.descriptor, "status": status.descriptor}
+    rings = {"telemetry": bench.telemetry, **bench.rings}
+    shared = {"status": status.descriptor, **{name: ring.descriptor for name, ring in rings.items()}}
     if taken is not None and taken.state is not None:
         shared["recording"] = taken.state.descriptor
     hello = {
         "pid": os.getpid(),
         "addresses": bench.addresses,
-        "rows": bench.telemetry.slots,
+        "slots": {name: ring.slots for name, ring in rings.items()},
         "file": str(taken.path) if taken else None,
         "shared": list(shared),
     }
     socket.send_fds(channel, [json.dumps({"hello": hello}).encode()], list(shared.values()))
 
 
-def _how_it_ended(choice: Choice, job: build.Job, outcome: Outcome, taken: Recording | None) -> dict[str, Any]:
+def _how_it_ended(
+    choice: Choice, job: build.Job, outcome: Outcome, watched: Watched | None, taken: Recording | None
+) -> dict[str, Any]:
     """Return what the console is told of the end; the recording is closed with it."""
     rate_hz = 1.0 / job.scenario.value.step_s
     ended: dict[str, Any] = {"stop": outcome.stop, "faults": outcome.faults, "mode": outcome.mode.value, "passed": None}
     summary: dict[str, Any] = {}
     if len(outcome.history):
         summary, _ = summarise(outcome, job.scenario.value, job.rig.value, choice.rig, job.seed, rate_hz)
+        if watched is not None:
+            summary["monitor"] = judge_monitor(watched, outcome.history, job.scenario.value, job.rig.value)
         ended |= {
             "passed": summary["passed"],
             "ready_time_s": summary["ready_time_s"],

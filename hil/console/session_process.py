@@ -17,15 +17,18 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.console.bench import RINGS
 from hil.console.session import Choice
 from hil.console.status import CELLS, empty_status
 from hil.frmn.cell import Block
 from hil.frmn.ring import Reader, Ring
 from hil.messages import CYCLE
+from hil.monitor.findings import PORTION
 from hil.recording import recorder
 
 _PACKET: Final = 1 << 18
 _SHARED_AT_MOST: Final = 8
+_DTYPES: Final = {"telemetry": CYCLE, **RINGS}
 _ANSWER_WALL_S: Final = 2.0
 _STOP_WALL_S: Final = 5.0  # for a bench to be stopped and its processes ended
 _LAST_WORDS_BYTES: Final = 2000
@@ -46,8 +49,8 @@ class SessionProcess:
         self._on_words = on_words
         self._answers: dict[int, asyncio.Future[str]] = {}
         self._numbers = itertools.count(1)
-        self._ring: Ring | None = None
-        self._rows: Reader | None = None
+        self._rings: dict[str, Ring] = {}
+        self._readers: dict[str, Reader] = {}
         self._block: Block | None = None
         self._recording: Block | None = None
         self.file = ""
@@ -103,12 +106,24 @@ class SessionProcess:
 
     def take_rows(self) -> np.ndarray:
         """Return the rows of CYCLE, (n,), that came since the last call."""
-        return self._rows.take() if self._rows else np.empty(0, CYCLE)
+        return self._take("telemetry", CYCLE)
+
+    def take_portions(self) -> np.ndarray:
+        """Return what the docking monitor said since the last call, (n,) of PORTION."""
+        return self._take("portions", PORTION)
+
+    def take_pictures(self) -> list[np.ndarray]:
+        """Return the newest pictures since the last call, (n,) of PICTURE each: a pair, and one of the monitor's."""
+        newest = {"pictures": 2, "monitor_pictures": 1}
+        return [self._readers[name].newest(n) for name, n in newest.items() if name in self._readers]
+
+    def _take(self, name: str, dtype: np.dtype) -> np.ndarray:
+        return self._readers[name].take() if name in self._readers else np.empty(0, dtype)
 
     @property
     def lost_rows(self) -> int:
         """How many rows were overwritten before they were taken."""
-        return self._rows.lost if self._rows else 0
+        return self._readers["telemetry"].lost if self._readers else 0
 
     def read_status(self) -> tuple[int, np.ndarray]:
         """Return how often the status was written, and the newest one, STATUS (1,)."""
@@ -182,8 +197,8 @@ class SessionProcess:
     def _attach(self, hello: dict[str, Any], descriptors: list[int]) -> None:
         self.addresses = hello["addresses"]
         shared = dict(zip(hello["shared"], descriptors, strict=True))
-        self._ring = Ring(shared["telemetry"], CYCLE, hello["rows"])
-        self._rows = self._ring.reader()
+        self._rings = {name: Ring(shared[name], _DTYPES[name], slots, name) for name, slots in hello["slots"].items()}
+        self._readers = {name: ring.reader() for name, ring in self._rings.items()}
         self._block = Block(shared["status"], CELLS, "console")
         if "recording" in shared:
             self._recording = Block(shared["recording"], recorder.CELLS, "recorder")
@@ -210,13 +225,14 @@ class SessionProcess:
             self._channel.close()
 
     def _forget(self) -> None:
-        self._rows = None
-        if self._ring is not None:
-            self._ring.close()
+        self._readers.clear()
+        for ring in self._rings.values():
+            ring.close()
+        self._rings.clear()
         for block in (self._block, self._recording):
             if block is not None:
                 block.close()
-        self._ring = self._block = self._recording = None
+        self._block = self._recording = None
         self._stderr.close()
 
     def _last_words(self) -> str:
