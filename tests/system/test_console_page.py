@@ -54,8 +54,8 @@ class Screen:
             assert time.monotonic() < end_s, "nothing changes"
             time.sleep(0.1)
 
-    def until_mode(self, mode: str) -> None:
-        self.page.wait_for_selector(f"#mode[data-mode='{mode}']", timeout=120_000)
+    def until_mode(self, mode: str, wall_s: float = 120.0) -> None:
+        self.until(f"document.getElementById('mode').dataset.mode === '{mode}'", wall_s)
 
     def press(self, key: str, button: str, confirm: bool = False) -> None:
         """Press a key once its button is there to be pressed; answer the question."""
@@ -158,7 +158,7 @@ def start(screen: Screen) -> None:
     """Take the command, open the bench, close the loop."""
     screen.press("t", "take")
     screen.press("n", "open")
-    screen.until_mode("standby")
+    screen.until_mode("standby", 400.0)  # a first start compiles
     screen.press("m", "order_arm", confirm=True)
     screen.until_mode("armed")
     screen.press("s", "order_start", confirm=True)

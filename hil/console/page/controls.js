@@ -54,6 +54,7 @@ export class Controls {
   async ask(message) {
     const answer = await this.link.ask(message);
     if (!answer.ask) return this.say(answer.ok ? "" : answer.text);
+    this.say("");
     $("question").textContent = answer.ask;
     $("yes").onclick = () => {
       $("confirm").close();
@@ -156,7 +157,9 @@ export class Controls {
     options($("fault_device"), Object.keys(page.faults.menu));
     this.faultKinds();
     const on = Object.entries(page.faults.on).filter(([, list]) => list !== "none");
-    $("fault_list").textContent = on.map(([device, list]) => `${device}: ${list}`).join("; ");
+    const none = open ? "this rig has no emulated devices" : "of emulated devices, while a bench is open";
+    $("fault_list").textContent = Object.keys(page.faults.menu).length ? on.map(([device, list]) => `${device}: ${list}`).join("; ") : none;
+    $("fault_list").classList.toggle("none", !on.length);
     if (page.bench.axes && document.querySelectorAll(".axis").length === 0) this.axes(Object.keys(page.bench.axes));
   }
 
