@@ -33,6 +33,7 @@ _NO_WALL_CLOCK = {
     "test_reach",
     "test_record_command",
     "test_rendered_loop",
+    "test_rendered_pictures",
     "test_replay",
     "test_runs_in_memory",
     "test_vmu_command",
