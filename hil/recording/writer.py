@@ -137,7 +137,7 @@ class RunFile:
             t_s = self._last_s if math.isnan(t_s) else t_s
             time_ns = self._time_ns(t_s)
             topic = self._picture_channel(camera, "", show_pictures.PICTURE_SCHEMA)
-            self._add(topic, show.encoded(show_pictures.picture(row, time_ns)), t_s)
+            self._add(topic, show_pictures.picture(row, time_ns), t_s)
             topic = self._picture_channel(camera, show_pictures.ANNOTATIONS, show_pictures.ANNOTATION_SCHEMA)
             self._add(topic, show.encoded(show_pictures.drawn(shapes_of(row), time_ns)), t_s)
             left_out = int(row["left_out"])

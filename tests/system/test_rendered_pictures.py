@@ -248,26 +248,3 @@ def test_a_wrong_setting_is_one_line(capsys: pytest.CaptureFixture[str]) -> None
     line = refused(capsys, "run", "scheme-1", "--set", "rig.recording.pictures=bmp")
     assert "recording.pictures" in line
     assert "jpeg" in line
-
-
-@pytest.mark.slow
-def test_pictures_of_a_rig_on_wires_replay_bit_by_bit(tmp_path: Path) -> None:
-    path = record(tmp_path / "run", 6.0, *RENDERED[:2], *ALL_PNG, rig="emulated")
-    recorded = load(path)
-    assert recorded.end is not None
-    assert recorded.end["dropped"] == "0"
-    for found in (
-        replay_vision_unit(recorded, geometry_of(recorded)),
-        replay_monitor(recorded, recorded.calibration(SCENE_FILE, Scene)),
-    ):
-        assert found.identical, (found.statuses, found.differences, found.remarks)
-        assert found.compared >= 5
-    in_the_run = [left for left, _ in pairs(path) if left.t_s >= 0.0]
-    zero_s = np.array([left.bench_s - left.t_s for left in in_the_run])
-    assert np.ptp(zero_s) <= 0.02 * 3  # no more than lost periods
-    used = recorded.arrivals[recorded.arrivals["cycle"] >= 0]
-    by_frame = {round(1e6 * f["frame"]["t_s"]): float(f["pose"]["t_s"]) for f in used}
-    same = [(left.t_s, by_frame[key]) for left in in_the_run if (key := round(1e6 * left.bench_s)) in by_frame]
-    assert len(same) > 20
-    assert all(abs(a - b) < 1e-5 for a, b in same)
-    assert replay(recorded, recorded.scenario).identical
