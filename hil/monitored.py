@@ -49,9 +49,10 @@ def runner(
 
 def _rings(taps: Taps | None) -> tuple[Ring | None, Ring | None]:
     """Return the rings for the monitor's pictures and portions, where a recorder reads some."""
-    if taps is None or not (isinstance(taps.monitor_pictures, Ring) and isinstance(taps.portions, Ring)):
+    if taps is None:
         return None, None
-    return taps.monitor_pictures, taps.portions
+    pictures, portions = (tap if isinstance(tap, Ring) else None for tap in (taps.monitor_pictures, taps.portions))
+    return pictures, portions
 
 
 def _what_is_left(process: MonitorProcess, scene: str) -> Watched:

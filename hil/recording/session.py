@@ -27,6 +27,7 @@ from hil.config.digest import motion_digest
 from hil.config.load import load_scene
 from hil.errors import BadInput
 from hil.eyes import believed_geometry
+from hil.frmn.picture_memory import wanted_pictures
 from hil.frmn.ring import Ring
 from hil.frmn.run_time import RunTime
 from hil.recording import recorder
@@ -176,6 +177,17 @@ def _header(job: Job, rig_name: str, run: str, started_ns: int) -> Header:
     return Header(facts, files, started_ns)
 
 
+def _fed(job: Job) -> set[str]:
+    """Return the names in ``Taps`` that a run of ``job`` feeds: rings of pictures are large."""
+    scenario, wanted = job.scenario.value, wanted_pictures(job.rig.value).encoding != "none"
+    fed = {"cycles", "arrivals", "notes"}
+    if scenario.vmu.source == "rendered" and wanted:
+        fed.add("pictures")
+    if scenario.monitor.source == "rendered":
+        fed |= {"portions", "monitor_pictures"} if wanted else {"portions"}
+    return fed
+
+
 def _calibrations(job: Job) -> dict[str, str]:
     """Return what vision unit and docking monitor take their cameras and targets for, where pictures are drawn."""
     scenario, rig = job.scenario.value, job.rig.value
@@ -230,7 +242,10 @@ class _Process:
         self._path = path
         rows = max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s))
         slots = {"cycles": rows, **_SLOTS}
-        self._rings = {name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items()}
+        fed = _fed(job)
+        self._rings = {
+            name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items() if name in fed
+        }
         self._run_time = RunTime.create()
         self.taps = Taps(**self._rings, run_time=self._run_time)
         self._socket, there = socket.socketpair()

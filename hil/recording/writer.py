@@ -189,7 +189,9 @@ class RunFile:
                 f"{self.path}: {self._sink.problem}: {self._dropped} messages are not recorded; "
                 f"what was written before stands, make it whole with hil recover"
             )
-        return f"{self.path}: {self._dropped} messages came too fast and are not recorded" if self._dropped else ""
+        if not self._dropped:
+            return ""
+        return f"{self.path}: {self._dropped} messages came too fast, or are pictures too large, and are not recorded"
 
     def _add(self, topic: str, message: bytes, t_s: float, sequence: int = 0) -> None:
         if self._sink.problem:
