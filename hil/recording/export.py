@@ -32,6 +32,8 @@ def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the columns of ``flat`` (n,): name and values (n,); ``truth.r_CT_H[0]`` for an element of an array."""
     for name in flat.dtype.names or ():
         values = flat[name]
+        if values.dtype.kind == "S":
+            values = np.char.decode(values, "utf-8", "replace")
         if values.ndim == 1:
             yield name, values
             continue

@@ -165,6 +165,14 @@ def test_exported_frames_give_hil_monitor_the_same_portions(recorded: Recorded, 
     assert [float(row["range_m"]) for row in rows] == pytest.approx(recorded.portions["range_m"], abs=1e-3)
 
 
+def test_portions_are_exported_beside_the_cycles(recorded: Recorded, tmp_path: Path) -> None:
+    assert execute(["export", str(recorded.path), "--out", str(tmp_path / "run.csv")]) == 0
+    with (tmp_path / "run-portions.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["status"] for row in rows] == ["near"] * 3
+    assert [float(row["range_m"]) for row in rows] == recorded.portions["range_m"].tolist()
+
+
 def test_half_frames_are_woven_into_pictures_again(tmp_path: Path) -> None:
     path = record(tmp_path / "run", 0.2, "monitor.source=rendered", "monitor.scene=bright-cross", *ALL_PNG)
     recorded = load(path)

@@ -13,9 +13,9 @@ import pytest
 
 from hil.frmn.ring import Ring
 from hil.messages import CYCLE
+from hil.recording.header import file_digests
 from hil.recording.read import contents
 from hil.recording.recorder import Recorder, record_until_told
-from hil.recording.session import file_digests
 from hil.recording.writer import Header, RunFile
 
 
