@@ -15,7 +15,7 @@ from mcap.records import Message
 
 from hil.errors import BadInput
 from hil.pictures import LEFT, RIGHT
-from hil.recording import show
+from hil.recording import show_pictures
 from hil.recording.read import Scan, directory
 
 
@@ -47,7 +47,7 @@ def pictures(path: Path, *cameras: str) -> Iterator[Picture]:
 
     Damaged blocks are left out, and what comes after a cut.
     """
-    topics = {f"{show.PICTURE_TOPICS}{camera}" for camera in cameras}
+    topics = {f"{show_pictures.PICTURE_TOPICS}{camera}" for camera in cameras}
     channels = {number: channel for number, channel in directory(path)[1].items() if channel.topic in topics}
     for record in Scan(path).records():
         if isinstance(record, Message) and record.channel_id in channels:

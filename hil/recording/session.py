@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import importlib.metadata
 import json
-import platform
 import secrets
 import select
 import signal
@@ -23,16 +20,14 @@ import numpy as np
 
 from hil import __version__, pictures
 from hil.assembly import Job
-from hil.config.digest import motion_digest
-from hil.config.load import load_scene
 from hil.errors import BadInput
-from hil.eyes import believed_geometry
 from hil.frmn.cell import Block
+from hil.frmn.picture_memory import wanted_pictures
 from hil.frmn.ring import Ring
 from hil.frmn.run_time import RunTime
 from hil.recording import recorder
 from hil.recording.catalogue import BROKEN_OFF, DONE, Catalogue
-from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, VERSION
+from hil.recording.header import header_of
 from hil.recording.taps import Taps
 from hil.recording.utc import utc_ns, utc_text
 from hil.recording.writer import Account, Header, RunFile
@@ -110,7 +105,7 @@ def recording(
     run = f"{stamp}Z-{_plain(scenario.name)}-{_plain(Path(rig_name).stem)}-s{job.seed}-{secrets.token_hex(2)}"
     path = folder / f"{run}.mcap"
     catalogue = Catalogue(folder)
-    header = _header(job, rig_name, run, started_ns)
+    header = header_of(job, rig_name, run, started_ns)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         in_memory = job.rig.value.kind == "mock" and not on_the_wall
@@ -157,57 +152,15 @@ def _plain(name: str) -> str:
     return "".join(c if c.isalnum() or c in "-_" else "-" for c in name)[:40] or "run"
 
 
-def _header(job: Job, rig_name: str, run: str, started_ns: int) -> Header:
-    scenario, rig = job.scenario.value, job.rig.value
-    versions = {name: importlib.metadata.version(name) for name in ("numpy", "numba", "scipy", "mcap")}
-    facts = {
-        "schema_version": str(VERSION),
-        "run": run,
-        "scenario": scenario.name,
-        "scenario_file": job.scenario.source,
-        "rig": rig_name,
-        "rig_file": job.rig.source,
-        "rig_kind": rig.kind,
-        "seed": str(job.seed),
-        "duration_s": repr(job.duration_s),
-        "step_s": repr(scenario.step_s),
-        "speed": repr(job.speed),
-        "started_utc": utc_text(started_ns),
-        "hil": __version__,
-        "python": platform.python_version(),
-        "system": platform.platform(),
-        "host": platform.node(),
-        "calibration_motion": motion_digest(rig),
-        "calibration_sign_off": (rig.sign_off.digest or "") if rig.sign_off else "",
-        **versions,
-        **file_digests({"scenario": scenario.model_dump(mode="json"), "rig": rig.model_dump(mode="json")}),
-    }
-    files = {"scenario.json": scenario.model_dump_json(), "rig.json": rig.model_dump_json(), **_calibrations(job)}
-    return Header(facts, files, started_ns)
-
-
-def _calibrations(job: Job) -> dict[str, str]:
-    """Return what vision unit and docking monitor take their cameras and targets for, where pictures are drawn."""
-    scenario, rig = job.scenario.value, job.rig.value
-    files = {}
-    if scenario.vmu.source == "rendered":
-        files[GEOMETRY_FILE] = believed_geometry(rig).model_dump_json()
+def _fed(job: Job) -> set[str]:
+    """Return the names in ``Taps`` that a run of ``job`` feeds: rings of pictures are large."""
+    scenario, wanted = job.scenario.value, wanted_pictures(job.rig.value).encoding != "none"
+    fed = {"cycles", "arrivals", "notes"}
+    if scenario.vmu.source == "rendered" and wanted:
+        fed.add("pictures")
     if scenario.monitor.source == "rendered":
-        files[SCENE_FILE] = load_scene(scenario.monitor.scene).value.model_dump_json()
-    return files
-
-
-def file_digests(table: dict[str, Any], prefix: str = "calibration_") -> dict[str, str]:
-    """Return a digest of each file that the configuration names by a key that ends in ``_file``; prefix: of the key."""
-    found: dict[str, str] = {}
-    for key, value in table.items():
-        if isinstance(value, dict):
-            found |= file_digests(value, f"{prefix}{key}.")
-        elif key.endswith("_file") and isinstance(value, str):
-            path = Path(value)
-            digest = f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" if path.is_file() else "missing"
-            found[f"{prefix}{key}"] = f"{path.name} {digest}"
-    return found
+        fed |= {"portions", "monitor_pictures"} if wanted else {"portions"}
+    return fed
 
 
 class _Direct:
@@ -241,7 +194,10 @@ class _Process:
         self._path = path
         rows = max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s))
         slots = {"cycles": rows, **_SLOTS}
-        self._rings = {name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items()}
+        fed = _fed(job)
+        self._rings = {
+            name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items() if name in fed
+        }
         self._run_time = RunTime.create()
         self.taps = Taps(**self._rings, run_time=self._run_time)
         self.state: Block | None = Block.create(recorder.CELLS, "recorder")

@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from hil.messages import CYCLE
 from hil.pictures import shapes_of
-from hil.recording import schema, show
+from hil.recording import schema, show, show_pictures
 from hil.recording.sink import Sink
 
 FLUSH_S: Final = 0.1
@@ -136,10 +136,10 @@ class RunFile:
             t_s = float(row["t_s"])
             t_s = self._last_s if math.isnan(t_s) else t_s
             time_ns = self._time_ns(t_s)
-            topic = self._picture_channel(camera, "", show.PICTURE_SCHEMA)
-            self._add(topic, show.encoded(show.picture(row, time_ns)), t_s)
-            topic = self._picture_channel(camera, show.ANNOTATIONS, show.ANNOTATION_SCHEMA)
-            self._add(topic, show.encoded(show.drawn(shapes_of(row), time_ns)), t_s)
+            topic = self._picture_channel(camera, "", show_pictures.PICTURE_SCHEMA)
+            self._add(topic, show_pictures.picture(row, time_ns), t_s)
+            topic = self._picture_channel(camera, show_pictures.ANNOTATIONS, show_pictures.ANNOTATION_SCHEMA)
+            self._add(topic, show.encoded(show_pictures.drawn(shapes_of(row), time_ns)), t_s)
             left_out = int(row["left_out"])
             self.lost(left_out - self._left_out.get(camera, 0))
             self._left_out[camera] = left_out
@@ -152,7 +152,7 @@ class RunFile:
             self._add("/monitor/portions", row.tobytes(), float(row["t_s"]))
 
     def _picture_channel(self, camera: str, ending: str, content: Mapping[str, Any]) -> str:
-        topic = f"{show.PICTURE_TOPICS}{camera}{ending}"
+        topic = f"{show_pictures.PICTURE_TOPICS}{camera}{ending}"
         if topic not in self._channels:
             self._channels[topic] = self._json_channel(topic, content)
         return topic
@@ -198,7 +198,9 @@ class RunFile:
                 f"{self.path}: {self._sink.problem}: {self._dropped} messages are not recorded; "
                 f"what was written before stands, make it whole with hil recover"
             )
-        return f"{self.path}: {self._dropped} messages came too fast and are not recorded" if self._dropped else ""
+        if not self._dropped:
+            return ""
+        return f"{self.path}: {self._dropped} messages came too fast, or are pictures too large, and are not recorded"
 
     def _add(self, topic: str, message: bytes, t_s: float, sequence: int = 0) -> None:
         if self._sink.problem:

@@ -1,4 +1,4 @@
-"""Pictures and the docking monitor's numbers on their way to the pages: of the camera that a page watches, the newest."""
+"""Pictures and the docking monitor's numbers on their way to a page: the newest of the camera that it watches."""
 
 from __future__ import annotations
 

@@ -14,9 +14,9 @@ import pytest
 from hil.frmn.cell import Block
 from hil.frmn.ring import Ring
 from hil.messages import CYCLE
+from hil.recording.header import file_digests
 from hil.recording.read import contents
 from hil.recording.recorder import CELLS, Recorder, record_until_told
-from hil.recording.session import file_digests
 from hil.recording.writer import Header, RunFile
 
 
