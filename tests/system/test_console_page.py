@@ -171,7 +171,7 @@ def image_of(screen: Screen) -> str:
 
 
 def test_pictures_of_each_camera_change_and_the_monitor_s_numbers_stand_beside(browser: Any, pictures: Path) -> None:
-    rendered = ("--set", "vmu.source=rendered", "--set", "monitor.source=rendered")
+    rendered = ("--set", "vmu.source=rendered", "--set", "monitor.source=rendered", "--set", "rig.console.lease_s=30")
     with console("--rig", "emulated", *rendered, *NEAR) as c:
         screen = open_screen(browser, c, pictures)
         start(screen)
@@ -197,7 +197,7 @@ def test_pictures_of_each_camera_change_and_the_monitor_s_numbers_stand_beside(b
         screen.until("document.querySelectorAll('#monitor_numbers tr').length === 12")
         assert "\u00b1" in screen.page.inner_text("#monitor_numbers")
         screen.until("window.hil.camera.picture.name === 'monitor'")
-        time.sleep(0.5)
+        time.sleep(1.0)
         screen.picture("monitor")
         screen.page.keyboard.press("l")
         screen.page.wait_for_selector("#view:not(.big)")

@@ -6,9 +6,10 @@ import { lampsInView } from "/page/scene.js";
 const GOOD = "#56b4e9", BAD = "#e69f00";
 // parts that stand for something of their own; what is bad keeps its colour
 const PARTS = { region: "#a9b4c0", edge: "#009e73", cross: "#f0e442", number: "#f4f6f8" };
-const NAMES = { "vmu.left": "VMU left", "vmu.right": "VMU right", monitor: "Monitor" };
+const NAMES = { "vmu.left": ["VMU left", "Left"], "vmu.right": ["VMU right", "Right"], monitor: ["Monitor", "Monitor"] };
 
-export const nameOf = (camera) => NAMES[camera] || camera;
+export const nameOf = (camera) => (NAMES[camera] || [camera])[0];
+export const shortNameOf = (camera) => (NAMES[camera] || [camera, camera])[1];
 
 export class Camera {
   constructor(canvas, text) {
@@ -16,6 +17,7 @@ export class Camera {
     this.text = text;
     this.picture = null; // the newest, decoded
     this.decoding = false;
+    this.waiting = null;
     this.wanted = ""; // the camera that this page watches
   }
 
@@ -24,21 +26,28 @@ export class Camera {
     this.picture = null;
   }
 
-  // Take the picture of a message; while one is being decoded further ones are left out.
+  // Take the picture of a message; of those that come while one is being decoded the newest is next.
   async take(header, data) {
+    this.waiting = { header, data, came_ms: performance.now() };
     if (this.decoding) return;
     this.decoding = true;
-    const came_ms = performance.now();
-    let image = null;
+    while (this.waiting) {
+      const next = this.waiting;
+      this.waiting = null;
+      await this.decode(next);
+    }
+    this.decoding = false;
+  }
+
+  async decode({ header, data, came_ms }) {
+    let image = null, status = header.status;
     try {
       if (data.byteLength) image = await createImageBitmap(new Blob([data], { type: `image/${header.encoding}` }));
     } catch {
-      header = { ...header, status: "cannot be decoded" };
-    } finally {
-      this.decoding = false;
+      status = "cannot be decoded";
     }
     this.forget();
-    this.picture = { ...header, image, came_ms };
+    this.picture = { ...header, status, image, came_ms };
   }
 
   age_s() {
@@ -82,14 +91,13 @@ export class Camera {
     return put;
   }
 
-  // Words keep a size that can be read: where the picture is small they stand under each other, the first ones alone.
+  // Words keep a size that can be read, each in a line of its own; a small picture has no room for them.
   overlay(c, put, shapes, height) {
+    const size = 16, [left, top] = put(0, 0);
     let line = 0;
-    const size = Math.max(12, 14 * put.scale), lines = Math.floor(height / (size + 3));
     for (const shape of shapes) {
       if (shape.kind !== "text") this.shape(c, put, shape);
-      else if (put.scale >= 0.8) this.word(c, shape, ...put(...shape.at), size);
-      else if (line < Math.min(lines, 3)) this.word(c, shape, put(0, 0)[0] + 4, (++line) * (size + 3), size);
+      else if (height > 300) this.word(c, shape, left + 8, top + (++line) * (size + 5), size);
     }
   }
 

@@ -214,7 +214,8 @@ export class Chart {
     c.stroke();
     c.font = `700 11px ${FONT}`;
     c.textAlign = "left";
-    c.textBaseline = "bottom";
+    const below = at - box.top < 14; // no room above it
+    c.textBaseline = below ? "top" : "bottom";
     c.fillText(this.bound.text, box.left + 3, at - 1);
   }
 }

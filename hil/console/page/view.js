@@ -1,6 +1,6 @@
 // Which camera is watched, small or large, and the docking monitor's numbers beside its picture.
 
-import { nameOf } from "/page/camera.js";
+import { nameOf, shortNameOf } from "/page/camera.js";
 
 const $ = (id) => document.getElementById(id);
 const OLD_S = 3;
@@ -51,7 +51,8 @@ export class View {
 
   button(name) {
     const button = document.createElement("button");
-    button.textContent = nameOf(name);
+    button.textContent = shortNameOf(name);
+    button.ariaLabel = `watch ${nameOf(name)}`;
     button.dataset.camera = name;
     button.onclick = () => this.choose(name);
     return button;
@@ -80,7 +81,7 @@ export class View {
       const value = portion ? portion.values[at] : null, sigma = portion ? portion.sigmas[at] : null;
       const cells = body.children[i].children;
       cells[1].textContent = value === null ? "-" : (value * scale).toFixed(decimals);
-      cells[2].textContent = sigma === null ? "" : `\u00b1 ${(sigma * scale).toFixed(decimals)}`;
+      cells[2].textContent = sigma === null ? "" : `\u00b1 ${Number((sigma * scale).toPrecision(2))}`;
       cells[3].textContent = unit === "deg" ? "\u00b0" : unit;
     });
   }
