@@ -290,9 +290,7 @@ def _main() -> None:
     rig = Rig.model_validate(told["rig"], strict=False)
     ring = Ring(told["telemetry"], CYCLE, told["slots"])
     _warm_up(scenario, scene, rig)
-    os.setpriority(
-        os.PRIO_PROCESS, 0, _NICE
-    )  # not beside its parent's, which drives the bench; nothing moves before this
+    os.nice(_NICE)  # nothing moves before this
     reader = ring.reader()
     watch = Watch(scenario, scene, rig, told["seed"], *_outlets(told, rig))
     up.write("ready\n")

@@ -94,6 +94,7 @@ class Keeper:
             self.shown.take(session, status[1], now_s)
             self.say_who_is_there(session, now_s)
             self._look_at_recording(session)
+        session.look()
         if session.ended:
             self.session = None
             self.faults.disconnect()

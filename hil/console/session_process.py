@@ -171,17 +171,29 @@ class SessionProcess:
             await asyncio.sleep(0.01)
         return True
 
-    def _read(self) -> None:
+    def look(self) -> None:
+        """Notice a process that has ended though the event loop never said so; call it now and then.
+
+        uvloop lets go of a line on which an error stands, and one does where a session ended with packets unread.
+        """
+        if not self.ended and self._dying is None and self._process.poll() is not None:
+            while self._read():
+                pass
+
+    def _read(self) -> bool:
+        """Take one packet; return whether there may be more."""
         try:
             packet, descriptors, _, _ = socket.recv_fds(self._channel, _PACKET, _SHARED_AT_MOST)
-        except (BlockingIOError, ConnectionResetError):
-            return  # reset: it ended without reading all that was sent; its own last words come yet, then the end
+        except BlockingIOError:
+            return False
+        except ConnectionResetError:
+            return True  # it ended without reading all that was sent; its own last words come yet, then the end
         except OSError:
             packet, descriptors = b"", []
         if not packet:
             self._loop.remove_reader(self._channel)
             self._dying = self._loop.create_task(self._died())
-            return
+            return False
         message = json.loads(packet)
         if "hello" in message:
             self._attach(message["hello"], descriptors)
@@ -189,10 +201,11 @@ class SessionProcess:
             answer = self._answers.get(message["answer"])
             if answer is not None and not answer.done():
                 answer.set_result(message["text"])
-            return
+            return True
         self._on_words(message)
         if "ended" in message or "refused" in message:
             self._end()
+        return not self.ended
 
     def _attach(self, hello: dict[str, Any], descriptors: list[int]) -> None:
         self.addresses = hello["addresses"]

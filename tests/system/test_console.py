@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
@@ -107,6 +108,26 @@ def test_recorder_that_dies_is_said_on_the_page_and_the_bench_goes_on(tmp_path: 
         page.until(lambda: not page.now["open"], "the end")
         assert any("nothing is recorded any more, the bench goes on" in line for line in page.log())
         assert "ended by SIGKILL" in page.page["ended"]["recording"]["problem"]
+
+
+@pytest.mark.slow
+def test_disk_that_fills_up_is_said_on_the_page_and_the_bench_goes_on(small_disk: Path) -> None:
+    with console("--rig", "mock", *NEAR, record=small_disk) as c:
+        page = c.page("ann")
+        start(page)
+        page.until(lambda: page.now["recording"]["size_bytes"] > 0, "a recording")
+        with suppress(OSError):
+            (small_disk / "other").write_bytes(bytes(2_000_000))
+        page.until(lambda: page.now["recording"]["trouble"] == "No space left on device", "the trouble")
+        page.until(lambda: page.now["recording"]["lost"] > 100, "what is lost")
+        assert page.now["mode"] == "running"
+        assert any("nothing is recorded any more, the bench goes on" in line for line in page.log())
+        page.order("stop")
+        page.until(lambda: not page.now["open"], "the end")
+        told = page.page["ended"]["recording"]
+        assert "No space left on device" in told["problem"]
+        assert "hil recover" in told["problem"]
+        assert len(load(Path(told["file"])).cycles) > 10  # what was written stands
 
 
 def test_takeover_is_asked_back_and_logged(idle: Console) -> None:
@@ -225,7 +246,8 @@ def test_missing_extra_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, caps
     assert capsys.readouterr().err == "hil console: uvicorn missing: pip install 'hil-bench[console]'\n"
 
 
-def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread() -> None:
+@pytest.mark.parametrize("line_is_dropped", [False, True])
+def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread(line_is_dropped: bool) -> None:
     async def talk() -> list[dict[str, Any]]:
         heard: list[dict[str, Any]] = []
         choice = Choice(scenario="scheme-1", rig="mock", settings=("rig.rails.x.park_m=99",))
@@ -233,7 +255,12 @@ def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread() -
         for _ in range(50):
             session.send(present=True)
         os.waitid(os.P_PID, session.pid, os.WEXITED | os.WNOWAIT)  # nothing is read before it is gone
+        if line_is_dropped:  # as uvloop does
+            asyncio.get_running_loop().remove_reader(session._channel)
+        end_s = time.monotonic() + 20.0
         while not session.ended:
+            assert time.monotonic() < end_s, heard
+            session.look()
             await asyncio.sleep(0.01)
         await session.close()
         return heard

@@ -90,8 +90,10 @@ def open_screen(browser: Any, c: Console, pictures: Path) -> Screen:
     return Screen(browser.new_page(viewport={"width": 1280, "height": 720}), c.address, pictures)
 
 
-def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(browser: Any, pictures: Path) -> None:
-    with console("--rig", "emulated", *NEAR) as c:
+def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(
+    browser: Any, pictures: Path, tmp_path: Path
+) -> None:
+    with console("--rig", "emulated", *NEAR, record=tmp_path / "recordings") as c:
         screen = open_screen(browser, c, pictures)
         screen.press("t", "take")
         screen.press("n", "open")

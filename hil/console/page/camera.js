@@ -62,7 +62,9 @@ export class Camera {
       const put = this.fit(c, width, height, picture.width_px, picture.height_px);
       c.filter = stale ? "grayscale(1) brightness(0.6)" : "none";
       if (picture.image) c.drawImage(picture.image, ...put(-0.5, -0.5), ...put.size); // pixel centres at whole numbers
-      this.overlay(c, put, picture.overlay, height);
+      // the monitor's numbers stand beside its picture
+      const shapes = picture.name === "monitor" ? picture.overlay.filter((shape) => shape.part !== "number") : picture.overlay;
+      this.overlay(c, put, shapes, height);
       c.filter = "none";
       const at = picture.t_s === null ? "before the run" : `at ${picture.t_s.toFixed(2)} s`;
       this.say(`${nameOf(picture.name)} ${at}, ${age_s.toFixed(1)} s old${stale ? ": STALE" : ""}${picture.status ? ` \u00b7 ${picture.status}` : ""}`, stale);

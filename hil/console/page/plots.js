@@ -63,11 +63,11 @@ export class Plots {
     this.axis = axis;
     const name = "xyz"[axis];
     const off = (what, more) => ({ column: `${what}_m.${name}`, minus: `reference_m.${name}`, scale: 1000, ...more });
-    this.compared.title = `${name} \u2212 plan, mm [v]`;
+    this.compared.title = `${name} \u2212 plan mm [v]`;
     this.compared.series = [
       off("vision", { name: "VMU", color: YELLOW, dots: true }),
       { name: "monitor", color: GREEN, points: (store) => this.monitor(store, axis) },
-      off("bench", { name: "encoders", color: WHITE, width: 2.5 }),
+      off("bench", { name: "bench", color: WHITE, width: 2.5 }),
       off("estimate", { name: "filter", color: Y, width: 1.5, dash: [6, 2] }),
     ];
   }
