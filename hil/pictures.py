@@ -13,7 +13,7 @@ import os
 import queue
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, Protocol
 
 import numpy as np
@@ -36,6 +36,7 @@ SLOTS: Final = 16
 PICTURE_BYTES: Final = 2 * 1024 * 1024
 OVERLAY_BYTES: Final = 16 * 1024
 JPEG_QUALITY: Final = 90
+_LOOK_WALL_S: Final = 0.1
 
 PICTURE: Final = np.dtype(
     [
@@ -48,7 +49,7 @@ PICTURE: Final = np.dtype(
         ("status", "S24"),  # what its maker said of it: "ok", "too_few", "near", ...
         ("width_px", "i8"),
         ("height_px", "i8"),
-        ("size", "i8"),  # how many bytes of data count
+        ("size", "i8"),  # how many bytes of data count; 0 for a picture that has no room
         ("overlay_size", "i8"),  # how many bytes of overlay count
         ("overlay", "u1", OVERLAY_BYTES),  # UTF-8, a JSON list of Shape
         ("data", "u1", PICTURE_BYTES),
@@ -179,7 +180,7 @@ def encode(image: np.ndarray, encoding: Encoding, quality: int = JPEG_QUALITY) -
 class PictureMaker:
     """Puts a maker's pictures, encoded, where ``out`` takes them; ``wanted`` says which.
 
-    Not for two threads at once. A picture that has no room is counted and left out.
+    Not for two threads at once. A picture that has no room is counted, and its row has no data.
     """
 
     def __init__(self, out: Takes, wanted: Wanted, run: RunsTime | None = None) -> None:
@@ -206,19 +207,25 @@ class PictureMaker:
 
     def put(self, *views: View) -> None:
         """Encode the ``views`` of an exposure and hand them over; a run's time that they do not have is looked up."""
-        for view in views:
+        for view in self.timed(*views):
             self._put(view)
+
+    def timed(self, *views: View) -> tuple[View, ...]:
+        """Return ``views`` with the run's time as it is now, where they have none."""
+        run = self._run
+        if run is None:
+            return views
+        return tuple(replace(view, t_s=run.of(view.bench_s)) if math.isnan(view.t_s) else view for view in views)
 
     def _put(self, view: View) -> None:
         assert self._wanted.encoding != "none"
         data = encode(view.image, self._wanted.encoding)
         if len(data) > PICTURE_BYTES:
             self.leave_out(view)
-            return
-        t_s = self._run.of(view.bench_s) if self._run is not None and math.isnan(view.t_s) else view.t_s
+            data = b""
         height, width = view.image.shape[:2]
         row = picture_row(
-            view.camera, t_s, data, self._wanted.encoding, (width, height), view.shapes,
+            view.camera, view.t_s, data, self._wanted.encoding, (width, height), view.shapes,
             bench_s=view.bench_s, number=view.number, status=view.status,
             left_out=self._left_out.get(view.camera, 0), into=self._row,
         )  # fmt: skip
@@ -264,16 +271,17 @@ class MakerBeside:
             self._thread = threading.Thread(target=self._work, name="pictures", daemon=True)
             self._thread.start()
         try:
-            self._waiting.put_nowait(views)
+            self._waiting.put_nowait(self._maker.timed(*views))
         except queue.Full:
             self._maker.leave_out(*views)
 
     def close(self) -> None:
         """Hand over what waits, and end. Idempotent."""
-        if self._thread is not None:
-            self._waiting.put(None)
-            self._thread.join()
-            self._thread = None
+        while self._thread is not None and self._thread.is_alive():
+            with contextlib.suppress(queue.Full):
+                self._waiting.put(None, timeout=_LOOK_WALL_S)
+                self._thread.join()
+        self._thread = None
 
     def _work(self) -> None:
         _give_way()

@@ -133,18 +133,22 @@ class RunFile:
         """Write pictures, (n,) of PICTURE, and what is drawn over them; count those that their maker left out."""
         for row in rows:
             camera = row["camera"].decode(errors="replace")
-            t_s = float(row["t_s"])
-            t_s = self._last_s if math.isnan(t_s) else t_s
-            time_ns = self._time_ns(t_s)
-            topic = self._picture_channel(camera, "", show_pictures.PICTURE_SCHEMA)
-            self._add(topic, show_pictures.picture(row, time_ns), t_s)
-            topic = self._picture_channel(camera, show_pictures.ANNOTATIONS, show_pictures.ANNOTATION_SCHEMA)
-            self._add(topic, show.encoded(show_pictures.drawn(shapes_of(row), time_ns)), t_s)
+            if row["size"]:
+                self._picture(camera, row)
             left_out = int(row["left_out"])
             self.lost(left_out - self._left_out.get(camera, 0))
             self._left_out[camera] = left_out
             if self._sink.waiting >= _WAITING_MOST:
                 self.flush()
+
+    def _picture(self, camera: str, row: np.void) -> None:
+        t_s = float(row["t_s"])
+        t_s = self._last_s if math.isnan(t_s) else t_s
+        time_ns = self._time_ns(t_s)
+        topic = self._picture_channel(camera, "", show_pictures.PICTURE_SCHEMA)
+        self._add(topic, show_pictures.picture(row, time_ns), t_s)
+        topic = self._picture_channel(camera, show_pictures.ANNOTATIONS, show_pictures.ANNOTATION_SCHEMA)
+        self._add(topic, show.encoded(show_pictures.drawn(shapes_of(row), time_ns)), t_s)
 
     def portions(self, rows: np.ndarray) -> None:
         """Write what the docking monitor said, (n,) of PORTION."""

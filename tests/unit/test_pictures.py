@@ -111,12 +111,70 @@ def test_pictures_are_taken_as_often_as_they_are_wanted() -> None:
     assert not PictureMaker(Kept(), Wanted("none")).due(0.0)
 
 
-def test_a_picture_too_large_is_counted_and_left_out(rng: np.random.Generator) -> None:
+def test_a_picture_too_large_is_counted_and_comes_without_data(rng: np.random.Generator, tmp_path: Path) -> None:
     kept = Kept()
     maker = PictureMaker(kept, PNG)
-    maker.put(View(MONITOR, noise(rng, 1100, 700, 3)), View(LEFT, noise(rng, 8, 8)))
+    maker.put(View(MONITOR, noise(rng, 1100, 700, 3), shapes=[CROSS]), View(LEFT, noise(rng, 8, 8)))
     maker.put(View(MONITOR, noise(rng, 8, 8), number=1))
-    assert [(row[0]["camera"], row[0]["left_out"]) for row in kept.rows] == [(b"vmu.left", 0), (b"monitor", 1)]
+    assert [(row[0]["camera"], row[0]["left_out"]) for row in kept.rows] == [
+        (b"monitor", 1),
+        (b"vmu.left", 0),
+        (b"monitor", 1),
+    ]
+    assert [row[0]["size"] > 0 for row in kept.rows] == [False, True, True]
+    assert shapes_of(kept.rows[0][0]) == (CROSS,)
+    path = tmp_path / "run.mcap"
+    file = RunFile(path, Header({"schema_version": "1"}, {}, 0))
+    for row in kept.rows:
+        file.pictures(row)
+    account = file.finish({})
+    assert account.dropped == 1
+    assert "pictures too large" in account.problem
+    assert [line["number"] for line in contents(path).lines["/pictures/monitor"]] == [1]
+
+
+def test_a_picture_has_the_run_s_time_of_when_it_was_taken_though_it_waits() -> None:
+    class Clock:
+        """A run that begins at 1 s of bench time and is held soon after."""
+
+        zero_s = 1.0
+
+        def of(self, bench_s: float) -> float:
+            return bench_s - self.zero_s
+
+    class Slow(Kept):
+        def __init__(self) -> None:
+            super().__init__()
+            self.go = threading.Event()
+
+        def put(self, row: np.ndarray) -> None:
+            assert self.go.wait(30.0)
+            super().put(row)
+
+    slow, clock = Slow(), Clock()
+    beside = MakerBeside(PictureMaker(slow, PNG, clock))
+    image = np.zeros((4, 4), np.uint8)
+    beside.put(View(LEFT, image, bench_s=1.5))
+    beside.put(View(LEFT, image, bench_s=1.75))
+    clock.zero_s = math.nan
+    beside.put(View(LEFT, image, bench_s=2.0))
+    slow.go.set()
+    beside.close()
+    np.testing.assert_array_equal([row[0]["t_s"] for row in slow.rows], [0.5, 0.75, math.nan])
+
+
+def test_a_maker_whose_outlet_fails_can_be_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken(Kept):
+        def put(self, row: np.ndarray) -> None:
+            raise OSError("gone")
+
+    told = threading.Event()
+    monkeypatch.setattr(threading, "excepthook", lambda _: told.set())
+    beside = MakerBeside(PictureMaker(Broken(), PNG))
+    for number in range(MakerBeside.WAITING_MOST + 5):
+        beside.put(View(LEFT, np.zeros((4, 4), np.uint8), number=number))
+    assert told.wait(30.0)
+    beside.close()
 
 
 def test_a_maker_beside_never_waits_and_counts_what_it_leaves_out() -> None:
