@@ -24,6 +24,16 @@ NEAR = ("--set", "initial.position_m=[0.7, -0.03, 0.03]", "--set", "rig.rails.x.
 """A start from which the ready point is near."""
 
 
+_PATIENCE = {
+    "rig.console.lease_s": "30",
+    "rig.io.timeout_s": "10",
+    **{f"rig.{device}.timeout_s": "10" for device in ("rails", "turntable", "vmu")},
+    **{f"rig.{device}.lost_packets_max": "1e6" for device in ("rails", "turntable", "vmu")},
+}
+PATIENT = tuple(word for key, value in _PATIENCE.items() for word in ("--set", f"{key}={value}"))
+"""For tests of the page: a browser that draws in software starves the threads that emulated wires go through."""
+
+
 class Console:
     """A console that listens at ``address``, and its pages."""
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from console_client import NEAR, Console, console
+from console_client import NEAR, PATIENT, Console, console
 
 from hil.recording.read import load
 from hil.recording.replay import replay
@@ -87,17 +87,19 @@ def browser() -> Iterator[Any]:
 
 
 def open_screen(browser: Any, c: Console, pictures: Path) -> Screen:
+    for context in browser.contexts:
+        context.close()  # pages of earlier tests draw and look for their consoles
     return Screen(browser.new_page(viewport={"width": 1280, "height": 720}), c.address, pictures)
 
 
 def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(
     browser: Any, pictures: Path, tmp_path: Path
 ) -> None:
-    with console("--rig", "emulated", *NEAR, record=tmp_path / "recordings") as c:
+    with console("--rig", "emulated", *NEAR, *PATIENT, record=tmp_path / "recordings") as c:
         screen = open_screen(browser, c, pictures)
         screen.press("t", "take")
         screen.press("n", "open")
-        screen.until_mode("standby")
+        screen.until_mode("standby", 400.0)  # a first start compiles
 
         before_m = screen.page.evaluate("window.hil.now.rail_m[1]")
         screen.page.keyboard.press("2")
@@ -173,8 +175,8 @@ def image_of(screen: Screen) -> str:
 
 
 def test_pictures_of_each_camera_change_and_the_monitor_s_numbers_stand_beside(browser: Any, pictures: Path) -> None:
-    rendered = ("--set", "vmu.source=rendered", "--set", "monitor.source=rendered", "--set", "rig.console.lease_s=30")
-    with console("--rig", "emulated", *rendered, *NEAR) as c:
+    rendered = ("--set", "vmu.source=rendered", "--set", "monitor.source=rendered")
+    with console("--rig", "emulated", *rendered, *NEAR, *PATIENT) as c:
         screen = open_screen(browser, c, pictures)
         start(screen)
         screen.until("window.hil.now.cameras.join() === 'vmu.left,vmu.right,monitor'", 240.0)
@@ -243,11 +245,11 @@ def test_setting_is_changed_from_the_page_seen_in_the_log_and_recorded(
 
 
 def test_reset_leads_out_of_an_alarm_before_the_run_into_standby(browser: Any, pictures: Path) -> None:
-    with console("--rig", "emulated", *NEAR) as c:
+    with console("--rig", "emulated", *NEAR, *PATIENT) as c:
         screen = open_screen(browser, c, pictures)
         screen.press("t", "take")
         screen.press("n", "open")
-        screen.until_mode("standby")
+        screen.until_mode("standby", 400.0)  # a first start compiles
         screen.until("Object.keys(window.hil.page.faults.menu).length == 4")
         screen.page.select_option("#fault_device", "rails")
         screen.page.select_option("#fault_kind", "drive_fault")
