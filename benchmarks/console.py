@@ -114,7 +114,7 @@ class Console:
             time.sleep(0.05)
 
     def run_s(self) -> float:
-        newest = self.desk.rows.newest
+        newest = self.desk.shown.rows.newest
         return 0.0 if newest is None else float(newest[0])
 
     def close(self) -> None:
@@ -187,7 +187,7 @@ def main() -> None:
         console.order("start", "running")
         kind = "--browse" if options.browser else "--read"
         found = turns(console, options.clients, kind, options.rounds, options.seconds)
-        table(console.desk.rows.all(), found, options.clients)
+        table(console.desk.shown.rows.all(), found, options.clients)
         print(f"rows of the ring that were lost: {console.desk.session.lost_rows if console.desk.session else 0}")
     finally:
         console.close()

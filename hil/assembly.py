@@ -27,6 +27,7 @@ from hil.late_cycles import LateCycles
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
 from hil.orders import Operator
+from hil.pictures import MakesPictures
 from hil.rate import Rate
 from hil.realtime import NoPrecedence, Precedence
 from hil.runner import Runner
@@ -197,8 +198,11 @@ def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> No
     imu.bias_C = np.array(scenario.imu.accelerometer_bias_mps2) + bias_sigma * draws[3:]
 
 
-def mocks(scenario: Scenario, rig: Rig, seed: int) -> Devices:
-    """Return mocks of the devices; the axes stand at the start pose from the beginning."""
+def mocks(scenario: Scenario, rig: Rig, seed: int, pictures: MakesPictures | None = None) -> Devices:
+    """Return mocks of the devices; the axes stand at the start pose from the beginning.
+
+    pictures: takes those of a rendered vision unit.
+    """
     from hil.drivers.io.mock import MockIo
     from hil.drivers.mock_axes import MockAxes
     from hil.drivers.vmu.mock import MockVmu
@@ -206,7 +210,7 @@ def mocks(scenario: Scenario, rig: Rig, seed: int) -> Devices:
     rails_config, turntable_config = axes_at_start(scenario, rig)
     rails = MockAxes("rails", RAIL_NAMES, rails_config)
     turntable = MockAxes("turntable", GIMBAL_NAMES, turntable_config)
-    eye = make_eye(scenario, rig, seed)
+    eye = make_eye(scenario, rig, seed, pictures)
 
     def pose_at(t_s: float) -> PoseFrame | None:
         return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)

@@ -33,6 +33,7 @@ from hil.host_processes import TITLES, HostProcesses
 from hil.messages import AXES, CYCLE, new
 from hil.modes import Mode
 from hil.orders import Operator
+from hil.pictures import MakesPictures
 from hil.rate import Rate, SimulatedRate, WallRate
 from hil.realtime import REAL_TIME, Precedence, RealTime
 from hil.recording.taps import Notes, Taps
@@ -93,9 +94,9 @@ def runner(
     scenario, rig = job.scenario.value, job.rig.value
     if rig.kind == "mock":
         telemetry = taps.cycles if taps else None
-        made = in_memory(
-            job, SimulatedRate(SimulatedClock(), scenario.step_s), watch, telemetry=telemetry, operator=operator
-        )
+        pictures = taps.maker(rig) if taps else None
+        rate = SimulatedRate(SimulatedClock(), scenario.step_s)
+        made = in_memory(job, rate, watch, telemetry=telemetry, operator=operator, pictures=pictures)
         if taps:
             taps.attach(made)
         yield made
@@ -166,9 +167,9 @@ def wired_bench(
             announce(line)
         wall = WallClock(speed=job.speed)
         with (
-            _emulated(job, wall, announce) as (wired, emulated, addresses),
+            _emulated(job, wall, announce, taps) as (wired, emulated, addresses),
             HostProcesses(wired, wall) as hosts,
-            _telemetry(taps) as telemetry,
+            telemetry_ring(taps) as telemetry,
         ):
             hosts.wait_ready()
             for name, pid in hosts.pids.items():
@@ -192,11 +193,11 @@ def _insist_on_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
 
 
 @contextmanager
-def _telemetry(taps: Taps | None) -> Iterator[Ring]:
+def telemetry_ring(taps: Taps | None) -> Iterator[Ring]:
     """Give the ring that each cycle's row is put into, for other processes to read; a recorder brings its own."""
     if taps:
         if not isinstance(taps.cycles, Ring):
-            raise TypeError("a bench on wires is recorded from a ring: its recorder is another process")
+            raise TypeError("a bench on the wall clock is recorded from a ring: its recorder is another process")
         yield taps.cycles
         return
     ring = Ring.create(CYCLE, TELEMETRY_ROWS)
@@ -213,22 +214,27 @@ def in_memory(
     precedence: Precedence | None = None,
     telemetry: Telemetry | None = None,
     operator: Operator | None = None,
+    pictures: MakesPictures | None = None,
 ) -> Runner:
-    """Return a Runner of ``job`` on mocks, whatever its rig, kept in time by ``rate``."""
-    devices = mocks(job.truth, job.rig.value, job.seed)
+    """Return a Runner of ``job`` on mocks, whatever its rig, kept in time by ``rate``.
+
+    pictures: takes those of a rendered vision unit; where ``rate`` keeps the time of the wall it must not wait.
+    """
+    devices = mocks(job.truth, job.rig.value, job.seed, pictures)
     return assemble(job, job.rig.value, rate, *devices, 0, watch, operator, precedence, telemetry)
 
 
 @contextmanager
 def _emulated(
-    job: Job, clock: WallClock, announce: Callable[[str], None]
+    job: Job, clock: WallClock, announce: Callable[[str], None], taps: Taps | None
 ) -> Iterator[tuple[Rig, EmulatedDevices | None, dict[str, str]]]:
     """Give the rig with all its wires; an emulated one gets its emulators for as long as this lasts."""
     rig = job.rig.value
     if rig.kind == "hardware":
         yield rig, None, {}
         return
-    with EmulatedDevices(job.truth, rig, clock, job.seed) as emulated:
+    pictures = taps.picture_memory() if taps else None
+    with EmulatedDevices(job.truth, rig, clock, job.seed, pictures) as emulated:
         wired, addresses = emulated.wait_ready()
         for process in emulated.processes:
             wires = ", ".join(f"{n} on {a}" for n, a in addresses.items() if n.split(".")[0] == process.name)

@@ -12,9 +12,9 @@ from hil.config.docking_monitor import DockingMonitor
 from hil.config.rig import BenchGeometry, Rig
 from hil.config.scene import Scene
 from hil.maths import docking_view, quat
-from hil.maths.stations import STATIONS, camera_pose
+from hil.maths.stations import STATIONS, camera_pose, chaser_pose
 from hil.maths.streams import stream
-from hil.messages import Array, new
+from hil.messages import POSE, Array, new
 from hil.monitor.render import Conditions, Renderer
 from hil.monitor.sources import Frame, exposure
 
@@ -37,6 +37,15 @@ def view(places: np.record, r_CT_H: Array, q_CH: Array) -> tuple[Array, Array]:
     camera_pose(places, r_CT_H, q_CH, t_v, q_vt)
     docking_view.of_camera_pose(t_v, q_vt, d, phi)
     return d, phi
+
+
+def chaser_position(places: np.record, d: Array, phi: Array) -> Array:
+    """Return r_CT_H (3,), m, of the chaser whose camera has d (3,), m, and phi (3,), rad: ``view`` back."""
+    t_v, q_vt, pose = np.empty(3), np.empty(4), new(POSE)
+    docking_view.to_camera_pose(d, phi, t_v, q_vt)
+    chaser_pose(places, t_v, q_vt, np.zeros((6, 6)), pose)
+    r_TC_H: Array = quat.transform_back(pose.q_CH, pose.z_TC_C)
+    return -r_TC_H
 
 
 class EncoderTrack:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from typing import Any, Literal, Self
 
 from hil.assembly import start_axes
@@ -18,7 +19,9 @@ from hil.drivers.board import AxisBoard
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
 from hil.eye import transport
 from hil.eyes import make_eye
+from hil.frmn.picture_memory import PictureMemory
 from hil.messages import PoseFrame
+from hil.pictures import MakerBeside
 from hil.realtime import take_fifo
 
 _READY_WALL_S = 60.0  # the first start compiles
@@ -31,9 +34,14 @@ def devices(rig: Rig) -> tuple[str, ...]:
 
 
 class EmulatedDevices:
-    """Starts an emulator process for each device of ``rig`` and keeps them until ``close``."""
+    """Starts an emulator process for each device of ``rig`` and keeps them until ``close``.
 
-    def __init__(self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int) -> None:
+    pictures: where a rendered vision unit puts its pictures; None: nowhere.
+    """
+
+    def __init__(
+        self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int, pictures: PictureMemory | None = None
+    ) -> None:
         self.board = AxisBoard.create()
         self._rig = rig
         configuration = {
@@ -45,10 +53,16 @@ class EmulatedDevices:
             "board": self.board.descriptor,
         }
         self.processes: list[EmulatorProcess] = []
+        self._with_pictures: EmulatorProcess | None = None
         try:
             for device in devices(rig):
                 program = [sys.executable, "-m", "hil.emulation", device]
-                self.processes.append(EmulatorProcess(device, program, configuration, (self.board.descriptor,)))
+                shown = pictures if device == "vmu" else None
+                told = {**configuration, "pictures": shown}
+                descriptors = (self.board.descriptor, *(shown.descriptors if shown else ()))
+                self.processes.append(EmulatorProcess(device, program, told, descriptors))
+                if shown:
+                    self._with_pictures = self.processes[-1]
         except BaseException:
             self.close()
             raise
@@ -69,7 +83,13 @@ class EmulatedDevices:
         return _wired(self._rig, addresses), addresses
 
     def close(self) -> None:
-        """End all of them, together and at once: an emulated device has nothing to bring to safety. Idempotent."""
+        """End all of them, together and at once: an emulated device has nothing to bring to safety. Idempotent.
+
+        A unit that has pictures on their way may hand them over before.
+        """
+        for process in self.processes:
+            if process is self._with_pictures:
+                process.close()
         for process in self.processes:
             process.kill()
         for process in self.processes:
@@ -146,7 +166,8 @@ def make_emulator(
         return Cia402Emulator(rig.turntable, clock, board, seed=configuration["seed"])
     from hil.drivers.vmu.emulator import VmuEmulator
 
-    eye = make_eye(scenario, rig, configuration["seed"])
+    shown = _pictures(configuration["pictures"], rig)
+    eye = make_eye(scenario, rig, configuration["seed"], shown)
     rehearsed = make_eye(scenario, rig, configuration["seed"])  # compiles, and leaves the noise of the other one alone
     start = start_axes(scenario, rig)
     for k in range(3):  # the search in whole pictures, then windows
@@ -157,7 +178,15 @@ def make_emulator(
         gimbals, _ = board.read("turntable", t_s)
         return eye.look(rails, gimbals, t_s)
 
-    return VmuEmulator(rig.vmu, clock, pose_at, transport(scenario.vmu, configuration["seed"]), configuration["seed"])
+    seed = configuration["seed"]
+    at_end = shown.close if shown else lambda: None
+    return VmuEmulator(rig.vmu, clock, pose_at, transport(scenario.vmu, seed), seed, at_end)
+
+
+def _pictures(memory: Sequence[int] | None, rig: Rig) -> MakerBeside | None:
+    """Return what takes a rendered unit's pictures: in a thread of its own, for the unit keeps time."""
+    maker = PictureMemory(*memory).maker(rig) if memory else None
+    return MakerBeside(maker) if maker else None
 
 
 def _keep_time(device: str, speed: float) -> None:

@@ -10,17 +10,26 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.vmu_geometry import VmuGeometry
 from hil.eye import Eye, Looks
+from hil.pictures import MakesPictures
 from hil.vmu.geometry import geometry_of_rig
 
 
-def make_eye(scenario: Scenario, rig: Rig, seed: int) -> Looks:
-    """Return what sees the target for the vision unit of ``rig``, as ``vmu.source`` says."""
+def make_eye(scenario: Scenario, rig: Rig, seed: int, shown: MakesPictures | None = None) -> Looks:
+    """Return what sees the target for the vision unit of ``rig``, as ``vmu.source`` says.
+
+    shown: takes the pictures, where there are any.
+    """
     bench, stations = parameters.bench(rig, scenario.step_s), parameters.stations(rig)
     if scenario.vmu.source == "model":
         return Eye(bench, stations, parameters.vision(scenario), seed)
     from hil.rendered_eye import RenderedEye
 
-    scene = geometry_of_rig(rig)
+    return RenderedEye(
+        bench, stations, geometry_of_rig(rig), believed_geometry(rig), scenario.vmu.pictures, seed, shown
+    )
+
+
+def believed_geometry(rig: Rig) -> VmuGeometry:
+    """Return what the vision unit of ``rig`` takes its cameras and LEDs for. Raises BadInput."""
     path = rig.vmu.geometry_file
-    geometry = scene if path is None else load_file(Path(path), VmuGeometry).value
-    return RenderedEye(bench, stations, scene, geometry, scenario.vmu.pictures, seed)
+    return geometry_of_rig(rig) if path is None else load_file(Path(path), VmuGeometry).value

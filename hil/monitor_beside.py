@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Self
 
@@ -28,11 +28,15 @@ from hil.config.scene import Scene
 from hil.docking_camera import RenderedCamera
 from hil.drivers.emulator_process import die_with_parent
 from hil.errors import LinkLost, LinkTimeout
-from hil.frmn.ring import Ring
+from hil.frmn.picture_memory import wanted_pictures
+from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.messages import CYCLE
-from hil.monitor.findings import Portion
+from hil.monitor.findings import PORTION, Portion, portion_row
 from hil.monitor.monitor import Monitor
 from hil.monitor.settings import Settings
+from hil.monitor.shapes import with_words
+from hil.monitor.sources import WHOLE, Frame
+from hil.pictures import MONITOR, PICTURE, MakesPictures, PictureMaker, View
 
 NAME: Final = "docking monitor"
 _NICE: Final = 10  # it may come late; whoever moves the bench may not
@@ -57,15 +61,23 @@ class Watched:
 
 
 class Watch:
-    """Camera and monitor together."""
+    """Camera and monitor together. shown: takes the pictures, told: the portions, each as a row of PORTION."""
 
-    def __init__(self, scenario: Scenario, scene: Scene, rig: Rig, seed: int) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        scene: Scene,
+        rig: Rig,
+        seed: int,
+        shown: MakesPictures | None = None,
+        told: Telemetry | None = None,
+    ) -> None:
         config = scenario.monitor
         self.watched = Watched(config.scene)
         self._camera = RenderedCamera(scene, config, rig, scenario.step_s, seed)
-        guidance = scenario.gnc.guidance  # how fast a rate may change is known here
-        acceleration = max(guidance.acceleration_mps2, guidance.deceleration_mps2)
-        self._monitor = Monitor(scene, Settings(target=config.target, acceleration_mps2=acceleration))
+        self._monitor = Monitor(scene, settings_of(scenario))
+        self._shown = shown
+        self._told = told or NoTelemetry()
         self._spent_s = 0.0
         self._newest_s = 0.0
 
@@ -75,8 +87,10 @@ class Watch:
         watched = self.watched
         for frame in self._camera.frames():
             start = time.perf_counter()
-            watched.portions += self._monitor.feed(frame)
+            done = self._monitor.feed(frame)
             spent_s = time.perf_counter() - start
+            self._keep(done)
+            self._show(frame)
             self._spent_s += spent_s
             watched.frames += 1
             watched.frame_max_s = max(watched.frame_max_s, spent_s)
@@ -89,15 +103,48 @@ class Watch:
             self._camera.track.add(rows)
             self._newest_s = float(rows["t_s"][-1])
 
+    def _keep(self, done: Sequence[Portion]) -> None:
+        for portion in done:
+            self.watched.portions.append(portion)
+            self._told.put(portion_row(portion))
+
+    def _show(self, frame: Frame) -> None:
+        """Hand over the frame with what was found in it, where it is wanted; a half frame with each line twice."""
+        look = self._monitor.last
+        if self._shown is None or look is None or not self._shown.due(frame.t_s):
+            return
+        image = frame.image if frame.field == WHOLE else np.repeat(frame.image, 2, axis=0)
+        newest = self.watched.portions[-1] if self.watched.portions else None
+        shapes = with_words(look.seen, newest)
+        self._shown.put(View(MONITOR, image, t_s=frame.t_s, number=frame.number, status=look.status, shapes=shapes))
+
     def finish(self) -> Watched:
         """Return what was seen, the frames of an unfinished portion included."""
-        self.watched.portions += self._monitor.finish()
+        self._keep(self._monitor.finish())
         return self.watched
 
 
-def watch_recorded(scenario: Scenario, scene: Scene, rig: Rig, seed: int, history: np.ndarray) -> Watched:
-    """Return what the monitor sees of a run whose rows ``history`` (n,) of CYCLE are there."""
-    watch = Watch(scenario, scene, rig, seed)
+def settings_of(scenario: Scenario) -> Settings:
+    """Return the settings of the monitor beside a run of ``scenario``."""
+    guidance = scenario.gnc.guidance  # how fast a rate may change is known here
+    acceleration = max(guidance.acceleration_mps2, guidance.deceleration_mps2)
+    return Settings(target=scenario.monitor.target, acceleration_mps2=acceleration)
+
+
+def watch_recorded(
+    scenario: Scenario,
+    scene: Scene,
+    rig: Rig,
+    seed: int,
+    history: np.ndarray,
+    shown: MakesPictures | None = None,
+    told: Telemetry | None = None,
+) -> Watched:
+    """Return what the monitor sees of a run whose rows ``history`` (n,) of CYCLE are there.
+
+    shown: takes the pictures, told: the portions, each as a row of PORTION.
+    """
+    watch = Watch(scenario, scene, rig, seed, shown, told)
     unread = [history]
     watch.take(lambda: unread.pop() if unread else history[:0])
     watched = watch.finish()
@@ -106,9 +153,21 @@ def watch_recorded(scenario: Scenario, scene: Scene, rig: Rig, seed: int, histor
 
 
 class MonitorProcess:
-    """The child and the way to it; start it from a thread that lives as long as the bench."""
+    """The child and the way to it; start it from a thread that lives as long as the bench.
 
-    def __init__(self, scenario: Scenario, scene: Scene, rig: Rig, seed: int, telemetry: Ring) -> None:
+    pictures, portions: rings of PICTURE and PORTION that it fills, for other processes to read; None: nobody does.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        scene: Scene,
+        rig: Rig,
+        seed: int,
+        telemetry: Ring,
+        pictures: Ring | None = None,
+        portions: Ring | None = None,
+    ) -> None:
         self._scene = scenario.monitor.scene
         configuration = {
             "scenario": scenario.model_dump(mode="json"),
@@ -117,12 +176,15 @@ class MonitorProcess:
             "seed": seed,
             "telemetry": telemetry.descriptor,
             "slots": telemetry.slots,
+            "pictures": _place(pictures),
+            "portions": _place(portions),
         }
+        rings = [ring for ring in (telemetry, pictures, portions) if ring is not None]
         self._process = subprocess.Popen(
             [sys.executable, "-m", "hil.monitor_beside"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            pass_fds=(telemetry.descriptor,),
+            pass_fds=[ring.descriptor for ring in rings],
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -170,6 +232,21 @@ class MonitorProcess:
         self.close()
 
 
+def _place(ring: Ring | None) -> tuple[int, int] | None:
+    return None if ring is None else (ring.descriptor, ring.slots)
+
+
+def _outlets(told: dict[str, Any], rig: Rig) -> tuple[MakesPictures | None, Telemetry | None]:
+    """Return, in the child, who takes pictures and portions."""
+    wanted = wanted_pictures(rig)
+    shown, portions = None, None
+    if told["pictures"] is not None and wanted.encoding != "none":
+        shown = PictureMaker(Ring(told["pictures"][0], PICTURE, told["pictures"][1], "pictures"), wanted)
+    if told["portions"] is not None:
+        portions = Ring(told["portions"][0], PORTION, told["portions"][1], "portions")
+    return shown, portions
+
+
 def _portion(row: dict[str, Any]) -> Portion:
     numbers = {name: np.array([math.nan if x is None else x for x in row[name]]) for name in ("values", "sigmas")}
     return Portion(row["t_s"], row["frames"], row["status"], **numbers)
@@ -215,7 +292,7 @@ def _main() -> None:
     _warm_up(scenario, scene, rig)
     os.nice(_NICE)  # nothing moves before this
     reader = ring.reader()
-    watch = Watch(scenario, scene, rig, told["seed"])
+    watch = Watch(scenario, scene, rig, told["seed"], *_outlets(told, rig))
     up.write("ready\n")
     ended = False
     while not ended:

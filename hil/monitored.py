@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from hil import build
 from hil.config.load import load_scene
 from hil.errors import DeviceError
+from hil.frmn.ring import Ring
 from hil.handling import Watch
 from hil.monitor_beside import MonitorProcess, Watched, watch_recorded
 from hil.recording.taps import Taps
@@ -15,6 +16,26 @@ from hil.runner import Outcome, Runner
 
 Look = Callable[[Outcome], Watched | None]
 """Gives what the monitor saw of the run that has ended; None where there is no monitor."""
+
+
+@contextmanager
+def beside(
+    job: build.Job, telemetry: Ring, announce: Callable[[str], None], taps: Taps | None = None
+) -> Iterator[Look]:
+    """Let the docking monitor watch the cycles in ``telemetry`` from a process of its own, where the scenario wants it.
+
+    Raises DeviceError when that process does not come up.
+    """
+    scenario = job.scenario.value
+    if scenario.monitor.source == "none":
+        yield lambda _: None
+        return
+    scene = load_scene(scenario.monitor.scene).value
+    with MonitorProcess(scenario, scene, job.rig.value, job.seed, telemetry, *_rings(taps)) as process:
+        announce("starting the docking monitor; its first start compiles its kernels")
+        process.wait_ready()
+        announce(f"docking monitor process {process.pid}")
+        yield lambda _: _what_is_left(process, scenario.monitor.scene)
 
 
 @contextmanager
@@ -30,19 +51,25 @@ def runner(
         with build.runner(job, watch, announce, taps=taps) as plain:
             yield plain, lambda _: None
         return
-    scene = load_scene(scenario.monitor.scene).value
     if rig.kind == "mock":
+        scene = load_scene(scenario.monitor.scene).value
         with build.runner(job, watch, announce, taps=taps) as in_memory:
-            yield in_memory, lambda outcome: watch_recorded(scenario, scene, rig, seed, outcome.history)
+            outlets = (taps.monitor_maker(rig), taps.portions) if taps else ()
+            yield in_memory, lambda outcome: watch_recorded(scenario, scene, rig, seed, outcome.history, *outlets)
         return
     with (
         build.wired_bench(job, announce, taps) as bench,
-        MonitorProcess(scenario, scene, rig, seed, bench.telemetry) as process,
+        beside(job, bench.telemetry, announce, taps) as look,
     ):
-        announce("starting the docking monitor; its first start compiles its kernels")
-        process.wait_ready()
-        announce(f"docking monitor process {process.pid}")
-        yield bench.runner(watch), lambda _: _what_is_left(process, scenario.monitor.scene)
+        yield bench.runner(watch), look
+
+
+def _rings(taps: Taps | None) -> tuple[Ring | None, Ring | None]:
+    """Return the rings for the monitor's pictures and portions, where a recorder reads some."""
+    if taps is None:
+        return None, None
+    pictures, portions = (tap if isinstance(tap, Ring) else None for tap in (taps.monitor_pictures, taps.portions))
+    return pictures, portions
 
 
 def _what_is_left(process: MonitorProcess, scene: str) -> Watched:

@@ -14,9 +14,11 @@ from hil.maths import quat
 from hil.maths.stations import camera_pose
 from hil.maths.streams import stream
 from hil.messages import Array, PoseFrame
+from hil.pictures import LEFT, RIGHT, MakesPictures, View
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.render import Extras, Light, Look, Renderer
-from hil.vmu.unit import VisionUnit
+from hil.vmu.shapes import shapes
+from hil.vmu.unit import Solution, VisionUnit
 
 _DECOY_NEAREST_M: Final = 0.25  # from the ring's centre, in its plane
 _DECOY_FARTHEST_M: Final = 1.0
@@ -27,6 +29,7 @@ class RenderedEye:
 
     bench: BENCH_PARAMS. stations: STATIONS. scene: what is drawn; geometry: what the unit takes it for. Every
     error of the bench, and of the calibration where both differ, reaches the pose as it would in a lab.
+    shown: takes the pictures with what was found in them.
     """
 
     def __init__(
@@ -37,6 +40,7 @@ class RenderedEye:
         geometry: VmuGeometry,
         pictures: Pictures,
         seed: int,
+        shown: MakesPictures | None = None,
     ) -> None:
         self._bench = bench
         self._stations = stations
@@ -52,6 +56,8 @@ class RenderedEye:
         self._unit = VisionUnit(geometry)
         self._rng = stream(seed, "pictures")
         self._decoys = _decoys(self._rng, pictures.decoy_lights)
+        self._shown = shown
+        self._exposures = 0
         self._r, self._q = np.empty(3), np.empty(4)
 
     def look(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
@@ -61,7 +67,28 @@ class RenderedEye:
         camera_pose(self._stations, self._r, self._q, t_v, q_vt)
         lights = [Light(tuple(quat.transform(q_vt, place) + t_v)) for place in self._decoys]
         left, right = self._renderer.pair(t_v, q_vt, None, self._rng, Extras(lights=lights))
-        return self._unit.solve(left, right, t_s).frame(0, t_s)
+        solution = self._unit.solve(left, right, t_s)
+        if self._shown is not None:
+            self._show(self._shown, left, right, solution)
+        self._exposures += 1
+        return solution.frame(0, t_s)
+
+    def _show(self, shown: MakesPictures, left: np.ndarray, right: np.ndarray, solution: Solution) -> None:
+        """Hand over the pair with what was found in it, where it is wanted."""
+        if not shown.due(solution.t_s):
+            return
+        views = (
+            View(
+                name,
+                image,
+                bench_s=solution.t_s,
+                number=self._exposures,
+                status=solution.status,
+                shapes=shapes(self._unit.solver.scene, solution, camera),
+            )
+            for camera, (name, image) in enumerate(((LEFT, left), (RIGHT, right)))
+        )
+        shown.put(*views)
 
 
 def _decoys(rng: np.random.Generator, count: int) -> Array:

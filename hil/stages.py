@@ -6,6 +6,7 @@ A stage owns its parameters and its state; the records that pass between stages 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -76,6 +77,9 @@ class Vision:
         """Frames exposed before this bench time are of another life of the run: they are left out."""
         self.tap: Telemetry | None = None
         """Is given each frame that comes, a row of ARRIVAL."""
+        self.on_run_zero: Callable[[float], None] | None = None
+        """Is told the bench time at which the run's time is zero when that changes; nan while no run's time goes."""
+        self._run_zero_s: float | None = None
         self._row = np.zeros(1, ARRIVAL)
         self._cycle = -1
 
@@ -84,6 +88,8 @@ class Vision:
 
         run_zero_s: bench time at which the run's time is zero.
         """
+        if run_zero_s != self._run_zero_s:
+            self._tell_run_zero(run_zero_s)
         came = frames = self.source.poll(bench_s)
         self._cycle += 1
         if frames:
@@ -106,8 +112,15 @@ class Vision:
         row["pose"]["fresh"] = self.arrived
         row["received_s"] = frames[newest].received_s - run_zero_s
 
+    def _tell_run_zero(self, run_zero_s: float | None) -> None:
+        self._run_zero_s = run_zero_s
+        if self.on_run_zero is not None:
+            self.on_run_zero(math.nan if run_zero_s is None else run_zero_s)
+
     def look_away(self, bench_s: float) -> int:
         """Take the frames that came since the last cycle and use none; return how many."""
+        if self._run_zero_s is not None:
+            self._tell_run_zero(None)
         frames = self.source.poll(bench_s)
         if self.tap is not None:
             self._show_unused(frames)
@@ -170,6 +183,21 @@ class Gnc:
         """Order an abort, from the next cycle on."""
         self._abort = 1
         self.orders.append((self.cycle + 1, "abort"))
+
+    def adjust(self, navigation: np.record, supervision: np.record, control: np.record) -> int:
+        """Take over other parameters, between two cycles; return the number of the cycle from which on they act.
+
+        NAVIGATION_PARAMS, SUPERVISION_PARAMS, CONTROL_PARAMS of the same step and sensors. They are written in place:
+        whoever looks at them beside the loop, as the shadow filter does, goes on with the new ones as well.
+        """
+        for mine, theirs in (
+            (self._navigation, navigation),
+            (self._supervision, supervision),
+            (self._control, control),
+        ):
+            for name in mine.dtype.names or ():
+                mine[name] = theirs[name]
+        return self.cycle + 1
 
     def navigate(self, imu: np.record, vision: Poses, out: np.record) -> None:
         """Write NAVIGATION from the step's IMU sample and the poses that came."""

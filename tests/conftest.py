@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +36,7 @@ _NO_WALL_CLOCK = {
     "test_reach",
     "test_record_command",
     "test_rendered_loop",
+    "test_rendered_pictures",
     "test_replay",
     "test_runs_in_memory",
     "test_vmu_command",
@@ -125,3 +129,19 @@ def recorded_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         summary, _ = summarise(outcome, job.scenario.value, job.rig.value, "mock", 3, 50.0)
         taken.finish(summary)
     return taken.path
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 2 MB; skips where this user must not mount one."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    if (
+        shutil.which("mount") is None
+        or subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(place)], capture_output=True, check=False
+        ).returncode
+    ):
+        pytest.skip("cannot mount a tmpfs")
+    yield place
+    subprocess.run(["umount", "-l", str(place)], check=True)

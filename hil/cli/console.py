@@ -6,6 +6,7 @@ import datetime
 import importlib.util
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from hil.config.console import OnLoss
 from hil.errors import BadInput
@@ -24,6 +25,7 @@ def console_command(
     speed: float,
     settings: Sequence[str],
     on_loss: OnLoss | None,
+    record: str | None,
 ) -> int:
     """Do ``hil console``; return its exit code. Raises BadInput before anything listens."""
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
@@ -43,6 +45,7 @@ def console_command(
         speed=speed,
         settings=tuple(settings),
         on_loss=on_loss,
+        record=None if record is None else str(Path(record).absolute()),
     )
     choice.job()
     token = None if token_file is None else read_token(token_file)

@@ -287,6 +287,8 @@ def console(
     settings: Settings = (),
     speed: float = 1.0,
     on_loss: Literal["hold", "continue", "stop"] | None = None,
+    record: str = "recordings",
+    no_record: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
     """Serve the page from which a session at the bench is seen and commanded, until Ctrl-C.
 
@@ -310,10 +312,15 @@ def console(
         Bench seconds a wall second, on a mock or emulated rig.
     on_loss
         What the loop does when the operator's page is lost while the bench moves, instead of the rig's console.on_loss.
+    record
+        Folder to record each session into, one file a session, and to enter it into the catalogue there.
+    no_record
+        Record nothing.
     """
     from hil.cli.console import console_command
 
-    return console_command(host, port, token_file, rig, scenario, seed, duration, speed, settings, on_loss)
+    folder = None if no_record else record
+    return console_command(host, port, token_file, rig, scenario, seed, duration, speed, settings, on_loss, folder)
 
 
 add_vision_commands(app)

@@ -54,9 +54,15 @@ def replay(
     *,
     gnc: str | None = None,
     settings: Settings = (),
+    vmu: _Flag = False,
+    geometry: str | None = None,
+    monitor: _Flag = False,
+    scene: str | None = None,
     json: Output = None,
 ) -> int:
     """Feed recorded inputs through today's GNC and compare with what was recorded, bit by bit.
+
+    With --vmu or --monitor: recorded pictures through today's vision unit or docking monitor instead.
 
     Exit code 0: identical, or other settings were asked for; 1: differs though nothing was changed.
 
@@ -66,9 +72,22 @@ def replay(
         File that hil run --record wrote.
     gnc
         TOML file with other [gnc...] tables, or a scenario whose GNC is to be taken.
+    vmu
+        Find the poses of the recorded stereo pairs again.
+    geometry
+        With --vmu: geometry file (hil calibrate) instead of the recorded one.
+    monitor
+        Find the docking monitor's numbers of its recorded frames again.
+    scene
+        With --monitor: scene, shipped or a file, instead of the recorded one.
     json
         File to write what differs to, - for standard output.
     """
+    if vmu or monitor or geometry is not None or scene is not None:
+        from hil.cli.replay_pictures import replay_pictures_command
+
+        other_gnc = "--gnc" if gnc is not None else "--set" if settings else None
+        return replay_pictures_command(recording, vmu, geometry, monitor, scene, other_gnc, json)
     from hil.cli.replay import replay_command
 
     return replay_command(recording, gnc, settings, json)
@@ -95,8 +114,11 @@ def export(
     *,
     form: Annotated[Literal["parquet", "csv"], Parameter(name="--format")] = "csv",
     out: Annotated[str | None, Parameter(name=("--out", "-o"))] = None,
+    pictures: str | None = None,
 ) -> int:
     """Write the numbers of a recording as Parquet or CSV, one row a cycle; frames and log go beside it.
+
+    With --pictures: its pictures instead, in folders that hil vmu and hil monitor take.
 
     Parameters
     ----------
@@ -106,9 +128,13 @@ def export(
         parquet needs the extra of that name: pip install 'hil-bench[parquet]'.
     out
         File to write; left away: the recording's name with the format's ending.
+    pictures
+        Folder to write the pictures to, with their times and what the cameras were taken for.
     """
-    from hil.cli.export import export_command
+    from hil.cli.export import export_command, export_pictures_command
 
+    if pictures is not None:
+        return export_pictures_command(recording, pictures, out)
     return export_command(recording, form, out)
 
 

@@ -11,10 +11,11 @@ from rich.console import Console
 from hil.cli.columns import columns
 from hil.cli.output import check_json_path, write_json
 from hil.config.other_gnc import with_other_gnc
+from hil.config.scenario import Scenario
 from hil.errors import BadInput
 from hil.recording.fields import FIELDS
 from hil.recording.read import Recorded, load
-from hil.recording.replay import Difference, Replayed, replay
+from hil.recording.replay import Difference, Replayed, follows, replay
 from hil.report.summary import navigation_errors
 
 _SAME, _DIFFERS = 0, 1
@@ -42,7 +43,7 @@ def replay_command(recording: str, gnc: str | None, settings: Sequence[str], jso
     if json_path is not None:
         write_json(_as_json(recorded, found, changed, errors), json_path)
     if json_path != "-":
-        _print(recorded, found, changed, errors, Console())
+        _print(recorded, scenario, found, changed, errors, Console())
     return _SAME if found.identical or (changed and not found.ended) else _DIFFERS
 
 
@@ -69,7 +70,9 @@ def _event(event: tuple[float, str, str]) -> dict[str, Any]:
     return dict(zip(("t_s", "source", "text"), event, strict=True))
 
 
-def _print(recorded: Recorded, found: Replayed, changed: bool, errors: dict[str, Any], console: Console) -> None:
+def _print(
+    recorded: Recorded, scenario: Scenario, found: Replayed, changed: bool, errors: dict[str, Any], console: Console
+) -> None:
     def say(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True, markup=False)
 
@@ -79,7 +82,10 @@ def _print(recorded: Recorded, found: Replayed, changed: bool, errors: dict[str,
         say(found.ended)
     for note in recorded.notes:
         if note["kind"] == "setting":
-            say(f"changed while it ran, from cycle {note['cycle']} on: {note['message']}; the replay does not follow")
+            says = (
+                "" if follows(recorded, scenario, note["message"]) else "; not in this replay, which has another value"
+            )
+            say(f"changed in flight by {note['name']}, from cycle {note['cycle']} on: {note['message']}{says}")
     of = f"{recorded.run['scenario']} on {recorded.run['rig']}, seed {recorded.run['seed']}, {len(found.rows)} cycles"
     if found.identical:
         say(f"identical, bit by bit: {of}")

@@ -13,6 +13,7 @@ from hil.config.io import Io
 from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
 from hil.config.rail_map import RailMap
 from hil.config.rail_wires import ModbusRtu, check_axis, check_line
+from hil.config.recording import RecordingTable
 from hil.config.sign_off import SignOff
 
 RAIL_NAMES = ("x", "y", "z")
@@ -307,6 +308,7 @@ class Rig(Strict):
     safety: Safety = Safety()
     host: Host = Host()
     console: ConsoleTable = ConsoleTable()
+    recording: RecordingTable = RecordingTable()
     io: Io | None = None
     target_manipulator: TargetManipulator | None = None
     sign_off: SignOff | None = None

@@ -10,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitor
+from hil.config.in_flight import InFlight
 from hil.config.model import (
     Matrix3,
     NotNegative,
@@ -306,3 +307,4 @@ class Scenario(Strict):
     reach: Reach = Reach()
     monitor: DockingMonitor = DockingMonitor()
     dispersions: Dispersions = Dispersions()
+    console: InFlight = InFlight()

@@ -9,9 +9,12 @@ import numpy as np
 
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
+from hil.console.recording_watch import RecordingWatch
 from hil.console.status import DEVICES, MODES, UNKNOWN, empty_status, status_of
 from hil.gnc.watch import nis_band
 from hil.modes import Mode
+from hil.monitor.findings import QUANTITIES
+from hil.monitor.shapes import NUMBERS
 
 _NIS_TAIL: Final = 0.0027  # what lies beyond three sigma of a normal number
 _SHOWN_EVENTS: Final = 20
@@ -30,6 +33,9 @@ class Account:
         self.events: list[dict[str, Any]] = []
         self.hold_reason = ""
         self.ended: dict[str, Any] | None = None
+        self.recording = RecordingWatch()
+        self.closing = False
+        """Whether the loop has ended and only the files are yet to be closed."""
         self._status = empty_status()
         self._number = 0
         self._came_s = -math.inf
@@ -55,6 +61,7 @@ class Account:
                 lines.append(f"hold: {message['hold_reason']}")
             self.alarms, self.events = message["alarms"], message["events"]
             self.hold_reason = message["hold_reason"]
+        self.closing = self.closing or "closing" in message
         if "word" in message:
             self.word = message["word"]
             lines.append(self.word)
@@ -62,6 +69,8 @@ class Account:
             self.ended = message["ended"]
             self.word = f"session ended: {message['ended']['stop']}"
             lines.append(self.word)
+            if problem := message["ended"].get("recording", {}).get("problem"):
+                lines.append(f"recording: {problem}")
         if "refused" in message:
             self.word = message["refused"][0]
             lines += message["refused"]
@@ -121,6 +130,16 @@ def _number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def _monitor_numbers(scenario: Scenario) -> list[dict[str, Any]]:
+    """Return how each of the docking monitor's numbers is shown; none where there is no monitor."""
+    if scenario.monitor.source == "none":
+        return []
+    return [
+        {"at": QUANTITIES.index(name), "name": label, "unit": unit, "scale": scale, "decimals": decimals}
+        for name, label, unit, scale, decimals in NUMBERS
+    ]
+
+
 def described(rig: Rig, scenario: Scenario) -> dict[str, Any]:
     """Return what a page has to know of the bench and of the run to draw them."""
     rails = {f"rails.{name}": [*getattr(rig.rails, name).travel_m] for name in RAIL_NAMES}
@@ -152,6 +171,8 @@ def described(rig: Rig, scenario: Scenario) -> dict[str, Any]:
         "thrusters": len(scenario.chaser.thrusters.position_m),
         "step_s": scenario.step_s,
         "duration_s": scenario.duration_s,
+        "picture_stale_s": 2.0 * rig.recording.picture_each_s + 1.0,
+        "monitor": _monitor_numbers(scenario),
         "nis_bound": nis_band(1, _NIS_TAIL)[1],
         "late_us": rig.host.late_wakeup_us,
     }

@@ -19,7 +19,10 @@ class Client:
     name: str
     cursor: Cursor = field(default_factory=Cursor)
     page_seen: int = -1
+    camera: str = ""
+    """Whose pictures it wants; "" for any."""
     picture_seen: int = 0
+    portions_seen: int = 0
     sent: int = 0
     got: int | None = None
     """Messages that it has, by its own word; None where it does not tell."""

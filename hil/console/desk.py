@@ -1,44 +1,29 @@
-"""What the console knows and does: the session, who commands it, what is ordered. Nothing of the web is in it."""
+"""What the console does for its pages: obeys what they ask for, tells what there is. Nothing of the web is in it."""
 
 from __future__ import annotations
 
 import asyncio
-import math
-from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
 
-from hil import parameters
-from hil.config.load import load_rig
-from hil.console.account import Account, described
 from hil.console.client import Client
-from hil.console.columns import COLUMNS, NAMES, console_rows
-from hil.console.faultboard import FaultBoard
+from hil.console.columns import COLUMNS, NAMES
 from hil.console.hazards import HAZARDS
-from hil.console.lease import Lease, Refused
+from hil.console.keeper import Keeper
+from hil.console.lease import Refused
 from hil.console.message import Picture
-from hil.console.rows import RowStore
 from hil.console.session import Choice
-from hil.console.session_process import SessionProcess
 from hil.errors import BadInput
-from hil.messages import CYCLE
 from hil.modes import Mode
 from hil.orders import OBEYED_IN, Order
 
-PRESENT_EACH_S: Final = 0.2
-_KEPT_LOG: Final = 200
 _BENCH_AT_REST: Final = frozenset({Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.HOLD, Mode.SAFE_STOP})
 
 
-class Desk:
-    """Holds the one session of a console and the lease. Every method that takes ``now_s`` wants wall time.
-
-    first: what is offered to begin with. scenarios, rigs: what may be chosen. log: told each line of the console's
-    own log.
-    """
+class Desk(Keeper):
+    """The keeper of the session behind its counter."""
 
     def __init__(
         self,
@@ -48,22 +33,8 @@ class Desk:
         wall_s: Callable[[], float],
         log: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self.choice = first
-        self.scenarios, self.rigs = tuple(scenarios), tuple(rigs)
-        self.lease = Lease(load_rig(first.rig, first.settings).value.console.lease_s)
-        self.session: SessionProcess | None = None
-        self.faults = FaultBoard()
-        self.rows = RowStore()
-        self.page_version = 0
-        self.clients: list[Client] = []
-        self.log: deque[dict[str, Any]] = deque(maxlen=_KEPT_LOG)
-        self._say = log
-        self._wall_s = wall_s
-        self.account = Account({}, "no session is open")
-        self._params: np.record | None = None
-        self._present_said: tuple[bool, float] = (False, -math.inf)
-        self._picture: tuple[int, Picture | None] = (0, None)
-        self._tasks: set[asyncio.Task[None]] = set()
+        super().__init__(first, scenarios, rigs, wall_s, log)
+        self._tuning = asyncio.Lock()  # each change is built on the one before
 
     # what the pages ask for
 
@@ -79,7 +50,7 @@ class Desk:
     async def _obey(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
         match command.get("do"):
             case "take":
-                self.lease.take(client.key, client.name, self._wall_s())
+                self.lease.take(client.key, client.name, self.wall_s())
                 self.note(f"{client.name} has the command")
             case "take_over":
                 return self._take_over(client, bool(command.get("confirmed")))
@@ -94,6 +65,11 @@ class Desk:
             case "jog":
                 self.lease.require(client.key)
                 self._jog(str(command.get("axis")), command.get("direction"))
+            case "adjust":
+                self.lease.require(client.key)
+                return await self._adjust(client, command)
+            case "watch":
+                client.camera = str(command.get("camera"))
             case "acknowledge":
                 self.lease.require(client.key)
                 await self._acknowledge(client)
@@ -101,27 +77,22 @@ class Desk:
                 self.lease.require(client.key)
                 await self.faults.switch(str(command.get("device")), str(command.get("line")))
                 self.note(f"{client.name} switched a fault: {command['device']} {command['line']}")
+                self.put_down("fault", client.name, f"{command['device']}: {command['line']}")
             case other:
                 raise Refused(f"{other!r}: unknown request")
         return {"ok": True, "text": ""}
 
-    def heard(self, client: Client, got: object = None) -> None:
-        """The page of ``client`` is alive, and has ``got`` so many messages, where it says so."""
-        if isinstance(got, int):
-            client.got = got
-        self.lease.renew(client.key, self._wall_s())
-
     def _take_over(self, client: Client, confirmed: bool) -> dict[str, Any]:
         if self.lease.held and self.lease.key != client.key and not confirmed:
             return {"ok": False, "ask": f"Take the command over from {self.lease.name}? They can only watch then."}
-        before = self.lease.take_over(client.key, client.name, self._wall_s())
+        before = self.lease.take_over(client.key, client.name, self.wall_s())
         self.note(f"{client.name} took the command over from {before}" if before else f"{client.name} has the command")
         return {"ok": True, "text": ""}
 
     def _release(self, client: Client) -> None:
         self.lease.require(client.key)
-        if self._mode not in _BENCH_AT_REST:
-            raise Refused(f"the bench is {self._mode.value}: hold or stop it first, or let somebody take over")
+        if self.mode not in _BENCH_AT_REST:
+            raise Refused(f"the bench is {self.mode.value}: hold or stop it first, or let somebody take over")
         self.lease.release(client.key)
         self.note(f"{client.name} gave the command back")
 
@@ -137,16 +108,7 @@ class Desk:
         seed = changes.get("seed", 0)
         if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
             raise Refused(f"seed {seed!r}: allowed a whole number from 0 on")
-        choice = self.choice.model_copy(update=changes)
-        job = choice.job()
-        self.choice = choice
-        self._params = parameters.bench(job.rig.value, job.scenario.value.step_s)
-        self.account = Account(described(job.rig.value, job.scenario.value), "starting")
-        self.lease.lasts_s = job.rig.value.console.lease_s
-        self.rows.begin()
-        self.session = SessionProcess(choice, self._hear)
-        self._present_said = (False, -math.inf)
-        self.note(f"{choice.scenario} on {choice.rig}, seed {choice.seed}: session process {self.session.pid}")
+        self.begin(self.choice.model_copy(update=changes))
 
     async def _order(self, client: Client, word: str, confirmed: bool) -> dict[str, Any]:
         if word not in [order.value for order in Order if order is not Order.JOG]:
@@ -161,9 +123,10 @@ class Desk:
                 raise Refused(f"bench: cannot {word}, it is being opened")
             self.session.interrupt()
             return {"ok": True, "text": ""}
-        if order in HAZARDS and self._mode in OBEYED_IN[order] and not confirmed:
+        if order in HAZARDS and self.mode in OBEYED_IN[order] and not confirmed:
             return {"ok": False, "ask": HAZARDS[order]}
-        text = await self.session.ask(order=word)
+        self.say_who_is_there(self.session, self.wall_s())  # whoever orders has the command by then
+        text = await self.session.ask(order=word, by=client.name)
         self.note(f"{client.name}: {word}{f' refused: {text}' if text else ''}")
         return {"ok": not text, "text": text}
 
@@ -179,133 +142,72 @@ class Desk:
             raise Refused("bench: cannot jog, no session is open")
         if axis not in self.account.bench["axes"] or direction not in (-1, 1):
             raise Refused(f"bench: cannot jog {axis} by {direction}")
-        if self._mode in (Mode.STANDBY, Mode.JOGGING):
+        if self.mode in (Mode.STANDBY, Mode.JOGGING):
             self.session.send(jog=[axis, direction])
         else:
-            raise Refused(f"bench: cannot jog in {self._mode.value}")
+            raise Refused(f"bench: cannot jog in {self.mode.value}")
+
+    async def _adjust(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
+        """Let the loop have another value of one of its settings."""
+        if self.session is None or not self.session.ready or self.tuner is None:
+            raise Refused("bench: cannot change a setting, no session is open")
+        async with self._tuning:
+            change = self.tuner.change(command.get("key"), command.get("value"))
+            if not command.get("confirmed"):
+                return {"ok": False, "ask": change.question}
+            self.say_who_is_there(self.session, self.wall_s())
+            text = await self.session.ask(adjust=change.as_message(), by=client.name)
+            if not text:
+                self.tuner.took(change)
+        done = f"refused: {text}" if text else f"was {change.before:g}"
+        self.note(f"{client.name}: {change.key} = {change.value:g}, {done}")
+        return {"ok": not text, "text": text}
 
     async def _acknowledge(self, client: Client) -> None:
         if self.session is not None and self.session.ready:
-            text = await self.session.ask(acknowledge=True)
+            text = await self.session.ask(acknowledge=True, by=client.name)
             if text:
                 raise Refused(text)
         self.account.acknowledge()
         self.note(f"{client.name} acknowledged the alarms")
 
-    # what happens by itself
-
-    def tick(self) -> None:
-        """Take what the session has written, tell it whether its operator is there; call some 20 times a second."""
-        now_s = self._wall_s()
-        if lost := self.lease.expire(now_s):
-            self.note(f"{lost} is lost: nothing heard for {self.lease.lasts_s:g} s; nobody has the command")
-        session = self.session
-        if session is None:
-            return
-        if session.ready and self._params is not None:
-            self.rows.add(console_rows(self._params, session.take_rows()))
-            self.account.take_status(*session.read_status(), now_s)
-            present, said_s = self._present_said
-            if present != self.lease.held or now_s - said_s >= PRESENT_EACH_S:
-                session.send(present=self.lease.held)
-                self._present_said = (self.lease.held, now_s)
-        if session.ended:
-            self.session = None
-            self.faults.disconnect()
-            self._in_background(session.close())
-            self.changed()
-
-    def _hear(self, message: dict[str, Any]) -> None:
-        """Take a message of the session."""
-        if "hello" in message and self.session is not None:
-            self.account.word = ""
-            self._in_background(self._connect_faults(message["hello"]["addresses"]))
-        for line in self.account.hear(message):
-            self.note(line)
-        self.changed()
-
-    async def _connect_faults(self, addresses: dict[str, str]) -> None:
-        with suppress(Refused):  # a device that does not answer has no switches
-            await self.faults.connect(addresses)
-        self.changed()
-
-    def _in_background(self, work: Any) -> None:
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    def show(self, picture: Picture) -> None:
-        """Show a camera's picture with its overlay from now on; the pages get the newest one."""
-        self._picture = (self._picture[0] + 1, picture)
-
-    def note(self, text: str) -> None:
-        """Write a line into the console's log."""
-        self.log.append({"wall_s": self._wall_s(), "text": text})
-        self._say(text)
-        self.changed()
-
-    def changed(self) -> None:
-        """Let the pages have the slow part of the state anew."""
-        self.page_version += 1
-
-    def warm_up(self) -> None:
-        """Compile what is called while a bench moves: it must not keep the console from saying that it is there."""
-        job = self.choice.job()
-        console_rows(parameters.bench(job.rig.value, job.scenario.value.step_s), np.zeros(2, CYCLE))
-
-    async def close(self) -> None:
-        """End the session, the bench first at a stand."""
-        if self.session is not None:
-            await self.session.close()
-            self.session = None
-        while self._tasks:
-            await asyncio.gather(*self._tasks, return_exceptions=True)
-
     # what the pages see
-
-    @property
-    def _mode(self) -> Mode:
-        if self.session is None or not self.session.ready:
-            return Mode.OFF
-        return self.account.mode
 
     def news_for(
         self, client: Client
-    ) -> tuple[dict[str, Any], dict[str, Any] | None, np.ndarray[Any, Any], int, Picture | None]:
+    ) -> tuple[dict[str, Any], dict[str, Any] | None, np.ndarray[Any, Any], int, Picture | None, dict[str, Any] | None]:
         """Return the arguments of ``message.pack`` for ``client``, of all that it has not seen."""
         page = None
         if client.page_seen != self.page_version:
             client.page_seen, page = self.page_version, self._page()
-        number, picture = self._picture
-        fresh = number != client.picture_seen
-        client.picture_seen = number
-        before = client.cursor.seen
-        rows = self.rows.since(client.cursor)
-        first = 0 if client.cursor.restarted else before
-        return self._now(client), page, rows.reshape(-1, COLUMNS), first, picture if fresh else None
+        rows, first, portions = self.shown.rows_for(client)
+        return self._now(client), page, rows.reshape(-1, COLUMNS), first, self.shown.picture_for(client), portions
 
     def _now(self, client: Client) -> dict[str, Any]:
-        now_s = self._wall_s()
+        now_s = self.wall_s()
         lease = self.lease
         return {
             "wall_s": now_s,
-            "mode": self._mode.value,
+            "mode": self.mode.value,
             "open": self.session is not None,
             "ready": self.session is not None and self.session.ready,
             "lease": {"holder": lease.name, "mine": lease.held and lease.key == client.key},
             "watching": len(self.clients),
+            "cameras": self.shown.cameras,
+            "recording": self.account.recording.as_json() if self.session is not None else None,
             **self.account.now(now_s),
         }
 
     def _page(self) -> dict[str, Any]:
         return {
-            "session": self.rows.session,
+            "session": self.shown.rows.session,
             "columns": NAMES,
             "choice": {"scenario": self.choice.scenario, "rig": self.choice.rig, "seed": self.choice.seed},
             "scenarios": self.scenarios,
             "rigs": self.rigs,
             "obeyed_in": {order.value: [mode.value for mode in modes] for order, modes in OBEYED_IN.items()},
             "log": list(self.log)[-40:],
+            "settings": self.tuner.offered() if self.tuner is not None and self.session is not None else [],
             "faults": {"menu": self.faults.menu, "on": self.faults.on},
             **self.account.page(),
         }

@@ -3,40 +3,60 @@
     4 bytes  length of the header, little-endian
     header   JSON, padded by spaces to a multiple of 4
     rows     rows x columns 32-bit floats, little-endian (``hil.console.columns.NAMES``)
-    picture  a JPEG, where the header has one
+    picture  a JPEG or PNG file, where the header has one
 
 The header: ``now`` (what changes all the time), ``page`` (the rest, where it has changed), ``rows``, ``columns``,
-``first`` (number of the first row since the session began; 0 lets the page forget what it had), ``picture``.
+``first`` (number of the first row since the session began; 0 lets the page forget what it had), ``picture``, and
+``portions`` of the docking monitor with a ``first`` of their own, where there are new ones.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import struct
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
+from hil.pictures import Shape
+
 _LENGTH: Final = struct.Struct("<I")
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A camera's picture and what is drawn over it. t_s: time of the run at which it was exposed.
+    """A camera's picture and what is drawn over it, as of ``hil.pictures``.
 
-    overlay: shapes in pixels of the picture: ``{"kind": "circle", "at": [u, v], "radius": r}``,
-    ``{"kind": "cross", "at": [u, v]}``, ``{"kind": "line", "from": [u, v], "to": [u, v]}`` or
-    ``{"kind": "text", "at": [u, v], "text": "..."}``, each with ``"good": true`` or ``false``. jpeg: empty where there
-    is nothing but the overlay.
+    t_s: time of the run at which it was exposed. data: empty where there is nothing but the overlay. status: what its
+    maker said of it. exposed_s: wall time of its exposure, nan where nobody knows.
     """
 
     name: str
     t_s: float
     width_px: int
     height_px: int
-    jpeg: bytes = b""
-    overlay: tuple[dict[str, Any], ...] = ()
+    data: bytes = b""
+    overlay: tuple[Shape, ...] = ()
+    encoding: str = "jpeg"
+    status: str = ""
+    exposed_s: float = math.nan
+
+    def header(self, now_s: float) -> dict[str, Any]:
+        """Return what a page is told of it at ``now_s`` of wall time."""
+        age_s = now_s - self.exposed_s
+        return {
+            "name": self.name,
+            "t_s": self.t_s if math.isfinite(self.t_s) else None,
+            "age_s": age_s if math.isfinite(age_s) else 0.0,
+            "width_px": self.width_px,
+            "height_px": self.height_px,
+            "encoding": self.encoding,
+            "status": self.status,
+            "bytes": len(self.data),
+            "overlay": self.overlay,
+        }
 
 
 def pack(
@@ -45,29 +65,25 @@ def pack(
     rows: np.ndarray[Any, Any],
     first: int,
     picture: Picture | None = None,
+    portions: dict[str, Any] | None = None,
 ) -> bytes:
     """Return the message; rows: (n, m) of 32-bit floats."""
     header: dict[str, Any] = {"now": now, "rows": len(rows), "columns": rows.shape[1], "first": first}
     if page is not None:
         header["page"] = page
     if picture is not None:
-        header["picture"] = {
-            "name": picture.name,
-            "t_s": picture.t_s,
-            "width_px": picture.width_px,
-            "height_px": picture.height_px,
-            "bytes": len(picture.jpeg),
-            "overlay": picture.overlay,
-        }
+        header["picture"] = picture.header(now["wall_s"])
+    if portions is not None:
+        header["portions"] = portions
     text = json.dumps(header, allow_nan=False, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     return b"".join(
-        (_LENGTH.pack(len(text)), text, np.ascontiguousarray(rows, "<f4").tobytes(), picture.jpeg if picture else b"")
+        (_LENGTH.pack(len(text)), text, np.ascontiguousarray(rows, "<f4").tobytes(), picture.data if picture else b"")
     )
 
 
 def unpack(message: bytes) -> tuple[dict[str, Any], np.ndarray[Any, Any], bytes]:
-    """Return header, rows (n, m) and JPEG of a message: for clients that are no page."""
+    """Return header, rows (n, m) and picture of a message: for clients that are no page."""
     (length,) = _LENGTH.unpack_from(message)
     header = json.loads(message[4 : 4 + length])
     n, m = header["rows"], header["columns"]

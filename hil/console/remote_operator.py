@@ -3,7 +3,9 @@
 The loop looks once a cycle, and never waits: a console that is slow or dead costs it nothing. A message is
 a JSON object in one packet of a socket pair.
 
-to the loop    {"order": "hold", "id": 7}   {"jog": ["rails.x", 1]}   {"acknowledge": true, "id": 8}   {"present": true}
+to the loop    {"order": "hold", "by": "ann", "id": 7}   {"acknowledge": true, "by": "ann", "id": 8}
+               {"adjust": {"key": "gnc.control.deadband_m", "value": 0.0004, "records": "..."}, "by": "ann", "id": 9}
+               {"jog": ["rails.x", 1]}   {"present": true}   {"note": ["operator", "ann", "has the command"]}
 to the console {"answer": 7, "text": ""}    {"alarms": [...]}    {"events": [...]}   and what ``Words`` says
 """
 
@@ -20,9 +22,12 @@ from hil.config.console import OnLoss
 from hil.console.status import StatusWriter
 from hil.errors import SafetyTrip
 from hil.frmn.cell import Cell
+from hil.messages import Event
 from hil.modes import Mode
 from hil.orders import OBEYED_IN, Operator, Order
+from hil.recording.taps import Notes
 from hil.runner import Runner
+from hil.tuning import unpacked
 
 STATUS_EACH_WALL_S: Final = 0.05
 _PACKETS_A_CYCLE: Final = 8
@@ -91,10 +96,17 @@ class RemoteOperator(Operator):
         self._told: tuple[object, ...] = ()
         self._runner: Runner
         self._writer: StatusWriter
+        self._notes: Notes | None = None
+        self._adjustable: tuple[str, ...] = ()
 
-    def attach(self, runner: Runner) -> None:
-        """Say whose bench it is, before the first cycle."""
+    def attach(self, runner: Runner, notes: Notes | None = None, adjustable: tuple[str, ...] = ()) -> None:
+        """Say whose bench it is, before the first cycle.
+
+        notes: where a recording puts down who ordered what. adjustable: settings that may be changed.
+        """
         self._runner = runner
+        self._notes = notes
+        self._adjustable = adjustable
         self._writer = StatusWriter(runner)
         self._heard_s = self._wall_s()
 
@@ -148,15 +160,47 @@ class RemoteOperator(Operator):
         elif "jog" in message:
             axis, direction = message["jog"]
             self.jog(axis, direction)
+        elif "note" in message:
+            self._note(*message["note"])
         elif "acknowledge" in message:
             self._runner.supervisor.alarms.acknowledge()
+            self._note("operator", message.get("by", ""), "acknowledged the alarms")
             self._words.say(answer=message["id"], text="")
+        elif "adjust" in message:
+            self._words.say(answer=message["id"], text=self._adjust(message["adjust"], message.get("by", "")))
         elif "order" in message:
             order, mode = Order(message["order"]), self._runner.supervisor.modes.mode
             refusal = "" if mode in OBEYED_IN[order] else f"bench: cannot {order.value} in {mode.value}"
             if not refusal:
                 self.order(order)
+            self._note("operator", message.get("by", ""), f"{order.value}{refusal and f': refused: {refusal}'}")
             self._words.say(answer=message["id"], text=refusal)
+
+    def _adjust(self, change: dict[str, Any], who: str) -> str:
+        """Take over other parameters before the next cycle; return why not, "" where it was done.
+
+        Checked they are, and their records built, where no cycle waits for it: by whoever sends them.
+        """
+        key, value = change["key"], float(change["value"])
+        if key not in self._adjustable:
+            return f"{key}: this scenario lets nobody change it in flight"
+        try:
+            records = unpacked(change["records"])
+        except ValueError as error:
+            return f"{key}: {error}"
+        gnc = self._runner.loop.gnc
+        cycle = gnc.adjust(*records)
+        text = f"{key}={value!r}"
+        if self._notes is not None:
+            self._notes.setting(cycle, who, text)
+        t_s = float(self._runner.loop.now.t_s[0])
+        self._runner.events.append(Event(t_s, "bench", f"{who} changed {text}, from cycle {cycle} on"))
+        return ""
+
+    def _note(self, kind: str, who: str, text: str) -> None:
+        """Put down what somebody did, where the session is recorded; the replay does not look at it."""
+        if self._notes is not None:
+            self._notes.note(kind, who or "console", text)
 
     def _mind_the_operator(self, wall_s: float) -> None:
         silent_s = wall_s - self._heard_s

@@ -2,8 +2,8 @@
 
 It gets its configuration as a JSON line on stdin and speaks with the console over a socket pair
 (``hil.console.remote_operator``). It is the loop's process: nothing of the web is in it. It says, in this order,
-``{"word": ...}`` for what is being started, ``{"hello": ...}`` with the descriptors of telemetry and status once the
-bench is up, what ``RemoteOperator`` tells, and at last ``{"ended": ...}``, or ``{"refused": [...]}`` where it could not
+``{"word": ...}`` for what is being started, ``{"hello": ...}`` with the descriptors of what it shares once the bench is
+up, what ``RemoteOperator`` tells, and at last ``{"ended": ...}``, or ``{"refused": [...]}`` where it could not
 begin. It outlives a console that dies, and brings the bench to a stand then.
 """
 
@@ -16,24 +16,24 @@ import socket
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Final
 
 from hil import build
-from hil.clock import WallClock
 from hil.config.console import OnLoss
 from hil.config.load import load_rig, load_scenario
 from hil.config.model import Strict
+from hil.console.bench import Bench, opened
 from hil.console.remote_operator import RemoteOperator, Words
 from hil.console.status import CELLS
 from hil.errors import BadInput, BenchError
 from hil.frmn.cell import Block
-from hil.frmn.ring import Ring
 from hil.maths.jit import kernels_are_cached, mark_kernels_cached
-from hil.messages import CYCLE
-from hil.rate import WallRate
-from hil.realtime import RealTime
+from hil.monitor_beside import Watched
+from hil.recording.session import Recording, recording
+from hil.report.docking_monitor import judge_monitor
 from hil.report.summary import summarise
-from hil.runner import Outcome, Runner
+from hil.runner import Outcome
 
 _LAST_WORDS_WALL_S: Final = 2.0
 
@@ -49,6 +49,8 @@ class Choice(Strict):
     settings: tuple[str, ...] = ()
     on_loss: OnLoss | None = None
     """Instead of the rig's."""
+    record: str | None = None
+    """Folder of the recordings; None: nothing is recorded."""
 
     def job(self) -> build.Job:
         """Return the job; raises BadInput."""
@@ -56,32 +58,6 @@ class Choice(Strict):
         rig = load_rig(self.rig, self.settings)
         duration_s = scenario.value.duration_s if self.duration_s is None else self.duration_s
         return build.Job(scenario, rig, self.seed, duration_s, self.speed)
-
-
-class Bench:
-    """A runner and the way to its telemetry: the mock rig keeps the time of the wall here, so that one can watch."""
-
-    def __init__(self, runner: Runner, telemetry: Ring, addresses: dict[str, str]) -> None:
-        self.runner = runner
-        self.telemetry = telemetry
-        self.addresses = addresses
-
-
-@contextmanager
-def opened(job: build.Job, operator: RemoteOperator, announce: Callable[[str], None]) -> Iterator[Bench]:
-    """Give the bench of ``job``; its processes are ended after."""
-    if job.rig.value.kind == "mock":
-        host = job.rig.value.host
-        ring = Ring.create(CYCLE, build.TELEMETRY_ROWS)
-        try:
-            with RealTime(host.fifo, host.cpu) as realtime:
-                rate = WallRate(WallClock(speed=job.speed), job.scenario.value.step_s)
-                yield Bench(build.in_memory(job, rate, operator.watch, realtime, ring, operator), ring, {})
-        finally:
-            ring.close()
-        return
-    with build.wired_bench(job, announce) as bench:
-        yield Bench(bench.runner(operator.watch, operator), bench.telemetry, bench.addresses)
 
 
 def run_session(choice: Choice, channel: socket.socket) -> None:
@@ -93,14 +69,19 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
         _prepare(job, words)
         rig = job.rig.value
         operator = RemoteOperator(words, status["status"], choice.on_loss or rig.console.on_loss, rig.console.lease_s)
-        with opened(job, operator, lambda text: words.say(word=text)) as bench:
-            operator.attach(bench.runner)
-            hello = {"hello": {"pid": os.getpid(), "addresses": bench.addresses}}
-            descriptors = [bench.telemetry.descriptor, status.descriptor]
-            socket.send_fds(channel, [json.dumps(hello).encode()], descriptors)
-            outcome = bench.runner.run()
-            operator.tell(bench.runner.now_s())
-        _say_how_it_ended(words, choice, job, outcome)
+
+        def announce(text: str) -> None:
+            words.say(word=text)
+
+        with _recorded(choice, job, announce) as taken:
+            with opened(job, operator, announce, taken.taps if taken else None) as bench:
+                operator.attach(bench.runner, bench.notes, job.scenario.value.console.adjustable)
+                _say_hello(channel, bench, status, taken)
+                outcome = bench.runner.run()
+                operator.tell(bench.runner.now_s())
+                words.say(word="the loop has ended: judging the run, closing its files", closing=True)
+                watched = bench.watched(outcome)
+            words.say(ended=_how_it_ended(choice, job, outcome, watched, taken))
     except BadInput as error:
         words.say(refused=[str(problem) for problem in error.problems])
     except BenchError as error:
@@ -126,11 +107,43 @@ def _prepare(job: build.Job, words: Words) -> None:
     mark_kernels_cached()
 
 
-def _say_how_it_ended(words: Words, choice: Choice, job: build.Job, outcome: Outcome) -> None:
+@contextmanager
+def _recorded(choice: Choice, job: build.Job, announce: Callable[[str], None]) -> Iterator[Recording | None]:
+    """Give the recording of ``job``, None where none is wanted."""
+    if choice.record is None:
+        yield None
+        return
+    with recording(job, choice.rig, Path(choice.record), announce, on_the_wall=True) as taken:
+        yield taken
+
+
+def _say_hello(channel: socket.socket, bench: Bench, status: Block, taken: Recording | None) -> None:
+    """Tell the console that the bench is up, and hand it what is shared with it: descriptors in the order of names."""
+    rings = {"telemetry": bench.telemetry, **bench.rings}
+    shared = {"status": status.descriptor, **{name: ring.descriptor for name, ring in rings.items()}}
+    if taken is not None and taken.state is not None:
+        shared["recording"] = taken.state.descriptor
+    hello = {
+        "pid": os.getpid(),
+        "addresses": bench.addresses,
+        "slots": {name: ring.slots for name, ring in rings.items()},
+        "file": str(taken.path) if taken else None,
+        "shared": list(shared),
+    }
+    socket.send_fds(channel, [json.dumps({"hello": hello}).encode()], list(shared.values()))
+
+
+def _how_it_ended(
+    choice: Choice, job: build.Job, outcome: Outcome, watched: Watched | None, taken: Recording | None
+) -> dict[str, Any]:
+    """Return what the console is told of the end; the recording is closed with it."""
     rate_hz = 1.0 / job.scenario.value.step_s
     ended: dict[str, Any] = {"stop": outcome.stop, "faults": outcome.faults, "mode": outcome.mode.value, "passed": None}
+    summary: dict[str, Any] = {}
     if len(outcome.history):
         summary, _ = summarise(outcome, job.scenario.value, job.rig.value, choice.rig, job.seed, rate_hz)
+        if watched is not None:
+            summary["monitor"] = judge_monitor(watched, outcome.history, job.scenario.value, job.rig.value)
         ended |= {
             "passed": summary["passed"],
             "ready_time_s": summary["ready_time_s"],
@@ -138,7 +151,10 @@ def _say_how_it_ended(words: Words, choice: Choice, job: build.Job, outcome: Out
             "cycles": len(outcome.history),
             "timing": summary["timing"],
         }
-    words.say(ended=ended)
+    if taken is not None:
+        account = taken.finish(summary) if summary else taken.break_off(outcome.stop)
+        ended["recording"] = {"file": str(taken.path), "dropped": account.dropped, "problem": account.problem}
+    return ended
 
 
 def main() -> None:

@@ -17,14 +17,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.build import TELEMETRY_ROWS
+from hil.console.bench import RINGS
 from hil.console.session import Choice
 from hil.console.status import CELLS, empty_status
 from hil.frmn.cell import Block
 from hil.frmn.ring import Reader, Ring
 from hil.messages import CYCLE
+from hil.monitor.findings import PORTION
+from hil.recording import recorder
 
 _PACKET: Final = 1 << 18
+_SHARED_AT_MOST: Final = 8
+_DTYPES: Final = {"telemetry": CYCLE, **RINGS}
 _ANSWER_WALL_S: Final = 2.0
 _STOP_WALL_S: Final = 5.0  # for a bench to be stopped and its processes ended
 _LAST_WORDS_BYTES: Final = 2000
@@ -45,9 +49,12 @@ class SessionProcess:
         self._on_words = on_words
         self._answers: dict[int, asyncio.Future[str]] = {}
         self._numbers = itertools.count(1)
-        self._ring: Ring | None = None
-        self._rows: Reader | None = None
+        self._rings: dict[str, Ring] = {}
+        self._readers: dict[str, Reader] = {}
         self._block: Block | None = None
+        self._recording: Block | None = None
+        self.file = ""
+        """That the session is recorded into; "" where it is not."""
         self._status = empty_status()
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
         self._channel, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -99,18 +106,41 @@ class SessionProcess:
 
     def take_rows(self) -> np.ndarray:
         """Return the rows of CYCLE, (n,), that came since the last call."""
-        return self._rows.take() if self._rows else np.empty(0, CYCLE)
+        return self._take("telemetry", CYCLE)
+
+    def take_portions(self) -> np.ndarray:
+        """Return what the docking monitor said since the last call, (n,) of PORTION."""
+        return self._take("portions", PORTION)
+
+    def take_pictures(self) -> list[np.ndarray]:
+        """Return the newest pictures since the last call, (n,) of PICTURE each: a pair, and one of the monitor's."""
+        newest = {"pictures": 2, "monitor_pictures": 1}
+        return [self._readers[name].newest(n) for name, n in newest.items() if name in self._readers]
+
+    def _take(self, name: str, dtype: np.dtype) -> np.ndarray:
+        return self._readers[name].take() if name in self._readers else np.empty(0, dtype)
 
     @property
     def lost_rows(self) -> int:
         """How many rows were overwritten before they were taken."""
-        return self._rows.lost if self._rows else 0
+        return self._readers["telemetry"].lost if self._readers else 0
 
     def read_status(self) -> tuple[int, np.ndarray]:
         """Return how often the status was written, and the newest one, STATUS (1,)."""
         if self._block is None:
             return 0, self._status
         return self._block["status"].read(self._status)[0], self._status
+
+    def read_recording(self) -> tuple[np.ndarray, float] | None:
+        """Return how the recording stands, STATE (1,), and when its process said so by ``time.monotonic``.
+
+        None where the session is not recorded.
+        """
+        if self._recording is None:
+            return None
+        state = np.zeros(1, recorder.STATE)
+        _, said_s = self._recording["state"].read(state)
+        return state, said_s
 
     def interrupt(self) -> None:
         """Let a session that is still being opened end."""
@@ -141,17 +171,29 @@ class SessionProcess:
             await asyncio.sleep(0.01)
         return True
 
-    def _read(self) -> None:
+    def look(self) -> None:
+        """Notice a process that has ended though the event loop never said so; call it now and then.
+
+        uvloop lets go of a line on which an error stands, and one does where a session ended with packets unread.
+        """
+        if not self.ended and self._dying is None and self._process.poll() is not None:
+            while self._read():
+                pass
+
+    def _read(self) -> bool:
+        """Take one packet; return whether there may be more."""
         try:
-            packet, descriptors, _, _ = socket.recv_fds(self._channel, _PACKET, 4)
-        except (BlockingIOError, ConnectionResetError):
-            return  # reset: it ended without reading all that was sent; its own last words come yet, then the end
+            packet, descriptors, _, _ = socket.recv_fds(self._channel, _PACKET, _SHARED_AT_MOST)
+        except BlockingIOError:
+            return False
+        except ConnectionResetError:
+            return True  # it ended without reading all that was sent; its own last words come yet, then the end
         except OSError:
             packet, descriptors = b"", []
         if not packet:
             self._loop.remove_reader(self._channel)
             self._dying = self._loop.create_task(self._died())
-            return
+            return False
         message = json.loads(packet)
         if "hello" in message:
             self._attach(message["hello"], descriptors)
@@ -159,16 +201,21 @@ class SessionProcess:
             answer = self._answers.get(message["answer"])
             if answer is not None and not answer.done():
                 answer.set_result(message["text"])
-            return
+            return True
         self._on_words(message)
         if "ended" in message or "refused" in message:
             self._end()
+        return not self.ended
 
     def _attach(self, hello: dict[str, Any], descriptors: list[int]) -> None:
         self.addresses = hello["addresses"]
-        self._ring = Ring(descriptors[0], CYCLE, TELEMETRY_ROWS)
-        self._rows = self._ring.reader()
-        self._block = Block(descriptors[1], CELLS, "console")
+        shared = dict(zip(hello["shared"], descriptors, strict=True))
+        self._rings = {name: Ring(shared[name], _DTYPES[name], slots, name) for name, slots in hello["slots"].items()}
+        self._readers = {name: ring.reader() for name, ring in self._rings.items()}
+        self._block = Block(shared["status"], CELLS, "console")
+        if "recording" in shared:
+            self._recording = Block(shared["recording"], recorder.CELLS, "recorder")
+            self.file = hello["file"]
         self.ready = True
 
     async def _died(self) -> None:
@@ -191,12 +238,14 @@ class SessionProcess:
             self._channel.close()
 
     def _forget(self) -> None:
-        self._rows = None
-        if self._ring is not None:
-            self._ring.close()
-        if self._block is not None:
-            self._block.close()
-        self._ring = self._block = None
+        self._readers.clear()
+        for ring in self._rings.values():
+            ring.close()
+        self._rings.clear()
+        for block in (self._block, self._recording):
+            if block is not None:
+                block.close()
+        self._block = self._recording = None
         self._stderr.close()
 
     def _last_words(self) -> str:

@@ -86,6 +86,16 @@ class Reader:
         written = self._records.written
         first = max(self._next, written - self._records.slots + 1)  # the slot before it may be under the pen
         n = written - first if at_most is None else min(written - first, at_most)
+        return self._take(first, n)
+
+    def newest(self, at_most: int) -> np.ndarray:
+        """Return the newest ``at_most`` of the next records, or fewer; those before them are passed over, not lost."""
+        written = self._records.written
+        n = min(written - self._next, at_most, self._records.slots - 1)
+        self._next = written - n
+        return self._take(self._next, n)
+
+    def _take(self, first: int, n: int) -> np.ndarray:
         whole, spoilt = self._records.many(first, n)
         self.lost += first - self._next + spoilt
         self.got += n - spoilt

@@ -63,3 +63,14 @@ def of_camera_pose(t_v, q_vt, d, phi):
     for i in range(3):
         d[i] = -back[i] if i == 0 else back[i]
         phi[i] = turn[i]
+
+
+@kernel
+def to_camera_pose(d, phi, t_v, q_vt):
+    """Write the pose t -> v, ``t_v`` (3,), m, and ``q_vt`` (4,), for d (3,), m, and phi (3,), rad: ``of_camera_pose``
+    back."""
+    back = np.empty(3)
+    for i in range(3):
+        back[i] = -d[i] if i == 0 else d[i]
+    quat.from_rotation_vector_into(phi, q_vt)
+    quat.transform_into(q_vt, back, t_v)

@@ -73,3 +73,30 @@ class Portion:
     def observes(self, quantity: str) -> bool:
         """Return whether ``quantity`` has a value."""
         return math.isfinite(self.value(quantity))
+
+
+PORTION: Final = np.dtype(
+    [
+        ("t_s", "f8"),
+        ("frames", "i8"),
+        ("status", "S24"),
+        *((name, "f8") for name in QUANTITIES),
+        *((f"sigma_{name}", "f8") for name in QUANTITIES),
+    ]
+)
+"""A portion as a record."""
+
+
+def portion_row(portion: Portion) -> NDArray[np.void]:
+    """Return ``portion`` as a row, shape (1,) of PORTION."""
+    row = np.zeros(1, PORTION)
+    head = (portion.t_s, portion.frames, portion.status.encode())
+    row[0] = (*head, *portion.values.tolist(), *portion.sigmas.tolist())
+    return row
+
+
+def portion_of(row: np.void) -> Portion:
+    """Return what ``row``, one of PORTION, holds."""
+    values = np.array([row[name] for name in QUANTITIES])
+    sigmas = np.array([row[f"sigma_{name}"] for name in QUANTITIES])
+    return Portion(float(row["t_s"]), int(row["frames"]), row["status"].decode(), values, sigmas)

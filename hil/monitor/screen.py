@@ -6,7 +6,6 @@ a picture.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Final, Self
 
@@ -19,6 +18,7 @@ from hil.errors import BadInput
 from hil.monitor import ink, plots
 from hil.monitor.findings import Portion, Seen
 from hil.monitor.ink import Canvas
+from hil.monitor.shapes import CIRCLE, CROSS, NUMBERS, REGION, is_bad, shapes, words
 from hil.monitor.sources import WHOLE, Frame
 
 WIDTH: Final = 1600
@@ -27,21 +27,7 @@ _PICTURE: Final = (800, 600)  # the place for the picture, px
 _CODES: Final = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
 SUFFIXES: Final = (*_CODES, ".png")
 
-_DEG: Final = 180.0 / math.pi
-_NUMBERS: Final = (  # quantity, what stands before it, unit, what one unit is in SI, decimals
-    ("range_m", "range", "m", 1.0, 3),
-    ("range_rate_mps", "range rate", "m/s", 1.0, 4),
-    ("pitch_passive_rad", "passive pitch", "deg", _DEG, 3),
-    ("yaw_passive_rad", "passive yaw", "deg", _DEG, 3),
-    ("los_right_rad", "target right", "deg", _DEG, 3),
-    ("los_up_rad", "target up", "deg", _DEG, 3),
-    ("phi1_rad", "active pitch", "deg", _DEG, 3),
-    ("phi2_rad", "active yaw", "deg", _DEG, 3),
-    ("phi3_rad", "active roll", "deg", _DEG, 3),
-    ("d1_m", "d1", "m", 1.0, 4),
-    ("d2_m", "d2", "m", 1.0, 4),
-    ("d3_m", "d3", "m", 1.0, 4),
-)
+_COLOURS: Final = {REGION: ink.YELLOW, CIRCLE: ink.SKY, CROSS: ink.PINK}
 
 
 class Screen:
@@ -80,35 +66,27 @@ class Screen:
         return found
 
     def _draw_seen(self, place: Canvas, seen: Seen) -> None:
-        if seen.region is not None:
-            u, v, width, height = seen.region
-            corners = np.array([[u, v], [u + width, v], [u + width, v + height], [u, v + height]])
-            ink.line(place, self._place(corners), ink.YELLOW, closed=True)
-        for circle in (seen.outline, seen.disc):
-            if circle is not None:
-                u, v = self._place(np.array([circle[:2]]))[0]
-                ink.circle(place, u, v, circle[2] * self._scale, ink.SKY)
-        if seen.cross is not None:
-            reach = max(0.8 * seen.disc[2], 12.0) if seen.disc is not None else 24.0
-            across = np.array([math.cos(seen.cross[2]), -math.sin(seen.cross[2])])
-            centre = np.array(seen.cross[:2])
-            for arm in (across, np.array([-across[1], across[0]])):
-                ink.line(place, self._place(np.array([centre - reach * arm, centre + reach * arm])), ink.PINK)
+        for shape in shapes(seen):
+            colour = _COLOURS[shape["part"]]
+            if shape["kind"] == "circle":
+                u, v = self._place(np.array([shape["at"]]))[0]
+                ink.circle(place, u, v, shape["radius"] * self._scale, colour)
+            else:
+                ink.line(place, self._place(np.array([shape["from"], shape["to"]])), colour)
         ink.dots(place, self._place(np.asarray(seen.edges, float).reshape(-1, 2)), ink.ORANGE)
-        words = f"{seen.status}   t = {seen.t_s:.2f} s   frame {seen.number}"
         place[:24] = place[:24] // 3
-        ink.text(place, words, 8, 17, ink.VERMILION if _is_bad(seen.status) else ink.WHITE, 0.5)
+        ink.text(place, words(seen), 8, 17, ink.VERMILION if is_bad(seen.status) else ink.WHITE, 0.5)
 
     def _draw_numbers(self, portion: Portion | None) -> None:
         panel = self.canvas[_PICTURE[1] :, : _PICTURE[0]]
         panel[:] = ink.PAPER
         ink.text(panel, self._title, 16, 24, ink.GREY, 0.45)
         status = "waiting" if portion is None else portion.status
-        words = status if portion is None else f"{status}   t = {portion.t_s:.2f} s   {portion.frames} frames"
-        ink.text(panel, words, 16, 54, ink.VERMILION if _is_bad(status) else ink.WHITE, 0.65)
+        told = status if portion is None else f"{status}   t = {portion.t_s:.2f} s   {portion.frames} frames"
+        ink.text(panel, told, 16, 54, ink.VERMILION if is_bad(status) else ink.WHITE, 0.65)
         legend = "orange: edges   blue: circles   pink: cross   yellow: region   band: 2 sigma"
         ink.text(panel, legend, 16, 290, ink.GREY, 0.4)
-        for number, (quantity, name, unit, factor, decimals) in enumerate(_NUMBERS):
+        for number, (quantity, name, unit, factor, decimals) in enumerate(NUMBERS):
             left, v = 16 + 396 * (number % 2), 92 + 32 * (number // 2)
             ink.text(panel, name, left, v, ink.GREY, 0.5)
             value = "-"
@@ -123,10 +101,6 @@ class Screen:
         for number, plot in enumerate(plots.PLOTS):
             top, left = height * (number // 2), _PICTURE[0] + width * (number % 2)
             plots.draw(self.canvas[top : top + height, left : left + width], plot, self._history)
-
-
-def _is_bad(status: str) -> bool:
-    return status == "no_target" or status.startswith("rejected")
 
 
 class ScreenFile:

@@ -16,8 +16,14 @@ from hil.recording import show
 from hil.recording.read import Contents, contents
 
 FORMATS: Final = ("parquet", "csv")
-TABLES: Final = {"/cycle": "cycles", "/vmu/frames": "frames", show.LOG_TOPIC: "log"}
+TABLES: Final = {
+    "/cycle": "cycles",
+    "/vmu/frames": "frames",
+    "/monitor/portions": "portions",
+    show.LOG_TOPIC: "log",
+}
 """Topic -> name of its table; the cycles are the file itself, the others go beside it."""
+_WHERE_ANY: Final = "/monitor/portions"  # most runs have no docking monitor
 
 _CSV_ROWS: Final = 1000
 
@@ -26,6 +32,8 @@ def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the columns of ``flat`` (n,): name and values (n,); ``truth.r_CT_H[0]`` for an element of an array."""
     for name in flat.dtype.names or ():
         values = flat[name]
+        if values.dtype.kind == "S":
+            values = np.char.decode(values, "utf-8", "replace")
         if values.ndim == 1:
             yield name, values
             continue
@@ -38,7 +46,8 @@ def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple[Path, int]]:
     """Write the tables of the recording at ``path``; return each file with its number of rows.
 
-    ``out`` has the cycles; frames and log go beside it, ``OUT-frames`` and ``OUT-log``. Works on recordings of any
+    ``out`` has the cycles; frames and log go beside it, ``OUT-frames`` and ``OUT-log``, and where a docking
+    monitor watched its ``OUT-portions``. Works on recordings of any
     version, since each tells its own layout. Raises BadInput.
     """
     if form == "parquet":
@@ -63,6 +72,8 @@ def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple
 
 
 def _table(found: Contents, topic: str) -> dict[str, Any] | None:
+    if topic == _WHERE_ANY and not found.records.get(topic):
+        return None
     if topic in found.layouts:
         return dict(columns(found.flat(topic)))
     if topic == show.LOG_TOPIC and topic in found.lines:

@@ -104,6 +104,28 @@ _FRAME: Final[dict[str, Meaning]] = {
 }
 
 
+_QUANTITIES: Final[dict[str, Meaning]] = {
+    "d1_m": ("m", "", "camera in the target's frame C, along y1; nan where not observable, as all that follows"),
+    "d2_m": ("m", "", "the same along y2"),
+    "d3_m": ("m", "", "the same along y3"),
+    "phi1_rad": ("rad", "", "active pitch"),
+    "phi2_rad": ("rad", "", "active yaw"),
+    "phi3_rad": ("rad", "", "active roll"),
+    "range_m": ("m", "", "range"),
+    "range_rate_mps": ("m/s", "", "its rate"),
+    "pitch_passive_rad": ("rad", "", "passive pitch"),
+    "yaw_passive_rad": ("rad", "", "passive yaw"),
+    "los_right_rad": ("rad", "", "target's disc to the right of the optical axis"),
+    "los_up_rad": ("rad", "", "target's disc above the optical axis"),
+}
+
+_PORTION: Final[dict[str, Meaning]] = {
+    "frames": ("1", "", "how many frames were used"),
+    "status": ("1", "", "near, far, no_target or rejected_<why>"),
+    **_QUANTITIES,
+}
+
+
 def _all() -> dict[str, Meaning]:
     groups = {
         "truth": _TRUTH,
@@ -127,6 +149,9 @@ def _all() -> dict[str, Meaning]:
         "nees_position": ("1", "", "normalised error squared of the position filter, 9 states; nan without a pose"),
         "nees_attitude": ("1", "", "normalised error squared of the attitude filter, 6 states; nan without a pose"),
         "cycle": ("1", "", "number of the cycle that used it, -1 for none"),
+    }
+    plain |= _PORTION | {
+        f"sigma_{name}": (unit, "", f"its standard deviation: {name}") for name, (unit, _, _) in _QUANTITIES.items()
     }
     return plain | {f"{name}.{field}": meaning for name, group in groups.items() for field, meaning in group.items()}
 

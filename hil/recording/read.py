@@ -178,7 +178,8 @@ def _note_message(found: Contents, channel: Channel, message: Message) -> None:
 class Recorded:
     """A run as this program understands it.
 
-    cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. notes: log lines as recorded. summary: as of ``hil run --json``,
+    cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. portions: (k,) of PORTION. notes: log lines as
+    recorded. summary: as of ``hil run --json``,
     None for a run that broke off. intact: the file has its end and no damage.
     """
 
@@ -189,9 +190,16 @@ class Recorded:
     rig: Rig
     cycles: np.ndarray
     arrivals: np.ndarray
+    portions: np.ndarray
     notes: list[dict[str, Any]]
     summary: dict[str, Any] | None
     intact: bool
+    files: dict[str, str]
+    """Attachments: name -> text."""
+
+    def calibration(self, name: str, model: type[_Model]) -> _Model:
+        """Return what vision unit or docking monitor took for true, the attachment ``name``. Raises BadInput."""
+        return _model_of(self.path, self.run, self.files, name, model)
 
 
 def load(path: Path) -> Recorded:
@@ -199,7 +207,7 @@ def load(path: Path) -> Recorded:
 
     Raises BadInput for a file that is no recording, or one of another version of the schemas or configuration.
     """
-    found = contents(path, frozenset({"/cycle", "/vmu/frames", show.LOG_TOPIC}))
+    found = contents(path, frozenset({*schema.RECORDS, show.LOG_TOPIC}))
     _check_version(found)
     summary = found.files.get(writer.SUMMARY)
     return Recorded(
@@ -210,9 +218,11 @@ def load(path: Path) -> Recorded:
         _model(found, "rig.json", Rig),
         _rows(found, "/cycle"),
         _rows(found, "/vmu/frames"),
+        _rows(found, "/monitor/portions"),
         found.lines.get(show.LOG_TOPIC, []),
         json.loads(summary) if summary else None,
         found.intact,
+        found.files,
     )
 
 
@@ -239,15 +249,19 @@ def _rows(found: Contents, topic: str) -> np.ndarray:
 
 
 def _model(found: Contents, name: str, model: type[_Model]) -> _Model:
-    if name not in found.files:
-        raise BadInput.single(str(found.path), name, "is missing in this recording")
+    return _model_of(found.path, found.run, found.files, name, model)
+
+
+def _model_of(path: Path, run: dict[str, str], files: dict[str, str], name: str, model: type[_Model]) -> _Model:
+    if name not in files:
+        raise BadInput.single(str(path), name, "is missing in this recording")
     try:
-        return model.model_validate_json(found.files[name])
+        return model.model_validate_json(files[name])
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        text = f"{first['msg']}: not what this program's configuration has; read it with hil {found.run.get('hil')}"
-        raise BadInput.single(str(found.path), f"{name}: {key}", text) from error
+        text = f"{first['msg']}: not what this program's configuration has; read it with hil {run.get('hil')}"
+        raise BadInput.single(str(path), f"{name}: {key}", text) from error
 
 
 assert CYCLE is schema.RECORDS["/cycle"][1]

@@ -22,45 +22,73 @@ import numpy as np
 
 from hil.drivers.remote.cells import ARRIVAL
 from hil.errors import BadInput
+from hil.frmn.cell import Block, Cell
 from hil.frmn.ring import Reader, Ring
 from hil.messages import CYCLE
+from hil.monitor.findings import PORTION
+from hil.pictures import PICTURE
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
-from hil.recording.schema import NOTE, PICTURE
+from hil.recording.schema import NOTE
 from hil.recording.utc import utc_text
 from hil.recording.writer import FLUSH_S, Account, Header, RunFile
 
 _LOOK_WALL_S: Final = 0.02
 _AT_MOST: Final = 512  # rows at once, so that no look lasts long
 _PICTURES_AT_MOST: Final = 2
-KINDS: Final = {"cycles": CYCLE, "arrivals": ARRIVAL, "notes": NOTE, "pictures": PICTURE}
+KINDS: Final = {
+    "cycles": CYCLE,
+    "arrivals": ARRIVAL,
+    "notes": NOTE,
+    "pictures": PICTURE,
+    "monitor_pictures": PICTURE,
+    "portions": PORTION,
+}
 """Ring by its name in ``Taps`` -> what is in it."""
 READY: Final = b"ready\n"
 
+STATE: Final = np.dtype([("cycles", "i8"), ("dropped", "i8"), ("size_bytes", "i8"), ("trouble", "S128")])
+"""How a recording stands, for whoever watches it: written each ``FLUSH_S`` while the recorder lives, with the time by
+``time.monotonic``. trouble: why the disk takes nothing any more."""
+CELLS: Final = {"state": STATE}
+
 
 class Recorder:
-    """Moves rows from the rings into the file and counts those that were overwritten before."""
+    """Moves rows from the rings into the file and counts those that were overwritten before.
 
-    def __init__(self, file: RunFile, rings: dict[str, Ring]) -> None:
+    state: STATE, where it tells how the recording stands.
+    """
+
+    def __init__(self, file: RunFile, rings: dict[str, Ring], state: Cell) -> None:
         self._file = file
+        self._state = state
+        self._told = np.zeros(1, STATE)
         self._readers: dict[str, Reader] = {name: ring.reader() for name, ring in rings.items()}
         self._flushed_s = time.monotonic()
+        self._tell()
 
     def look(self) -> bool:
         """Write what has come; return whether there may be more."""
         more = False
         for name, reader in self._readers.items():
             lost = reader.lost
-            at_most = _PICTURES_AT_MOST if name == "pictures" else _AT_MOST
+            at_most = _PICTURES_AT_MOST if KINDS[name] is PICTURE else _AT_MOST
             rows = reader.take(at_most)
             self._file.lost(reader.lost - lost)
             if len(rows):
-                getattr(self._file, name)(rows)
+                self._file.takers[name](rows)
             more = more or len(rows) == at_most
         now_s = time.monotonic()
         if now_s - self._flushed_s >= FLUSH_S:
             self._flushed_s = now_s
             self._file.flush()
+            self._tell()
         return more
+
+    def _tell(self) -> None:
+        account = self._file.account()
+        trouble = self._file.trouble.encode()[: STATE["trouble"].itemsize]
+        self._told[0] = (account.cycles or 0, account.dropped, account.size_bytes, trouble)
+        self._state.write(self._told, time.monotonic())
 
     def drain(self) -> None:
         """Write all that there is."""
@@ -94,7 +122,8 @@ def record(configuration: dict[str, Any]) -> None:
         parent.sendall(f"{error.strerror}\n".encode())
         return
     parent.sendall(READY)
-    recorder = Recorder(file, rings)
+    block = Block(configuration["state"], CELLS, "recorder")
+    recorder = Recorder(file, rings, block["state"])
     said = record_until_told(recorder, parent)
     if said is None:
         account = file.finish({"stop": "the loop's process was gone", "ended_utc": utc_text()})

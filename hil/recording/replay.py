@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.assembly import make_gnc
+from hil.config.in_flight import value_of
 from hil.config.scenario import Scenario
 from hil.cycle import Blackboard
 from hil.errors import BadInput
@@ -21,6 +22,7 @@ from hil.messages import CYCLE, MAX_POSES, POSE
 from hil.recording.read import Recorded
 from hil.recording.schema import flat_fields
 from hil.stages import Gnc
+from hil.tuning import tuning, with_setting
 
 COMPARED: Final = ("navigation", "nees_position", "nees_attitude", "reference", "supervision", "command")
 """What the GNC writes, in the order in which it does."""
@@ -82,11 +84,14 @@ class _Poses:
 def replay(recorded: Recorded, scenario: Scenario) -> Replayed:
     """Return what the GNC of ``scenario`` makes of the recorded inputs, and where that differs from the recording.
 
-    Raises BadInput where the scenario's step is another, or nothing was recorded.
+    What was changed in flight is changed again at the same cycle, but for keys that ``scenario`` has otherwise than the
+    recording: these stay as ``scenario`` has them. Raises BadInput where the scenario's step is another, or nothing was
+    recorded.
     """
     if not len(recorded.cycles):
         raise BadInput.single(str(recorded.path), "", "no cycle is recorded: there is nothing to replay")
     gnc, poses, orders = make_gnc(scenario), _Poses(recorded.arrivals), _orders(recorded)
+    settings = _Settings(recorded, scenario)
     rows = recorded.cycles.copy()
     now = Blackboard()
     done, ended = 0, ""
@@ -95,6 +100,7 @@ def replay(recorded: Recorded, scenario: Scenario) -> Replayed:
         if ended:
             break
         _give_orders(gnc, orders.get(k, ()))
+        settings.give(gnc, k)
         _cycle(gnc, poses, row, now)
         for name in COMPARED:
             rows[k][name] = now.row[name][0]
@@ -143,6 +149,30 @@ def _give_orders(gnc: Gnc, orders: list[str] | tuple[()]) -> None:
             gnc.order_go()
         elif order == "abort":
             gnc.order_abort()
+
+
+def follows(recorded: Recorded, scenario: Scenario, setting: str) -> bool:
+    """Return whether the replay with ``scenario`` does ``setting``, key=value, again: its key is as it was recorded."""
+    key = setting.partition("=")[0]
+    return value_of(recorded.scenario, key) == value_of(scenario, key)
+
+
+class _Settings:
+    """What was changed in flight, by the cycle from which it acts."""
+
+    def __init__(self, recorded: Recorded, scenario: Scenario) -> None:
+        self._source = str(recorded.path)
+        self._scenario = scenario
+        self._by_cycle: dict[int, list[str]] = defaultdict(list)
+        for note in recorded.notes:
+            if note["kind"] == "setting" and follows(recorded, scenario, note["message"]):
+                self._by_cycle[note["cycle"]].append(note["message"])
+
+    def give(self, gnc: Gnc, cycle: int) -> None:
+        """Change in ``gnc`` what was changed before ``cycle``."""
+        for setting in self._by_cycle.get(cycle, ()):
+            self._scenario = with_setting(self._scenario, setting, self._source).value
+            gnc.adjust(*tuning(self._scenario))
 
 
 def _went_to_its_end(recorded: Recorded, scenario: Scenario) -> bool:

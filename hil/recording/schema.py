@@ -15,6 +15,7 @@ import numpy as np
 from hil.drivers.remote.cells import ARRIVAL
 from hil.errors import BadInput
 from hil.messages import CYCLE
+from hil.monitor.findings import PORTION
 from hil.recording.fields import FIELDS
 
 VERSION: Final = 1
@@ -28,15 +29,16 @@ NOTE: Final = np.dtype(
     [("t_s", "f8"), ("bench_s", "f8"), ("cycle", "i8"), ("kind", "S16"), ("source", "S48"), ("text", "S888")]
 )
 """Something worth a line. t_s: time of the run, nan before it; bench_s: bench time; cycle: the first that it acts on,
-or during which it happened, -1 before the run. kind: event, alarm, mode, order, setting, fault."""
+or during which it happened, -1 before the run. kind: event, alarm, mode, order (what the GNC was told to do), setting,
+operator (who did what at the console), fault (switched on an emulator)."""
 
-PICTURE_BYTES: Final = 768 * 1024
-PICTURE: Final = np.dtype([("t_s", "f8"), ("camera", "S32"), ("size", "i8"), ("jpeg", "u1", PICTURE_BYTES)])
-"""A picture, JPEG, of which ``size`` bytes count. t_s: exposure, time of the run."""
+GEOMETRY_FILE, SCENE_FILE = "vmu_geometry.json", "monitor_scene.json"
+"""Attachments: what vision unit and docking monitor take their cameras and targets for."""
 
 RECORDS: Final[dict[str, tuple[str, np.dtype]]] = {
     "/cycle": ("hil.Cycle", CYCLE),
     "/vmu/frames": ("hil.Arrival", ARRIVAL),
+    "/monitor/portions": ("hil.Portion", PORTION),
 }
 """Topic -> name of its schema and layout of its messages."""
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import importlib.metadata
 import json
-import platform
 import secrets
 import select
 import signal
@@ -21,21 +18,29 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from hil import __version__
+from hil import __version__, pictures
 from hil.assembly import Job
-from hil.config.digest import motion_digest
 from hil.errors import BadInput
+from hil.frmn.cell import Block
+from hil.frmn.picture_memory import wanted_pictures
 from hil.frmn.ring import Ring
+from hil.frmn.run_time import RunTime
 from hil.recording import recorder
 from hil.recording.catalogue import BROKEN_OFF, DONE, Catalogue
-from hil.recording.schema import VERSION
+from hil.recording.header import header_of
 from hil.recording.taps import Taps
 from hil.recording.utc import utc_ns, utc_text
 from hil.recording.writer import Account, Header, RunFile
 
 _RING_S: Final = 5.0  # of cycles: how long the recorder may stand still before anything is lost
 _ROWS_LEAST: Final = 2048
-_SLOTS: Final = {"arrivals": 1024, "notes": 256, "pictures": 8}
+_SLOTS: Final = {
+    "arrivals": 1024,
+    "notes": 256,
+    "pictures": pictures.SLOTS,
+    "monitor_pictures": pictures.SLOTS,
+    "portions": 64,
+}
 _READY_WALL_S: Final = 60.0
 _FINISH_WALL_S: Final = 30.0
 _EXIT_WALL_S: Final = 1.0
@@ -43,18 +48,23 @@ _EXIT_WALL_S: Final = 1.0
 
 class _Recorder(Protocol):
     taps: Taps
+    state: Block | None
 
     def finish(self, end: dict[str, str], summary: str) -> Account:
         """Close the file."""
 
 
 class Recording:
-    """A run that is being recorded into ``path``. Tap the run with ``taps``; ``finish`` it with its summary."""
+    """A run that is being recorded into ``path``. Tap the run with ``taps``; ``finish`` it with its summary.
+
+    state: ``recorder.CELLS``, how the recording stands, where a process of its own writes it; None otherwise.
+    """
 
     def __init__(self, run: str, path: Path, catalogue: Catalogue, recorder: _Recorder) -> None:
         self.run = run
         self.path = path
         self.taps = recorder.taps
+        self.state = recorder.state
         self.account: Account | None = None
         self._catalogue = catalogue
         self._recorder = recorder
@@ -81,9 +91,12 @@ class Recording:
 
 
 @contextmanager
-def recording(job: Job, rig_name: str, folder: Path, announce: Callable[[str], None]) -> Iterator[Recording]:
+def recording(
+    job: Job, rig_name: str, folder: Path, announce: Callable[[str], None], on_the_wall: bool = False
+) -> Iterator[Recording]:
     """Give a recording of ``job`` in ``folder``, which is made if need be.
 
+    on_the_wall: the run keeps the time of the wall though its rig is a mock: a process of its own records it, too.
     Whatever leaves without ``finish`` is entered as broken off. Raises BadInput where nothing can be written there.
     """
     started_ns = utc_ns()
@@ -92,10 +105,11 @@ def recording(job: Job, rig_name: str, folder: Path, announce: Callable[[str], N
     run = f"{stamp}Z-{_plain(scenario.name)}-{_plain(Path(rig_name).stem)}-s{job.seed}-{secrets.token_hex(2)}"
     path = folder / f"{run}.mcap"
     catalogue = Catalogue(folder)
-    header = _header(job, rig_name, run, started_ns)
+    header = header_of(job, rig_name, run, started_ns)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        made: _Recorder = _InMemory(path, header) if job.rig.value.kind == "mock" else _Process(job, path, run, header)
+        in_memory = job.rig.value.kind == "mock" and not on_the_wall
+        made: _Recorder = _InMemory(path, header) if in_memory else _Process(job, path, run, header)
     except OSError as error:
         text = f"{folder}: cannot record there: {error.strerror or error}"
         raise BadInput.single("--record", "", text) from error
@@ -138,46 +152,15 @@ def _plain(name: str) -> str:
     return "".join(c if c.isalnum() or c in "-_" else "-" for c in name)[:40] or "run"
 
 
-def _header(job: Job, rig_name: str, run: str, started_ns: int) -> Header:
-    scenario, rig = job.scenario.value, job.rig.value
-    versions = {name: importlib.metadata.version(name) for name in ("numpy", "numba", "scipy", "mcap")}
-    facts = {
-        "schema_version": str(VERSION),
-        "run": run,
-        "scenario": scenario.name,
-        "scenario_file": job.scenario.source,
-        "rig": rig_name,
-        "rig_file": job.rig.source,
-        "rig_kind": rig.kind,
-        "seed": str(job.seed),
-        "duration_s": repr(job.duration_s),
-        "step_s": repr(scenario.step_s),
-        "speed": repr(job.speed),
-        "started_utc": utc_text(started_ns),
-        "hil": __version__,
-        "python": platform.python_version(),
-        "system": platform.platform(),
-        "host": platform.node(),
-        "calibration_motion": motion_digest(rig),
-        "calibration_sign_off": (rig.sign_off.digest or "") if rig.sign_off else "",
-        **versions,
-        **file_digests({"scenario": scenario.model_dump(mode="json"), "rig": rig.model_dump(mode="json")}),
-    }
-    files = {"scenario.json": scenario.model_dump_json(), "rig.json": rig.model_dump_json()}
-    return Header(facts, files, started_ns)
-
-
-def file_digests(table: dict[str, Any], prefix: str = "calibration_") -> dict[str, str]:
-    """Return a digest of each file that the configuration names by a key that ends in ``_file``; prefix: of the key."""
-    found: dict[str, str] = {}
-    for key, value in table.items():
-        if isinstance(value, dict):
-            found |= file_digests(value, f"{prefix}{key}.")
-        elif key.endswith("_file") and isinstance(value, str):
-            path = Path(value)
-            digest = f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" if path.is_file() else "missing"
-            found[f"{prefix}{key}"] = f"{path.name} {digest}"
-    return found
+def _fed(job: Job) -> set[str]:
+    """Return the names in ``Taps`` that a run of ``job`` feeds: rings of pictures are large."""
+    scenario, wanted = job.scenario.value, wanted_pictures(job.rig.value).encoding != "none"
+    fed = {"cycles", "arrivals", "notes"}
+    if scenario.vmu.source == "rendered" and wanted:
+        fed.add("pictures")
+    if scenario.monitor.source == "rendered":
+        fed |= {"portions", "monitor_pictures"} if wanted else {"portions"}
+    return fed
 
 
 class _Direct:
@@ -195,10 +178,12 @@ class _InMemory:
 
     def __init__(self, path: Path, header: Header) -> None:
         self._file = RunFile(path, header)
-        file = self._file
-        self.taps = Taps(*(_Direct(write) for write in (file.cycles, file.arrivals, file.notes, file.pictures)))
+        self._run_time = RunTime.create()
+        self.state: Block | None = None
+        self.taps = Taps(**{name: _Direct(write) for name, write in self._file.takers.items()}, run_time=self._run_time)
 
     def finish(self, end: dict[str, str], summary: str) -> Account:
+        self._run_time.close()
         return self._file.finish(end, summary)
 
 
@@ -209,17 +194,23 @@ class _Process:
         self._path = path
         rows = max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s))
         slots = {"cycles": rows, **_SLOTS}
-        self._rings = {name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items()}
-        self.taps = Taps(**self._rings)
+        fed = _fed(job)
+        self._rings = {
+            name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items() if name in fed
+        }
+        self._run_time = RunTime.create()
+        self.taps = Taps(**self._rings, run_time=self._run_time)
+        self.state: Block | None = Block.create(recorder.CELLS, "recorder")
         self._socket, there = socket.socketpair()
         configuration = {
             "file": str(path),
             "run": run,
             "header": {"run": header.run, "files": header.files, "started_ns": header.started_ns},
             "rings": {name: (ring.descriptor, ring.slots) for name, ring in self._rings.items()},
+            "state": self.state.descriptor,
             "socket": there.fileno(),
         }
-        descriptors = (*(ring.descriptor for ring in self._rings.values()), there.fileno())
+        descriptors = (*(ring.descriptor for ring in self._rings.values()), self.state.descriptor, there.fileno())
         self._child = subprocess.Popen(
             [sys.executable, "-m", "hil.recording.recorder"], stdin=subprocess.PIPE, pass_fds=descriptors
         )
@@ -276,4 +267,7 @@ class _Process:
             code = self._child.wait()
         for ring in self._rings.values():
             ring.close()
+        self._run_time.close()
+        if self.state is not None:
+            self.state.close()
         return code

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 from typing import Any, Final
@@ -10,13 +9,12 @@ from typing import Any, Final
 import numpy as np
 
 STATE_TOPIC, TRANSFORM_TOPIC, LOG_TOPIC = "/state", "/tf", "/log"
-PICTURE_TOPICS: Final = "/pictures/"
 
 _INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
 _LEVELS: Final = {"alarm": _ERROR, "fault": _ERROR, "order": _WARNING, "setting": _WARNING}
 
 
-def _number(text: str) -> dict[str, Any]:
+def number(text: str) -> dict[str, Any]:
     return {"type": ["number", "null"], "description": text}
 
 
@@ -24,94 +22,83 @@ def _three(text: str) -> dict[str, Any]:
     return {"type": "array", "items": {"type": ["number", "null"]}, "description": text}
 
 
-def _object(title: str, properties: dict[str, Any]) -> dict[str, Any]:
+def table(title: str, properties: dict[str, Any]) -> dict[str, Any]:
     return {"title": title, "type": "object", "properties": properties}
 
 
-_TIME: Final = _object("time", {"sec": {"type": "integer"}, "nsec": {"type": "integer"}})
-_XYZ: Final = _object("vector", {axis: {"type": "number"} for axis in "xyz"})
-_XYZW: Final = _object("quaternion", {axis: {"type": "number"} for axis in "xyzw"})
-_TEXT: Final = {"type": "string"}
+TIME: Final = table("time", {"sec": {"type": "integer"}, "nsec": {"type": "integer"}})
+_XYZ: Final = table("vector", {axis: {"type": "number"} for axis in "xyz"})
+_XYZW: Final = table("quaternion", {axis: {"type": "number"} for axis in "xyzw"})
+TEXT: Final = {"type": "string"}
 
 SCHEMAS: Final[dict[str, dict[str, Any]]] = {
-    STATE_TOPIC: _object(
+    STATE_TOPIC: table(
         "hil.State",
         {
-            "t_s": _number("s, time of the run"),
+            "t_s": number("s, time of the run"),
             "position_m": _three("m, truth, chaser against target, in H"),
             "velocity_mps": _three("m/s, truth, in H"),
             "estimate_m": _three("m, estimated position, in H"),
             "error_mm": _three("mm, estimate minus truth, in H"),
             "sigma_mm": _three("mm, standard deviation of the estimate"),
-            "nis_position": _number("normalised innovation squared, 3 components"),
-            "nis_attitude": _number("normalised innovation squared, 3 components"),
-            "corridor_margin_m": _number("m, of the estimate, negative outside"),
-            "closing_margin_mps": _number("m/s, allowed minus actual closing rate"),
-            "phase": _number("number of the phase"),
-            "thrusters_on": _number("how many thrusters are commanded"),
+            "nis_position": number("normalised innovation squared, 3 components"),
+            "nis_attitude": number("normalised innovation squared, 3 components"),
+            "corridor_margin_m": number("m, of the estimate, negative outside"),
+            "closing_margin_mps": number("m/s, allowed minus actual closing rate"),
+            "phase": number("number of the phase"),
+            "thrusters_on": number("how many thrusters are commanded"),
             "rail_m": _three("m, encoders of the rails, in L"),
             "gimbal_deg": _three("deg, encoders of the turntable: roll, pitch, yaw"),
-            "lateness_us": _number("us, how late the cycle woke up"),
+            "lateness_us": number("us, how late the cycle woke up"),
         },
     ),
-    TRANSFORM_TOPIC: _object(
+    TRANSFORM_TOPIC: table(
         "foxglove.FrameTransform",
         {
-            "timestamp": _TIME,
-            "parent_frame_id": _TEXT,
-            "child_frame_id": _TEXT,
+            "timestamp": TIME,
+            "parent_frame_id": TEXT,
+            "child_frame_id": TEXT,
             "translation": _XYZ,
             "rotation": _XYZW,
         },
     ),
-    LOG_TOPIC: _object(
+    LOG_TOPIC: table(
         "foxglove.Log",
         {
-            "timestamp": _TIME,
+            "timestamp": TIME,
             "level": {"type": "integer"},
-            "message": _TEXT,
-            "name": _TEXT,
-            "file": _TEXT,
+            "message": TEXT,
+            "name": TEXT,
+            "file": TEXT,
             "line": {"type": "integer"},
-            "kind": {"type": "string", "description": "event, alarm, mode, order, setting or fault"},
-            "t_s": _number("s, time of the run, null before it"),
-            "bench_s": _number("s, bench time"),
+            "kind": {"type": "string", "description": "event, alarm, mode, order, setting, operator or fault"},
+            "t_s": number("s, time of the run, null before it"),
+            "bench_s": number("s, bench time"),
             "cycle": {"type": "integer", "description": "cycle that it acts on or fell into, -1 before the run"},
         },
     ),
 }
-
-PICTURE_SCHEMA: Final = _object(
-    "foxglove.CompressedImage",
-    {
-        "timestamp": _TIME,
-        "frame_id": _TEXT,
-        "data": {"type": "string", "contentEncoding": "base64"},
-        "format": _TEXT,
-        "t_s": _number("s, exposure, time of the run"),
-    },
-)
 
 
 def state(row: np.void) -> dict[str, Any]:
     """Return what ``row`` (CYCLE) shows of itself."""
     truth, estimate, found = row["truth"], row["navigation"], row["supervision"]
     return {
-        "t_s": _finite(row["t_s"]),
+        "t_s": finite(row["t_s"]),
         "position_m": _list(truth["r_CT_H"]),
         "velocity_mps": _list(truth["v_CT_H"]),
         "estimate_m": _list(estimate["r_CT_H"]),
         "error_mm": _list(1e3 * (estimate["r_CT_H"] - truth["r_CT_H"])),
         "sigma_mm": _list(1e3 * estimate["sigma_r_m"]),
-        "nis_position": _finite(estimate["nis_position"]),
-        "nis_attitude": _finite(estimate["nis_attitude"]),
-        "corridor_margin_m": _finite(found["corridor_margin_m"]),
-        "closing_margin_mps": _finite(found["closing_margin_mps"]),
+        "nis_position": finite(estimate["nis_position"]),
+        "nis_attitude": finite(estimate["nis_attitude"]),
+        "corridor_margin_m": finite(found["corridor_margin_m"]),
+        "closing_margin_mps": finite(found["closing_margin_mps"]),
         "phase": int(row["reference"]["phase"]),
         "thrusters_on": int(row["command"]["on"].sum()),
         "rail_m": _list(row["feedback"]["rail_m"]),
         "gimbal_deg": _list(np.degrees(row["feedback"]["gimbal_rad"])),
-        "lateness_us": _finite(1e6 * row["lateness_s"]),
+        "lateness_us": finite(1e6 * row["lateness_s"]),
     }
 
 
@@ -119,7 +106,7 @@ def transform(row: np.void, time_ns: int) -> dict[str, Any]:
     """Return where the chaser truly is in H. The rotation takes c to H, as Foxglove's child to parent."""
     r, q = row["truth"]["r_CT_H"], row["truth"]["q_CH"]
     return {
-        "timestamp": _time(time_ns),
+        "timestamp": time_of(time_ns),
         "parent_frame_id": "H",
         "child_frame_id": "chaser",
         "translation": dict(zip("xyz", map(float, r), strict=True)),
@@ -129,29 +116,18 @@ def transform(row: np.void, time_ns: int) -> dict[str, Any]:
 
 def log(note: np.void, time_ns: int) -> dict[str, Any]:
     """Return ``note`` (NOTE) as a line of a log."""
-    kind = _word(note["kind"])
+    kind = word(note["kind"])
     return {
-        "timestamp": _time(time_ns),
+        "timestamp": time_of(time_ns),
         "level": _LEVELS.get(kind, _INFO),
-        "message": _word(note["text"]),
-        "name": _word(note["source"]),
+        "message": word(note["text"]),
+        "name": word(note["source"]),
         "file": "",
         "line": 0,
         "kind": kind,
-        "t_s": _finite(note["t_s"]),
-        "bench_s": _finite(note["bench_s"]),
+        "t_s": finite(note["t_s"]),
+        "bench_s": finite(note["bench_s"]),
         "cycle": int(note["cycle"]),
-    }
-
-
-def picture(camera: str, jpeg: bytes, t_s: float, time_ns: int) -> dict[str, Any]:
-    """Return a picture for ``PICTURE_TOPICS + camera``."""
-    return {
-        "timestamp": _time(time_ns),
-        "frame_id": camera,
-        "data": base64.b64encode(jpeg).decode(),
-        "format": "jpeg",
-        "t_s": _finite(t_s),
     }
 
 
@@ -160,17 +136,17 @@ def encoded(message: dict[str, Any]) -> bytes:
     return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
 
 
-def _finite(value: Any) -> float | None:
+def finite(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
 def _list(values: Any) -> list[float | None]:
-    return [_finite(value) for value in values]
+    return [finite(value) for value in values]
 
 
-def _word(text: bytes) -> str:
+def word(text: bytes) -> str:
     return text.decode(errors="replace")
 
 
-def _time(time_ns: int) -> dict[str, int]:
+def time_of(time_ns: int) -> dict[str, int]:
     return {"sec": time_ns // 1_000_000_000, "nsec": time_ns % 1_000_000_000}

@@ -33,6 +33,11 @@ class Sink:
         """Bytes that stand in the file."""
         return self._whole
 
+    @property
+    def waiting(self) -> int:
+        """Bytes that the next flush brings into the file."""
+        return sum(map(len, self._waiting))
+
     def write(self, data: bytes | bytearray | memoryview) -> int:
         """Keep ``data`` for the next flush."""
         self._waiting.append(bytes(data))

@@ -8,11 +8,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from hil.errors import BadInput
-from hil.frmn.ring import NoTelemetry, Telemetry
+from hil.config.rig import Rig
+from hil.frmn.picture_memory import PictureMemory, wanted_pictures
+from hil.frmn.ring import NoTelemetry, Ring, Telemetry
+from hil.frmn.run_time import RunTime
 from hil.messages import Event
 from hil.modes import Mode
-from hil.recording.schema import NOTE, PICTURE, PICTURE_BYTES
+from hil.pictures import PictureMaker
+from hil.recording.schema import NOTE
 from hil.runner import Runner
 from hil.safety.alarms import Alarm
 
@@ -60,21 +63,34 @@ class Notes:
         """Put down an order that acts from ``cycle`` on; the replay gives it there again."""
         self.note("order", "operator", text, cycle=cycle)
 
+    def setting(self, cycle: int, who: str, text: str) -> None:
+        """Put down ``key=value`` that ``who`` has changed from ``cycle`` on; the replay does it there again."""
+        self.note("setting", who, text, cycle=cycle)
+
 
 @dataclass
 class Taps:
-    """Takers of CYCLE, ARRIVAL, NOTE and PICTURE rows; each keeps a copy of what it is given and never waits."""
+    """Takers of CYCLE, ARRIVAL, NOTE, PICTURE and PORTION rows; each keeps a copy of what it is given and never waits.
+
+    pictures: of the vision unit; monitor_pictures, portions: of the docking monitor. Each has one writer. run_time:
+    is told the run's time for those that know bench time alone.
+    """
 
     cycles: Telemetry = field(default_factory=NoTelemetry)
     arrivals: Telemetry = field(default_factory=NoTelemetry)
     notes: Telemetry = field(default_factory=NoTelemetry)
     pictures: Telemetry = field(default_factory=NoTelemetry)
+    monitor_pictures: Telemetry = field(default_factory=NoTelemetry)
+    portions: Telemetry = field(default_factory=NoTelemetry)
+    run_time: RunTime | None = None
 
     def attach(self, runner: Runner) -> Notes:
         """Tap ``runner``, which has not begun: all but its cycles, which go where its loop's telemetry is."""
         notes = Notes(self.notes, runner)
         loop = runner.loop
         loop.vision.tap = self.arrivals
+        if self.run_time is not None:
+            loop.vision.on_run_zero = self.run_time.tell
         for events in (loop.gnc.diary.events, loop.gnc.watch.events, runner.events):
             events.tell(notes.event)
         loop.gnc.orders.tell(lambda order: notes.order(*order))
@@ -82,18 +98,25 @@ class Taps:
         runner.supervisor.modes.history.tell(notes.mode)
         return notes
 
+    def maker(self, rig: Rig) -> PictureMaker | None:
+        """Return what takes the pictures of a vision unit in this process, as ``rig`` wants them; None for nobody."""
+        wanted = wanted_pictures(rig)
+        if wanted.encoding == "none" or isinstance(self.pictures, NoTelemetry):
+            return None
+        return PictureMaker(self.pictures, wanted, self.run_time)
 
-def picture_row(camera: str, t_s: float, jpeg: bytes) -> np.ndarray:
-    """Return a picture as a row for ``Taps.pictures``, shape (1,); t_s: exposure, time of the run.
+    def monitor_maker(self, rig: Rig) -> PictureMaker | None:
+        """Return what takes the pictures of a docking monitor in this process; None for nobody."""
+        wanted = wanted_pictures(rig)
+        if wanted.encoding == "none" or isinstance(self.monitor_pictures, NoTelemetry):
+            return None
+        return PictureMaker(self.monitor_pictures, wanted)
 
-    Raises BadInput for one that is larger than PICTURE_BYTES.
-    """
-    if len(jpeg) > PICTURE_BYTES:
-        raise BadInput.single(camera, "", f"picture of {len(jpeg)} bytes, at most {PICTURE_BYTES}: compress it more")
-    row = np.zeros(1, PICTURE)
-    row["t_s"], row["camera"], row["size"] = t_s, camera.encode(), len(jpeg)
-    row["jpeg"][0, : len(jpeg)] = np.frombuffer(jpeg, np.uint8)
-    return row
+    def picture_memory(self) -> PictureMemory | None:
+        """Return where a vision unit in another process puts its pictures; None where they go into no ring."""
+        if not isinstance(self.pictures, Ring) or self.run_time is None:
+            return None
+        return PictureMemory(self.pictures.descriptor, self.pictures.slots, self.run_time.descriptor)
 
 
 def _cut(text: str, size: int) -> bytes:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, cast
@@ -12,7 +13,8 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from hil.messages import CYCLE
-from hil.recording import schema, show
+from hil.pictures import shapes_of
+from hil.recording import schema, show, show_pictures
 from hil.recording.sink import Sink
 
 FLUSH_S: Final = 0.1
@@ -23,6 +25,7 @@ RUN, END, SUMMARY = "hil.run", "hil.end", "summary.json"
 
 _SHOWN_EACH_S: Final = 0.1  # the JSON group is for the eye
 _SLACK_S: Final = 1e-9
+_WAITING_MOST: Final = 8 * 1024 * 1024  # bytes of pictures that come while no cycle does
 
 
 @dataclass(frozen=True)
@@ -58,9 +61,10 @@ class RunFile:
         self._started_ns = header.started_ns
         self._writer = Writer(cast(IO[bytes], self._sink), compression=CompressionType.ZSTD)
         self._writer.start("hil", f"hil {header.run.get('hil', '')}")
+        self._json_schemas: dict[str, int] = {}
         self._channels = {topic: self._record_channel(topic) for topic in schema.RECORDS}
         self._channels |= {topic: self._json_channel(topic, content) for topic, content in show.SCHEMAS.items()}
-        self._picture_schema = 0
+        self._left_out: dict[str, int] = {}
         self._cycles = self._dropped = self._unflushed = 0
         self._last_s = 0.0
         self._flushed_s = self._shown_s = -np.inf
@@ -79,9 +83,23 @@ class RunFile:
         return self._writer.register_channel(topic, schema.RECORD_ENCODING, number)
 
     def _json_channel(self, topic: str, content: Mapping[str, Any]) -> int:
-        text = json.dumps(content).encode()
-        number = self._writer.register_schema(content["title"], "jsonschema", text)
-        return self._writer.register_channel(topic, "json", number)
+        title = content["title"]
+        if title not in self._json_schemas:
+            text = json.dumps(content).encode()
+            self._json_schemas[title] = self._writer.register_schema(title, "jsonschema", text)
+        return self._writer.register_channel(topic, "json", self._json_schemas[title])
+
+    @property
+    def takers(self) -> dict[str, Callable[[np.ndarray], None]]:
+        """Who takes the rows of each name in ``Taps``."""
+        return {
+            "cycles": self.cycles,
+            "arrivals": self.arrivals,
+            "notes": self.notes,
+            "pictures": self.pictures,
+            "monitor_pictures": self.pictures,
+            "portions": self.portions,
+        }
 
     def cycles(self, rows: np.ndarray) -> None:
         """Write rows (n,) of CYCLE."""
@@ -112,20 +130,45 @@ class RunFile:
             self._add(show.LOG_TOPIC, show.encoded(show.log(row, self._time_ns(t_s))), t_s)
 
     def pictures(self, rows: np.ndarray) -> None:
-        """Write pictures, (n,) of PICTURE."""
+        """Write pictures, (n,) of PICTURE, and what is drawn over them; count those that their maker left out."""
         for row in rows:
-            camera, t_s = row["camera"].decode(errors="replace"), float(row["t_s"])
-            jpeg = row["jpeg"][: int(row["size"])].tobytes()
-            self._add(self._camera(camera), show.encoded(show.picture(camera, jpeg, t_s, self._time_ns(t_s))), t_s)
+            camera = row["camera"].decode(errors="replace")
+            if row["size"]:
+                self._picture(camera, row)
+            left_out = int(row["left_out"])
+            self.lost(left_out - self._left_out.get(camera, 0))
+            self._left_out[camera] = left_out
+            if self._sink.waiting >= _WAITING_MOST:
+                self.flush()
 
-    def _camera(self, name: str) -> str:
-        topic = f"{show.PICTURE_TOPICS}{name}"
+    def _picture(self, camera: str, row: np.void) -> None:
+        t_s = float(row["t_s"])
+        t_s = self._last_s if math.isnan(t_s) else t_s
+        time_ns = self._time_ns(t_s)
+        topic = self._picture_channel(camera, "", show_pictures.PICTURE_SCHEMA)
+        self._add(topic, show_pictures.picture(row, time_ns), t_s)
+        topic = self._picture_channel(camera, show_pictures.ANNOTATIONS, show_pictures.ANNOTATION_SCHEMA)
+        self._add(topic, show.encoded(show_pictures.drawn(shapes_of(row), time_ns)), t_s)
+
+    def portions(self, rows: np.ndarray) -> None:
+        """Write what the docking monitor said, (n,) of PORTION."""
+        for row in rows:
+            self._add("/monitor/portions", row.tobytes(), float(row["t_s"]))
+
+    def _picture_channel(self, camera: str, ending: str, content: Mapping[str, Any]) -> str:
+        topic = f"{show_pictures.PICTURE_TOPICS}{camera}{ending}"
         if topic not in self._channels:
-            if not self._picture_schema:
-                text = json.dumps(show.PICTURE_SCHEMA).encode()
-                self._picture_schema = self._writer.register_schema(show.PICTURE_SCHEMA["title"], "jsonschema", text)
-            self._channels[topic] = self._writer.register_channel(topic, "json", self._picture_schema)
+            self._channels[topic] = self._json_channel(topic, content)
         return topic
+
+    @property
+    def trouble(self) -> str:
+        """Why the disk takes nothing any more; "" while it does."""
+        return self._sink.problem
+
+    def account(self) -> Account:
+        """Return how the recording stands."""
+        return Account(self._cycles, self._dropped, self._sink.size, self._problem())
 
     def lost(self, messages: int) -> None:
         """Count messages that never came here."""
@@ -151,7 +194,7 @@ class RunFile:
             self._writer.add_metadata(END, end)
             self._writer.finish()
         self._sink.close()
-        return Account(self._cycles, self._dropped, self._sink.size, self._problem())
+        return self.account()
 
     def _problem(self) -> str:
         if self._sink.problem:
@@ -159,7 +202,9 @@ class RunFile:
                 f"{self.path}: {self._sink.problem}: {self._dropped} messages are not recorded; "
                 f"what was written before stands, make it whole with hil recover"
             )
-        return f"{self.path}: {self._dropped} messages came too fast and are not recorded" if self._dropped else ""
+        if not self._dropped:
+            return ""
+        return f"{self.path}: {self._dropped} messages came too fast, or are pictures too large, and are not recorded"
 
     def _add(self, topic: str, message: bytes, t_s: float, sequence: int = 0) -> None:
         if self._sink.problem:

@@ -21,8 +21,10 @@ from hil.frmn.cell import Block
 from hil.modes import Mode
 from hil.rate import SimulatedRate
 from hil.runner import STOPPED_BY_OPERATOR, Outcome, Runner
+from hil.tuning import packed, tuning
 
 LEASE_S = 1.0
+DEADBAND = "gnc.control.deadband_deg"
 
 
 @dataclass
@@ -85,7 +87,7 @@ def converse(script: Script, on_loss: OnLoss = "hold", duration_s: float = 2.0) 
     rate = SimulatedRate(SimulatedClock(), job.scenario.value.step_s)
     operator = RemoteOperator(Words(there), block["status"], on_loss, LEASE_S, rate.now_s)
     runner = build.in_memory(job, rate, operator.watch, operator=operator)
-    operator.attach(runner)
+    operator.attach(runner, adjustable=(DEADBAND,))
     talk = Talk(here, runner, block["status"])
 
     def look(now_s: float) -> tuple[bool | None, bool]:
@@ -258,3 +260,25 @@ def test_line_that_nobody_reads_never_stops_the_loop() -> None:
 
     outcome, _ = converse(script, duration_s=10.0)
     assert outcome.stop == "completed"
+
+
+def test_setting_is_changed_between_two_cycles_and_what_the_scenario_does_not_allow_is_refused() -> None:
+    records = packed(tuning(load_scenario("scheme-1", [f"{DEADBAND}=90.0"]).value))
+
+    def script(talk: Talk) -> None:
+        talk.fly()
+        running = talk.mode is Mode.RUNNING and talk.runner.loop.now.t_s[0] > 0.5
+        for number, (key, text) in enumerate(((DEADBAND, records), ("step_s", records), (DEADBAND, "AAAA"))):
+            if talk.once(f"change {number}", running):
+                talk.send(adjust={"key": key, "value": 90, "records": text}, by="ann", id=10 + number)
+
+    outcome, talk = converse(script)
+    answers = {message["answer"]: message["text"] for message in talk.said if "answer" in message}
+    assert answers[10] == ""
+    assert answers[11] == "step_s: this scenario lets nobody change it in flight"
+    assert answers[12].startswith(f"{DEADBAND}: 3 bytes of parameters, expected")
+    (event,) = [event for event in outcome.events if "changed" in event.text]
+    assert event.text == f"ann changed {DEADBAND}=90.0, from cycle {round(event.t_s / 0.02) + 1} on"
+    changed = round(event.t_s / 0.02) + 11  # when the last burn that had begun is over
+    assert outcome.history["command"]["torque"][:changed].any()
+    assert not outcome.history["command"]["torque"][changed:].any()  # a quarter of a turn is nothing now

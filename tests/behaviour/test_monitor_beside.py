@@ -18,7 +18,9 @@ from hil.config.scenario import Scenario
 from hil.errors import LinkLost
 from hil.frmn.ring import Ring
 from hil.messages import CYCLE
+from hil.monitor.findings import PORTION
 from hil.monitor_beside import MonitorProcess, Watched, watch_recorded
+from hil.pictures import PICTURE, shapes_of
 from hil.report.docking_monitor import judge_monitor, monitor_lines
 
 SETTINGS = ("monitor.source=rendered",)
@@ -51,15 +53,21 @@ def recorded(scenario: Scenario, rig: Rig, history: np.ndarray) -> Watched:
 def test_the_process_sees_what_a_watch_of_the_recording_sees(
     scenario: Scenario, rig: Rig, history: np.ndarray, recorded: Watched
 ) -> None:
-    ring = Ring.create(CYCLE, 2048)
+    ring, pictures, portions = Ring.create(CYCLE, 2048), Ring.create(PICTURE, 16), Ring.create(PORTION, 16)
     try:
-        with MonitorProcess(scenario, load_scene("atv").value, rig, 0, ring) as process:
+        with MonitorProcess(scenario, load_scene("atv").value, rig, 0, ring, pictures, portions) as process:
             process.wait_ready()
             for row in history[:, None]:
                 ring.put(row)
             live = process.finish()
+        shown, told = pictures.reader().take(), portions.reader().take()
     finally:
-        ring.close()
+        for each in (ring, pictures, portions):
+            each.close()
+    assert [row["number"] for row in shown] == list(range(0, 76, 7))  # 12.5 a second, two wanted
+    assert {(row["camera"], row["encoding"], row["status"]) for row in shown} == {(b"monitor", b"jpeg", b"near")}
+    assert all(len(shapes_of(row)) > 50 for row in shown)
+    assert [row["range_m"] for row in told] == [portion.value("range_m") for portion in live.portions]
     assert live.missed_rows == 0
     assert (live.frames, len(live.portions)) == (recorded.frames, len(recorded.portions)) == (76, 8)
     for here, there in zip(live.portions, recorded.portions, strict=True):

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,16 @@ from hil.console.message import unpack
 
 NEAR = ("--set", "initial.position_m=[0.7, -0.03, 0.03]", "--set", "rig.rails.x.park_m=0.6")
 """A start from which the ready point is near."""
+
+
+_PATIENCE = {
+    "rig.console.lease_s": "30",
+    "rig.io.timeout_s": "10",
+    **{f"rig.{device}.timeout_s": "10" for device in ("rails", "turntable", "vmu")},
+    **{f"rig.{device}.lost_packets_max": "1e6" for device in ("rails", "turntable", "vmu")},
+}
+PATIENT = tuple(word for key, value in _PATIENCE.items() for word in ("--set", f"{key}={value}"))
+"""For tests of the page: a browser that draws in software starves the threads that emulated wires go through."""
 
 
 class Console:
@@ -41,9 +52,10 @@ class Console:
 
 
 @contextmanager
-def console(*arguments: str) -> Iterator[Console]:
-    """Start ``hil console`` on a free port; give it once it listens; it is ended by Ctrl-C."""
-    command = [sys.executable, "-m", "hil", "console", "--port", "0", *arguments]
+def console(*arguments: str, record: Path | None = None) -> Iterator[Console]:
+    """Start ``hil console`` on a free port; give it once it listens; it is ended by Ctrl-C. record: folder."""
+    recording = ["--no-record"] if record is None else ["--record", str(record)]
+    command = [sys.executable, "-m", "hil", "console", "--port", "0", *recording, *arguments]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process, ExitStack() as pages:
         try:
             assert process.stderr is not None

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
@@ -19,6 +21,9 @@ from hil.cli.main import BAD_INPUT, execute
 from hil.console.serve import is_loopback
 from hil.console.session import Choice
 from hil.console.session_process import SessionProcess
+from hil.recording.catalogue import Catalogue
+from hil.recording.read import load
+from hil.recording.replay import replay
 
 TOKEN = "0123456789abcdef-right"
 
@@ -41,8 +46,8 @@ def start(page: Page) -> None:
     page.until(lambda: page.now["mode"] == "running" and page.now["run_s"] > 0.5 and len(page.rows) > 20, "a run")
 
 
-def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed() -> None:
-    with console("--rig", "mock", "--set", "rig.console.lease_s=3", *NEAR) as c:
+def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recorded(tmp_path: Path) -> None:
+    with console("--rig", "mock", "--set", "rig.console.lease_s=3", *NEAR, record=tmp_path) as c:
         ann, bob = c.page("ann"), c.page("bob")
         start(ann)
         assert np.all(np.diff(ann.column("t_s")) > 0.0)
@@ -69,8 +74,60 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed() -> None
         assert bob.ask("take")["ok"]
         bob.order("stop")
         bob.until(lambda: not bob.now["open"], "the end")
-        assert bob.page["ended"]["stop"] == "stopped by the operator"
+        ended = bob.page["ended"]
+        assert ended["stop"] == "stopped by the operator"
+        assert (ended["recording"]["dropped"], ended["recording"]["problem"]) == (0, "")
         assert bob.ask("order", order="hold")["text"] == "bench: cannot hold, no session is open"
+    recorded = load(Path(ended["recording"]["file"]))
+    assert recorded.intact
+    assert recorded.summary is not None
+    assert len(recorded.cycles) == ended["cycles"]
+    assert replay(recorded, recorded.scenario).identical
+    did = [(note["name"], note["message"]) for note in recorded.notes if note["kind"] == "operator"]
+    assert did[:3] == [("ann", "ann has the command"), ("ann", "arm"), ("ann", "start")]
+    assert did[-3:] == [("nobody", "nobody has the command"), ("bob", "bob has the command"), ("bob", "stop")]
+    modes = [note["message"] for note in recorded.notes if note["kind"] == "mode"]
+    assert modes[-5:] == ["running", "hold", "running", "hold", "safe-stop"]
+    (entry,) = Catalogue(tmp_path).runs()
+    assert (entry["stop"], entry["cycles"]) == ("stopped by the operator", ended["cycles"])
+
+
+@pytest.mark.slow
+def test_recorder_that_dies_is_said_on_the_page_and_the_bench_goes_on(tmp_path: Path) -> None:
+    with console("--rig", "mock", *NEAR, record=tmp_path) as c:
+        page = c.page("ann")
+        start(page)
+        page.until(lambda: page.now["recording"]["size_bytes"] > 0, "a recording")
+        assert page.now["recording"]["trouble"] == ""
+        (line,) = [line for line in page.log() if "recorder process" in line]
+        os.kill(int(line.split()[-1]), signal.SIGKILL)
+        page.until(lambda: "says nothing" in page.now["recording"]["trouble"], "the trouble")
+        at_s = page.now["run_s"]
+        page.until(lambda: page.now["run_s"] > at_s + 0.2, "the run to go on")
+        page.order("stop")
+        page.until(lambda: not page.now["open"], "the end")
+        assert any("nothing is recorded any more, the bench goes on" in line for line in page.log())
+        assert "ended by SIGKILL" in page.page["ended"]["recording"]["problem"]
+
+
+@pytest.mark.slow
+def test_disk_that_fills_up_is_said_on_the_page_and_the_bench_goes_on(small_disk: Path) -> None:
+    with console("--rig", "mock", *NEAR, record=small_disk) as c:
+        page = c.page("ann")
+        start(page)
+        page.until(lambda: page.now["recording"]["size_bytes"] > 0, "a recording")
+        with suppress(OSError):
+            (small_disk / "other").write_bytes(bytes(2_000_000))
+        page.until(lambda: page.now["recording"]["trouble"] == "No space left on device", "the trouble")
+        page.until(lambda: page.now["recording"]["lost"] > 100, "what is lost")
+        assert page.now["mode"] == "running"
+        assert any("nothing is recorded any more, the bench goes on" in line for line in page.log())
+        page.order("stop")
+        page.until(lambda: not page.now["open"], "the end")
+        told = page.page["ended"]["recording"]
+        assert "No space left on device" in told["problem"]
+        assert "hil recover" in told["problem"]
+        assert len(load(Path(told["file"])).cycles) > 10  # what was written stands
 
 
 def test_takeover_is_asked_back_and_logged(idle: Console) -> None:
@@ -189,7 +246,8 @@ def test_missing_extra_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, caps
     assert capsys.readouterr().err == "hil console: uvicorn missing: pip install 'hil-bench[console]'\n"
 
 
-def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread() -> None:
+@pytest.mark.parametrize("line_is_dropped", [False, True])
+def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread(line_is_dropped: bool) -> None:
     async def talk() -> list[dict[str, Any]]:
         heard: list[dict[str, Any]] = []
         choice = Choice(scenario="scheme-1", rig="mock", settings=("rig.rails.x.park_m=99",))
@@ -197,7 +255,12 @@ def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread() -
         for _ in range(50):
             session.send(present=True)
         os.waitid(os.P_PID, session.pid, os.WEXITED | os.WNOWAIT)  # nothing is read before it is gone
+        if line_is_dropped:  # as uvloop does
+            asyncio.get_running_loop().remove_reader(session._channel)
+        end_s = time.monotonic() + 20.0
         while not session.ended:
+            assert time.monotonic() < end_s, heard
+            session.look()
             await asyncio.sleep(0.01)
         await session.close()
         return heard

@@ -6,12 +6,15 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from console_client import NEAR, Console, console
+from console_client import NEAR, PATIENT, Console, console
+
+from hil.recording.read import load
+from hil.recording.replay import replay
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -44,8 +47,15 @@ class Screen:
             assert time.monotonic() < end_s, f"{expression} did not come: {state}"
             time.sleep(0.05)
 
-    def until_mode(self, mode: str) -> None:
-        self.page.wait_for_selector(f"#mode[data-mode='{mode}']", timeout=120_000)
+    def until_other(self, look: Callable[[], str], before: str, wall_s: float = 30.0) -> None:
+        """Wait until ``look`` gives something else than ``before``."""
+        end_s = time.monotonic() + wall_s
+        while look() == before:
+            assert time.monotonic() < end_s, "nothing changes"
+            time.sleep(0.1)
+
+    def until_mode(self, mode: str, wall_s: float = 120.0) -> None:
+        self.until(f"document.getElementById('mode').dataset.mode === '{mode}'", wall_s)
 
     def press(self, key: str, button: str, confirm: bool = False) -> None:
         """Press a key once its button is there to be pressed; answer the question."""
@@ -77,15 +87,19 @@ def browser() -> Iterator[Any]:
 
 
 def open_screen(browser: Any, c: Console, pictures: Path) -> Screen:
+    for context in browser.contexts:
+        context.close()  # pages of earlier tests draw and look for their consoles
     return Screen(browser.new_page(viewport={"width": 1280, "height": 720}), c.address, pictures)
 
 
-def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(browser: Any, pictures: Path) -> None:
-    with console("--rig", "emulated", *NEAR) as c:
+def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(
+    browser: Any, pictures: Path, tmp_path: Path
+) -> None:
+    with console("--rig", "emulated", *NEAR, *PATIENT, record=tmp_path / "recordings") as c:
         screen = open_screen(browser, c, pictures)
         screen.press("t", "take")
         screen.press("n", "open")
-        screen.until_mode("standby")
+        screen.until_mode("standby", 400.0)  # a first start compiles
 
         before_m = screen.page.evaluate("window.hil.now.rail_m[1]")
         screen.page.keyboard.press("2")
@@ -144,12 +158,98 @@ def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(browser: A
         assert screen.errors == []
 
 
+def start(screen: Screen) -> None:
+    """Take the command, open the bench, close the loop."""
+    screen.press("t", "take")
+    screen.press("n", "open")
+    screen.until_mode("standby", 400.0)  # a first start compiles
+    screen.press("m", "order_arm", confirm=True)
+    screen.until_mode("armed")
+    screen.press("s", "order_start", confirm=True)
+    screen.until_mode("running")
+
+
+def image_of(screen: Screen) -> str:
+    """Return a digest of what the camera's canvas shows."""
+    return str(screen.page.evaluate("document.getElementById('camera').toDataURL().slice(-4000)"))
+
+
+def test_pictures_of_each_camera_change_and_the_monitor_s_numbers_stand_beside(browser: Any, pictures: Path) -> None:
+    rendered = ("--set", "vmu.source=rendered", "--set", "monitor.source=rendered")
+    with console("--rig", "emulated", *rendered, *NEAR, *PATIENT) as c:
+        screen = open_screen(browser, c, pictures)
+        start(screen)
+        screen.until("window.hil.now.cameras.join() === 'vmu.left,vmu.right,monitor'", 240.0)
+        for camera, words in (("vmu.left", "VMU left"), ("vmu.right", "VMU right"), ("monitor", "Monitor")):
+            screen.until(f"document.getElementById('camera_text').textContent.startsWith('{words} at')")
+            screen.until(f"window.hil.camera.picture.name === '{camera}' && window.hil.camera.picture.image !== null")
+            assert screen.page.evaluate("window.hil.camera.picture.overlay.length") > 0
+            at_s, shown = screen.page.evaluate("window.hil.camera.picture.t_s"), image_of(screen)
+            screen.until(f"window.hil.camera.picture.t_s > {at_s}")
+            screen.until_other(lambda: image_of(screen), shown)
+            screen.picture(f"camera-{camera.replace('.', '-')}")
+            screen.press("i", "camera_next")
+        screen.until("window.hil.camera.picture.name === 'vmu.left'")
+        screen.until("window.hil.store.portions.filter((portion) => portion.r_m).length > 2", 240.0)
+        off_m = screen.page.evaluate(
+            "(() => { const s = window.hil.store, p = s.portions.findLast((portion) => portion.r_m);"
+            " return Math.abs(p.r_m[0] - s.at(Math.min(s.from(p.t_s), s.count - 1), 'bench_m.x')); })()"
+        )
+        assert off_m < 0.02  # beside the encoders, in the plot of both
+        screen.page.click("#camera_choice button[data-camera=monitor]")
+        screen.press("l", "camera_large")
+        screen.until("document.querySelectorAll('#monitor_numbers tr').length === 12")
+        assert "\u00b1" in screen.page.inner_text("#monitor_numbers")
+        screen.until("window.hil.camera.picture.name === 'monitor'")
+        time.sleep(1.0)
+        screen.picture("monitor")
+        screen.page.keyboard.press("l")
+        screen.page.wait_for_selector("#view:not(.big)")
+        screen.press("x", "stop")
+        screen.until("!window.hil.now.open", 240.0)
+        assert screen.errors == []
+
+
+def test_setting_is_changed_from_the_page_seen_in_the_log_and_recorded(
+    browser: Any, pictures: Path, tmp_path: Path
+) -> None:
+    with console("--rig", "mock", *NEAR, record=tmp_path) as c:
+        screen = open_screen(browser, c, pictures)
+        start(screen)
+        screen.page.wait_for_selector("#recording.good")
+        screen.press("p", "settings_open")
+        screen.page.wait_for_selector("#settinglist tr:nth-child(9)")
+        screen.page.type("#settinglist tr:nth-child(1) input", "-1\n")
+        screen.until("document.getElementById('answer').textContent.includes('allowed is above 0')")
+        screen.page.type("#settinglist tr:nth-child(1) input", "0.0005\n")
+        screen.page.wait_for_selector("#confirm[open]")
+        question = screen.page.inner_text("#question")
+        assert question == "gnc.control.deadband_m: from 0.0002 to 0.0005 m, from the next cycle on?"
+        screen.picture("settings")
+        screen.page.keyboard.press("y")
+        screen.until(
+            "window.hil.page.log.some((line) => line.text === 'ann: gnc.control.deadband_m = 0.0005, was 0.0002')"
+        )
+        screen.until("document.querySelector('#settinglist tr td b').textContent === '0.0005'")
+        screen.page.keyboard.press("Escape")
+        screen.page.wait_for_selector("#settings", state="hidden")
+        screen.press("x", "stop")
+        screen.until("!window.hil.now.open", 300.0)  # a first run compiles what judges it
+        ended = screen.page.evaluate("window.hil.page.ended")
+        assert screen.errors == []
+    recorded = load(Path(ended["recording"]["file"]))
+    (note,) = [note for note in recorded.notes if note["kind"] == "setting"]
+    assert (note["name"], note["message"]) == ("ann", "gnc.control.deadband_m=0.0005")
+    assert 0 < note["cycle"] < len(recorded.cycles)
+    assert replay(recorded, recorded.scenario).identical
+
+
 def test_reset_leads_out_of_an_alarm_before_the_run_into_standby(browser: Any, pictures: Path) -> None:
-    with console("--rig", "emulated", *NEAR) as c:
+    with console("--rig", "emulated", *NEAR, *PATIENT) as c:
         screen = open_screen(browser, c, pictures)
         screen.press("t", "take")
         screen.press("n", "open")
-        screen.until_mode("standby")
+        screen.until_mode("standby", 400.0)  # a first start compiles
         screen.until("Object.keys(window.hil.page.faults.menu).length == 4")
         screen.page.select_option("#fault_device", "rails")
         screen.page.select_option("#fault_kind", "drive_fault")

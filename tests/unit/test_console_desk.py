@@ -61,8 +61,8 @@ def test_every_order_that_moves_the_bench_is_asked_back_and_none_that_stops_it()
 
 def test_picture_comes_once_with_its_overlay_and_the_newest_wins(desk: Desk) -> None:
     client = Client("b" * 16, "bob")
-    desk.show(Picture("left", 1.0, 640, 480, b"old"))
-    desk.show(Picture("left", 2.0, 640, 480, b"new", ({"kind": "cross", "at": [3, 4], "good": True},)))
+    desk.shown.show(Picture("left", 1.0, 640, 480, b"old"))
+    desk.shown.show(Picture("left", 2.0, 640, 480, b"new", ({"kind": "cross", "at": [3, 4], "good": True},)))
     header, _, jpeg = unpack(pack(*desk.news_for(client)))
     assert jpeg == b"new"
     assert header["picture"]["overlay"] == [{"kind": "cross", "at": [3, 4], "good": True}]
@@ -90,7 +90,7 @@ def test_page_that_tells_what_it_has_gets_no_more_than_it_can_read_in_a_second(d
 
 
 def test_lease_that_runs_out_is_logged(desk: Desk) -> None:
-    desk._wall_s = lambda: 102.5
+    desk.wall_s = lambda: 102.5
     desk.tick()
     assert desk.log[-1]["text"] == "ann is lost: nothing heard for 2 s; nobody has the command"
 

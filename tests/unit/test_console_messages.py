@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,18 +25,25 @@ def test_message_carries_state_rows_and_picture_unchanged(rng: np.random.Generat
     numbers = rng.standard_normal((5, COLUMNS)).astype("<f4")
     numbers[2, 3] = np.nan
     picture = Picture("left", 1.25, 640, 480, b"\xff\xd8jpeg\xff\xd9", ({"kind": "cross", "at": [1, 2], "good": True},))
-    header, got, jpeg = unpack(pack({"mode": "running"}, {"word": "\u00e4"}, numbers, 7, picture))
+    picture = replace(picture, encoding="png", status="ok", exposed_s=99.5)
+    portions = {"first": 3, "list": [{"t_s": 1.0}]}
+    now = {"mode": "running", "wall_s": 100.0}
+    header, got, data = unpack(pack(now, {"word": "\u00e4"}, numbers, 7, picture, portions))
     np.testing.assert_array_equal(got, numbers)
-    assert jpeg == picture.jpeg
-    assert header["now"] == {"mode": "running"}
+    assert data == picture.data
+    assert header["now"] == now
+    assert header["portions"] == portions
     assert header["page"] == {"word": "\u00e4"}
     assert (header["rows"], header["columns"], header["first"]) == (5, COLUMNS, 7)
     assert header["picture"] == {
         "name": "left",
         "t_s": 1.25,
+        "age_s": 0.5,
+        "encoding": "png",
+        "status": "ok",
         "width_px": 640,
         "height_px": 480,
-        "bytes": len(picture.jpeg),
+        "bytes": len(picture.data),
         "overlay": [{"kind": "cross", "at": [1, 2], "good": True}],
     }
 

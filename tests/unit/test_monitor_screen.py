@@ -12,8 +12,9 @@ from hil.config.load import load_scene
 from hil.config.scene import Camera
 from hil.errors import BadInput
 from hil.monitor import ink, plots
-from hil.monitor.findings import QUANTITIES, Portion, Seen
+from hil.monitor.findings import QUANTITIES, Portion, Seen, portion_of, portion_row
 from hil.monitor.screen import HEIGHT, WIDTH, Screen, ScreenFile
+from hil.monitor.shapes import with_words
 from hil.monitor.sources import LOWER, UPPER, Frame
 
 GREY_FRAME = Frame(0, 0.0, np.full((576, 768), 90, np.uint8))
@@ -168,3 +169,31 @@ def test_a_screen_picture_is_the_last_canvas(tmp_path: Path, camera: Camera) -> 
 def test_a_screen_file_that_cannot_be_is_one_line(tmp_path: Path, name: str, said: str) -> None:
     with pytest.raises(BadInput, match=said):
         ScreenFile(str(tmp_path / name), 12.5)
+
+
+def test_what_stands_over_a_picture_by_itself_has_words_first_and_not_every_edge() -> None:
+    edges = np.vstack((np.column_stack((np.arange(500.0), np.arange(500.0))), [[np.nan, 1.0]]))
+    seen = Seen(3, 1.25, "near", (200, 150, 300, 250), edges, (350.0, 275.0, 0.0), (350.0, 275.0, 60.0))
+    found = with_words(seen, portion(1.2, range_m=8.5))
+    assert [shape["text"] for shape in found if shape["kind"] == "text"] == [
+        "near   t = 1.25 s   frame 3",
+        "range 8.500 +- 0.010 m",
+    ]
+    assert [shape["kind"] for shape in found[:2]] == ["text", "text"]
+    assert [shape["part"] for shape in found[2:9]] == ["region"] * 4 + ["circle"] + ["cross"] * 2
+    points = [shape["at"] for shape in found[9:]]
+    assert 90 < len(points) <= 120
+    assert points[1] == [5.0, 5.0]
+    assert all(shape["good"] for shape in found)
+    lost = with_words(Seen(0, 0.0, "no_target"), None)
+    assert [(shape["text"], shape["good"]) for shape in lost] == [("no_target   t = 0.00 s   frame 0", False)]
+
+
+def test_a_portion_comes_back_from_its_record() -> None:
+    before = portion(2.5, "far", range_m=12.25, phi3_rad=-0.5)
+    (row,) = portion_row(before)
+    after = portion_of(row)
+    assert (after.t_s, after.frames, after.status) == (before.t_s, before.frames, before.status)
+    np.testing.assert_array_equal(after.values, before.values)
+    np.testing.assert_array_equal(after.sigmas, before.sigmas)
+    assert (row["range_m"], row["sigma_range_m"]) == (12.25, 0.01)

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.frmn.cell import Block
 from hil.frmn.ring import Ring
 from hil.messages import CYCLE
+from hil.recording.header import file_digests
 from hil.recording.read import contents
-from hil.recording.recorder import Recorder, record_until_told
-from hil.recording.session import file_digests
+from hil.recording.recorder import CELLS, Recorder, record_until_told
 from hil.recording.writer import Header, RunFile
 
 
@@ -24,13 +25,15 @@ def recorder_of(path: Path, slots: int, rows: int) -> Iterator[tuple[RunFile, Re
     """Give a recorder whose ring of ``slots`` has seen ``rows`` cycles, of which it has fetched none yet."""
     ring = Ring.create(CYCLE, slots, "cycles")
     file = RunFile(path, Header({"schema_version": "1"}, {}, 0))
-    recorder = Recorder(file, {"cycles": ring})
+    block = Block.create(CELLS, "recorder")
+    recorder = Recorder(file, {"cycles": ring}, block["state"])
     row = np.zeros(1, CYCLE)
     for k in range(rows):
         row["t_s"] = 0.001 * k
         ring.put(row)
     yield file, recorder
     ring.close()
+    block.close()
 
 
 @pytest.mark.parametrize("told", [None, {"end": {"stop": "completed"}, "summary": "{}"}])

@@ -15,13 +15,13 @@ from mcap.writer import Writer
 from hil.drivers.remote.cells import ARRIVAL
 from hil.errors import BadInput
 from hil.messages import CYCLE
+from hil.pictures import PICTURE_BYTES, picture_row
 from hil.recording import schema
 from hil.recording.export import export
 from hil.recording.fields import FIELDS
 from hil.recording.read import contents, load
 from hil.recording.recover import recover
 from hil.recording.schema import NOTE
-from hil.recording.taps import picture_row
 from hil.recording.writer import Header, RunFile
 
 STEP_S = 0.02
@@ -242,7 +242,7 @@ def test_notes_and_pictures_open_with_the_names_that_foxglove_knows(tmp_path: Pa
 
 def test_a_picture_beyond_its_room_is_refused() -> None:
     with pytest.raises(BadInput, match="left"):
-        picture_row("left", 0.0, bytes(schema.PICTURE_BYTES + 1))
+        picture_row("left", 0.0, bytes(PICTURE_BYTES + 1))
 
 
 def test_csv_gives_back_the_very_numbers(recorded_run: Path, tmp_path: Path) -> None:

@@ -1,9 +1,15 @@
-// The camera's picture with its overlay, or, where none comes, what the camera must have in view by the encoders.
+// A camera's picture with its overlay, or, where none comes, what the camera must have in view by the encoders.
 
 import { prepare } from "/page/chart.js";
 import { lampsInView } from "/page/scene.js";
 
 const GOOD = "#56b4e9", BAD = "#e69f00";
+// parts that stand for something of their own; what is bad keeps its colour
+const PARTS = { region: "#a9b4c0", edge: "#009e73", cross: "#f0e442", number: "#f4f6f8" };
+const NAMES = { "vmu.left": ["VMU left", "Left"], "vmu.right": ["VMU right", "Right"], monitor: ["Monitor", "Monitor"] };
+
+export const nameOf = (camera) => (NAMES[camera] || [camera])[0];
+export const shortNameOf = (camera) => (NAMES[camera] || [camera, camera])[1];
 
 export class Camera {
   constructor(canvas, text) {
@@ -11,43 +17,69 @@ export class Camera {
     this.text = text;
     this.picture = null; // the newest, decoded
     this.decoding = false;
+    this.waiting = null;
+    this.wanted = ""; // the camera that this page watches
   }
 
-  // Take the picture of a message; while one is being decoded further ones are left out.
-  async take(header, jpeg) {
+  forget() {
+    if (this.picture && this.picture.image) this.picture.image.close();
+    this.picture = null;
+  }
+
+  // Take the picture of a message; of those that come while one is being decoded the newest is next.
+  async take(header, data) {
+    this.waiting = { header, data, came_ms: performance.now() };
     if (this.decoding) return;
     this.decoding = true;
-    try {
-      const image = jpeg.byteLength ? await createImageBitmap(new Blob([jpeg], { type: "image/jpeg" })) : null;
-      if (this.picture && this.picture.image) this.picture.image.close();
-      this.picture = { ...header, image, came_ms: performance.now() };
-    } catch {
-      this.picture = { ...header, image: null, came_ms: performance.now() };
-    } finally {
-      this.decoding = false;
+    while (this.waiting) {
+      const next = this.waiting;
+      this.waiting = null;
+      await this.decode(next);
     }
+    this.decoding = false;
+  }
+
+  async decode({ header, data, came_ms }) {
+    let image = null, status = header.status;
+    try {
+      if (data.byteLength) image = await createImageBitmap(new Blob([data], { type: `image/${header.encoding}` }));
+    } catch {
+      status = "cannot be decoded";
+    }
+    this.forget();
+    this.picture = { ...header, status, image, came_ms };
+  }
+
+  age_s() {
+    return this.picture.age_s + (performance.now() - this.picture.came_ms) / 1000;
   }
 
   draw(bench, pose) {
     const [c, width, height] = prepare(this.canvas);
     const picture = this.picture;
     if (picture) {
+      const age_s = this.age_s(), stale = age_s > (bench.picture_stale_s || 1);
       const put = this.fit(c, width, height, picture.width_px, picture.height_px);
-      if (picture.image) c.drawImage(picture.image, ...put(0, 0), ...put.size);
-      for (const shape of picture.overlay) this.shape(c, put, shape);
-      const age_s = (performance.now() - picture.came_ms) / 1000;
-      this.text.textContent = `${picture.name} at ${picture.t_s.toFixed(2)} s, ${age_s.toFixed(1)} s ago`;
-      this.text.className = age_s > 1 ? "stale" : "";
+      c.filter = stale ? "grayscale(1) brightness(0.6)" : "none";
+      if (picture.image) c.drawImage(picture.image, ...put(-0.5, -0.5), ...put.size); // pixel centres at whole numbers
+      // the monitor's numbers stand beside its picture
+      const shapes = picture.name === "monitor" ? picture.overlay.filter((shape) => shape.part !== "number") : picture.overlay;
+      this.overlay(c, put, shapes, height);
+      c.filter = "none";
+      const at = picture.t_s === null ? "before the run" : `at ${picture.t_s.toFixed(2)} s`;
+      this.say(`${nameOf(picture.name)} ${at}, ${age_s.toFixed(1)} s old${stale ? ": STALE" : ""}${picture.status ? ` \u00b7 ${picture.status}` : ""}`, stale);
       return;
     }
-    if (!bench || !bench.camera || !pose) {
-      this.text.textContent = "camera: no picture";
-      return;
-    }
+    if (!bench || !bench.camera || !pose) return this.say("no picture", false);
     const put = this.fit(c, width, height, bench.camera.width_px, bench.camera.height_px);
     for (const lamp of lampsInView(bench, pose)) if (lamp) this.shape(c, put, { kind: "circle", at: lamp, radius: 14, good: true });
     this.shape(c, put, { kind: "cross", at: [bench.camera.width_px / 2, bench.camera.height_px / 2], good: false });
-    this.text.textContent = "no picture: lamps by the encoders";
+    this.say("no picture: lamps by the encoders", false);
+  }
+
+  say(text, stale) {
+    this.text.textContent = text;
+    this.text.classList.toggle("stale", stale);
   }
 
   fit(c, width, height, across, down) {
@@ -55,17 +87,42 @@ export class Camera {
     const left = (width - scale * across) / 2, top = (height - scale * down) / 2;
     c.strokeStyle = "#3a4654";
     c.strokeRect(left + 0.5, top + 0.5, scale * across - 1, scale * down - 1);
-    const put = (u, v) => [left + scale * u, top + scale * v];
+    const put = (u, v) => [left + scale * (u + 0.5), top + scale * (v + 0.5)];
     put.size = [scale * across, scale * down];
     put.scale = scale;
     return put;
   }
 
+  // Words keep a size that can be read, each in a line of its own; a small picture has no room for them.
+  overlay(c, put, shapes, height) {
+    const size = 16, [left, top] = put(0, 0);
+    let line = 0;
+    for (const shape of shapes) {
+      if (shape.kind !== "text") this.shape(c, put, shape);
+      else if (height > 300) this.word(c, shape, left + 8, top + (++line) * (size + 5), size);
+    }
+  }
+
+  word(c, shape, x, y, size) {
+    c.font = `700 ${size}px "DejaVu Sans", sans-serif`;
+    c.textAlign = "left";
+    c.textBaseline = "alphabetic";
+    c.lineWidth = 3;
+    c.strokeStyle = "#000";
+    c.strokeText(shape.text, x, y);
+    c.fillStyle = this.color(shape);
+    c.fillText(shape.text, x, y);
+  }
+
+  color(shape) {
+    return shape.good ? PARTS[shape.part] || GOOD : BAD;
+  }
+
   shape(c, put, shape) {
-    c.strokeStyle = c.fillStyle = shape.good ? GOOD : BAD;
-    c.lineWidth = 2;
+    c.strokeStyle = c.fillStyle = this.color(shape);
+    c.lineWidth = shape.part === "edge" ? 1 : 2;
     c.beginPath();
-    if (shape.kind === "circle") c.arc(...put(...shape.at), Math.max(2, shape.radius * put.scale), 0, 2 * Math.PI);
+    if (shape.kind === "circle") c.arc(...put(...shape.at), Math.max(shape.part === "edge" ? 1 : 2, shape.radius * put.scale), 0, 2 * Math.PI);
     if (shape.kind === "line") {
       c.moveTo(...put(...shape.from));
       c.lineTo(...put(...shape.to));
@@ -78,9 +135,5 @@ export class Camera {
       c.lineTo(x, y + 5);
     }
     c.stroke();
-    if (shape.kind === "text") {
-      c.font = '700 13px "DejaVu Sans", sans-serif';
-      c.fillText(shape.text, ...put(...shape.at));
-    }
   }
 }

@@ -31,7 +31,7 @@ export function shown(value) {
 }
 
 export class Chart {
-  // series: {name, column, color, dash, dots, minus, scale}; bands: {column, color} about zero; bound: {value, text}
+  // series: {name, column, color, dash, dots, minus, scale}, or {name, color, points(store)} for [t, value] of its own; bands: {column, color} about zero; bound: {value, text}
   constructor(canvas, { title, series, bands = [], bound = null, log = false, low = 0, shows = null }) {
     Object.assign(this, { canvas, title, series, bands, bound, log, low, shows });
   }
@@ -43,7 +43,7 @@ export class Chart {
     if (!store.count || box.bottom - box.top < 20) return;
     const first = Math.max(0, store.from(t0) - 1);
     const step = Math.max(1, Math.floor((store.count - first) / Math.max(60, box.right - box.left)));
-    const [low, high] = this.range(store, first, step);
+    const [low, high] = this.range(store, first, step, t0);
     const x = (t) => box.left + ((t - t0) / (t1 - t0)) * (box.right - box.left);
     const to = this.log ? Math.log10 : (v) => v;
     const y = (v) => box.bottom - ((to(v) - to(low)) / (to(high) - to(low))) * (box.bottom - box.top);
@@ -79,12 +79,12 @@ export class Chart {
   }
 
   value(store, row, series) {
-    if (row < 0) return NaN;
+    if (row < 0 || series.points) return NaN;
     const value = store.at(row, series.column) * (series.scale || 1);
     return series.minus ? value - store.at(row, series.minus) * (series.scale || 1) : value;
   }
 
-  range(store, first, step) {
+  range(store, first, step, t0) {
     let low = Infinity, high = -Infinity;
     const take = (v) => {
       if (Number.isFinite(v) && (!this.log || v > 0)) {
@@ -94,6 +94,10 @@ export class Chart {
     };
     for (const series of this.series) {
       if (series.free) continue; // does not set the scale
+      if (series.points) {
+        for (const [t, v] of series.points(store)) if (t >= t0) take(v);
+        continue;
+      }
       for (let row = first; row < store.count; row += series.dots ? 1 : step) take(this.value(store, row, series));
     }
     for (const band of this.bands) {
@@ -169,6 +173,10 @@ export class Chart {
   line(c, store, first, step, series, x, y) {
     c.strokeStyle = c.fillStyle = series.color;
     c.lineWidth = series.width || 2;
+    if (series.points) {
+      for (const [t, v] of series.points(store)) this.diamond(c, x(t), y(v));
+      return;
+    }
     if (series.dots) {
       for (let row = first; row < store.count; row++) {
         const v = this.value(store, row, series);
@@ -188,6 +196,15 @@ export class Chart {
     c.setLineDash([]);
   }
 
+  diamond(c, x, y) {
+    c.beginPath();
+    c.moveTo(x - 4, y);
+    c.lineTo(x, y - 4);
+    c.lineTo(x + 4, y);
+    c.lineTo(x, y + 4);
+    c.fill();
+  }
+
   limit(c, box, at) {
     c.strokeStyle = c.fillStyle = "#d55e00";
     c.lineWidth = 2;
@@ -197,7 +214,8 @@ export class Chart {
     c.stroke();
     c.font = `700 11px ${FONT}`;
     c.textAlign = "left";
-    c.textBaseline = "bottom";
+    const below = at - box.top < 14; // no room above it
+    c.textBaseline = below ? "top" : "bottom";
     c.fillText(this.bound.text, box.left + 3, at - 1);
   }
 }

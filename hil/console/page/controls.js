@@ -1,5 +1,7 @@
 // Buttons, keys, jogging, fault switches: everything by which the page orders something.
 
+import { Settings } from "/page/settings.js";
+
 const $ = (id) => document.getElementById(id);
 const JOG_MS = 60; // the bench stops 0.2 s after the last one
 const ANSWER_MS = 6000;
@@ -17,7 +19,10 @@ export class Controls {
     this.jogging = null;
     this.axis = 0;
     for (const [order, text, key] of ORDERS) this.button($("orders"), order, text, key);
+    $("orders").append(Object.assign(document.createElement("button"), { id: "settings_open", textContent: "Settings" }));
+    $("settings_open").dataset.key = "p";
     for (const button of document.querySelectorAll("button[data-key]")) button.innerHTML += `<kbd>${button.dataset.key}</kbd>`;
+    this.settings = new Settings(this);
     $("take").onclick = () => this.takeOrGiveBack();
     $("open").onclick = () => this.open();
     $("stop").onclick = () => this.ask({ do: "order", order: "stop" });
@@ -49,6 +54,7 @@ export class Controls {
   async ask(message) {
     const answer = await this.link.ask(message);
     if (!answer.ask) return this.say(answer.ok ? "" : answer.text);
+    this.say("");
     $("question").textContent = answer.ask;
     $("yes").onclick = () => {
       $("confirm").close();
@@ -129,6 +135,7 @@ export class Controls {
     $("open").disabled = !mine || open;
     $("stop").disabled = !mine || !open;
     $("acknowledge").disabled = !mine || !page.alarms.some((alarm) => !alarm.acknowledged);
+    this.settings.show(page, mine && open);
     const jogs = mine && open && ["standby", "jogging"].includes(now.mode);
     for (const button of document.querySelectorAll(".axis button, #faults button")) button.disabled = !(button.closest(".axis") ? jogs : mine && page.faults && Object.keys(page.faults.menu).length);
     if (!jogs && this.jogging) this.jog(null);
@@ -150,7 +157,9 @@ export class Controls {
     options($("fault_device"), Object.keys(page.faults.menu));
     this.faultKinds();
     const on = Object.entries(page.faults.on).filter(([, list]) => list !== "none");
-    $("fault_list").textContent = on.map(([device, list]) => `${device}: ${list}`).join("; ");
+    const none = open ? "this rig has no emulated devices" : "of emulated devices, while a bench is open";
+    $("fault_list").textContent = Object.keys(page.faults.menu).length ? on.map(([device, list]) => `${device}: ${list}`).join("; ") : none;
+    $("fault_list").classList.toggle("none", !on.length);
     if (page.bench.axes && document.querySelectorAll(".axis").length === 0) this.axes(Object.keys(page.bench.axes));
   }
 

@@ -3,7 +3,7 @@
 const BEAT_MS = 200, AGAIN_MS = 1000;
 
 export class Link {
-  // on: {message(header, rows, jpeg), refused(text), lost()}
+  // on: {message(header, rows, picture), opened(), refused(text), lost()}
   constructor(on) {
     this.on = on;
     this.waiting = new Map();
@@ -20,7 +20,10 @@ export class Link {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
     socket.binaryType = "arraybuffer";
     this.got = 0;
-    socket.onopen = () => socket.send(JSON.stringify({ key: this.key, name, token }));
+    socket.onopen = () => {
+      socket.send(JSON.stringify({ key: this.key, name, token }));
+      this.on.opened();
+    };
     socket.onmessage = (event) => this.take(event.data);
     socket.onclose = (event) => {
       this.socket = null;

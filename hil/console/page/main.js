@@ -7,6 +7,7 @@ import { ages, alarms, header, isStale, log } from "/page/panels.js";
 import { Plots } from "/page/plots.js";
 import { Scene } from "/page/scene.js";
 import { Store } from "/page/store.js";
+import { View } from "/page/view.js";
 
 const $ = (id) => document.getElementById(id);
 const SLOW_EACH_MS = 500, LOST_MS = 1000, DRAW_EACH_MS = 90;
@@ -18,29 +19,34 @@ const camera = new Camera($("camera"), $("camera_text"));
 let now = null, page = null, drawn = -1, drawn_ms = 0, slow_ms = 0;
 
 const link = new Link({
-  message(header, rows, jpeg) {
+  message(header, rows, data) {
     now = header.now;
     if (header.page) {
-      if (page && page.session !== header.page.session) camera.picture = null;
+      if (page && page.session !== header.page.session) camera.forget();
       page = header.page;
       store.name(page.columns);
       plots.describe(page.bench);
       alarms(page);
     }
     store.add(rows, header.rows, header.first);
-    if (header.picture) camera.take(header.picture, jpeg);
+    if (header.portions) store.addPortions(header.portions);
+    if (header.picture) camera.take(header.picture, data);
   },
   refused(text) {
     $("who_text").textContent = text;
     sessionStorage.removeItem("hil.token");
     if (!$("who").open) $("who").showModal();
   },
+  opened() {
+    if (camera.wanted) link.send({ do: "watch", camera: camera.wanted });
+  },
   lost() {
     link.came_ms = -Infinity;
   },
 });
 const controls = new Controls(link);
-window.hil = { store, link, get now() { return now; }, get page() { return page; }, get frames() { return frames; } };
+const view = new View(camera, link);
+window.hil = { store, link, camera, get now() { return now; }, get page() { return page; }, get frames() { return frames; } };
 
 function poseNow() {
   const q = [0, 1, 2, 3].map((i) => store.last(`q_bench_${i}`));
@@ -71,6 +77,7 @@ function draw(time_ms) {
   const stale = isStale(now) || document.body.classList.contains("lost");
   header(now, page, store);
   controls.show(now, page);
+  view.show(now, page, store);
   if (time_ms - slow_ms > SLOW_EACH_MS) {
     slow_ms = time_ms;
     ages(now, page, (performance.now() - link.came_ms) / 1000);

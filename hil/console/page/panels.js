@@ -27,6 +27,17 @@ export function header(now, page, store) {
   $("share").value = now.mode === "running" && page.bench.duration_s ? now.run_s / page.bench.duration_s : now.share || 0;
   $("holder").textContent = now.lease.mine ? "You have the command" : now.lease.holder ? `${now.lease.holder} commands` : "nobody commands";
   $("word").textContent = words(now, page);
+  recording(now.recording);
+}
+
+// Whether the session is being recorded, how much of it there is, and what is lost.
+function recording(found) {
+  const [state, rest] = $("recording").children;
+  state.textContent = !found ? "-" : found.trouble ? "REC \u2715" : "REC \u25cf";
+  const size = found && `${(found.size_bytes / 1e6).toFixed(1)} MB`;
+  rest.textContent = !found ? "not recorded" : found.trouble ? "NOT RECORDED" : `${size}, ${found.lost} lost`;
+  $("recording").className = `value ${found ? (found.trouble || found.lost ? "bad" : "good") : ""}`;
+  $("recording").title = found ? found.trouble || found.file : "";
 }
 
 function words(now, page) {

@@ -2,6 +2,7 @@
 
 import { Chart, Firings, Lateness } from "/page/chart.js";
 
+const GREEN = "#009e73";
 const X = "#e69f00", Y = "#56b4e9", Z = "#cc79a7", WHITE = "#f4f6f8", YELLOW = "#f0e442";
 const AXES = [["x", X], ["y", Y], ["z", Z]];
 const STRETCHES = [Infinity, 120, 30];
@@ -62,12 +63,24 @@ export class Plots {
     this.axis = axis;
     const name = "xyz"[axis];
     const off = (what, more) => ({ column: `${what}_m.${name}`, minus: `reference_m.${name}`, scale: 1000, ...more });
-    this.compared.title = `${name} off the plan, mm [v]`;
+    this.compared.title = `${name} \u2212 plan mm [v]`;
     this.compared.series = [
       off("vision", { name: "VMU", color: YELLOW, dots: true }),
-      off("bench", { name: "encoders", color: WHITE, width: 2.5 }),
+      { name: "monitor", color: GREEN, points: (store) => this.monitor(store, axis) },
+      off("bench", { name: "bench", color: WHITE, width: 2.5 }),
       off("estimate", { name: "filter", color: Y, width: 1.5, dash: [6, 2] }),
     ];
+  }
+
+  // Where the docking monitor has the chaser, off the plan, mm: [t, value] of each portion with a pose.
+  monitor(store, axis) {
+    const name = `reference_m.${"xyz"[axis]}`;
+    const found = [];
+    for (const { t_s, r_m } of store.portions) {
+      const row = Math.min(store.from(t_s), store.count - 1);
+      if (r_m && row >= 0) found.push([t_s, 1000 * (r_m[axis] - store.at(row, name))]);
+    }
+    return found;
   }
 
   key(event) {

@@ -9,6 +9,14 @@ export class Store {
     this.count = 0;
     this.data = new Float32Array(0);
     this.version = 0;
+    this.portions = []; // of the docking monitor: {t_s, status, frames, values, sigmas, r_m}
+  }
+
+  // first: number of the first of them, 0 replaces all
+  addPortions({ first, list }) {
+    this.portions.length = Math.min(first, this.portions.length);
+    this.portions.push(...list);
+    this.version++;
   }
 
   name(columns) {

@@ -31,6 +31,7 @@ class VmuEmulator:
     ``pose_at(t_s)`` is called at each exposure, multiples of 1/rate_hz of bench time, and returns the
     measured pose with its noise (its counter and times are overwritten here), or None when the ring is
     not seen. Each frame leaves ``processing_s``, and what ``transport`` draws for it, after its exposure.
+    at_end: called when the unit is let go of.
     """
 
     def __init__(
@@ -40,6 +41,7 @@ class VmuEmulator:
         pose_at: Callable[[float], PoseFrame | None],
         transport: Transport | None = None,
         seed: int = 0,
+        at_end: Callable[[], None] = lambda: None,
     ) -> None:
         self._rate_hz = config.rate_hz
         self._processing_s = config.processing_s
@@ -47,6 +49,7 @@ class VmuEmulator:
         self._clock = clock
         self._pose_at = pose_at
         self._transport = transport
+        self._at_end = at_end
         self.faults = Faults(NAME, kinds(WIRE, CLOCK))
         self._wire = FaultyWire(self.faults, stream(seed, "wire"))
         self._frame = b""  # the newest one
@@ -98,6 +101,7 @@ class VmuEmulator:
         if self._line is not None:
             self._line.close()
             self._line = None
+            self._at_end()
 
     def _expose(self, t_s: float) -> bytes:
         if self.faults.value("freeze") is not None and self._frame:

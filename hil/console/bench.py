@@ -1,0 +1,89 @@
+"""The bench of a session with all that the console watches of it: numbers, pictures, what the docking monitor says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from typing import Final
+
+from hil import build, monitored
+from hil.clock import WallClock
+from hil.console.remote_operator import RemoteOperator
+from hil.frmn.picture_memory import wanted_pictures
+from hil.frmn.ring import NoTelemetry, Ring, Telemetry
+from hil.frmn.run_time import RunTime
+from hil.messages import CYCLE
+from hil.monitor.findings import PORTION
+from hil.pictures import PICTURE, SLOTS, MakerBeside
+from hil.rate import WallRate
+from hil.realtime import RealTime
+from hil.recording.taps import Notes, Taps
+from hil.runner import Runner
+
+RINGS: Final = {"pictures": PICTURE, "monitor_pictures": PICTURE, "portions": PORTION}
+"""What the console reads beside the cycles, by its name in ``Taps``."""
+_PORTIONS: Final = 64
+
+
+@dataclass
+class Bench:
+    """A runner, and the way to what it does. The mock rig keeps the time of the wall here, so that one can watch.
+
+    notes: where to put down what the operator does. watched: asked for what the docking monitor saw, after the run.
+    """
+
+    runner: Runner
+    telemetry: Ring
+    notes: Notes | None
+    watched: monitored.Look
+    addresses: dict[str, str] = field(default_factory=dict)
+    rings: dict[str, Ring] = field(default_factory=dict)
+
+
+@contextmanager
+def opened(
+    job: build.Job, operator: RemoteOperator, announce: Callable[[str], None], recorder: Taps | None = None
+) -> Iterator[Bench]:
+    """Give the bench of ``job``; its processes are ended after. recorder: who records it."""
+    with ExitStack() as stack:
+        taps = recorder or stack.enter_context(_taps_of_our_own(job))
+        rings = {name: ring for name in RINGS if isinstance(ring := getattr(taps, name), Ring)}
+        assert isinstance(taps.cycles, Ring)
+        if job.rig.value.kind != "mock":
+            bench = stack.enter_context(build.wired_bench(job, announce, taps))
+            watched = stack.enter_context(monitored.beside(job, bench.telemetry, announce, taps))
+            runner = bench.runner(operator.watch, operator)
+            yield Bench(runner, bench.telemetry, bench.notes, watched, bench.addresses, rings)
+            return
+        watched = stack.enter_context(monitored.beside(job, taps.cycles, announce, taps))
+        host = job.rig.value.host
+        realtime = stack.enter_context(RealTime(host.fifo, host.cpu))
+        rate = WallRate(WallClock(speed=job.speed), job.scenario.value.step_s)
+        maker = taps.maker(job.rig.value) if job.scenario.value.vmu.source == "rendered" else None
+        pictures = MakerBeside(maker) if maker else None
+        if pictures:
+            stack.callback(pictures.close)
+        runner = build.in_memory(job, rate, operator.watch, realtime, taps.cycles, operator, pictures)
+        yield Bench(runner, taps.cycles, taps.attach(runner), watched, {}, rings)
+
+
+@contextmanager
+def _taps_of_our_own(job: build.Job) -> Iterator[Taps]:
+    """Give taps of a session that nobody records: the console alone reads them."""
+    scenario, wanted = job.scenario.value, wanted_pictures(job.rig.value).encoding != "none"
+    rings = {"cycles": Ring.create(CYCLE, build.TELEMETRY_ROWS)}
+    if wanted and scenario.vmu.source == "rendered":
+        rings["pictures"] = Ring.create(PICTURE, SLOTS, "pictures")
+    if scenario.monitor.source != "none":
+        rings["portions"] = Ring.create(PORTION, _PORTIONS, "portions")
+        if wanted:
+            rings["monitor_pictures"] = Ring.create(PICTURE, SLOTS, "pictures")
+    run_time = RunTime.create()
+    takers: dict[str, Telemetry] = {name: rings.get(name, NoTelemetry()) for name in ("cycles", *RINGS)}
+    try:
+        yield Taps(**takers, run_time=run_time)
+    finally:
+        run_time.close()
+        for ring in rings.values():
+            ring.close()

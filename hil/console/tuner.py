@@ -1,0 +1,95 @@
+"""The settings that the operator may change in flight, as they are now, and what a change of one makes of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+from hil.assembly import Job
+from hil.config.in_flight import range_of, value_of
+from hil.config.load import Loaded
+from hil.config.scenario import Scenario
+from hil.console.lease import Refused
+from hil.tuning import Tuning, check_in_flight, packed, tuning, with_setting
+
+_UNITS: Final = {
+    "_per_s": "1/s",
+    "_mps": "m/s",
+    "_mps2": "m/s\u00b2",
+    "_mps3": "m/s\u00b3",
+    "_degps": "\u00b0/s",
+    "_degps2": "\u00b0/s\u00b2",
+    "_deg": "\u00b0",
+    "_sigma": "\u03c3",
+    "_m": "m",
+    "_s": "s",
+}
+"""By the ending of a key; the first that fits."""
+
+
+def unit_of(key: str) -> str:
+    """Return the unit that the name of ``key`` ends in, "" for a plain number."""
+    return next((unit for ending, unit in _UNITS.items() if key.endswith(ending)), "")
+
+
+@dataclass(frozen=True)
+class Change:
+    """One setting that is to have another value. scenario: with it, checked; records: what the loop takes over."""
+
+    key: str
+    before: float
+    value: float
+    scenario: Loaded[Scenario]
+    records: Tuning
+
+    @property
+    def question(self) -> str:
+        unit = unit_of(self.key)
+        return f"{self.key}: from {self.before:g} to {self.value:g}{unit and f' {unit}'}, from the next cycle on?"
+
+    def as_message(self) -> dict[str, Any]:
+        """Return the change for the session's process."""
+        return {"key": self.key, "value": self.value, "records": packed(self.records)}
+
+
+class Tuner:
+    """The settings of one session. ``took`` is told each change that its loop has made."""
+
+    def __init__(self, job: Job) -> None:
+        self._scenario = job.scenario
+        self._rig = job.rig
+
+    def offered(self) -> list[dict[str, Any]]:
+        """Return what may be changed: key, unit, value as it is now, and allowed range."""
+        scenario = self._scenario.value
+        return [
+            {
+                "key": key,
+                "unit": unit_of(key),
+                "value": value_of(scenario, key),
+                "range": range_of(Scenario, key).as_json(),
+            }
+            for key in scenario.console.adjustable
+        ]
+
+    def change(self, key: object, value: object) -> Change:
+        """Return the change of ``key`` to ``value``. Raises Refused, or BadInput where the scenario does not suit."""
+        scenario = self._scenario.value
+        allowed = scenario.console.adjustable
+        if key not in allowed or not isinstance(key, str):
+            raise Refused(
+                f"{key!r}: this scenario lets nobody change it in flight; it allows {', '.join(allowed) or '-'}"
+            )
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise Refused(f"{key}: {value!r} is no number")
+        before, limits = value_of(scenario, key), range_of(Scenario, key)
+        if float(value) not in limits:
+            raise Refused(f"{key}: {value:g}: allowed is {limits}")
+        changed = with_setting(scenario, f"{key}={float(value)!r}", self._scenario.source)
+        check_in_flight(changed, self._rig)
+        return Change(key, before, float(value), changed, tuning(changed.value))
+
+    def took(self, change: Change) -> None:
+        """From now on ``change`` is how it is."""
+        self._scenario = change.scenario

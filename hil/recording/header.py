@@ -1,0 +1,72 @@
+"""What a recording says of itself at its begin: names, versions, configuration, and what it was calibrated by."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import platform
+from pathlib import Path
+from typing import Any
+
+from hil import __version__
+from hil.assembly import Job
+from hil.config.digest import motion_digest
+from hil.config.load import load_scene
+from hil.eyes import believed_geometry
+from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, VERSION
+from hil.recording.utc import utc_text
+from hil.recording.writer import Header
+
+
+def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> Header:
+    """Return the header of a recording of ``job`` by the name ``run``. Raises BadInput where a file of it is none."""
+    scenario, rig = job.scenario.value, job.rig.value
+    versions = {name: importlib.metadata.version(name) for name in ("numpy", "numba", "scipy", "mcap")}
+    facts = {
+        "schema_version": str(VERSION),
+        "run": run,
+        "scenario": scenario.name,
+        "scenario_file": job.scenario.source,
+        "rig": rig_name,
+        "rig_file": job.rig.source,
+        "rig_kind": rig.kind,
+        "seed": str(job.seed),
+        "duration_s": repr(job.duration_s),
+        "step_s": repr(scenario.step_s),
+        "speed": repr(job.speed),
+        "started_utc": utc_text(started_ns),
+        "hil": __version__,
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        "host": platform.node(),
+        "calibration_motion": motion_digest(rig),
+        "calibration_sign_off": (rig.sign_off.digest or "") if rig.sign_off else "",
+        **versions,
+        **file_digests({"scenario": scenario.model_dump(mode="json"), "rig": rig.model_dump(mode="json")}),
+    }
+    files = {"scenario.json": scenario.model_dump_json(), "rig.json": rig.model_dump_json(), **_calibrations(job)}
+    return Header(facts, files, started_ns)
+
+
+def _calibrations(job: Job) -> dict[str, str]:
+    """Return what vision unit and docking monitor take their cameras and targets for, where pictures are drawn."""
+    scenario, rig = job.scenario.value, job.rig.value
+    files = {}
+    if scenario.vmu.source == "rendered":
+        files[GEOMETRY_FILE] = believed_geometry(rig).model_dump_json()
+    if scenario.monitor.source == "rendered":
+        files[SCENE_FILE] = load_scene(scenario.monitor.scene).value.model_dump_json()
+    return files
+
+
+def file_digests(table: dict[str, Any], prefix: str = "calibration_") -> dict[str, str]:
+    """Return a digest of each file that the configuration names by a key that ends in ``_file``; prefix: of the key."""
+    found: dict[str, str] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            found |= file_digests(value, f"{prefix}{key}.")
+        elif key.endswith("_file") and isinstance(value, str):
+            path = Path(value)
+            digest = f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" if path.is_file() else "missing"
+            found[f"{prefix}{key}"] = f"{path.name} {digest}"
+    return found

@@ -1,0 +1,44 @@
+"""What the console says of a recording as it grows, loses, fails and comes back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.console.recording_watch import SILENT_S, RecordingWatch
+from hil.recording.recorder import STATE
+
+
+def state(size_bytes: int = 0, dropped: int = 0, trouble: str = "") -> np.ndarray:
+    return np.array([(1, dropped, size_bytes, trouble.encode())], STATE)
+
+
+def test_recording_that_grows_says_nothing_and_its_first_loss_once() -> None:
+    watch = RecordingWatch("/runs/a.mcap")
+    assert watch.look(state(1000), 0.1) == []
+    (line,) = watch.look(state(2000, dropped=7), 0.1)
+    assert line == "recording: /runs/a.mcap: 7 messages came too fast and are lost, more are counted"
+    assert watch.look(state(3000, dropped=9), 0.1) == []
+    assert watch.as_json() == {"file": "a.mcap", "size_bytes": 3000, "lost": 9, "trouble": ""}
+
+
+def test_full_disk_is_said_once_and_what_is_lost_is_counted() -> None:
+    watch = RecordingWatch("/runs/a.mcap")
+    (line,) = watch.look(state(1000, 40, "No space left on device"), 0.1)
+    assert line.startswith("recording: /runs/a.mcap: No space left on device: nothing is recorded any more")
+    assert watch.look(state(1000, 80, "No space left on device"), 0.1) == []
+    found = watch.as_json()
+    assert found is not None
+    assert (found["lost"], found["trouble"]) == (80, "No space left on device")
+
+
+def test_silent_recorder_counts_as_dead_until_it_speaks_again() -> None:
+    watch = RecordingWatch("/runs/a.mcap")
+    assert watch.look(state(1000), SILENT_S) == []
+    (line,) = watch.look(state(1000), SILENT_S + 0.1)
+    assert "its process says nothing for 2 s: nothing is recorded any more, the bench goes on" in line
+    assert watch.look(state(1000), SILENT_S + 5.0) == []
+    assert watch.look(state(2000), 0.1) == ["recording: goes on"]
+
+
+def test_session_that_is_not_recorded_shows_nothing() -> None:
+    assert RecordingWatch().as_json() is None
