@@ -84,7 +84,7 @@ def _bad_claim(out):
 
 @kernel
 def fault_of(out, cycle, n_thrusters):
-    """Return what is wrong with ``out`` (GNC_OUTPUT), an answer to the input ``cycle``, and where: (FINE, 0) for nothing.
+    """Return (what, where) is wrong with ``out`` (GNC_OUTPUT), an answer to the input ``cycle``; (FINE, 0) for nothing.
 
     Of a GNC that is starting or reports a fault the demands are not looked at.
     """
