@@ -92,6 +92,7 @@ GNC_INPUT: Final = np.dtype(
         ("reference_v_CT_H_mps", "f8", 3),
         ("reference_a_CT_H_mps2", "f8", 3),
         ("reference_q_CH", "f8", 4),
+        ("boost", "i8"),  # 1 where the plan has force demands open the strong thruster sets: they accelerate more
         ("n_poses", "i8"),  # that came since the last input
         ("poses", GNC_POSE, MAX_POSES),
     ],
