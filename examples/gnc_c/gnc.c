@@ -18,14 +18,15 @@
 
 #include "hil_gnc.h"
 
-static const double BANDWIDTH_RADPS = 0.2;     /* of the position's observer */
+static const double BANDWIDTH_RADPS = 0.15;    /* of the position's observer */
 static const double SETTLED_S = 10.0;          /* after the first pose; from then on the estimate is told */
 static const double ATTITUDE_SHARE = 0.15;     /* of an attitude's difference that a pose takes away */
 static const double LONGEST_GAP_S = 1.0;       /* between poses; after a longer one they pull no harder */
 static const double LEAD_S[2] = {5.0, 2.5};    /* force, torque */
-static const double DEAD_BAND[2] = {8e-3, 2e-3}; /* m, rad */
+static const double DEAD_BAND[2] = {6e-3, 2e-3}; /* m, rad */
+static const double NOISE_BAND = 1.0;          /* of the poses' sigma, by which the dead band of a force is wider */
 static const double BACK_TO[2] = {0.4, 0.3};   /* part of the dead band at which an axis stops firing */
-static const double RATE_MAX[2] = {0.02, 7e-3}; /* m/s, rad/s, at which an error is worked off */
+static const double RATE_MAX[2] = {0.01, 5e-3}; /* m/s, rad/s, at which an error is worked off */
 
 typedef struct {
     hil_gnc_setup setup;
@@ -34,6 +35,7 @@ typedef struct {
     double r[3], v[3];      /* m, m/s in H */
     double q[4];            /* q_CH */
     double w[3];            /* rad/s, chaser against H, in c */
+    double sigma_m;         /* of the newest pose */
     double bias[3];         /* m/s^2, accelerometer, in c */
     int firing[6];          /* -1, 0, 1 */
 } gnc_state;
@@ -142,6 +144,8 @@ static void correct(gnc_state *g, double now_s, const hil_gnc_pose *pose)
     if (gap_s <= 0.0)
         return; /* it came twice, or later than a newer one */
     g->pose_s = pose->t_s;
+    g->sigma_m = sqrt((pose->covariance_position_m2[0][0] + pose->covariance_position_m2[1][1]
+                       + pose->covariance_position_m2[2][2]) / 3.0);
     memcpy(then, g->q, sizeof then);
     for (int i = 0; i < 3; i++)
         phi[i] = -age_s * g->w[i];
@@ -168,12 +172,13 @@ static void correct(gnc_state *g, double now_s, const hil_gnc_pose *pose)
 
 /* --- control ---------------------------------------------------------------------------------------------------- */
 
-/* Keep up one axis; kind: 0 force, 1 torque. Returns the demand. */
-static int fire(int firing, int kind, double error, double rate)
+/* Keep up one axis; kind: 0 force, 1 torque; more: by which the dead band is wider. Returns the demand. */
+static int fire(int firing, int kind, double error, double rate, double more)
 {
+    const double band = DEAD_BAND[kind] + more;
     const double reach = LEAD_S[kind] * RATE_MAX[kind];
     const double s = fmax(-reach, fmin(reach, error)) + LEAD_S[kind] * rate;
-    const double edge = firing != 0 && firing * s < 0.0 ? BACK_TO[kind] * DEAD_BAND[kind] : DEAD_BAND[kind];
+    const double edge = firing != 0 && firing * s < 0.0 ? BACK_TO[kind] * band : band;
     return s > edge ? -1 : s < -edge ? 1 : 0;
 }
 
@@ -189,8 +194,8 @@ static void control(gnc_state *g, const hil_gnc_input *in, hil_gnc_output *out)
     to_c(a, rate_h, rate);
     turn_between(in->reference_q_CH, g->q, phi);
     for (int i = 0; i < 3; i++) {
-        out->force[i] = g->firing[i] = fire(g->firing[i], 0, off[i], rate[i]);
-        out->torque[i] = g->firing[3 + i] = fire(g->firing[3 + i], 1, phi[i], g->w[i]);
+        out->force[i] = g->firing[i] = fire(g->firing[i], 0, off[i], rate[i], NOISE_BAND * g->sigma_m);
+        out->torque[i] = g->firing[3 + i] = fire(g->firing[3 + i], 1, phi[i], g->w[i], 0.0);
     }
 }
 
