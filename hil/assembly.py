@@ -111,6 +111,7 @@ def assemble(
     draw_initial_imu_errors(job.truth, job.seed, loop.now.imu)
     late_cycles = LateCycles(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
     late_cycles.on_hold = lambda trip: supervisor.ask_for_hold(str(trip))
+    loop.gnc.ask_for_hold = supervisor.ask_for_hold
     return Runner(
         loop,
         rate,

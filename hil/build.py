@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from hil import parameters
 from hil.assembly import Job as Job
-from hil.assembly import assemble, mocks, start_axes
+from hil.assembly import assemble, make_gnc, mocks, start_axes
 from hil.bench.kinematics import MOTION
 from hil.bench.stopping import brake_step
 from hil.bench_stage import Move
@@ -257,9 +257,10 @@ def warm_up_all_but_navigation(job: Job) -> None:
     loop.bench.check(0.0, now.feedback)
     loop.bench.brake(0.0, now.setpoint)
     loop.vision.take(0.0, 0.0, now.row[0])
-    loop.gnc.guide(0.0, now.supervision, now.reference)
-    loop.gnc.supervise(0.0, now.navigation, now.reference, now.supervision)
-    loop.gnc.control(now.navigation, now.reference, now.command)
+    gnc = make_gnc(job.scenario.value)
+    gnc.guide(0.0, now.supervision, now.reference)
+    gnc.supervise(0.0, now.navigation, now.reference, now.supervision)
+    gnc.control(now.navigation, now.reference, now.command)
     loop.dss.step(now.truth, now.command)
     loop.dss.sample_imu(now.truth, now.imu)
     loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), 0.0, now.setpoint)

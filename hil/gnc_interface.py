@@ -23,18 +23,18 @@ class GncMode(IntEnum):
     """What the bench is doing; a GNC opens thrusters in RUNNING alone."""
 
     STANDBY = 0  # the setup stands; nothing is measured yet
-    ARMED = 1  # the bench is placed at the start pose; poses come, time stands at 0
+    ARMED = 1  # the bench stands at the start pose; time has not begun
     RUNNING = 2  # time runs; each input wants an output
     HOLD = 3  # the axes are braked and time stands; inputs say so, the GNC keeps its state
     STOPPED = 4  # the run is over
 
 
 class GncOrder(IntFlag):
-    """Orders of the operator, each in one input alone."""
+    """What has been decided, each in one input alone."""
 
     NONE = 0
-    GO = 1  # let the approach go on from its wait
-    ABORT = 2  # brake and retreat
+    GO = 1  # the operator lets the approach go on from its wait
+    ABORT = 2  # an abort has begun, ordered or by supervision: the reference brakes and retreats from here on
 
 
 class GncState(IntEnum):
@@ -60,6 +60,7 @@ GNC_SETUP: Final = np.dtype(
         ("minimum_on_s", "f8"),
         ("acceleration_mps2", "f8", 3),  # of a force demand along each axis of c
         ("angular_acceleration_radps2", "f8", 3),  # of a torque demand about each axis of c
+        ("boosted_acceleration_mps2", "f8", 3),  # of a force demand while ``boost`` is 1
         ("start_r_CT_H_m", "f8", 3),
         ("start_q_CH", "f8", 4),
         ("ready_point_m", "f8", 3),  # in H: where the chaser is to wait for docking
@@ -82,7 +83,7 @@ GNC_POSE: Final = np.dtype(
 
 GNC_INPUT: Final = np.dtype(
     [
-        ("cycle", "i8"),  # counts from 0; the output to it carries the same number
+        ("cycle", "i8"),  # RUNNING: counts from 0, the output carries the same number; else the last one, at first -1
         ("t_s", "f8"),  # time of the run
         ("mode", "i4"),  # GncMode
         ("orders", "i4"),  # GncOrder
@@ -92,7 +93,7 @@ GNC_INPUT: Final = np.dtype(
         ("reference_v_CT_H_mps", "f8", 3),
         ("reference_a_CT_H_mps2", "f8", 3),
         ("reference_q_CH", "f8", 4),
-        ("boost", "i8"),  # 1 where the plan has force demands open the strong thruster sets: they accelerate more
+        ("boost", "i8"),  # 1: force demands open the strong thruster sets, as the brake of an abort needs
         ("n_poses", "i8"),  # that came since the last input
         ("poses", GNC_POSE, MAX_POSES),
     ],

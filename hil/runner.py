@@ -171,6 +171,7 @@ class Runner:
         return False
 
     def _open(self) -> None:
+        self.loop.gnc.open(self._rate.now_s())
         self.loop.lines.open(self._rate)
         self.loop.bench.open(self._rate.now_s())
         self.loop.target.open(self._rate.now_s())
@@ -322,6 +323,7 @@ class Runner:
             self.loop.target.close()
             self.loop.lines.stop(self._rate.now_s())
             self.loop.lines.close()
+            self.loop.gnc.close()
 
 
 @contextmanager

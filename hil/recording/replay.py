@@ -20,7 +20,7 @@ from hil.errors import BadInput
 from hil.messages import CYCLE, MAX_POSES, POSE
 from hil.recording.read import Recorded
 from hil.recording.schema import flat_fields
-from hil.stages import Gnc
+from hil.seat import Seat
 
 COMPARED: Final = ("navigation", "nees_position", "nees_attitude", "reference", "supervision", "command")
 """What the GNC writes, in the order in which it does."""
@@ -107,14 +107,10 @@ def replay(recorded: Recorded, scenario: Scenario) -> Replayed:
     return found
 
 
-def _cycle(gnc: Gnc, poses: _Poses, row: np.void, now: Blackboard) -> None:
+def _cycle(gnc: Seat, poses: _Poses, row: np.void, now: Blackboard) -> None:
     """Run the lines of ``run_cycle`` that are the GNC's, from recorded inputs."""
     now.row["truth"], now.row["imu"] = row["truth"], row["imu"]
-    t_s = float(row["t_s"])
-    gnc.navigate(now.imu, poses, now.navigation)
-    gnc.guide(t_s, now.supervision, now.reference)
-    gnc.supervise(t_s, now.navigation, now.reference, now.supervision)
-    gnc.control(now.navigation, now.reference, now.command)
+    gnc.act(float(row["t_s"]), now, poses)
     now.nees_position[0], now.nees_attitude[0] = gnc.consistency(now.truth, now.imu)
 
 
@@ -137,7 +133,7 @@ def _orders(recorded: Recorded) -> dict[int, list[str]]:
     return found
 
 
-def _give_orders(gnc: Gnc, orders: list[str] | tuple[()]) -> None:
+def _give_orders(gnc: Seat, orders: list[str] | tuple[()]) -> None:
     for order in orders:
         if order == "go":
             gnc.order_go()
@@ -191,7 +187,7 @@ def _finite(value: float) -> float | None:
 
 
 def _events(
-    recorded: Recorded, gnc: Gnc, done: int
+    recorded: Recorded, gnc: Seat, done: int
 ) -> tuple[list[tuple[float, str, str]], list[tuple[float, str, str]]]:
     """Return the events of approach and filters that are in the recording alone, and those of now alone."""
     last_s = float(recorded.cycles["t_s"][done - 1]) if done else 0.0

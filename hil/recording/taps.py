@@ -75,7 +75,7 @@ class Taps:
         notes = Notes(self.notes, runner)
         loop = runner.loop
         loop.vision.tap = self.arrivals
-        for events in (loop.gnc.diary.events, loop.gnc.watch.events, runner.events):
+        for events in (*loop.gnc.logs, runner.events):
             events.tell(notes.event)
         loop.gnc.orders.tell(lambda order: notes.order(*order))
         runner.supervisor.alarms.entered.tell(notes.alarm)
