@@ -1,7 +1,8 @@
-"""UDP sockets that never block, and the moment at which the kernel got a datagram."""
+"""UDP sockets that never block, the moment at which the kernel got a datagram, and word of ports that are closed."""
 
 from __future__ import annotations
 
+import errno
 import select
 import socket
 import struct
@@ -14,8 +15,10 @@ Address = tuple[str, int]
 
 LOOPBACK: Final = "127.0.0.1"
 _SO_TIMESTAMPNS: Final = 35  # Linux, asm-generic/socket.h
+_IP_RECVERR: Final = 11  # Linux, linux/in.h: also of sockets that are not connected
 _STAMP: Final = struct.Struct("=qq")  # s, ns of CLOCK_REALTIME
 _BUFFER_BYTES: Final = 1 << 20
+_ERRORS_AT_ONCE: Final = 16
 _ROOM: Final = 2048  # bytes of a datagram: more than any of ours, so that a longer one is seen as such
 _OLDEST_S: Final = 1.0  # a stamp that is older is the host's clock having been set
 
@@ -56,20 +59,23 @@ class UdpSocket:
         self._socket.setblocking(False)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
         self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        self._socket.setsockopt(socket.IPPROTO_IP, _IP_RECVERR, 1)
+        self._closed: list[Address] = []
         try:
             self._socket.bind(bind)
         except OSError as error:
             self._socket.close()
             raise BadInput.single(option, "", f"{shown(bind)}: cannot listen there: {error.strerror}") from error
         self.address: Address = self._socket.getsockname()
-        self._poll = select.poll()
-        self._poll.register(self._socket, select.POLLIN)
 
     def receive(self) -> tuple[bytes, Address, float] | None:
         """Return the next datagram, its sender and when the kernel got it (monotonic, s); None when there is none."""
         try:
             datagram, ancillary, _, sender = self._socket.recvmsg(_ROOM, 64)
-        except OSError:  # nothing there, or a word of the network about a datagram of before
+        except BlockingIOError:
+            return None
+        except OSError:
+            self._look_at_errors()
             return None
         now_s = time.monotonic()
         for level, kind, stamp in ancillary:
@@ -81,15 +87,35 @@ class UdpSocket:
 
     def send(self, datagram: bytes, to: Address) -> bool:
         """Send ``datagram``; return whether the kernel took it. Never waits, never raises."""
-        try:
-            self._socket.sendto(datagram, to)
-        except OSError:
-            return False
-        return True
+        for _ in range(2):  # the first try may get the word about a datagram of before
+            try:
+                self._socket.sendto(datagram, to)
+                return True
+            except BlockingIOError:
+                return False
+            except OSError:
+                self._look_at_errors()
+        return False
+
+    def closed_ports(self) -> list[Address]:
+        """Return where datagrams of ours found nobody listening, by word of the network; each time once."""
+        closed, self._closed = self._closed, []
+        return closed
+
+    def _look_at_errors(self) -> None:
+        for _ in range(_ERRORS_AT_ONCE):
+            try:
+                _, ancillary, _, to = self._socket.recvmsg(_ROOM, 512, socket.MSG_ERRQUEUE)
+            except OSError:
+                return
+            for level, kind, error in ancillary:
+                if level == socket.IPPROTO_IP and kind == _IP_RECVERR and len(error) >= 4:
+                    if struct.unpack_from("=I", error)[0] == errno.ECONNREFUSED:
+                        self._closed.append(to)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until a datagram is there; return whether one is. 0 does not wait."""
-        return bool(self._poll.poll(max(0.0, timeout_s) * 1e3))
+        return bool(select.select([self._socket], [], [], max(0.0, timeout_s))[0])  # poll's time has milliseconds
 
     def close(self) -> None:
         """Let go of it; idempotent."""
