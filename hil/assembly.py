@@ -16,14 +16,19 @@ from hil.config.scenario import Scenario
 from hil.cycle import Loop
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
 from hil.dynamics.imu import IMU_NOISE
+from hil.errors import BadInput, Problem
 from hil.eye import transport
 from hil.eyes import make_eye
 from hil.fitness import axes_at
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc.watch import FilterWatch
+from hil.gnc_library import KEY as LIBRARY_KEY
+from hil.gnc_library import Library
+from hil.gnc_setup import gnc_setup
 from hil.handling import Watch
 from hil.io_stage import IoStage
 from hil.late_cycles import LateCycles
+from hil.library_gnc import LibraryGnc
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
 from hil.orders import Operator
@@ -33,6 +38,7 @@ from hil.runner import Runner
 from hil.safety.bucket import LeakyBucket, LinkWatch
 from hil.safety.limits import limits_of
 from hil.safety.supervisor import Supervisor
+from hil.seat import Seat
 from hil.stages import Dss, Gnc, Vision
 from hil.target_stage import PlacedTarget
 
@@ -96,7 +102,7 @@ def assemble(
         dss=_dss(job.truth, job.seed),
         bench=Bench(rails, turntable, bench, supervisor),
         vision=Vision(source, parameters.stations(rig)),
-        gnc=make_gnc(scenario),
+        gnc=make_seat(scenario),
         history=np.zeros(job.cycles, CYCLE),
         telemetry=telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
@@ -141,6 +147,32 @@ def make_gnc(scenario: Scenario) -> Gnc:
         ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
         FilterWatch(navigation, _shadow_limits(scenario)),
     )
+
+
+def make_seat(scenario: Scenario) -> Seat:
+    """Return who flies ``scenario``: the GNC here, or the library that it names. Raises BadInput where that is none."""
+    if scenario.gnc.library is None:
+        return make_gnc(scenario)
+    return LibraryGnc(
+        Library(scenario.gnc.library),
+        gnc_setup(scenario),
+        parameters.guidance(scenario),
+        parameters.supervision(scenario),
+        parameters.allocation(scenario.chaser)[0],
+        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+    )
+
+
+def library_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return what keeps the library of ``scenario``, where it names one, from flying it."""
+    path = scenario.value.gnc.library
+    if path is None:
+        return []
+    try:
+        with Library(path, scenario.where(LIBRARY_KEY)).open(gnc_setup(scenario.value)):
+            return []
+    except BadInput as error:
+        return list(error.problems)
 
 
 def parking_place(rig: Rig) -> np.record:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 from hil import parameters
 from hil.assembly import Job as Job
-from hil.assembly import assemble, make_gnc, mocks, start_axes
+from hil.assembly import assemble, library_problems, make_gnc, mocks, start_axes
 from hil.bench.kinematics import MOTION
 from hil.bench.stopping import brake_step
 from hil.bench_stage import Move
@@ -52,7 +53,7 @@ def check(job: Job) -> None:
         *monitor_problems(job.scenario),
         *_rig_problems(job),
     ]
-    if problems := problems or sign_off_problems(job.rig):
+    if problems := problems or library_problems(job.scenario) or sign_off_problems(job.rig):
         raise BadInput(problems)
 
 
@@ -267,7 +268,8 @@ def warm_up_all_but_navigation(job: Job) -> None:
 
 
 def _a_few_cycles(job: Job) -> Runner:
-    """Return a short run of ``job`` on mocks, whatever its rig."""
+    """Return a short run of ``job`` on mocks, whatever its rig, and by the GNC here, whoever is to fly it."""
     scenario = job.scenario.value
-    few = Job(job.scenario, job.rig, 0, _WARM_UP_CYCLES * scenario.step_s, 1.0)
+    flown_here = scenario.model_copy(update={"gnc": scenario.gnc.model_copy(update={"library": None})})
+    few = Job(replace(job.scenario, value=flown_here), job.rig, 0, _WARM_UP_CYCLES * scenario.step_s, 1.0)
     return in_memory(few, SimulatedRate(SimulatedClock(), scenario.step_s))

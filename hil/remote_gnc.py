@@ -19,13 +19,13 @@ from hil.approach_diary import ApproachDiary
 from hil.config.gnc_link import GncLink
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
 from hil.foreign_gnc import ForeignGnc, printable
-from hil.frmn.cells import GNC_FILTERS, GNC_FLIGHT, Role
+from hil.frmn.cells import Role
 from hil.frmn.link import Arrival, Link
 from hil.frmn.udp import Address, shown
 from hil.gnc import foreign, navigation, remote
-from hil.gnc.fusion import FILTERS
 from hil.gnc.watch import FilterWatch
-from hil.gnc_interface import GNC_OUTPUT, GncMode, GncOrder, GncState
+from hil.gnc_interface import GncMode, GncOrder, GncState
+from hil.gnc_inbox import REMEMBERED, Inbox, Past
 from hil.gnc_link import LinkAccount
 from hil.messages import IMU, MAX_POSES, POSE, REFERENCE, TRUTH, Array, Event, new
 from hil.seat import Poses, Records
@@ -40,7 +40,6 @@ _RESEND_S: Final = 0.05  # wall time after which an input of lock-step in simula
 _PATIENCE_S: Final = 2.0  # wall time that lock-step in simulated time waits for an answer
 _SILENT_S: Final = 0.35  # wall time after which another GNC may take the place of a silent one: three heartbeats
 _IDLE_S: Final = 0.01  # wall time of a cycle of a hold in simulated time
-_REMEMBERED: Final = 16  # cycles whose truth is kept for filters that come late
 _NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
 _A_POSE: Final = np.zeros(1, POSE).view(np.recarray)
 _IDLE_IMU: Final = new(IMU)
@@ -74,7 +73,7 @@ class RemoteGnc(ForeignGnc):
         sets: np.ndarray,
         diary: ApproachDiary,
     ) -> None:
-        self._inbox = _Inbox()
+        self._inbox = Inbox()
         super().__init__(NAME, setup, guidance_params, supervision_params, sets, diary)
         self.output = self._inbox.output
         self.link = link
@@ -92,7 +91,7 @@ class RemoteGnc(ForeignGnc):
         self._held_since_s: float | None = None
         self._told: tuple[GncOrder, int] = (GncOrder.NONE, -1)  # orders under way, and the cycle that told them last
         self._reference = new(REFERENCE)
-        self._past_truth, self._past_imu = _Past(TRUTH), _Past(IMU)
+        self._past_truth, self._past_imu = Past(TRUTH), Past(IMU)
         link.complaints.tell(self._say)
 
     @property
@@ -186,6 +185,7 @@ class RemoteGnc(ForeignGnc):
             why = "does not answer" if self._period_s is None else f"has not answered for {self._missed} cycles"
         if self._missed <= self._config.coast_cycles and self._answered >= 0 and not why:
             self.account.coasted += 1
+            now.navigation.nis_position = now.navigation.nis_attitude = math.nan
             return
         self.account.closed += 1
         foreign.rest(now.command)
@@ -199,7 +199,7 @@ class RemoteGnc(ForeignGnc):
         self._past_imu.put(self.cycle, imu)
         self._nees[:] = np.nan
         of, self._inbox.filters_of = self._inbox.filters_of, -1
-        if of >= 0 and 0 <= self.cycle - of < _REMEMBERED:
+        if of >= 0 and 0 <= self.cycle - of < REMEMBERED:
             then = self._past_truth.at(of), self._past_imu.at(of)
             navigation.normalised_errors(self._inbox.filters, *then, self._nees)
         return self._nees
@@ -220,8 +220,9 @@ class RemoteGnc(ForeignGnc):
         self._hear()
         self._answer = None
         now_s = time.monotonic()
-        there = self.link.alive(now_s) or (self.link.joined == 0 and self.link.expects)
-        if there and not self._is_set_up and now_s - self._setup_sent_s > _AGAIN_S:
+        alive = self.link.alive(now_s)
+        wanted = not self._is_set_up if alive else self.link.expects  # one at a known address may say no hello
+        if wanted and now_s - self._setup_sent_s > _AGAIN_S:
             self._setup_sent_s = now_s
             self.link.send("gnc.setup", self.setup)
 
@@ -291,17 +292,20 @@ class RemoteGnc(ForeignGnc):
                 self._set_up_for = self.link.joined
             return
         self.account.answered(cycle, arrival.received_s)
-        if self._answered < cycle <= self.cycle:
-            self._answer = arrival
-        elif cycle >= 0:
+        if not self._answered < cycle <= self.cycle:
+            return  # told again, or none of a cycle
+        if self._lock_step and cycle < self.cycle:
             self.account.late += 1
+            return
+        self._answer = arrival
 
     def _cycle_of(self, arrival: Arrival) -> int:
         return int(self._inbox.output_in(arrival)["cycle"][0])
 
     def _lose(self, why: str) -> None:
         self.account.losses += 1
-        self._set_up_for = 0
+        if self.link.peer is None or self.link.peer.gone:
+            self._set_up_for = 0
         self._state = GncState.STARTING
         if self._config.on_loss == "stop":
             raise self._lost(why)
@@ -318,57 +322,3 @@ class RemoteGnc(ForeignGnc):
 
     def _say(self, complaint: str) -> None:
         self.words.append(Event(max(0.0, self.cycle * float(self.setup.step_s)), "gnc link", complaint))
-
-
-class _Inbox:
-    """What came last, as records for the kernels."""
-
-    def __init__(self) -> None:
-        self._flights, self._filters = np.zeros(1, GNC_FLIGHT), np.zeros(1, GNC_FILTERS)
-        flight = self._flights.view(np.recarray)[0]
-        self.output, self.navigation, self.command = flight.output, flight.navigation, flight.command
-        self.has_flight = False
-        self.filters: np.record = new(FILTERS)
-        self.filters_of = -1
-        """Cycle of the filters that were not used yet, -1 for none."""
-        self._told_filters = self._filters.view(np.recarray)[0]
-        self._flight_bytes = self._flights.view(np.uint8).data
-        self._filter_bytes = self._filters.view(np.uint8).data
-        remote.take_flight(self.navigation, self.command, self.navigation, self.command)
-        remote.take_filters(self._told_filters, self.filters)
-        navigation.normalised_errors(self.filters, new(TRUTH), new(IMU), np.empty(2))
-
-    @staticmethod
-    def output_in(arrival: Arrival) -> np.ndarray:
-        """Return the output, (1,) of GNC_OUTPUT, that ``arrival`` holds."""
-        return arrival.record["output"] if arrival.name == "gnc.flight" else arrival.record
-
-    def take(self, arrival: Arrival) -> int:
-        """Make ``arrival`` the present one; return the cycle that it answers."""
-        self.has_flight = arrival.name == "gnc.flight"
-        whole = arrival.record.view(np.uint8).data
-        self._flight_bytes[: len(whole)] = whole
-        return int(self.output.cycle)
-
-    def take_filters(self, record: np.ndarray) -> None:
-        """Keep GNC_FILTERS (1,)."""
-        self._filter_bytes[:] = record.view(np.uint8).data
-        remote.take_filters(self._told_filters, self.filters)
-        self.filters_of = int(self._told_filters.cycle)
-
-
-class _Past:
-    """The last records of ``dtype``, by cycle."""
-
-    def __init__(self, dtype: np.dtype) -> None:
-        kept = np.zeros(_REMEMBERED, dtype)
-        self._records = [kept.view(np.recarray)[i] for i in range(_REMEMBERED)]
-        self._bytes = kept.view(np.uint8).data
-        self._size = dtype.itemsize
-
-    def put(self, cycle: int, record: np.record) -> None:
-        start = cycle % _REMEMBERED * self._size
-        self._bytes[start : start + self._size] = record.tobytes()
-
-    def at(self, cycle: int) -> np.record:
-        return self._records[cycle % _REMEMBERED]

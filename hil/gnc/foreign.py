@@ -46,6 +46,22 @@ def write_input(cycle, t_s, mode, orders, imu, reference, poses, n_poses, out):
 
 
 @kernel
+def clear_output(out, cycle):
+    """Make ``out`` (GNC_OUTPUT) the answer to the input ``cycle`` of a GNC that works and demands nothing."""
+    out.cycle = cycle
+    out.state = WORKING
+    out.direct = 0
+    out.estimate = 0
+    fill(out.force, 0)
+    fill(out.torque, 0)
+    fill(out.on, 0)
+    fill(out.r_CT_H_m, 0.0)
+    fill(out.v_CT_H_mps, 0.0)
+    fill(out.q_CH, 0.0)
+    fill(out.w_CH_C_radps, 0.0)
+
+
+@kernel
 def _bad(values):
     """Return the place of the first of ``values`` that is not finite, -1 where all are."""
     for i in range(values.shape[0]):
@@ -84,7 +100,7 @@ def _bad_claim(out):
 
 @kernel
 def fault_of(out, cycle, n_thrusters):
-    """Return what is wrong with ``out`` (GNC_OUTPUT), an answer to the input ``cycle``, and where: (FINE, 0) for nothing.
+    """Return (what, where) is wrong with ``out`` (GNC_OUTPUT), an answer to the input ``cycle``; (FINE, 0) for nothing.
 
     Of a GNC that is starting or reports a fault the demands are not looked at.
     """

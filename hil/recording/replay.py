@@ -8,15 +8,16 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
-from hil.assembly import make_gnc
+from hil.assembly import make_seat
 from hil.config.scenario import Scenario
 from hil.cycle import Blackboard
-from hil.errors import BadInput
+from hil.errors import BadInput, BenchError
 from hil.messages import CYCLE, MAX_POSES, POSE
 from hil.recording.read import Recorded
 from hil.recording.schema import flat_fields
@@ -86,32 +87,47 @@ def replay(recorded: Recorded, scenario: Scenario) -> Replayed:
     """
     if not len(recorded.cycles):
         raise BadInput.single(str(recorded.path), "", "no cycle is recorded: there is nothing to replay")
-    gnc, poses, orders = make_gnc(scenario), _Poses(recorded.arrivals), _orders(recorded)
+    gnc, poses, orders = make_seat(scenario), _Poses(recorded.arrivals), _orders(recorded)
     rows = recorded.cycles.copy()
     now = Blackboard()
     done, ended = 0, ""
-    for k, row in enumerate(recorded.cycles):
-        ended = _gap(row, k, scenario.step_s, poses.take(k))
-        if ended:
-            break
-        _give_orders(gnc, orders.get(k, ()))
-        _cycle(gnc, poses, row, now)
-        for name in COMPARED:
-            rows[k][name] = now.row[name][0]
-        done = k + 1
-    if not ended and recorded.end is not None and _went_to_its_end(recorded, scenario):
-        gnc.finish(float(rows["t_s"][-1]), now.supervision)
+    with _seated(gnc):
+        for k, row in enumerate(recorded.cycles):
+            ended = _gap(row, k, scenario.step_s, poses.take(k))
+            if not ended:
+                _give_orders(gnc, orders.get(k, ()))
+                ended = _cycle(gnc, poses, row, now)
+            if ended:
+                break
+            for name in COMPARED:
+                rows[k][name] = now.row[name][0]
+            done = k + 1
+        if not ended and recorded.end is not None and _went_to_its_end(recorded, scenario):
+            gnc.finish(float(rows["t_s"][-1]), now.supervision)
     found = Replayed(rows[:done], ended)
     found.differences = list(_differences(recorded.cycles[:done], rows[:done]))
     found.missing_events, found.new_events = _events(recorded, gnc, done)
     return found
 
 
-def _cycle(gnc: Seat, poses: _Poses, row: np.void, now: Blackboard) -> None:
-    """Run the lines of ``run_cycle`` that are the GNC's, from recorded inputs."""
+@contextmanager
+def _seated(gnc: Seat) -> Iterator[None]:
+    gnc.open(0.0)
+    try:
+        yield
+    finally:
+        gnc.close()
+
+
+def _cycle(gnc: Seat, poses: _Poses, row: np.void, now: Blackboard) -> str:
+    """Run the lines of ``run_cycle`` that are the GNC's, from recorded inputs; return why it cannot go on."""
     now.row["truth"], now.row["imu"] = row["truth"], row["imu"]
-    gnc.act(float(row["t_s"]), now, poses)
+    try:
+        gnc.act(float(row["t_s"]), now, poses)
+    except BenchError as fault:
+        return f"{fault}: the replay ends there"
     now.nees_position[0], now.nees_attitude[0] = gnc.consistency(now.truth, now.imu)
+    return ""
 
 
 def _gap(row: np.void, k: int, step_s: float, poses: int) -> str:
