@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +55,8 @@ class Job:
     """What is to be run, checked.
 
     dispersed: the scenario as it is in truth, where chance has moved it away from what guidance, navigation and
-    control were told; None where it has not.
+    control were told; None where it has not. seat: makes who flies, in place of what the scenario says. paced: a
+    mock rig runs on the wall clock.
     """
 
     scenario: Loaded[Scenario]
@@ -63,6 +65,8 @@ class Job:
     duration_s: float
     speed: float
     dispersed: Scenario | None = None
+    seat: Callable[[Scenario], Seat] | None = None
+    paced: bool = False
 
     @property
     def truth(self) -> Scenario:
@@ -102,7 +106,7 @@ def assemble(
         dss=_dss(job.truth, job.seed),
         bench=Bench(rails, turntable, bench, supervisor),
         vision=Vision(source, parameters.stations(rig)),
-        gnc=make_seat(scenario),
+        gnc=(job.seat or make_seat)(scenario),
         history=np.zeros(job.cycles, CYCLE),
         telemetry=telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,

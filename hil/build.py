@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 from hil import parameters
@@ -73,7 +73,7 @@ def _rig_problems(job: Job) -> list[Problem]:
         *line_problems(job.scenario, job.rig),
         *turntable_problems(job.rig),
     ]
-    if job.rig.value.kind == "mock" and job.speed != 1.0:
+    if job.rig.value.kind == "mock" and job.speed != 1.0 and not job.paced:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
     return problems
 
@@ -94,12 +94,16 @@ def runner(
     scenario, rig = job.scenario.value, job.rig.value
     if rig.kind == "mock":
         telemetry = taps.cycles if taps else None
-        made = in_memory(
-            job, SimulatedRate(SimulatedClock(), scenario.step_s), watch, telemetry=telemetry, operator=operator
-        )
-        if taps:
-            taps.attach(made)
-        yield made
+        with ExitStack() as stack:
+            rate: Rate = SimulatedRate(SimulatedClock(), scenario.step_s)
+            precedence = None
+            if job.paced:
+                rate = WallRate(WallClock(speed=job.speed), scenario.step_s)
+                precedence = stack.enter_context(RealTime(rig.host.fifo, rig.host.cpu))
+            made = in_memory(job, rate, watch, precedence, telemetry, operator)
+            if taps:
+                taps.attach(made)
+            yield made
         return
     with wired_bench(job, announce, taps) as bench:
         yield bench.runner(watch, operator)

@@ -171,7 +171,7 @@ class Handling:
     def hold_is_due(self, mode: Mode) -> bool:
         """Return whether a hold is ordered or asked for; raises OrderedToStop."""
         reason = self.supervisor.hold_reason
-        if reason and not self._operator.attended:
+        if reason and not self._operator.grants_holds:
             raise SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone")
         if reason:
             return True

@@ -10,6 +10,7 @@ from hil.config.load import load_scene
 from hil.errors import DeviceError
 from hil.handling import Watch
 from hil.monitor_beside import MonitorProcess, Watched, watch_recorded
+from hil.orders import Operator
 from hil.recording.taps import Taps
 from hil.runner import Outcome, Runner
 
@@ -19,7 +20,11 @@ Look = Callable[[Outcome], Watched | None]
 
 @contextmanager
 def runner(
-    job: build.Job, watch: Watch, announce: Callable[[str], None], taps: Taps | None = None
+    job: build.Job,
+    watch: Watch,
+    announce: Callable[[str], None],
+    taps: Taps | None = None,
+    operator: Operator | None = None,
 ) -> Iterator[tuple[Runner, Look]]:
     """Give a Runner for ``job`` as ``build.runner`` does, and what to ask for the monitor afterwards.
 
@@ -27,12 +32,12 @@ def runner(
     """
     scenario, rig, seed = job.scenario.value, job.rig.value, job.seed
     if scenario.monitor.source == "none":
-        with build.runner(job, watch, announce, taps=taps) as plain:
+        with build.runner(job, watch, announce, operator, taps) as plain:
             yield plain, lambda _: None
         return
     scene = load_scene(scenario.monitor.scene).value
     if rig.kind == "mock":
-        with build.runner(job, watch, announce, taps=taps) as in_memory:
+        with build.runner(job, watch, announce, operator, taps) as in_memory:
             yield in_memory, lambda outcome: watch_recorded(scenario, scene, rig, seed, outcome.history)
         return
     with (
@@ -42,7 +47,7 @@ def runner(
         announce("starting the docking monitor; its first start compiles its kernels")
         process.wait_ready()
         announce(f"docking monitor process {process.pid}")
-        yield bench.runner(watch), lambda _: _what_is_left(process, scenario.monitor.scene)
+        yield bench.runner(watch, operator), lambda _: _what_is_left(process, scenario.monitor.scene)
 
 
 def _what_is_left(process: MonitorProcess, scene: str) -> Watched:

@@ -264,7 +264,7 @@ class Runner:
 
     def _hold(self, t_s: float) -> float:
         reason = self.supervisor.hold_reason or "ordered by the operator"
-        if not self.operator.attended and self.supervisor.hold_reason:
+        if not self.operator.grants_holds and self.supervisor.hold_reason:
             raise SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone")
         self.events.append(Event(t_s, "bench", f"hold: {reason}"))
         before = self._handling.ticks

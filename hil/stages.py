@@ -148,6 +148,11 @@ class Gnc(Approach):
         """What happened, of the approach and of the filters."""
         return (self.diary.events, self.watch.events)
 
+    @property
+    def fused_now(self) -> bool:
+        """Whether the filters took a pose in the last cycle."""
+        return self._fuses_now
+
     def act(self, t_s: float, now: Records, vision: Poses) -> None:
         """Run stages 4 to 7 of the cycle."""
         self.navigate(now.imu, vision, now.navigation)  # 4  AKF and PKF

@@ -17,6 +17,7 @@ from cyclopts import App, Parameter
 from hil import __version__
 from hil.cli.options import MaybeWhole, Output, Settings, Whole
 from hil.cli.recording_commands import add_recording_commands
+from hil.cli.two_computer_commands import add_two_computer_commands
 from hil.cli.vision_commands import add_vision_commands
 from hil.errors import BadInput, BenchError, CampaignStopped
 
@@ -318,6 +319,7 @@ def console(
 
 add_vision_commands(app)
 add_recording_commands(app)
+add_two_computer_commands(app)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.console import ConsoleTable
+from hil.config.gnc_link import GncLink
 from hil.config.host import Host, LateCycle
 from hil.config.io import Io
 from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
@@ -305,6 +306,7 @@ class Rig(Strict):
     safety: Safety = Safety()
     host: Host = Host()
     console: ConsoleTable = ConsoleTable()
+    gnc_link: GncLink = GncLink()
     io: Io | None = None
     target_manipulator: TargetManipulator | None = None
     sign_off: SignOff | None = None
