@@ -19,7 +19,7 @@
 
 #include "hil_gnc.h"
 
-enum { VERSION = 1, HEADER = 32, LARGEST = 1472 };
+enum { VERSION = 1, HEADER = 32, LARGEST = 1472, SILENT = 10 /* waits of 0.1 s, then hello is said again */ };
 enum { HELLO = 1, CELL = 2, GOODBYE = 4, REFUSED = 5 };
 enum { SETUP = 1, INPUT = 2, OUTPUT = 3 };
 enum { ROLE_GNC = 2, OFFERS = 1, WANTS = 2 };
@@ -122,6 +122,7 @@ int main(int argc, char **argv)
     void *gnc = NULL;
     int64_t cycle = -1;
     int32_t mode = -1;
+    int silent = 0;
     hil_gnc_output output;
     char reason[HIL_GNC_REASON_BYTES] = "";
 
@@ -133,10 +134,11 @@ int main(int argc, char **argv)
     for (;;) {
         const long size = hear(&h, payload);
         if (size < 0) {
-            if (gnc == NULL)
+            if (gnc == NULL || ++silent > SILENT)
                 say_hello();
             continue;
         }
+        silent = 0;
         if (h.kind == REFUSED || h.kind == GOODBYE) {
             if (h.kind == REFUSED)
                 fprintf(stderr, "refused by the bench: %.124s\n", (const char *)payload + 4);

@@ -8,6 +8,7 @@ Frames: H is Hill's frame of the target, c the chaser's body; q_CH, scalar last,
 in c.
 """
 
+import contextlib
 import os
 import socket
 import struct
@@ -22,7 +23,8 @@ HELLO, CELL, HEARTBEAT, GOODBYE, REFUSED = range(1, 6)
 SETUP_CELL, INPUT_CELL, OUTPUT_CELL = range(1, 4)
 OFFERS, WANTS = 1, 2
 RUNNING = 2
-WORKING, FAULT = 1, 3
+WORKING = 1
+SILENT = 20  # waits for a datagram, on end, after which hello is said again
 
 SETUP = np.dtype(
     [
@@ -194,7 +196,8 @@ class Wire:
         now_s = time.monotonic()
         head = HEADER.pack(b"FRMN", 0, 1, kind, cell, len(payload), 0, self.writer, self.counts[kind], now_s)
         crc = zlib.crc32(head[8:] + payload)
-        self.socket.send(head[:4] + struct.pack("<I", crc) + head[8:] + payload)
+        with contextlib.suppress(ConnectionRefusedError):  # the bench is not there, or not yet
+            self.socket.send(head[:4] + struct.pack("<I", crc) + head[8:] + payload)
 
     def hello(self):
         cells = [(OUTPUT_CELL, OUTPUT, OFFERS), (SETUP_CELL, SETUP, WANTS), (INPUT_CELL, INPUT, WANTS)]
@@ -217,17 +220,16 @@ class Wire:
 
 
 def main(host, port):
-    wire, gnc, last, answer = Wire(host, port), None, None, None
+    wire, gnc, last, answer, silent = Wire(host, port), None, None, None, 0
     while True:
         heard = wire.hear()
         if heard is None:
-            if gnc is None:
+            silent += 1
+            if gnc is None or silent > SILENT:
                 time.sleep(0.02)
-                try:
-                    wire.hello()
-                except ConnectionRefusedError:  # the bench is not there yet
-                    pass
+                wire.hello()
             continue
+        silent = 0
         kind, cell, payload = heard
         if kind == GOODBYE:
             return 0
