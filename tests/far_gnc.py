@@ -1,0 +1,87 @@
+"""A bench and its GNC as in hil dss and hil gnc, in two threads of one process, for tests."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from hil import build
+from hil.config.load import load_rig, load_scenario
+from hil.errors import DeviceError
+from hil.frmn.link import Link
+from hil.frmn.udp import LOOPBACK, Address
+from hil.gnc_computer import GncComputer, gnc_side
+from hil.orders import Operator
+from hil.remote_gnc import RemoteGnc, gnc_link
+from hil.remote_seat import remote_gnc
+from hil.runner import Outcome
+
+LOCAL: Address = (LOOPBACK, 0)
+
+
+@contextmanager
+def gnc_thread(scenario_name: str, bench: Address, settings: Sequence[str] = ()) -> Iterator[GncComputer]:
+    """Give our GNC, which serves the bench at ``bench`` in a thread until that says goodbye or the block ends."""
+    link = gnc_side("test gnc", None, bench)
+    computer = GncComputer(load_scenario(scenario_name, settings).value, link)
+
+    def serve() -> None:
+        with suppress(DeviceError):  # told by the bench's side as well
+            computer.serve(20.0)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        yield computer
+    finally:
+        thread.join(30.0)
+        link.close()
+        assert not thread.is_alive()
+
+
+@dataclass
+class Split:
+    """A bench whose GNC is elsewhere."""
+
+    job: build.Job
+    seat: RemoteGnc
+    link: Link
+    operator: Operator | None = None
+    events: list[str] = field(default_factory=list)
+
+    def fly(self) -> Outcome:
+        """Wait for the GNC, then run."""
+        self.seat.connect(60.0)
+        with build.runner(self.job, lambda *_: None, lambda _: None, self.operator) as runner:
+            if self.operator is not None and hasattr(self.operator, "mode"):
+                self.operator.mode = lambda: runner.supervisor.modes.mode
+            return runner.run()
+
+    def account(self) -> dict[str, Any]:
+        return self.seat.account.as_json()
+
+
+@contextmanager
+def split_bench(
+    scenario_name: str,
+    duration_s: float,
+    settings: Sequence[str] = (),
+    lock_step: bool = True,
+    speed: float = 1.0,
+    seed: int = 0,
+    operator: Operator | None = None,
+    peer: Address | None = None,
+) -> Iterator[Split]:
+    """Give the bench's side of a split run on a mock rig; in lock-step as fast as it goes, free on the wall clock."""
+    scenario, rig = load_scenario(scenario_name, settings), load_rig("mock", settings)
+    job = build.Job(scenario, rig, seed, duration_s, speed, paced=not lock_step)
+    link = gnc_link("test dss", None if peer else LOCAL, peer)
+    period_s = None if lock_step else scenario.value.step_s / speed
+    try:
+        seat = remote_gnc(scenario.value, link, rig.value.gnc_link, lock_step, period_s)
+        yield Split(replace(job, seat=lambda _: seat), seat, link, operator)
+    finally:
+        link.close()
