@@ -29,6 +29,8 @@ _AT_ONCE: Final = 64  # datagrams that are looked at in one go: a flood must not
 _WORDS: Final = 64  # causes that are told; from then on they are counted alone
 _REFUSE_EVERY_S: Final = 0.5  # to one address: nobody can be flooded by way of us
 _REFUSED_ADDRESSES: Final = 256
+PORT_CLOSED: Final = "its port is closed"
+"""What is said in place of a goodbye of a side whose program has ended without one."""
 _NAMES: Final = {Role.DSS: "dss", Role.GNC: "gnc"}
 
 
@@ -117,7 +119,7 @@ class Link:
             if arrival is not None:
                 arrivals.append(arrival)
         if self.peer is not None and self.peer.address in self._socket.closed_ports():
-            self.peer.gone = "its port is closed"
+            self.peer.gone = PORT_CLOSED
         return arrivals
 
     def wait(self, timeout_s: float) -> bool:
