@@ -6,6 +6,7 @@ bridged by the newest sample of the IMU; after a longer gap, and for another ben
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -142,7 +143,7 @@ class GncComputer:
 
     def _judge_silence(self, silent_s: float, patience_s: float) -> None:
         refusal = self.link.refusal
-        if refusal is not None and refusal[0] in (Refusal.VERSION, Refusal.CELLS, Refusal.SENDER):
+        if refusal is not None and refusal[0] in (Refusal.VERSION, Refusal.CELLS):
             raise LinkLost("dss", f"refuses: {refusal[1]}")
         if silent_s <= patience_s:
             return
@@ -190,6 +191,7 @@ class GncComputer:
         """Let filters and control begin anew."""
         self._gnc = make_gnc(self._scenario)
         self._last = -1
+        self._not_before_s = -math.inf
         self._out.navigation, self._out.command = new(NAVIGATION), new(COMMAND)
 
     def _say(self, cycle: int) -> None:
@@ -214,7 +216,9 @@ class GncComputer:
             self.flight.restarts += 1
             self._tell(f"{gap} inputs were lost: the filters begin anew")
             self._begin()
-        arrived = remote.hear_input(self._input, self._imu, self._reference, self.poses)
+        if self._last < 0 < cycle:
+            self._join_at(cycle)
+        arrived = remote.hear_input(self._input, self._not_before_s, self._imu, self._reference, self.poses)
         if self._last >= 0:
             self._bridge(gap)
         self.arrived = arrived
@@ -227,6 +231,12 @@ class GncComputer:
         self._send()
         self.flight.steps += 1
         self.flight.compute_us.append(1e6 * (time.perf_counter() - begun_s))
+
+    def _join_at(self, cycle: int) -> None:
+        """Let the filters begin in the middle of a run: their steps have its numbers, older poses have no place."""
+        self._gnc.state.fusion.cycle = cycle
+        self._gnc.cycle = cycle - 1
+        self._not_before_s = (cycle - 0.5) * self._scenario.step_s
 
     def _bridge(self, gap: int) -> None:
         """Carry the filters over inputs that were lost: their thrusters never opened, so control stands."""
@@ -243,7 +253,7 @@ class GncComputer:
 
     def _warm_up(self) -> None:
         """Call each kernel once: nothing compiles while a bench waits for an answer."""
-        remote.hear_input(self._input, self._imu, self._reference, self.poses)
+        remote.hear_input(self._input, self._not_before_s, self._imu, self._reference, self.poses)
         self._gnc.navigate(self._imu, self, self._out.navigation)
         self._gnc.control(self._out.navigation, self._reference, self._out.command)
         remote.tell_output(0, self._out.navigation, self._out.command, self._n, self._out.output)

@@ -108,6 +108,7 @@ def split_bench(
     """Give the bench's side of a split run on a mock rig; in lock-step as fast as it goes, free on the wall clock."""
     scenario, rig = load_scenario(scenario_name, settings), load_rig("mock", settings)
     job = build.Job(scenario, rig, seed, duration_s, speed, paced=not lock_step)
+    build.warm_up(job)  # nothing compiles while the other side waits
     link = gnc_link("test dss", None if peer else LOCAL, peer)
     period_s = None if lock_step else scenario.value.step_s / speed
     try:
