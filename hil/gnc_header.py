@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterator
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from pathlib import Path
 from typing import Final
 
@@ -110,7 +110,7 @@ def _words() -> dict[str, str]:
     return found
 
 
-def _enum(kind: type[IntEnum]) -> str:
+def _enum(kind: type[IntEnum] | type[IntFlag]) -> str:
     words = _words()
     lines = []
     for member in kind:
