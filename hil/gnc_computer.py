@@ -6,6 +6,7 @@ bridged by the newest sample of the IMU; after a longer gap, and for another ben
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ from hil.assembly import make_gnc
 from hil.config.scenario import Scenario
 from hil.errors import LinkLost, LinkTimeout
 from hil.frmn.cells import GNC_FILTERS, GNC_FLIGHT, Role
-from hil.frmn.link import Arrival, Link
+from hil.frmn.link import PORT_CLOSED, Arrival, Link
 from hil.frmn.udp import Address, shown
 from hil.frmn.wire import Refusal
 from hil.gnc import remote
@@ -31,6 +32,7 @@ _WANTS: Final = ("gnc.setup", "gnc.input")
 _SILENT_S: Final = 0.35  # wall time after which another bench is listened to
 _BRIDGED_S: Final = 1.2  # of lost inputs on end: less than the filters' memory of 64 steps at 50 Hz
 _SLICE_S: Final = 0.05
+_KNOWS_AFTER: Final = 3  # cycles of the wall's time without an input: then the bench is said to be silent
 _NEEDED: Final = ("step_s", "n_thrusters", "thruster_position_m", "thruster_force_N", "mass_kg", "inertia_kgm2")
 """Of GNC_SETUP: where bench and GNC differ in these they do not fly the same chaser."""
 
@@ -51,6 +53,8 @@ class Flight:
     """Steps for inputs that were lost."""
     restarts: int = 0
     """Of the filters, after gaps that were too long to bridge."""
+    silences: int = 0
+    """Of the bench while it flew, longer than three cycles."""
     compute_us: list[float] = field(default_factory=list)
     """Of each step: from the input to the answer."""
 
@@ -67,6 +71,7 @@ class Flight:
             "steps": self.steps,
             "bridged": self.bridged,
             "restarts": self.restarts,
+            "silences": self.silences,
             "compute_us": percentiles,
             **link.counters(),
             "refused": list(link.complaints),
@@ -108,28 +113,37 @@ class GncComputer:
         patience_s: wall time without a bench after which LinkTimeout is raised, or LinkLost where there was one.
         """
         heard_s = time.monotonic()
-        silent_said = False
+        knows_after_s = _KNOWS_AFTER * self._scenario.step_s
+        silent = False
         while True:
-            self.link.wait(_SLICE_S)
+            self.link.wait(min(_SLICE_S, knows_after_s))
             self.link.tend()
             arrivals = self.link.poll()
             for arrival in arrivals:
                 self._take(arrival)
             now_s = time.monotonic()
             peer = self.link.peer
-            if peer is not None and peer.gone is not None and self.flight.setups:
-                self.flight.end = peer.gone
+            if peer is not None and peer.gone not in (None, PORT_CLOSED) and self.flight.setups:
+                self.flight.end = peer.gone or ""
                 return self.flight
-            if arrivals or (peer is not None and self.link.alive(now_s)):
-                heard_s, silent_said = now_s, False
-            elif peer is not None and not silent_said:
-                silent_said = True
-                self._tell(f"the bench at {shown(peer.address)} is silent")
+            if arrivals:
+                if silent:
+                    self._tell("the bench is heard again")
+                heard_s, silent = now_s, False
+            elif self._is_flying and not silent and now_s - heard_s > knows_after_s:
+                silent = True
+                self.flight.silences += 1
+                self._tell(f"the bench has been silent for {1e3 * (now_s - heard_s):.0f} ms")
             self._judge_silence(now_s - heard_s, patience_s)
+
+    @property
+    def _is_flying(self) -> bool:
+        """Whether the last thing that the bench said was an input of a run under way."""
+        return self._joined > 0 and self._input.mode == GncMode.RUNNING
 
     def _judge_silence(self, silent_s: float, patience_s: float) -> None:
         refusal = self.link.refusal
-        if refusal is not None and refusal[0] in (Refusal.VERSION, Refusal.CELLS, Refusal.SENDER):
+        if refusal is not None and refusal[0] in (Refusal.VERSION, Refusal.CELLS):
             raise LinkLost("dss", f"refuses: {refusal[1]}")
         if silent_s <= patience_s:
             return
@@ -177,6 +191,7 @@ class GncComputer:
         """Let filters and control begin anew."""
         self._gnc = make_gnc(self._scenario)
         self._last = -1
+        self._not_before_s = -math.inf
         self._out.navigation, self._out.command = new(NAVIGATION), new(COMMAND)
 
     def _say(self, cycle: int) -> None:
@@ -201,7 +216,9 @@ class GncComputer:
             self.flight.restarts += 1
             self._tell(f"{gap} inputs were lost: the filters begin anew")
             self._begin()
-        arrived = remote.hear_input(self._input, self._imu, self._reference, self.poses)
+        if self._last < 0 < cycle:
+            self._join_at(cycle)
+        arrived = remote.hear_input(self._input, self._not_before_s, self._imu, self._reference, self.poses)
         if self._last >= 0:
             self._bridge(gap)
         self.arrived = arrived
@@ -214,6 +231,12 @@ class GncComputer:
         self._send()
         self.flight.steps += 1
         self.flight.compute_us.append(1e6 * (time.perf_counter() - begun_s))
+
+    def _join_at(self, cycle: int) -> None:
+        """Let the filters begin in the middle of a run: their steps have its numbers, older poses have no place."""
+        self._gnc.state.fusion.cycle = cycle
+        self._gnc.cycle = cycle - 1
+        self._not_before_s = (cycle - 0.5) * self._scenario.step_s
 
     def _bridge(self, gap: int) -> None:
         """Carry the filters over inputs that were lost: their thrusters never opened, so control stands."""
@@ -230,7 +253,7 @@ class GncComputer:
 
     def _warm_up(self) -> None:
         """Call each kernel once: nothing compiles while a bench waits for an answer."""
-        remote.hear_input(self._input, self._imu, self._reference, self.poses)
+        remote.hear_input(self._input, self._not_before_s, self._imu, self._reference, self.poses)
         self._gnc.navigate(self._imu, self, self._out.navigation)
         self._gnc.control(self._out.navigation, self._reference, self._out.command)
         remote.tell_output(0, self._out.navigation, self._out.command, self._n, self._out.output)

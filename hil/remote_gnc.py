@@ -35,6 +35,8 @@ NAME: Final = "gnc"
 _STATES: Final = frozenset(state.value for state in GncState)
 _OFFERS: Final = ("gnc.setup", "gnc.input")
 _WANTS: Final = ("gnc.output", "gnc.flight", "gnc.filters")
+_IN_A_CYCLE: Final = 64  # datagrams that are looked at: a flood must not keep the loop
+_BACKLOG: Final = 4096  # with the loop open: what came while devices were opened
 _AGAIN_S: Final = 0.1  # wall time from one setup that is not answered to the next
 _RESEND_S: Final = 0.05  # wall time after which an input of lock-step in simulated time goes out again
 _PATIENCE_S: Final = 2.0  # wall time that lock-step in simulated time waits for an answer
@@ -89,6 +91,7 @@ class RemoteGnc(ForeignGnc):
         self._state = GncState.STARTING
         self._setup_sent_s = -math.inf
         self._held_since_s: float | None = None
+        self._stood_s = self._judged_from_s = -math.inf
         self._told: tuple[GncOrder, int] = (GncOrder.NONE, -1)  # orders under way, and the cycle that told them last
         self._reference = new(REFERENCE)
         self._past_truth, self._past_imu = Past(TRUTH), Past(IMU)
@@ -131,7 +134,11 @@ class RemoteGnc(ForeignGnc):
         if self._is_set_up:
             self._tell(mode)
         now_s = time.monotonic()
-        if self._config.on_loss == "stop" and self.link.joined and not self.link.alive(now_s):
+        if now_s - self._stood_s > _AGAIN_S:  # the bench was busy, and said nothing itself
+            self._judged_from_s = now_s
+        self._stood_s = now_s
+        judged = now_s - self._judged_from_s > _SILENT_S
+        if judged and self._config.on_loss == "stop" and not self.link.alive(now_s):
             raise self._lost(f"has been silent for more than {_SILENT_S:g} s")
         if mode is not GncMode.HOLD:
             self._held_since_s = None
@@ -217,7 +224,7 @@ class RemoteGnc(ForeignGnc):
     def _keep_up(self) -> None:
         """Say what is due, hear what has come, and set up a GNC that is new."""
         self.link.tend()
-        self._hear()
+        self._hear(_BACKLOG)
         self._answer = None
         now_s = time.monotonic()
         alive = self.link.alive(now_s)
@@ -273,8 +280,8 @@ class RemoteGnc(ForeignGnc):
                 self.link.send("gnc.input", self.input)
             self.link.wait(min(give_up_s, resend_s) - now_s)
 
-    def _hear(self) -> None:
-        for arrival in self.link.poll():
+    def _hear(self, at_most: int = _IN_A_CYCLE) -> None:
+        for arrival in self.link.poll(at_most):
             if arrival.name == "gnc.filters":
                 self._inbox.take_filters(arrival.record)
             else:

@@ -25,10 +25,12 @@ from hil.frmn.wire import Fault, Header, Kind, Refusal
 from hil.told import Told
 
 _EVERY_S: Final = 0.1  # heartbeats, and hellos as long as nobody answers
-_AT_ONCE: Final = 64  # datagrams that are looked at in one go: a flood must not keep the loop
+_AT_ONCE: Final = 64
 _WORDS: Final = 64  # causes that are told; from then on they are counted alone
 _REFUSE_EVERY_S: Final = 0.5  # to one address: nobody can be flooded by way of us
 _REFUSED_ADDRESSES: Final = 256
+PORT_CLOSED: Final = "its port is closed"
+"""What is said in place of a goodbye of a side whose program has ended without one."""
 _NAMES: Final = {Role.DSS: "dss", Role.GNC: "gnc"}
 
 
@@ -106,10 +108,13 @@ class Link:
         """Whether this side knows where the other one is to be, before it was heard."""
         return self._only is not None
 
-    def poll(self) -> list[Arrival]:
-        """Take what has come; return the cells in it, in the order in which they came, old values left out."""
+    def poll(self, at_most: int = _AT_ONCE) -> list[Arrival]:
+        """Take what has come; return the cells in it, in the order in which they came, old values left out.
+
+        at_most: datagrams that are looked at; the others wait for the next call.
+        """
         arrivals: list[Arrival] = []
-        for _ in range(_AT_ONCE):
+        for _ in range(at_most):
             came = self._socket.receive()
             if came is None:
                 break
@@ -117,7 +122,7 @@ class Link:
             if arrival is not None:
                 arrivals.append(arrival)
         if self.peer is not None and self.peer.address in self._socket.closed_ports():
-            self.peer.gone = "its port is closed"
+            self.peer.gone = PORT_CLOSED
         return arrivals
 
     def wait(self, timeout_s: float) -> bool:
@@ -130,7 +135,7 @@ class Link:
         if now_s - self._beaten_s < _EVERY_S:
             return
         self._beaten_s = now_s
-        if self.alive(now_s):
+        if self.alive(now_s) or (self.peer is not None and self._only is None):
             self._say(Kind.HEARTBEAT, wire.heartbeat_payload(*self._heartbeat))
         elif self._only is not None:
             self._say(Kind.HELLO, self._hello, self._only)

@@ -61,10 +61,11 @@ def tell_filters(cycle, filters, told):
 
 
 @kernel
-def hear_input(told, imu, reference, poses):
+def hear_input(told, not_before_s, imu, reference, poses):
     """Write IMU, REFERENCE and the poses (POSE) that came from ``told`` (GNC_INPUT); return how many came.
 
-    What the input does not say of them (true drift and bias, number and line of the phase) stays as it is.
+    Poses exposed before ``not_before_s`` are left out. What the input does not say (true drift and bias, number and
+    line of the phase) stays as it is.
     """
     copy_into(imu.rate_C, told.rate_radps)
     copy_into(imu.force_C, told.force_mps2)
@@ -73,9 +74,12 @@ def hear_input(told, imu, reference, poses):
     copy_into(reference.a_CT_H, told.reference_a_CT_H_mps2)
     copy_into(reference.q_CH, told.reference_q_CH)
     reference.boost = told.boost
-    came = min(max(told.n_poses, 0), poses.shape[0])
-    for i in range(came):
-        pose, said = poses[i], told.poses[i]
+    came = 0
+    for i in range(min(max(told.n_poses, 0), poses.shape[0])):
+        pose, said = poses[came], told.poses[i]
+        if said.t_s < not_before_s:
+            continue
+        came += 1
         pose.t_s = said.t_s
         copy_into(pose.z_TC_C, said.r_TC_C_m)
         copy_into(pose.q_CH, said.q_CH)
