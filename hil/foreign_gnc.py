@@ -119,10 +119,9 @@ class ForeignGnc(Approach):
         foreign.write_input(self.cycle, t_s, int(mode), int(orders), imu, reference, poses, arrived, self.input)
 
     def _hear_state(self, out: np.record) -> None:
-        said = printable(out.text)
         if out.state == GncState.FAULT:
-            raise DeviceError(self.name, said or "reports a fault")
-        self.ask_for_hold(f"{self.name} asks for it" + (f": {said}" if said else ""))
+            raise reported_fault(self.name, out)
+        self.ask_for_hold(hold_reason(self.name, out))
 
     def _complaint(self, fault: int, place: int, cycle: int) -> str:
         return complaint(self.output, fault, place, cycle, self._n)
@@ -142,6 +141,17 @@ def printable(text: bytes) -> str:
     """Return what a GNC says as one line of plain characters."""
     words = text.split(b"\0")[0].decode("utf-8", "replace")
     return "".join(c if c.isprintable() else " " for c in words).strip()
+
+
+def reported_fault(name: str, out: np.record) -> DeviceError:
+    """Return the fault that a GNC reports of itself in ``out`` (GNC_OUTPUT)."""
+    return DeviceError(name, printable(out.text) or "reports a fault")
+
+
+def hold_reason(name: str, out: np.record) -> str:
+    """Return why the bench is to hold where ``out`` (GNC_OUTPUT) asks for it."""
+    said = printable(out.text)
+    return f"{name} asks for it" + (f": {said}" if said else "")
 
 
 def complaint(out: np.record, fault: int, place: int, cycle: int, n_thrusters: int) -> str:

@@ -30,6 +30,7 @@ _NO_WALL_CLOCK = {
     "test_fusion_study",
     "test_monitor_command",
     "test_operated_bench",
+    "test_own_gnc",
     "test_reach",
     "test_record_command",
     "test_rendered_loop",

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
+from far_gnc import gnc_thread, split_bench
 
 from hil import build
 from hil.config.load import load_rig, load_scenario
-from far_gnc import gnc_thread, split_bench
 
 
 def in_one_process(scenario: str, duration_s: float, settings: tuple[str, ...] = (), seed: int = 0) -> build.Job:
