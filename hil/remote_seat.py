@@ -12,9 +12,7 @@ from hil.gnc_setup import gnc_setup
 from hil.remote_gnc import RemoteGnc
 
 
-def remote_gnc(
-    scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None
-) -> RemoteGnc:
+def remote_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None) -> RemoteGnc:
     """Return the seat of whoever flies ``scenario`` over ``link``. period_s: wall time of a cycle, None without one."""
     return RemoteGnc(
         link,

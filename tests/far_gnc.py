@@ -25,14 +25,16 @@ LOCAL: Address = (LOOPBACK, 0)
 
 
 @contextmanager
-def gnc_thread(scenario_name: str, bench: Address, settings: Sequence[str] = ()) -> Iterator[GncComputer]:
-    """Give our GNC, which serves the bench at ``bench`` in a thread until that says goodbye or the block ends."""
+def gnc_thread(
+    scenario_name: str, bench: Address, settings: Sequence[str] = (), patience_s: float = 20.0
+) -> Iterator[GncComputer]:
+    """Give our GNC, which serves the bench at ``bench`` in a thread until that says goodbye or falls silent."""
     link = gnc_side("test gnc", None, bench)
     computer = GncComputer(load_scenario(scenario_name, settings).value, link)
 
     def serve() -> None:
         with suppress(DeviceError):  # told by the bench's side as well
-            computer.serve(20.0)
+            computer.serve(patience_s)
 
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()

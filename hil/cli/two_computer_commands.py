@@ -60,9 +60,7 @@ def dss(
     """
     from hil.cli.two_computers import dss_command
 
-    return dss_command(
-        scenario, rig, seed, duration, settings, speed, listen, gnc, lock_step, wait, json, record
-    )
+    return dss_command(scenario, rig, seed, duration, settings, speed, listen, gnc, lock_step, wait, json, record)
 
 
 def gnc(

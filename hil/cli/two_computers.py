@@ -116,7 +116,9 @@ def gnc_command(
     return 0
 
 
-def _addresses(listen_option: str, listen: str | None, peer_option: str, peer: str | None) -> tuple[Address | None, Address | None]:
+def _addresses(
+    listen_option: str, listen: str | None, peer_option: str, peer: str | None
+) -> tuple[Address | None, Address | None]:
     """Return where to listen and who alone is spoken with: one of both; with neither this computer's own address."""
     if listen is not None and peer is not None:
         raise BadInput.single(peer_option, "", f"{peer}: give this or {listen_option}, not both")

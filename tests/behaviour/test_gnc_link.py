@@ -64,7 +64,7 @@ def test_partition_stops_the_bench_within_the_cycles_that_are_configured() -> No
     with (
         split_bench("scheme-1", 5.0, settings, lock_step=False) as bench,
         Relay(bench.link.address) as relay,
-        gnc_thread("scheme-1", relay.address),
+        gnc_thread("scheme-1", relay.address, patience_s=1.0),
     ):
         at_cycle(bench, {60: relay.cut})
         outcome = bench.fly()
