@@ -24,6 +24,7 @@ from hil.runner import COMPLETED, Outcome
 
 OF_THE_CLOCK = ("sampled_s", "received_s", "commanded_s", "on_wire_s", "lateness_s")
 """Stamps of devices, which a loop without devices does not have."""
+LATE = ("vmu.latency_s=0.07", "vmu.loss_share=0.2", "rig.vmu.timeout_s=2.0")
 STEP = "    gnc_state *g = gnc;"
 NO_ESTIMATE = "output->estimate = input->t_s > g->first_s + SETTLED_S; => "
 
@@ -77,8 +78,8 @@ def test_c_example_flies_scheme_1_through_table_iii(library: Path, tmp_path: Pat
 
 
 def test_campaign_case_with_a_library_has_the_bits_of_the_run(library: Path) -> None:
-    outcome = flown(library, 20.0, "vmu.latency_s=0.07", "vmu.loss_share=0.2")
-    history, _, stop = compiled(library, 20.0, "vmu.latency_s=0.07", "vmu.loss_share=0.2")
+    outcome = flown(library, 20.0, *LATE)
+    history, _, stop = compiled(library, 20.0, *LATE)
     assert outcome.stop == stop == COMPLETED
     assert_same_bits(outcome.history, history)
 
