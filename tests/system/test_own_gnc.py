@@ -142,7 +142,7 @@ class _Holding(Operator):
 @pytest.mark.parametrize(
     ("put", "words"),
     [
-        ("out->force[i] = => out->force[i] = 2 *", "force demand along"),
+        ("control(g, input, output); => control(g, input, output); output->force[2] = 2;", "force demand along z is 2"),
         (f"{STEP} => {STEP} output->cycle += input->cycle == 50;", "answers cycle 51 to the input of cycle 50"),
         (f"{STEP} => {STEP} if (input->cycle == 50) return 7;", "its step returned 7"),
         (f"{STEP} => {STEP} output->direct = 1; output->on[20] = 1;", "opens thruster 21 of 16"),
@@ -197,18 +197,24 @@ def test_library_that_reports_a_fault_or_asks_for_a_hold_is_heard(tmp_path: Path
     ],
     ids=["missing", "no library", "symbol", "protocol", "refused"],
 )
-@pytest.mark.parametrize("command", ["run", "campaign", "gnc-check"])
 def test_library_that_cannot_fly_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path], Path], words: str, command: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path], Path], words: str
 ) -> None:
-    path = make(tmp_path)
-    setting = ["--set", f"gnc.library={path}"]
+    assert execute(["run", "scheme-1", "--set", f"gnc.library={make(tmp_path)}"]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert words in lines[-1]
+    assert "gnc.library" in lines[-1]
+
+
+@pytest.mark.parametrize("command", ["campaign", "gnc-check"])
+def test_other_commands_refuse_it_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
+    path, words = str(variant(tmp_path, "return HIL_GNC_PROTOCOL; => return 99;")), "speaks protocol 99"
     arguments = {
-        "run": ["run", "scheme-1", *setting],
-        "campaign": ["campaign", "scheme-1", "--runs", "2", "--out", str(tmp_path / "out"), *setting],
-        "gnc-check": ["gnc-check", str(path)],
-    }
-    assert execute(arguments[command]) == 2
+        "campaign": ["campaign", "scheme-1", "--runs", "2", "--out", str(tmp_path / "out")],
+        "gnc-check": ["gnc-check", path],
+    }[command]
+    setting = ["--set", f"gnc.library={path}"] if command == "campaign" else []
+    assert execute([*arguments, *setting]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert words in lines[-1]
     assert "gnc.library" in lines[-1]

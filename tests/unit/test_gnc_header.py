@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 from foreign_gnc import PYTHON_EXAMPLE, ROOT, compile_c
 
@@ -51,7 +52,7 @@ def test_python_example_has_the_layout_of_the_bench_and_does_not_import_it() -> 
         assert _places(there[name.upper()]) == _places(dtype)
 
 
-def _places(dtype) -> list[tuple[str, int, str]]:  # noqa: ANN001
+def _places(dtype: np.dtype) -> list[tuple[str, int, str]]:
     return [
         (name, place[1], str(place[0].shape) + ("" if place[0].base.names else place[0].base.str))
         for name, place in dtype.fields.items()
