@@ -65,11 +65,12 @@ class ForeignGnc(Approach):
     def act(self, t_s: float, now: Records, vision: Poses) -> None:
         """Write the reference, ask the GNC, take what it says, and supervise that."""
         self.cycle += 1
-        orders = GncOrder.GO if self._go else GncOrder.NONE
-        if self._abort_began:
-            orders |= GncOrder.ABORT
-            self._abort_began = False
+        orders = GncOrder.ABORT if self._abort_began else GncOrder.NONE
+        self._abort_began = False
+        ordered, phase = self._go, int(self._flown.phase)
         self.guide(t_s, now.supervision, now.reference)
+        if ordered and self._flown.phase != phase:
+            orders |= GncOrder.GO
         self._write_input(t_s, GncMode.RUNNING, orders, now.imu, now.reference, vision.poses, vision.arrived)
         if self.exchange():
             self.take(now, self.cycle, t_s)
