@@ -21,8 +21,6 @@ def _nobody(_reason: str) -> None:
 class Approach:
     """Guidance, supervision, the operator's orders, and the diary of it all: the half of a seat that all share."""
 
-    not_ready = ""
-
     def __init__(self, guidance_params: np.record, supervision_params: np.record, diary: ApproachDiary) -> None:
         self._guidance = guidance_params
         self._supervision = supervision_params
@@ -35,6 +33,11 @@ class Approach:
         self.orders: Told[tuple[int, str]] = Told()
         """Each order with the number of the cycle from which on it acts."""
         self.ask_for_hold: Callable[[str], None] = _nobody
+
+    @property
+    def not_ready(self) -> str:
+        """Why a run that is held cannot go on yet, "" where it can."""
+        return ""
 
     @property
     def logs(self) -> tuple[Told[Event], ...]:

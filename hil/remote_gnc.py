@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from hil.approach import Approach
 from hil.approach_diary import ApproachDiary
 from hil.config.gnc_link import GncLink
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
@@ -199,6 +200,13 @@ class RemoteGnc(ForeignGnc):
         foreign.show_nothing(now.navigation)
         if why:
             self._lose(why)
+
+    def supervise(self, t_s: float, estimate: np.record, reference: np.record, out: np.record) -> None:
+        """Judge our own GNC as ``hil run`` does, also before its first pose; others as those that may say nothing."""
+        if self._missed == 0 and self._inbox.has_flight:
+            Approach.supervise(self, t_s, estimate, reference, out)
+        else:
+            super().supervise(t_s, estimate, reference, out)
 
     def consistency(self, truth: np.record, imu: np.record) -> Array:
         """Return NEES of position and attitude filter, (2,), of the filters that came in this cycle, nan without."""

@@ -56,10 +56,10 @@ def test_killed_gnc_stops_the_bench_within_three_cycles(tmp_path: Path) -> None:
 def test_killed_gnc_that_comes_back_during_the_hold_joins_without_a_step(tmp_path: Path) -> None:
     settings = ('rig.gnc_link.on_loss="hold"',)
     with (
-        split_bench("scheme-1", 12.0, settings, lock_step=False, operator=Resuming()) as bench,
+        split_bench("scheme-1", 5.0, settings, lock_step=False, operator=Resuming()) as bench,
         gnc_process(bench.link.address, tmp_path / "first") as first,
     ):
-        after_cycle(bench, 200, first.kill)
+        after_cycle(bench, 60, first.kill)
 
         def come_back() -> None:
             first.wait()
@@ -71,7 +71,7 @@ def test_killed_gnc_that_comes_back_during_the_hold_joins_without_a_step(tmp_pat
         outcome = bench.fly()
         second.join()
     assert outcome.faults == []
-    assert len(outcome.history) == 601
+    assert len(outcome.history) == 251
     assert bench.account()["joined"] == 2
     assert any(event.text.startswith("resumed after") for event in outcome.events)
     assert outcome.history["navigation"]["valid"][-100:].all()
