@@ -21,6 +21,7 @@ from hil.config.gnc_link import GncLink
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
 from hil.foreign_gnc import ForeignGnc, printable
 from hil.frmn.cells import Role
+from hil.frmn.mirror import MIRRORED
 from hil.frmn.link import Arrival, Link
 from hil.frmn.udp import Address, shown
 from hil.gnc import foreign, navigation, remote
@@ -34,7 +35,7 @@ from hil.told import Told
 
 NAME: Final = "gnc"
 _STATES: Final = frozenset(state.value for state in GncState)
-_OFFERS: Final = ("gnc.setup", "gnc.input")
+_OFFERS: Final = ("gnc.setup", "gnc.input", *MIRRORED)
 _WANTS: Final = ("gnc.output", "gnc.flight", "gnc.filters")
 _IN_A_CYCLE: Final = 64  # datagrams that are looked at: a flood must not keep the loop
 _BACKLOG: Final = 4096  # with the loop open: what came while devices were opened

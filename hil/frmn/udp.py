@@ -113,9 +113,9 @@ class UdpSocket:
             except OSError:
                 return
             for level, kind, error in ancillary:
-                if level == socket.IPPROTO_IP and kind == _IP_RECVERR and len(error) >= 4:
-                    if struct.unpack_from("=I", error)[0] == errno.ECONNREFUSED:
-                        self._closed.append(to)
+                told = level == socket.IPPROTO_IP and kind == _IP_RECVERR and len(error) >= 4
+                if told and struct.unpack_from("=I", error)[0] == errno.ECONNREFUSED:
+                    self._closed.append(to)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until a datagram is there; return whether one is. 0 does not wait."""

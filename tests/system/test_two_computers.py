@@ -79,9 +79,7 @@ def test_bench_that_nobody_answers_says_where_it_waited() -> None:
         (["gnc", "scheme-1", "--dss", "127.0.0.1:9", "--json", "/no/such/folder/x.json"], "folder does not exist"),
     ],
 )
-def test_bad_option_is_refused_in_a_line(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
-) -> None:
+def test_bad_option_is_refused_in_a_line(capsys: pytest.CaptureFixture[str], arguments: list[str], said: str) -> None:
     assert execute(arguments) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
