@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -21,13 +20,13 @@ from hil.config.gnc_link import GncLink
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
 from hil.foreign_gnc import ForeignGnc, printable
 from hil.frmn.cells import Role
-from hil.frmn.mirror import MIRRORED
 from hil.frmn.link import Arrival, Link
+from hil.frmn.mirror import MIRRORED
 from hil.frmn.udp import Address, shown
 from hil.gnc import foreign, navigation, remote
 from hil.gnc.watch import FilterWatch
-from hil.gnc_interface import GncMode, GncOrder, GncState
 from hil.gnc_inbox import REMEMBERED, Inbox, Past
+from hil.gnc_interface import GncMode, GncOrder, GncState
 from hil.gnc_link import LinkAccount
 from hil.messages import IMU, MAX_POSES, POSE, REFERENCE, TRUTH, Array, Event, new
 from hil.seat import Poses, Records

@@ -84,7 +84,7 @@ DSS = """
 import sys
 from far_gnc import split_bench
 with split_bench("scheme-1", 60.0, lock_step=False) as bench:
-    print(bench.link.address[1], flush=True)
+    print(bench.link.address[1], flush=True)  # noqa: T201
     bench.each_cycle = lambda k: print(k, flush=True)
     bench.fly()
 """
@@ -108,6 +108,6 @@ def test_killed_bench_is_missed_by_the_gnc_within_three_cycles() -> None:
             killed_s = time.monotonic()
             dss.wait()
     silent = [(t_s - killed_s, text) for t_s, text in told if "silent" in text]
-    print(silent)
+    print(silent)  # noqa: T201
     assert silent
     assert silent[0][0] < CYCLES * 0.02 + 0.1  # and what a busy computer takes
