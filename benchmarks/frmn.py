@@ -29,7 +29,7 @@ from hil.clock import WallClock
 from hil.config.load import load_rig, load_scenario
 from hil.frmn.cells import Role
 from hil.frmn.link import Link
-from hil.gnc_interface import GNC_INPUT, GNC_OUTPUT
+from hil.gnc_interface import GNC_INPUT, GNC_OUTPUT, GNC_SETUP
 from hil.rate import WallRate
 from hil.realtime import RealTime, no_garbage_collection
 from hil.remote_gnc import gnc_link
@@ -58,8 +58,9 @@ class Trips:
     missing: int = 0
 
     def row(self, name: str) -> str:
-        trips = np.concatenate(self.trips_us) if self.trips_us else np.full(1, np.nan)
-        late = np.concatenate(self.late_us) if self.late_us else np.full(1, np.nan)
+        trips, late = np.concatenate(self.trips_us), np.concatenate(self.late_us)
+        if not len(trips):
+            return f"| {name} | 0 | | | | {self.missing} | | |"
         p50, p99, largest = np.percentile(trips, [50.0, 99.0, 100.0])
         late_50, late_99 = np.percentile(late, [50.0, 99.0])
         return (
@@ -100,6 +101,7 @@ def ping_link(hosts: Hosts, rate_hz: float, count: int, to: Trips) -> None:
             link.tend()
             link.poll()
             time.sleep(0.01)
+        link.send("gnc.setup", np.zeros(1, GNC_SETUP))
         record = np.zeros(1, GNC_INPUT)
 
         def send(k: int) -> None:
@@ -134,6 +136,9 @@ def ping_plain(hosts: Hosts, rate_hz: float, count: int, to: Trips) -> None:
             except OSError:
                 return None
 
+        while receive() is None:  # until the other side is there
+            send(count)
+            time.sleep(0.01)
         ping(rate_hz, count, send, receive, to)
 
 
@@ -207,8 +212,9 @@ def _answers(line: str, here: str, there: str) -> None:
             link.tend()
             for arrival in link.poll():
                 heard_s = time.monotonic()
-                record["cycle"] = arrival.record["cycle"]
-                link.send("gnc.output", record)
+                if arrival.name == "gnc.input":
+                    record["cycle"] = arrival.record["cycle"]
+                    link.send("gnc.output", record)
     elif line == "plain":
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as pong:
             pong.bind((here, PORTS["plain"]))
@@ -239,7 +245,6 @@ def far_side(line: str, hosts: Hosts) -> Iterator[None]:
     """Have the far side of ``line`` in a process of its own."""
     command = [*hosts.before, sys.executable, __file__, "--answer", line, hosts.there, hosts.here]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
-        time.sleep(1.0 if line == "plain" else 0.0)
         try:
             yield
         finally:

@@ -21,12 +21,11 @@ from hil.frmn.slots import Slots
 WORDS = 40  # 320 bytes: five cache lines, more than any processor writes at once
 SIZE = 8 * WORDS
 
-READER = (
-    """
+READER = """
 #include <stdint.h>
 #include <string.h>
 
-enum { WORDS = %d };
+enum { WORDS = 40 }; /* as below */
 
 /* Returns how many of `many` copies are torn: words that are not alike. found: [0] spoilt, and known as such by the
    second look at the count; [1] torn and not known; [2] copies that found another value than the one before. */
@@ -38,7 +37,7 @@ void read_many(const volatile uint8_t *content, int64_t slots, int64_t many, int
         int64_t number = *count - 1;
         if (number < 0)
             continue;
-        memcpy(copy, (const uint8_t *)content + 64 + number %% slots * sizeof copy, sizeof copy);
+        memcpy(copy, (const uint8_t *)content + 64 + number % slots * sizeof copy, sizeof copy);
         __asm__ volatile("" ::: "memory"); /* x86-64 loads in order; the compiler must as well */
         done++;
         if (look_again && *count - slots + 1 > number) {
@@ -54,8 +53,6 @@ void read_many(const volatile uint8_t *content, int64_t slots, int64_t many, int
     }
 }
 """
-    % WORDS
-)
 
 WRITER = f"""
 import itertools, sys

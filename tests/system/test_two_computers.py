@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
+from far_gnc import gnc_thread, split_bench
 
 from hil import build
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.errors import DeviceError, LinkTimeout
-from far_gnc import gnc_thread, split_bench
 
 
 def in_one_process(scenario: str, duration_s: float, settings: tuple[str, ...] = (), seed: int = 0) -> build.Job:
