@@ -36,7 +36,7 @@ class Approach:
 
     @property
     def not_ready(self) -> str:
-        """Why a run that is held cannot go on yet, "" where it can."""
+        """Why a run that is held cannot go on yet: nothing keeps it."""
         return ""
 
     @property

@@ -16,6 +16,8 @@ from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable
 from hil.config.scenario import Scenario
 from hil.cycle import Loop
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
+from hil.drivers.words.poses import PoseForwarder
+from hil.drivers.words.receiver import WordReceiver
 from hil.dynamics.imu import IMU_NOISE
 from hil.errors import BadInput, Problem
 from hil.eye import transport
@@ -42,6 +44,7 @@ from hil.safety.supervisor import Supervisor
 from hil.seat import Seat
 from hil.stages import Dss, Gnc, Vision
 from hil.target_stage import PlacedTarget
+from hil.words_gnc import WordsGnc
 
 _FRAMES_TO_FORGET = 2.0  # in their time one lost frame is forgiven, where the rig file says nothing else
 
@@ -106,7 +109,7 @@ def assemble(
         dss=_dss(job.truth, job.seed),
         bench=Bench(rails, turntable, bench, supervisor),
         vision=Vision(source, parameters.stations(rig)),
-        gnc=(job.seat or make_seat)(scenario),
+        gnc=_seat(job, rig, rate),
         history=np.zeros(job.cycles, CYCLE),
         telemetry=telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
@@ -115,6 +118,8 @@ def assemble(
         lines = IoStage(io, loop.now.command.on[: rig.io.thruster_lines])
         loop.lines = lines
         loop.bench.emergency_input = lines.emergency_input
+    if isinstance(loop.gnc, WordsGnc) and loop.gnc.forwarder is not None:
+        loop.vision.forward = loop.gnc.forwarder.put
     if target is not None and rig.moved_target is not None:
         loop.target = PlacedTarget(target, rig.moved_target)
     loop.now.row["truth"] = parameters.initial_truth(job.truth)
@@ -134,6 +139,26 @@ def assemble(
         operator,
         parking_place(rig),
         rig.bench.park_after_run,
+    )
+
+
+def _seat(job: Job, rig: Rig, rate: Rate) -> Seat:
+    """Return who flies: whom the job names, a flight computer where the rig has one, or whom the scenario names."""
+    scenario, computer = job.scenario.value, rig.flight_computer
+    if job.seat is not None:
+        return job.seat(scenario)
+    if computer.words == "none":
+        return make_seat(scenario)
+    return WordsGnc(
+        computer,
+        WordReceiver(computer, rate.now_s),
+        PoseForwarder(computer.poses) if computer.poses.port is not None else None,
+        rate.now_s,
+        gnc_setup(scenario),
+        parameters.guidance(scenario),
+        parameters.supervision(scenario),
+        parameters.allocation(scenario.chaser)[0],
+        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
     )
 
 

@@ -19,6 +19,7 @@ from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.fitness import (
     approach_problems,
+    flight_computer_problems,
     flight_problems,
     host_problems,
     line_problems,
@@ -72,6 +73,7 @@ def _rig_problems(job: Job) -> list[Problem]:
         *host_problems(job.rig),
         *line_problems(job.scenario, job.rig),
         *turntable_problems(job.rig),
+        *flight_computer_problems(job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0 and not job.paced:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))

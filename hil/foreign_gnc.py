@@ -65,11 +65,12 @@ class ForeignGnc(Approach):
     def act(self, t_s: float, now: Records, vision: Poses) -> None:
         """Write the reference, ask the GNC, take what it says, and supervise that."""
         self.cycle += 1
-        orders = GncOrder.GO if self._go else GncOrder.NONE
-        if self._abort_began:
-            orders |= GncOrder.ABORT
-            self._abort_began = False
+        orders = GncOrder.ABORT if self._abort_began else GncOrder.NONE
+        self._abort_began = False
+        ordered, phase = self._go, int(self._flown.phase)
         self.guide(t_s, now.supervision, now.reference)
+        if ordered and self._flown.phase != phase:
+            orders |= GncOrder.GO
         self._write_input(t_s, GncMode.RUNNING, orders, now.imu, now.reference, vision.poses, vision.arrived)
         if self.exchange():
             self.take(now, self.cycle, t_s)
@@ -119,10 +120,9 @@ class ForeignGnc(Approach):
         foreign.write_input(self.cycle, t_s, int(mode), int(orders), imu, reference, poses, arrived, self.input)
 
     def _hear_state(self, out: np.record) -> None:
-        said = printable(out.text)
         if out.state == GncState.FAULT:
-            raise DeviceError(self.name, said or "reports a fault")
-        self.ask_for_hold(f"{self.name} asks for it" + (f": {said}" if said else ""))
+            raise reported_fault(self.name, out)
+        self.ask_for_hold(hold_reason(self.name, out))
 
     def _complaint(self, fault: int, place: int, cycle: int) -> str:
         return complaint(self.output, fault, place, cycle, self._n)
@@ -142,6 +142,17 @@ def printable(text: bytes) -> str:
     """Return what a GNC says as one line of plain characters."""
     words = text.split(b"\0")[0].decode("utf-8", "replace")
     return "".join(c if c.isprintable() else " " for c in words).strip()
+
+
+def reported_fault(name: str, out: np.record) -> DeviceError:
+    """Return the fault that a GNC reports of itself in ``out`` (GNC_OUTPUT)."""
+    return DeviceError(name, printable(out.text) or "reports a fault")
+
+
+def hold_reason(name: str, out: np.record) -> str:
+    """Return why the bench is to hold where ``out`` (GNC_OUTPUT) asks for it."""
+    said = printable(out.text)
+    return f"{name} asks for it" + (f": {said}" if said else "")
 
 
 def complaint(out: np.record, fault: int, place: int, cycle: int, n_thrusters: int) -> str:

@@ -24,7 +24,7 @@ class LibraryGnc(ForeignGnc):
         sets: np.ndarray,
         diary: ApproachDiary,
     ) -> None:
-        super().__init__(f"gnc {library.name}", setup, guidance_params, supervision_params, sets, diary)
+        super().__init__(gnc_name(library), setup, guidance_params, supervision_params, sets, diary)
         self._library = library
         self._instance: Instance | None = None
         self._address = library.step_address
@@ -55,6 +55,16 @@ class LibraryGnc(ForeignGnc):
         assert self._instance is not None
         code = c_library.step(self._address, self._instance.address, self.input, self.output)
         if code != 0:
-            said = printable(self.output.text)
-            raise DeviceError(self.name, f"its step returned {code}" + (f": {said}" if said else ""))
+            raise step_failed(self.name, code, self.output)
         return True
+
+
+def gnc_name(library: Library) -> str:
+    """Return what the GNC of ``library`` is called in what is said of it."""
+    return f"gnc {library.name}"
+
+
+def step_failed(name: str, code: int, output: np.record) -> DeviceError:
+    """Return the error of a step that returned ``code``, not 0."""
+    said = printable(output.text)
+    return DeviceError(name, f"its step returned {code}" + (f": {said}" if said else ""))

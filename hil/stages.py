@@ -6,6 +6,7 @@ A stage owns its parameters and its state; the records that pass between stages 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -67,6 +68,8 @@ class Vision:
         """Frames exposed before this bench time are of another life of the run: they are left out."""
         self.tap: Telemetry | None = None
         """Is given each frame that comes, a row of ARRIVAL."""
+        self.forward: Callable[[PoseFrame, float], None] | None = None
+        """Is given each frame that is used, and its moment of exposure in time of the run."""
         self._row = np.zeros(1, ARRIVAL)
         self._cycle = -1
 
@@ -90,6 +93,8 @@ class Vision:
         for frame, pose in zip(frames, self._records, strict=False):
             chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
             pose.t_s = frame.t_s - run_zero_s
+            if self.forward is not None:
+                self.forward(frame, pose.t_s)
             if self.tap is not None:
                 self._show(frame, self._cycle, pose)
         newest = self.poses[: self.arrived]["t_s"].argmax()

@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.console import ConsoleTable
+from hil.config.flight_computer import FlightComputer
 from hil.config.gnc_link import GncLink
 from hil.config.host import Host, LateCycle
 from hil.config.io import Io
@@ -307,6 +308,7 @@ class Rig(Strict):
     host: Host = Host()
     console: ConsoleTable = ConsoleTable()
     gnc_link: GncLink = GncLink()
+    flight_computer: FlightComputer = FlightComputer()
     io: Io | None = None
     target_manipulator: TargetManipulator | None = None
     sign_off: SignOff | None = None

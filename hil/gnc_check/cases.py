@@ -53,12 +53,13 @@ class Case:
 
 @dataclass(frozen=True)
 class Truth:
-    """Where the chaser is: r_CT_H, v_CT_H, q_CH, w_CH_C."""
+    """Where the chaser is: r_CT_H, v_CT_H, q_CH, w_CH_C; orbit: rate of H against inertial space, in c."""
 
     r: Array
     v: Array
     q: Array
     w: Array
+    orbit: Array
 
 
 class Player:
@@ -74,7 +75,8 @@ class Player:
         v, w = np.array(case.drift_mps), np.array(case.rate_radps)
         r = self._anchor + np.array(case.offset_m) + v * t_s
         phi = np.array(case.turn_rad) + w * t_s  # one axis, or slow: c turns about axes fixed in it
-        return Truth(r, v, quat.from_rotation_vector(phi), w)
+        q = quat.from_rotation_vector(phi)
+        return Truth(r, v, q, w, quat.to_matrix(q) @ np.array([0.0, -self._n, 0.0]))
 
     def inputs(self, case: Case, change: Change | None = None) -> Iterator[np.record]:
         """Give the inputs, one record that is filled anew each time."""
@@ -100,7 +102,7 @@ class Player:
         a = quat.to_matrix(now.q)
         free = np.empty(3)
         hill_acceleration(now.r, now.v, self._n, free)
-        told.rate_radps = now.w + a @ np.array([0.0, -self._n, 0.0])
+        told.rate_radps = now.w + now.orbit
         told.force_mps2 = a @ -free  # what keeps it from moving freely
         away_s = max(0.0, t_s - case.abort_s)
         told.reference_r_CT_H_m = self._anchor + np.array([_RETREAT_MPS * away_s, 0.0, 0.0])
@@ -109,7 +111,7 @@ class Player:
         told.reference_q_CH = (0.0, 0.0, 0.0, 1.0)
         told.boost = 0
         seen_s = t_s - case.late_s
-        told.n_poses = int(running and cycle % POSE_PERIOD == 0 and 0.0 <= seen_s and t_s <= case.blind_s)
+        told.n_poses = int(running and cycle % POSE_PERIOD == 0 and seen_s >= 0.0 and t_s <= case.blind_s)
         if told.n_poses:
             self._see(told.poses[0], self.truth(case, seen_s), seen_s)
 

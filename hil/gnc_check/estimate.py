@@ -14,7 +14,7 @@ from hil.messages import Array
 
 NEAR_M, NEAR_MPS, NEAR_RAD, NEAR_RADPS = 0.03, 0.01, math.radians(0.3), math.radians(0.05)
 """How far an estimate may be from the truth: poses here have no noise."""
-_SHARE: Final = 0.03  # of a wrong value's size, by which an estimate may differ from it to be known again
+_SHARE: Final = 0.1  # of a wrong value's size, by which an estimate may differ from it to be known again
 
 _Wrong = dict[str, Callable[[Truth], Array]]
 
@@ -34,7 +34,9 @@ _VELOCITIES: Final[_Wrong] = {
 }
 _RATES: Final[_Wrong] = {
     "in degrees a second": lambda now: np.degrees(now.w),
-    "57 times too small: the gyro read as degrees": lambda now: np.radians(now.w),
+    "57 times too small: the gyro read as degrees a second": lambda now: np.radians(now.w + now.orbit) - now.orbit,
+    "57 times too small": lambda now: np.radians(now.w),
+    "against inertial space instead of H": lambda now: now.w + now.orbit,
     "with the sign turned round": lambda now: -now.w,
 }
 _ATTITUDES: Final[_Wrong] = {

@@ -80,7 +80,7 @@ class LinkPartner:
         self.name = "gnc"
         self._link = link
         self._wait_s = wait_s
-        self._output = new(GNC_OUTPUT)
+        self._block = np.zeros(1, GNC_OUTPUT).view(np.recarray)
 
     def begin(self, setup: np.record) -> None:
         """Send ``setup`` until the GNC acknowledges it and works. Raises LinkTimeout that says where it waited."""
@@ -110,8 +110,8 @@ class LinkPartner:
             self._link.wait(_RESEND_S)
             now_s = time.perf_counter()
             for output in self._outputs():
-                self._output[()] = output
-                return self._output, now_s - begun_s
+                self._block[0] = output
+                return self._block[0], now_s - begun_s
             if now_s - begun_s > _PATIENCE_S:
                 text = f"has not answered cycle {told.cycle} ({GncMode(told.mode).name}) for {_PATIENCE_S:g} s"
                 raise LinkTimeout(self.name, text)

@@ -19,7 +19,7 @@ from hil.messages import Array
 class Played:
     """What came of a case. outputs: (n,) of GNC_OUTPUT; modes, t_s, took_s: (n,), of the inputs.
 
-    faults: what was wrong with answers, each once, with the cycle in which it was first. ended: why it was cut short.
+    faults: by its kind, what was wrong with answers first, and in which cycle. ended: why it was cut short.
     """
 
     case: Case
@@ -27,7 +27,7 @@ class Played:
     modes: np.ndarray
     t_s: Array
     took_s: Array
-    faults: dict[str, int] = field(default_factory=dict)
+    faults: dict[int, tuple[str, int]] = field(default_factory=dict)
     ended: str = ""
 
     def pushes(self, setup: np.record, from_s: float = 0.0) -> Array:
@@ -54,7 +54,7 @@ def pushes(outputs: np.ndarray, setup: np.record) -> Array:
 def play(partner: Partner, player: Player, setup: np.record, case: Case, change: Change | None = None) -> Played:
     """Play ``case`` from a new setup on; change: made to each input before it is told."""
     outputs, modes, t_s, took_s = [], [], [], []
-    faults: dict[str, int] = {}
+    faults: dict[int, tuple[str, int]] = {}
     ended = ""
     partner.begin(setup)
     n = int(setup.n_thrusters)
@@ -66,7 +66,7 @@ def play(partner: Partner, player: Player, setup: np.record, case: Case, change:
             break
         fault, place = foreign.fault_of(answer, told.cycle, n)
         if fault != foreign.FINE and (told.mode == GncMode.RUNNING or fault == foreign.CYCLE):
-            faults.setdefault(complaint(answer, fault, place, int(told.cycle), n), int(told.cycle))
+            faults.setdefault(fault, (complaint(answer, fault, place, int(told.cycle), n), int(told.cycle)))
         outputs.append(np.array(answer, GNC_OUTPUT))
         modes.append(int(told.mode))
         t_s.append(float(told.t_s))

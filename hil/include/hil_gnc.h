@@ -76,7 +76,7 @@ typedef struct {
     double reference_v_CT_H_mps[3];
     double reference_a_CT_H_mps2[3];
     double reference_q_CH[4];
-    int64_t boost; /* 1: force demands open strong thruster sets and accelerate more, as the brake of an abort needs */
+    int64_t boost;
     int64_t n_poses; /* that came since the last input */
     hil_gnc_pose poses[4];
 } hil_gnc_input;
