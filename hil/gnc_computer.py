@@ -31,6 +31,7 @@ _OFFERS: Final = ("gnc.flight", "gnc.output", "gnc.filters")
 _WANTS: Final = ("gnc.setup", "gnc.input")
 _SILENT_S: Final = 0.35  # wall time after which another bench is listened to
 _BRIDGED_S: Final = 1.2  # of lost inputs on end: less than the filters' memory of 64 steps at 50 Hz
+_SILENCES_TOLD: Final = 3  # further ones are counted alone
 _SLICE_S: Final = 0.05
 _KNOWS_AFTER: Final = 3  # cycles of the wall's time without an input: then the bench is said to be silent
 _NEEDED: Final = ("step_s", "n_thrusters", "thruster_position_m", "thruster_force_N", "mass_kg", "inertia_kgm2")
@@ -127,13 +128,14 @@ class GncComputer:
                 self.flight.end = peer.gone or ""
                 return self.flight
             if arrivals:
-                if silent:
+                if silent and self.flight.silences <= _SILENCES_TOLD:
                     self._tell("the bench is heard again")
                 heard_s, silent = now_s, False
             elif self._is_flying and not silent and now_s - heard_s > knows_after_s:
                 silent = True
                 self.flight.silences += 1
-                self._tell(f"the bench has been silent for {1e3 * (now_s - heard_s):.0f} ms")
+                if self.flight.silences <= _SILENCES_TOLD:
+                    self._tell(f"the bench has been silent for {1e3 * (now_s - heard_s):.0f} ms")
             self._judge_silence(now_s - heard_s, patience_s)
 
     @property

@@ -67,4 +67,5 @@ class Past:
         self._bytes[start : start + self._size] = record.tobytes()
 
     def at(self, cycle: int) -> np.record:
-        return self._records[cycle % REMEMBERED]
+        record: np.record = self._records[cycle % REMEMBERED]
+        return record

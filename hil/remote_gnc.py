@@ -10,22 +10,23 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 
+from hil.approach import Approach
 from hil.approach_diary import ApproachDiary
 from hil.config.gnc_link import GncLink
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
 from hil.foreign_gnc import ForeignGnc, printable
 from hil.frmn.cells import Role
 from hil.frmn.link import Arrival, Link
+from hil.frmn.mirror import MIRRORED
 from hil.frmn.udp import Address, shown
 from hil.gnc import foreign, navigation, remote
 from hil.gnc.watch import FilterWatch
-from hil.gnc_interface import GncMode, GncOrder, GncState
 from hil.gnc_inbox import REMEMBERED, Inbox, Past
+from hil.gnc_interface import GncMode, GncOrder, GncState
 from hil.gnc_link import LinkAccount
 from hil.messages import IMU, MAX_POSES, POSE, REFERENCE, TRUTH, Array, Event, new
 from hil.seat import Poses, Records
@@ -33,13 +34,13 @@ from hil.told import Told
 
 NAME: Final = "gnc"
 _STATES: Final = frozenset(state.value for state in GncState)
-_OFFERS: Final = ("gnc.setup", "gnc.input")
+_OFFERS: Final = ("gnc.setup", "gnc.input", *MIRRORED)
 _WANTS: Final = ("gnc.output", "gnc.flight", "gnc.filters")
 _IN_A_CYCLE: Final = 64  # datagrams that are looked at: a flood must not keep the loop
 _BACKLOG: Final = 4096  # with the loop open: what came while devices were opened
 _AGAIN_S: Final = 0.1  # wall time from one setup that is not answered to the next
 _RESEND_S: Final = 0.05  # wall time after which an input of lock-step in simulated time goes out again
-_PATIENCE_S: Final = 2.0  # wall time that lock-step in simulated time waits for an answer
+_PATIENCE_S: Final = 10.0  # wall time that lock-step in simulated time waits for an answer
 _SILENT_S: Final = 0.35  # wall time after which another GNC may take the place of a silent one: three heartbeats
 _IDLE_S: Final = 0.01  # wall time of a cycle of a hold in simulated time
 _NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
@@ -199,6 +200,13 @@ class RemoteGnc(ForeignGnc):
         foreign.show_nothing(now.navigation)
         if why:
             self._lose(why)
+
+    def supervise(self, t_s: float, estimate: np.record, reference: np.record, out: np.record) -> None:
+        """Judge our own GNC as ``hil run`` does, also before its first pose; others as those that may say nothing."""
+        if self._missed == 0 and self._inbox.has_flight:
+            Approach.supervise(self, t_s, estimate, reference, out)
+        else:
+            super().supervise(t_s, estimate, reference, out)
 
     def consistency(self, truth: np.record, imu: np.record) -> Array:
         """Return NEES of position and attitude filter, (2,), of the filters that came in this cycle, nan without."""

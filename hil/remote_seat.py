@@ -7,9 +7,11 @@ from hil.approach_diary import ApproachDiary
 from hil.config.gnc_link import GncLink
 from hil.config.scenario import Scenario
 from hil.frmn.link import Link
+from hil.frmn.mirror import Mirror
 from hil.gnc.watch import FilterWatch
 from hil.gnc_setup import gnc_setup
 from hil.remote_gnc import RemoteGnc
+from hil.runner import Runner
 
 
 def remote_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None) -> RemoteGnc:
@@ -26,3 +28,9 @@ def remote_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool,
         parameters.allocation(scenario.chaser)[0],
         ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
     )
+
+
+def mirror_of(runner: Runner, link: Link) -> Mirror:
+    """Return what each cycle of ``runner`` is to be put into, so that the other side gets the cells that it wants."""
+    modes, rate = runner.supervisor.modes, runner.rate
+    return Mirror(runner.loop.telemetry, link, lambda: modes.mode.value, lambda: rate.overruns)

@@ -14,11 +14,12 @@ from hil import build
 from hil.config.load import load_rig, load_scenario
 from hil.errors import DeviceError
 from hil.frmn.link import Link
+from hil.frmn.ring import Telemetry
 from hil.frmn.udp import LOOPBACK, Address
 from hil.gnc_computer import GncComputer, gnc_side
 from hil.orders import Resuming
 from hil.remote_gnc import RemoteGnc, gnc_link
-from hil.remote_seat import remote_gnc
+from hil.remote_seat import mirror_of, remote_gnc
 from hil.runner import Outcome
 
 LOCAL: Address = (LOOPBACK, 0)
@@ -47,12 +48,14 @@ def gnc_thread(
 
 
 class _Each:
-    """Calls when a row is there."""
+    """Calls when a row is there, after handing it on."""
 
-    def __init__(self, call: Callable[[], None]) -> None:
+    def __init__(self, inner: Telemetry, call: Callable[[], None]) -> None:
+        self._inner = inner
         self._call = call
 
     def put(self, row: np.ndarray) -> None:
+        self._inner.put(row)
         self._call()
 
 
@@ -76,7 +79,7 @@ class Split:
             if self.operator is not None:
                 self.operator.mode = lambda: runner.supervisor.modes.mode
             loop = runner.loop
-            loop.telemetry = _Each(lambda: self.each_cycle(self.seat.cycle))
+            loop.telemetry = _Each(mirror_of(runner, self.link), lambda: self.each_cycle(self.seat.cycle))
             send = loop.bench._send
 
             def spy(now_s: float, setpoint: np.record) -> None:

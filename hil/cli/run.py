@@ -19,7 +19,8 @@ from hil.cli.warm_up import warm_up_with_a_word
 from hil.config.load import load_rig, load_scenario
 from hil.errors import BadInput, Problem
 from hil.modes import Mode
-from hil.orders import Operator, Resuming
+from hil.orders import Operator
+from hil.runner import Runner
 
 _PASSED, _FAILED, _SAFE_STOPPED = 0, 1, 3
 
@@ -60,11 +61,13 @@ def fly(
     record: str | None,
     more: dict[str, Any],
     operator: Operator | None = None,
+    attach: Callable[[Runner], None] = lambda _: None,
     account: Callable[[], dict[str, Any]] = dict,
 ) -> int:
     """Run ``job``, which has been checked, and say how it went; return the exit code.
 
-    more: goes into the numbers of the run; ``account`` gives what is to go there after it.
+    more: goes into the numbers of the run; ``account`` gives what is to go there after it. attach: given the runner
+    before it begins.
     """
     from hil import monitored
     from hil.report.docking_monitor import judge_monitor, monitor_lines
@@ -87,8 +90,7 @@ def fly(
             _Watch(console, "opening the devices") as bar,
             monitored.runner(job, bar.watch, announce, taps, operator) as (runner, look),
         ):
-            if isinstance(operator, Resuming):
-                operator.mode = lambda: runner.supervisor.modes.mode
+            attach(runner)
             outcome = runner.run()
             watched = look(outcome)
         summary, verdict = summarise(

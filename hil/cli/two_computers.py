@@ -17,6 +17,7 @@ from hil.errors import BadInput, Problem
 from hil.frmn.udp import LOOPBACK, Address, parse_address, shown
 from hil.frmn.wire import PORT
 from hil.orders import Resuming
+from hil.runner import Runner
 
 
 def dss_command(
@@ -48,7 +49,7 @@ def dss_command(
 
     from hil import build
     from hil.remote_gnc import gnc_link
-    from hil.remote_seat import remote_gnc
+    from hil.remote_seat import mirror_of, remote_gnc
 
     length_s = scenario.value.duration_s if duration_s is None else duration_s
     paced = rig.value.kind == "mock" and not lock_step
@@ -66,10 +67,17 @@ def dss_command(
         console.print(f"flown by {seat.connect(wait_s)}", style="dim", highlight=False, soft_wrap=True, markup=False)
         operator = Resuming() if rig.value.gnc_link.on_loss == "hold" else None
 
+        def attach(runner: Runner) -> None:
+            runner.loop.telemetry = mirror_of(runner, link)
+            if operator is not None:
+                operator.mode = lambda: runner.supervisor.modes.mode
+
         def account() -> dict[str, Any]:
             return {"gnc_link": seat.account.as_json()}
 
-        return fly(replace(job, seat=lambda _: seat), rig_name, console, json_path, record, {}, operator, account)
+        return fly(
+            replace(job, seat=lambda _: seat), rig_name, console, json_path, record, {}, operator, attach, account
+        )
     finally:
         link.close("the bench has ended")
 

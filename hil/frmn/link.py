@@ -142,7 +142,7 @@ class Link:
 
     def send(self, cell: str, record: np.ndarray | np.void) -> bool:
         """Send ``record`` to the other side, or to where it is expected; False where there is none or no room."""
-        to = self.peer.address if self.peer is not None else self._only
+        to = self.peer.address if self.peer is not None and self.peer.gone is None else self._only
         if to is None:
             return False
         self._sequences[cell] += 1

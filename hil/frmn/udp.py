@@ -18,6 +18,7 @@ _SO_TIMESTAMPNS: Final = 35  # Linux, asm-generic/socket.h
 _IP_RECVERR: Final = 11  # Linux, linux/in.h: also of sockets that are not connected
 _STAMP: Final = struct.Struct("=qq")  # s, ns of CLOCK_REALTIME
 _BUFFER_BYTES: Final = 1 << 20
+_TRIES: Final = 3
 _ERRORS_AT_ONCE: Final = 16
 _ROOM: Final = 2048  # bytes of a datagram: more than any of ours, so that a longer one is seen as such
 _OLDEST_S: Final = 1.0  # a stamp that is older is the host's clock having been set
@@ -70,12 +71,15 @@ class UdpSocket:
 
     def receive(self) -> tuple[bytes, Address, float] | None:
         """Return the next datagram, its sender and when the kernel got it (monotonic, s); None when there is none."""
-        try:
-            datagram, ancillary, _, sender = self._socket.recvmsg(_ROOM, 64)
-        except BlockingIOError:
-            return None
-        except OSError:
-            self._look_at_errors()
+        for _ in range(_TRIES):
+            try:
+                datagram, ancillary, _, sender = self._socket.recvmsg(_ROOM, 64)
+                break
+            except BlockingIOError:
+                return None
+            except OSError:  # the word about a datagram of before comes first
+                self._look_at_errors()
+        else:
             return None
         now_s = time.monotonic()
         for level, kind, stamp in ancillary:
@@ -87,7 +91,7 @@ class UdpSocket:
 
     def send(self, datagram: bytes, to: Address) -> bool:
         """Send ``datagram``; return whether the kernel took it. Never waits, never raises."""
-        for _ in range(2):  # the first try may get the word about a datagram of before
+        for _ in range(_TRIES):
             try:
                 self._socket.sendto(datagram, to)
                 return True
@@ -109,9 +113,9 @@ class UdpSocket:
             except OSError:
                 return
             for level, kind, error in ancillary:
-                if level == socket.IPPROTO_IP and kind == _IP_RECVERR and len(error) >= 4:
-                    if struct.unpack_from("=I", error)[0] == errno.ECONNREFUSED:
-                        self._closed.append(to)
+                told = level == socket.IPPROTO_IP and kind == _IP_RECVERR and len(error) >= 4
+                if told and struct.unpack_from("=I", error)[0] == errno.ECONNREFUSED:
+                    self._closed.append(to)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until a datagram is there; return whether one is. 0 does not wait."""

@@ -117,6 +117,20 @@ def test_closed_port_of_the_other_side_is_noticed_by_the_next_poll(bench: Link, 
     assert not bench.alive(time.monotonic())
 
 
+def test_word_of_a_closed_port_does_not_hide_what_another_side_says(bench: Link, gnc: Link) -> None:
+    joined(bench, gnc)
+    gnc._socket.close()
+    other = Link(Role.GNC, "other", ("gnc.output",), ("gnc.input",), None, bench.address)
+
+    def speak() -> bool:
+        for _ in range(5):
+            bench._socket.send(b"into the void", gnc.address)
+        return bench.joined == 2
+
+    until(speak, bench, other)
+    other.close()
+
+
 def test_goodbye_ends_the_other_side(bench: Link, gnc: Link) -> None:
     joined(bench, gnc)
     gnc.close("enough")
