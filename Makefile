@@ -9,6 +9,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
+# the C example is built in the tests
+CC_MISSING := { apt-get update --quiet && apt-get install --quiet --yes gcc libc6-dev; }
+
 .PHONY: demo test slow oracle bench lateness tidy
 .DELETE_ON_ERROR:
 
@@ -16,6 +19,7 @@ demo: .venv/ready
 	$(BIN)/hil run scheme-1
 
 test: .venv/ready
+	command -v cc > /dev/null || $(CC_MISSING)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/python -m hil.cli.warm_up & kernels=$$!; $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels

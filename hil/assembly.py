@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,15 +16,22 @@ from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable
 from hil.config.scenario import Scenario
 from hil.cycle import Loop
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
+from hil.drivers.words.poses import PoseForwarder
+from hil.drivers.words.receiver import WordReceiver
 from hil.dynamics.imu import IMU_NOISE
+from hil.errors import BadInput, Problem
 from hil.eye import transport
 from hil.eyes import make_eye
 from hil.fitness import axes_at
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc.watch import FilterWatch
+from hil.gnc_library import KEY as LIBRARY_KEY
+from hil.gnc_library import Library
+from hil.gnc_setup import gnc_setup
 from hil.handling import Watch
 from hil.io_stage import IoStage
 from hil.late_cycles import LateCycles
+from hil.library_gnc import LibraryGnc
 from hil.maths.streams import NormalRows, stream
 from hil.messages import AXES, CYCLE, PoseFrame, new
 from hil.orders import Operator
@@ -34,8 +42,10 @@ from hil.runner import Runner
 from hil.safety.bucket import LeakyBucket, LinkWatch
 from hil.safety.limits import limits_of
 from hil.safety.supervisor import Supervisor
+from hil.seat import Seat
 from hil.stages import Dss, Gnc, Vision
 from hil.target_stage import PlacedTarget
+from hil.words_gnc import WordsGnc
 
 _FRAMES_TO_FORGET = 2.0  # in their time one lost frame is forgiven, where the rig file says nothing else
 
@@ -49,7 +59,8 @@ class Job:
     """What is to be run, checked.
 
     dispersed: the scenario as it is in truth, where chance has moved it away from what guidance, navigation and
-    control were told; None where it has not.
+    control were told; None where it has not. seat: makes who flies, in place of what the scenario says. paced: a
+    mock rig runs on the wall clock.
     """
 
     scenario: Loaded[Scenario]
@@ -58,6 +69,8 @@ class Job:
     duration_s: float
     speed: float
     dispersed: Scenario | None = None
+    seat: Callable[[Scenario], Seat] | None = None
+    paced: bool = False
 
     @property
     def truth(self) -> Scenario:
@@ -97,7 +110,7 @@ def assemble(
         dss=_dss(job.truth, job.seed),
         bench=Bench(rails, turntable, bench, supervisor),
         vision=Vision(source, parameters.stations(rig)),
-        gnc=make_gnc(scenario),
+        gnc=_seat(job, rig, rate),
         history=np.zeros(job.cycles, CYCLE),
         telemetry=telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
@@ -106,12 +119,15 @@ def assemble(
         lines = IoStage(io, loop.now.command.on[: rig.io.thruster_lines])
         loop.lines = lines
         loop.bench.emergency_input = lines.emergency_input
+    if isinstance(loop.gnc, WordsGnc) and loop.gnc.forwarder is not None:
+        loop.vision.forward = loop.gnc.forwarder.put
     if target is not None and rig.moved_target is not None:
         loop.target = PlacedTarget(target, rig.moved_target)
     loop.now.row["truth"] = parameters.initial_truth(job.truth)
     draw_initial_imu_errors(job.truth, job.seed, loop.now.imu)
     late_cycles = LateCycles(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
     late_cycles.on_hold = lambda trip: supervisor.ask_for_hold(str(trip))
+    loop.gnc.ask_for_hold = supervisor.ask_for_hold
     return Runner(
         loop,
         rate,
@@ -124,6 +140,26 @@ def assemble(
         operator,
         parking_place(rig),
         rig.bench.park_after_run,
+    )
+
+
+def _seat(job: Job, rig: Rig, rate: Rate) -> Seat:
+    """Return who flies: whom the job names, a flight computer where the rig has one, or whom the scenario names."""
+    scenario, computer = job.scenario.value, rig.flight_computer
+    if job.seat is not None:
+        return job.seat(scenario)
+    if computer.words == "none":
+        return make_seat(scenario)
+    return WordsGnc(
+        computer,
+        WordReceiver(computer, rate.now_s),
+        PoseForwarder(computer.poses) if computer.poses.port is not None else None,
+        rate.now_s,
+        gnc_setup(scenario),
+        parameters.guidance(scenario),
+        parameters.supervision(scenario),
+        parameters.allocation(scenario.chaser)[0],
+        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
     )
 
 
@@ -141,6 +177,32 @@ def make_gnc(scenario: Scenario) -> Gnc:
         ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
         FilterWatch(navigation, _shadow_limits(scenario)),
     )
+
+
+def make_seat(scenario: Scenario) -> Seat:
+    """Return who flies ``scenario``: the GNC here, or the library that it names. Raises BadInput where that is none."""
+    if scenario.gnc.library is None:
+        return make_gnc(scenario)
+    return LibraryGnc(
+        Library(scenario.gnc.library),
+        gnc_setup(scenario),
+        parameters.guidance(scenario),
+        parameters.supervision(scenario),
+        parameters.allocation(scenario.chaser)[0],
+        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+    )
+
+
+def library_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return what keeps the library of ``scenario``, where it names one, from flying it."""
+    path = scenario.value.gnc.library
+    if path is None:
+        return []
+    try:
+        with Library(path, scenario.where(LIBRARY_KEY)).open(gnc_setup(scenario.value)):
+            return []
+    except BadInput as error:
+        return list(error.problems)
 
 
 def parking_place(rig: Rig) -> np.record:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 
 from hil import parameters
 from hil.assembly import Job as Job
-from hil.assembly import assemble, mocks, start_axes
+from hil.assembly import assemble, library_problems, make_gnc, mocks, start_axes
 from hil.bench.kinematics import MOTION
 from hil.bench.stopping import brake_step
 from hil.bench_stage import Move
@@ -18,6 +19,7 @@ from hil.emulation import EmulatedDevices
 from hil.errors import BadInput, Problem
 from hil.fitness import (
     approach_problems,
+    flight_computer_problems,
     flight_problems,
     host_problems,
     line_problems,
@@ -53,7 +55,7 @@ def check(job: Job) -> None:
         *monitor_problems(job.scenario),
         *_rig_problems(job),
     ]
-    if problems := problems or sign_off_problems(job.rig):
+    if problems := problems or library_problems(job.scenario) or sign_off_problems(job.rig):
         raise BadInput(problems)
 
 
@@ -72,8 +74,9 @@ def _rig_problems(job: Job) -> list[Problem]:
         *host_problems(job.rig),
         *line_problems(job.scenario, job.rig),
         *turntable_problems(job.rig),
+        *flight_computer_problems(job.rig),
     ]
-    if job.rig.value.kind == "mock" and job.speed != 1.0:
+    if job.rig.value.kind == "mock" and job.speed != 1.0 and not job.paced:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig has no wall clock: leave --speed away"))
     return problems
 
@@ -95,11 +98,16 @@ def runner(
     if rig.kind == "mock":
         telemetry = taps.cycles if taps else None
         pictures = taps.maker(rig) if taps else None
-        rate = SimulatedRate(SimulatedClock(), scenario.step_s)
-        made = in_memory(job, rate, watch, telemetry=telemetry, operator=operator, pictures=pictures)
-        if taps:
-            taps.attach(made)
-        yield made
+        with ExitStack() as stack:
+            rate: Rate = SimulatedRate(SimulatedClock(), scenario.step_s)
+            precedence = None
+            if job.paced:
+                rate = WallRate(WallClock(speed=job.speed), scenario.step_s)
+                precedence = stack.enter_context(RealTime(rig.host.fifo, rig.host.cpu))
+            made = in_memory(job, rate, watch, precedence, telemetry, operator, pictures)
+            if taps:
+                taps.attach(made)
+            yield made
         return
     with wired_bench(job, announce, taps) as bench:
         yield bench.runner(watch, operator)
@@ -263,16 +271,18 @@ def warm_up_all_but_navigation(job: Job) -> None:
     loop.bench.check(0.0, now.feedback)
     loop.bench.brake(0.0, now.setpoint)
     loop.vision.take(0.0, 0.0, now.row[0])
-    loop.gnc.guide(0.0, now.supervision, now.reference)
-    loop.gnc.supervise(0.0, now.navigation, now.reference, now.supervision)
-    loop.gnc.control(now.navigation, now.reference, now.command)
+    gnc = make_gnc(job.scenario.value)
+    gnc.guide(0.0, now.supervision, now.reference)
+    gnc.supervise(0.0, now.navigation, now.reference, now.supervision)
+    gnc.control(now.navigation, now.reference, now.command)
     loop.dss.step(now.truth, now.command)
     loop.dss.sample_imu(now.truth, now.imu)
     loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), 0.0, now.setpoint)
 
 
 def _a_few_cycles(job: Job) -> Runner:
-    """Return a short run of ``job`` on mocks, whatever its rig."""
+    """Return a short run of ``job`` on mocks, whatever its rig, and by the GNC here, whoever is to fly it."""
     scenario = job.scenario.value
-    few = Job(job.scenario, job.rig, 0, _WARM_UP_CYCLES * scenario.step_s, 1.0)
+    flown_here = scenario.model_copy(update={"gnc": scenario.gnc.model_copy(update={"library": None})})
+    few = Job(replace(job.scenario, value=flown_here), job.rig, 0, _WARM_UP_CYCLES * scenario.step_s, 1.0)
     return in_memory(few, SimulatedRate(SimulatedClock(), scenario.step_s))

@@ -14,7 +14,8 @@ from hil.bench_stage import Bench
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.io_stage import NoLines, SafetyLines
 from hil.messages import CYCLE
-from hil.stages import Dss, Gnc, Vision
+from hil.seat import Seat
+from hil.stages import Dss, Vision
 from hil.target_stage import FixedTarget, Target
 
 
@@ -55,7 +56,7 @@ class Loop:
     dss: Dss
     bench: Bench
     vision: Vision
-    gnc: Gnc
+    gnc: Seat
     history: np.ndarray
     bench_now_s: Callable[[], float]
     """Bench time, for the stamp of the thrusters' command."""
@@ -87,10 +88,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.bench.check(bench_s, now.feedback)  # 2  may the bench go on?
     loop.target.look(bench_s)  # does the target stay where it was placed?
     loop.vision.take(bench_s, run_zero_s, now.row[0])  # 3  poses of the vision unit
-    loop.gnc.navigate(now.imu, loop.vision, now.navigation)  # 4  AKF and PKF
-    loop.gnc.guide(t_s, now.supervision, now.reference)  # 5  reference of the present phase
-    loop.gnc.supervise(t_s, now.navigation, now.reference, now.supervision)  # 6  corridor, closing rate, abort
-    loop.gnc.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
+    loop.gnc.act(t_s, now, loop.vision)  # 4-7  navigation, guidance, supervision, control: thrusters on or off
     loop.lines.mirror(bench_s)  # the same on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s
     now.on_wire_s[0] = loop.lines.thrusters_s - run_zero_s

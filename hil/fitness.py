@@ -99,6 +99,19 @@ def port_problems(rig: Loaded[Rig]) -> list[Problem]:
     ]
 
 
+def flight_computer_problems(rig: Loaded[Rig]) -> list[Problem]:
+    """Return what keeps a flight computer's words from being heard."""
+    computer = rig.value.flight_computer
+    if computer.words == "none":
+        return []
+    if rig.value.kind == "mock":
+        key, text = "flight_computer.words", f'"{computer.words}": a mock rig has no wall clock for a flight computer'
+        return [Problem(rig.where(key), f"rig.{key}", text)]
+    return [
+        Problem(rig.where(key), f"rig.{key}", "is missing: the wire of the words") for key in computer.missing_wires()
+    ]
+
+
 def monitor_problems(scenario: Loaded[Scenario]) -> list[Problem]:
     """Return what keeps the docking monitor from looking at its scene, where the run has one."""
     monitor = scenario.value.monitor

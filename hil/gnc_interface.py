@@ -17,24 +17,26 @@ from hil.messages import MAX_POSES, MAX_THRUSTERS
 
 PROTOCOL: Final = 1
 """Goes up when one of the records gets another layout or another meaning."""
+REASON_BYTES: Final = 128
+"""Room for the reason of a library that refuses a scenario, with its closing zero."""
 
 
 class GncMode(IntEnum):
     """What the bench is doing; a GNC opens thrusters in RUNNING alone."""
 
-    STANDBY = 0  # the setup stands; nothing is measured yet
-    ARMED = 1  # the bench is placed at the start pose; poses come, time stands at 0
+    STANDBY = 0  # the setup stands, nothing is measured yet
+    ARMED = 1  # the bench stands at the start pose; time has not begun
     RUNNING = 2  # time runs; each input wants an output
     HOLD = 3  # the axes are braked and time stands; inputs say so, the GNC keeps its state
     STOPPED = 4  # the run is over
 
 
 class GncOrder(IntFlag):
-    """Orders of the operator, each in one input alone."""
+    """What has been decided, each in one input alone."""
 
     NONE = 0
-    GO = 1  # let the approach go on from its wait
-    ABORT = 2  # brake and retreat
+    GO = 1  # the operator lets the approach go on from its wait
+    ABORT = 2  # an abort has begun, ordered or by supervision: the reference brakes and retreats from here on
 
 
 class GncState(IntEnum):
@@ -43,7 +45,7 @@ class GncState(IntEnum):
     STARTING = 0  # has not answered a RUNNING input yet; its demands do not count
     WORKING = 1
     ASKS_FOR_HOLD = 2  # the bench is to be brought to a stand, the run can go on
-    FAULT = 3  # the bench is to stop; ``text`` says why
+    FAULT = 3  # the bench is to stop; text says why
 
 
 GNC_SETUP: Final = np.dtype(
@@ -58,7 +60,7 @@ GNC_SETUP: Final = np.dtype(
         ("thruster_position_m", "f8", (MAX_THRUSTERS, 3)),  # in c
         ("thruster_force_N", "f8", (MAX_THRUSTERS, 3)),  # on the chaser while open, in c
         ("minimum_on_s", "f8"),
-        ("acceleration_mps2", "f8", 3),  # of a force demand along each axis of c
+        ("acceleration_mps2", "f8", 3),  # of a force demand along each axis of c, without boost
         ("angular_acceleration_radps2", "f8", 3),  # of a torque demand about each axis of c
         ("start_r_CT_H_m", "f8", 3),
         ("start_q_CH", "f8", 4),
@@ -82,16 +84,20 @@ GNC_POSE: Final = np.dtype(
 
 GNC_INPUT: Final = np.dtype(
     [
-        ("cycle", "i8"),  # counts from 0; the output to it carries the same number
+        ("cycle", "i8"),  # RUNNING: counts from 0, the output carries the same number; else the last one, at first -1
         ("t_s", "f8"),  # time of the run
-        ("mode", "i4"),  # GncMode
-        ("orders", "i4"),  # GncOrder
+        ("mode", "i4"),  # hil_gnc_mode
+        ("orders", "i4"),  # hil_gnc_order
         ("rate_radps", "f8", 3),  # gyro, mean over the last step, in c, against inertial space
         ("force_mps2", "f8", 3),  # accelerometer, mean over the last step, in c
         ("reference_r_CT_H_m", "f8", 3),  # the scenario's own plan at t_s: to be followed, or left alone
         ("reference_v_CT_H_mps", "f8", 3),
         ("reference_a_CT_H_mps2", "f8", 3),
         ("reference_q_CH", "f8", 4),
+        (
+            "boost",
+            "i8",
+        ),  # 1: force demands open strong thruster sets and accelerate more, as the brake of an abort needs
         ("n_poses", "i8"),  # that came since the last input
         ("poses", GNC_POSE, MAX_POSES),
     ],
@@ -101,8 +107,8 @@ GNC_INPUT: Final = np.dtype(
 GNC_OUTPUT: Final = np.dtype(
     [
         ("cycle", "i8"),  # of the input that this answers
-        ("state", "i4"),  # GncState
-        ("direct", "i4"),  # 1: ``on`` opens thrusters; 0: force and torque are allocated by the bench
+        ("state", "i4"),  # hil_gnc_state
+        ("direct", "i4"),  # 1: on opens thrusters; 0: force and torque are allocated by the bench
         ("force", "i4", 3),  # -1, 0 or 1: demand along each axis of c
         ("torque", "i4", 3),  # the same about each axis
         ("on", "u1", MAX_THRUSTERS),  # 0 or 1 a thruster

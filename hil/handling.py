@@ -11,6 +11,7 @@ from hil.bench.jog import Jog
 from hil.bench_stage import Move
 from hil.cycle import Loop
 from hil.errors import SafetyTrip
+from hil.gnc_interface import GncMode
 from hil.late_cycles import LateCycles
 from hil.messages import AXES, HOMED, Homing, new
 from hil.modes import Mode
@@ -24,6 +25,9 @@ _NO_MOVE_S: Final = 1e-3  # a move that is shorter, by rounding alone, is none
 _SETTLED_M: Final = 0.001
 _SETTLED_RAD: Final = 0.001
 _PLACE_NAMES: Final = {Mode.PLACING: "start pose", Mode.PARKING: "parking place"}
+
+_FOR_THE_GNC: Final = {Mode.ARMED: GncMode.ARMED, Mode.HOLD: GncMode.HOLD, Mode.RUNNING: GncMode.HOLD}
+"""What a GNC is told of the cycles in which the loop is open; in the first one of a hold the mode is still RUNNING."""
 
 Watch = Callable[[Mode, float], None]
 """Told now and then what the bench is doing and how far along it is, 0..1."""
@@ -53,6 +57,7 @@ class Handling:
         self.ticks += 1
         self.look(tick.now_s)
         self._operator.listen(tick.now_s)
+        self.loop.gnc.stand(_FOR_THE_GNC.get(self.modes.mode, GncMode.STANDBY), tick.now_s)
         if self.ticks % self.links_each == 0:
             self.look_at_links(tick.now_s)
         return tick
@@ -166,7 +171,7 @@ class Handling:
     def hold_is_due(self, mode: Mode) -> bool:
         """Return whether a hold is ordered or asked for; raises OrderedToStop."""
         reason = self.supervisor.hold_reason
-        if reason and not self._operator.attended:
+        if reason and not self._operator.grants_holds:
             raise SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone")
         if reason:
             return True
@@ -176,7 +181,7 @@ class Handling:
         """Brake all axes to a stand and keep them there until RESUME; return the tick of the resumption.
 
         tick: one at which no setpoint has been sent yet. The references are seeded anew from the
-        encoders at the end. Poses that come meanwhile are dropped.
+        encoders at the end. Poses that come meanwhile are dropped. A GNC that is not ready is waited for.
         """
         bench, now = self.loop.bench, self.loop.now
         back = self.modes.mode
@@ -186,7 +191,7 @@ class Handling:
             moving = bench.brake(tick.now_s, now.setpoint)
             order = self._stop_if_ordered(Mode.HOLD)
             resume = order is Order.RESUME or (resume and order is not Order.HOLD)
-            if resume and not moving and bench.stands(tick.now_s, now.feedback):
+            if resume and not (moving or self.loop.gnc.not_ready) and bench.stands(tick.now_s, now.feedback):
                 break
             tick = self.tick()
             if back is Mode.RUNNING:

@@ -11,6 +11,7 @@ from hil.errors import DeviceError
 from hil.frmn.ring import Ring
 from hil.handling import Watch
 from hil.monitor_beside import MonitorProcess, Watched, watch_recorded
+from hil.orders import Operator
 from hil.recording.taps import Taps
 from hil.runner import Outcome, Runner
 
@@ -40,7 +41,11 @@ def beside(
 
 @contextmanager
 def runner(
-    job: build.Job, watch: Watch, announce: Callable[[str], None], taps: Taps | None = None
+    job: build.Job,
+    watch: Watch,
+    announce: Callable[[str], None],
+    taps: Taps | None = None,
+    operator: Operator | None = None,
 ) -> Iterator[tuple[Runner, Look]]:
     """Give a Runner for ``job`` as ``build.runner`` does, and what to ask for the monitor afterwards.
 
@@ -48,12 +53,12 @@ def runner(
     """
     scenario, rig, seed = job.scenario.value, job.rig.value, job.seed
     if scenario.monitor.source == "none":
-        with build.runner(job, watch, announce, taps=taps) as plain:
+        with build.runner(job, watch, announce, operator, taps) as plain:
             yield plain, lambda _: None
         return
     if rig.kind == "mock":
         scene = load_scene(scenario.monitor.scene).value
-        with build.runner(job, watch, announce, taps=taps) as in_memory:
+        with build.runner(job, watch, announce, operator, taps) as in_memory:
             outlets = (taps.monitor_maker(rig), taps.portions) if taps else ()
             yield in_memory, lambda outcome: watch_recorded(scenario, scene, rig, seed, outcome.history, *outlets)
         return
@@ -61,7 +66,7 @@ def runner(
         build.wired_bench(job, announce, taps) as bench,
         beside(job, bench.telemetry, announce, taps) as look,
     ):
-        yield bench.runner(watch), look
+        yield bench.runner(watch, operator), look
 
 
 def _rings(taps: Taps | None) -> tuple[Ring | None, Ring | None]:

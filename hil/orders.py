@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
@@ -84,6 +85,11 @@ class Operator:
         self._jog: JogWish | None = None
         self._refreshed = False
 
+    @property
+    def grants_holds(self) -> bool:
+        """Whether a hold that was asked for will be ended by an order; if not, it is a safe stop."""
+        return self.attended
+
     def listen(self, now_s: float) -> None:
         """Fetch what has come from outside; called by the loop once a cycle, at bench time ``now_s``.
 
@@ -142,3 +148,24 @@ class Operator:
                 if order is Order.JOG:
                     self._jog, self._refreshed = None, False
             return None
+
+
+class Resuming(Operator):
+    """Nobody is there, and a hold that was asked for ends as soon as everybody is ready to go on.
+
+    mode: gives the bench's mode; it is told by whoever has the bench.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mode: Callable[[], Mode] = lambda: Mode.OFF
+
+    @property
+    def grants_holds(self) -> bool:
+        """A hold is ended by RESUME, which waits for the GNC to be ready."""
+        return True
+
+    def listen(self, now_s: float) -> None:
+        """Order RESUME in a hold."""
+        if self.mode() is Mode.HOLD and not self.waiting:
+            self.order(Order.RESUME)

@@ -171,6 +171,7 @@ class Runner:
         return False
 
     def _open(self) -> None:
+        self.loop.gnc.open(self._rate.now_s())
         self.loop.lines.open(self._rate)
         self.loop.bench.open(self._rate.now_s())
         self.loop.target.open(self._rate.now_s())
@@ -263,7 +264,7 @@ class Runner:
 
     def _hold(self, t_s: float) -> float:
         reason = self.supervisor.hold_reason or "ordered by the operator"
-        if not self.operator.attended and self.supervisor.hold_reason:
+        if not self.operator.grants_holds and self.supervisor.hold_reason:
             raise SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone")
         self.events.append(Event(t_s, "bench", f"hold: {reason}"))
         before = self._handling.ticks
@@ -322,6 +323,7 @@ class Runner:
             self.loop.target.close()
             self.loop.lines.stop(self._rate.now_s())
             self.loop.lines.close()
+            self.loop.gnc.close()
 
 
 @contextmanager

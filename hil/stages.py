@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
+from hil.approach import Approach
 from hil.approach_diary import ApproachDiary
 from hil.drivers.base import PoseSource
 from hil.drivers.remote.cells import ARRIVAL, write_frame
@@ -18,14 +18,14 @@ from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.dynamics.held_gravity import HELD
 from hil.frmn.ring import Telemetry
-from hil.gnc import allocation, control, guidance, navigation, supervision
+from hil.gnc import allocation, control, navigation
 from hil.gnc.fusion import MEMORY, STEP
-from hil.gnc.guidance import GUIDANCE_STATE
 from hil.gnc.navigation import NAVIGATION_STATE
 from hil.gnc.watch import FilterWatch
 from hil.maths.stations import chaser_pose
 from hil.maths.streams import NormalRows
 from hil.messages import MAX_POSES, POSE, Array, Event, PoseFrame, new
+from hil.seat import Poses, Records
 from hil.told import Told
 
 _NO_POSE = new(POSE)
@@ -56,13 +56,6 @@ class Dss:
         return self._rate
 
 
-class Poses(Protocol):
-    """What came in a cycle: the first ``arrived`` of ``poses``, (MAX_POSES,) of POSE."""
-
-    poses: np.ndarray
-    arrived: int
-
-
 class Vision:
     """The poses of the vision unit, brought from the camera to the chaser."""
 
@@ -80,6 +73,8 @@ class Vision:
         self.on_run_zero: Callable[[float], None] | None = None
         """Is told the bench time at which the run's time is zero when that changes; nan while no run's time goes."""
         self._run_zero_s: float | None = None
+        self.forward: Callable[[PoseFrame, float], None] | None = None
+        """Is given each frame that is used, and its moment of exposure in time of the run."""
         self._row = np.zeros(1, ARRIVAL)
         self._cycle = -1
 
@@ -105,6 +100,8 @@ class Vision:
         for frame, pose in zip(frames, self._records, strict=False):
             chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
             pose.t_s = frame.t_s - run_zero_s
+            if self.forward is not None:
+                self.forward(frame, pose.t_s)
             if self.tap is not None:
                 self._show(frame, self._cycle, pose)
         newest = self.poses[: self.arrived]["t_s"].argmax()
@@ -139,8 +136,8 @@ class Vision:
         self.tap.put(self._row)
 
 
-class Gnc:
-    """Navigation, guidance, supervision, control and allocation."""
+class Gnc(Approach):
+    """Navigation, guidance, supervision, control and allocation: the GNC that is built in."""
 
     def __init__(
         self,
@@ -153,36 +150,34 @@ class Gnc:
         diary: ApproachDiary,
         watch: FilterWatch,
     ) -> None:
+        super().__init__(guidance_params, supervision_params, diary)
         self.watch = watch
         self._navigation = navigation_params
-        self._guidance = guidance_params
-        self._supervision = supervision_params
         self._control = control_params
         self._sets = sets
         self._n = n_thrusters
-        self.diary = diary
         self.state = new(NAVIGATION_STATE)
         self._memory = np.zeros(MEMORY, STEP)
-        self._flown = new(GUIDANCE_STATE)
-        guidance.start(guidance_params, self._flown)
-        self._go = self._abort = 0
         self._nees = np.empty(2)
-        self.cycle = -1
-        """Number of the last cycle, -1 before the first."""
-        self.orders: Told[tuple[int, str]] = Told()
-        """Each order with the number of the cycle from which on it acts."""
         self._fuses = bool(navigation_params.sensors == navigation.VISION_AND_IMU)
         self._fuses_now = False
 
-    def order_go(self) -> None:
-        """Order the approach to go on from its wait, from the next cycle on."""
-        self._go = 1
-        self.orders.append((self.cycle + 1, "go"))
+    @property
+    def logs(self) -> tuple[Told[Event], ...]:
+        """What happened, of the approach and of the filters."""
+        return (self.diary.events, self.watch.events)
 
-    def order_abort(self) -> None:
-        """Order an abort, from the next cycle on."""
-        self._abort = 1
-        self.orders.append((self.cycle + 1, "abort"))
+    @property
+    def fused_now(self) -> bool:
+        """Whether the filters took a pose in the last cycle."""
+        return self._fuses_now
+
+    def act(self, t_s: float, now: Records, vision: Poses) -> None:
+        """Run stages 4 to 7 of the cycle."""
+        self.navigate(now.imu, vision, now.navigation)  # 4  AKF and PKF
+        self.guide(t_s, now.supervision, now.reference)  # 5  reference of the present phase
+        self.supervise(t_s, now.navigation, now.reference, now.supervision)  # 6  corridor, closing rate, abort
+        self.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
 
     def adjust(self, navigation: np.record, supervision: np.record, control: np.record) -> int:
         """Take over other parameters, between two cycles; return the number of the cycle from which on they act.
@@ -206,35 +201,6 @@ class Gnc:
         self._fuses_now = self._fuses and vision.arrived > 0
         if self._fuses_now or (self._fuses and self.watch.looks_always):
             self.watch.look(self.cycle, imu, vision.poses[: vision.arrived], out, self._memory)
-
-    def guide(self, t_s: float, found: np.record, out: np.record) -> None:
-        """Write REFERENCE for ``t_s`` of the run; moves on to the next phase when its time or its order has come."""
-        held = 0 if self.diary.docking_is_go(t_s, found.ready_since_s) else 1
-        did = guidance.advance(self._guidance, self._flown, t_s, self._go, held)
-        if did != guidance.STAYED:
-            if self._go:
-                self.diary.decide(t_s, found.ready_since_s)
-            if did == guidance.MOVED:
-                self.diary.phase_began(t_s, self._flown.phase)
-            self._go = 0
-        guidance.reference(self._guidance, self._flown, t_s, out)
-
-    def supervise(self, t_s: float, estimate: np.record, reference: np.record, out: np.record) -> None:
-        """Judge corridor, closing rate and ready state; begin an abort where one is called for. Writes SUPERVISION."""
-        if supervision.supervise_and_act(
-            self._supervision, self._guidance, self._flown, t_s, estimate, reference, self._abort, out
-        ):
-            self.diary.abort_began(t_s, out)
-        self.diary.look(t_s, out.ready_since_s)
-
-    def events(self) -> list[Event]:
-        """Return what happened so far, of the approach and of the filters, in the order of time."""
-        return sorted([*self.diary.events, *self.watch.events], key=lambda event: event.t_s)
-
-    def finish(self, t_s: float, found: np.record) -> None:
-        """Note the docking decision at the end of the run, where none was asked for before."""
-        if not self.diary.decided:
-            self.diary.decide(t_s, found.ready_since_s)
 
     def control(self, estimate: np.record, reference: np.record, command: np.record) -> None:
         """Write the demands and the thrusters of COMMAND."""

@@ -31,8 +31,10 @@ _NO_WALL_CLOCK = {
     "test_campaign_command",
     "test_campaign_parity",
     "test_fusion_study",
+    "test_gnc_check",
     "test_monitor_command",
     "test_operated_bench",
+    "test_own_gnc",
     "test_reach",
     "test_record_command",
     "test_rendered_loop",
@@ -45,7 +47,7 @@ _NO_WALL_CLOCK = {
 _FAMILIES = {
     "vision unit": ("vmu", "rendered", "calib"),
     "docking monitor": ("monitor", "docking"),
-    "campaign": ("campaign",),
+    "campaign": ("campaign", "own_gnc"),
 }
 
 

@@ -26,6 +26,7 @@ from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.errors import BadInput, Problem
+from hil.gnc_library import digest_of
 from hil.maths.jit import CACHE_FOLDER
 
 RIG: Final = "mock"
@@ -79,7 +80,9 @@ class Campaign:
 
     def store(self, folder: Path) -> Store:
         """Return the folder's store; raise BadInput where it holds something else."""
-        digest = hashlib.sha256(f"{self._spec.scenario}\n{self._spec.rig}".encode()).hexdigest()[:16]
+        library = self.scenario.value.gnc.library
+        flown_by = digest_of(library) if library is not None else ""
+        digest = hashlib.sha256(f"{self._spec.scenario}\n{self._spec.rig}\n{flown_by}".encode()).hexdigest()[:16]
         identity = {
             "scenario": self.scenario.value.name,
             "digest": digest,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Final
 
 import numpy as np
@@ -20,8 +22,13 @@ from hil.drivers.axes import ServoAxes
 from hil.drivers.base import GIMBAL_NAMES, RAIL_NAMES, full_names
 from hil.dynamics.imu import IMU_NOISE
 from hil.dynamics.vision import VISION_NOISE
-from hil.errors import LinkTimeout, SafetyTrip
+from hil.errors import BenchError, LinkTimeout, ProtocolError, SafetyTrip
+from hil.foreign_gnc import complaint, hold_reason, reported_fault
+from hil.gnc import foreign
 from hil.gnc.fusion import MEMORY, STEP
+from hil.gnc_library import Library
+from hil.gnc_setup import gnc_setup
+from hil.library_gnc import gnc_name, step_failed
 from hil.maths.exposure import TRAVEL_DRAWS
 from hil.maths.streams import stream
 from hil.messages import AXES, CYCLE, MAX_POSES, POSE, Array, new
@@ -58,6 +65,7 @@ class Flight:
         self._vision_noise = np.empty((exposures, VISION_NOISE))
         self._travel_draws = np.empty((exposures, TRAVEL_DRAWS))
         self._leds = parameters.camera(rig)[1]
+        self._library = Library(scenario.gnc.library, "campaign") if scenario.gnc.library is not None else None
 
     def _fixed_params(self) -> np.record:
         """Return LOOP_PARAMS with all that the GNC and the rig make out."""
@@ -91,7 +99,7 @@ class Flight:
 
         truth: the scenario of vehicle, sensors and start. history: (n,) of CYCLE, filled for the first n cycles.
         """
-        state, tally = self._state, self._tally
+        tally = self._tally
         for block in (self._state_block, self._tally_block, self._memory):
             block[...] = np.zeros((), block.dtype)
         start_tally(tally)
@@ -99,7 +107,24 @@ class Flight:
         refusal = self._refusal()
         if refusal:
             return tally, refusal
-        code = run_loop(
+        with self._seated():
+            code = self._run(truth, seed, history)
+        return tally, self._reason(int(code))
+
+    @contextmanager
+    def _seated(self) -> Iterator[None]:
+        """Have an instance of the library, where one flies, for one case."""
+        if self._library is None:
+            yield
+            return
+        with self._library.open(gnc_setup(self.scenario)) as instance:
+            gnc = self._state.library
+            gnc.step_address, gnc.instance = self._library.step_address, instance.address
+            yield
+
+    def _run(self, truth: Scenario, seed: int, history: np.ndarray | None) -> int:
+        state, tally = self._state, self._tally
+        code: int = run_loop(
             self._params,
             self._sets,
             parameters.field(truth),
@@ -114,7 +139,7 @@ class Flight:
             tally,
             np.zeros(0, CYCLE) if history is None else history,
         )
-        return tally, self._reason(int(code))
+        return code
 
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
@@ -145,11 +170,26 @@ class Flight:
             now_s = self._tally.cycles * self.scenario.step_s
             silent_s, allowed_s = now_s - state.heard_s, self.rig.vmu.timeout_s
             return str(LinkTimeout("vmu", f"no answer for {silent_s:.3f} s, allowed {allowed_s:g} s"))
+        if code == loop_kernel.GNC_FAILED:
+            return str(self._gnc_fault())
+        if code == loop_kernel.GNC_HOLDS:
+            assert self._library is not None
+            reason = hold_reason(gnc_name(self._library), state.library.output)
+            return str(SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone"))
         if code == loop_kernel.NOT_FINITE:
             wanted = [*state.next.rail_m, *state.next.gimbal_rad]
             axis = next((i for i, value in enumerate(wanted) if not math.isfinite(value)), 0)
             return str(SafetyTrip(_AXES[axis], "setpoint", str(wanted[axis]), "a finite number"))
         return str(breach_alarm(0.0, _AXES, code, state.breach).trip())
+
+    def _gnc_fault(self) -> BenchError:
+        assert self._library is not None
+        gnc, name, n = self._state.library, gnc_name(self._library), int(self._params.n_thrusters)
+        if gnc.code != 0:
+            return step_failed(name, gnc.code, gnc.output)
+        if gnc.fault != foreign.FINE:
+            return ProtocolError(name, complaint(gnc.output, gnc.fault, gnc.place, gnc.input.cycle, n))
+        return reported_fault(name, gnc.output)
 
 
 def _servo(config: Rails | Turntable) -> np.record:

@@ -14,6 +14,7 @@ from hil.bench import guard as guards
 from hil.bench import kinematics
 from hil.bench.guard import BREACH, GUARD
 from hil.bench.kinematics import BENCH_PARAMS, MOTION
+from hil.campaign.library_kernel import LIBRARY, fly_by_library
 from hil.campaign.tally_kernel import count_cycle, count_exposure
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
@@ -37,7 +38,7 @@ from hil.maths.servo import servo_step, servo_step_of_two
 from hil.maths.stations import STATIONS, chaser_pose
 from hil.messages import AXES, CYCLE, MAX_POSES
 
-COMPLETED, FOLLOWING, TRAVEL_LEFT, VISION_SILENT, NOT_FINITE = range(5)
+COMPLETED, FOLLOWING, TRAVEL_LEFT, VISION_SILENT, NOT_FINITE, GNC_FAILED, GNC_HOLDS = range(7)
 """Why a run ended; the second and third as ``hil.bench.guard`` numbers them."""
 
 SERVO = np.dtype(
@@ -103,6 +104,7 @@ LOOP_STATE = np.dtype(
         ("on_the_way", "i8"),  # frames exposed and not arrived
         ("heard_s", "f8"),  # when the vision unit was heard last
         ("fuses_now", "i8"),
+        ("library", LIBRARY),
     ],
     align=True,
 )
@@ -331,7 +333,8 @@ def run_loop(
     params: LOOP_PARAMS. sets: int64 (allocation.ROWS, 2, MAX_THRUSTERS). field: harmonics, see
     ``moon_gravity.field_table``. leds: (n, 3), m, in t. imu_noise: (cycles, IMU_NOISE), vision_noise: (exposures,
     VISION_NOISE), standard normals; travel_draws: (exposures, TRAVEL_DRAWS), uniform. state: LOOP_STATE; zeroed but
-    for ``now.truth``, the IMU's true errors in ``now.imu`` and both SERVO. memory: (fusion.MEMORY,) of STEP, zeroed.
+    for ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, and whom a library's step is called for.
+    memory: (fusion.MEMORY,) of STEP, zeroed.
     poses: (MAX_POSES,) of POSE. frames: of FRAME, as many as can be on their way at once and two more. history: (n,)
     of CYCLE, filled for the first n cycles.
     """
@@ -348,8 +351,11 @@ def run_loop(
         if arrived < 0:
             return VISION_SILENT
         _show_pose(state, poses, arrived)
-        _navigate(params, state, memory, poses, arrived)
-        _decide(params, state, sets, t_s)
+        if state.library.step_address == 0:
+            _navigate(params, state, memory, poses, arrived)
+            _decide(params, state, sets, t_s)
+        elif not fly_by_library(params, state, sets, poses, arrived, k, t_s):
+            return GNC_FAILED
         now.t_s = t_s
         count_cycle(params, state, tally)
         if k < history.shape[0]:
@@ -361,4 +367,6 @@ def run_loop(
             return NOT_FINITE
         if limited > 0:
             tally.limited_cycles += 1
+        if state.library.asks_for_hold != 0:
+            return GNC_HOLDS
     return COMPLETED

@@ -15,8 +15,10 @@ import cyclopts
 from cyclopts import App, Parameter
 
 from hil import __version__
+from hil.cli.gnc_commands import add_gnc_commands
 from hil.cli.options import MaybeWhole, Output, Settings, Whole
 from hil.cli.recording_commands import add_recording_commands
+from hil.cli.two_computer_commands import add_two_computer_commands
 from hil.cli.vision_commands import add_vision_commands
 from hil.errors import BadInput, BenchError, CampaignStopped
 
@@ -323,8 +325,10 @@ def console(
     return console_command(host, port, token_file, rig, scenario, seed, duration, speed, settings, on_loss, folder)
 
 
+add_gnc_commands(app)
 add_vision_commands(app)
 add_recording_commands(app)
+add_two_computer_commands(app)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -18,6 +19,8 @@ from hil.cli.warm_up import warm_up_with_a_word
 from hil.config.load import load_rig, load_scenario
 from hil.errors import BadInput, Problem
 from hil.modes import Mode
+from hil.orders import Operator
+from hil.runner import Runner
 
 _PASSED, _FAILED, _SAFE_STOPPED = 0, 1, 3
 
@@ -39,10 +42,7 @@ def run_command(
     rig = load_rig(rig_name, settings)
     console = Console(stderr=True)
 
-    from hil import build, monitored
-    from hil.report.docking_monitor import judge_monitor, monitor_lines
-    from hil.report.summary import summarise
-    from hil.report.table import render
+    from hil import build
 
     job = build.Job(scenario, rig, seed, scenario.value.duration_s if duration_s is None else duration_s, speed)
     if case is not None:
@@ -50,6 +50,31 @@ def run_command(
     with console.status("checking that the rig can follow the scenario"):
         build.check(job)
     warm_up_with_a_word(job, console)
+    return fly(job, rig_name, console, json_path, record, {} if case is None else {"campaign_seed": seed, "case": case})
+
+
+def fly(
+    job: Job,
+    rig_name: str,
+    console: Console,
+    json_path: str | None,
+    record: str | None,
+    more: dict[str, Any],
+    operator: Operator | None = None,
+    attach: Callable[[Runner], None] = lambda _: None,
+    account: Callable[[], dict[str, Any]] = dict,
+) -> int:
+    """Run ``job``, which has been checked, and say how it went; return the exit code.
+
+    more: goes into the numbers of the run; ``account`` gives what is to go there after it. attach: given the runner
+    before it begins.
+    """
+    from hil import monitored
+    from hil.report.docking_monitor import judge_monitor, monitor_lines
+    from hil.report.summary import summarise
+    from hil.report.table import render
+
+    scenario, rig = job.scenario, job.rig
 
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True)
@@ -63,8 +88,9 @@ def run_command(
         taps = taken.taps if taken else None
         with (
             _Watch(console, "opening the devices") as bar,
-            monitored.runner(job, bar.watch, announce, taps) as (runner, look),
+            monitored.runner(job, bar.watch, announce, taps, operator) as (runner, look),
         ):
+            attach(runner)
             outcome = runner.run()
             watched = look(outcome)
         summary, verdict = summarise(
@@ -75,15 +101,14 @@ def run_command(
             job.seed,
             1.0 / scenario.value.step_s,
         )
-        if case is not None:
-            summary |= {"campaign_seed": seed, "case": case}
+        summary |= more | account()
         if watched is not None:
             summary["monitor"] = judge_monitor(watched, outcome.history, scenario.value, rig.value)
         if taken:
-            account = taken.finish(summary)
-            summary["recording"] = {"file": str(taken.path), "dropped": account.dropped, "problem": account.problem}
-            if account.problem:
-                text = f"recording: {account.problem}"
+            kept = taken.finish(summary)
+            summary["recording"] = {"file": str(taken.path), "dropped": kept.dropped, "problem": kept.problem}
+            if kept.problem:
+                text = f"recording: {kept.problem}"
                 console.print(text, style="yellow", highlight=False, soft_wrap=True, markup=False)
     if json_path is not None:
         write_json(summary, json_path)

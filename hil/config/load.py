@@ -25,7 +25,11 @@ Table = dict[str, Any]
 
 _SUFFIXES = {"targets": (".json", ".toml")}  # a scene may come from another program, as JSON
 _WORDS = {"targets": "scene"}
-_FILES_OF_KEYS = {"protocol": (".toml",), "scene": (".json", ".toml")}  # values that are names or, ending so, paths
+_FILES_OF_KEYS = {
+    "protocol": (".toml",),
+    "scene": (".json", ".toml"),
+    "library": (".so",),
+}  # values that are names or, ending so, paths
 _NEVER = ("\0",)
 
 _UNIT = re.compile(r"_(m|mm|cm|km|s|ms|us|kg|g|n|deg|rad|hz|mps|mmps|degps|radps|mps2|degps2|mps3|kg_m2)$")
@@ -166,7 +170,7 @@ def _read_table(path: Path) -> Table:
 
 
 def _find_files_beside(table: Table, folder: Path) -> None:
-    """Make paths count from the folder of the file they stand in: keys in ``_file``, a protocol's and a scene's."""
+    """Make paths count from the folder of their file: keys in ``_file``, a protocol's, scene's, library's."""
     for key, value in table.items():
         if isinstance(value, dict):
             _find_files_beside(value, folder)

@@ -8,6 +8,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.console import ConsoleTable
+from hil.config.flight_computer import FlightComputer
+from hil.config.gnc_link import GncLink
 from hil.config.host import Host, LateCycle
 from hil.config.io import Io
 from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
@@ -309,6 +311,8 @@ class Rig(Strict):
     host: Host = Host()
     console: ConsoleTable = ConsoleTable()
     recording: RecordingTable = RecordingTable()
+    gnc_link: GncLink = GncLink()
+    flight_computer: FlightComputer = FlightComputer()
     io: Io | None = None
     target_manipulator: TargetManipulator | None = None
     sign_off: SignOff | None = None

@@ -257,6 +257,9 @@ class Control(Strict):
 
 
 class Gnc(Strict):
+    """How the chaser is flown. library: a shared library that flies in place of navigation and control here."""
+
+    library: str | None = None
     navigation: Navigation
     akf: AttitudeFilter
     pkf: PositionFilter

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+import os
 import struct
+import zlib
 from collections.abc import Mapping
-from typing import Final
+from pathlib import Path
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -14,11 +18,28 @@ from hil.frmn.slots import Slots
 
 _SLOTS: Final = 8  # values that a writer finishes while a reader copies one, and it is still whole
 _TRIES: Final = 1000  # against a writer that does nothing but write; then the reader says so
-_STAMP: Final = struct.Struct("=d")
+_STAMP: Final = struct.Struct("=dII")  # time, writer, checksum
+_HEAD: Final = struct.Struct("=dI")  # the part of the stamp that the checksum covers, with the record
+
+
+class Stamp(NamedTuple):
+    """What a cell says of its newest value: how many were written up to it, its writer's time, the writer's process."""
+
+    number: int
+    t_s: float
+    writer: int
+
+    def age_s(self, now_s: float) -> float:
+        """Return how old the value is at ``now_s`` of bench time; inf where none was written yet."""
+        return now_s - self.t_s if self.number else math.inf
+
+
+NOTHING: Final = Stamp(0, 0.0, 0)
+"""Of a cell that was never written."""
 
 
 class Cell:
-    """One value of ``dtype`` with the time at which its writer wrote it.
+    """One value of ``dtype`` with its writer, the time at which that wrote it, and a checksum.
 
     The newest whole value can be read at any time, also while the next one is being written and after a
     writer has died in the middle of one: then its time tells.
@@ -28,10 +49,11 @@ class Cell:
         self.name = name
         self.dtype = dtype
         self._slots = Slots(content, self.size(dtype), _SLOTS)
+        self._writer = 0  # this process, once it has written
 
     @staticmethod
     def size(dtype: np.dtype) -> int:
-        """Return the bytes of one value with its time."""
+        """Return the bytes of one value with its stamp."""
         return _STAMP.size + dtype.itemsize
 
     @classmethod
@@ -40,8 +62,15 @@ class Cell:
         return Slots.room(cls.size(dtype), _SLOTS)
 
     def write(self, record: np.ndarray | np.void, t_s: float) -> None:
-        """Make ``record`` (one of ``dtype``) the newest value, written at ``t_s`` of bench time. Never waits."""
-        self._slots.put(_STAMP.pack(t_s) + record.tobytes())
+        """Make ``record`` (one of ``dtype``) the newest value, written at ``t_s`` of bench time. Never waits.
+
+        Raises ProtocolError, at the first value that this process writes, where another one that is alive writes it.
+        """
+        if not self._writer:
+            self._take_over()
+        body = record.tobytes()
+        head = _HEAD.pack(t_s, self._writer)
+        self._slots.put(head + zlib.crc32(body, zlib.crc32(head)).to_bytes(4, "little") + body)
 
     def read(self, into: np.ndarray) -> tuple[int, float]:
         """Copy the newest value into ``into``, shape (1,) of ``dtype``.
@@ -49,15 +78,36 @@ class Cell:
         Returns how many values have been written up to this one, 0 for none yet (``into`` is left alone), and
         its writer's bench time, s. Raises ProtocolError when the writer overruns every try.
         """
+        number, t_s, _ = self.look(into)
+        return number, t_s
+
+    def look(self, into: np.ndarray) -> Stamp:
+        """Do ``read``, and return all that is known of the value."""
+        overrun = False
         for _ in range(_TRIES):
             number = self._slots.written
             if number == 0:
-                return 0, 0.0
+                return NOTHING
             whole = self._slots.one(number - 1)
-            if whole is not None:
-                into.view(np.uint8)[:] = np.frombuffer(whole, np.uint8, offset=_STAMP.size)
-                return number, _STAMP.unpack_from(whole)[0]
-        raise ProtocolError(self.name, f"written faster than it can be read: no whole value in {_TRIES} tries")
+            if whole is None:
+                overrun = True
+                continue
+            t_s, writer, checksum = _STAMP.unpack_from(whole)
+            value = memoryview(whole)[_STAMP.size :]
+            if zlib.crc32(value, zlib.crc32(whole[: _HEAD.size])) == checksum:
+                into.view(np.uint8)[:] = np.frombuffer(value, np.uint8)
+                return Stamp(number, t_s, writer)
+        why = "written faster than it can be read" if overrun else "its checksum is wrong: somebody else wrote there"
+        raise ProtocolError(self.name, f"{why}: no whole value in {_TRIES} tries")
+
+    def _take_over(self) -> None:
+        """Become the writer, unless another one is alive."""
+        number = self._slots.written
+        last = self._slots.one(number - 1) if number else None
+        before = _STAMP.unpack_from(last)[1] if last is not None else 0
+        if before not in (0, os.getpid()) and _is_alive(before):
+            raise ProtocolError(self.name, f"process {os.getpid()} is a second writer: process {before} is alive")
+        self._writer = os.getpid()
 
     def release(self) -> None:
         """Let go of the memory."""
@@ -98,6 +148,15 @@ class Block:
             cell.release()
         self._cells.clear()
         self._memory.close()
+
+
+def _is_alive(pid: int) -> bool:
+    """Return whether a process runs; one that has ended and was not waited for does not."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (OSError, IndexError):
+        return False
+    return state not in ("Z", "X")
 
 
 def _layout(cells: Mapping[str, np.dtype]) -> str:

@@ -20,8 +20,10 @@ from numba import njit
 _PACKAGE = Path(__file__).resolve().parent.parent
 _KERNEL_FOLDERS = ("maths", "dynamics", "gnc", "bench", "vmu/kernels", "monitor")
 _KERNEL_FILES = (
+    "gnc_interface.py",
     "messages.py",
     "campaign/fusion_kernel.py",
+    "campaign/library_kernel.py",
     "campaign/loop_kernel.py",
     "campaign/tally_kernel.py",
     "console/columns.py",

@@ -8,20 +8,21 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
-from hil.assembly import make_gnc
+from hil.assembly import make_seat
 from hil.config.in_flight import value_of
 from hil.config.scenario import Scenario
 from hil.cycle import Blackboard
-from hil.errors import BadInput
+from hil.errors import BadInput, BenchError
 from hil.messages import CYCLE, MAX_POSES, POSE
 from hil.recording.read import Recorded
 from hil.recording.schema import flat_fields
-from hil.stages import Gnc
+from hil.seat import Seat
 from hil.tuning import tuning, with_setting
 
 COMPARED: Final = ("navigation", "nees_position", "nees_attitude", "reference", "supervision", "command")
@@ -90,38 +91,49 @@ def replay(recorded: Recorded, scenario: Scenario) -> Replayed:
     """
     if not len(recorded.cycles):
         raise BadInput.single(str(recorded.path), "", "no cycle is recorded: there is nothing to replay")
-    gnc, poses, orders = make_gnc(scenario), _Poses(recorded.arrivals), _orders(recorded)
+    gnc, poses, orders = make_seat(scenario), _Poses(recorded.arrivals), _orders(recorded)
     settings = _Settings(recorded, scenario)
     rows = recorded.cycles.copy()
     now = Blackboard()
     done, ended = 0, ""
-    for k, row in enumerate(recorded.cycles):
-        ended = _gap(row, k, scenario.step_s, poses.take(k))
-        if ended:
-            break
-        _give_orders(gnc, orders.get(k, ()))
-        settings.give(gnc, k)
-        _cycle(gnc, poses, row, now)
-        for name in COMPARED:
-            rows[k][name] = now.row[name][0]
-        done = k + 1
-    if not ended and recorded.end is not None and _went_to_its_end(recorded, scenario):
-        gnc.finish(float(rows["t_s"][-1]), now.supervision)
+    with _seated(gnc):
+        for k, row in enumerate(recorded.cycles):
+            ended = _gap(row, k, scenario.step_s, poses.take(k))
+            if not ended:
+                _give_orders(gnc, orders.get(k, ()))
+                settings.give(gnc, k)
+                ended = _cycle(gnc, poses, row, now)
+            if ended:
+                break
+            for name in COMPARED:
+                rows[k][name] = now.row[name][0]
+            done = k + 1
+        if not ended and recorded.end is not None and _went_to_its_end(recorded, scenario):
+            gnc.finish(float(rows["t_s"][-1]), now.supervision)
     found = Replayed(rows[:done], ended)
     found.differences = list(_differences(recorded.cycles[:done], rows[:done]))
     found.missing_events, found.new_events = _events(recorded, gnc, done)
     return found
 
 
-def _cycle(gnc: Gnc, poses: _Poses, row: np.void, now: Blackboard) -> None:
-    """Run the lines of ``run_cycle`` that are the GNC's, from recorded inputs."""
+@contextmanager
+def _seated(gnc: Seat) -> Iterator[None]:
+    gnc.open(0.0)
+    try:
+        yield
+    finally:
+        gnc.close()
+
+
+def _cycle(gnc: Seat, poses: _Poses, row: np.void, now: Blackboard) -> str:
+    """Run the lines of ``run_cycle`` that are the GNC's, from recorded inputs; return why it cannot go on."""
     now.row["truth"], now.row["imu"] = row["truth"], row["imu"]
-    t_s = float(row["t_s"])
-    gnc.navigate(now.imu, poses, now.navigation)
-    gnc.guide(t_s, now.supervision, now.reference)
-    gnc.supervise(t_s, now.navigation, now.reference, now.supervision)
-    gnc.control(now.navigation, now.reference, now.command)
+    try:
+        gnc.act(float(row["t_s"]), now, poses)
+    except BenchError as fault:
+        return f"{fault}: the replay ends there"
     now.nees_position[0], now.nees_attitude[0] = gnc.consistency(now.truth, now.imu)
+    return ""
 
 
 def _gap(row: np.void, k: int, step_s: float, poses: int) -> str:
@@ -143,7 +155,7 @@ def _orders(recorded: Recorded) -> dict[int, list[str]]:
     return found
 
 
-def _give_orders(gnc: Gnc, orders: list[str] | tuple[()]) -> None:
+def _give_orders(gnc: Seat, orders: list[str] | tuple[()]) -> None:
     for order in orders:
         if order == "go":
             gnc.order_go()
@@ -221,7 +233,7 @@ def _finite(value: float) -> float | None:
 
 
 def _events(
-    recorded: Recorded, gnc: Gnc, done: int
+    recorded: Recorded, gnc: Seat, done: int
 ) -> tuple[list[tuple[float, str, str]], list[tuple[float, str, str]]]:
     """Return the events of approach and filters that are in the recording alone, and those of now alone."""
     last_s = float(recorded.cycles["t_s"][done - 1]) if done else 0.0

@@ -91,7 +91,7 @@ class Taps:
         loop.vision.tap = self.arrivals
         if self.run_time is not None:
             loop.vision.on_run_zero = self.run_time.tell
-        for events in (loop.gnc.diary.events, loop.gnc.watch.events, runner.events):
+        for events in (*loop.gnc.logs, runner.events):
             events.tell(notes.event)
         loop.gnc.orders.tell(lambda order: notes.order(*order))
         runner.supervisor.alarms.entered.tell(notes.alarm)

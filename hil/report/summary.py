@@ -12,6 +12,7 @@ from hil.config.scenario import Scenario
 from hil.config.sign_off import SignOff
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.fitness import sign_off_gap
+from hil.gnc_library import digest_of
 from hil.late_cycles import lateness_histogram, lateness_percentiles_us
 from hil.messages import Array
 from hil.report.bench_error import judge_bench_error
@@ -59,6 +60,7 @@ def summarise(
         "verdict": parts,
         "navigation": navigation_errors(history),
         "thrusters": thrusters,
+        "gnc": flown_by(scenario),
         "vision": outcome.vision_counters,
         "bench": _bench(history, outcome) | judge_bench_error(history, rig, scenario.step_s, SETTLED_S),
         "latency": measure_latency(history, scenario.step_s),
@@ -69,6 +71,12 @@ def summarise(
         "alarms": [alarm.as_json() for alarm in outcome.alarms],
     }
     return summary, verdict
+
+
+def flown_by(scenario: Scenario) -> dict[str, Any]:
+    """Return the library that flew, with the digest of its file; None where the GNC here did."""
+    path = scenario.gnc.library
+    return {"library": path, "sha256": digest_of(path) if path is not None else None}
 
 
 def sign_off_summary(rig: Rig) -> dict[str, Any] | None:

@@ -81,7 +81,7 @@ def lab_file(path: Path, wired: Rig) -> str:
 
 
 @contextmanager
-def running(folder: Path) -> Iterator[Bench]:
+def running(folder: Path, *settings: str) -> Iterator[Bench]:
     clock = WallClock()
     with EmulatedDevices(
         load_scenario("scheme-1", MOVING).value, load_rig("emulated", MOVING).value, clock, 0
@@ -89,7 +89,7 @@ def running(folder: Path) -> Iterator[Bench]:
         wired, _ = emulated.wait_ready()
         rig = lab_file(folder / "lab.toml", wired)
         command = [sys.executable, "-m", "hil", "run", "scheme-1", "--rig", rig]
-        command += [word for setting in MOVING for word in ("--set", setting)]
+        command += [word for setting in (*MOVING, *settings) for word in ("--set", setting)]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
         try:
             assert process.stderr is not None

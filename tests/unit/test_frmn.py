@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import os
+import subprocess
+import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 from hil.errors import ProtocolError
-from hil.frmn.cell import Block
+from hil.frmn.cell import NOTHING, Block
 from hil.frmn.ring import Ring
 from hil.frmn.slots import Slots
 
@@ -129,6 +133,48 @@ def test_reader_of_a_writer_that_does_nothing_but_write_gives_up_and_says_so(
     during_copies(lambda: [cell.write(value(0), 0.0) for _ in range(8)] and None)
     with pytest.raises(ProtocolError, match=r"frmn\.rails: written faster than it can be read"):
         cell.read(value(0))
+
+
+def test_cell_says_who_wrote_it_and_how_old_it_is(block: Block) -> None:
+    into = value(0)
+    assert block["rails"].look(into) == NOTHING
+    assert block["rails"].look(into).age_s(3.0) == math.inf
+    block["rails"].write(value(1), 1.5)
+    stamp = block["rails"].look(into)
+    assert stamp == (1, 1.5, os.getpid())
+    assert stamp.age_s(3.0) == 1.5
+
+
+def test_value_that_somebody_else_spoilt_is_not_given(block: Block) -> None:
+    cell = block["rails"]
+    cell.write(value(1), 1.0)
+    cell._slots._bytes[30] ^= 1
+    with pytest.raises(ProtocolError, match=r"frmn\.rails: its checksum is wrong"):
+        cell.read(value(0))
+
+
+def test_second_writer_of_a_cell_is_refused_while_the_first_is_alive(block: Block) -> None:
+    with subprocess.Popen(["sleep", "60"]) as other:
+        block["rails"].write(value(1), 1.0)
+        slots = block["rails"]._slots
+        slots._bytes[8:12] = other.pid.to_bytes(4, "little")
+        with (
+            another_user(block) as second,
+            pytest.raises(ProtocolError, match=rf"a second writer: process {other.pid} is"),
+        ):
+            second["rails"].write(value(2), 2.0)
+        other.kill()  # and not waited for yet
+        time.sleep(0.05)
+        with another_user(block) as third:
+            third["rails"].write(value(2), 2.0)
+
+
+@contextmanager
+def another_user(block: Block) -> Iterator[Block]:
+    """Give another user of the same memory."""
+    other = Block(os.dup(block.descriptor), CELLS)
+    yield other
+    other.close()
 
 
 def test_writer_killed_in_the_middle_of_a_value_leaves_the_whole_one_before_it(block: Block) -> None:

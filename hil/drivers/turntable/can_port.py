@@ -3,12 +3,28 @@
 from __future__ import annotations
 
 import select
+from typing import Protocol
 
 import can
 
-from hil.config.rig import Cia402
 from hil.drivers.turntable.serial_can import SerialCan
 from hil.errors import LinkLost, ProtocolError
+
+
+class CanLine(Protocol):
+    """What a rig file says of a CAN bus: interface of python-can, channel, its rate, and that of a serial adapter."""
+
+    @property
+    def interface(self) -> str: ...
+
+    @property
+    def channel(self) -> str | None: ...
+
+    @property
+    def bitrate(self) -> int: ...
+
+    @property
+    def baud(self) -> int: ...
 
 
 class CanPort:
@@ -19,7 +35,7 @@ class CanPort:
     both name ``device``.
     """
 
-    def __init__(self, device: str, config: Cia402) -> None:
+    def __init__(self, device: str, config: CanLine) -> None:
         self.device = device
         self._serial: SerialCan | None = None
         self._bus: can.BusABC | None = None

@@ -1,0 +1,179 @@
+/* The GNC of gnc.c (or any other with the functions of hil_gnc.h) as a program of its own, over UDP.
+ *
+ *     cc -O2 -I"$(hil gnc-header --folder)" gnc_udp.c gnc.c -o gnc_udp -lm
+ *     hil dss scheme-1 --lock-step &          # on the computer of the bench
+ *     ./gnc_udp 127.0.0.1 24500               # on this one: address and port of hil dss
+ *
+ * The datagrams are those of docs/protocols.md: a header of 32 bytes, and a struct of hil_gnc.h. This program says
+ * hello until the bench answers, then answers each setup and each input by one output.
+ */
+#define _POSIX_C_SOURCE 200809L
+#include <netdb.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <sys/time.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "hil_gnc.h"
+
+enum { VERSION = 1, HEADER = 32, LARGEST = 1472, SILENT = 10 /* waits of 0.1 s, then hello is said again */ };
+enum { HELLO = 1, CELL = 2, GOODBYE = 4, REFUSED = 5 };
+enum { SETUP = 1, INPUT = 2, OUTPUT = 3 };
+enum { ROLE_GNC = 2, OFFERS = 1, WANTS = 2 };
+
+typedef struct { /* laid out by the compiler as the datagram's header is: no gaps */
+    char magic[4];
+    uint32_t crc;
+    uint8_t version, kind;
+    uint16_t cell, size, layout;
+    uint32_t writer, sequence;
+    double time_s;
+} header;
+
+typedef struct {
+    int32_t role, count;
+    char name[32];
+    struct {
+        uint16_t number, bytes, layout, use;
+    } cells[16];
+} hello;
+
+static int wire;        /* the socket */
+static uint32_t writer; /* of this start of the program */
+
+static double now_s(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+/* The CRC-32 of zlib, PNG and Ethernet. */
+static uint32_t crc32(const uint8_t *bytes, size_t count)
+{
+    uint32_t crc = 0xFFFFFFFFu;
+    while (count--) {
+        crc ^= *bytes++;
+        for (int bit = 0; bit < 8; bit++)
+            crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
+    }
+    return ~crc;
+}
+
+static void say(int kind, int cell, const void *payload, size_t size)
+{
+    static uint32_t counts[8];
+    uint8_t datagram[LARGEST];
+    header h = {{'F', 'R', 'M', 'N'}, 0, VERSION, (uint8_t)kind, (uint16_t)cell, (uint16_t)size, 0, writer, 0, 0.0};
+    h.sequence = ++counts[kind];
+    h.time_s = now_s();
+    memcpy(datagram, &h, HEADER);
+    memcpy(datagram + HEADER, payload, size);
+    h.crc = crc32(datagram + 8, HEADER - 8 + size);
+    memcpy(datagram, &h, HEADER);
+    if (send(wire, datagram, HEADER + size, 0) < 0)
+        return; /* nobody listens there yet: hello is said again */
+}
+
+static void say_hello(void)
+{
+    hello h = {ROLE_GNC, 3, "gnc_udp", {{OUTPUT, sizeof(hil_gnc_output), 0, OFFERS},
+                                        {SETUP, sizeof(hil_gnc_setup), 0, WANTS},
+                                        {INPUT, sizeof(hil_gnc_input), 0, WANTS}}};
+    say(HELLO, 0, &h, sizeof h);
+}
+
+/* Wait up to 0.1 s for a good datagram; return the size of its payload, -1 without one. */
+static long hear(header *h, uint8_t payload[LARGEST])
+{
+    uint8_t datagram[LARGEST + 1];
+    const ssize_t got = recv(wire, datagram, sizeof datagram, 0);
+    if (got < HEADER || got > LARGEST)
+        return -1;
+    memcpy(h, datagram, HEADER);
+    if (memcmp(h->magic, "FRMN", 4) != 0 || h->version != VERSION || h->size != got - HEADER
+        || h->crc != crc32(datagram + 8, (size_t)got - 8))
+        return -1;
+    memcpy(payload, datagram + HEADER, h->size);
+    return h->size;
+}
+
+static int open_wire(const char *host, const char *port)
+{
+    const struct addrinfo wanted = {.ai_family = AF_UNSPEC, .ai_socktype = SOCK_DGRAM};
+    const struct timeval patience = {.tv_usec = 100000};
+    struct addrinfo *found;
+    if (getaddrinfo(host, port, &wanted, &found) != 0)
+        return -1;
+    wire = socket(found->ai_family, SOCK_DGRAM, 0);
+    const int failed = wire < 0 || connect(wire, found->ai_addr, found->ai_addrlen) != 0
+        || setsockopt(wire, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience) != 0;
+    freeaddrinfo(found);
+    return failed ? -1 : 0;
+}
+
+int main(int argc, char **argv)
+{
+    static uint8_t payload[LARGEST];
+    header h;
+    void *gnc = NULL;
+    int64_t cycle = -1;
+    int32_t mode = -1;
+    int silent = 0;
+    hil_gnc_output output;
+    char reason[HIL_GNC_REASON_BYTES] = "";
+
+    if (argc != 3 || open_wire(argv[1], argv[2]) != 0) {
+        fprintf(stderr, "usage: %s HOST PORT, those of hil dss\n", argv[0]);
+        return 2;
+    }
+    writer = (uint32_t)(now_s() * 1000.0) ^ ((uint32_t)getpid() << 16);
+    for (;;) {
+        const long size = hear(&h, payload);
+        if (size < 0) {
+            if (gnc == NULL || ++silent > SILENT)
+                say_hello();
+            continue;
+        }
+        silent = 0;
+        if (h.kind == REFUSED || h.kind == GOODBYE) {
+            if (h.kind == REFUSED)
+                fprintf(stderr, "refused by the bench: %.124s\n", (const char *)payload + 4);
+            hil_gnc_close(gnc);
+            return h.kind == REFUSED ? 2 : 0;
+        }
+        if (h.kind != CELL)
+            continue;
+        if (h.cell == SETUP && size == sizeof(hil_gnc_setup)) {
+            hil_gnc_setup setup;
+            memcpy(&setup, payload, sizeof setup);
+            hil_gnc_close(gnc);
+            gnc = hil_gnc_open(&setup, reason);
+            if (gnc == NULL) {
+                fprintf(stderr, "the GNC refuses: %s\n", reason);
+                return 2;
+            }
+            cycle = -1, mode = -1;
+            memset(&output, 0, sizeof output);
+            output.cycle = -1;
+            output.state = HIL_GNC_WORKING;
+        } else if (h.cell == INPUT && size == sizeof(hil_gnc_input) && gnc != NULL) {
+            hil_gnc_input input;
+            memcpy(&input, payload, sizeof input);
+            if (input.cycle != cycle || input.mode != mode) { /* else the answer to it was lost: say it again */
+                memset(&output, 0, sizeof output);
+                output.cycle = input.cycle;
+                output.state = HIL_GNC_WORKING;
+                if (hil_gnc_step(gnc, &input, &output) != 0)
+                    output.state = HIL_GNC_FAULT;
+                cycle = input.cycle, mode = input.mode;
+            }
+        } else {
+            continue;
+        }
+        say(CELL, OUTPUT, &output, sizeof output);
+    }
+}

@@ -1,0 +1,63 @@
+"""Rig files, table ``[flight_computer]``: a computer that opens the thrusters by digital words, and sees the poses."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from hil.config.model import Positive, Strict
+
+
+class WordsCan(Strict):
+    """The CAN bus of the words."""
+
+    interface: str = "socketcan"  # a python-can interface
+    channel: str | None = None
+    baud: Annotated[int, Field(gt=0)] = 115_200  # of a serial port, where the interface is one
+    bitrate: Annotated[int, Field(gt=0)] = 500_000
+    identifier: Annotated[int, Field(ge=1, le=0x7FF)] = 0x120
+
+
+class WordsLine(Strict):
+    """A serial port."""
+
+    port: str | None = None
+    baud: Annotated[int, Field(gt=0)] = 115_200
+
+
+class FlightComputer(Strict):
+    """Who opens the thrusters. words: the wire of the commands; none: the GNC of the scenario flies.
+
+    timeout_s: a word that is older opens nothing. lost_s: after so long without one the bench does as on_loss says.
+    """
+
+    words: Literal["none", "serial", "can"] = "none"
+    timeout_s: Positive = 0.1
+    lost_s: Positive = 0.5
+    on_loss: Literal["hold", "stop"] = "stop"
+    serial: WordsLine = WordsLine()
+    can: WordsCan = WordsCan()
+    poses: WordsLine = WordsLine(baud=460_800)  # RS-422: the vision unit's frames go out here, where it has a port
+
+    @model_validator(mode="after")
+    def _lost_is_later_than_silent(self) -> Self:
+        if self.lost_s < self.timeout_s:
+            raise ValueError(f"lost_s = {self.lost_s:g}: must not be below timeout_s, {self.timeout_s:g}")
+        return self
+
+    @model_validator(mode="after")
+    def _poses_go_to_who_flies(self) -> Self:
+        if self.words == "none" and self.poses.port is not None:
+            raise ValueError(
+                'poses.port goes with words = "serial" or "can": who flies by other ways is told the poses'
+            )
+        return self
+
+    def missing_wires(self) -> list[str]:
+        """Return the keys of wires that are needed and not named."""
+        if self.words == "serial" and self.serial.port is None:
+            return ["flight_computer.serial.port"]
+        if self.words == "can" and self.can.channel is None:
+            return ["flight_computer.can.channel"]
+        return []

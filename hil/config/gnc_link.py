@@ -1,0 +1,25 @@
+"""The link to a GNC on another computer, or in another process: part of a rig file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from hil.config.model import Positive, Strict
+
+
+class GncLink(Strict):
+    """What the bench does when the GNC's answers come late or not at all."""
+
+    coast_cycles: Annotated[int, Field(ge=0, le=50)] = 1  # for which the last command stands; then thrusters are closed
+    timeout_cycles: Annotated[int, Field(ge=1, le=10_000)] = 3  # without an answer: the GNC is lost
+    on_loss: Literal["hold", "stop"] = "stop"
+    rejoin_s: Positive = 300.0  # wall time that a held bench waits for a GNC to come back
+    answer_share: Annotated[float, Field(gt=0.0, le=0.8)] = 0.5  # lock-step: of a cycle that an answer is waited for
+
+    @model_validator(mode="after")
+    def _coasts_no_longer_than_it_trusts(self) -> Self:
+        if self.coast_cycles > self.timeout_cycles:
+            raise ValueError(f"coast_cycles = {self.coast_cycles}: must not exceed timeout_cycles")
+        return self

@@ -1,0 +1,227 @@
+"""Datagrams of the reflective memory between hosts: bytes and numbers only, no I/O (docs/protocols.md).
+
+Every datagram is a header of 32 bytes and a payload, little-endian, and fits an Ethernet frame whole:
+
+    offset  type  field
+         0  4s    magic     "FRMN"
+         4  u4    crc       CRC-32 (zlib's) of all bytes from offset 8 to the end
+         8  u1    version   of the protocol, 1
+         9  u1    kind      1 hello, 2 cell, 3 heartbeat, 4 goodbye, 5 refused
+        10  u2    cell      number of the cell; 0 in other kinds
+        12  u2    size      of the payload, bytes
+        14  u2    layout    digest of the cell's layout; 0: not said
+        16  u4    writer    any number that a program does not repeat when it is started again
+        20  u4    sequence  counts this writer's datagrams of this kind and cell, from 1 on
+        24  f8    time_s    of the writer's own clock, when it sent this
+        32        payload
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from hil.frmn.cells import BY_NUMBER, CELLS, CellKind, Role
+
+MAGIC: Final = b"FRMN"
+VERSION: Final = 1
+"""Goes up when header, handshake or a payload of another kind than a cell changes; a cell's own layout has a digest."""
+HEADER: Final = struct.Struct("<4sIBBHHHIId")
+LARGEST: Final = 1472
+"""Bytes of a datagram that fits an Ethernet frame whole."""
+PORT: Final = 24500
+"""Where ``hil dss`` listens when it is told no other."""
+_PROTECTED: Final = 8  # the checksum is over what follows it
+_MAX_CELLS: Final = 16
+
+
+class Kind(IntEnum):
+    """What a datagram is."""
+
+    HELLO = 1
+    CELL = 2
+    HEARTBEAT = 3
+    GOODBYE = 4
+    REFUSED = 5
+
+
+class Fault(Enum):
+    """Why a datagram cannot be used; the value is the name of its counter."""
+
+    FOREIGN = "foreign"  # too short, or another magic: not of this protocol
+    VERSION = "other_version"
+    CORRUPT = "corrupt"  # checksum
+    SIZE = "wrong_size"  # not as long as its header says, or as its kind or cell needs
+    LAYOUT = "wrong_layout"
+    KIND = "unknown_kind"
+    CELL = "unknown_cell"
+
+
+HELLO: Final = np.dtype(
+    [
+        ("role", "<i4"),  # 1 DSS, 2 GNC
+        ("count", "<i4"),  # of the cells below
+        ("name", "S32"),  # of the program, for messages
+        ("cells", np.dtype([("number", "<u2"), ("size", "<u2"), ("layout", "<u2"), ("use", "<u2")]), _MAX_CELLS),
+    ],
+    align=True,
+)
+"""Who speaks and what of. use: 1 offers (writes it), 2 wants (reads it). layout 0: not said."""
+OFFERS: Final = 1
+WANTS: Final = 2
+
+HEARTBEAT: Final = np.dtype([("peer_time_s", "<f8"), ("peer_received_s", "<f8")])
+"""The other side's newest heartbeat: its own ``time_s``, and when it came by this side's clock; NaN before one came.
+
+With the header's ``time_s`` and the moment of arrival these are NTP's four stamps."""
+
+WORD: Final = np.dtype([("code", "<i4"), ("text", "S124")])
+"""Of GOODBYE and REFUSED. code: Refusal, 0 in GOODBYE."""
+
+
+class Refusal(IntEnum):
+    """Why a side will not speak with the other."""
+
+    VERSION = 1
+    CELLS = 2  # size or layout of a cell, or one that is needed is not offered
+    WRITER = 3  # somebody else writes these cells; ask again when it has gone
+    SENDER = 4  # another address was expected
+
+
+class Header(NamedTuple):
+    """What a good datagram's header says; ``cell`` is None in other kinds than CELL."""
+
+    kind: Kind
+    cell: CellKind | None
+    writer: int
+    sequence: int
+    time_s: float
+
+
+@dataclass(frozen=True)
+class Hello:
+    """What HELLO says. offers, wants: names of cells that both sides know."""
+
+    role: int
+    name: str
+    offers: frozenset[str]
+    wants: frozenset[str]
+
+
+_SIZES: Final = {
+    Kind.HELLO: HELLO.itemsize,
+    Kind.HEARTBEAT: HEARTBEAT.itemsize,
+    Kind.GOODBYE: WORD.itemsize,
+    Kind.REFUSED: WORD.itemsize,
+}
+
+
+def pack(
+    kind: Kind, payload: bytes | memoryview, writer: int, sequence: int, time_s: float, cell: CellKind | None = None
+) -> bytes:
+    """Return the datagram; sequence is taken modulo 2^32."""
+    number, layout = (cell.number, cell.layout) if cell is not None else (0, 0)
+    datagram = bytearray(HEADER.size + len(payload))
+    HEADER.pack_into(
+        datagram, 0, MAGIC, 0, VERSION, kind, number, len(payload), layout, writer, sequence & 0xFFFF_FFFF, time_s
+    )
+    datagram[HEADER.size :] = payload
+    struct.pack_into("<I", datagram, 4, zlib.crc32(memoryview(datagram)[_PROTECTED:]))
+    return bytes(datagram)
+
+
+def unpack(datagram: bytes) -> Header | Fault:
+    """Return the header of a datagram whose payload has the size that its kind or cell needs, else what is wrong.
+
+    The payload is ``datagram[HEADER.size:]``. Any bytes may be given.
+    """
+    if len(datagram) < HEADER.size or datagram[:4] != MAGIC:
+        return Fault.FOREIGN
+    _, crc, version, kind_number, number, size, layout, writer, sequence, time_s = HEADER.unpack_from(datagram)
+    if version != VERSION:
+        return Fault.VERSION  # its checksum may be another one
+    if zlib.crc32(memoryview(datagram)[_PROTECTED:]) != crc:
+        return Fault.CORRUPT
+    if kind_number == Kind.CELL:
+        cell = BY_NUMBER.get(number)
+        if cell is None:
+            return Fault.CELL
+        if size != cell.dtype.itemsize or len(datagram) != HEADER.size + size:
+            return Fault.SIZE
+        if layout not in (0, cell.layout):
+            return Fault.LAYOUT
+        return Header(Kind.CELL, cell, writer, sequence, time_s)
+    try:
+        kind = Kind(kind_number)
+    except ValueError:
+        return Fault.KIND
+    if size != _SIZES[kind] or len(datagram) != HEADER.size + size:
+        return Fault.SIZE
+    return Header(kind, None, writer, sequence, time_s)
+
+
+def hello_payload(role: Role, name: str, offers: Iterable[str], wants: Iterable[str]) -> bytes:
+    """Return the payload of HELLO; offers, wants: names of cells."""
+    record = np.zeros(1, HELLO)
+    entries = [(cell, OFFERS) for cell in offers] + [(cell, WANTS) for cell in wants]
+    record["role"], record["count"], record["name"] = role, len(entries), name.encode()[:32]
+    for i, (cell, use) in enumerate(entries):
+        kind = CELLS[cell]
+        record["cells"][0, i] = (kind.number, kind.dtype.itemsize, kind.layout, use)
+    return record.tobytes()
+
+
+def read_hello(payload: bytes) -> Hello | str:
+    """Return what HELLO says, or in words why its cells are not ours."""
+    record = np.frombuffer(payload, HELLO)[0]
+    count = int(record["count"])
+    if not 0 <= count <= _MAX_CELLS:
+        return f"{count} cells in its hello, 0 to {_MAX_CELLS} are possible"
+    found: dict[int, set[str]] = {OFFERS: set(), WANTS: set()}
+    for number, size, layout, use in record["cells"][:count].tolist():
+        kind = BY_NUMBER.get(number)
+        if kind is None or use not in found:
+            return f"cell {number}, use {use}: known are {', '.join(map(str, BY_NUMBER))}, use 1 (offers) or 2 (wants)"
+        if size != kind.dtype.itemsize:
+            return f"cell {kind.name} has {size} bytes there and {kind.dtype.itemsize} here"
+        if layout not in (0, kind.layout):
+            return f"cell {kind.name} has another layout there than here"
+        found[use].add(kind.name)
+    name = _text(record["name"]) or "without a name"
+    return Hello(int(record["role"]), name, frozenset(found[OFFERS]), frozenset(found[WANTS]))
+
+
+def word_payload(code: int, text: str) -> bytes:
+    """Return the payload of GOODBYE or REFUSED; the text is cut to its room."""
+    record = np.zeros(1, WORD)
+    record["code"], record["text"] = code, text.encode()[:124]
+    return record.tobytes()
+
+
+def read_word(payload: bytes) -> tuple[int, str]:
+    """Return code and text of GOODBYE or REFUSED."""
+    record = np.frombuffer(payload, WORD)[0]
+    return int(record["code"]), _text(record["text"])
+
+
+def heartbeat_payload(peer_time_s: float, peer_received_s: float) -> bytes:
+    """Return the payload of HEARTBEAT."""
+    return struct.pack("<dd", peer_time_s, peer_received_s)
+
+
+def read_heartbeat(payload: bytes) -> tuple[float, float]:
+    """Return ``peer_time_s`` and ``peer_received_s``."""
+    there_s, here_s = struct.unpack("<dd", payload)
+    return there_s, here_s
+
+
+def _text(raw: bytes) -> str:
+    """Return printable text, whatever the bytes are."""
+    text = raw.decode("utf-8", errors="replace")
+    return "".join(c if c.isprintable() else "?" for c in text)

@@ -1,0 +1,78 @@
+"""Plays one case to a GNC and keeps what it answered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hil.errors import BenchError
+from hil.foreign_gnc import complaint
+from hil.gnc import foreign
+from hil.gnc_check.cases import Case, Change, Player
+from hil.gnc_check.partners import Partner
+from hil.gnc_interface import GNC_OUTPUT, GncMode, GncState
+from hil.messages import Array
+
+
+@dataclass
+class Played:
+    """What came of a case. outputs: (n,) of GNC_OUTPUT; modes, t_s, took_s: (n,), of the inputs.
+
+    faults: by its kind, what was wrong with answers first, and in which cycle. ended: why it was cut short.
+    """
+
+    case: Case
+    outputs: np.ndarray
+    modes: np.ndarray
+    t_s: Array
+    took_s: Array
+    faults: dict[int, tuple[str, int]] = field(default_factory=dict)
+    ended: str = ""
+
+    def pushes(self, setup: np.record, from_s: float = 0.0) -> Array:
+        """Return force and torque, (6,), as mean over the time that runs from ``from_s`` on.
+
+        In parts of what a demand gives: 1 is a demand that stands all the time.
+        """
+        chosen = self.outputs[(self.modes == GncMode.RUNNING) & (self.t_s >= from_s)]
+        return pushes(chosen, setup).mean(axis=0) if len(chosen) else np.zeros(6)
+
+
+def pushes(outputs: np.ndarray, setup: np.record) -> Array:
+    """Return force and torque that ``outputs`` (n,) call for, (n, 6), in parts of what a demand gives."""
+    demands = np.hstack([outputs["force"], outputs["torque"]]).astype(float)
+    n = int(setup.n_thrusters)
+    forces, arms = setup.thruster_force_N[:n], setup.thruster_position_m[:n]
+    push = forces / setup.mass_kg / setup.acceleration_mps2
+    twist = np.cross(arms, forces) @ np.linalg.inv(setup.inertia_kgm2).T / setup.angular_acceleration_radps2
+    by_thruster = outputs["on"][:, :n].astype(float) @ np.hstack([push, twist])
+    found: Array = np.where((outputs["direct"] == 1)[:, None], by_thruster, demands)
+    return found
+
+
+def play(partner: Partner, player: Player, setup: np.record, case: Case, change: Change | None = None) -> Played:
+    """Play ``case`` from a new setup on; change: made to each input before it is told."""
+    outputs, modes, t_s, took_s = [], [], [], []
+    faults: dict[int, tuple[str, int]] = {}
+    ended = ""
+    partner.begin(setup)
+    n = int(setup.n_thrusters)
+    for told in player.inputs(case, change):
+        try:
+            answer, took = partner.ask(told)
+        except BenchError as error:
+            ended = f"{error} (in case: {case.name})"
+            break
+        fault, place = foreign.fault_of(answer, told.cycle, n)
+        if fault != foreign.FINE and (told.mode == GncMode.RUNNING or fault == foreign.CYCLE):
+            faults.setdefault(fault, (complaint(answer, fault, place, int(told.cycle), n), int(told.cycle)))
+        outputs.append(np.array(answer, GNC_OUTPUT))
+        modes.append(int(told.mode))
+        t_s.append(float(told.t_s))
+        took_s.append(took)
+        if answer.state == GncState.FAULT:
+            ended = f"it reports a fault (in case: {case.name})"
+            break
+    rows = np.array(outputs, GNC_OUTPUT) if outputs else np.zeros(0, GNC_OUTPUT)
+    return Played(case, rows, np.array(modes), np.array(t_s), np.array(took_s), faults, ended)

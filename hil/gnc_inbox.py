@@ -1,0 +1,71 @@
+"""What came last from a GNC elsewhere, as records for the kernels, and the truth of the cycles that it is about."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from hil.frmn.cells import GNC_FILTERS, GNC_FLIGHT
+from hil.frmn.link import Arrival
+from hil.gnc import navigation, remote
+from hil.gnc.fusion import FILTERS
+from hil.messages import IMU, TRUTH, new
+
+REMEMBERED: Final = 16
+"""Cycles whose truth is kept for filters that come late."""
+
+
+class Inbox:
+    """What came last, as records for the kernels."""
+
+    def __init__(self) -> None:
+        self._flights, self._filters = np.zeros(1, GNC_FLIGHT), np.zeros(1, GNC_FILTERS)
+        flight = self._flights.view(np.recarray)[0]
+        self.output, self.navigation, self.command = flight.output, flight.navigation, flight.command
+        self.has_flight = False
+        self.filters: np.record = new(FILTERS)
+        self.filters_of = -1
+        """Cycle of the filters that were not used yet, -1 for none."""
+        self._told_filters = self._filters.view(np.recarray)[0]
+        self._flight_bytes = self._flights.view(np.uint8).data
+        self._filter_bytes = self._filters.view(np.uint8).data
+        remote.take_flight(self.navigation, self.command, self.navigation, self.command)
+        remote.take_filters(self._told_filters, self.filters)
+        navigation.normalised_errors(self.filters, new(TRUTH), new(IMU), np.empty(2))
+
+    @staticmethod
+    def output_in(arrival: Arrival) -> np.ndarray:
+        """Return the output, (1,) of GNC_OUTPUT, that ``arrival`` holds."""
+        return arrival.record["output"] if arrival.name == "gnc.flight" else arrival.record
+
+    def take(self, arrival: Arrival) -> int:
+        """Make ``arrival`` the present one; return the cycle that it answers."""
+        self.has_flight = arrival.name == "gnc.flight"
+        whole = arrival.record.view(np.uint8).data
+        self._flight_bytes[: len(whole)] = whole
+        return int(self.output.cycle)
+
+    def take_filters(self, record: np.ndarray) -> None:
+        """Keep GNC_FILTERS (1,)."""
+        self._filter_bytes[:] = record.view(np.uint8).data
+        remote.take_filters(self._told_filters, self.filters)
+        self.filters_of = int(self._told_filters.cycle)
+
+
+class Past:
+    """The last records of ``dtype``, by cycle."""
+
+    def __init__(self, dtype: np.dtype) -> None:
+        kept = np.zeros(REMEMBERED, dtype)
+        self._records = [kept.view(np.recarray)[i] for i in range(REMEMBERED)]
+        self._bytes = kept.view(np.uint8).data
+        self._size = dtype.itemsize
+
+    def put(self, cycle: int, record: np.record) -> None:
+        start = cycle % REMEMBERED * self._size
+        self._bytes[start : start + self._size] = record.tobytes()
+
+    def at(self, cycle: int) -> np.record:
+        record: np.record = self._records[cycle % REMEMBERED]
+        return record

@@ -1,0 +1,36 @@
+"""A scenario's seat for a GNC at the other end of a link."""
+
+from __future__ import annotations
+
+from hil import parameters
+from hil.approach_diary import ApproachDiary
+from hil.config.gnc_link import GncLink
+from hil.config.scenario import Scenario
+from hil.frmn.link import Link
+from hil.frmn.mirror import Mirror
+from hil.gnc.watch import FilterWatch
+from hil.gnc_setup import gnc_setup
+from hil.remote_gnc import RemoteGnc
+from hil.runner import Runner
+
+
+def remote_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None) -> RemoteGnc:
+    """Return the seat of whoever flies ``scenario`` over ``link``. period_s: wall time of a cycle, None without one."""
+    return RemoteGnc(
+        link,
+        config,
+        lock_step,
+        period_s,
+        FilterWatch(parameters.navigation(scenario), None),
+        gnc_setup(scenario),
+        parameters.guidance(scenario),
+        parameters.supervision(scenario),
+        parameters.allocation(scenario.chaser)[0],
+        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+    )
+
+
+def mirror_of(runner: Runner, link: Link) -> Mirror:
+    """Return what each cycle of ``runner`` is to be put into, so that the other side gets the cells that it wants."""
+    modes, rate = runner.supervisor.modes, runner.rate
+    return Mirror(runner.loop.telemetry, link, lambda: modes.mode.value, lambda: rate.overruns)

@@ -1,0 +1,120 @@
+"""A bench that runs free with its GNC behind a bad network: counted, coasted, held or stopped, and never a jump."""
+
+from __future__ import annotations
+
+import math
+import threading
+
+import pytest
+from far_gnc import Split, gnc_thread, split_bench
+from relay import Relay
+
+from hil.messages import MAX_THRUSTERS
+from hil.modes import Mode
+from hil.orders import Resuming
+
+STEP_S = 0.02
+PATIENT = ("rig.gnc_link.timeout_cycles=500",)
+"""On a busy computer a cycle's answer may be late by more than a network makes it."""
+RAIL_LIMIT, GIMBAL_LIMIT = 0.6, math.radians(80.0)  # of the mock rig, m/s^2 and rad/s^2
+SMOOTH_MPS2, SMOOTH_RADPS2 = 0.1, 0.1  # five times what the thrusters make of the chaser
+
+
+def assert_smooth(bench: Split) -> None:
+    """No setpoint was sent that the thrusters alone would not have made."""
+    rails, gimbals = bench.largest_jerks()
+    assert rails < SMOOTH_MPS2
+    assert gimbals < SMOOTH_RADPS2
+
+
+def at_cycle(bench: Split, events: dict[int, object]) -> None:
+    """Let each of ``events`` (callables) happen after the cycle that is its key."""
+
+    def look(cycle: int) -> None:
+        happens = events.get(cycle)
+        if happens is not None:
+            happens()  # type: ignore[operator]
+
+    bench.each_cycle = look
+
+
+def test_loss_delay_reorder_and_duplicates_are_counted_and_flown_through() -> None:
+    with (
+        split_bench("scheme-1", 3.0, PATIENT, lock_step=False) as bench,
+        Relay(bench.link.address, loss=0.02, delay_s=0.005, jitter_s=0.03, duplicate=0.05) as relay,
+        gnc_thread("scheme-1", relay.address) as gnc,
+    ):
+        outcome = bench.fly()
+    account = bench.account()
+    assert outcome.faults == []
+    assert len(outcome.history) == 151
+    assert account["lost"] > 0
+    assert account["reordered"] > 0
+    assert account["duplicates"] > 0
+    assert relay.lost > 0
+    assert gnc.flight.bridged > 0
+    assert account["coasted_cycles"] > 0
+    assert account["delay_cycles_max"] >= 1
+    assert account["round_trip_us"]["p50"] > 10_000.0
+    assert_smooth(bench)
+
+
+def test_partition_stops_the_bench_within_the_cycles_that_are_configured() -> None:
+    settings = ("rig.gnc_link.timeout_cycles=20", "rig.gnc_link.coast_cycles=2")
+    with (
+        split_bench("scheme-1", 5.0, settings, lock_step=False) as bench,
+        Relay(bench.link.address) as relay,
+        gnc_thread("scheme-1", relay.address, patience_s=1.0),
+    ):
+        at_cycle(bench, {60: relay.cut})
+        outcome = bench.fly()
+        relay.mend()
+    assert outcome.mode is Mode.SAFE_STOP
+    assert outcome.stop.startswith("gnc: test gnc at 127.0.0.1:")
+    assert outcome.stop.endswith("has not answered for 20 cycles")
+    assert 79 <= len(outcome.history) <= 82
+    last = outcome.history["command"][-17:]
+    assert not last["on"].any()  # after two cycles of coasting all thrusters are closed
+    assert not outcome.history["navigation"]["valid"][-17:].any()
+    assert bench.account()["losses"] == 1
+    assert_smooth(bench)
+
+
+def test_partition_that_is_held_through_goes_on_without_a_step() -> None:
+    settings = ("rig.gnc_link.timeout_cycles=20", 'rig.gnc_link.on_loss="hold"')
+    with (
+        split_bench("scheme-1", 4.0, settings, lock_step=False, operator=Resuming()) as bench,
+        Relay(bench.link.address) as relay,
+        gnc_thread("scheme-1", relay.address) as gnc,
+    ):
+        at_cycle(bench, {60: relay.cut, 79: lambda: threading.Timer(2.0, relay.mend).start()})
+        outcome = bench.fly()
+    assert outcome.faults == []
+    assert len(outcome.history) == 201
+    texts = [event.text for event in outcome.events]
+    assert any(text.startswith("hold: test gnc at 127.0.0.1:") for text in texts)
+    assert any(text.startswith("resumed after 2.") for text in texts)
+    assert gnc.flight.setups == 1
+    assert gnc.flight.bridged >= 15
+    assert outcome.history["navigation"]["valid"][-50:].all()
+    rails, gimbals = bench.largest_jerks()
+    assert rails < RAIL_LIMIT * 1.001
+    assert gimbals < GIMBAL_LIMIT * 1.001
+
+
+@pytest.mark.slow
+def test_partition_that_is_coasted_through_closes_the_thrusters_and_starts_the_filters_anew() -> None:
+    with (
+        split_bench("scheme-1", 8.0, ("rig.gnc_link.timeout_cycles=200",), lock_step=False) as bench,
+        Relay(bench.link.address) as relay,
+        gnc_thread("scheme-1", relay.address) as gnc,
+    ):
+        at_cycle(bench, {100: relay.cut, 200: relay.mend})
+        outcome = bench.fly()
+    assert outcome.faults == []
+    assert len(outcome.history) == 401
+    assert gnc.flight.restarts == 1
+    assert bench.account()["closed_cycles"] >= 95
+    assert not outcome.history["command"]["on"][110:195, :MAX_THRUSTERS].any()
+    assert outcome.history["navigation"]["valid"][-50:].all()
+    assert_smooth(bench)

@@ -1,0 +1,226 @@
+"""A GNC of the user's own as a shared library: flown, flown in a campaign, replayed, refused, stopped."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_gnc import PYTHON_EXAMPLE, c_example
+
+from hil import build
+from hil.campaign.flight import Flight
+from hil.cli.main import execute
+from hil.config.load import load_rig, load_scenario
+from hil.gnc_interface import GncState
+from hil.messages import CYCLE
+from hil.modes import Mode
+from hil.orders import Operator, Order
+from hil.recording.read import load
+from hil.recording.replay import replay
+from hil.runner import COMPLETED, Outcome
+
+OF_THE_CLOCK = ("sampled_s", "received_s", "commanded_s", "on_wire_s", "lateness_s")
+"""Stamps of devices, which a loop without devices does not have."""
+LATE = ("vmu.latency_s=0.07", "vmu.loss_share=0.2", "rig.vmu.timeout_s=2.0")
+STEP = "    gnc_state *g = gnc;"
+NO_ESTIMATE = "output->estimate = input->t_s > g->first_s + SETTLED_S; => "
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the C example as a shared library."""
+    return c_example(tmp_path_factory.mktemp("gnc"))
+
+
+def variant(folder: Path, *replacements: str) -> Path:
+    """Return the C example with ``old => new`` put in."""
+    return c_example(folder, "other.so", *replacements)
+
+
+def flown(library: Path, duration_s: float, *settings: str, operator: Operator | None = None) -> Outcome:
+    chosen = (f"gnc.library={library}", *settings)
+    job = build.Job(load_scenario("scheme-1", chosen), load_rig("mock", chosen), 3, duration_s, 1.0)
+    build.check(job)
+    with build.runner(job, lambda *_: None, lambda _: None, operator) as runner:
+        return runner.run()
+
+
+def compiled(library: Path, duration_s: float, *settings: str) -> tuple[np.ndarray, np.record, str]:
+    chosen = (f"gnc.library={library}", *settings)
+    scenario, rig = load_scenario("scheme-1", chosen).value, load_rig("mock", chosen).value
+    flight = Flight(scenario, rig, duration_s)
+    flight.fly(scenario, 4)  # what was flown before leaves no trace
+    history = np.zeros(flight.cycles, CYCLE)
+    tally, stop = flight.fly(scenario, 3, history)
+    return history[: tally.cycles], tally, stop
+
+
+def assert_same_bits(one: np.ndarray, other: np.ndarray, name: str = "") -> None:
+    for field in one.dtype.names or ():
+        if one.dtype[field].names:
+            assert_same_bits(one[field], other[field], f"{name}{field}.")
+        elif field not in OF_THE_CLOCK:
+            np.testing.assert_array_equal(one[field], other[field], err_msg=f"{name}{field}")
+
+
+def test_c_example_flies_scheme_1_through_table_iii(library: Path, tmp_path: Path) -> None:
+    numbers = tmp_path / "run.json"
+    assert execute(["run", "scheme-1", "--set", f"gnc.library={library}", "--json", str(numbers)]) == 0
+    summary = json.loads(numbers.read_text())
+    assert summary["passed"]
+    assert summary["gnc"]["library"] == str(library)
+    assert len(summary["gnc"]["sha256"]) == 64
+    assert summary["navigation"]["position_rmse_m"] is not None
+    assert summary["navigation"]["position_bound_m"] is None  # an estimate comes without covariance
+
+
+def test_campaign_case_with_a_library_has_the_bits_of_the_run(library: Path) -> None:
+    outcome = flown(library, 20.0, *LATE)
+    history, _, stop = compiled(library, 20.0, *LATE)
+    assert outcome.stop == stop == COMPLETED
+    assert_same_bits(outcome.history, history)
+
+
+@pytest.mark.parametrize("change", [(), (NO_ESTIMATE,)], ids=["with an estimate", "without one"])
+def test_abort_with_a_library_has_the_same_bits_and_retreats(library: Path, tmp_path: Path, change: tuple[str]) -> None:
+    chosen = variant(tmp_path, *change) if change else library
+    outcome = flown(chosen, 40.0, "gnc.abort.at_s=15.0")
+    history, _, _ = compiled(chosen, 40.0, "gnc.abort.at_s=15.0")
+    assert_same_bits(outcome.history, history)
+    assert history["supervision"]["aborted"][-1] != 0
+    assert history["truth"]["v_CT_H"][-1, 0] > 0.0 > history["truth"]["v_CT_H"][700, 0]
+
+
+def test_run_without_an_estimate_is_judged_on_the_truth_and_never_claims_docking(tmp_path: Path) -> None:
+    chosen, numbers, folder = variant(tmp_path, NO_ESTIMATE), tmp_path / "run.json", tmp_path / "runs"
+    start = ("initial.position_m=[0.55, 0.01, -0.01]", "initial.attitude_deg=[0.3, 0.2, -0.2]")
+    settings = [text for setting in (*start, f"gnc.library={chosen}") for text in ("--set", setting)]
+    options = ["--duration", "60", "--json", str(numbers), "--record", str(folder)]
+    assert execute(["run", "scheme-1", *settings, *options]) == 0
+    summary = json.loads(numbers.read_text())  # NaN would be no JSON
+    assert "NaN" not in numbers.read_text()
+    assert summary["navigation"]["position_rmse_m"] is None
+    assert [e["text"] for e in summary["events"] if "docking" in e["text"]] == [
+        "docking: no-go, the ready state does not hold"
+    ]
+    (recording,) = folder.glob("**/*.mcap")
+    recorded = load(recording)
+    again = replay(recorded, load_scenario("scheme-1", [*start, f"gnc.library={chosen}"]).value)
+    assert again.identical
+
+
+def test_hold_is_told_to_the_library_and_the_run_goes_on(tmp_path: Path) -> None:
+    told = "if (input->mode == HIL_GNC_HOLD) g->first_s -= 1.0;"  # seen in the time at which the estimate is told
+    chosen = variant(tmp_path, f"{STEP} => {STEP} {told}")
+    free, held = flown(chosen, 8.0), flown(chosen, 8.0, operator=_Holding())
+    assert free.stop == held.stop == COMPLETED
+    assert not free.history["navigation"]["valid"].any()
+    assert held.history["navigation"]["valid"][101:].all()
+
+
+class _Holding(Operator):
+    """Starts the run, holds it after 100 cycles, and lets it go on 20 cycles later."""
+
+    def __init__(self) -> None:
+        super().__init__(attended=True)
+        self._cycles = -1
+
+    def next(self, mode: Mode) -> Order | None:
+        order = super().next(mode)
+        self._cycles = 0 if order is Order.START else self._cycles
+        return order
+
+    def listen(self, now_s: float) -> None:
+        self._cycles += self._cycles >= 0
+        if self._cycles in (100, 120):
+            self.order(Order.HOLD if self._cycles == 100 else Order.RESUME)
+
+
+@pytest.mark.parametrize(
+    ("put", "words"),
+    [
+        ("control(g, input, output); => control(g, input, output); output->force[2] = 2;", "force demand along z is 2"),
+        (f"{STEP} => {STEP} output->cycle += input->cycle == 50;", "answers cycle 51 to the input of cycle 50"),
+        (f"{STEP} => {STEP} if (input->cycle == 50) return 7;", "its step returned 7"),
+        (f"{STEP} => {STEP} output->direct = 1; output->on[20] = 1;", "opens thruster 21 of 16"),
+        (
+            "output->estimate = input->t_s > g->first_s + SETTLED_S; => output->estimate = 1; g->v[1] += 0.0 / 0.0;",
+            "estimated v_CT_H_mps[1] is nan",
+        ),
+    ],
+    ids=["range", "cycle", "code", "thruster", "nan"],
+)
+def test_output_that_cannot_be_right_stops_the_bench_with_the_same_words_everywhere(
+    tmp_path: Path, put: str, words: str
+) -> None:
+    chosen = variant(tmp_path, put)
+    outcome = flown(chosen, 4.0)
+    history, _, stop = compiled(chosen, 4.0)
+    assert outcome.stop == stop
+    assert outcome.faults == [stop]
+    assert stop.startswith("gnc other.so: ")
+    assert words in stop
+    assert len(history) == len(outcome.history)
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        (GncState.FAULT, "gnc other.so: star tracker"),
+        (GncState.ASKS_FOR_HOLD, "gnc other.so asks for it: star tracker"),
+    ],
+)
+def test_library_that_reports_a_fault_or_asks_for_a_hold_is_heard(tmp_path: Path, state: GncState, words: str) -> None:
+    said = f'if (input->cycle == 50) {{ output->state = {state.value}; strcpy(output->text, "star tracker"); }}'
+    chosen = variant(tmp_path, f"{STEP} => {STEP} {said}")
+    outcome = flown(chosen, 4.0)
+    history, _, stop = compiled(chosen, 4.0)
+    assert outcome.stop == stop
+    assert words in stop
+    assert_same_bits(outcome.history, history)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda folder: folder / "none.so", "no such file"),
+        (lambda folder: PYTHON_EXAMPLE, "cannot be loaded"),
+        (lambda folder: variant(folder, "int hil_gnc_step( => int some_step("), "has no function hil_gnc_step"),
+        (lambda folder: variant(folder, "return HIL_GNC_PROTOCOL; => return 99;"), "speaks protocol 99"),
+        (
+            lambda folder: variant(folder, 'if (g == NULL) => strcpy(reason, "no star"); return NULL; if (g == NULL)'),
+            "refuses the scenario: no star",
+        ),
+    ],
+    ids=["missing", "no library", "symbol", "protocol", "refused"],
+)
+def test_library_that_cannot_fly_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path], Path], words: str
+) -> None:
+    assert execute(["run", "scheme-1", "--set", f"gnc.library={make(tmp_path)}"]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert words in lines[-1]
+    assert "gnc.library" in lines[-1]
+
+
+@pytest.mark.parametrize("command", ["campaign", "gnc-check"])
+def test_other_commands_refuse_it_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
+    path, words = str(variant(tmp_path, "return HIL_GNC_PROTOCOL; => return 99;")), "speaks protocol 99"
+    arguments = {
+        "campaign": ["campaign", "scheme-1", "--runs", "2", "--out", str(tmp_path / "out")],
+        "gnc-check": ["gnc-check", path],
+    }[command]
+    setting = ["--set", f"gnc.library={path}"] if command == "campaign" else []
+    assert execute([*arguments, *setting]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert words in lines[-1]
+    assert "gnc.library" in lines[-1]
+
+
+def test_path_of_a_library_counts_from_the_folder_of_its_scenario(library: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('extends = "scheme-1"\n[gnc]\nlibrary = "lib/mygnc.so"\n')
+    found = load_scenario(str(tmp_path / "mine.toml")).value.gnc.library
+    assert found == str(tmp_path / "lib" / "mygnc.so")

@@ -1,0 +1,86 @@
+"""A run with bench and GNC apart is the run of one process; and what the link measures."""
+
+from __future__ import annotations
+
+import pytest
+from far_gnc import gnc_thread, split_bench
+
+from hil import build
+from hil.cli.main import execute
+from hil.config.load import load_rig, load_scenario
+from hil.errors import DeviceError, LinkTimeout
+
+
+def in_one_process(scenario: str, duration_s: float, settings: tuple[str, ...] = (), seed: int = 0) -> build.Job:
+    return build.Job(load_scenario(scenario, settings), load_rig("mock", settings), seed, duration_s, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "duration_s"),
+    [
+        ("scheme-1", 4.0),
+        ("scheme-2", 4.0),
+        ("scheme-3", 4.0),
+        *(pytest.param(f"scheme-{n}", 400.0, marks=pytest.mark.slow) for n in (1, 2, 3)),
+    ],
+)
+def test_lock_step_gives_the_trajectory_of_one_process_bit_by_bit(scheme: str, duration_s: float) -> None:
+    with build.runner(in_one_process(scheme, duration_s), lambda *_: None, lambda _: None) as runner:
+        alone = runner.run()
+    with split_bench(scheme, duration_s) as bench, gnc_thread(scheme, bench.link.address) as gnc:
+        apart = bench.fly()
+    cycles = round(duration_s / 0.02) + 1
+    assert apart.faults == []
+    assert apart.history.tobytes() == alone.history.tobytes()
+    assert apart.events == alone.events
+    account = bench.account()
+    assert (account["answers"], account["delay_cycles"], account["lost"]) == (cycles, 0.0, 0)
+    assert gnc.flight.steps == cycles
+
+
+def test_lock_step_gives_the_same_where_poses_come_late_and_several_in_a_cycle() -> None:
+    late = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_share=0.2", "vmu.loss_share=0.1")
+    with build.runner(in_one_process("scheme-1", 4.0, late, seed=3), lambda *_: None, lambda _: None) as runner:
+        alone = runner.run()
+    with split_bench("scheme-1", 4.0, late, seed=3) as bench, gnc_thread("scheme-1", bench.link.address, late):
+        apart = bench.fly()
+    assert apart.history.tobytes() == alone.history.tobytes()
+
+
+def test_gnc_of_another_chaser_is_refused_in_words() -> None:
+    heavier = ("chaser.mass_kg=1200.0",)
+    with (
+        split_bench("scheme-1", 1.0) as bench,
+        gnc_thread("scheme-1", bench.link.address, heavier, patience_s=0.5),
+        pytest.raises(DeviceError, match=r"gnc: setup differs in mass_kg \(1000\.0 there, 1200\.0 here\)"),
+    ):
+        bench.fly()
+
+
+def test_bench_that_nobody_answers_says_where_it_waited() -> None:
+    with (
+        split_bench("scheme-1", 1.0) as bench,
+        pytest.raises(LinkTimeout, match=r"gnc: none has answered 127\.0\.0\.1:\d+ within 0\.1 s"),
+    ):
+        bench.seat.connect(0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["dss", "scheme-1", "--listen", "127.0.0.1:1", "--gnc", "127.0.0.1:2"], "give this or --listen, not both"),
+        (["dss", "scheme-1", "--listen", "nonsense:port"], "--listen: nonsense:port: must be HOST:PORT"),
+        (["dss", "scheme-1", "--lock-step", "--speed", "2"], "in lock-step a mock rig has no wall clock"),
+        (["dss", "scheme-1", "--wait", "0"], "--wait: 0: must be a time above 0 s"),
+        (["dss", "scheme-1", "--set", "rig.gnc_link.coast_cycles=9"], "coast_cycles = 9: must not exceed"),
+        (["dss", "scheme-1", "--set", "rig.gnc_link.on_loss=explode"], "rig.gnc_link.on_loss"),
+        (["gnc", "scheme-1", "--dss", "127.0.0.1:0"], "--dss: 127.0.0.1:0: must name a port"),
+        (["gnc", "scheme-1", "--listen", "192.0.2.1:5000"], "192.0.2.1:5000: cannot listen there"),
+        (["gnc", "scheme-1", "--dss", "127.0.0.1:9", "--json", "/no/such/folder/x.json"], "folder does not exist"),
+    ],
+)
+def test_bad_option_is_refused_in_a_line(capsys: pytest.CaptureFixture[str], arguments: list[str], said: str) -> None:
+    assert execute(arguments) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert said in lines[0]
