@@ -27,6 +27,7 @@ from hil.modes import Mode
 from hil.orders import OBEYED_IN, Operator, Order
 from hil.recording.taps import Notes
 from hil.runner import Runner
+from hil.stages import Gnc
 from hil.tuning import unpacked
 
 STATUS_EACH_WALL_S: Final = 0.05
@@ -189,6 +190,8 @@ class RemoteOperator(Operator):
         except ValueError as error:
             return f"{key}: {error}"
         gnc = self._runner.loop.gnc
+        if not isinstance(gnc, Gnc):
+            return f"{key}: a setting of the built-in GNC, which is not the one that flies"
         cycle = gnc.adjust(*records)
         text = f"{key}={value!r}"
         if self._notes is not None:

@@ -23,6 +23,7 @@ from hil.messages import CYCLE, MAX_POSES, POSE
 from hil.recording.read import Recorded
 from hil.recording.schema import flat_fields
 from hil.seat import Seat
+from hil.stages import Gnc
 from hil.tuning import tuning, with_setting
 
 COMPARED: Final = ("navigation", "nees_position", "nees_attitude", "reference", "supervision", "command")
@@ -180,8 +181,10 @@ class _Settings:
             if note["kind"] == "setting" and follows(recorded, scenario, note["message"]):
                 self._by_cycle[note["cycle"]].append(note["message"])
 
-    def give(self, gnc: Gnc, cycle: int) -> None:
-        """Change in ``gnc`` what was changed before ``cycle``."""
+    def give(self, gnc: Seat, cycle: int) -> None:
+        """Change in ``gnc`` what was changed before ``cycle``; one of the user's own has none of our settings."""
+        if not isinstance(gnc, Gnc):
+            return
         for setting in self._by_cycle.get(cycle, ()):
             self._scenario = with_setting(self._scenario, setting, self._source).value
             gnc.adjust(*tuning(self._scenario))
