@@ -76,7 +76,7 @@ def mark_kernels_cached() -> None:
 
 
 def kernel(function: _Function) -> _Function:
-    """Compile ``function`` for the loop: no Python inside, no fast-math, cached on disk.
+    """Compile ``function`` for the loop: no Python inside, no fast-math, cached on disk, inlined where it is called.
 
     Division by zero gives inf or nan as in numpy, so that a bad number is caught by the
     supervisor's check for finite values and not by an exception in mid-cycle.
