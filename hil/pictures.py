@@ -290,7 +290,6 @@ class MakerBeside:
 
 
 def _give_way() -> None:
-    """Let this thread be an ordinary one, whatever the thread that started it runs at."""
+    """Take this thread out of real time, whatever the thread that started it runs at; its niceness stays."""
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 0)

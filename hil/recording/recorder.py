@@ -7,6 +7,7 @@ parent says how the run ended, or is gone: then it takes what the rings still ho
 from __future__ import annotations
 
 import json
+import os
 import select
 import signal
 import socket
@@ -35,6 +36,7 @@ from hil.recording.writer import FLUSH_S, Account, Header, RunFile
 _LOOK_WALL_S: Final = 0.02
 _AT_MOST: Final = 512  # rows at once, so that no look lasts long
 _PICTURES_AT_MOST: Final = 2
+_NICENESS: Final = -10  # before what is not in real time; it takes a few percent of a CPU
 KINDS: Final = {
     "cycles": CYCLE,
     "arrivals": ARRIVAL,
@@ -145,6 +147,8 @@ def main() -> None:
     """Read the configuration from standard input and record; Ctrl-C is the parent's."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the parent's end says when to end
+    with suppress(OSError):  # where it may: what stands in a ring too long is lost
+        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
     np.seterr(all="ignore")  # what is not a number is recorded as it is
     record(json.loads(sys.stdin.readline()))
 
