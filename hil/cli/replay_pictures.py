@@ -13,6 +13,7 @@ from hil.config.load import load_file, load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
 from hil.errors import BadInput, Problem
+from hil.monitor.findings import QUANTITIES
 from hil.recording.read import Recorded, load
 from hil.recording.replay_pictures import (
     Component,
@@ -148,7 +149,8 @@ def _row(d: Component) -> tuple[str, ...]:
     unit, factor = _SHOWN.get(d.unit, (d.unit, 1.0))
     largest = None if d.largest is None else factor * d.largest
     size = _number(largest) if d.unit else "-"
-    return (d.name, unit or "-", str(d.count), _time(d.first_s), size, _number(d.largest_sigmas), _time(d.largest_s))
+    name = d.name.rpartition("_")[0].replace("_", " ") if d.name in QUANTITIES else d.name
+    return (name, unit or "-", str(d.count), _time(d.first_s), size, _number(d.largest_sigmas), _time(d.largest_s))
 
 
 def _number(value: float | None) -> str:

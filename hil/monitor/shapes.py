@@ -94,7 +94,7 @@ def _numbers(portion: Portion | None) -> list[tuple[str, bool, str]]:
     for quantity, name, unit, factor, decimals in NUMBERS:
         if quantity in _OVER_THE_PICTURE and portion.observes(quantity):
             value, sigma = portion.value(quantity) * factor, portion.sigma(quantity) * factor
-            found.append((f"{name} {value:.{decimals}f} +- {sigma:.{decimals}f} {unit}", True, NUMBER))
+            found.append((f"{name} {value:.{decimals}f} +- {sigma:.{decimals + 1}f} {unit}", True, NUMBER))
     return found
 
 

@@ -133,7 +133,7 @@ def test_another_scene_shows_in_range_and_sigmas(
     path.write_text(json.dumps(other))
     assert execute(["replay", str(recorded.path), "--monitor", "--scene", str(path)]) == 0
     said = capsys.readouterr().out
-    assert "range_m" in said
+    assert next(line.split()[:2] for line in said.splitlines() if line.startswith("range ")) == ["range", "mm"]
     assert said.splitlines()[-1].startswith("differs from 0.")
 
 

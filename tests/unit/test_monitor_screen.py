@@ -177,7 +177,7 @@ def test_what_stands_over_a_picture_by_itself_has_words_first_and_not_every_edge
     found = with_words(seen, portion(1.2, range_m=8.5))
     assert [shape["text"] for shape in found if shape["kind"] == "text"] == [
         "near   t = 1.25 s   frame 3",
-        "range 8.500 +- 0.010 m",
+        "range 8.500 +- 0.0100 m",
     ]
     assert [shape["kind"] for shape in found[:2]] == ["text", "text"]
     assert [shape["part"] for shape in found[2:9]] == ["region"] * 4 + ["circle"] + ["cross"] * 2
