@@ -27,6 +27,8 @@ NEAR = ("--set", "initial.position_m=[0.7, -0.03, 0.03]", "--set", "rig.rails.x.
 _PATIENCE = {
     "rig.console.lease_s": "30",
     "rig.io.timeout_s": "10",
+    "rig.io.pump_timeout_s": "5",
+    "rig.safety.command_age_max_s": "10",
     **{f"rig.{device}.timeout_s": "10" for device in ("rails", "turntable", "vmu")},
     **{f"rig.{device}.lost_packets_max": "1e6" for device in ("rails", "turntable", "vmu")},
 }

@@ -246,7 +246,7 @@ def test_missing_extra_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, caps
     assert capsys.readouterr().err == "hil console: uvicorn missing: pip install 'hil-bench[console]'\n"
 
 
-@pytest.mark.parametrize("line_is_dropped", [False, True])
+@pytest.mark.parametrize("line_is_dropped", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread(line_is_dropped: bool) -> None:
     async def talk() -> list[dict[str, Any]]:
         heard: list[dict[str, Any]] = []

@@ -157,7 +157,7 @@ export class Controls {
     options($("fault_device"), Object.keys(page.faults.menu));
     this.faultKinds();
     const on = Object.entries(page.faults.on).filter(([, list]) => list !== "none");
-    const none = open ? "this rig has no emulated devices" : "of emulated devices, while a bench is open";
+    const none = open ? "this rig has no emulated devices" : "while an emulated bench is open";
     $("fault_list").textContent = Object.keys(page.faults.menu).length ? on.map(([device, list]) => `${device}: ${list}`).join("; ") : none;
     $("fault_list").classList.toggle("none", !on.length);
     if (page.bench.axes && document.querySelectorAll(".axis").length === 0) this.axes(Object.keys(page.bench.axes));

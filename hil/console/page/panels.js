@@ -28,6 +28,7 @@ export function header(now, page, store) {
   $("holder").textContent = now.lease.mine ? "You have the command" : now.lease.holder ? `${now.lease.holder} commands` : "nobody commands";
   $("word").textContent = words(now, page);
   recording(now.recording);
+  $("share").hidden = $("recording").hidden = !now.open; // room for how it ended
 }
 
 // Whether the session is being recorded, how much of it there is, and what is lost.

@@ -66,7 +66,7 @@ export class Plots {
     this.compared.title = `${name} \u2212 plan mm [v]`;
     this.compared.series = [
       off("vision", { name: "VMU", color: YELLOW, dots: true }),
-      { name: "monitor", color: GREEN, points: (store) => this.monitor(store, axis) },
+      ...(this.monitored ? [{ name: "monitor", color: GREEN, points: (store) => this.monitor(store, axis) }] : []),
       off("bench", { name: "bench", color: WHITE, width: 2.5 }),
       off("estimate", { name: "filter", color: Y, width: 1.5, dash: [6, 2] }),
     ];
@@ -91,6 +91,8 @@ export class Plots {
 
   describe(bench) {
     if (!bench.thrusters) return;
+    this.monitored = bench.monitor.length > 0;
+    this.compare(this.axis);
     this.firings.thrusters = bench.thrusters;
     this.nis.value = bench.nis_bound;
     this.nis.text = `3 sigma: ${bench.nis_bound.toFixed(1)}`;
