@@ -11,6 +11,7 @@ import pytest
 from foreign_gnc import PYTHON_EXAMPLE, c_example
 
 from hil import build
+from hil.assembly import library_problems
 from hil.campaign.flight import Flight
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
@@ -198,26 +199,27 @@ def test_library_that_reports_a_fault_or_asks_for_a_hold_is_heard(tmp_path: Path
     ids=["missing", "no library", "symbol", "protocol", "refused"],
 )
 def test_library_that_cannot_fly_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path], Path], words: str
+    tmp_path: Path, make: Callable[[Path], Path], words: str
 ) -> None:
-    assert execute(["run", "scheme-1", "--set", f"gnc.library={make(tmp_path)}"]) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert words in lines[-1]
-    assert "gnc.library" in lines[-1]
+    (problem,) = library_problems(load_scenario("scheme-1", [f"gnc.library={make(tmp_path)}"]))
+    assert words in problem.message
+    assert (problem.source, problem.key) == ("--set", "gnc.library")
+    assert "\n" not in str(problem)
 
 
-@pytest.mark.parametrize("command", ["campaign", "gnc-check"])
-def test_other_commands_refuse_it_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
-    path, words = str(variant(tmp_path, "return HIL_GNC_PROTOCOL; => return 99;")), "speaks protocol 99"
+@pytest.mark.parametrize("command", ["run", "campaign", "gnc-check"])
+def test_every_command_refuses_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
+    path = str(variant(tmp_path, "return HIL_GNC_PROTOCOL; => return 99;"))
+    setting = ["--set", f"gnc.library={path}"]
     arguments = {
-        "campaign": ["campaign", "scheme-1", "--runs", "2", "--out", str(tmp_path / "out")],
+        "run": ["run", "scheme-1", *setting],
+        "campaign": ["campaign", "scheme-1", "--runs", "2", "--out", str(tmp_path / "out"), *setting],
         "gnc-check": ["gnc-check", path],
-    }[command]
-    setting = ["--set", f"gnc.library={path}"] if command == "campaign" else []
-    assert execute([*arguments, *setting]) == 2
+    }
+    assert execute(arguments[command]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
-    assert words in lines[-1]
     assert "gnc.library" in lines[-1]
+    assert "speaks protocol 99" in lines[-1]
 
 
 def test_path_of_a_library_counts_from_the_folder_of_its_scenario(library: Path, tmp_path: Path) -> None:
