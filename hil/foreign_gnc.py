@@ -16,6 +16,7 @@ from hil.seat import Poses, Records
 from hil.told import Told
 
 _AXES: Final = "xyz"
+_WORDS: Final = 200  # that are put down in a run: a text that changes in each cycle must not fill the log
 _NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
 
 
@@ -87,7 +88,7 @@ class ForeignGnc(Approach):
         text = out.text
         if text != self._said:
             self._said = text
-            if text:
+            if text and len(self.words) < _WORDS:
                 self.words.append(Event(t_s, self.name, printable(text)))
         if out.state >= foreign.ASKS_FOR_HOLD:
             self._hear_state(out)

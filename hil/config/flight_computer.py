@@ -46,6 +46,14 @@ class FlightComputer(Strict):
             raise ValueError(f"lost_s = {self.lost_s:g}: must not be below timeout_s, {self.timeout_s:g}")
         return self
 
+    @model_validator(mode="after")
+    def _poses_go_to_who_flies(self) -> Self:
+        if self.words == "none" and self.poses.port is not None:
+            raise ValueError(
+                'poses.port goes with words = "serial" or "can": who flies by other ways is told the poses'
+            )
+        return self
+
     def missing_wires(self) -> list[str]:
         """Return the keys of wires that are needed and not named."""
         if self.words == "serial" and self.serial.port is None:

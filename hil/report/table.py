@@ -27,6 +27,7 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
         console.print(_ready_phase(summary, verdict, requirements))
     _print_parts(summary["verdict"], console)
     _print_times(summary, paper.ready_time_s if paper else None, console)
+    _print_library(summary.get("gnc", {"library": None}), console)
     _print_navigation(summary["navigation"], console)
     thrusters = summary["thrusters"]
     console.print(
@@ -179,9 +180,14 @@ def _print_times(summary: dict[str, Any], paper_s: float | None, console: Consol
     )
 
 
+def _print_library(gnc: dict[str, Any], console: Console) -> None:
+    if gnc["library"] is not None:
+        console.print(f"Flown by    {gnc['library']}", highlight=False, soft_wrap=True, markup=False)
+
+
 def _print_navigation(navigation: dict[str, Any], console: Console) -> None:
     if navigation["position_rmse_m"] is None:
-        console.print("Navigation  no pose came", highlight=False)
+        console.print("Navigation  no estimate: no pose came, or the GNC gave none", highlight=False)
         return
     bound = navigation["position_bound_m"]
     angle_bound = navigation["attitude_bound_deg"]
