@@ -37,6 +37,7 @@ _NO_WALL_CLOCK = {
     "test_rendered_loop",
     "test_replay",
     "test_runs_in_memory",
+    "test_two_computers",
     "test_vmu_command",
     "test_vmu_streams",
 }

@@ -42,6 +42,9 @@ def dss_command(
     if scenario.value.gnc.library is not None:
         text = "the GNC is at the other end of the link: hil run flies with a library"
         raise BadInput.single(scenario.where("gnc.library"), "gnc.library", text)
+    if rig.value.flight_computer.words != "none":
+        text = f'"{rig.value.flight_computer.words}": the GNC is at the other end of the link: hil run flies by words'
+        raise BadInput.single(rig.where("flight_computer.words"), "rig.flight_computer.words", text)
     if rig.value.kind == "mock" and lock_step and speed != 1.0:
         text = f"{speed:g}: in lock-step a mock rig has no wall clock: leave --speed away"
         raise BadInput.single("--speed", "", text)

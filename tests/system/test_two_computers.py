@@ -38,13 +38,20 @@ def test_lock_step_gives_the_trajectory_of_one_process_bit_by_bit(scheme: str, d
     assert gnc.flight.steps == cycles
 
 
-def test_lock_step_gives_the_same_where_poses_come_late_and_several_in_a_cycle() -> None:
-    late = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_share=0.2", "vmu.loss_share=0.1")
-    with build.runner(in_one_process("scheme-1", 4.0, late, seed=3), lambda *_: None, lambda _: None) as runner:
+LATE = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_share=0.2", "vmu.loss_share=0.1")
+"""Poses that come late, out of order and several in a cycle."""
+ABORT = ("gnc.abort.at_s=2.0",)
+"""The plan changes on the bench's side, and control boosts on the other."""
+
+
+@pytest.mark.parametrize("settings", [LATE, ABORT])
+def test_lock_step_gives_the_same_also_with_late_poses_and_in_an_abort(settings: tuple[str, ...]) -> None:
+    with build.runner(in_one_process("scheme-1", 4.0, settings, seed=3), lambda *_: None, lambda _: None) as runner:
         alone = runner.run()
-    with split_bench("scheme-1", 4.0, late, seed=3) as bench, gnc_thread("scheme-1", bench.link.address, late):
+    with split_bench("scheme-1", 4.0, settings, seed=3) as bench, gnc_thread("scheme-1", bench.link.address, settings):
         apart = bench.fly()
     assert apart.history.tobytes() == alone.history.tobytes()
+    assert apart.events == alone.events
 
 
 def test_gnc_of_another_chaser_is_refused_in_words() -> None:
