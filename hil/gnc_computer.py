@@ -121,7 +121,8 @@ class GncComputer:
         knows_after_s = _KNOWS_AFTER * self._scenario.step_s
         silent = False
         while True:
-            self.link.wait(min(_SLICE_S, knows_after_s))
+            left_s = heard_s + knows_after_s - time.monotonic()
+            self.link.wait(min(_SLICE_S, left_s) if left_s > 0.0 else _SLICE_S)
             self.link.tend()
             arrivals = self.link.poll()
             for arrival in arrivals:
@@ -135,7 +136,7 @@ class GncComputer:
                 if silent and self.flight.silences <= _SILENCES_TOLD:
                     self._tell("the bench is heard again")
                 heard_s, silent = now_s, False
-            elif self._is_flying and not silent and now_s - heard_s > knows_after_s:
+            elif self._is_flying and not silent and now_s - heard_s >= knows_after_s:
                 silent = True
                 self.flight.silences += 1
                 if self.flight.silences <= _SILENCES_TOLD:
