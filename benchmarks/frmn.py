@@ -1,6 +1,6 @@
 """Round trips and lateness of the reflective memory between two processes at 1 kHz, beside pyzmq and a plain UDP ping.
 
-python benchmarks/frmn.py [--seconds 10] [--rounds 3] [--rate-hz 1000] [--namespaces]
+python benchmarks/frmn.py [--seconds 10] [--rounds 3] [--rate-hz 1000] [--namespaces] [--only LINE...]
 
 One process sends GNC_INPUT (1056 bytes with its header) at the rate and the other answers at once by GNC_OUTPUT
 (272 bytes). Four lines, interleaved round by round: cells over the product's link; the same bytes by two bare UDP
@@ -181,6 +181,8 @@ def ping_loop(hosts: Hosts, rate_hz: float, count: int, to: Trips) -> None:
         seat.connect(120.0)
         with build.runner(replace(job, seat=lambda _: seat), lambda *_: None, lambda _: None) as runner:
             outcome = runner.run()
+    if outcome.faults:
+        print(f"the run of the loop ended early: {outcome.stop}")
     to.trips_us.append(1e6 * np.array([trip for trip in seat.account._round_trips_s if trip == trip]))
     to.late_us.append(1e6 * outcome.history["lateness_s"])
     to.missing += seat.account.coasted + seat.account.closed
@@ -282,13 +284,14 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--rate-hz", type=float, default=1000.0)
     parser.add_argument("--namespaces", action="store_true")
+    parser.add_argument("--only", nargs="+", choices=list(PINGS), help="lines to run")
     parser.add_argument("--answer", nargs=3, metavar=("LINE", "HERE", "THERE"), help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.answer:
         answer(*given.answer)
         return
-    lines = [line for line in PINGS if line != "pyzmq" or importlib.util.find_spec("zmq")]
-    if "pyzmq" not in lines:
+    lines = [line for line in (given.only or PINGS) if line != "pyzmq" or importlib.util.find_spec("zmq")]
+    if "pyzmq" not in lines and not given.only:
         print("pyzmq is not installed: its line is left out (pip install pyzmq)")
     tallies = {line: Trips([], []) for line in lines}
     with namespaces() if given.namespaces else one_host() as hosts:

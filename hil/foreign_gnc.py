@@ -132,6 +132,7 @@ class ForeignGnc(Approach):
         """Call each kernel once: nothing compiles once the bench is powered."""
         navigation, command, output = new(NAVIGATION), new(COMMAND), new(GNC_OUTPUT)
         foreign.write_input(-1, 0.0, int(GncMode.STANDBY), 0, new(IMU), new(REFERENCE), _NO_POSES, 0, self.input)
+        foreign.clear_output(output, 0)
         foreign.fault_of(output, 0, self._n)
         foreign.take_output(output, self._sets, self._n, new(REFERENCE).boost, navigation, command)
         foreign.show_nothing(navigation)

@@ -22,7 +22,7 @@ from hil.frmn.link import PORT_CLOSED, Arrival, Link
 from hil.frmn.udp import Address, shown
 from hil.frmn.wire import Refusal
 from hil.gnc import remote
-from hil.gnc_interface import GNC_INPUT, GncMode, GncState
+from hil.gnc_interface import GNC_INPUT, GncMode, GncOrder, GncState
 from hil.gnc_setup import gnc_setup
 from hil.maths.arrays import copy_into
 from hil.messages import COMMAND, IMU, MAX_POSES, NAVIGATION, POSE, REFERENCE, new
@@ -105,6 +105,10 @@ class GncComputer:
         self._input_bytes = self._inputs.view(np.uint8).data
         self._out = self._flights.view(np.recarray)[0]
         self._told_filters = self._filters.view(np.recarray)[0]
+        start = GNC_FLIGHT.fields["command"][1] if GNC_FLIGHT.fields else 0
+        self._command_bytes = self._flights.view(np.uint8).data[start : start + COMMAND.itemsize]
+        self._command_before = b""  # control decided in the last cycle
+        self._aborting = False
         self._begin()
         self._warm_up()
 
@@ -117,7 +121,8 @@ class GncComputer:
         knows_after_s = _KNOWS_AFTER * self._scenario.step_s
         silent = False
         while True:
-            self.link.wait(min(_SLICE_S, knows_after_s))
+            left_s = heard_s + knows_after_s - time.monotonic()
+            self.link.wait(min(_SLICE_S, left_s) if left_s > 0.0 else _SLICE_S)
             self.link.tend()
             arrivals = self.link.poll()
             for arrival in arrivals:
@@ -131,7 +136,7 @@ class GncComputer:
                 if silent and self.flight.silences <= _SILENCES_TOLD:
                     self._tell("the bench is heard again")
                 heard_s, silent = now_s, False
-            elif self._is_flying and not silent and now_s - heard_s > knows_after_s:
+            elif self._is_flying and not silent and now_s - heard_s >= knows_after_s:
                 silent = True
                 self.flight.silences += 1
                 if self.flight.silences <= _SILENCES_TOLD:
@@ -211,6 +216,8 @@ class GncComputer:
         begun_s = time.perf_counter()
         if cycle <= self._last:
             if cycle == self._last:
+                if self._input.orders & GncOrder.ABORT and not self._aborting:
+                    self._control_again()
                 self._send()
             return
         gap = cycle - self._last - 1
@@ -226,13 +233,23 @@ class GncComputer:
         self.arrived = arrived
         out = self._out
         self._gnc.navigate(self._imu, self, out.navigation)
+        self._command_before = bytes(self._command_bytes)
         self._gnc.control(out.navigation, self._reference, out.command)
         remote.tell_output(cycle, out.navigation, out.command, self._n, out.output)
         out.output.text = b""
         self._last = cycle
+        self._aborting = bool(self._input.orders & GncOrder.ABORT)
         self._send()
         self.flight.steps += 1
         self.flight.compute_us.append(1e6 * (time.perf_counter() - begun_s))
+
+    def _control_again(self) -> None:
+        """Decide anew in the same cycle: supervision has begun an abort on the estimate, and has another reference."""
+        self._aborting = True
+        remote.hear_input(self._input, self._not_before_s, self._imu, self._reference, self.poses)
+        self._command_bytes[:] = self._command_before
+        self._gnc.control(self._out.navigation, self._reference, self._out.command)
+        remote.tell_output(self._last, self._out.navigation, self._out.command, self._n, self._out.output)
 
     def _join_at(self, cycle: int) -> None:
         """Let the filters begin in the middle of a run: their steps have its numbers, older poses have no place."""

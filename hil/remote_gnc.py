@@ -154,6 +154,18 @@ class RemoteGnc(ForeignGnc):
         """Write the reference, ask the GNC, take what it says, and supervise that."""
         self._reference, self._held_since_s = now.reference, None
         super().act(t_s, now, vision)
+        if self._abort_began and self._lock_step and self._missed == 0 and self._inbox.has_flight:
+            self._control_again(t_s, now)
+
+    def _control_again(self, t_s: float, now: Records) -> None:
+        """Let our GNC decide anew by the reference of an abort that has just begun, as ``hil run`` does."""
+        self._abort_began = False
+        self._write_input(t_s, GncMode.RUNNING, GncOrder.ABORT, now.imu, now.reference, _NO_POSES, 0)
+        self._answered -= 1
+        if self.exchange():
+            self._take_answer(now, t_s)
+        else:
+            self.miss(now)
 
     def exchange(self) -> bool:
         """Send the input; bring an answer into ``output``; False where none that is new is there."""
@@ -176,13 +188,19 @@ class RemoteGnc(ForeignGnc):
     def take(self, now: Records, cycle: int, t_s: float) -> None:
         """Write NAVIGATION and COMMAND from the answer that is used in ``cycle``. Raises BenchError."""
         self._missed = 0
+        if self._take_answer(now, t_s) and (
+            math.isfinite(now.navigation.nis_position) or math.isfinite(now.navigation.nis_attitude)
+        ):
+            self.watch.look(self._answered, now.imu, _A_POSE, now.navigation, _NO_POSES)
+
+    def _take_answer(self, now: Records, t_s: float) -> bool:
+        """Write NAVIGATION and COMMAND; return whether they are those of our own GNC."""
         super().take(now, self._answered, t_s)
         if not self._inbox.has_flight or self.output.state != GncState.WORKING:
-            return
+            return False
         if not remote.take_flight(self._inbox.navigation, self._inbox.command, now.navigation, now.command):
             raise ProtocolError(self.name, "its estimate is not finite")
-        if math.isfinite(now.navigation.nis_position) or math.isfinite(now.navigation.nis_attitude):
-            self.watch.look(self._answered, now.imu, _A_POSE, now.navigation, _NO_POSES)
+        return True
 
     def miss(self, now: Records) -> None:
         """Let the last command stand for a while, then close all thrusters; when it lasts, the GNC is lost."""
@@ -204,7 +222,9 @@ class RemoteGnc(ForeignGnc):
     def supervise(self, t_s: float, estimate: np.record, reference: np.record, out: np.record) -> None:
         """Judge our own GNC as ``hil run`` does, also before its first pose; others as those that may say nothing."""
         if self._missed == 0 and self._inbox.has_flight:
+            aborted = out.aborted
             Approach.supervise(self, t_s, estimate, reference, out)
+            self._abort_began = out.aborted != aborted
         else:
             super().supervise(t_s, estimate, reference, out)
 

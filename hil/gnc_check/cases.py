@@ -50,6 +50,11 @@ class Case:
     before: tuple[GncMode, ...] = field(default=())
     """Modes of the inputs before time runs."""
 
+    @property
+    def moves(self) -> bool:
+        """Whether the chaser drifts or turns."""
+        return self.drift_mps != _ZERO or self.rate_radps != _ZERO
+
 
 @dataclass(frozen=True)
 class Truth:
@@ -97,19 +102,17 @@ class Player:
     def _fill(self, told: np.record, case: Case, cycle: int, mode: GncMode, orders: int) -> None:
         t_s = max(0, cycle) * self._dt
         running = mode is GncMode.RUNNING
-        now = self.truth(case, t_s)
         told.cycle, told.t_s, told.mode, told.orders = cycle, t_s, int(mode), int(orders)
-        a = quat.to_matrix(now.q)
-        free = np.empty(3)
-        hill_acceleration(now.r, now.v, self._n, free)
-        told.rate_radps = now.w + now.orbit
-        told.force_mps2 = a @ -free  # what keeps it from moving freely
-        away_s = max(0.0, t_s - case.abort_s)
-        told.reference_r_CT_H_m = self._anchor + np.array([_RETREAT_MPS * away_s, 0.0, 0.0])
-        told.reference_v_CT_H_mps = (_RETREAT_MPS if t_s >= case.abort_s else 0.0, 0.0, 0.0)
-        told.reference_a_CT_H_mps2 = 0.0
+        if case.moves or cycle <= 0:
+            now, free = self.truth(case, t_s), np.empty(3)
+            hill_acceleration(now.r, now.v, self._n, free)
+            told.rate_radps = now.w + now.orbit
+            told.force_mps2 = quat.to_matrix(now.q) @ -free  # what keeps it from moving freely
+        told.reference_r_CT_H_m = self._anchor
+        if t_s >= case.abort_s:
+            told.reference_r_CT_H_m[0] += _RETREAT_MPS * (t_s - case.abort_s)
+            told.reference_v_CT_H_mps[0] = _RETREAT_MPS
         told.reference_q_CH = (0.0, 0.0, 0.0, 1.0)
-        told.boost = 0
         seen_s = t_s - case.late_s
         told.n_poses = int(running and cycle % POSE_PERIOD == 0 and seen_s >= 0.0 and t_s <= case.blind_s)
         if told.n_poses:

@@ -37,10 +37,10 @@ def flown_over_udp(folder: Path, language: str, *options: str) -> tuple[int, dic
 
 
 def test_c_program_in_lock_step_flies_as_the_same_code_in_a_library(tmp_path: Path) -> None:
-    _, apart = flown_over_udp(tmp_path, "c", "--duration", "20")
+    _, apart = flown_over_udp(tmp_path, "c", "--duration", "8")
     numbers = tmp_path / "run.json"
     library = ["--set", f"gnc.library={c_example(tmp_path)}"]
-    execute(["run", "scheme-1", "--duration", "20", *library, "--json", str(numbers)])
+    execute(["run", "scheme-1", "--duration", "8", *library, "--json", str(numbers)])
     here = json.loads(numbers.read_text())
     for name in ("navigation", "thrusters", "verdict", "events"):
         assert apart[name] == here[name], name
