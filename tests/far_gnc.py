@@ -12,6 +12,7 @@ import numpy as np
 
 from hil import build
 from hil.config.load import load_rig, load_scenario
+from hil.cycle import Loop
 from hil.errors import DeviceError
 from hil.frmn.link import Link
 from hil.frmn.ring import Telemetry
@@ -67,6 +68,8 @@ class Split:
     seat: RemoteGnc
     link: Link
     operator: Resuming | None = None
+    loop: Loop | None = None
+    """Of the run under way."""
     setpoints: list[np.ndarray] = field(default_factory=list)
     """Each that the axes were sent, (6,), rails in m, gimbals in rad."""
     each_cycle: Callable[[int], None] = lambda _: None
@@ -78,7 +81,7 @@ class Split:
         with build.runner(self.job, lambda *_: None, lambda _: None, self.operator) as runner:
             if self.operator is not None:
                 self.operator.mode = lambda: runner.supervisor.modes.mode
-            loop = runner.loop
+            self.loop = loop = runner.loop
             loop.telemetry = _Each(mirror_of(runner, self.link), lambda: self.each_cycle(self.seat.cycle))
             send = loop.bench._send
 

@@ -38,7 +38,8 @@ def after_cycle(bench: Split, cycle: int, happens: object) -> None:
     bench.each_cycle = lambda k: happens() if k == cycle else None  # type: ignore[operator]
 
 
-@pytest.mark.parametrize("cycles", [15, pytest.param(CYCLES, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("cycles", [CYCLES, 15])
 def test_killed_gnc_stops_the_bench_within_the_cycles_that_are_configured(tmp_path: Path, cycles: int) -> None:
     """Three, the default, wants a computer without other work."""
     with (

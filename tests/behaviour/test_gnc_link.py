@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 
+import numpy as np
 import pytest
 from far_gnc import Split, gnc_thread, split_bench
 from relay import Relay
@@ -66,20 +67,30 @@ def test_partition_stops_the_bench_within_the_cycles_that_are_configured() -> No
         Relay(bench.link.address) as relay,
         gnc_thread("scheme-1", relay.address, patience_s=1.0),
     ):
-        at_cycle(bench, {60: relay.cut})
+        cut_at: list[int] = []
+
+        def cut_in_a_burn(cycle: int) -> None:
+            assert bench.loop is not None
+            if cycle >= 40 and not cut_at and np.abs(bench.loop.now.command.cycles_left).max() > 3:
+                cut_at.append(cycle)
+                relay.cut()
+
+        bench.each_cycle = cut_in_a_burn
         outcome = bench.fly()
         relay.mend()
     assert outcome.mode is Mode.SAFE_STOP
     assert outcome.stop.startswith("gnc: test gnc at 127.0.0.1:")
     assert outcome.stop.endswith("has not answered for 20 cycles")
-    assert 79 <= len(outcome.history) <= 82
-    last = outcome.history["command"][-17:]
-    assert not last["on"].any()  # after two cycles of coasting all thrusters are closed
+    assert cut_at[0] + 20 <= len(outcome.history) <= cut_at[0] + 22
+    on = outcome.history["command"]["on"].any(axis=1)
+    assert on[cut_at[0] : cut_at[0] + 3].all()  # the last command stands for two cycles ...
+    assert not on[-17:].any()  # ... then all thrusters are closed
     assert not outcome.history["navigation"]["valid"][-17:].any()
     assert bench.account()["losses"] == 1
     assert_smooth(bench)
 
 
+@pytest.mark.slow
 def test_partition_that_is_held_through_goes_on_without_a_step() -> None:
     settings = ("rig.gnc_link.timeout_cycles=20", 'rig.gnc_link.on_loss="hold"')
     with (
