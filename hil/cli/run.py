@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import math
 import sys
 from collections.abc import Callable, Sequence
@@ -39,6 +40,8 @@ def run_command(
     """Do ``hil run``; return its exit code. Raises BadInput before anything is started."""
     check_options(seed, duration_s, speed, json_path, case)
     scenario = load_scenario(scenario_name, settings)
+    if scenario.value.gnc.library is not None and sys.__stderr__ is not None:
+        faulthandler.enable(sys.__stderr__)  # a library that crashes takes this process with it: say where
     rig = load_rig(rig_name, settings)
     console = Console(stderr=True)
 

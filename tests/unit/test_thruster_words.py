@@ -99,6 +99,19 @@ def test_newest_word_comes_over_can_from_its_identifier_alone() -> None:
         receiver.close()
 
 
+def test_newest_word_comes_over_a_serial_can_adapter(wire: tuple[int, str]) -> None:
+    here, path = wire
+    receiver = WordReceiver(FlightComputer(words="can", can=WordsCan(interface="serial", channel=path)), lambda: 1.0)
+    receiver.open()
+    try:
+        head = b"\xaa" + bytes(4) + bytes([7]) + (0x120).to_bytes(4, "little")  # as python-can frames it
+        os.write(here, head + encode_can(Word(9, 0b101)) + b"\xbb")
+        until(receiver.newest)
+        assert receiver.newest() == (Word(9, 0b101), 1.0)
+    finally:
+        receiver.close()
+
+
 def test_port_that_is_not_there_is_named() -> None:
     receiver = WordReceiver(FlightComputer(words="serial", serial=WordsLine(port="/dev/none")), lambda: 0.0)
     with pytest.raises(LinkLost, match="flight computer: cannot open /dev/none"):
