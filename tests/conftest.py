@@ -52,6 +52,7 @@ _FAMILIES = {
 }
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests on wires and on the wall clock: nothing heavy may keep this computer busy meanwhile.
 
