@@ -20,7 +20,7 @@ from hil.build import Job, warm_up, warm_up_all_but_navigation
 from hil.config.load import load_rig, load_scenario
 from hil.maths.jit import kernels_are_cached, mark_kernels_cached
 
-_NOTICE = "first start: compiling the kernels for this computer, once, about 20 s ..."
+_NOTICE = "first start: compiling the kernels for this computer, once, about a minute ..."
 _OTHER_HALF_S = 120.0
 _SAFE_STOPPED = 3
 
