@@ -24,7 +24,7 @@ test: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/python -m hil.cli.warm_up & kernels=$$!; $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
 	$(BIN)/pytest -m "not slow and not wall_clock" -n 2 --dist loadgroup
-	$(BIN)/pytest -m "not slow and wall_clock" -n 2 --dist loadgroup
+	$(BIN)/pytest -m "not slow and wall_clock"
 
 slow: .venv/ready
 	$(BIN)/pytest -m slow --timeout 3600

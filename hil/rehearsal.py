@@ -185,14 +185,16 @@ def matrix(modes: Sequence[Mode] = (Mode.RUNNING, *_STILL)) -> list[Case]:
 def representatives() -> list[Case]:
     """Return one case for each fault and class of device, in running: axes, eye, lines.
 
-    The turntable stands for the axes' wire, the rails' y axis for what axes and drives can do.
+    The turntable stands for what any wire can do to single packets and for the axes' wire, the rails' y axis for what
+    axes and drives can do; eye and lines have what makes them miss, late or silent.
     """
+    of_any_wire = ("corrupt", "duplicate")
 
     def stands_for_others(case: Case) -> bool:
         kind, _, rest = case.line.removeprefix("on ").partition(" ")
         if case.device == "rails":
             return kind in AXIS and rest.startswith("y")
-        return case.device != "turntable" or kind in WIRE
+        return kind in WIRE if case.device == "turntable" else kind not in of_any_wire
 
     return [case for case in matrix((Mode.RUNNING,)) if stands_for_others(case)]
 

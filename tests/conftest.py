@@ -54,16 +54,13 @@ _FAMILIES = {
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests on wires and on the wall clock: nothing heavy may keep this computer busy meanwhile.
+    """Mark the tests on wires and on the wall clock: nothing else may keep this computer busy meanwhile.
 
-    Tests of the same kernels go to the same worker, so that each kernel is compiled once; whole benches run one at a
-    time, beside single devices.
+    Tests of the same kernels go to the same worker, so that each kernel is compiled once.
     """
     for item in items:
         if "unit" not in item.path.parts and item.path.stem not in _NO_WALL_CLOCK:
             item.add_marker(pytest.mark.wall_clock)
-            if "system" in item.path.parts:
-                item.add_marker(pytest.mark.xdist_group("whole bench"))
             continue
         for family, words in _FAMILIES.items():
             if any(word in item.path.stem for word in words):

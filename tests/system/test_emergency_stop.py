@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import time
 
+import pytest
+
 from hil.build import Job, check, warm_up
 from hil.build import runner as make_runner
 from hil.config.load import load_rig, load_scenario
 from hil.drivers.faults import FaultControl
 from hil.modes import Mode
+
+# the fault matrix presses it in the normal run
+pytestmark = pytest.mark.slow
 
 NEAR = ("initial.position_m=[0.7, -0.03, 0.03]", "rig.rails.x.park_m=0.6")
 
