@@ -81,7 +81,13 @@ def commission(bench: WiredBench, axis: int) -> tuple[StepFailed, Runner]:
     [
         ("rails: on reversed y", Y, "rails.y: sign", "by the encoder; encoder and motor do not turn the same way"),
         ("rails: on mirrored y", Y, "rails.y: sign", "by the eye; motor and encoder are both the wrong way round"),
-        ("rails: on scaled y 1.1", Y, "rails.y: scale", "+18.* mm by the eye; set the counts a turn"),
+        pytest.param(
+            "rails: on scaled y 1.1",
+            Y,
+            "rails.y: scale",
+            "+18.* mm by the eye; set the counts a turn",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             "turntable: on scaled yaw 0.9",
             YAW,
