@@ -22,7 +22,7 @@ from hil.report.summary import summarise
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
 settings.load_profile("hil")
 
-# modules beside tests/unit that move nothing on the wall clock: they may run beside each other
+# modules beside tests/unit that hang on no time of the wall: they may run beside each other
 _NO_WALL_CLOCK = {
     "test_approach",
     "test_approach_events",
@@ -30,13 +30,19 @@ _NO_WALL_CLOCK = {
     "test_calibrate_command",
     "test_campaign_command",
     "test_campaign_parity",
+    "test_console_operator",
+    "test_frmn_processes",
+    "test_frmn_torn_reads",
     "test_fusion_study",
     "test_gnc_check",
+    "test_monitor_beside",
     "test_monitor_command",
     "test_operated_bench",
     "test_own_gnc",
+    "test_own_gnc_over_udp",
     "test_reach",
     "test_record_command",
+    "test_recorder_killed",
     "test_rendered_loop",
     "test_rendered_pictures",
     "test_replay",

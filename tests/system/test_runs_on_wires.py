@@ -19,6 +19,9 @@ NEAR = ("--set", "initial.position_m=[0.7, -0.03, 0.03]", "--set", "rig.rails.x.
 """A start from which the ready point is near, for a run that is short on the wall at the speed of time: faster
 ones ask more of the machine that the tests run on than it may have left."""
 
+UNHURRIED = ("--set", "rig.io.pump_timeout_s=1.0")
+"""The relay's own 0.05 s are tested where processes are killed: here a machine that stops for a moment is no fault."""
+
 GENEROUS_EXIT_S = 3.0  # the product's own figure is 0.5 s; this one holds on a machine that does other things too
 
 
@@ -62,7 +65,7 @@ def _none_left(pids: dict[str, int]) -> bool:
 def test_approach_passes_over_real_wires(turntable: str, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     options = ("--set", f"rig.turntable.driver={turntable}", "--duration", "25", "--json", str(path))
-    with _started(*NEAR, *options) as (process, pids):
+    with _started(*NEAR, *UNHURRIED, *options) as (process, pids):
         out, err = process.communicate(timeout=120)
     result = json.loads(path.read_text())
     assert process.returncode == 0, out + err
