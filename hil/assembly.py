@@ -27,7 +27,7 @@ from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc.watch import FilterWatch
 from hil.gnc_library import KEY as LIBRARY_KEY
 from hil.gnc_library import Library
-from hil.gnc_setup import gnc_setup
+from hil.gnc_setup import briefing, gnc_setup
 from hil.handling import Watch
 from hil.io_stage import IoStage
 from hil.late_cycles import LateCycles
@@ -155,11 +155,7 @@ def _seat(job: Job, rig: Rig, rate: Rate) -> Seat:
         WordReceiver(computer, rate.now_s),
         PoseForwarder(computer.poses) if computer.poses.port is not None else None,
         rate.now_s,
-        gnc_setup(scenario),
-        parameters.guidance(scenario),
-        parameters.supervision(scenario),
-        parameters.allocation(scenario.chaser)[0],
-        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+        briefing(scenario),
     )
 
 
@@ -183,14 +179,7 @@ def make_seat(scenario: Scenario) -> Seat:
     """Return who flies ``scenario``: the GNC here, or the library that it names. Raises BadInput where that is none."""
     if scenario.gnc.library is None:
         return make_gnc(scenario)
-    return LibraryGnc(
-        Library(scenario.gnc.library),
-        gnc_setup(scenario),
-        parameters.guidance(scenario),
-        parameters.supervision(scenario),
-        parameters.allocation(scenario.chaser)[0],
-        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
-    )
+    return LibraryGnc(Library(scenario.gnc.library), briefing(scenario))
 
 
 def library_problems(scenario: Loaded[Scenario]) -> list[Problem]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -20,30 +20,36 @@ _WORDS: Final = 200  # that are put down in a run: a text that changes in each c
 _NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
 
 
+class Briefing(NamedTuple):
+    """What the seat of a foreign GNC is made from, see ``hil.gnc_setup.briefing``.
+
+    setup: GNC_SETUP. guidance, supervision: GUIDANCE_PARAMS, SUPERVISION_PARAMS. sets: int64 (allocation.ROWS, 2,
+    MAX_THRUSTERS).
+    """
+
+    setup: np.record
+    guidance: np.record
+    supervision: np.record
+    sets: np.ndarray
+    diary: ApproachDiary
+
+
 class ForeignGnc(Approach):
     """Flies with whatever ``exchange`` asks; guidance, supervision and the diary of the approach stay ours.
 
-    name: of the GNC, in what is said of it. setup: GNC_SETUP. sets: int64 (allocation.ROWS, 2, MAX_THRUSTERS).
+    name: of the GNC, in what is said of it.
     ``input`` and ``output`` are GNC_INPUT and GNC_OUTPUT of the present cycle.
     """
 
-    def __init__(
-        self,
-        name: str,
-        setup: np.record,
-        guidance_params: np.record,
-        supervision_params: np.record,
-        sets: np.ndarray,
-        diary: ApproachDiary,
-    ) -> None:
-        super().__init__(guidance_params, supervision_params, diary)
+    def __init__(self, name: str, briefing: Briefing) -> None:
+        super().__init__(briefing.guidance, briefing.supervision, briefing.diary)
         self.name = name
-        self.setup = setup
+        self.setup = briefing.setup
         self.input, self.output = new(GNC_INPUT), new(GNC_OUTPUT)
         self.words: Told[Event] = Told()
         """What the GNC says."""
-        self._sets = sets
-        self._n = int(setup.n_thrusters)
+        self._sets = briefing.sets
+        self._n = int(briefing.setup.n_thrusters)
         self._abort_began = False
         self._said = b""
         self._nees = np.full(2, np.nan)

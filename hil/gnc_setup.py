@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hil import parameters
+from hil.approach_diary import ApproachDiary
 from hil.config.scenario import Scenario
+from hil.foreign_gnc import Briefing
 from hil.gnc_interface import GNC_SETUP
 from hil.maths import euler
 from hil.messages import new
@@ -34,3 +36,14 @@ def gnc_setup(scenario: Scenario) -> np.record:
     setup.ready_point_m = scenario.gnc.guidance.ready_point_m
     setup.closing_rate_max_mps = scenario.gnc.corridor.closing_rate_max_mps
     return setup
+
+
+def briefing(scenario: Scenario) -> Briefing:
+    """Return what the seat of whoever flies ``scenario`` in place of our GNC is made from."""
+    return Briefing(
+        gnc_setup(scenario),
+        parameters.guidance(scenario),
+        parameters.supervision(scenario),
+        parameters.allocation(scenario.chaser)[0],
+        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+    )

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.approach_diary import ApproachDiary
 from hil.errors import DeviceError
-from hil.foreign_gnc import ForeignGnc, printable
+from hil.foreign_gnc import Briefing, ForeignGnc, printable
 from hil.gnc import c_library
 from hil.gnc_interface import GncMode, GncState
 from hil.gnc_library import Instance, Library
@@ -15,16 +14,8 @@ from hil.gnc_library import Instance, Library
 class LibraryGnc(ForeignGnc):
     """Flies with ``library``; a session has an instance of it. It is asked in the cycles of a run and of a hold."""
 
-    def __init__(
-        self,
-        library: Library,
-        setup: np.record,
-        guidance_params: np.record,
-        supervision_params: np.record,
-        sets: np.ndarray,
-        diary: ApproachDiary,
-    ) -> None:
-        super().__init__(gnc_name(library), setup, guidance_params, supervision_params, sets, diary)
+    def __init__(self, library: Library, briefing: Briefing) -> None:
+        super().__init__(gnc_name(library), briefing)
         self._library = library
         self._instance: Instance | None = None
         self._address = library.step_address

@@ -15,10 +15,9 @@ from typing import Final
 import numpy as np
 
 from hil.approach import Approach
-from hil.approach_diary import ApproachDiary
 from hil.config.gnc_link import GncLink
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
-from hil.foreign_gnc import ForeignGnc, printable
+from hil.foreign_gnc import Briefing, ForeignGnc, printable
 from hil.frmn.cells import Role
 from hil.frmn.link import Arrival, Link
 from hil.frmn.mirror import MIRRORED
@@ -70,14 +69,10 @@ class RemoteGnc(ForeignGnc):
         lock_step: bool,
         period_s: float | None,
         watch: FilterWatch,
-        setup: np.record,
-        guidance_params: np.record,
-        supervision_params: np.record,
-        sets: np.ndarray,
-        diary: ApproachDiary,
+        briefing: Briefing,
     ) -> None:
         self._inbox = Inbox()
-        super().__init__(NAME, setup, guidance_params, supervision_params, sets, diary)
+        super().__init__(NAME, briefing)
         self.output = self._inbox.output
         self.link = link
         self.account = LinkAccount(link, "lock-step" if lock_step else "free-running")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from hil import parameters
-from hil.approach_diary import ApproachDiary
 from hil.config.gnc_link import GncLink
 from hil.config.scenario import Scenario
 from hil.frmn.link import Link
 from hil.frmn.mirror import Mirror
 from hil.gnc.watch import FilterWatch
-from hil.gnc_setup import gnc_setup
+from hil.gnc_setup import briefing
 from hil.remote_gnc import RemoteGnc
 from hil.runner import Runner
 
@@ -22,11 +21,7 @@ def remote_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool,
         lock_step,
         period_s,
         FilterWatch(parameters.navigation(scenario), None),
-        gnc_setup(scenario),
-        parameters.guidance(scenario),
-        parameters.supervision(scenario),
-        parameters.allocation(scenario.chaser)[0],
-        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+        briefing(scenario),
     )
 
 

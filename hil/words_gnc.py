@@ -6,12 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.approach_diary import ApproachDiary
 from hil.config.flight_computer import FlightComputer
 from hil.drivers.words.poses import PoseForwarder
 from hil.drivers.words.receiver import NAME, WordReceiver
 from hil.errors import LinkTimeout
-from hil.foreign_gnc import ForeignGnc
+from hil.foreign_gnc import Briefing, ForeignGnc
 from hil.gnc import foreign
 from hil.messages import MAX_THRUSTERS
 from hil.seat import Records
@@ -31,13 +30,9 @@ class WordsGnc(ForeignGnc):
         receiver: WordReceiver,
         forwarder: PoseForwarder | None,
         bench_now_s: Callable[[], float],
-        setup: np.record,
-        guidance_params: np.record,
-        supervision_params: np.record,
-        sets: np.ndarray,
-        diary: ApproachDiary,
+        briefing: Briefing,
     ) -> None:
-        super().__init__(NAME, setup, guidance_params, supervision_params, sets, diary)
+        super().__init__(NAME, briefing)
         self._config = config
         self._receiver = receiver
         self.forwarder = forwarder

@@ -10,20 +10,19 @@ from typing import Final
 from hil import build, monitored
 from hil.clock import WallClock
 from hil.console.remote_operator import RemoteOperator
-from hil.frmn.picture_memory import wanted_pictures
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.frmn.run_time import RunTime
 from hil.messages import CYCLE
 from hil.monitor.findings import PORTION
-from hil.pictures import PICTURE, SLOTS, MakerBeside
+from hil.pictures import PICTURE, MakerBeside
 from hil.rate import WallRate
 from hil.realtime import RealTime
+from hil.recording.session import SLOTS, fed_by
 from hil.recording.taps import Notes, Taps
 from hil.runner import Runner
 
 RINGS: Final = {"pictures": PICTURE, "monitor_pictures": PICTURE, "portions": PORTION}
 """What the console reads beside the cycles, by its name in ``Taps``."""
-_PORTIONS: Final = 64
 
 
 @dataclass
@@ -71,14 +70,9 @@ def opened(
 @contextmanager
 def _taps_of_our_own(job: build.Job) -> Iterator[Taps]:
     """Give taps of a session that nobody records: the console alone reads them."""
-    scenario, wanted = job.scenario.value, wanted_pictures(job.rig.value).encoding != "none"
+    fed = fed_by(job)
     rings = {"cycles": Ring.create(CYCLE, build.TELEMETRY_ROWS)}
-    if wanted and scenario.vmu.source == "rendered":
-        rings["pictures"] = Ring.create(PICTURE, SLOTS, "pictures")
-    if scenario.monitor.source != "none":
-        rings["portions"] = Ring.create(PORTION, _PORTIONS, "portions")
-        if wanted:
-            rings["monitor_pictures"] = Ring.create(PICTURE, SLOTS, "pictures")
+    rings |= {name: Ring.create(dtype, SLOTS[name], name) for name, dtype in RINGS.items() if name in fed}
     run_time = RunTime.create()
     takers: dict[str, Telemetry] = {name: rings.get(name, NoTelemetry()) for name in ("cycles", *RINGS)}
     try:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +12,6 @@ from hil.console.hazards import HAZARDS
 from hil.console.keeper import Keeper
 from hil.console.lease import Refused
 from hil.console.message import Picture
-from hil.console.session import Choice
 from hil.errors import BadInput
 from hil.modes import Mode
 from hil.orders import OBEYED_IN, Order
@@ -24,17 +21,6 @@ _BENCH_AT_REST: Final = frozenset({Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.HOLD
 
 class Desk(Keeper):
     """The keeper of the session behind its counter."""
-
-    def __init__(
-        self,
-        first: Choice,
-        scenarios: Sequence[str],
-        rigs: Sequence[str],
-        wall_s: Callable[[], float],
-        log: Callable[[str], None] = lambda _: None,
-    ) -> None:
-        super().__init__(first, scenarios, rigs, wall_s, log)
-        self._tuning = asyncio.Lock()  # each change is built on the one before
 
     # what the pages ask for
 
@@ -151,7 +137,7 @@ class Desk(Keeper):
         """Let the loop have another value of one of its settings."""
         if self.session is None or not self.session.ready or self.tuner is None:
             raise Refused("bench: cannot change a setting, no session is open")
-        async with self._tuning:
+        async with self.tuning:
             change = self.tuner.change(command.get("key"), command.get("value"))
             if not command.get("confirmed"):
                 return {"ok": False, "ask": change.question}

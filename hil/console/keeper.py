@@ -59,6 +59,7 @@ class Keeper:
         self.wall_s = wall_s
         self.account = Account({}, "no session is open")
         self.tuner: Tuner | None = None
+        self.tuning = asyncio.Lock()  # each change is built on the one before
         self._present_said: tuple[str, float] = ("", -math.inf)
         self._tasks: set[asyncio.Task[None]] = set()
 

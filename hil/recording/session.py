@@ -34,13 +34,14 @@ from hil.recording.writer import Account, Header, RunFile
 
 _RING_S: Final = 5.0  # of cycles: how long the recorder may stand still before anything is lost
 _ROWS_LEAST: Final = 2048
-_SLOTS: Final = {
+SLOTS: Final = {
     "arrivals": 1024,
     "notes": 256,
     "pictures": pictures.SLOTS,
     "monitor_pictures": pictures.SLOTS,
     "portions": 64,
 }
+"""Rows of each ring beside the cycles'."""
 _READY_WALL_S: Final = 60.0
 _FINISH_WALL_S: Final = 30.0
 _EXIT_WALL_S: Final = 1.0
@@ -152,7 +153,7 @@ def _plain(name: str) -> str:
     return "".join(c if c.isalnum() or c in "-_" else "-" for c in name)[:40] or "run"
 
 
-def _fed(job: Job) -> set[str]:
+def fed_by(job: Job) -> set[str]:
     """Return the names in ``Taps`` that a run of ``job`` feeds: rings of pictures are large."""
     scenario, wanted = job.scenario.value, wanted_pictures(job.rig.value).encoding != "none"
     fed = {"cycles", "arrivals", "notes"}
@@ -193,8 +194,8 @@ class _Process:
     def __init__(self, job: Job, path: Path, run: str, header: Header) -> None:
         self._path = path
         rows = max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s))
-        slots = {"cycles": rows, **_SLOTS}
-        fed = _fed(job)
+        slots = {"cycles": rows, **SLOTS}
+        fed = fed_by(job)
         self._rings = {
             name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items() if name in fed
         }

@@ -14,8 +14,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil import parameters
-from hil.approach_diary import ApproachDiary
 from hil.config.flight_computer import FlightComputer, WordsCan, WordsLine
 from hil.config.load import load_rig
 from hil.config.scenario import Scenario
@@ -26,7 +24,7 @@ from hil.drivers.words.poses import PoseForwarder
 from hil.drivers.words.receiver import WordReceiver
 from hil.errors import BadInput, LinkLost, LinkTimeout
 from hil.fitness import flight_computer_problems
-from hil.gnc_setup import gnc_setup
+from hil.gnc_setup import briefing
 from hil.messages import MAX_POSES, POSE, PoseFrame
 from hil.words_gnc import WordsGnc
 
@@ -161,11 +159,7 @@ class Bench:
             self.said,  # type: ignore[arg-type]
             None,
             lambda: self.now_s,
-            gnc_setup(scenario),
-            parameters.guidance(scenario),
-            parameters.supervision(scenario),
-            parameters.allocation(scenario.chaser)[0],
-            ApproachDiary(scenario.gnc.guidance.sequence, 5.0),
+            briefing(scenario),
         )
         self.seat.ask_for_hold = self.hold
         self.now = Blackboard()
