@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Final
 
@@ -20,6 +21,7 @@ from hil.rate import Rate, Tick
 
 WATCH_CYCLES: Final = 50
 _LINKS_EVERY_S: Final = 0.1
+_STAND_S: Final = 0.1  # an axis that moved has to stand for so long
 _SETTLE_S: Final = 3.0  # after placing or homing, until the axes stand where they should
 _NO_MOVE_S: Final = 1e-3  # a move that is shorter, by rounding alone, is none
 _SETTLED_M: Final = 0.001
@@ -48,12 +50,13 @@ class Handling:
         self.supervisor = loop.bench.supervisor
         self.modes = self.supervisor.modes
         self.ticks = 0
+        self._newest: Tick
         self.links_each = max(1, round(_LINKS_EVERY_S / step_s))
         """Cycles from one look at the links to the next."""
 
     def tick(self) -> Tick:
         """Wait for the next cycle, read the axes, and let the supervisor look at them and at the links."""
-        tick = self._late_cycles.wait(self._rate)
+        self._newest = tick = self._late_cycles.wait(self._rate)
         self.ticks += 1
         self.look(tick.now_s)
         self._operator.listen(tick.now_s)
@@ -95,24 +98,38 @@ class Handling:
             if self.ticks % WATCH_CYCLES == 0:
                 done = sum(state is Homing.DONE for group in bench.seen for state in group.homing)
                 self._watch(Mode.HOMING, done / 6.0)
+        self.tick()
         self._await_standstill()
         self.modes.go(Mode.STANDBY)
 
     def _await_standstill(self) -> None:
-        """Return once all axes stand: one that has just passed its home switch still brakes."""
-        tick = self.tick()
-        begun_s = tick.now_s
-        while not self.loop.bench.stands(tick.now_s, self.loop.now.feedback):
-            if tick.now_s - begun_s > _SETTLE_S:
-                raise SafetyTrip("bench", "standstill", "not reached", f"{_SETTLE_S:g} s after homing")
-            tick = self.tick()
+        """Return once all axes stand; SafetyTrip that names the axis that still moves after ``_SETTLE_S``.
+
+        One that has just passed its home switch still brakes, and one whose last setpoint came late still
+        catches up. One that moved has to stand for ``_STAND_S``: speed is nought where it turns around, too.
+        """
+        feedback = self.loop.now.feedback
+        begun_s = now_s = self._newest.now_s
+        moved_s = -math.inf
+        while (moving := self.supervisor.refuse_seed(now_s, feedback)) or now_s - moved_s < _STAND_S:
+            if moving:
+                moved_s = now_s
+                if now_s - begun_s > _SETTLE_S:
+                    raise moving.trip()
+            now_s = self.tick().now_s
+
+    def seed_for_run(self) -> Tick:
+        """Make the encoders' positions the last setpoint once the axes stand; return the newest tick."""
+        self._await_standstill()
+        self.loop.bench.seed_for_run(self._newest.now_s, self.loop.now.feedback)
+        return self._newest
 
     def place(self) -> None:
         """Move all axes slowly to the start pose and wait until they stand there."""
         target, truth, at_rest = new(AXES), self.loop.now.truth, np.zeros(3)
         self.loop.bench.axes_of(truth.r_CT_H, at_rest, truth.q_CH, at_rest, target)
-        tick = self.begin()
-        self.loop.bench.seed_for_run(tick.now_s, self.loop.now.feedback)
+        self.begin()
+        tick = self.seed_for_run()
         self.modes.go(Mode.PLACING)
         while not self._move_to(target, tick):
             tick = self.hold(tick)
@@ -123,8 +140,8 @@ class Handling:
         The axes are at rest at its beginning, see ``brake``. Turntables that have gone by themselves take no
         setpoints until they are opened again.
         """
-        tick = self.begin()
-        self.loop.bench.seed_for_run(tick.now_s, self.loop.now.feedback)
+        self.begin()
+        tick = self.seed_for_run()
         self.modes.go(Mode.PARKING)
         self.loop.bench.park_turntable(place, tick.now_s)
         if not self._move_to(place, tick):  # a hold was asked for: the bench stays where it comes to a stand

@@ -112,8 +112,8 @@ class Identification:
         """Move each of ``axes`` (0..2 rails, 3..5 gimbals) to and fro and put it back where it stood."""
         self._all_s = sum(self._axis_s(axis) for axis in axes)
         self._handling.home()
-        tick = self._handling.begin()
-        self._bench.seed_for_run(tick.now_s, self._now.feedback)
+        self._handling.begin()
+        tick = self._handling.seed_for_run()
         self._handling.modes.go(Mode.PLACING)  # every check of the supervisor is on in this mode
         results = []
         for axis in axes:

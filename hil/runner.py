@@ -231,7 +231,7 @@ class Runner:
             self._watch(Mode.ARMED, 0.0)
 
     def _close_the_loop(self) -> None:
-        self.loop.bench.seed_for_run(self._rate.now_s(), self.loop.now.feedback)
+        self._handling.seed_for_run()
         self._modes.go(Mode.RUNNING)
         self._rate.restart()
         held_s = 0.0

@@ -65,8 +65,8 @@ class Crawler:
     def begin(self) -> None:
         """Home what needs it, then take the axes under command where they stand."""
         self._handling.home()
-        self._tick = self._handling.begin()
-        self._bench.seed_for_run(self._tick.now_s, self._now.feedback)
+        self._handling.begin()
+        self._tick = self._handling.seed_for_run()
         self._handling.modes.go(Mode.PLACING)  # every check of the supervisor is on in this mode
         self._aim_at(self.stands_at())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from operated_bench import STEP_S, Script, Session, operate
 from hil import parameters
 from hil.config.load import load_rig, load_scenario
 from hil.errors import LinkLost
+from hil.messages import AxisFeedback
 from hil.modes import Mode
 from hil.orders import Order
 from hil.report.summary import summarise
@@ -364,6 +366,35 @@ def test_references_are_seeded_from_the_encoders_on_every_path_into_motion() -> 
     outcome, _ = operate(script, plan=(), duration_s=10.0, prepare=prepare)
     assert outcome.stop == "completed"
     assert seeded == [Mode.STANDBY, Mode.STANDBY, Mode.ARMED, Mode.HOLD]  # jog, placing, start, resume
+
+
+@pytest.mark.parametrize("mode", [Mode.STANDBY, Mode.ARMED])  # before placing, before the loop is closed
+@pytest.mark.parametrize("creeps_s", [0.3, math.inf])
+def test_axis_that_still_creeps_is_waited_for_and_then_named(mode: Mode, creeps_s: float) -> None:
+    def prepare(session: Session) -> None:
+        read = session.rails.read
+
+        def creeping(now_s: float) -> AxisFeedback:
+            feedback: AxisFeedback = read(now_s)
+            session.once("creep", session.mode is mode)
+            if session.since_s("creep") < 0.0 or session.since_s("creep") > creeps_s:
+                return feedback
+            turns_around = round(session.since_s("creep") / STEP_S) % 4 == 3  # stands for the moment
+            return replace(feedback, rate=np.array([0.0, 0.0, 0.0 if turns_around else 0.0107]))
+
+        session.rails.read = creeping  # type: ignore[method-assign]
+
+    def script(session: Session) -> None:
+        session.order_once(Order.START, session.mode is Mode.ARMED and session.now_s > 0.1)
+        session.order_once(Order.STOP, session.mode is Mode.SAFE_STOP)
+
+    outcome, session = operate(script, plan=(Order.HOME, Order.ARM), prepare=prepare)
+    if creeps_s == math.inf:
+        assert outcome.alarms[0].text == "rails.z: speed at arming 0.0107 m/s, allowed 0.01 m/s"
+        assert not session.rails.sent
+    else:
+        assert outcome.stop == "completed"
+        assert session.rails.sent[0][0] - session.marks["creep"] >= creeps_s + 0.1 - STEP_S
 
 
 def test_plan_does_not_go_on_by_itself_after_a_reset() -> None:
