@@ -22,8 +22,8 @@ from hil.report.summary import summarise
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
 settings.load_profile("hil")
 
-# modules beside tests/unit that hang on no time of the wall: they may run beside each other
-_NO_WALL_CLOCK = {
+# modules beside tests/unit that use no wires and hang on no time of the wall: they may run beside each other
+_NO_WIRES = {
     "test_approach",
     "test_approach_events",
     "test_bad_input",
@@ -60,18 +60,17 @@ _FAMILIES = {
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests on wires and on the wall clock: nothing else may keep this computer busy meanwhile.
+    """Name the worker's group of each test, so that what is dear is made once.
 
-    Tests of the same kernels go to the same worker, so that each kernel is compiled once.
+    Tests on wires and on the wall clock go one after the other; those of the same kernels compile them in one
+    place; any other module keeps its fixtures to itself.
     """
     for item in items:
-        if "unit" not in item.path.parts and item.path.stem not in _NO_WALL_CLOCK:
-            item.add_marker(pytest.mark.wall_clock)
-            continue
-        for family, words in _FAMILIES.items():
-            if any(word in item.path.stem for word in words):
-                item.add_marker(pytest.mark.xdist_group(family))
-                break
+        name = item.path.stem
+        if "unit" not in item.path.parts and name not in _NO_WIRES:
+            name = "wires"
+        families = (family for family, words in _FAMILIES.items() if any(word in name for word in words))
+        item.add_marker(pytest.mark.xdist_group(next(families, name)))
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import tty
 
 import numpy as np
 import pytest
+from unhurried import UNHURRIED
 
 from hil import build
 from hil.config.load import load_rig, load_scenario
@@ -21,6 +22,7 @@ _THRUSTERS = 0b10_0010  # numbers 2 and 6: against x
 def test_words_over_a_serial_port_fly_the_bench_and_their_end_stops_it() -> None:
     (words, words_port), (poses, poses_port) = _pty(), _pty()
     settings = (
+        *UNHURRIED,
         "rig.flight_computer.words=serial",
         "rig.flight_computer.timeout_s=0.3",  # on a computer that is busy
         "rig.flight_computer.lost_s=1.0",

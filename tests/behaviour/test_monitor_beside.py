@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from unhurried import UNHURRIED, typed
 
 from hil import build, monitored
 from hil.build import Job
@@ -158,7 +159,7 @@ def test_monitor_beside_an_emulated_bench_agrees_with_the_encoders(tmp_path: Pat
     path = tmp_path / "run.json"
     arguments = ["run", "scheme-1", "--rig", "emulated", "--duration", "20", "--json", str(path)]
     done = subprocess.run(
-        [sys.executable, "-m", "hil", *arguments, "--set", "monitor.source=rendered"],
+        [sys.executable, "-m", "hil", *arguments, *typed("monitor.source=rendered", *UNHURRIED)],
         capture_output=True,
         text=True,
         check=False,

@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from unhurried import NEAR, UNHURRIED
 
 from hil import build
 from hil.clock import SimulatedClock
@@ -27,7 +28,7 @@ while not times or times[-1] < float(sys.argv[2]):
 print(json.dumps({"times": times, "got": reader.got, "lost": reader.lost}))
 """
 
-NEAR = ("initial.position_m=[0.7, -0.03, 0.03]", "rig.rails.x.park_m=0.6")
+WIRES = (*NEAR, *UNHURRIED)
 
 
 def test_reader_gets_the_very_rows_of_the_history() -> None:
@@ -43,7 +44,7 @@ def test_reader_gets_the_very_rows_of_the_history() -> None:
 
 @pytest.mark.slow
 def test_another_process_attaches_to_a_run_on_wires_and_accounts_for_every_cycle() -> None:
-    job = build.Job(load_scenario("scheme-1", NEAR[:1]), load_rig("emulated", NEAR[1:]), 0, 1.0, 1.0)
+    job = build.Job(load_scenario("scheme-1", WIRES), load_rig("emulated", WIRES), 0, 1.0, 1.0)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         ring = runner.loop.telemetry
         assert isinstance(ring, Ring)

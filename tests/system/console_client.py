@@ -14,15 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from unhurried import typed
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from hil.console.columns import INDEX
 from hil.console.message import unpack
-
-NEAR = ("--set", "initial.position_m=[0.7, -0.03, 0.03]", "--set", "rig.rails.x.park_m=0.6")
-"""A start from which the ready point is near."""
-
 
 _PATIENCE = {
     "rig.console.lease_s": "30",
@@ -32,7 +29,7 @@ _PATIENCE = {
     **{f"rig.{device}.timeout_s": "10" for device in ("rails", "turntable", "vmu")},
     **{f"rig.{device}.lost_packets_max": "1e6" for device in ("rails", "turntable", "vmu")},
 }
-PATIENT = tuple(word for key, value in _PATIENCE.items() for word in ("--set", f"{key}={value}"))
+PATIENT = typed(*(f"{key}={value}" for key, value in _PATIENCE.items()))
 """For tests of the page: a browser that draws in software starves the threads that emulated wires go through."""
 
 

@@ -36,6 +36,7 @@ extends = "emulated"
 name = "near its start"
 rails.x.park_m = 4.95
 rails.y.park_m = -0.25
+io.pump_timeout_s = 1.0
 """
 
 

@@ -15,7 +15,8 @@ from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
-from console_client import NEAR, Console, Page, console
+from console_client import Console, Page, console
+from unhurried import NEAR, typed
 
 from hil.cli.main import BAD_INPUT, execute
 from hil.console.serve import is_loopback
@@ -47,7 +48,7 @@ def start(page: Page) -> None:
 
 
 def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recorded(tmp_path: Path) -> None:
-    with console("--rig", "mock", "--set", "rig.console.lease_s=3", *NEAR, record=tmp_path) as c:
+    with console("--rig", "mock", "--set", "rig.console.lease_s=3", *typed(*NEAR), record=tmp_path) as c:
         ann, bob = c.page("ann"), c.page("bob")
         start(ann)
         assert np.all(np.diff(ann.column("t_s")) > 0.0)
@@ -94,7 +95,7 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recor
 
 @pytest.mark.slow
 def test_recorder_that_dies_is_said_on_the_page_and_the_bench_goes_on(tmp_path: Path) -> None:
-    with console("--rig", "mock", *NEAR, record=tmp_path) as c:
+    with console("--rig", "mock", *typed(*NEAR), record=tmp_path) as c:
         page = c.page("ann")
         start(page)
         page.until(lambda: page.now["recording"]["size_bytes"] > 0, "a recording")
@@ -112,7 +113,7 @@ def test_recorder_that_dies_is_said_on_the_page_and_the_bench_goes_on(tmp_path: 
 
 @pytest.mark.slow
 def test_disk_that_fills_up_is_said_on_the_page_and_the_bench_goes_on(small_disk: Path) -> None:
-    with console("--rig", "mock", *NEAR, record=small_disk) as c:
+    with console("--rig", "mock", *typed(*NEAR), record=small_disk) as c:
         page = c.page("ann")
         start(page)
         page.until(lambda: page.now["recording"]["size_bytes"] > 0, "a recording")
@@ -198,7 +199,7 @@ def test_bad_options_are_refused_in_one_line(
 
 @pytest.mark.slow
 def test_console_ends_with_its_session_on_ctrl_c() -> None:
-    with console("--rig", "mock", *NEAR) as c:
+    with console("--rig", "mock", *typed(*NEAR)) as c:
         page = c.page("ann")
         start(page)
         (line,) = [line for line in page.log() if "session process" in line]
@@ -210,7 +211,7 @@ def test_console_ends_with_its_session_on_ctrl_c() -> None:
 
 @pytest.mark.slow
 def test_session_of_a_console_that_is_killed_brings_the_bench_to_a_stand_and_ends() -> None:
-    with console("--rig", "mock", *NEAR) as c:
+    with console("--rig", "mock", *typed(*NEAR)) as c:
         page = c.page("ann")
         start(page)
         (line,) = [line for line in page.log() if "session process" in line]

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from console_client import NEAR, PATIENT, Console, console
+from console_client import PATIENT, Console, console
+from unhurried import NEAR, typed
 
 from hil.recording.read import load
 from hil.recording.replay import replay
@@ -95,7 +96,7 @@ def open_screen(browser: Any, c: Console, pictures: Path) -> Screen:
 def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(
     browser: Any, pictures: Path, tmp_path: Path
 ) -> None:
-    with console("--rig", "emulated", *NEAR, *PATIENT, record=tmp_path / "recordings") as c:
+    with console("--rig", "emulated", *typed(*NEAR), *PATIENT, record=tmp_path / "recordings") as c:
         screen = open_screen(browser, c, pictures)
         screen.press("t", "take")
         screen.press("n", "open")
@@ -176,7 +177,7 @@ def image_of(screen: Screen) -> str:
 
 def test_pictures_of_each_camera_change_and_the_monitor_s_numbers_stand_beside(browser: Any, pictures: Path) -> None:
     rendered = ("--set", "vmu.source=rendered", "--set", "monitor.source=rendered")
-    with console("--rig", "emulated", *rendered, *NEAR, *PATIENT) as c:
+    with console("--rig", "emulated", *rendered, *typed(*NEAR), *PATIENT) as c:
         screen = open_screen(browser, c, pictures)
         start(screen)
         screen.until("window.hil.now.cameras.join() === 'vmu.left,vmu.right,monitor'", 240.0)
@@ -213,7 +214,7 @@ def test_pictures_of_each_camera_change_and_the_monitor_s_numbers_stand_beside(b
 def test_setting_is_changed_from_the_page_seen_in_the_log_and_recorded(
     browser: Any, pictures: Path, tmp_path: Path
 ) -> None:
-    with console("--rig", "mock", *NEAR, record=tmp_path) as c:
+    with console("--rig", "mock", *typed(*NEAR), record=tmp_path) as c:
         screen = open_screen(browser, c, pictures)
         start(screen)
         screen.page.wait_for_selector("#recording.good")
@@ -245,7 +246,7 @@ def test_setting_is_changed_from_the_page_seen_in_the_log_and_recorded(
 
 
 def test_reset_leads_out_of_an_alarm_before_the_run_into_standby(browser: Any, pictures: Path) -> None:
-    with console("--rig", "emulated", *NEAR, *PATIENT) as c:
+    with console("--rig", "emulated", *typed(*NEAR), *PATIENT) as c:
         screen = open_screen(browser, c, pictures)
         screen.press("t", "take")
         screen.press("n", "open")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
+from unhurried import NEAR, UNHURRIED
 
 from hil.build import Job, check, warm_up
 from hil.build import runner as make_runner
@@ -15,13 +16,13 @@ from hil.modes import Mode
 # the fault matrix presses it in the normal run
 pytestmark = pytest.mark.slow
 
-NEAR = ("initial.position_m=[0.7, -0.03, 0.03]", "rig.rails.x.park_m=0.6")
+WIRES = (*NEAR, *UNHURRIED)
 
 
 def test_emergency_stop_ends_the_run_by_name_and_the_axes_stand() -> None:
     """It is pressed by the control port."""
     announced: list[str] = []
-    job = Job(load_scenario("scheme-1", NEAR), load_rig("emulated", NEAR), 1, 20.0, 1.0)
+    job = Job(load_scenario("scheme-1", WIRES), load_rig("emulated", WIRES), 1, 20.0, 1.0)
     check(job)
     warm_up(job)
     pressed_s: list[float] = []

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from unhurried import UNHURRIED
 
 from hil.build import Job, WiredBench, check, warm_up, wired_bench
 from hil.config.load import load_rig, load_scenario
 from hil.modes import Mode
 from hil.rehearsal import GOES_ON, TIGHT, Case, matrix, rehearse, representatives
 
+SETTINGS = (*TIGHT, *UNHURRIED)
+
 
 @pytest.fixture(scope="module")
 def bench() -> Iterator[WiredBench]:
-    job = Job(load_scenario("scheme-1", TIGHT), load_rig("emulated", TIGHT), 0, 60.0, 1.0)
+    job = Job(load_scenario("scheme-1", SETTINGS), load_rig("emulated", SETTINGS), 0, 60.0, 1.0)
     check(job)
     warm_up(job)
     with wired_bench(job) as made:

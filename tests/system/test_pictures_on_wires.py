@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from unhurried import UNHURRIED, typed
 
 from hil.cli.main import execute
 from hil.config.scene import Scene
@@ -27,9 +28,8 @@ SETTINGS = (
 
 @pytest.mark.slow
 def test_pictures_of_a_rig_on_wires_replay_bit_by_bit(tmp_path: Path) -> None:
-    options = [word for setting in SETTINGS for word in ("--set", setting)]
-    options += ["--rig", "emulated", "--duration", "6", "--record", str(tmp_path)]
-    assert execute(["run", "scheme-1", *options]) in (0, 1)
+    arguments = ("--rig", "emulated", "--duration", "6", "--record", str(tmp_path))
+    assert execute(["run", "scheme-1", *typed(*SETTINGS, *UNHURRIED), *arguments]) in (0, 1)
     (path,) = tmp_path.glob("*.mcap")
     recorded = load(path)
     assert recorded.end is not None

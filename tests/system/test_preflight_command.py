@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from unhurried import UNHURRIED, typed
 
 from hil.cli.main import execute
 
@@ -45,7 +46,7 @@ def test_preflight_on_mock_prints_a_table_and_its_verdict_is_its_exit_code(
 
 
 def test_preflight_on_emulated_opens_every_device(tmp_path: Path) -> None:
-    code, found = _preflight(tmp_path, "--rig", "emulated", "--scenario", "scheme-2")
+    code, found = _preflight(tmp_path, "--rig", "emulated", "--scenario", "scheme-2", *typed(*UNHURRIED))
     assert code == (0 if found["passed"] else 1)
     own = _own(found)
     assert set(own.values()) == {True}, found

@@ -14,14 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from unhurried import NEAR, UNHURRIED, typed
 
 from hil.cli.main import execute
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
 from hil.recording.read import contents, load
 from hil.recording.recover import recover
 from hil.recording.replay import replay
-
-NEAR = ("--set", "initial.position_m=[0.7, -0.03, 0.03]", "--set", "rig.rails.x.park_m=0.6")
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +171,7 @@ def test_an_existing_file_is_not_recovered_over(
 
 def start_on_wires(folder: Path, duration_s: float) -> tuple[subprocess.Popen[str], dict[str, int]]:
     """Start a recorded run on the emulated rig; return it once its processes are up, with their numbers."""
-    command = [sys.executable, "-m", "hil", "run", "scheme-1", "--rig", "emulated", *NEAR]
+    command = [sys.executable, "-m", "hil", "run", "scheme-1", "--rig", "emulated", *typed(*NEAR, *UNHURRIED)]
     command += ["--duration", str(duration_s), "--record", str(folder)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     assert process.stderr is not None
@@ -235,7 +234,7 @@ def test_a_killed_loop_on_wires_leaves_a_whole_file_that_replays(tmp_path: Path)
 def test_a_full_disk_is_said_and_nothing_that_was_written_is_lost(small_disk: Path, tmp_path: Path, rig: str) -> None:
     if rig == "emulated":
         (small_disk / "other").write_bytes(bytes(1_750_000))
-        near = NEAR
+        near = typed(*NEAR, *UNHURRIED)
     else:
         near = ()
     command = [

@@ -14,13 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-
-NEAR = ("--set", "initial.position_m=[0.7, -0.03, 0.03]", "--set", "rig.rails.x.park_m=0.6")
-"""A start from which the ready point is near, for a run that is short on the wall at the speed of time: faster
-ones ask more of the machine that the tests run on than it may have left."""
-
-UNHURRIED = ("--set", "rig.io.pump_timeout_s=1.0")
-"""The relay's own 0.05 s are tested where processes are killed: here a machine that stops for a moment is no fault."""
+from unhurried import NEAR, UNHURRIED, typed
 
 GENEROUS_EXIT_S = 3.0  # the product's own figure is 0.5 s; this one holds on a machine that does other things too
 
@@ -28,7 +22,7 @@ GENEROUS_EXIT_S = 3.0  # the product's own figure is 0.5 s; this one holds on a 
 @contextmanager
 def _started(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, int]]]:
     """Start ``hil run --rig emulated``; give it with its emulators' process ids once they are up."""
-    command = [sys.executable, "-m", "hil", "run", "scheme-1", "--rig", "emulated", *arguments]
+    command = [sys.executable, "-m", "hil", "run", "scheme-1", "--rig", "emulated", *typed(*UNHURRIED), *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stderr is not None
@@ -64,14 +58,14 @@ def _none_left(pids: dict[str, int]) -> bool:
 @pytest.mark.parametrize("turntable", ["cia402", pytest.param("ascii", marks=pytest.mark.slow)])
 def test_approach_passes_over_real_wires(turntable: str, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
-    options = ("--set", f"rig.turntable.driver={turntable}", "--duration", "25", "--json", str(path))
-    with _started(*NEAR, *UNHURRIED, *options) as (process, pids):
+    arguments = ("--set", f"rig.turntable.driver={turntable}", "--duration", "20", "--json", str(path))
+    with _started(*typed(*NEAR), *arguments) as (process, pids):
         out, err = process.communicate(timeout=120)
     result = json.loads(path.read_text())
     assert process.returncode == 0, out + err
     assert result["passed"]
     assert result["rig"] == "emulated"
-    assert result["vision"]["frames"] > 120
+    assert result["vision"]["frames"] > 100
     assert max(result["bench"]["rail_error_max_m"]) < 0.005
     assert _none_left(pids)
 
@@ -96,7 +90,7 @@ def test_whole_scheme_passes_over_real_wires_at_four_times_the_speed(turntable: 
     ["rails", *(pytest.param(name, marks=pytest.mark.slow) for name in ("vmu", "turntable", "io"))],
 )
 def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str, plug: signal.Signals) -> None:
-    with _started(*NEAR) as (process, pids):
+    with _started(*typed(*NEAR)) as (process, pids):
         time.sleep(2.0)
         os.kill(pids[device], plug)
         unplugged_s = time.monotonic()
@@ -111,7 +105,7 @@ def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str,
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_operator_ends_the_run_as_a_safe_stop_and_nothing_is_left(number: signal.Signals) -> None:
-    with _started(*NEAR) as (process, pids):
+    with _started(*typed(*NEAR)) as (process, pids):
         time.sleep(2.0)
         process.send_signal(number)
         _, err = process.communicate(timeout=20)
@@ -122,7 +116,7 @@ def test_operator_ends_the_run_as_a_safe_stop_and_nothing_is_left(number: signal
 
 @pytest.mark.slow
 def test_emulators_do_not_outlive_a_controller_that_is_killed() -> None:
-    with _started(*NEAR) as (process, pids):
+    with _started(*typed(*NEAR)) as (process, pids):
         time.sleep(1.0)
         process.kill()
         process.wait()

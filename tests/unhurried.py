@@ -1,0 +1,16 @@
+"""Settings for runs on emulated wires whose outcome must not hang on how busy this computer is."""
+
+from __future__ import annotations
+
+NEAR = ("initial.position_m=[0.7, -0.03, 0.03]", "rig.rails.x.park_m=0.6")
+"""A start from which the ready point is near, for a run that is short on the wall at the speed of time: faster
+ones ask more of the computer that the tests run on than it may have left."""
+
+UNHURRIED = ("rig.io.pump_timeout_s=1.0",)
+"""The safety relay's own 0.05 s are tested where processes are killed: elsewhere a computer that stops for a moment
+is no fault. The other time-outs are 0.4 s and more as shipped."""
+
+
+def typed(*settings: str) -> tuple[str, ...]:
+    """Return ``settings`` as they are typed."""
+    return tuple(word for setting in settings for word in ("--set", setting))
