@@ -23,9 +23,9 @@ from hil.config.load import load_rig, load_scenario
 SHORT = ("--duration", "1.0")
 
 
-def fly(folder: Path, *options: str, runs: int = 120) -> None:
+def fly(folder: Path, *options: str, runs: int = 120, duration: tuple[str, str] = SHORT) -> None:
     """Run a short campaign into ``folder``."""
-    assert execute(["campaign", "scheme-1", "--runs", str(runs), "--out", str(folder), *SHORT, *options]) == 0
+    assert execute(["campaign", "scheme-1", "--runs", str(runs), "--out", str(folder), *duration, *options]) == 0
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +126,17 @@ def test_campaign_killed_in_the_middle_goes_on_where_it_was_and_shares_its_folde
         child.kill()
     fly(folder, "--workers", "1")
     assert_same(alone, folder)
+
+
+def test_start_farther_out_than_planned_is_caught_up_with_below_the_closing_limit(tmp_path: Path) -> None:
+    start = "dispersions.initial.position_m={kind='uniform', low=[5.12, -0.31, 0.29], high=[5.18, -0.29, 0.31]}"
+    for name, rate in (("slowly", ()), ("quickly", ("--set", "gnc.control.correction_rate_mps=0.05"))):
+        options = ("--workers", "1", "--set", start, *rate)
+        fly(tmp_path / name, *options, runs=12, duration=("--duration", "10"))
+    slowly, quickly = (pq.read_table(tmp_path / name / "cases.parquet") for name in ("slowly", "quickly"))
+    assert set(slowly.column("abort").to_pylist()) == {""}
+    assert min(slowly.column("closing_margin_mps").to_pylist()) > -0.003
+    assert set(quickly.column("abort").to_pylist()) == {"the closing rate was too high"}
 
 
 def test_case_that_cannot_be_flown_is_recorded_with_its_reason(tmp_path: Path) -> None:

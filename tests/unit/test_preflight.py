@@ -258,10 +258,10 @@ def test_silent_device_is_given_up(bench: tuple[Telltale, Telltale, MockVmu], mo
 
 
 def test_plan_that_the_rig_cannot_follow_fails_with_the_words_of_the_refusal() -> None:
-    settings = ("rig.rails.x.rate_max_mps=0.06",)
+    settings = ("rig.rails.x.rate_max_mps=0.035",)
     check = reach_check(load_scenario("scheme-1", settings), load_rig("mock", settings))
     assert check.passed is False
-    assert "rails.x would go at up to 0.0862 m/s" in check.value
+    assert "rails.x would go at up to 0.0412 m/s" in check.value
     assert reach_check(load_scenario("scheme-1"), load_rig("mock")).passed is True
 
 
