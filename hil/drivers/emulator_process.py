@@ -28,7 +28,7 @@ _PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
 _RUN_ENDS_WALL_S: Final = 0.1  # how long the child waits for an emulator that is to end
 _EXIT_WALL_S: Final = 0.2  # how long the parent waits for a child whose stdin it closed
 _TERMINATE_WALL_S: Final = 0.05
-_KILL_WALL_S: Final = 0.1
+_KILL_WALL_S: Final = 1.0  # a killed one is gone when the kernel has let go of its memory
 _LAST_WORDS_BYTES: Final = 2000
 
 
@@ -187,7 +187,7 @@ class EmulatorProcess:
         self._process.kill()
 
     def close(self) -> None:
-        """End the child, if need be by SIGTERM and then SIGKILL: at most 0.35 s, idempotent."""
+        """End the child, if need be by SIGTERM and then SIGKILL, which comes after 0.25 s; idempotent."""
         self.ask_to_end()
         for number, wall_s in (
             (None, _EXIT_WALL_S),
