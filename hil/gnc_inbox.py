@@ -40,6 +40,11 @@ class Inbox:
         """Return the output, (1,) of GNC_OUTPUT, that ``arrival`` holds."""
         return arrival.record["output"] if arrival.name == "gnc.flight" else arrival.record
 
+    @staticmethod
+    def is_of(arrival: Arrival, reference: np.record) -> bool:
+        """Return whether ``arrival`` holds a command of our control that braked, or did not, as ``reference`` says."""
+        return arrival.name == "gnc.flight" and int(arrival.record["command"]["boost"][0]) == int(reference.boost)
+
     def take(self, arrival: Arrival) -> int:
         """Make ``arrival`` the present one; return the cycle that it answers."""
         self.has_flight = arrival.name == "gnc.flight"

@@ -82,6 +82,7 @@ class RemoteGnc(ForeignGnc):
         self._period_s = period_s
         self._answer: Arrival | None = None  # not used yet
         self._answered = -1  # cycle of the answer that was used last
+        self._anew = False  # this cycle's input has gone out a second time, with another reference
         self._missed = 0  # cycles on end
         self._set_up_for = 0  # link.joined of the side that has acknowledged its setup
         self._state = GncState.STARTING
@@ -157,7 +158,10 @@ class RemoteGnc(ForeignGnc):
         self._abort_began = False
         self._write_input(t_s, GncMode.RUNNING, GncOrder.ABORT, now.imu, now.reference, _NO_POSES, 0)
         self._answered -= 1
-        if self.exchange():
+        self._anew = True
+        answered = self.exchange()
+        self._anew = False
+        if answered:
             self._take_answer(now, t_s)
         else:
             self.miss(now)
@@ -327,6 +331,8 @@ class RemoteGnc(ForeignGnc):
         if self._lock_step and cycle < self.cycle:
             self.account.late += 1
             return
+        if self._anew and not self._inbox.is_of(arrival, self._reference):
+            return  # asked for twice, before the reference changed
         self._answer = arrival
 
     def _cycle_of(self, arrival: Arrival) -> int:

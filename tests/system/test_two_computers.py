@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from far_gnc import gnc_thread, split_bench
+from relay import Relay
 
 from hil import build
 from hil.cli.main import execute
@@ -52,6 +53,22 @@ def test_lock_step_gives_the_same_also_with_late_poses_and_in_an_abort(settings:
         apart = bench.fly()
     assert apart.history.tobytes() == alone.history.tobytes()
     assert apart.events == alone.events
+
+
+def test_answer_from_before_an_abort_is_not_taken_for_the_one_after_it() -> None:
+    """A slow network makes the bench ask twice, so that each answer comes twice, too."""
+    settings = ("gnc.abort.at_s=1.4",)
+    with build.runner(in_one_process("scheme-1", 1.6, settings), lambda *_: None, lambda _: None) as runner:
+        alone = runner.run()
+    with (
+        split_bench("scheme-1", 1.6, settings) as bench,
+        Relay(bench.link.address, delay_s=0.035) as relay,
+        gnc_thread("scheme-1", relay.address, settings),
+    ):
+        apart = bench.fly()
+    assert bench.account()["resent"] > 60
+    assert alone.history["command"]["boost"][-1] == 1
+    assert apart.history.tobytes() == alone.history.tobytes()
 
 
 def test_gnc_of_another_chaser_is_refused_in_words() -> None:
