@@ -16,6 +16,7 @@ from urllib.request import Request, urlopen
 import numpy as np
 import pytest
 from console_client import Console, Page, console
+from foreign_gnc import c_example
 from unhurried import NEAR, typed
 
 from hil.cli.main import BAD_INPUT, execute
@@ -91,6 +92,25 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recor
     assert modes[-5:] == ["running", "hold", "running", "hold", "safe-stop"]
     (entry,) = Catalogue(tmp_path).runs()
     assert (entry["stop"], entry["cycles"]) == ("stopped by the operator", ended["cycles"])
+
+
+def test_gnc_of_the_users_own_is_flown_held_and_aborted_from_the_page(tmp_path: Path) -> None:
+    settings = typed(*NEAR, f"gnc.library={c_example(tmp_path)}")
+    with console("--rig", "mock", *settings, record=tmp_path) as c:
+        page = c.page("ann")
+        start(page)
+        page.until(lambda: bool(np.isfinite(page.column("estimate_m.x")[-1])), "the library's estimate")
+        assert abs(page.column("position_error_mm.x")[-1]) < 50.0
+        page.order("hold")
+        page.until_mode("hold")
+        page.order("resume")
+        page.until_mode("running")
+        page.order("abort")
+        page.until(lambda: page.column("aborted")[-1] > 0.0, "the abort")
+        page.order("stop")
+        page.until(lambda: not page.now["open"], "the end")
+        file = page.page["ended"]["recording"]["file"]
+    assert replay(load(Path(file)), load(Path(file)).scenario).identical
 
 
 @pytest.mark.slow
