@@ -25,7 +25,7 @@ from hil.gnc import remote
 from hil.gnc_interface import GNC_INPUT, GncMode, GncOrder, GncState
 from hil.gnc_setup import gnc_setup
 from hil.maths.arrays import copy_into
-from hil.messages import COMMAND, IMU, MAX_POSES, NAVIGATION, POSE, REFERENCE, new
+from hil.messages import COMMAND, IMU, MAX_POSES, NAVIGATION, POSE, REFERENCE, Event, new
 
 _OFFERS: Final = ("gnc.flight", "gnc.output", "gnc.filters")
 _WANTS: Final = ("gnc.setup", "gnc.input")
@@ -56,6 +56,8 @@ class Flight:
     """Of the filters, after gaps that were too long to bridge."""
     silences: int = 0
     """Of the bench while it flew, longer than three cycles."""
+    filters: list[str] = field(default_factory=list)
+    """What its own monitors said of the filters: NIS and, where it is enabled, the shadow filter."""
     compute_us: list[float] = field(default_factory=list)
     """Of each step: from the input to the answer."""
 
@@ -73,6 +75,7 @@ class Flight:
             "bridged": self.bridged,
             "restarts": self.restarts,
             "silences": self.silences,
+            "filters": self.filters,
             "compute_us": percentiles,
             **link.counters(),
             "refused": list(link.complaints),
@@ -197,9 +200,15 @@ class GncComputer:
     def _begin(self) -> None:
         """Let filters and control begin anew."""
         self._gnc = make_gnc(self._scenario)
+        self._gnc.watch.events.tell(self._hear_of_filters)
         self._last = -1
         self._not_before_s = -math.inf
         self._out.navigation, self._out.command = new(NAVIGATION), new(COMMAND)
+
+    def _hear_of_filters(self, event: Event) -> None:
+        text = f"{event.t_s:.2f} s {event.source}: {event.text}"
+        self.flight.filters.append(text)
+        self._tell(text)
 
     def _say(self, cycle: int) -> None:
         """Answer while the loop is open: what this GNC's state is, and nothing else."""

@@ -71,6 +71,15 @@ def test_answer_from_before_an_abort_is_not_taken_for_the_one_after_it() -> None
     assert apart.history.tobytes() == alone.history.tobytes()
 
 
+def test_shadow_filter_that_parts_is_told_where_the_gnc_runs() -> None:
+    settings = ("gnc.shadow.enabled=true", "gnc.shadow.position_limit_m=1e-5")
+    with split_bench("scheme-1", 4.0) as bench, gnc_thread("scheme-1", bench.link.address, settings) as gnc:
+        assert bench.fly().faults == []
+    told = [text for text in gnc.flight.as_json(gnc.link)["filters"] if "shadow: parts from the filters" in text]
+    assert told
+    assert told[0].endswith("allowed 1e-05 m and 0.05 deg")
+
+
 def test_gnc_of_another_chaser_is_refused_in_words() -> None:
     heavier = ("chaser.mass_kg=1200.0",)
     with (
