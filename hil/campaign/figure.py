@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from hil.campaign.store import Store, whole_or_not_at_all
-from hil.report.verdict import ROW_NAMES
+from hil.config.scenario import Scenario
+from hil.report.paper import TABLE_V
+from hil.report.verdict import ROW_NAMES, tolerances
 
 _MOST_POINTS = 2000  # of a curve
 _PANELS = (
@@ -20,8 +22,12 @@ _PANELS = (
 )
 
 
-def draw_percentiles(store: Store, title: str, path: Path) -> None:
-    """Draw the share of cases below each value, with the 5th, 50th and 95th percentile, into ``path``."""
+def draw_percentiles(store: Store, scenario: Scenario, path: Path) -> None:
+    """Draw how the cases of ``scenario`` spread into ``path``.
+
+    The share of cases below each value, with the 5th, 50th and 95th percentile; and the deviations of the ready phase
+    over what Table III allows, with the worst of the paper's Table V where it has the scenario.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, 6.5), layout="constrained")
@@ -29,27 +35,43 @@ def draw_percentiles(store: Store, title: str, path: Path) -> None:
     for place, (name, label) in zip(axes, _PANELS, strict=False):
         values = np.asarray(store.column(name), dtype=float)
         _curve(place, values[np.isfinite(values)], label)
-    worst = np.array([_greatest(store, row, axis) for row in ROW_NAMES for axis in "xyz"])
-    labels = [f"{row.split('_')[0]} {axis}" for row in ROW_NAMES for axis in "xyz"]
-    axes[5].barh(np.arange(12), np.nan_to_num(worst))
-    axes[5].set_yticks(np.arange(12), labels, fontsize=7)
-    axes[5].invert_yaxis()
-    if (worst > 0.0).any():
-        axes[5].set_xscale("log")
-    axes[5].set_xlabel("worst deviation, m, m/s, deg, deg/s")
-    figure.suptitle(title)
+    _deviations(axes[5], store, scenario)
+    figure.suptitle(f"{scenario.name}, {len(store.column('case'))} cases")
     with whole_or_not_at_all(path) as partial:
         figure.savefig(partial, dpi=110, format="png")
 
 
-def _greatest(store: Store, row: str, axis: str) -> float:
-    values = store.column(f"{row}_{axis}")
-    return float(np.nanmax(values)) if np.isfinite(values).any() else np.nan
+def _deviations(place: Any, store: Store, scenario: Scenario) -> None:
+    """Draw worst and median deviation of each cell of Table III, in percent of what it allows."""
+    cells = [(row, i) for row in ROW_NAMES for i in range(3)]
+    allowed = tolerances(scenario.requirements)
+    paper = TABLE_V.get(scenario.name)
+    y = np.arange(len(cells))
+    worst, median, published = np.full((3, len(cells)), np.nan)
+    for k, (row, i) in enumerate(cells):
+        unit = 100.0 / allowed[row][i]
+        values = np.asarray(store.column(f"{row}_{'xyz'[i]}"), dtype=float)
+        values = values[np.isfinite(values)]
+        if len(values):
+            worst[k], median[k] = unit * values.max(), unit * float(np.median(values))
+        if paper is not None:
+            published[k] = unit * getattr(paper, row)[i]
+    place.barh(y, np.nan_to_num(worst), label="worst", color="#a6c8e4")
+    place.barh(y, np.nan_to_num(median), label="median", color="C0", height=0.35)
+    if paper is not None:
+        place.plot(published, y, "D", color="C1", markersize=4, label="Table V")
+    place.set_yticks(y, [f"{row.split('_')[0]} {'xyz'[i]}" for row, i in cells], fontsize=7)
+    place.invert_yaxis()
+    place.set_xlim(left=0.0)
+    place.set_xlabel("deviation, % of Table III")
+    place.legend(fontsize=7, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 
 
 def _curve(place: Any, values: Any, label: str) -> None:
     place.set_xlabel(label)
     place.set_ylabel("share of cases, %")
+    place.locator_params(axis="x", nbins=5)
+    place.ticklabel_format(axis="x", useOffset=False)
     if not len(values):
         place.text(0.5, 0.5, "none", ha="center")
         return

@@ -120,7 +120,7 @@ def _fly(
                 bar.tell(f"{now.title} {now.done} of {now.runs} cases, {now.speed:.0f} x real time", share)
 
             summaries.append(campaign.fly(store, runs, engine, watch))
-            draw_percentiles(store, f"{summaries[-1]['scenario']}, {runs} cases", store.folder / "percentiles.png")
+            draw_percentiles(store, campaign.scenario.value, store.folder / "percentiles.png")
     if sweep is not None:
         found = sweep_summary(sweep, stores)
         draw_sweep(found, out / "sweep.png")
