@@ -71,7 +71,7 @@ def _curve(place: Any, values: Any, label: str) -> None:
     place.set_xlabel(label)
     place.set_ylabel("share of cases, %")
     place.locator_params(axis="x", nbins=5)
-    place.ticklabel_format(axis="x", useOffset=False)
+    place.xaxis.set_major_formatter("{x:.5g}")
     if not len(values):
         place.text(0.5, 0.5, "none", ha="center")
         return
