@@ -70,11 +70,11 @@ def _deviations(place: Any, store: Store, scenario: Scenario) -> None:
 def _curve(place: Any, values: Any, label: str) -> None:
     place.set_xlabel(label)
     place.set_ylabel("share of cases, %")
-    place.locator_params(axis="x", nbins=5)
-    place.xaxis.set_major_formatter("{x:.5g}")
     if not len(values):
-        place.text(0.5, 0.5, "none", ha="center")
+        place.text(0.5, 0.5, "none", ha="center", transform=place.transAxes)
         return
+    place.locator_params(axis="x", nbins=4)
+    place.xaxis.set_major_formatter("{x:.5g}")
     shares = np.linspace(0.0, 100.0, min(len(values), _MOST_POINTS))
     place.plot(np.percentile(values, shares), shares)
     for share in (5.0, 50.0, 95.0):
