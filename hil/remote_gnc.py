@@ -16,14 +16,15 @@ import numpy as np
 
 from hil.approach import Approach
 from hil.config.gnc_link import GncLink
-from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
-from hil.foreign_gnc import Briefing, ForeignGnc, printable
+from hil.errors import LinkLost, LinkTimeout, ProtocolError
+from hil.foreign_gnc import Briefing, ForeignGnc
 from hil.frmn.cells import Role
-from hil.frmn.link import Arrival, Link
+from hil.frmn.link import Link
 from hil.frmn.mirror import MIRRORED
 from hil.frmn.udp import Address, shown
 from hil.gnc import foreign, navigation, remote
 from hil.gnc.watch import FilterWatch
+from hil.gnc_answers import Answers
 from hil.gnc_inbox import REMEMBERED, Inbox, Past
 from hil.gnc_interface import GncMode, GncOrder, GncState
 from hil.gnc_link import LinkAccount
@@ -32,14 +33,9 @@ from hil.seat import Poses, Records
 from hil.told import Told
 
 NAME: Final = "gnc"
-_STATES: Final = frozenset(state.value for state in GncState)
 _OFFERS: Final = ("gnc.setup", "gnc.input", *MIRRORED)
 _WANTS: Final = ("gnc.output", "gnc.flight", "gnc.filters")
-_IN_A_CYCLE: Final = 64  # datagrams that are looked at: a flood must not keep the loop
-_BACKLOG: Final = 4096  # with the loop open: what came while devices were opened
-_AGAIN_S: Final = 0.1  # wall time from one setup that is not answered to the next
-_RESEND_S: Final = 0.05  # wall time after which an input of lock-step in simulated time goes out again
-_PATIENCE_S: Final = 10.0  # wall time that lock-step in simulated time waits for an answer
+_BUSY_S: Final = 0.1  # wall time between two cycles with the loop open after which silence is no wonder
 _SILENT_S: Final = 0.35  # wall time after which another GNC may take the place of a silent one: three heartbeats
 _IDLE_S: Final = 0.01  # wall time of a cycle of a hold in simulated time
 _NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
@@ -80,13 +76,9 @@ class RemoteGnc(ForeignGnc):
         self._config = config
         self._lock_step = lock_step
         self._period_s = period_s
-        self._answer: Arrival | None = None  # not used yet
-        self._answered = -1  # cycle of the answer that was used last
-        self._anew = False  # this cycle's input has gone out a second time, with another reference
+        patience_s = None if period_s is None else config.answer_share * period_s
+        self._answers = Answers(NAME, link, self._inbox, self.account, briefing.setup, lock_step, patience_s)
         self._missed = 0  # cycles on end
-        self._set_up_for = 0  # link.joined of the side that has acknowledged its setup
-        self._state = GncState.STARTING
-        self._setup_sent_s = -math.inf
         self._held_since_s: float | None = None
         self._stood_s = self._judged_from_s = -math.inf
         self._told: tuple[GncOrder, int] = (GncOrder.NONE, -1)  # orders under way, and the cycle that told them last
@@ -104,10 +96,11 @@ class RemoteGnc(ForeignGnc):
         """Why a held run cannot go on yet: nobody there, not set up, not working."""
         if not self.link.alive(time.monotonic()):
             return f"{self.name} is silent"
-        if not self._is_set_up:
+        if not self._answers.is_set_up:
             return f"{self.name} has not answered its setup"
-        if self._state is not GncState.WORKING:
-            return f"{self.name} says {self._state.name.lower().replace('_', ' ')}"
+        state = self._answers.state
+        if state is not GncState.WORKING:
+            return f"{self.name} says {state.name.lower().replace('_', ' ')}"
         return ""
 
     def connect(self, patience_s: float) -> str:
@@ -116,22 +109,22 @@ class RemoteGnc(ForeignGnc):
         Raises LinkTimeout that says where it waited.
         """
         give_up_s = time.monotonic() + patience_s
-        while not self._is_set_up:
+        while not self._answers.is_set_up:
             if time.monotonic() > give_up_s:
                 refusal = f"; refused: {self.link.refusal[1]}" if self.link.refusal else ""
                 where = shown(self.link.address)
                 raise LinkTimeout(self.name, f"none has answered {where} within {patience_s:g} s{refusal}")
-            self._keep_up()
+            self._answers.keep_up(self.cycle)
             self.link.wait(_IDLE_S)
         return self._peer_name()
 
     def stand(self, mode: GncMode, bench_s: float) -> None:
         """Keep the GNC informed while the loop is open, take in one that has come back, and judge silence."""
-        self._keep_up()
-        if self._is_set_up:
+        self._answers.keep_up(self.cycle)
+        if self._answers.is_set_up:
             self._tell(mode)
         now_s = time.monotonic()
-        if now_s - self._stood_s > _AGAIN_S:  # the bench was busy, and said nothing itself
+        if now_s - self._stood_s > _BUSY_S:  # the bench was busy, and said nothing itself
             self._judged_from_s = now_s
         self._stood_s = now_s
         judged = now_s - self._judged_from_s > _SILENT_S
@@ -157,30 +150,29 @@ class RemoteGnc(ForeignGnc):
         """Let our GNC decide anew by the reference of an abort that has just begun, as ``hil run`` does."""
         self._abort_began = False
         self._write_input(t_s, GncMode.RUNNING, GncOrder.ABORT, now.imu, now.reference, _NO_POSES, 0)
-        self._answered -= 1
-        self._anew = True
-        answered = self.exchange()
-        self._anew = False
-        if answered:
+        self._answers.used -= 1
+        if self._exchange(now.reference):
             self._take_answer(now, t_s)
         else:
             self.miss(now)
 
     def exchange(self) -> bool:
         """Send the input; bring an answer into ``output``; False where none that is new is there."""
+        return self._exchange()
+
+    def _exchange(self, reference: np.record | None = None) -> bool:
+        """As ``exchange``. reference: where this cycle's input goes out anew, with this other REFERENCE."""
         self.link.tend()
         if self._lock_step:
             self._send()
-            self._wait_for_answer()
+            self._answers.wait(self.cycle, self.input, reference)
         else:
-            self._hear()
+            self._answers.hear(self.cycle)
             self._send()
-        answer, self._answer = self._answer, None
-        if answer is None or not self._is_set_up:
+        if not self._answers.take():
             return False
-        self._answered = self._inbox.take(answer)
-        self.account.used(self.cycle - self._answered)
-        if self._answered >= self._told[1]:
+        self.account.used(self.cycle - self._answers.used)
+        if self._answers.used >= self._told[1]:
             self._told = (GncOrder.NONE, -1)
         return True
 
@@ -190,11 +182,11 @@ class RemoteGnc(ForeignGnc):
         if self._take_answer(now, t_s) and (
             math.isfinite(now.navigation.nis_position) or math.isfinite(now.navigation.nis_attitude)
         ):
-            self.watch.look(self._answered, now.imu, _A_POSE, now.navigation, _NO_POSES)
+            self.watch.look(self._answers.used, now.imu, _A_POSE, now.navigation, _NO_POSES)
 
     def _take_answer(self, now: Records, t_s: float) -> bool:
         """Write NAVIGATION and COMMAND; return whether they are those of our own GNC."""
-        super().take(now, self._answered, t_s)
+        super().take(now, self._answers.used, t_s)
         if not self._inbox.has_flight or self.output.state != GncState.WORKING:
             return False
         if not remote.take_flight(self._inbox.navigation, self._inbox.command, now.navigation, now.command):
@@ -205,10 +197,10 @@ class RemoteGnc(ForeignGnc):
         """Let the last command stand for a while, then close all thrusters; when it lasts, the GNC is lost."""
         self._missed += 1
         gone = self.link.peer.gone if self.link.peer is not None else None
-        why = gone or ("" if self._is_set_up else "was started anew")
+        why = gone or ("" if self._answers.is_set_up else "was started anew")
         if not why and (self._missed >= self._config.timeout_cycles or self._period_s is None):
             why = "does not answer" if self._period_s is None else f"has not answered for {self._missed} cycles"
-        if self._missed <= self._config.coast_cycles and self._answered >= 0 and not why:
+        if self._missed <= self._config.coast_cycles and self._answers.used >= 0 and not why:
             self.account.coasted += 1
             now.navigation.nis_position = now.navigation.nis_attitude = math.nan
             return
@@ -240,25 +232,9 @@ class RemoteGnc(ForeignGnc):
 
     def close(self) -> None:
         """Tell the GNC that the run is over."""
-        if self._is_set_up:
+        if self._answers.is_set_up:
             self._tell(GncMode.STOPPED)
         self.link.close("the run is over")
-
-    @property
-    def _is_set_up(self) -> bool:
-        return self.link.joined > 0 and self._set_up_for == self.link.joined
-
-    def _keep_up(self) -> None:
-        """Say what is due, hear what has come, and set up a GNC that is new."""
-        self.link.tend()
-        self._hear(_BACKLOG)
-        self._answer = None
-        now_s = time.monotonic()
-        alive = self.link.alive(now_s)
-        wanted = not self._is_set_up if alive else self.link.expects  # one at a known address may say no hello
-        if wanted and now_s - self._setup_sent_s > _AGAIN_S:
-            self._setup_sent_s = now_s
-            self.link.send("gnc.setup", self.setup)
 
     def _tell(self, mode: GncMode) -> None:
         """Send an input without measurements: the loop is open."""
@@ -287,62 +263,11 @@ class RemoteGnc(ForeignGnc):
         self.account.sent(self.cycle)
         self.link.send("gnc.input", self.input)
 
-    def _wait_for_answer(self) -> None:
-        """Wait for the answer to the present input, for a share of a cycle; in simulated time until it is hopeless."""
-        now_s = time.monotonic()
-        limit_s = _PATIENCE_S if self._period_s is None else self._config.answer_share * self._period_s
-        again_s = _RESEND_S if self._period_s is None else limit_s / 2.0
-        give_up_s, resend_s = now_s + limit_s, now_s + again_s
-        while True:
-            self._hear()
-            if self._answer is not None and self._cycle_of(self._answer) == self.cycle:
-                return
-            now_s = time.monotonic()
-            if now_s >= give_up_s or not self._is_set_up or (self.link.peer is not None and self.link.peer.gone):
-                self._answer = None
-                return
-            if now_s >= resend_s:
-                resend_s = now_s + again_s
-                self.account.resent += 1
-                self.link.send("gnc.input", self.input)
-            self.link.wait(min(give_up_s, resend_s) - now_s)
-
-    def _hear(self, at_most: int = _IN_A_CYCLE) -> None:
-        for arrival in self.link.poll(at_most):
-            if arrival.name == "gnc.filters":
-                self._inbox.take_filters(arrival.record)
-            else:
-                self._hear_answer(arrival)
-
-    def _hear_answer(self, arrival: Arrival) -> None:
-        output = self._inbox.output_in(arrival)
-        cycle, state = self._cycle_of(arrival), int(output["state"][0])
-        if state in _STATES:
-            self._state = GncState(state)
-        if self._state is GncState.FAULT:
-            raise DeviceError(self.name, printable(output["text"][0]) or "reports a fault")
-        if not self._is_set_up:
-            if cycle == -1:
-                self._set_up_for = self.link.joined
-            return
-        self.account.answered(cycle, arrival.received_s)
-        if not self._answered < cycle <= self.cycle:
-            return  # told again, or none of a cycle
-        if self._lock_step and cycle < self.cycle:
-            self.account.late += 1
-            return
-        if self._anew and not self._inbox.is_of(arrival, self._reference):
-            return  # asked for twice, before the reference changed
-        self._answer = arrival
-
-    def _cycle_of(self, arrival: Arrival) -> int:
-        return int(self._inbox.output_in(arrival)["cycle"][0])
-
     def _lose(self, why: str) -> None:
         self.account.losses += 1
         if self.link.peer is None or self.link.peer.gone:
-            self._set_up_for = 0
-        self._state = GncState.STARTING
+            self._answers.forget_setup()
+        self._answers.state = GncState.STARTING
         if self._config.on_loss == "stop":
             raise self._lost(why)
         self.ask_for_hold(f"{self._peer_name()} {why}")
