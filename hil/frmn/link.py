@@ -121,8 +121,9 @@ class Link:
             arrival = self.take(*came)
             if arrival is not None:
                 arrivals.append(arrival)
-        if self.peer is not None and self.peer.address in self._socket.closed_ports():
-            self.peer.gone = PORT_CLOSED
+        closed = self._socket.closed_ports()
+        if self.peer is not None and self.peer.gone is None and self.peer.address in closed:
+            self.peer.gone = PORT_CLOSED  # without a goodbye
         return arrivals
 
     def wait(self, timeout_s: float) -> bool:

@@ -107,6 +107,17 @@ def test_bench_without_a_peer_sends_nothing(bench: Link) -> None:
     assert not bench.send("gnc.input", np.zeros(1, GNC_INPUT))
 
 
+def test_goodbye_stands_also_where_the_port_is_closed_behind_it(bench: Link, gnc: Link) -> None:
+    joined(bench, gnc)
+    bench.close("the run is over")
+    gnc.send("gnc.output", np.zeros(1, CELLS["gnc.output"].dtype))  # meets the closed port before the goodbye is read
+    time.sleep(0.05)
+    gnc.poll()
+    gnc.poll()
+    assert gnc.peer is not None
+    assert gnc.peer.gone == "the run is over"
+
+
 def test_closed_port_of_the_other_side_is_noticed_by_the_next_poll(bench: Link, gnc: Link) -> None:
     joined(bench, gnc)
     gnc._socket.close()  # as when its process is killed
