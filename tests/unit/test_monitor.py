@@ -218,12 +218,12 @@ def test_the_threshold_parts_two_modes() -> None:
 
 @pytest.mark.slow
 def test_two_sigmas_cover_as_often_as_they_should(atv: Scene) -> None:
-    """200 fresh portions at 1.4 to 40 m, with the accelerations that are allowed for: in 91 to 99 % 2 sigmas hold."""
+    """800 fresh portions at 1.4 to 40 m, with the accelerations that are allowed for: in 93 to 98.5 % 2 sigmas hold."""
     rng = np.random.default_rng(77)
     settings = Settings()
     sizes = np.repeat([settings.acceleration_mps2, settings.angular_acceleration_radps2], 3)
     rows, end_s = [], 9 / atv.fps
-    for _ in range(200):
+    for _ in range(800):
         w = motion_at(float(np.exp(rng.uniform(np.log(1.4), np.log(40.0)))))
         w[[6, 8, 10]] += rng.uniform(-0.02, 0.02, 3)
         bend = sizes * rng.normal(size=6)
@@ -240,4 +240,4 @@ def test_two_sigmas_cover_as_often_as_they_should(atv: Scene) -> None:
         rows.append(ratios(done[0], w))
     for name, column in zip(QUANTITIES, np.array(rows).T, strict=True):
         seen = column[np.isfinite(column)]
-        assert 0.91 <= np.mean(np.abs(seen) < 2.0) <= 0.99, name
+        assert 0.93 <= np.mean(np.abs(seen) < 2.0) <= 0.985, name
