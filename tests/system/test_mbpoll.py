@@ -77,7 +77,7 @@ def test_mbpoll_reads_the_drives_over_a_serial_line() -> None:
         assert read(11, 2000, 4, "4:hex") == [
             "0x1008",
             "0x0000",
-            "0x0041",
+            "0x5441",
             "0x0000",
         ]  # homed (bit 12); fault: safe torque off
         assert read(11, 2004, 1, "4:float") == ["3000"]  # parked at 3 m, in mm, low word first
