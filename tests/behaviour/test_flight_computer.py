@@ -8,7 +8,7 @@ import tty
 
 import numpy as np
 import pytest
-from unhurried import UNHURRIED
+from run_settings import UNHURRIED
 
 from hil import build
 from hil.config.load import load_rig, load_scenario

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from unhurried import UNHURRIED, typed
+from run_settings import UNHURRIED, typed
 
 from hil import build, monitored
 from hil.build import Job

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from unhurried import NEAR, UNHURRIED
+from run_settings import NEAR, UNHURRIED
 
 from hil import build
 from hil.clock import SimulatedClock

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from run_settings import typed
 
 from hil.cli.main import execute
 from hil.config.load import load_file, load_rig
@@ -27,7 +28,7 @@ SMALL = (
     "rig.vmu.camera.width_px=400",
     "rig.vmu.camera.height_px=400",
 )
-SET = [word for text in SMALL for word in ("--set", text)]
+SET = typed(*SMALL)
 AXIS_SIGMA = np.array([5e-5] * 3 + [np.radians(0.005)] * 3)
 LOOSE = ["--max-error-mm", "300", "--max-mounting-mm", "5", "--max-mounting-deg", "0.3"]
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from console_client import Console, Page, console
 from foreign_gnc import c_example
-from unhurried import NEAR, typed
+from run_settings import NEAR, typed
 
 from hil.cli.main import BAD_INPUT, execute
 from hil.console.serve import is_loopback

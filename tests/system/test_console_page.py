@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from console_client import PATIENT, Console, console
-from unhurried import NEAR, typed
+from run_settings import NEAR, typed
 
 from hil.recording.read import load
 from hil.recording.replay import replay

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from unhurried import NEAR, UNHURRIED
+from run_settings import NEAR, UNHURRIED
 
 from hil.build import Job, check, warm_up
 from hil.build import runner as make_runner

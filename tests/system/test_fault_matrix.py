@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from unhurried import UNHURRIED
+from run_settings import UNHURRIED
 
 from hil.build import Job, WiredBench, check, warm_up, wired_bench
 from hil.config.load import load_rig, load_scenario

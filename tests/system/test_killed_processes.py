@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from run_settings import typed
 
 from hil.clock import WallClock
 from hil.config.load import load_rig, load_scenario
@@ -89,7 +90,7 @@ def running(folder: Path, *settings: str) -> Iterator[Bench]:
         wired, _ = emulated.wait_ready()
         rig = lab_file(folder / "lab.toml", wired)
         command = [sys.executable, "-m", "hil", "run", "scheme-1", "--rig", rig]
-        command += [word for setting in (*MOVING, *settings) for word in ("--set", setting)]
+        command += typed(*MOVING, *settings)
         process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
         try:
             assert process.stderr is not None

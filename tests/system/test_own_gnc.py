@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foreign_gnc import PYTHON_EXAMPLE, c_example
+from run_settings import typed
 
 from hil import build
 from hil.assembly import library_problems
@@ -113,7 +114,7 @@ def test_abort_is_told_once_in_the_input_after_it_has_begun(tmp_path: Path) -> N
 def test_run_without_an_estimate_is_judged_on_the_truth_and_never_claims_docking(tmp_path: Path) -> None:
     chosen, numbers, folder = variant(tmp_path, NO_ESTIMATE), tmp_path / "run.json", tmp_path / "runs"
     start = ("initial.position_m=[0.55, 0.01, -0.01]", "initial.attitude_deg=[0.3, 0.2, -0.2]")
-    settings = [text for setting in (*start, f"gnc.library={chosen}") for text in ("--set", setting)]
+    settings = typed(*start, f"gnc.library={chosen}")
     options = ["--duration", "45", "--json", str(numbers), "--record", str(folder)]
     assert execute(["run", "scheme-1", *settings, *options]) == 0
     summary = json.loads(numbers.read_text())  # NaN would be no JSON

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from unhurried import UNHURRIED, typed
+from run_settings import UNHURRIED, typed
 
 from hil.cli.main import execute
 from hil.config.scene import Scene

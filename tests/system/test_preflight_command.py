@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from unhurried import UNHURRIED, typed
+from run_settings import UNHURRIED, typed
 
 from hil.cli.main import execute
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from run_settings import typed
 
 from hil import build
 from hil.cli.main import execute
@@ -103,8 +104,7 @@ def test_scenario_that_the_bench_cannot_follow_is_refused_in_one_line_an_axis(
 ) -> None:
     settings, words = REFUSALS[what]
     scheme = "scheme-2" if "abort.speed" in words else "scheme-1"
-    options = [text for setting in settings for text in ("--set", setting)]
-    assert execute(["run", scheme, *options]) == 2
+    assert execute(["run", scheme, *typed(*settings)]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     where, _, told = printed.err.rstrip("\n").partition(": ")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from unhurried import NEAR, UNHURRIED, typed
+from run_settings import NEAR, UNHURRIED, typed
 
 from hil.cli.main import execute
 from hil.recording.catalogue import BROKEN_OFF, Catalogue

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from run_settings import typed
 
 from hil.cli.main import execute
 from hil.config.load import load_scene
@@ -28,9 +29,8 @@ ALL_PNG = ("rig.recording.pictures=png", "rig.recording.picture_each_s=0")
 
 def record(folder: Path, duration_s: float, *settings: str, rig: str = "mock") -> Path:
     """Return the recording of a short run of scheme-1."""
-    options = [word for setting in settings for word in ("--set", setting)]
-    options += ["--rig", rig, "--duration", f"{duration_s:g}", "--record", str(folder), "--json", f"{folder}.json"]
-    assert execute(["run", "scheme-1", *options]) in (0, 1)
+    options = ["--rig", rig, "--duration", f"{duration_s:g}", "--record", str(folder), "--json", f"{folder}.json"]
+    assert execute(["run", "scheme-1", *typed(*settings), *options]) in (0, 1)
     (path,) = folder.glob("*.mcap")
     return path
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from run_settings import typed
 
 from hil import build
 from hil.cli.main import execute
@@ -111,8 +112,7 @@ def test_run_whose_bench_does_not_follow_is_stopped_and_names_the_axis(
     slow = [f"rig.rails.servo.{key}" for key in ("gain_per_s=0.5", "lag_s=3.0")] + [
         "rig.rails.following_error_max_m=0.002"
     ]
-    settings = [text for setting in slow for text in ("--set", setting)]
-    assert execute(["run", "scheme-1", "--duration", "30", "--json", str(path), *settings]) == 3
+    assert execute(["run", "scheme-1", "--duration", "30", "--json", str(path), *typed(*slow)]) == 3
     result = json.loads(path.read_text())
     assert re.match(r"rails\.[xyz]: following error 0\.\d+ m, allowed 0\.002 m", result["stop"]), result["stop"]
     assert not result["passed"]

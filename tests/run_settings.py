@@ -1,4 +1,4 @@
-"""Settings for runs on emulated wires whose outcome must not hang on how busy this computer is."""
+"""Settings that many tests run with, and how they are typed."""
 
 from __future__ import annotations
 
