@@ -44,6 +44,7 @@ from hil.truth_check import truth_problems
 
 _FRAMES_TO_ARM = 2
 _WARM_UP_CYCLES = 10
+FIRST_START = "first start: compiling the kernels for this computer, once, about a minute"  # said before warm_up
 TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: how long a reader may look away before it misses something
 
 

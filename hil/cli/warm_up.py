@@ -16,11 +16,11 @@ from contextlib import contextmanager
 
 from rich.console import Console
 
-from hil.build import Job, warm_up, warm_up_all_but_navigation
+from hil.build import FIRST_START, Job, warm_up, warm_up_all_but_navigation
 from hil.config.load import load_rig, load_scenario
 from hil.maths.jit import kernels_are_cached, mark_kernels_cached
 
-_NOTICE = "first start: compiling the kernels for this computer, once, about a minute ..."
+_NOTICE = f"{FIRST_START} ..."
 _OTHER_HALF_S = 120.0
 _SAFE_STOPPED = 3
 

@@ -102,7 +102,7 @@ def _prepare(job: build.Job, words: Words) -> None:
     else:
         build.check(job)
     if not kernels_are_cached():
-        words.say(word="first start: compiling the kernels for this computer, once, about a minute")
+        words.say(word=build.FIRST_START)
     build.warm_up(job)
     mark_kernels_cached()
 
