@@ -151,17 +151,16 @@ class RemoteGnc(ForeignGnc):
         self._abort_began = False
         self._write_input(t_s, GncMode.RUNNING, GncOrder.ABORT, now.imu, now.reference, _NO_POSES, 0)
         self._answers.used -= 1
-        if self._exchange(now.reference):
+        if self.exchange(now.reference):
             self._take_answer(now, t_s)
         else:
             self.miss(now)
 
-    def exchange(self) -> bool:
-        """Send the input; bring an answer into ``output``; False where none that is new is there."""
-        return self._exchange()
+    def exchange(self, reference: np.record | None = None) -> bool:
+        """Send the input; bring an answer into ``output``; False where none that is new is there.
 
-    def _exchange(self, reference: np.record | None = None) -> bool:
-        """As ``exchange``. reference: where this cycle's input goes out anew, with this other REFERENCE."""
+        reference: where this cycle's input goes out a second time, the other REFERENCE that it has now.
+        """
         self.link.tend()
         if self._lock_step:
             self._send()

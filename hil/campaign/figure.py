@@ -33,12 +33,16 @@ def draw_percentiles(store: Store, scenario: Scenario, path: Path) -> None:
     figure = Figure(figsize=(11.0, 6.5), layout="constrained")
     axes = figure.subplots(2, 3).ravel()
     for place, (name, label) in zip(axes, _PANELS, strict=False):
-        values = np.asarray(store.column(name), dtype=float)
-        _curve(place, values[np.isfinite(values)], label)
+        _curve(place, _finite(store, name), label)
     _deviations(axes[5], store, scenario)
     figure.suptitle(f"{scenario.name}, {len(store.column('case'))} cases")
     with whole_or_not_at_all(path) as partial:
         figure.savefig(partial, dpi=110, format="png")
+
+
+def _finite(store: Store, name: str) -> Any:
+    values = np.asarray(store.column(name), dtype=float)
+    return values[np.isfinite(values)]
 
 
 def _deviations(place: Any, store: Store, scenario: Scenario) -> None:
@@ -50,8 +54,7 @@ def _deviations(place: Any, store: Store, scenario: Scenario) -> None:
     worst, median, published = np.full((3, len(cells)), np.nan)
     for k, (row, i) in enumerate(cells):
         unit = 100.0 / allowed[row][i]
-        values = np.asarray(store.column(f"{row}_{'xyz'[i]}"), dtype=float)
-        values = values[np.isfinite(values)]
+        values = _finite(store, f"{row}_{'xyz'[i]}")
         if len(values):
             worst[k], median[k] = unit * values.max(), unit * float(np.median(values))
         if paper is not None:
