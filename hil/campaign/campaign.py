@@ -27,7 +27,7 @@ from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.errors import BadInput, Problem
 from hil.gnc_library import digest_of
-from hil.maths.jit import CACHE_FOLDER
+from hil.maths.jit import kernels_digest
 
 RIG: Final = "mock"
 
@@ -88,7 +88,7 @@ class Campaign:
             "digest": digest,
             "seed": self._seed,
             "duration_s": self.duration_s,
-            "kernels": CACHE_FOLDER.name,
+            "kernels": kernels_digest(),
         }
         return Store(folder, identity, self.design.names)
 

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from hil.build import FIRST_START, Job, warm_up, warm_up_all_but_navigation
 from hil.config.load import load_rig, load_scenario
-from hil.maths.jit import kernels_are_cached, mark_kernels_cached
+from hil.maths.jit import kernels_are_cached, mark_kernels_cached, prepare_kernel_cache
 
 _NOTICE = f"{FIRST_START} ..."
 _OTHER_HALF_S = 120.0
@@ -35,6 +35,7 @@ def _warm_up(job: Job, console: Console) -> None:
     if kernels_are_cached():
         warm_up(job)
         return
+    prepare_kernel_cache()
     started = time.perf_counter()
     with console.status(_NOTICE):
         if not console.is_terminal:

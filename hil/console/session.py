@@ -28,7 +28,7 @@ from hil.console.remote_operator import RemoteOperator, Words
 from hil.console.status import CELLS
 from hil.errors import BadInput, BenchError
 from hil.frmn.cell import Block
-from hil.maths.jit import kernels_are_cached, mark_kernels_cached
+from hil.maths.jit import kernels_are_cached, mark_kernels_cached, prepare_kernel_cache
 from hil.monitor_beside import Watched
 from hil.recording.session import Recording, recording
 from hil.report.docking_monitor import judge_monitor
@@ -102,6 +102,7 @@ def _prepare(job: build.Job, words: Words) -> None:
     else:
         build.check(job)
     if not kernels_are_cached():
+        prepare_kernel_cache()
         words.say(word=build.FIRST_START)
     build.warm_up(job)
     mark_kernels_cached()
