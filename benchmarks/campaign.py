@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from hil.campaign.batch import Spec, run_batch
+from hil.campaign.case_runner import Flight
 from hil.campaign.engines import LocalEngine
-from hil.campaign.flight import Flight
 from hil.config.load import load_rig, load_scenario
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -102,14 +102,14 @@ def basilisk_speed(span_s: float = 400.0) -> float | None:
     """Return the simulated seconds a second of two craft in Basilisk under the same field, without any GNC."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracle"))
     try:
-        from basilisk_pair import Pair, write_field
+        from tests.support.basilisk_pair import Pair, write_field
     except ImportError:
         return None
-    from hil import parameters
     from hil.maths import quat
+    from hil.params import gnc as gnc_params
 
     scenario = load_scenario("scheme-1").value
-    params, truth = parameters.dss(scenario), parameters.initial_truth(scenario)
+    params, truth = gnc_params.dss(scenario), gnc_params.initial_truth(scenario)
     a = quat.to_matrix(truth.q_HI)
     r, v = a.T @ truth.r_CT_H, a.T @ (truth.v_CT_H + np.cross(truth.w_HI_H, truth.r_CT_H))
     states = [(truth.r_T_I, truth.v_T_I), (truth.r_T_I + r, truth.v_T_I + v)]

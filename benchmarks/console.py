@@ -29,9 +29,9 @@ from hil.config.load import shipped
 from hil.console.app import make_app
 from hil.console.client import Client
 from hil.console.columns import INDEX
-from hil.console.desk import Desk
+from hil.console.service import Desk
 from hil.console.session import Choice
-from hil.late_cycles import lateness_percentiles_us
+from hil.loop.overrun_monitor import lateness_percentiles_us
 
 PATIENT = (
     "rig.vmu.timeout_s=10.0",

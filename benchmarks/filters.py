@@ -12,11 +12,11 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from numba import njit
 
-from hil import parameters
 from hil.config.load import load_scenario
+from hil.core.messages import IMU, POSE, new
 from hil.gnc import akf, fusion, pkf
 from hil.gnc.fusion import FUSION_STATE, MEMORY, STEP
-from hil.messages import IMU, POSE, new
+from hil.params import gnc as gnc_params
 
 REPEATS, CALLS = 9, 2000
 
@@ -70,7 +70,7 @@ def many(params, state, pose, zero, what, n):
 
 
 def own_costs() -> dict[str, float]:
-    params = parameters.navigation(load_scenario("scheme-1").value).fusion
+    params = gnc_params.navigation(load_scenario("scheme-1").value).fusion
     state, memory, imu, pose = new(FUSION_STATE), np.zeros(MEMORY, STEP), new(IMU), new(POSE)
     pose.q_CH[3] = 1.0
     pose.z_TC_C[0] = -5.0

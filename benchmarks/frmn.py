@@ -24,16 +24,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil import build
-from hil.clock import WallClock
 from hil.config.load import load_rig, load_scenario
-from hil.frmn.cells import Role
+from hil.core.clock import WallClock
+from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GNC_SETUP
+from hil.core.realtime import RealTime, no_garbage_collection
 from hil.frmn.link import Link
-from hil.gnc_interface import GNC_INPUT, GNC_OUTPUT, GNC_SETUP
-from hil.rate import WallRate
-from hil.realtime import RealTime, no_garbage_collection
-from hil.remote_gnc import gnc_link
-from hil.remote_seat import remote_gnc
+from hil.frmn.mailboxes import Role
+from hil.gnc_backends.udp import gnc_link
+from hil.loop.rate_keeper import WallRate
+from hil.session import build
+from hil.setup.udp_backend import remote_gnc
 
 THERE, BACK = 32 + GNC_INPUT.itemsize, 32 + GNC_OUTPUT.itemsize
 PORTS = {"link": 24701, "plain": 24702, "pyzmq": 24703, "loop": 24704}

@@ -24,13 +24,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil import build
-from hil.clock import WallClock
 from hil.config.load import load_rig, load_scenario
+from hil.core.clock import WallClock
+from hil.core.messages import CYCLE
+from hil.core.realtime import RealTime, no_garbage_collection
 from hil.frmn.ring import Ring
-from hil.messages import CYCLE
-from hil.rate import Tick, WallRate
-from hil.realtime import RealTime, no_garbage_collection
+from hil.loop.rate_keeper import Tick, WallRate
+from hil.session import build
 
 ROWS = 2048
 LONGEST_US = 20_000  # cyclictest's histogram; what is later counts as this
@@ -41,7 +41,7 @@ SITUATIONS = ("alone", "two readers", "two readers and a hog on each CPU")
 READER = """
 import sys, time
 from hil.frmn.ring import Ring
-from hil.messages import CYCLE
+from hil.core.messages import CYCLE
 ring = Ring(int(sys.argv[1]), CYCLE, int(sys.argv[2]))
 reader, path, pause_s = ring.reader(), sys.argv[3], float(sys.argv[4])
 with open(path, "wb") as out:

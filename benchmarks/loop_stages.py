@@ -14,17 +14,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil import parameters
 from hil.bench import guard as guards
 from hil.campaign import loop_kernel as loop
-from hil.campaign.flight import Flight
+from hil.campaign.case_runner import Flight
 from hil.campaign.tally_kernel import count_cycle
 from hil.config.load import load_rig, load_scenario
+from hil.core.jit import kernel
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.gnc import navigation
-from hil.maths import local
-from hil.maths.jit import kernel
+from hil.maths import stack_arrays
+from hil.params import gnc as gnc_params
 
 REPEATS, TIMES, FLIGHTS = 100, 1_000, 30  # short ones: some of them nothing else disturbs
 
@@ -82,7 +82,7 @@ def decide(params, state, sets, n):
 
 @kernel
 def errors(state, n):
-    out = local.vector(2)
+    out = stack_arrays.vector(2)
     for _ in range(n):
         navigation.normalised_errors(state.navigation.fusion.filters, state.now.truth, state.now.imu, out)
 
@@ -140,7 +140,7 @@ def main() -> None:
     flight.fly(scenario, 0)
     p, s, memory, poses = flight._params, flight._state, flight._memory, flight._poses
     frames, tally = flight._frames, flight._tally
-    field, sets, leds = parameters.field(scenario), flight._sets, flight._leds
+    field, sets, leds = gnc_params.field(scenario), flight._sets, flight._leds
     imu_noise, vision_noise, draws = flight._imu_noise, flight._vision_noise, flight._travel_draws
     a_pose = 1.0 / (p.vmu_rate_hz * p.step_s)  # cycles
     s.on_the_way = 1

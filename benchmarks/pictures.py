@@ -19,9 +19,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from hil.core.camera_images import PICTURE, SLOTS, Encoding, encode, picture_row
 from hil.frmn.ring import Ring
-from hil.pictures import PICTURE, SLOTS, Encoding, encode, picture_row
-from hil.recording.pictures import pictures
+from hil.recording.images import pictures
 from hil.recording.writer import Header, RunFile
 
 RENDERED = ("vmu.source=rendered", "monitor.source=rendered")

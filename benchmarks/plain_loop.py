@@ -13,13 +13,13 @@ import time
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from hil import parameters
 from hil.config.load import load_scenario
-from hil.dss_parameters import gravity
+from hil.core.messages import REFERENCE, new
 from hil.gnc import guidance
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.maths import euler, quat
-from hil.messages import REFERENCE, new
+from hil.params import gnc as gnc_params
+from hil.params.dynamics import gravity
 
 FRAME_CYCLES = 8
 
@@ -90,12 +90,12 @@ class PlainLoop:
     def __init__(self, seed=0):
         scenario = load_scenario("scheme-1").value
         self.rng, self.dt = np.random.default_rng(seed), scenario.step_s
-        self.dss, self.truth = parameters.dss(scenario), parameters.initial_truth(scenario)
-        self.field, self.imu = Field(scenario), parameters.imu(scenario)
-        self.vision, self.nav = parameters.vision(scenario), parameters.navigation(scenario).fusion
-        self.sets, strength = parameters.allocation(scenario.chaser)
-        self.control = parameters.control(scenario, strength)
-        self.line, self.flown, self.point = parameters.guidance(scenario), new(GUIDANCE_STATE), new(REFERENCE)
+        self.dss, self.truth = gnc_params.dss(scenario), gnc_params.initial_truth(scenario)
+        self.field, self.imu = Field(scenario), gnc_params.imu(scenario)
+        self.vision, self.nav = gnc_params.vision(scenario), gnc_params.navigation(scenario).fusion
+        self.sets, strength = gnc_params.allocation(scenario.chaser)
+        self.control = gnc_params.control(scenario, strength)
+        self.line, self.flown, self.point = gnc_params.guidance(scenario), new(GUIDANCE_STATE), new(REFERENCE)
         guidance.start(self.line, self.flown)
         t = self.truth
         to_h = matrix(t.q_HI)

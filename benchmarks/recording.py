@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hil import build
 from hil.config.load import load_rig, load_scenario
-from hil.drivers.remote.cells import ARRIVAL
+from hil.core.messages import CYCLE
+from hil.drivers.remote.io_layout import ARRIVAL
 from hil.frmn.ring import Ring, Telemetry
-from hil.messages import CYCLE
 from hil.recording.session import recording
+from hil.session import build
 
 FRAME_HZ = 12.5
 RATES_HZ = (50.0, 1000.0)

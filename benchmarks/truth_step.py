@@ -16,14 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from hil import parameters
 from hil.config.load import load_scenario
+from hil.core.jit import kernel
+from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import moon_gravity
 from hil.dynamics import truth as kernels
 from hil.dynamics.held_gravity import HELD
 from hil.maths import quat
-from hil.maths.jit import kernel
-from hil.messages import MAX_THRUSTERS, new
+from hil.params import gnc as gnc_params
 
 GRAVITY_ALONE = (
     "truth.gravity_gradient=false",
@@ -74,14 +74,14 @@ def main() -> None:
         ("Hill, no disturbance", (*GRAVITY_ALONE, "truth.relative_motion=hill")),
     ):
         scenario = load_scenario("scheme-2", settings).value
-        params, field, truth = parameters.dss(scenario), parameters.field(scenario), parameters.initial_truth(scenario)
+        params, field, truth = gnc_params.dss(scenario), gnc_params.field(scenario), gnc_params.initial_truth(scenario)
         span = new(HELD)
         n = round(span_s / params.dt_s)
         steps(params, field, span, truth, quiet, 1)
         taken = best_s(lambda: steps(params, field, span, truth, quiet, n))  # noqa: B023
         print(f"  {title:28s} {1e6 * taken / n:8.2f} us a step {taken:9.4f} s")
     scenario = load_scenario("scheme-2").value
-    params, field, r = parameters.dss(scenario), parameters.field(scenario), parameters.initial_truth(scenario).r_T_I
+    params, field, r = gnc_params.dss(scenario), gnc_params.field(scenario), gnc_params.initial_truth(scenario).r_T_I
     pulls(params.gravity, field, r, 1)
     taken = best_s(lambda: pulls(params.gravity, field, r, 100_000))
     print(f"  {'harmonics of degree 8':28s} {10.0 * taken:8.2f} us a call")
@@ -92,12 +92,12 @@ def _basilisk(span_s: float) -> None:
     """Fly both under the same field, of a Moon that does not turn, with Basilisk's Runge-Kutta 4 at the same step."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracle"))
     try:
-        from basilisk_pair import Pair, write_field
+        from tests.support.basilisk_pair import Pair, write_field
     except ImportError:
         print("  Basilisk is not installed (constraints-oracle.txt): no line for it")
         return
     scenario = load_scenario("scheme-2", GRAVITY_ALONE).value
-    params, truth = parameters.dss(scenario), parameters.initial_truth(scenario)
+    params, truth = gnc_params.dss(scenario), gnc_params.initial_truth(scenario)
     a = quat.to_matrix(truth.q_HI)
     r, v = a.T @ truth.r_CT_H, a.T @ (truth.v_CT_H + np.cross(truth.w_HI_H, truth.r_CT_H))
     states = [(truth.r_T_I, truth.v_T_I), (truth.r_T_I + r, truth.v_T_I + v)]

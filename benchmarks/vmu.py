@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.config.vmu_geometry import VmuGeometry
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.render import Extras, Light, Look, Renderer, projections
 from hil.vmu.unit import VisionUnit

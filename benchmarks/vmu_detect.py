@@ -12,7 +12,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.detect import Detector
 from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.render import Extras, HotPixel, Light, Look, Renderer, projections

@@ -19,7 +19,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from hil.config.load import load_rig
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.drift import check
 from hil.vmu.calibration.files import Calibrated, Label

@@ -12,10 +12,10 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-from hil.build import Job, check, warm_up, wired_bench
+from hil.commission.fault_matrix import TIGHT, Finding, clear_faults, matrix, rehearse
 from hil.config.load import load_rig, load_scenario
-from hil.modes import Mode
-from hil.rehearsal import TIGHT, Finding, clear_faults, matrix, rehearse
+from hil.core.modes import Mode
+from hil.session.build import Job, check, warm_up, wired_bench
 
 
 def main(words: list[str]) -> int:

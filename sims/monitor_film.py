@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise
-from hil.monitor.derived import quantities
-from hil.monitor.findings import QUANTITIES
+from hil.monitor.kernels.derived import quantities
 from hil.monitor.render import Conditions, Renderer
+from hil.monitor.results import QUANTITIES
 
 Floats = NDArray[np.float64]
 

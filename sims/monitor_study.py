@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
-from hil.monitor.derived import quantities
-from hil.monitor.findings import QUANTITIES
+from hil.monitor.frame_result import Result
+from hil.monitor.kernels.derived import quantities
 from hil.monitor.monitor import Monitor
 from hil.monitor.render import Conditions, Renderer, film
-from hil.monitor.results import Result
+from hil.monitor.results import QUANTITIES
 from hil.monitor.settings import Settings
 
 Floats = NDArray[np.float64]

@@ -10,9 +10,9 @@ import sys
 import matplotlib as mpl
 import numpy as np
 
-from hil import build
 from hil.config.load import load_rig, load_scenario
 from hil.report.verdict import deviations, judge, tolerances
+from hil.session import build
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

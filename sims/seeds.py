@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from hil import build
 from hil.config.load import load_rig, load_scenario
 from hil.report.paper import TABLE_V
 from hil.report.summary import summarise
 from hil.report.verdict import ROW_NAMES
+from hil.session import build
 
 
 def fly(scheme: str, seed: int, settings: tuple[str, ...]) -> dict[str, Any]:

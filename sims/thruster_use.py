@@ -11,11 +11,11 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from hil import build
 from hil.config.load import load_rig, load_scenario
 from hil.report.paper import TABLE_V
 from hil.report.summary import summarise
 from hil.report.verdict import ROW_NAMES, deviations
+from hil.session import build
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.detect import Detector
 from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.kernels.shape import add_disc

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.config.vmu_geometry import VmuGeometry
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image, project

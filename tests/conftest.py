@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from hil import build
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.recording.session import recording
 from hil.report.summary import summarise
+from hil.session import build
 
 # examples drawn from a fixed seed; no deadline, because a first call may compile a kernel
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)

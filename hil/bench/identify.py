@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from hil.messages import Array
+from hil.core.messages import Array
 
 DELAY_PHASE_RAD = 1.0  # sines that lag further, or are faster than so many times the slowest one, say nothing
 DELAY_FREQUENCIES = 4.0  # of the slope at standstill

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.messages import Array
+from hil.core.messages import Array
 
 DEAD_MAN_S = 0.2
 SHARE_OF_RATE = 0.1  # of an axis' greatest speed, jogged

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.bench.kinematics import write_axis
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 
 
 @kernel

@@ -7,8 +7,8 @@ import threading
 from dataclasses import dataclass
 from typing import Any
 
+from hil.campaign.case_runner import Flight
 from hil.campaign.dispersions import Design, case_seed
-from hil.campaign.flight import Flight
 from hil.campaign.outcome import failed_row, row_of
 from hil.config.load import Loaded, check_table
 from hil.config.rig import Rig

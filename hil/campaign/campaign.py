@@ -14,20 +14,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil import build
-from hil.assembly import Job
 from hil.campaign.batch import Spec
+from hil.campaign.case_runner import Flight
 from hil.campaign.dispersions import Design
 from hil.campaign.engines import Engine
-from hil.campaign.flight import Flight
 from hil.campaign.statistics import compare, mean_interval, summarise, wilson
 from hil.campaign.store import Store, whole_or_not_at_all
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
+from hil.core.jit import kernels_digest
 from hil.errors import BadInput, Problem
-from hil.gnc_library import digest_of
-from hil.maths.jit import kernels_digest
+from hil.gnc_backends.library_file import digest_of
+from hil.session import build
+from hil.setup.assembly import Job
 
 RIG: Final = "mock"
 

@@ -23,8 +23,8 @@ from scipy.stats import qmc
 from hil.config.dispersions import TABLES, Number, Spread
 from hil.config.load import Loaded, check_table
 from hil.config.scenario import Scenario
+from hil.core.messages import Array
 from hil.errors import BadInput, Problem
-from hil.messages import Array
 
 _DESIGN, _CASE = 0, 1
 _SMALLEST = 2.0**-40  # a unit point is kept off 0 and 1 by so much, where a normal has no value

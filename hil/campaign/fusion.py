@@ -11,13 +11,13 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import chi2
 
-from hil import parameters
 from hil.campaign.fusion_kernel import SNAPSHOTS_S, STUDY_PARAMS, STUDY_RESULT, run_study
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
+from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
 from hil.gnc.fusion import FUSION_STATE, MEMORY, STEP
 from hil.gnc.guidance import GUIDANCE_STATE
-from hil.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
+from hil.params import gnc as gnc_params
 
 Reading = Literal["swapped", "printed"]
 
@@ -40,7 +40,7 @@ def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float) -> np
     params.frame_cycles = round(1.0 / (vmu_rate_hz * scenario.step_s))
     params.sigma_position = VMU_SIGMA[reading][0]
     params.sigma_angle = math.radians(VMU_SIGMA[reading][1])
-    params.initial_turn = parameters.initial_rotation_vector(scenario)
+    params.initial_turn = gnc_params.initial_rotation_vector(scenario)
     params.turn_time = _TURN_TIME_S
     params.initial_sigma = np.repeat(INITIAL_SIGMA, 3)
     return params
@@ -54,9 +54,9 @@ class Study:
         self.step_s = scenario.step_s
         self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz
         self._study = study_params(scenario, reading, self.vmu_rate_hz)
-        self._filters = parameters.navigation(scenario).fusion
-        self._imu = parameters.imu(scenario)
-        self._line = parameters.guidance(scenario)
+        self._filters = gnc_params.navigation(scenario).fusion
+        self._imu = gnc_params.imu(scenario)
+        self._line = gnc_params.guidance(scenario)
         self._seed = seed
 
     def run(self, number: int, result: np.record, trace: Array | None = None, noisy: bool = True) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from hil.campaign.fusion import Reading, Study
 from hil.campaign.fusion_kernel import SNAPSHOTS_S, STUDY_RESULT
-from hil.messages import new
+from hil.core.messages import new
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by the colour-blind
 

@@ -10,12 +10,12 @@ import math
 
 import numpy as np
 
+from hil.core.jit import kernel
 from hil.dynamics.imu import sample
 from hil.gnc import akf, akf_additive, fusion, guidance
 from hil.gnc.navigation import normalised_errors
 from hil.maths import quat
 from hil.maths.arrays import copy_into, fill_matrix
-from hil.maths.jit import kernel
 
 SETTLED_S = 100.0  # errors count from here on
 SNAPSHOTS_S = (100.0, 200.0, 300.0, 400.0)  # when the NEES is taken

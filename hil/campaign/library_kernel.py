@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.gnc import c_library, foreign, guidance, supervision
-from hil.gnc_interface import GNC_INPUT, GNC_OUTPUT
-from hil.maths.jit import kernel
+from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT
+from hil.core.jit import kernel
+from hil.gnc import approach_monitor, guidance
+from hil.gnc_backends import external_records, library_call
 from hil.maths.limits import has_held
 
 LIBRARY = np.dtype(
@@ -40,18 +41,18 @@ def fly_by_library(params, state, sets, poses, arrived, k, t_s):
     guidance.advance(params.guidance, state.flown, t_s, 0, 0 if go else 1)
     guidance.reference(params.guidance, state.flown, t_s, now.reference)
     orders = _ABORT if gnc.abort_began != 0 else 0
-    foreign.write_input(k, t_s, _RUNNING, orders, now.imu, now.reference, poses, arrived, gnc.input)
-    gnc.code = c_library.step(gnc.step_address, gnc.instance, gnc.input, gnc.output)
-    gnc.fault, gnc.place = foreign.fault_of(gnc.output, k, params.n_thrusters)
-    if gnc.code != 0 or gnc.fault != foreign.FINE or gnc.output.state == foreign.FAULT:
+    external_records.write_input(k, t_s, _RUNNING, orders, now.imu, now.reference, poses, arrived, gnc.input)
+    gnc.code = library_call.step(gnc.step_address, gnc.instance, gnc.input, gnc.output)
+    gnc.fault, gnc.place = external_records.fault_of(gnc.output, k, params.n_thrusters)
+    if gnc.code != 0 or gnc.fault != external_records.FINE or gnc.output.state == external_records.FAULT:
         return False
-    if gnc.output.state == foreign.ASKS_FOR_HOLD:
+    if gnc.output.state == external_records.ASKS_FOR_HOLD:
         gnc.asks_for_hold = 1
-    foreign.take_output(gnc.output, sets, params.n_thrusters, now.reference.boost, now.navigation, now.command)
+    external_records.take_output(gnc.output, sets, params.n_thrusters, now.reference.boost, now.navigation, now.command)
     aborted = found.aborted
     if now.navigation.valid == 0:
-        foreign.abort_unseen(params.supervision, params.guidance, state.flown, t_s, now.reference, 0, found)
-    supervision.supervise_and_act(
+        external_records.abort_unseen(params.supervision, params.guidance, state.flown, t_s, now.reference, 0, found)
+    approach_monitor.supervise_and_act(
         params.supervision, params.guidance, state.flown, t_s, now.navigation, now.reference, 0, found
     )
     gnc.abort_began = 1 if found.aborted != aborted else 0

@@ -1,4 +1,4 @@
-"""The whole closed loop as one compiled function, made of the kernels that the cycle calls (hil/cycle.py).
+"""The whole closed loop as one compiled function, made of the kernels that the cycle calls (hil/loop/cycle.py).
 
 Stage by stage and in the same order: the mock rig's axes, supervision of the bench, vision unit, filters,
 guidance, control, truth, virtual IMU, setpoints. Random numbers are those of the cycle's streams, drawn
@@ -16,27 +16,27 @@ from hil.bench.guard import BREACH, GUARD
 from hil.bench.kinematics import BENCH_PARAMS, MOTION
 from hil.campaign.library_kernel import LIBRARY, fly_by_library
 from hil.campaign.tally_kernel import count_cycle, count_exposure
+from hil.core.jit import kernel
+from hil.core.messages import AXES, CYCLE, MAX_POSES
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.dynamics.held_gravity import HELD
 from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.truth import DSS_PARAMS
 from hil.dynamics.vision import VISION_PARAMS, see
-from hil.gnc import allocation, control, guidance, navigation, supervision
+from hil.gnc import allocation, approach_monitor, control, guidance, navigation
+from hil.gnc.approach_monitor import SUPERVISION_PARAMS
 from hil.gnc.control import CONTROL_PARAMS
 from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
 from hil.gnc.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
 from hil.gnc.ready_phase import READY_PARAMS
-from hil.gnc.supervision import SUPERVISION_PARAMS
-from hil.maths import local
+from hil.maths import stack_arrays
 from hil.maths.arrays import copy_into, copy_matrix, fill
-from hil.maths.camera import CAMERA
-from hil.maths.exposure import TIME_SLACK_S, TRAVEL, delays, exposure_time, first_exposure
-from hil.maths.jit import kernel
 from hil.maths.limits import cut_to_range, has_held
-from hil.maths.servo import servo_step, servo_step_of_two
-from hil.maths.stations import STATIONS, chaser_pose
-from hil.messages import AXES, CYCLE, MAX_POSES
+from hil.models.camera import CAMERA
+from hil.models.camera_timing import TIME_SLACK_S, TRAVEL, delays, exposure_time, first_exposure
+from hil.models.mounting import STATIONS, chaser_pose
+from hil.models.servo import servo_step, servo_step_of_two
 
 COMPLETED, FOLLOWING, TRAVEL_LEFT, VISION_SILENT, NOT_FINITE, GNC_FAILED, GNC_HOLDS = range(7)
 """Why a run ended; the second and third as ``hil.bench.guard`` numbers them."""
@@ -151,7 +151,7 @@ def _move_all(state, now_s):
 @kernel
 def _send(axes, position, rate, now_s, accepted):
     """Give three mock axes their setpoint and write what they took into ``accepted`` (3,); False for a bad number."""
-    feedforward = local.vector(3)
+    feedforward = stack_arrays.vector(3)
     if cut_to_range(position, axes.low, axes.high, accepted) >= 0:
         return False
     if cut_to_range(rate, axes.rate_min, axes.rate_max, feedforward) >= 0:
@@ -165,8 +165,8 @@ def _send(axes, position, rate, now_s, accepted):
 @kernel
 def _expose(params, state, until_s, vision_noise, travel_draws, leds, frames, tally):
     """Let the vision unit take what it sees up to ``until_s`` and send it on its way into ``frames``."""
-    late = local.vector(2)
-    r, q = local.vector(3), local.vector(4)
+    late = stack_arrays.vector(2)
+    r, q = stack_arrays.vector(3), stack_arrays.vector(4)
     while True:
         t_s = exposure_time(state.next_exposure, params.vmu_rate_hz)
         if t_s > until_s:
@@ -277,14 +277,14 @@ def _decide(params, state, sets, t_s):
     go = found.aborted == 0 and has_held(found.ready_since_s, t_s, params.dwell_s)
     guidance.advance(params.guidance, state.flown, t_s, 0, 0 if go else 1)
     guidance.reference(params.guidance, state.flown, t_s, now.reference)
-    supervision.supervise_and_act(
+    approach_monitor.supervise_and_act(
         params.supervision, params.guidance, state.flown, t_s, now.navigation, now.reference, 0, found
     )
     control.control(params.control, now.navigation, now.reference, now.command)
     allocation.select(sets, params.n_thrusters, now.command)
     now.nees_position = now.nees_attitude = np.nan
     if state.fuses_now != 0:
-        nees = local.vector(2)
+        nees = stack_arrays.vector(2)
         navigation.normalised_errors(state.navigation.fusion.filters, now.truth, now.imu, nees)
         now.nees_position, now.nees_attitude = nees[0], nees[1]
 
@@ -293,13 +293,13 @@ def _decide(params, state, sets, t_s):
 def _follow(params, state, now_s):
     """Stage 11: setpoints towards the truth's pose. Returns how many were limited, -1 where one is not finite."""
     now = state.now
-    rate = local.vector(3)
+    rate = stack_arrays.vector(3)
     truth_kernels.rate_against_hill(now.truth, rate)
     truth = now.truth
     kinematics.axes_of_pose(params.bench, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, state.wanted)
     out = state.next
     limited = kinematics.limit_setpoint(params.bench, state.motion, state.wanted, out)
-    rails, gimbals = local.vector(3), local.vector(3)
+    rails, gimbals = stack_arrays.vector(3), stack_arrays.vector(3)
     fine = _send(state.rails, out.rail_m, out.rail_mps, now_s, rails) and _send(
         state.turntable, out.gimbal_rad, out.gimbal_radps, now_s, gimbals
     )
@@ -316,7 +316,7 @@ def _begin(params, state):
     guidance.start(params.guidance, state.flown)
     _read_axes(state, 0.0)
     feedback = state.now.feedback
-    rest = local.vector(3)
+    rest = stack_arrays.vector(3)
     fill(rest, 0.0)
     kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, state.before)
     kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, state.motion)

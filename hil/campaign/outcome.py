@@ -7,13 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.approach_diary import ABORT_CAUSES
 from hil.config.scenario import Scenario
+from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
-from hil.messages import Array
+from hil.gnc_backends.approach_events import ABORT_CAUSES
+from hil.loop.runner import COMPLETED
 from hil.report.energy import energy_part
 from hil.report.verdict import ROW_NAMES, tolerances, verdict_of
-from hil.runner import COMPLETED
 
 _AXES: Final = ("x", "y", "z")
 _TRIPLES: Final = (

@@ -10,10 +10,10 @@ from scipy.stats import binomtest, rankdata, t
 
 from hil.campaign.outcome import FLAGS
 from hil.campaign.store import Store
-from hil.messages import Array
+from hil.core.messages import Array
+from hil.loop.runner import COMPLETED
 from hil.report.paper import TABLE_V
 from hil.report.verdict import ROW_NAMES
-from hil.runner import COMPLETED
 
 CONFIDENCE: Final = 0.95
 PERCENTILES: Final = (5.0, 50.0, 95.0, 99.0)

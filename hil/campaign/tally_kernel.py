@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 
+from hil.core.jit import kernel
+from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics import truth as truth_kernels
-from hil.gnc import ready_phase, supervision
+from hil.gnc import approach_monitor, ready_phase
 from hil.gnc.ready_phase import READY_STATE
-from hil.maths import local
+from hil.maths import stack_arrays
 from hil.maths.arrays import copy_into
-from hil.maths.camera import view_margin
-from hil.maths.jit import kernel
-from hil.maths.stations import camera_pose
-from hil.messages import MAX_THRUSTERS
+from hil.models.camera import view_margin
+from hil.models.mounting import camera_pose
 
 TALLY = np.dtype(
     [
@@ -58,7 +58,7 @@ def start_tally(tally):
 @kernel
 def count_exposure(camera, stations, leds, r, q, tally):
     """Take account of the view at an exposure with the bench at ``r`` (3,), m, ``q`` (4,)."""
-    t_v, q_vt = local.vector(3), local.vector(4)
+    t_v, q_vt = stack_arrays.vector(3), stack_arrays.vector(4)
     camera_pose(stations, r, q, t_v, q_vt)
     tally.view_margin = min(tally.view_margin, view_margin(camera, leds, t_v, q_vt))
 
@@ -78,8 +78,8 @@ def _count_security(params, now, tally):
     if now.supervision.aborted == 0 or tally.cycles == 0:  # otherwise the line before the abort
         copy_into(tally.from_H, reference.from_H)
         copy_into(tally.to_H, reference.to_H)
-    corridor = supervision.corridor_margin(params.judged, tally.from_H, tally.to_H, truth.r_CT_H)
-    closing = supervision.closing_margin(params.judged, truth.r_CT_H, truth.v_CT_H)
+    corridor = approach_monitor.corridor_margin(params.judged, tally.from_H, tally.to_H, truth.r_CT_H)
+    closing = approach_monitor.closing_margin(params.judged, truth.r_CT_H, truth.v_CT_H)
     tally.corridor_margin = min(tally.corridor_margin, corridor)
     tally.closing_margin = min(tally.closing_margin, closing)
 
@@ -130,7 +130,7 @@ def _count_navigation(now, tally):
 def count_cycle(params, state, tally):
     """Take account of the cycle in ``state.now``. params: LOOP_PARAMS."""
     now = state.now
-    rate = local.vector(3)
+    rate = stack_arrays.vector(3)
     truth_kernels.rate_against_hill(now.truth, rate)
     ready_phase.deviations(params.ready, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, rate, tally.room)
     ready_phase.judge_moment(params.ready, tally.ready, now.t_s, tally.room)

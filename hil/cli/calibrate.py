@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
-from hil.cli.bar import Bar
 from hil.cli.output import base_of, check_json_path, check_picture_path, check_rig_path, write_json
+from hil.cli.progress import Bar
 from hil.config.load import load_file, load_rig
 from hil.config.vmu_geometry import VmuGeometry
 from hil.errors import BadInput, Problem

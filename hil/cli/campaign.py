@@ -12,8 +12,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from hil.cli.bar import Bar
 from hil.cli.output import check_json_path, write_json
+from hil.cli.progress import Bar
 from hil.errors import BadInput, Problem
 
 _DONE, _FAILED = 0, 1

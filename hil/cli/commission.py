@@ -12,13 +12,13 @@ from typing import Final
 
 from rich.console import Console
 
+from hil.checks.compatibility import flight_problems
 from hil.cli.identify import AXES
 from hil.cli.output import base_of, check_rig_path
 from hil.cli.warm_up import warm_up_with_a_word
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.errors import BadInput, Problem
-from hil.fitness import flight_problems
 
 _SIGNED, _FAILED = 0, 1
 _YES: Final = {"y", "yes"}
@@ -42,11 +42,11 @@ def commission_command(
     scenario, rig = load_scenario(scenario_name, settings), load_rig(rig_name, settings)
     _check_rig(rig, unattended)
 
-    from hil import build
-    from hil.commission.dialogue import Dialogue, Scripted, StepFailed
     from hil.commission.emulated import EmulatedTechnician
     from hil.commission.file import as_toml, signed_before
+    from hil.commission.prompt import Dialogue, Scripted, StepFailed
     from hil.commission.steps import Commissioning
+    from hil.session import build
 
     job = build.Job(scenario, rig, 0, scenario.value.step_s, speed)
     console = Console(stderr=True)

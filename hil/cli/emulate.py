@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
-from hil.clock import WallClock
 from hil.config.load import load_rig, load_scenario
+from hil.core.clock import WallClock
 from hil.errors import BadInput
 
 
 def emulate_command(rig_name: str, scenario_name: str, settings: Sequence[str], speed: float) -> int:
     """Start them, say where they listen, stay until Ctrl-C."""
-    from hil.emulation import EmulatedDevices
+    from hil.processes.emulators import EmulatedDevices
 
     scenario, rig = load_scenario(scenario_name, settings), load_rig(rig_name, settings)
     if rig.value.kind != "emulated":

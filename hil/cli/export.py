@@ -8,10 +8,10 @@ from typing import Literal
 from rich.console import Console
 
 from hil.cli.output import check_json_path
+from hil.core.camera_images import LEFT, MONITOR
 from hil.errors import BadInput
-from hil.pictures import LEFT, MONITOR
 from hil.recording.export import export
-from hil.recording.export_pictures import FOLDERS, export_pictures
+from hil.recording.export_images import FOLDERS, export_pictures
 from hil.recording.read import load
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
 

@@ -12,7 +12,7 @@ from hil.cli.output import check_json_path, write_json
 from hil.config.load import load_scenario
 from hil.errors import BadInput, Problem
 from hil.gnc_check.check import Report, check_gnc
-from hil.gnc_check.partners import LibraryPartner, LinkPartner, Partner, check_link
+from hil.gnc_check.gnc_under_test import LibraryPartner, LinkPartner, Partner, check_link
 
 _PASSED, _FAILED = 0, 1
 

@@ -24,7 +24,7 @@ def gnc_header(*, folder: Annotated[bool, Parameter(negative=())] = False) -> in
     folder
         Print the folder that it stands in, for -I of a C compiler.
     """
-    from hil.gnc_header import HEADER_FILE
+    from hil.gnc_backends.c_header import HEADER_FILE
 
     sys.stdout.write(f"{HEADER_FILE.parent}\n" if folder else HEADER_FILE.read_text(encoding="utf-8"))
     return 0

@@ -11,13 +11,13 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from hil.cli.bar import Bar
 from hil.cli.output import base_of, check_json_path, check_rig_path, write_json
+from hil.cli.progress import Bar
 from hil.cli.warm_up import warm_up_with_a_word
+from hil.commission.identification import AxisResult, Identification
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.errors import BadInput, Problem
-from hil.identification import AxisResult, Identification
 
 AXES = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" for name in GIMBAL_NAMES))
 _PASSED, _FAILED = 0, 1
@@ -41,7 +41,7 @@ def identify_command(
             "--yes", "", f"{rig.value.name} is hardware and its axes will move: clear the bench, then add --yes"
         )
 
-    from hil import build
+    from hil.session import build
 
     job = build.Job(scenario, rig, 0, scenario.value.step_s, speed)
     build.check_rig(job)

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any, Literal, TextIO
 from rich.console import Console
 from rich.table import Table
 
-from hil.cli.bar import Bar
 from hil.cli.output import check_json_path, write_json
+from hil.cli.progress import Bar
 from hil.config.load import load_scene
 from hil.config.scene import Scene
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
-    from hil.monitor.findings import Portion
+    from hil.monitor.frame_result import Look
     from hil.monitor.preprocess import Region
-    from hil.monitor.results import Look
+    from hil.monitor.results import Portion
 
 _PASSED = 0
 
@@ -106,7 +106,7 @@ def _region(roi: str | None, scene: Scene) -> Region | None:
 
 
 def _columns() -> tuple[str, ...]:
-    from hil.monitor.findings import QUANTITIES
+    from hil.monitor.results import QUANTITIES
 
     added = ("sigma2_edges", "sigma2_common", "sigma2_motion", "consistent")
     return ("t_s", "frames", "status", *QUANTITIES, *(f"sigma_{name}" for name in QUANTITIES), *added)
@@ -174,7 +174,7 @@ class _Rows:
 
 
 def _painter(path: str, scene: Scene, title: str) -> Any:
-    from hil.monitor.screen import Screen, ScreenFile
+    from hil.monitor.screen.screen import Screen, ScreenFile
 
     rate = scene.fps * (1.0 if scene.fields == "whole" else 2.0)
 
@@ -199,7 +199,7 @@ def _painter(path: str, scene: Scene, title: str) -> Any:
 
 
 def _summary(portions: list[Any], looks: list[Look]) -> dict[str, Any]:
-    from hil.monitor.findings import QUANTITIES
+    from hil.monitor.results import QUANTITIES
 
     last = next((p for p in reversed(portions) if p.frames > 0), None)
     return {

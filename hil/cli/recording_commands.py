@@ -84,7 +84,7 @@ def replay(
         File to write what differs to, - for standard output.
     """
     if vmu or monitor or geometry is not None or scene is not None:
-        from hil.cli.replay_pictures import replay_pictures_command
+        from hil.cli.replay_images import replay_pictures_command
 
         other_gnc = "--gnc" if gnc is not None else "--set" if settings else None
         return replay_pictures_command(recording, vmu, geometry, monitor, scene, other_gnc, json)

@@ -8,9 +8,9 @@ from typing import Any
 
 from rich.console import Console
 
-from hil.cli.columns import columns
 from hil.cli.output import check_json_path, write_json
-from hil.config.other_gnc import with_other_gnc
+from hil.cli.text_table import columns
+from hil.config.gnc_override import with_other_gnc
 from hil.config.scenario import Scenario
 from hil.errors import BadInput
 from hil.recording.fields import FIELDS

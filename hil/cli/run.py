@@ -13,15 +13,15 @@ from typing import Any
 
 from rich.console import Console
 
-from hil.assembly import Job
-from hil.cli.bar import Bar
 from hil.cli.output import check_json_path, write_json
+from hil.cli.progress import Bar
 from hil.cli.warm_up import warm_up_with_a_word
 from hil.config.load import load_rig, load_scenario
+from hil.core.modes import Mode
+from hil.core.operator_commands import Operator
 from hil.errors import BadInput, Problem
-from hil.modes import Mode
-from hil.orders import Operator
-from hil.runner import Runner
+from hil.loop.runner import Runner
+from hil.setup.assembly import Job
 
 _PASSED, _FAILED, _SAFE_STOPPED = 0, 1, 3
 
@@ -45,7 +45,7 @@ def run_command(
     rig = load_rig(rig_name, settings)
     console = Console(stderr=True)
 
-    from hil import build
+    from hil.session import build
 
     job = build.Job(scenario, rig, seed, scenario.value.duration_s if duration_s is None else duration_s, speed)
     if case is not None:
@@ -72,10 +72,10 @@ def fly(
     more: goes into the numbers of the run; ``account`` gives what is to go there after it. attach: given the runner
     before it begins.
     """
-    from hil import monitored
     from hil.report.docking_monitor import judge_monitor, monitor_lines
     from hil.report.summary import summarise
     from hil.report.table import render
+    from hil.session import with_docking_monitor
 
     scenario, rig = job.scenario, job.rig
 
@@ -91,7 +91,7 @@ def fly(
         taps = taken.taps if taken else None
         with (
             _Watch(console, "opening the devices") as bar,
-            monitored.runner(job, bar.watch, announce, taps, operator) as (runner, look),
+            with_docking_monitor.runner(job, bar.watch, announce, taps, operator) as (runner, look),
         ):
             attach(runner)
             outcome = runner.run()

@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from hil.cli.columns import columns
 from hil.cli.output import check_json_path, write_json
+from hil.cli.text_table import columns
 from hil.errors import BadInput, Problem
 from hil.recording.catalogue import NAME, Catalogue, Wanted
 from hil.recording.utc import utc_text

@@ -13,11 +13,11 @@ from hil.cli.output import check_json_path, write_json
 from hil.cli.run import check_options, fly
 from hil.cli.warm_up import warm_up_with_a_word
 from hil.config.load import load_rig, load_scenario
+from hil.core.operator_commands import Resuming
 from hil.errors import BadInput, Problem
 from hil.frmn.udp import LOOPBACK, Address, parse_address, shown
 from hil.frmn.wire import PORT
-from hil.orders import Resuming
-from hil.runner import Runner
+from hil.loop.runner import Runner
 
 
 def dss_command(
@@ -50,9 +50,9 @@ def dss_command(
         raise BadInput.single("--speed", "", text)
     console = Console(stderr=True)
 
-    from hil import build
-    from hil.remote_gnc import gnc_link
-    from hil.remote_seat import mirror_of, remote_gnc
+    from hil.gnc_backends.udp import gnc_link
+    from hil.session import build
+    from hil.setup.udp_backend import mirror_of, remote_gnc
 
     length_s = scenario.value.duration_s if duration_s is None else duration_s
     paced = rig.value.kind == "mock" and not lock_step
@@ -104,8 +104,8 @@ def gnc_command(
     scenario = load_scenario(scenario_name, settings)
     console = Console(stderr=True)
 
-    from hil.gnc_computer import GncComputer, gnc_side
-    from hil.realtime import RealTime, no_garbage_collection
+    from hil.core.realtime import RealTime, no_garbage_collection
+    from hil.processes.gnc_server import GncComputer, gnc_side
 
     def tell(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True, markup=False)

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from hil.cli.bar import Bar
 from hil.cli.output import check_json_path, write_json
+from hil.cli.progress import Bar
 from hil.cli.warm_up import left_at_once_on_ctrl_c
 from hil.config.load import load_file
 from hil.config.vmu_geometry import VmuGeometry

@@ -16,9 +16,9 @@ from contextlib import contextmanager
 
 from rich.console import Console
 
-from hil.build import FIRST_START, Job, warm_up, warm_up_all_but_navigation
 from hil.config.load import load_rig, load_scenario
-from hil.maths.jit import kernels_are_cached, mark_kernels_cached, prepare_kernel_cache
+from hil.core.jit import kernels_are_cached, mark_kernels_cached, prepare_kernel_cache
+from hil.session.build import FIRST_START, Job, warm_up, warm_up_all_but_navigation
 
 _NOTICE = f"{FIRST_START} ..."
 _OTHER_HALF_S = 120.0
@@ -70,7 +70,7 @@ def left_at_once_on_ctrl_c() -> Iterator[None]:
 
 def _compile_on_two_cores(job: Job) -> None:
     """Let a child fill the cache with one half of the kernels; what it does not manage is compiled here later."""
-    with subprocess.Popen([sys.executable, "-m", "hil.precompile"], stderr=subprocess.DEVNULL) as child:
+    with subprocess.Popen([sys.executable, "-m", "hil.processes.precompile"], stderr=subprocess.DEVNULL) as child:
         try:
             warm_up_all_but_navigation(job)
             child.wait(_OTHER_HALF_S)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from hil.commission.dialogue import Dialogue, StepFailed, ask_meanwhile
+from hil.commission.prompt import Dialogue, StepFailed, ask_meanwhile
+from hil.core.messages import IoInputs
 from hil.errors import SafetyTrip
-from hil.io_stage import CLOSING_TIME_S, IoStage, SafetyLines
-from hil.messages import IoInputs
-from hil.rate import Rate
+from hil.loop.rate_keeper import Rate
+from hil.loop.safety_io_stage import CLOSING_TIME_S, IoStage, SafetyLines
 
 _WHAT: Final = "io: emergency stop"
 _PERSON_S: Final = 120.0  # bench time that somebody may take to press or to release

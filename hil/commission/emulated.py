@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from hil.drivers.board import AxisBoard
-from hil.drivers.faults import FaultControl
+from hil.drivers.fault_injection import FaultControl
+from hil.drivers.shared_state import AxisBoard
 
 
 class EmulatedTechnician:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from hil import __version__
 from hil.commission.steps import AxisFound, Found
-from hil.config.digest import motion_digest
+from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
 
 

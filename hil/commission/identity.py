@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from hil.commission.dialogue import Dialogue
+from hil.commission.prompt import Dialogue
 from hil.config.rig import Rig
 from hil.errors import LinkTimeout
-from hil.handling import Handling
-from hil.runner import Runner
+from hil.loop.motion_sequences import Handling
+from hil.loop.runner import Runner
 
 _FIRST_FRAME_S: Final = 5.0
 

@@ -9,15 +9,15 @@ from typing import Final
 
 import numpy as np
 
-from hil.commission.crawl import Crawler, Followed, shown, size
-from hil.commission.dialogue import Dialogue, StepFailed
 from hil.commission.emergency import Button, EmergencyStopTrial
 from hil.commission.identity import expected_identity, see_vision_unit
+from hil.commission.prompt import Dialogue, StepFailed
+from hil.commission.slow_mover import Crawler, Followed, shown, size
 from hil.config.rig import Rig
+from hil.core.messages import AXES, Array, new
 from hil.errors import SafetyTrip
-from hil.handling import Handling
-from hil.messages import AXES, Array, new
-from hil.runner import Runner
+from hil.loop.motion_sequences import Handling
+from hil.loop.runner import Runner
 
 SCALE_ERROR_MAX: Final = 0.02
 _WAY_M, _WAY_RAD = 0.020, math.radians(2.0)

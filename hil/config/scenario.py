@@ -10,16 +10,10 @@ from pydantic import Field, field_validator, model_validator
 
 from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitor
-from hil.config.in_flight import InFlight
-from hil.config.model import (
-    Matrix3,
-    NotNegative,
-    Positive,
-    Strict,
-    Triple,
-)
+from hil.config.live_tunable import InFlight
+from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
 from hil.config.truth import Orbit, SolarArray, Truth
-from hil.messages import MAX_PHASES, MAX_THRUSTERS
+from hil.core.messages import MAX_PHASES, MAX_THRUSTERS
 
 AngleTriple = tuple[
     Annotated[float, Field(gt=-180.0, le=180.0)],

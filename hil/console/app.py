@@ -18,8 +18,8 @@ from fastapi.staticfiles import StaticFiles
 from starlette.requests import HTTPConnection
 
 from hil.console.client import Client
-from hil.console.desk import Desk
 from hil.console.message import pack
+from hil.console.service import Desk
 
 PAGE: Final = Path(__file__).parent / "page"
 TICK_S: Final = 0.05

@@ -7,19 +7,19 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import Final
 
-from hil import build, monitored
-from hil.clock import WallClock
 from hil.console.remote_operator import RemoteOperator
+from hil.core.camera_images import PICTURE, MakerBeside
+from hil.core.clock import WallClock
+from hil.core.messages import CYCLE
+from hil.core.realtime import RealTime
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.frmn.run_time import RunTime
-from hil.messages import CYCLE
-from hil.monitor.findings import PORTION
-from hil.pictures import PICTURE, MakerBeside
-from hil.rate import WallRate
-from hil.realtime import RealTime
+from hil.loop.rate_keeper import WallRate
+from hil.loop.runner import Runner
+from hil.monitor.results import PORTION
 from hil.recording.session import SLOTS, fed_by
 from hil.recording.taps import Notes, Taps
-from hil.runner import Runner
+from hil.session import build, with_docking_monitor
 
 RINGS: Final = {"pictures": PICTURE, "monitor_pictures": PICTURE, "portions": PORTION}
 """What the console reads beside the cycles, by its name in ``Taps``."""
@@ -35,7 +35,7 @@ class Bench:
     runner: Runner
     telemetry: Ring
     notes: Notes | None
-    watched: monitored.Look
+    watched: with_docking_monitor.Look
     addresses: dict[str, str] = field(default_factory=dict)
     rings: dict[str, Ring] = field(default_factory=dict)
 
@@ -51,11 +51,11 @@ def opened(
         assert isinstance(taps.cycles, Ring)
         if job.rig.value.kind != "mock":
             bench = stack.enter_context(build.wired_bench(job, announce, taps))
-            watched = stack.enter_context(monitored.beside(job, bench.telemetry, announce, taps))
+            watched = stack.enter_context(with_docking_monitor.beside(job, bench.telemetry, announce, taps))
             runner = bench.runner(operator.watch, operator)
             yield Bench(runner, bench.telemetry, bench.notes, watched, bench.addresses, rings)
             return
-        watched = stack.enter_context(monitored.beside(job, taps.cycles, announce, taps))
+        watched = stack.enter_context(with_docking_monitor.beside(job, taps.cycles, announce, taps))
         host = job.rig.value.host
         realtime = stack.enter_context(RealTime(host.fifo, host.cpu))
         rate = WallRate(WallClock(speed=job.speed), job.scenario.value.step_s)

@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
+from hil.core.jit import kernel
+from hil.core.messages import MAX_THRUSTERS
 from hil.maths import euler, quat
-from hil.maths.jit import kernel
-from hil.messages import MAX_THRUSTERS
-from hil.parameters import YAW_PITCH_ROLL
+from hil.params.gnc import YAW_PITCH_ROLL
 
 _TRIPLES: Final = (
     "reference_m",  # of r_CT_H, in H

@@ -20,14 +20,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.pictures import Shape
+from hil.core.camera_images import Shape
 
 _LENGTH: Final = struct.Struct("<I")
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A camera's picture and what is drawn over it, as of ``hil.pictures``.
+    """A camera's picture and what is drawn over it, as of ``hil.core.camera_images``.
 
     t_s: time of the run at which it was exposed. data: empty where there is nothing but the overlay. status: what its
     maker said of it. exposed_s: wall time of its exposure, nan where nobody knows.

@@ -20,15 +20,15 @@ from typing import Any, Final
 
 from hil.config.console import OnLoss
 from hil.console.status import StatusWriter
+from hil.core.messages import Event
+from hil.core.modes import Mode
+from hil.core.operator_commands import OBEYED_IN, Operator, Order
 from hil.errors import SafetyTrip
-from hil.frmn.cell import Cell
-from hil.messages import Event
-from hil.modes import Mode
-from hil.orders import OBEYED_IN, Operator, Order
+from hil.frmn.mailbox import Cell
+from hil.loop.runner import Runner
+from hil.loop.stages import Gnc
 from hil.recording.taps import Notes
-from hil.runner import Runner
-from hil.stages import Gnc
-from hil.tuning import unpacked
+from hil.setup.live_tuning import unpacked
 
 STATUS_EACH_WALL_S: Final = 0.05
 _PACKETS_A_CYCLE: Final = 8

@@ -66,7 +66,7 @@ def serve(choice: Choice, listener: socket.socket, host: str, token: str | None,
     import uvicorn
 
     from hil.console.app import make_app
-    from hil.console.desk import Desk
+    from hil.console.service import Desk
 
     scenarios = [*dict.fromkeys([choice.scenario, *shipped("scenarios")])]
     rigs = [*dict.fromkeys([choice.rig, *shipped("rigs")])]

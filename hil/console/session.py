@@ -19,21 +19,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from hil import build
 from hil.config.console import OnLoss
 from hil.config.load import load_rig, load_scenario
 from hil.config.model import Strict
 from hil.console.bench import Bench, opened
 from hil.console.remote_operator import RemoteOperator, Words
 from hil.console.status import CELLS
+from hil.core.jit import kernels_are_cached, mark_kernels_cached, prepare_kernel_cache
 from hil.errors import BadInput, BenchError
-from hil.frmn.cell import Block
-from hil.maths.jit import kernels_are_cached, mark_kernels_cached, prepare_kernel_cache
-from hil.monitor_beside import Watched
+from hil.frmn.mailbox import Block
+from hil.loop.runner import Outcome
+from hil.processes.docking_monitor import Watched
 from hil.recording.session import Recording, recording
 from hil.report.docking_monitor import judge_monitor
 from hil.report.summary import summarise
-from hil.runner import Outcome
+from hil.session import build
 
 _LAST_WORDS_WALL_S: Final = 2.0
 

@@ -20,10 +20,10 @@ import numpy as np
 from hil.console.bench import RINGS
 from hil.console.session import Choice
 from hil.console.status import CELLS, empty_status
-from hil.frmn.cell import Block
+from hil.core.messages import CYCLE
+from hil.frmn.mailbox import Block
 from hil.frmn.ring import Reader, Ring
-from hil.messages import CYCLE
-from hil.monitor.findings import PORTION
+from hil.monitor.results import PORTION
 from hil.recording import recorder
 
 _PACKET: Final = 1 << 18

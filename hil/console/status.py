@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from hil.core.messages import AXES
+from hil.core.modes import Mode
 from hil.errors import BenchError
-from hil.io_stage import IoStage
-from hil.messages import AXES
-from hil.modes import Mode
-from hil.runner import Runner
+from hil.loop.runner import Runner
+from hil.loop.safety_io_stage import IoStage
 
 MODES: Final = tuple(Mode)
 DEVICES: Final = ("rails", "turntable", "vmu", "io")

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final
 
-from hil.assembly import Job
-from hil.config.in_flight import range_of, value_of
+from hil.config.live_tunable import range_of, value_of
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
 from hil.console.lease import Refused
-from hil.tuning import Tuning, check_in_flight, packed, tuning, with_setting
+from hil.setup.assembly import Job
+from hil.setup.live_tuning import Tuning, check_in_flight, packed, tuning, with_setting
 
 _UNITS: Final = {
     "_per_s": "1/s",

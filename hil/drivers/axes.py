@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from hil.config.rig import Rails, Turntable
-from hil.maths.servo import servo_step
-from hil.messages import Array
+from hil.core.messages import Array
+from hil.models.servo import servo_step
 
 
 class ServoAxes:

@@ -12,9 +12,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from hil.core.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 from hil.errors import SafetyTrip
 from hil.maths.limits import cut_to_range
-from hil.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")

@@ -9,13 +9,13 @@ from typing import Final
 
 import numpy as np
 
-from hil.clock import WallClock
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Turntable
+from hil.core.clock import WallClock
+from hil.core.messages import Array, Homing
 from hil.drivers.axes import ServoAxes
-from hil.drivers.board import AxisBoard
-from hil.drivers.faults import AXIS, WIRE, Faults, kinds
-from hil.maths.streams import stream
-from hil.messages import Array, Homing
+from hil.drivers.fault_injection import AXIS, WIRE, Faults, kinds
+from hil.drivers.shared_state import AxisBoard
+from hil.maths.random_streams import stream
 
 STEP_S: Final = 0.004  # longest bench time between two looks at the axes; the board is due every 5 ms
 WATCHDOG_S: Final = 0.5

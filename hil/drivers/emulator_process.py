@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol
 
-from hil.drivers.faults import ControlPort, Faults
+from hil.drivers.fault_injection import ControlPort, Faults
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 _PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h

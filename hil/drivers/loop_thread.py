@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any, Final
 
-from hil.clock import WallClock
+from hil.core.clock import WallClock
 from hil.drivers.latest import Latest
 from hil.errors import DeviceError, LinkLost, LinkTimeout
 

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from hil.config.rig import Rails, Turntable
+from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, accepted_setpoint, full_names
 from hil.errors import DeviceError, LinkLost, SafetyTrip
-from hil.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing
 
 _BRAKE_STEP_S: Final = 0.002
 _AT_SWITCH: Final = 1e-4  # m or rad

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 
 MODE_PARAMS = np.dtype(
     [

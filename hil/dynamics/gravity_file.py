@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.messages import Array
+from hil.core.messages import Array
 
 SHIPPED = Path(__file__).resolve().parent / "data" / "lp165p_8.tab"
 MOON_GM_M3PS2 = 4902.801056e9  # LP165P, Konopliv et al. 2001 (Icarus 150)

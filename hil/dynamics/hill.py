@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 
 
 @kernel

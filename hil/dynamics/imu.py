@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 
 IMU_NOISE = 12  # standard normals a sample: gyro, accelerometer, drift, bias
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 
 SOLAR_PRESSURE_PA = 4.56e-6  # at 1 au: Montenbruck and Gill, Satellite Orbits (2000), section 3.4
 

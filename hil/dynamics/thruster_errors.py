@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.messages import Array
+from hil.core.messages import Array
 
 DRAWS_A_THRUSTER = 3  # standard normals: two tilts, one force
 

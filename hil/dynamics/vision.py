@@ -9,10 +9,10 @@ import math
 
 import numpy as np
 
-from hil.maths import local, quat
+from hil.core.jit import kernel
+from hil.maths import quat, stack_arrays
 from hil.maths.arrays import copy_into, fill_matrix
-from hil.maths.jit import kernel
-from hil.maths.stations import camera_pose
+from hil.models.mounting import camera_pose
 
 VISION_NOISE = 6  # standard normals a frame: position in v, small rotation about v's axes
 
@@ -43,7 +43,7 @@ def see(params, stations, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
     """
     factor = range_factor(params, r_CT_H)
     camera_pose(stations, r_CT_H, q_CH, t_v, q_vt)
-    turn, aside, q_true = local.vector(3), local.vector(4), local.vector(4)
+    turn, aside, q_true = stack_arrays.vector(3), stack_arrays.vector(4), stack_arrays.vector(4)
     fill_matrix(covariance, 0.0)
     for i in range(3):
         t_v[i] += params.sigma_position * factor * noise[i]

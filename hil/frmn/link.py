@@ -16,13 +16,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from hil.core.observable import Told
 from hil.frmn import wire
-from hil.frmn.cells import CELLS, Role
 from hil.frmn.clock_offset import ClockOffset
-from hil.frmn.tally import Tally
+from hil.frmn.datagram_stats import Tally
+from hil.frmn.mailboxes import CELLS, Role
 from hil.frmn.udp import Address, UdpSocket, address_towards, shown
 from hil.frmn.wire import Fault, Header, Kind, Refusal
-from hil.told import Told
 
 _EVERY_S: Final = 0.1  # heartbeats, and hellos as long as nobody answers
 _AT_ONCE: Final = 64

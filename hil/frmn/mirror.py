@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from hil.frmn.cells import HEALTH
 from hil.frmn.link import Link
+from hil.frmn.mailboxes import HEALTH
 from hil.frmn.ring import Telemetry
 
 _OF_THE_CYCLE: Final = ("truth", "imu", "pose", "command", "setpoint", "feedback")

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.frmn.cell import Block
+from hil.frmn.mailbox import Block
 
 _ZERO: Final = np.dtype([("zero_s", "f8")])
 _CELLS: Final = {"run": _ZERO}

@@ -27,7 +27,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from hil.frmn.cells import BY_NUMBER, CELLS, CellKind, Role
+from hil.frmn.mailboxes import BY_NUMBER, CELLS, CellKind, Role
 
 MAGIC: Final = b"FRMN"
 VERSION: Final = 1

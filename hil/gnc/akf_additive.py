@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
+from hil.core.jit import kernel
 from hil.maths import quat
 from hil.maths.arrays import copy_into, fill, fill_matrix
-from hil.maths.jit import kernel
 from hil.maths.kalman import propagate_covariance, update_three
 
 AKF_ADDITIVE_STATE = np.dtype(

@@ -12,8 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from hil.maths.jit import kernel
-from hil.messages import Array
+from hil.core.jit import kernel
+from hil.core.messages import Array
 
 AXES_OF_A_BODY = 6  # force x, y, z, torque x, y, z
 ROWS = 9  # of the sets: the six axes, then force x, y, z once more with the strong sets

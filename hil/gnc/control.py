@@ -26,9 +26,9 @@ import math
 
 import numpy as np
 
-from hil.maths import local, quat
+from hil.core.jit import kernel
+from hil.maths import quat, stack_arrays
 from hil.maths.arrays import fill
-from hil.maths.jit import kernel
 
 CONTROL_PARAMS = np.dtype(
     [
@@ -117,7 +117,12 @@ def control(params, navigation, reference, command):
     if navigation.valid == 0:
         rest(command)
         return
-    error_c, rate_c, wanted_c, turn = local.vector(3), local.vector(3), local.vector(3), local.vector(3)
+    error_c, rate_c, wanted_c, turn = (
+        stack_arrays.vector(3),
+        stack_arrays.vector(3),
+        stack_arrays.vector(3),
+        stack_arrays.vector(3),
+    )
     for i in range(3):
         error_c[i] = navigation.r_CT_H[i] - reference.r_CT_H[i]
         rate_c[i] = navigation.v_CT_H[i] - reference.v_CT_H[i]

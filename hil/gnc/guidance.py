@@ -12,11 +12,11 @@ import math
 
 import numpy as np
 
-from hil.maths import local
+from hil.core.jit import kernel
+from hil.core.messages import MAX_PHASES
+from hil.maths import stack_arrays
 from hil.maths.arrays import copy_into, fill
-from hil.maths.jit import kernel
-from hil.maths.profile import along_line, duration
-from hil.messages import MAX_PHASES
+from hil.models.profile import along_line, duration
 
 APPROACH, HOLD, WAIT, FINAL, RETREAT, BRAKE = range(6)
 STAYED, MOVED, REFUSED = range(3)  # what advance did
@@ -212,7 +212,7 @@ def reference(params, state, t_s, out):
             out.r_CT_H[i] = state.from_H[i] + state.brake_H[i] * t - 0.5 * loss * t * t
         return
     length = 0.0 if kind in (HOLD, WAIT) else _length(state)
-    along = local.vector(3)
+    along = stack_arrays.vector(3)
     fill(along, 0.0)
     if length > 0.0:
         speed, acceleration, deceleration = _limits(params, state.phase)

@@ -10,14 +10,14 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.scenario import Scenario
-from hil.gnc_check import cases
-from hil.gnc_check.cases import Case, Change, Player, along
+from hil.core.gnc_records import GncMode
+from hil.core.messages import Array
+from hil.gnc_check import test_cases
 from hil.gnc_check.estimate import judge_estimate
-from hil.gnc_check.partners import Partner
+from hil.gnc_check.gnc_under_test import Partner
 from hil.gnc_check.session import Played, play, pushes
-from hil.gnc_interface import GncMode
-from hil.gnc_setup import gnc_setup
-from hil.messages import Array
+from hil.gnc_check.test_cases import Case, Change, Player, along
+from hil.setup.gnc_setup import gnc_setup
 
 _OFFSET_M: Final = 0.15
 _TURN_RAD: Final = math.radians(2.0)
@@ -30,10 +30,10 @@ _AXES: Final = "xyz"
 _A_DEGREE: Final = math.degrees(1.0)
 
 _MISREADINGS: Final[dict[str, Change]] = {
-    "reads quaternions with the scalar first": cases.scalar_first,
-    "reads q_CH the other way round, as q_HC": cases.other_way_round,
-    "takes a pose's position for the chaser's from the target": cases.chaser_from_target,
-    "takes a pose's position for components in H": cases.in_h,
+    "reads quaternions with the scalar first": test_cases.scalar_first,
+    "reads q_CH the other way round, as q_HC": test_cases.other_way_round,
+    "takes a pose's position for the chaser's from the target": test_cases.chaser_from_target,
+    "takes a pose's position for components in H": test_cases.in_h,
 }
 
 

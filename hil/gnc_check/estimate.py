@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from hil.gnc_check.cases import Truth
+from hil.core.messages import Array
+from hil.gnc_check.test_cases import Truth
 from hil.maths import quat
-from hil.messages import Array
 
 NEAR_M, NEAR_MPS, NEAR_RAD, NEAR_RADPS = 0.03, 0.01, math.radians(0.3), math.radians(0.05)
 """How far an estimate may be from the truth: poses here have no noise."""

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.core.gnc_records import GNC_OUTPUT, GncMode, GncState
+from hil.core.messages import Array
 from hil.errors import BenchError
-from hil.foreign_gnc import complaint
-from hil.gnc import foreign
-from hil.gnc_check.cases import Case, Change, Player
-from hil.gnc_check.partners import Partner
-from hil.gnc_interface import GNC_OUTPUT, GncMode, GncState
-from hil.messages import Array
+from hil.gnc_backends import external_records
+from hil.gnc_backends.external import complaint
+from hil.gnc_check.gnc_under_test import Partner
+from hil.gnc_check.test_cases import Case, Change, Player
 
 
 @dataclass
@@ -64,8 +64,8 @@ def play(partner: Partner, player: Player, setup: np.record, case: Case, change:
         except BenchError as error:
             ended = f"{error} (in case: {case.name})"
             break
-        fault, place = foreign.fault_of(answer, told.cycle, n)
-        if fault != foreign.FINE and (told.mode == GncMode.RUNNING or fault == foreign.CYCLE):
+        fault, place = external_records.fault_of(answer, told.cycle, n)
+        if fault != external_records.FINE and (told.mode == GncMode.RUNNING or fault == external_records.CYCLE):
             faults.setdefault(fault, (complaint(answer, fault, place, int(told.cycle), n), int(told.cycle)))
         outputs.append(np.array(answer, GNC_OUTPUT))
         modes.append(int(told.mode))

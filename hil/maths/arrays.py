@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 
 
 @kernel

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 
 LEAST_SHARE: Final = 1e-14
 """Of a diagonal element: what least squares of many points must leave of it."""

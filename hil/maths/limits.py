@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 
 
 @kernel

@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 
 from hil.config.scene import Scene
-from hil.monitor.derived import derive
-from hil.monitor.findings import QUANTITIES
+from hil.monitor.frame_result import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, Look, Result
+from hil.monitor.frame_tracker import Observer
+from hil.monitor.kernels.derived import derive
 from hil.monitor.motion import Fit, MotionFit
-from hil.monitor.observe import Observer
-from hil.monitor.paper_motion import PaperMotionFit
-from hil.monitor.results import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, Look, Result
+from hil.monitor.paper.motion import PaperMotionFit
+from hil.monitor.results import QUANTITIES
 from hil.monitor.settings import Settings
 from hil.monitor.sources import Frame
 

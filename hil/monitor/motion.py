@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.monitor.results import Look
+from hil.monitor.frame_result import Look
 from hil.monitor.settings import Settings
 
 Floats = NDArray[np.float64]

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.config.scene import PixelNoise, Scene, Target
-from hil.maths import docking_view
-from hil.monitor.coverage import NEAREST_M, draw_parts, expose
+from hil.models import docking_view
+from hil.monitor.kernels.coverage import NEAREST_M, draw_parts, expose
 from hil.monitor.sources import WHOLE, Frame, exposure, lines_of
 
 Floats = NDArray[np.float64]

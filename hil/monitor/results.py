@@ -1,79 +1,102 @@
-"""What the parts of the monitor hand to each other: of a frame what it measured, of a portion how sure it is."""
+"""What the monitor says: of each frame what it saw, of each portion of frames where the camera was and how it moved.
+
+Table, screen and console take these and nothing else.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.monitor.findings import Portion, Seen
-
 Floats = NDArray[np.float64]
 
-NEAR: Final = "near"
-FAR: Final = "far"
-NO_TARGET: Final = "no_target"
-
-FAR_QUANTITIES: Final = frozenset(("phi3_rad", "range_m", "range_rate_mps", "los_right_rad", "los_up_rad"))
-"""What the ship's outline and boxes can tell; the rest needs the cross."""
+QUANTITIES: Final = (
+    "d1_m",
+    "d2_m",
+    "d3_m",
+    "phi1_rad",
+    "phi2_rad",
+    "phi3_rad",
+    "range_m",
+    "range_rate_mps",
+    "pitch_passive_rad",
+    "yaw_passive_rad",
+    "los_right_rad",
+    "los_up_rad",
+)
 
 
 @dataclass(frozen=True)
-class PaperFrame:
-    """The frame in the paper's six quantities X_C, Y_C, a, X_O, Y_O, R (px, image axes of 3.1) and their covariance."""
+class Seen:
+    """What one frame showed. Places are u, v, px, in lines of the whole picture; None and empty: not found.
 
+    status: "near", "far", "no_target" or "rejected_<why>". region: (u, v, width, height) of the region of interest.
+    edges: (n, 2), the measured points. cross: (u, v, turn): its centre, and the slope of the bar across, rad,
+    anticlockwise. disc, outline: (u, v, radius) of the circles.
+    """
+
+    number: int
+    t_s: float
+    status: str
+    region: tuple[float, float, float, float] | None = None
+    edges: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    cross: tuple[float, float, float] | None = None
+    disc: tuple[float, float, float] | None = None
+    outline: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Portion:
+    """The motion after one portion; t_s and all values are those of its last frame.
+
+    frames: how many were used. values, sigmas: (12,), by QUANTITIES, SI; nan where not observable.
+    """
+
+    t_s: float
+    frames: int
+    status: str
     values: Floats
-    covariance: Floats
+    sigmas: Floats
+
+    def value(self, quantity: str) -> float:
+        """Return the value of ``quantity``, SI; nan where not observable."""
+        return float(self.values[QUANTITIES.index(quantity)])
+
+    def sigma(self, quantity: str) -> float:
+        """Return the standard deviation of ``quantity``, SI; nan where not observable."""
+        return float(self.sigmas[QUANTITIES.index(quantity)])
+
+    def observes(self, quantity: str) -> bool:
+        """Return whether ``quantity`` has a value."""
+        return math.isfinite(self.value(quantity))
 
 
-@dataclass(frozen=True)
-class Look:
-    """One frame. seen: for the screen; its status is "near", "far", "no_target" or "rejected_<why>".
-
-    reason: why not used, in words. pose: (7,), d, m, phi, rad, growth, px. normal: (7, 7), of the edges alone;
-    prior: (7,), the diagonal that held the pose beside it. sums: (4,) of ``measure.square_sums``. features: of each
-    edge point its feature, used: whether it took part. noise: grey values, 1 sigma of a pixel halfway up.
-    """
-
-    seen: Seen
-    reason: str
-    pose: Floats
-    normal: Floats
-    prior: Floats
-    sums: Floats
-    tracked: bool
-    blur_px: float = float("nan")
-    noise: float = float("nan")
-    features: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
-    used_points: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
-    paper: PaperFrame | None = None
-
-    @property
-    def status(self) -> str:
-        """The frame's status."""
-        return self.seen.status
-
-    @property
-    def used(self) -> bool:
-        """Whether the frame takes part in its portion."""
-        return self.seen.status in (NEAR, FAR)
+PORTION: Final = np.dtype(
+    [
+        ("t_s", "f8"),
+        ("frames", "i8"),
+        ("status", "S24"),
+        *((name, "f8") for name in QUANTITIES),
+        *((f"sigma_{name}", "f8") for name in QUANTITIES),
+    ]
+)
+"""A portion as a record."""
 
 
-@dataclass(frozen=True)
-class Result(Portion):
-    """A portion and how far it can be trusted.
+def portion_row(portion: Portion) -> NDArray[np.void]:
+    """Return ``portion`` as a row, shape (1,) of PORTION."""
+    row = np.zeros(1, PORTION)
+    head = (portion.t_s, portion.frames, portion.status.encode())
+    row[0] = (*head, *portion.values.tolist(), *portion.sigmas.tolist())
+    return row
 
-    sigma2_edges, sigma2_common, sigma2_motion: square sums of residuals over what the pixels' noise explains, about
-    1 each if all is well: of single points; of what the points of one edge share; of the frames about the motion.
-    consistent: whether they are as small as chance allows. covariance: (12, 12) of (d1, d1', d2, ..., phi3'), SI.
-    reasons: how many frames were not used, by reason.
-    """
 
-    sigma2_edges: float = float("nan")
-    sigma2_common: float = float("nan")
-    sigma2_motion: float = float("nan")
-    consistent: bool = False
-    covariance: Floats = field(default_factory=lambda: np.full((12, 12), np.nan))
-    reasons: tuple[tuple[str, int], ...] = ()
+def portion_of(row: np.void) -> Portion:
+    """Return what ``row``, one of PORTION, holds."""
+    values = np.array([row[name] for name in QUANTITIES])
+    sigmas = np.array([row[f"sigma_{name}"] for name in QUANTITIES])
+    return Portion(float(row["t_s"]), int(row["frames"]), row["status"].decode(), values, sigmas)

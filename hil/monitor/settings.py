@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from hil.monitor.measure import TUNING
+from hil.monitor.kernels.measure import TUNING
 from hil.monitor.preprocess import Region
 
 

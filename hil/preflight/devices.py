@@ -7,17 +7,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.clock import WallClock
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.device_host import drivers
+from hil.core.clock import WallClock
 from hil.drivers.base import AxisGroup, PoseSource
-from hil.emulation import EmulatedDevices
 from hil.errors import BenchError, DeviceError, LinkTimeout
-from hil.io_stage import IoStage, chain_kept_closed
+from hil.loop.rate_keeper import WallRate
+from hil.loop.safety_io_stage import IoStage, chain_kept_closed
 from hil.preflight.check import Check
 from hil.preflight.ports import port_checks
-from hil.rate import WallRate
+from hil.processes.emulators import EmulatedDevices
+from hil.processes.io_server import drivers
 
 _FIRST_SAMPLE_S = 5.0
 _POLL_S = 0.01

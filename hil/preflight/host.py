@@ -9,11 +9,11 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.maths.jit import kernels_are_cached
-from hil.messages import CYCLE
+from hil.core.jit import kernels_are_cached
+from hil.core.messages import CYCLE
+from hil.core.realtime import FIFO_PRIORITY
 from hil.preflight.check import Check
 from hil.preflight.privileges import Privileges, probe_privileges
-from hil.realtime import FIFO_PRIORITY
 
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNORS = Path("/sys/devices/system/cpu")

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.clock import WallClock
-from hil.late_cycles import lateness_percentiles_us
-from hil.messages import Array
+from hil.core.clock import WallClock
+from hil.core.messages import Array
+from hil.core.realtime import FIFO, FIFO_PRIORITY, RealTime, no_garbage_collection
+from hil.loop.overrun_monitor import lateness_percentiles_us
+from hil.loop.rate_keeper import WallRate
 from hil.preflight.check import Check
-from hil.rate import WallRate
-from hil.realtime import FIFO, FIFO_PRIORITY, RealTime, no_garbage_collection
 
 DURATION_S = 5.0
 SHARE_OF_PERIOD = 0.1

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
+from hil.checks.wires import Wire, wires
 from hil.config.rig import Rig
 from hil.preflight.check import Check
-from hil.wires import Wire, wires
 
 _NETWORK = Path("/sys/class/net")
 

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 
-from hil.realtime import FIFO, MEMORY, RealTime
+from hil.core.realtime import FIFO, MEMORY, RealTime
 
 _TIMEOUT_S = 20.0
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.checks.compatibility import approach_problems, flight_problems
+from hil.checks.truth import truth_problems
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.fitness import approach_problems, flight_problems
 from hil.preflight.check import Check, all_passed
 from hil.preflight.devices import rig_checks
 from hil.preflight.host import HostFacts, host_checks, probe_host
 from hil.preflight.lateness import Lateness, lateness_check, measure
-from hil.truth_check import truth_problems
 
 Probe = Callable[[Path], HostFacts]
 Meter = Callable[[float], Lateness]

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from hil import __version__
-from hil.assembly import Job
-from hil.config.digest import motion_digest
+from hil.cameras.factory import believed_geometry
 from hil.config.load import load_scene
-from hil.eyes import believed_geometry
+from hil.config.motion_digest import motion_digest
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, VERSION
 from hil.recording.utc import utc_text
 from hil.recording.writer import Header
+from hil.setup.assembly import Job
 
 
 def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> Header:

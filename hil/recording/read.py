@@ -22,8 +22,8 @@ from pydantic import ValidationError
 from hil.config.model import Strict
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.core.messages import CYCLE
 from hil.errors import BadInput
-from hil.messages import CYCLE
 from hil.recording import schema, show, writer
 
 _Model = TypeVar("_Model", bound=Strict)

@@ -21,13 +21,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.drivers.remote.cells import ARRIVAL
+from hil.core.camera_images import PICTURE
+from hil.core.messages import CYCLE
+from hil.drivers.remote.io_layout import ARRIVAL
 from hil.errors import BadInput
-from hil.frmn.cell import Block, Cell
+from hil.frmn.mailbox import Block, Cell
 from hil.frmn.ring import Reader, Ring
-from hil.messages import CYCLE
-from hil.monitor.findings import PORTION
-from hil.pictures import PICTURE
+from hil.monitor.results import PORTION
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
 from hil.recording.schema import NOTE
 from hil.recording.utc import utc_text

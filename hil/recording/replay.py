@@ -14,17 +14,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.assembly import make_seat
-from hil.config.in_flight import value_of
+from hil.config.live_tunable import value_of
 from hil.config.scenario import Scenario
-from hil.cycle import Blackboard
+from hil.core.messages import CYCLE, MAX_POSES, POSE
 from hil.errors import BadInput, BenchError
-from hil.messages import CYCLE, MAX_POSES, POSE
+from hil.gnc_backends.base import Seat
+from hil.loop.cycle import Blackboard
+from hil.loop.stages import Gnc
 from hil.recording.read import Recorded
 from hil.recording.schema import flat_fields
-from hil.seat import Seat
-from hil.stages import Gnc
-from hil.tuning import tuning, with_setting
+from hil.setup.assembly import make_seat
+from hil.setup.live_tuning import tuning, with_setting
 
 COMPARED: Final = ("navigation", "nees_position", "nees_attitude", "reference", "supervision", "command")
 """What the GNC writes, in the order in which it does."""

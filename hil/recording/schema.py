@@ -12,10 +12,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.drivers.remote.cells import ARRIVAL
+from hil.core.messages import CYCLE
+from hil.drivers.remote.io_layout import ARRIVAL
 from hil.errors import BadInput
-from hil.messages import CYCLE
-from hil.monitor.findings import PORTION
+from hil.monitor.results import PORTION
 from hil.recording.fields import FIELDS
 
 VERSION: Final = 1

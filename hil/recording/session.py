@@ -18,11 +18,11 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from hil import __version__, pictures
-from hil.assembly import Job
+from hil import __version__
+from hil.core import camera_images
 from hil.errors import BadInput
-from hil.frmn.cell import Block
-from hil.frmn.picture_memory import wanted_pictures
+from hil.frmn.image_memory import wanted_pictures
+from hil.frmn.mailbox import Block
 from hil.frmn.ring import Ring
 from hil.frmn.run_time import RunTime
 from hil.recording import recorder
@@ -31,14 +31,15 @@ from hil.recording.header import header_of
 from hil.recording.taps import Taps
 from hil.recording.utc import utc_ns, utc_text
 from hil.recording.writer import Account, Header, RunFile
+from hil.setup.assembly import Job
 
 _RING_S: Final = 5.0  # of cycles: how long the recorder may stand still before anything is lost
 _ROWS_LEAST: Final = 2048
 SLOTS: Final = {
     "arrivals": 1024,
     "notes": 256,
-    "pictures": pictures.SLOTS,
-    "monitor_pictures": pictures.SLOTS,
+    "pictures": camera_images.SLOTS,
+    "monitor_pictures": camera_images.SLOTS,
     "portions": 64,
 }
 """Rows of each ring beside the cycles'."""

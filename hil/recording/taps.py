@@ -9,14 +9,14 @@ from typing import TypeVar
 import numpy as np
 
 from hil.config.rig import Rig
-from hil.frmn.picture_memory import PictureMemory, wanted_pictures
+from hil.core.camera_images import PictureMaker
+from hil.core.messages import Event
+from hil.core.modes import Mode
+from hil.frmn.image_memory import PictureMemory, wanted_pictures
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.frmn.run_time import RunTime
-from hil.messages import Event
-from hil.modes import Mode
-from hil.pictures import PictureMaker
+from hil.loop.runner import Runner
 from hil.recording.schema import NOTE
-from hil.runner import Runner
 from hil.safety.alarms import Alarm
 
 _Put = TypeVar("_Put", bound=Telemetry)

@@ -12,9 +12,9 @@ from typing import IO, Any, Final, cast
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from hil.messages import CYCLE
-from hil.pictures import shapes_of
-from hil.recording import schema, show, show_pictures
+from hil.core.camera_images import shapes_of
+from hil.core.messages import CYCLE
+from hil.recording import schema, show, show_images
 from hil.recording.sink import Sink
 
 FLUSH_S: Final = 0.1
@@ -145,10 +145,10 @@ class RunFile:
         t_s = float(row["t_s"])
         t_s = self._last_s if math.isnan(t_s) else t_s
         time_ns = self._time_ns(t_s)
-        topic = self._picture_channel(camera, "", show_pictures.PICTURE_SCHEMA)
-        self._add(topic, show_pictures.picture(row, time_ns), t_s)
-        topic = self._picture_channel(camera, show_pictures.ANNOTATIONS, show_pictures.ANNOTATION_SCHEMA)
-        self._add(topic, show.encoded(show_pictures.drawn(shapes_of(row), time_ns)), t_s)
+        topic = self._picture_channel(camera, "", show_images.PICTURE_SCHEMA)
+        self._add(topic, show_images.picture(row, time_ns), t_s)
+        topic = self._picture_channel(camera, show_images.ANNOTATIONS, show_images.ANNOTATION_SCHEMA)
+        self._add(topic, show.encoded(show_images.drawn(shapes_of(row), time_ns)), t_s)
 
     def portions(self, rows: np.ndarray) -> None:
         """Write what the docking monitor said, (n,) of PORTION."""
@@ -156,7 +156,7 @@ class RunFile:
             self._add("/monitor/portions", row.tobytes(), float(row["t_s"]))
 
     def _picture_channel(self, camera: str, ending: str, content: Mapping[str, Any]) -> str:
-        topic = f"{show_pictures.PICTURE_TOPICS}{camera}{ending}"
+        topic = f"{show_images.PICTURE_TOPICS}{camera}{ending}"
         if topic not in self._channels:
             self._channels[topic] = self._json_channel(topic, content)
         return topic

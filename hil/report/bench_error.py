@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from hil import parameters
-from hil.bench.view import camera_errors
+from hil.bench.field_of_view import camera_errors
 from hil.config.rig import Rig
-from hil.messages import Array
+from hil.core.messages import Array
+from hil.params import gnc as gnc_params
 
 _TIME_SLACK_S = 1e-6
 
@@ -42,8 +42,8 @@ def pose_errors(history: np.ndarray, rig: Rig, step_s: float) -> tuple[np.ndarra
     if len(rows):
         truth = rows["truth"]
         camera_errors(
-            parameters.bench(rig, step_s),
-            parameters.stations(rig),
+            gnc_params.bench(rig, step_s),
+            gnc_params.stations(rig),
             rail_m,
             gimbal_rad,
             np.ascontiguousarray(truth["r_CT_H"]),

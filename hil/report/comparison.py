@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.scenario import Scenario
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.report.verdict import deviations, tolerances
 
 LEFT_SIGMAS: Final = 3.0

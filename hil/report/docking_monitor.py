@@ -8,14 +8,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil import parameters
+from hil.cameras.docking import EncoderTrack, stations
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.docking_camera import EncoderTrack, stations
-from hil.monitor.cross_check import of_chaser, of_measured_pose
-from hil.monitor.derived import quantities
-from hil.monitor.findings import QUANTITIES
-from hil.monitor_beside import Watched
+from hil.monitor.kernels.cross_check import of_chaser, of_measured_pose
+from hil.monitor.kernels.derived import quantities
+from hil.monitor.results import QUANTITIES
+from hil.params import gnc as gnc_params
+from hil.processes.docking_monitor import Watched
 
 Floats = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ class _Truth:
 
 def _bench(history: np.ndarray, scenario: Scenario, rig: Rig, times: Floats) -> Floats:
     """Return QUANTITIES (n, 12), SI, of the camera where the encoders had it."""
-    track = EncoderTrack(parameters.bench(rig, scenario.step_s), stations(scenario.monitor))
+    track = EncoderTrack(gnc_params.bench(rig, scenario.step_s), stations(scenario.monitor))
     track.add(history)
     found = np.empty((len(times), len(QUANTITIES)))
     for row, t_s in zip(found, times, strict=True):

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from hil import parameters
 from hil.config.scenario import Scenario
+from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc.allocation import AXES_OF_A_BODY
-from hil.messages import Array
+from hil.params import gnc as gnc_params
 
 
 def impulsive_delta_v(v_CT_H: Array) -> float:
@@ -29,7 +29,7 @@ def impulsive_delta_v(v_CT_H: Array) -> float:
 
 def slew_impulse(scenario: Scenario) -> float:
     """Return the least thrust impulse of the slews, N s: thrust of the set over its torque, times torque impulse."""
-    sets, strength = parameters.allocation(scenario.chaser)
+    sets, strength = gnc_params.allocation(scenario.chaser)
     inertia = np.diag(np.array(scenario.chaser.inertia_kg_m2))
     angles = np.abs(np.radians(scenario.initial.attitude_deg))
     torque_impulse = 2.0 * inertia * angles / scenario.gnc.guidance.slew_s

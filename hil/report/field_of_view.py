@@ -6,21 +6,21 @@ from typing import Any
 
 import numpy as np
 
-from hil import parameters
-from hil.bench.view import view_margins
+from hil.bench.field_of_view import view_margins
 from hil.config.rig import Rig
+from hil.params import gnc as gnc_params
 
 
 def judge_field_of_view(history: np.ndarray, rig: Rig, step_s: float) -> dict[str, Any]:
     """Return ``passed``, the least margin to an image's edge, px, when and at which range it was, and the time lost."""
     if not len(history):
         return {"passed": False, "margin_px": None, "at_s": None, "range_m": None, "lost_s": None}
-    camera, leds = parameters.camera(rig)
+    camera, leds = gnc_params.camera(rig)
     margins = np.empty(len(history))
     feedback = history["feedback"]
     view_margins(
-        parameters.bench(rig, step_s),
-        parameters.stations(rig),
+        gnc_params.bench(rig, step_s),
+        gnc_params.stations(rig),
         camera,
         leds,
         np.ascontiguousarray(feedback["rail_m"]),

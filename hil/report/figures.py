@@ -13,9 +13,9 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.gnc.watch import WINDOWS, nis_band
-from hil.late_cycles import lateness_histogram
-from hil.messages import Array
+from hil.core.messages import Array
+from hil.gnc.filter_monitor import WINDOWS, nis_band
+from hil.loop.overrun_monitor import lateness_histogram
 from hil.report.bench_error import pose_errors
 from hil.report.summary import attitude_error
 from hil.report.verdict import Verdict, deviations, tolerances

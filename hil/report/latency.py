@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.messages import Array
+from hil.core.messages import Array
 
 _WINDOW_S = 1.0
 _SLOWEST = (0.0005, math.radians(0.02))  # m/s and rad/s, rms: slower windows say nothing of a delay

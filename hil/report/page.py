@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from hil.loop.runner import Outcome
 from hil.recording.read import Recorded
 from hil.report import html
 from hil.report.comparison import LEFT_SIGMAS, key_numbers, part, same_flight
@@ -15,7 +16,6 @@ from hil.report.paper import TABLE_V
 from hil.report.summary import summarise
 from hil.report.table import ROW_LABELS, parts_in_words
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
-from hil.runner import Outcome
 
 BROKE_OFF: Final = "the recording broke off"
 _VERSIONS: Final = ("hil", "schema_version", "python", "numpy", "numba", "scipy", "mcap", "system", "host")

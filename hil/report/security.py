@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from hil import parameters
-from hil.approach_diary import ABORT_CAUSES
 from hil.config.scenario import Scenario
+from hil.core.messages import Array
 from hil.dynamics.hill import transition
-from hil.gnc.supervision import margins
-from hil.messages import Array
+from hil.gnc.approach_monitor import margins
+from hil.gnc_backends.approach_events import ABORT_CAUSES
+from hil.params import gnc as gnc_params
 
 _DRIFT_SAMPLES = 720  # over one orbit
 
@@ -51,7 +51,7 @@ def judge_security(history: np.ndarray, scenario: Scenario, orbit_rate: float) -
     if len(approach) > 1:
         reference[-1] = reference[-2] if len(aborted) else reference[-1]  # the line before the abort
     margins(
-        parameters.supervision(scenario),
+        gnc_params.supervision(scenario),
         np.ascontiguousarray(reference["from_H"]),
         np.ascontiguousarray(reference["to_H"]),
         np.ascontiguousarray(truth["r_CT_H"]),

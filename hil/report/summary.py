@@ -6,22 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from hil import parameters
+from hil.checks.compatibility import sign_off_gap
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.sign_off import SignOff
+from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
-from hil.fitness import sign_off_gap
-from hil.gnc_library import digest_of
-from hil.late_cycles import lateness_histogram, lateness_percentiles_us
-from hil.messages import Array
+from hil.gnc_backends.library_file import digest_of
+from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
+from hil.loop.runner import COMPLETED, Outcome
+from hil.params import gnc as gnc_params
 from hil.report.bench_error import judge_bench_error
 from hil.report.energy import judge_energy
 from hil.report.field_of_view import judge_field_of_view
 from hil.report.latency import measure_latency
 from hil.report.security import judge_security
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
-from hil.runner import COMPLETED, Outcome
 
 SETTLED_S = 100.0  # navigation is judged from here on, as in physics of the paper's numerical run
 _TORQUE_WINDOW_S = (360.0, 400.0)  # bench paper Fig. 8
@@ -41,7 +41,7 @@ def summarise(
     thrusters = _thrusters(history, scenario)
     parts = {
         "control_precision": _control_precision(verdict, scenario),
-        "security": judge_security(history, scenario, parameters.orbit_rate(scenario)),
+        "security": judge_security(history, scenario, gnc_params.orbit_rate(scenario)),
         "energy": judge_energy(
             history["reference"]["v_CT_H"], scenario, thrusters["propellant_kg"], sum(thrusters["thruster_firings"])
         ),

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.config.scenario import Requirements
-from hil.realtime import REAL_TIME
+from hil.core.realtime import REAL_TIME
 from hil.report.paper import TABLE_V
 from hil.report.verdict import ROW_NAMES, Verdict, tolerances
 

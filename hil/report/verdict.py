@@ -14,8 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.config.scenario import Requirements
+from hil.core.messages import Array, new
 from hil.gnc import ready_phase
-from hil.messages import Array, new
 
 ROW_NAMES = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
 

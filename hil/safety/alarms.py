@@ -5,16 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from hil.errors import (
-    BenchError,
-    DeviceError,
-    DriveFault,
-    LinkLost,
-    LinkTimeout,
-    ProtocolError,
-    SafetyTrip,
-)
-from hil.told import Told
+from hil.core.observable import Told
+from hil.errors import BenchError, DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 
 _KINDS: dict[type[DeviceError], tuple[str, str]] = {
     LinkLost: ("link", "connected"),

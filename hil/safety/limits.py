@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.bench.guard import GUARD
 from hil.config.rig import Rig
-from hil.messages import Array, new
+from hil.core.messages import Array, new
 
 _STAND_MPS = 0.01
 _STAND_RADPS = math.radians(1.0)

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from hil.config.vmu_geometry import Sensor
+from hil.core.messages import Array
 from hil.errors import BadInput
-from hil.messages import Array
 from hil.vmu.kernels.measure import LIMITS
 from hil.vmu.kernels.search import TOO_MANY, detect
 from hil.vmu.spots import SPOT

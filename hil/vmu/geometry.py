@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.rig import Rig
 from hil.config.vmu_geometry import Camera, VmuGeometry
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.kernels.lens import LENS, CameraPair
 
 

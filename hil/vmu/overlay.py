@@ -7,7 +7,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from hil.pictures import Shape
+from hil.core.camera_images import Shape
 from hil.vmu.kernels.records import Scene
 from hil.vmu.shapes import IDENTITY, LED, LINE_PX, NOTE, STATUS, VALUE, lines, shapes
 from hil.vmu.unit import Solution

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.config.vmu_geometry import VmuGeometry
+from hil.core.messages import Array
 from hil.maths import quat
-from hil.messages import Array
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.kernels.hypotheses import bend
 from hil.vmu.kernels.match import assign, judge, sight_of

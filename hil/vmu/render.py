@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.kernels.lens import CameraPair, in_image, project
 from hil.vmu.kernels.scene import disc_images, project_points, to_camera
 from hil.vmu.kernels.sensor import clear_box, fill_background

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.pictures import Shape
+from hil.core.camera_images import Shape
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import Scene
 from hil.vmu.kernels.refine import place

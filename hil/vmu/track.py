@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.messages import Array
 from hil.maths import quat
 from hil.maths.kalman import propagate_covariance
-from hil.messages import Array
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.refine import turn
 from hil.vmu.pose import Prediction

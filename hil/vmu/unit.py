@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from hil.config.vmu_geometry import VmuGeometry
+from hil.core.messages import Array, PoseFrame
 from hil.maths import quat
-from hil.messages import Array, PoseFrame
 from hil.vmu.detect import Detector
 from hil.vmu.identify import AMBIGUOUS, OK, TOO_FEW, Identifier, Verdict
 from hil.vmu.kernels.hypotheses import difference

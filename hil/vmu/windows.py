@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.kernels.led_windows import led_windows
 from hil.vmu.kernels.records import Scene
 

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil import build
-from hil.commission.dialogue import Scripted, StepFailed
+from hil.commission.prompt import Scripted, StepFailed
 from hil.commission.steps import Commissioning, Found, Witness
 from hil.config.load import load_rig, load_scenario
+from hil.core.modes import Mode
 from hil.drivers.io.mock import MockIo
 from hil.errors import SafetyTrip
-from hil.io_stage import IoStage
-from hil.modes import Mode
-from hil.runner import Runner
+from hil.loop.runner import Runner
+from hil.loop.safety_io_stage import IoStage
+from hil.session import build
 
 STEP_S = 0.02
 X, Y, YAW = 0, 1, 5

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil import build
-from hil.clock import SimulatedClock
 from hil.config.console import OnLoss
 from hil.config.load import load_rig, load_scenario
 from hil.console.remote_operator import RemoteOperator, Words
 from hil.console.status import CELLS, MODES, empty_status, status_of
-from hil.frmn.cell import Block
-from hil.modes import Mode
-from hil.rate import SimulatedRate
-from hil.runner import STOPPED_BY_OPERATOR, Outcome, Runner
-from hil.tuning import packed, tuning
+from hil.core.clock import SimulatedClock
+from hil.core.modes import Mode
+from hil.frmn.mailbox import Block
+from hil.loop.rate_keeper import SimulatedRate
+from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
+from hil.session import build
+from hil.setup.live_tuning import packed, tuning
 
 LEASE_S = 1.0
 DEADBAND = "gnc.control.deadband_deg"

@@ -16,20 +16,20 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from hil.clock import WallClock
 from hil.config.load import load_rig
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES
-from hil.device_host import DeviceHost
+from hil.core.clock import WallClock
+from hil.core.messages import AxisFeedback, Homing, PoseFrame
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint
 from hil.drivers.mock_axes import MockAxes
-from hil.drivers.remote.cells import HOST, SETPOINT, Exchange
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses, RemoteTurntable
 from hil.drivers.remote.host import LOOP_SILENCE_MAX_S
+from hil.drivers.remote.io_layout import HOST, SETPOINT, Exchange
 from hil.drivers.remote.requests import Requests
 from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError
-from hil.host_processes import HostProcesses
-from hil.messages import AxisFeedback, Homing, PoseFrame
+from hil.processes.io_client import HostProcesses
+from hil.processes.io_server import DeviceHost
 
 WIRES = (
     "rig.turntable.cia402.channel=nowhere",
@@ -269,9 +269,9 @@ def test_an_ended_io_process_is_told_of_at_once(sides: Sides) -> None:
 
 PARENT = f"""
 import sys, time
-from hil.clock import WallClock
+from hil.core.clock import WallClock
 from hil.config.load import load_rig
-from hil.host_processes import HostProcesses
+from hil.processes.io_client import HostProcesses
 io = HostProcesses(load_rig("emulated", {WIRES!r}).value, WallClock())
 io.wait_ready()
 print(io.pids['host'], flush=True)

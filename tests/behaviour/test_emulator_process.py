@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 
 from hil.drivers.emulator_process import EmulatorProcess
-from hil.drivers.faults import FaultControl
+from hil.drivers.fault_injection import FaultControl
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 CHILD = """
 import sys, time
 from hil.drivers.emulator_process import serve
-from hil.drivers.faults import WIRE, Faults
+from hil.drivers.fault_injection import WIRE, Faults
 
 class Emulator:
     def __init__(self, configuration):

@@ -8,12 +8,12 @@ import tty
 
 import numpy as np
 import pytest
-from run_settings import UNHURRIED
 
-from hil import build
 from hil.config.load import load_rig, load_scenario
+from hil.drivers.command_words.codec import Word, encode
 from hil.drivers.vmu.codec import Decoder
-from hil.drivers.words.codec import Word, encode
+from hil.session import build
+from tests.support.run_settings import UNHURRIED
 
 _THRUSTERS = 0b10_0010  # numbers 2 and 6: against x
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from hil.frmn.cell import Block
+from hil.frmn.mailbox import Block
 from hil.frmn.ring import Ring
 
 WORDS = 64
@@ -20,7 +20,7 @@ VALUE = np.dtype([("words", "i8", WORDS)])
 WRITER = f"""
 import sys
 import numpy as np
-from hil.frmn.cell import Block
+from hil.frmn.mailbox import Block
 from hil.frmn.ring import Ring
 
 VALUE = np.dtype([("words", "i8", {WORDS})])

@@ -15,10 +15,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from far_gnc import LOCAL, Split, gnc_thread, split_bench
 
-from hil.modes import Mode
-from hil.orders import Resuming
+from hil.core.modes import Mode
+from hil.core.operator_commands import Resuming
+from tests.support.split_bench import LOCAL, Split, gnc_thread, split_bench
 
 CYCLES = 3
 
@@ -85,7 +85,7 @@ def test_killed_gnc_that_comes_back_during_the_hold_joins_without_a_step(tmp_pat
 
 DSS = """
 import sys
-from far_gnc import split_bench
+from tests.support.split_bench import split_bench
 with split_bench("scheme-1", 60.0, lock_step=False) as bench:
     print(bench.link.address[1], flush=True)  # noqa: T201
     bench.each_cycle = lambda k: print(k, flush=True)
@@ -97,7 +97,7 @@ with split_bench("scheme-1", 60.0, lock_step=False) as bench:
 def test_killed_bench_is_missed_by_the_gnc_within_three_cycles() -> None:
     told: list[tuple[float, str]] = []
     command = [sys.executable, "-c", DSS]
-    path = os.pathsep.join([str(Path(__file__).parent.parent), *sys.path])
+    path = os.pathsep.join([str(Path(__file__).parents[2]), *sys.path])
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path}) as dss:
         assert dss.stdout is not None
         port = int(dss.stdout.readline())

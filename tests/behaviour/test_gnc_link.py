@@ -7,12 +7,12 @@ import threading
 
 import numpy as np
 import pytest
-from far_gnc import Split, gnc_thread, split_bench
-from relay import Relay
 
-from hil.messages import MAX_THRUSTERS
-from hil.modes import Mode
-from hil.orders import Resuming
+from hil.core.messages import MAX_THRUSTERS
+from hil.core.modes import Mode
+from hil.core.operator_commands import Resuming
+from tests.support.split_bench import Split, gnc_thread, split_bench
+from tests.support.udp_relay import Relay
 
 STEP_S = 0.02
 PATIENT = ("rig.gnc_link.timeout_cycles=500",)

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil import build
+from hil.commission.identification import AxisResult, Identification
 from hil.config.load import load_rig, load_scenario
+from hil.core.messages import AXES, new
+from hil.core.modes import Mode
 from hil.errors import BenchError, LinkLost, SafetyTrip
-from hil.handling import Handling
-from hil.identification import AxisResult, Identification
-from hil.messages import AXES, new
-from hil.modes import Mode
+from hil.loop.motion_sequences import Handling
+from hil.session import build
 
 STEP_S = 0.02
 X, YAW = 0, 5

@@ -18,14 +18,14 @@ from pymodbus.exceptions import ConnectionException
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
 
-from hil.clock import WallClock
 from hil.config.io import Io
+from hil.core.clock import WallClock
+from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.io.codec import Function, LineMap
 from hil.drivers.io.coupler import Coupler
 from hil.drivers.io.driver import ModbusIo
 from hil.drivers.io.emulator import IDENTITY, IoEmulator
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
-from hil.messages import IoInputs, IoOutputs
 
 TIMEOUT_S = 0.4
 

@@ -9,20 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from run_settings import UNHURRIED, typed
 
-from hil import build, monitored
-from hil.build import Job
 from hil.config.load import load_rig, load_scenario, load_scene
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.core.camera_images import PICTURE, shapes_of
+from hil.core.messages import CYCLE
 from hil.errors import LinkLost
 from hil.frmn.ring import Ring
-from hil.messages import CYCLE
-from hil.monitor.findings import PORTION
-from hil.monitor_beside import MonitorProcess, Watched, watch_recorded
-from hil.pictures import PICTURE, shapes_of
+from hil.monitor.results import PORTION
+from hil.processes.docking_monitor import MonitorProcess, Watched, watch_recorded
 from hil.report.docking_monitor import judge_monitor, monitor_lines
+from hil.session import build, with_docking_monitor
+from hil.session.build import Job
+from tests.support.run_settings import UNHURRIED, typed
 
 SETTINGS = ("monitor.source=rendered",)
 
@@ -126,7 +126,7 @@ def test_a_run_that_ended_before_its_first_cycle_has_nothing_to_compare(scenario
 
 def test_run_without_monitor_has_none(rig: Rig) -> None:
     job = Job(load_scenario("scheme-1"), load_rig("mock"), 0, 0.1, 1.0)
-    with monitored.runner(job, lambda *_: None, lambda _: None) as (runner, look):
+    with with_docking_monitor.runner(job, lambda *_: None, lambda _: None) as (runner, look):
         assert look(runner.run()) is None
 
 

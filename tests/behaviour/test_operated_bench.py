@@ -8,17 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from operated_bench import STEP_S, Script, Session, operate
 
-from hil import parameters
 from hil.config.load import load_rig, load_scenario
+from hil.core.messages import AxisFeedback
+from hil.core.modes import Mode
+from hil.core.operator_commands import Order
 from hil.errors import LinkLost
-from hil.messages import AxisFeedback
-from hil.modes import Mode
-from hil.orders import Order
+from hil.params import gnc as gnc_params
 from hil.report.summary import summarise
+from tests.support.operated_bench import STEP_S, Script, Session, operate
 
-LIMITS = parameters.bench(load_rig("mock").value, STEP_S)
+LIMITS = gnc_params.bench(load_rig("mock").value, STEP_S)
 
 
 def idle(_: Session) -> None:

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.clock import WallClock
 from hil.config.load import load_rig
 from hil.config.rig import Modbus, ModbusAxis, Rails
-from hil.drivers.board import AxisBoard
+from hil.core.clock import WallClock
+from hil.core.messages import Homing
 from hil.drivers.emulated_axes import WATCHDOG_S
 from hil.drivers.rails.codec import Command, Control, RegisterMap, Status
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
+from hil.drivers.shared_state import AxisBoard
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
-from hil.messages import Homing
 
 RIGS = ("emulated", "emulated-rtu")
 TIMEOUT_S = 1.2  # of bench time; a busy test machine may take some of it

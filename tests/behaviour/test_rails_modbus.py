@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.clock import WallClock
 from hil.config.rail_map import RailMap
 from hil.config.rig import Rails
+from hil.core.clock import WallClock
 from hil.drivers.base import AxisGroup
-from hil.drivers.board import AxisBoard
 from hil.drivers.emulated_axes import WATCHDOG_S
 from hil.drivers.rails.codec import Command, Control, State, Status
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator
+from hil.drivers.shared_state import AxisBoard
 from hil.errors import BadInput, BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 
 TIMEOUT_S = 0.2
@@ -35,8 +35,8 @@ PARK = [1.0, 0.0, 0.5]
 
 CHILD = """
 import json, sys, threading
-from hil.clock import WallClock
-from hil.drivers.board import AxisBoard
+from hil.core.clock import WallClock
+from hil.drivers.shared_state import AxisBoard
 from hil.config.rig import Rails
 from hil.drivers.rails.emulator import RailsEmulator
 emulator = RailsEmulator(Rails.model_validate_json(sys.argv[1]), WallClock(), AxisBoard.create())

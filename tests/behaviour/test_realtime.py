@@ -13,10 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from hil import build, realtime
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
-from hil.realtime import CPU, FIFO, MEMORY, NICE, SLACK, SLICE, RealTime
+from hil.core import realtime
+from hil.core.realtime import CPU, FIFO, MEMORY, NICE, SLACK, SLICE, RealTime
+from hil.session import build
 
 HARDWARE = """
 extends = "emulated"

@@ -26,9 +26,9 @@ LOOP = """
 import itertools, select, sys, time
 from pathlib import Path
 import numpy as np
-from hil import build
+from hil.session import build
 from hil.config.load import load_rig, load_scenario
-from hil.messages import CYCLE
+from hil.core.messages import CYCLE
 from hil.recording.session import recording
 
 job = build.Job(load_scenario("scheme-1"), load_rig("emulated"), 0, 60.0, 1.0)

@@ -8,19 +8,19 @@ import sys
 
 import numpy as np
 import pytest
-from run_settings import NEAR, UNHURRIED
 
-from hil import build
-from hil.clock import SimulatedClock
 from hil.config.load import load_rig, load_scenario
+from hil.core.clock import SimulatedClock
+from hil.core.messages import CYCLE
 from hil.frmn.ring import Ring
-from hil.messages import CYCLE
-from hil.rate import SimulatedRate
+from hil.loop.rate_keeper import SimulatedRate
+from hil.session import build
+from tests.support.run_settings import NEAR, UNHURRIED
 
 READER = """
 import json, sys
 from hil.frmn.ring import Ring
-from hil.messages import CYCLE
+from hil.core.messages import CYCLE
 reader, times = Ring(int(sys.argv[1]), CYCLE, 2048).reader(), []
 print("attached", flush=True)
 while not times or times[-1] < float(sys.argv[2]):

@@ -8,13 +8,12 @@ import select
 import threading
 import tty
 
-from test_turntable_drivers import error_of, eventually, turntable
-
-from hil.clock import WallClock
-from hil.drivers.board import AxisBoard
-from hil.drivers.turntable.ascii_driver import AsciiTurntable
-from hil.drivers.turntable.ascii_emulator import AsciiTurntableEmulator
+from hil.core.clock import WallClock
+from hil.drivers.shared_state import AxisBoard
+from hil.drivers.turntable.ascii.driver import AsciiTurntable
+from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
 from hil.errors import ProtocolError
+from tests.behaviour.test_turntable_drivers import error_of, eventually, turntable
 
 
 class NoisyLine:

@@ -16,13 +16,13 @@ import tty
 import numpy as np
 import pytest
 
-from hil.clock import WallClock
 from hil.config.rig import AsciiTurntableLine, Cia402, GimbalAxis, Servo, Turntable
-from hil.drivers.board import AxisBoard
-from hil.drivers.turntable.ascii_driver import AsciiTurntable
-from hil.drivers.turntable.ascii_emulator import AsciiTurntableEmulator
-from hil.drivers.turntable.cia402_driver import Cia402Turntable
-from hil.drivers.turntable.cia402_emulator import Cia402Emulator
+from hil.core.clock import WallClock
+from hil.drivers.shared_state import AxisBoard
+from hil.drivers.turntable.ascii.driver import AsciiTurntable
+from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
+from hil.drivers.turntable.cia402.driver import Cia402Turntable
+from hil.drivers.turntable.cia402.emulator import Cia402Emulator
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, SafetyTrip
 
 DRIVERS = {"cia402": Cia402Turntable, "ascii": AsciiTurntable, "acu": AsciiTurntable}
@@ -286,9 +286,9 @@ def test_drives_stop_by_themselves_when_setpoints_cease(driver):
 
 CHILD = """
 import json, sys, threading
-from hil.clock import WallClock
+from hil.core.clock import WallClock
 from hil.config.rig import Turntable
-from hil.drivers.board import AxisBoard
+from hil.drivers.shared_state import AxisBoard
 from {module} import {emulator}
 emulator = {emulator}(Turntable.model_validate_json(sys.argv[1]), WallClock(int(sys.argv[2])), AxisBoard.create())
 print(json.dumps(emulator.start()), flush=True)

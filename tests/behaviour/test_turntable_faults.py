@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 import pytest
-from test_turntable_drivers import error_of, eventually, served
 
 from hil.errors import DeviceError, LinkTimeout
+from tests.behaviour.test_turntable_drivers import error_of, eventually, served
 
 SPEED = 1.0
 PATIENCE_WALL_S = 20.0

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from test_turntable_drivers import DRIVERS, PARK_DEG, emulated, error_of, eventually, served, turntable
 
-from hil.clock import WallClock
+from hil.core.clock import WallClock
+from hil.core.messages import Homing
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
-from hil.messages import Homing
+from tests.behaviour.test_turntable_drivers import DRIVERS, PARK_DEG, emulated, error_of, eventually, served, turntable
 
 INCREMENTAL = {"encoder": "incremental", "home_deg": 1.0, "homing_rate_degps": 5.0}
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from vmu_stage import Truth, ring
 
 from hil.cli.main import BAD_INPUT, FAILED, PASSED, execute
 from hil.cli.vmu import COLUMNS
 from hil.config.vmu_geometry import VmuGeometry
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.render import Extras, Look, Reflection, Renderer
+from tests.support.vmu_scene import Truth, ring
 
 FRAMES = 6
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from hil.clock import WallClock
 from hil.config.rig import SerialLine, Vmu
+from hil.core.clock import WallClock
+from hil.core.messages import PoseFrame
 from hil.drivers.vmu.driver import Rs422Vmu
 from hil.drivers.vmu.emulator import VmuEmulator
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
-from hil.messages import PoseFrame
 
 POSE = PoseFrame(0, 0.0, 0.0, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6) * 1e-4)
 

@@ -13,28 +13,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from hil.clock import WallClock
 from hil.config.rig import SerialLine, Vmu
+from hil.core.clock import WallClock
+from hil.core.messages import PoseFrame
 from hil.drivers.base import PoseSource
 from hil.drivers.emulator_process import EmulatorProcess
-from hil.drivers.lines import PtyLine
+from hil.drivers.pty_line import PtyLine
 from hil.drivers.vmu import COUNTERS
 from hil.drivers.vmu.codec import FRAME_BYTES, STATUS_NO_POSE, encode, encode_status
 from hil.drivers.vmu.driver import Rs422Vmu
 from hil.drivers.vmu.emulator import VmuEmulator
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout
-from hil.messages import PoseFrame
 
 SPEED = 4.0
 POSE = PoseFrame(0, 0.0, 0.0, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6) * 1e-4)
 
 CHILD = """
 import numpy as np
-from hil.clock import WallClock
+from hil.core.clock import WallClock
 from hil.config.rig import Vmu
 from hil.drivers.emulator_process import serve
 from hil.drivers.vmu.emulator import VmuEmulator
-from hil.messages import PoseFrame
+from hil.core.messages import PoseFrame
 pose = PoseFrame(0, 0.0, 0.0, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6) * 1e-4)
 def unit(c):
     vmu = Vmu.model_validate(c["vmu"], strict=False)

@@ -12,33 +12,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.clock import SimulatedClock, WallClock
 from hil.config.load import load_rig
-from hil.config.rig import (
-    GIMBAL_NAMES,
-    RAIL_NAMES,
-    AsciiTurntableLine,
-    Cia402,
-    Modbus,
-    ModbusAxis,
-    Rails,
-    Turntable,
-)
-from hil.device_host import DeviceHost
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, AsciiTurntableLine, Cia402, Modbus, ModbusAxis, Rails, Turntable
+from hil.core.clock import SimulatedClock, WallClock
 from hil.drivers.base import AxisGroup, Jogs
-from hil.drivers.board import AxisBoard
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
-from hil.drivers.remote.cells import HOST, Exchange
 from hil.drivers.remote.devices import IoLink, RemoteAxes
+from hil.drivers.remote.io_layout import HOST, Exchange
 from hil.drivers.remote.requests import Requests
-from hil.drivers.turntable.ascii_driver import AsciiTurntable
-from hil.drivers.turntable.ascii_emulator import AsciiTurntableEmulator
-from hil.drivers.turntable.cia402_driver import Cia402Turntable
-from hil.drivers.turntable.cia402_emulator import Cia402Emulator
+from hil.drivers.shared_state import AxisBoard
+from hil.drivers.turntable.ascii.driver import AsciiTurntable
+from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
+from hil.drivers.turntable.cia402.driver import Cia402Turntable
+from hil.drivers.turntable.cia402.emulator import Cia402Emulator
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, SafetyTrip
+from hil.processes.io_server import DeviceHost
 
 SPEED = 2.0
 RIG = load_rig("emulated").value

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import pytest
 
-from hil.clock import SimulatedClock, WallClock
 from hil.config.io import Io
+from hil.core.clock import SimulatedClock, WallClock
+from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.base import DiscreteIo
 from hil.drivers.io.driver import ModbusIo
 from hil.drivers.io.emulator import IoEmulator
 from hil.drivers.io.mock import MockIo
 from hil.errors import DeviceError, LinkTimeout
-from hil.messages import IoInputs, IoOutputs
 
 PUMP_TIMEOUT_S = 0.4  # generous: the machine that tests run on does other things too
 THRUSTERS = bytes((1, 0, 0, 1))

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from hil.clock import SimulatedClock, WallClock
 from hil.config.load import load_rig
 from hil.config.rig import SerialLine
+from hil.core.clock import SimulatedClock, WallClock
+from hil.core.messages import PoseFrame
 from hil.drivers.base import PoseSource
 from hil.drivers.vmu.driver import Rs422Vmu
 from hil.drivers.vmu.emulator import VmuEmulator
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, LinkTimeout
-from hil.messages import PoseFrame
 
 SPEED = 2.0
 CONFIG = load_rig("emulated").value.vmu

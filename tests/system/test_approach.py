@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil import build
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
-from hil.runner import Outcome
+from hil.loop.runner import Outcome
+from hil.session import build
 
 
 def _run(scenario: str, seed: int, duration_s: float, *settings: str) -> Outcome:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil import build
-from hil.approach_diary import ApproachDiary
 from hil.config.load import load_rig, load_scenario
-from hil.messages import SUPERVISION, new
+from hil.core.messages import SUPERVISION, new
+from hil.gnc_backends.approach_events import ApproachDiary
+from hil.session import build
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from run_settings import typed
 
 from hil.cli.main import execute
 from hil.config.load import load_file, load_rig
@@ -21,6 +20,7 @@ from hil.vmu.calibration.synthetic import plan, shifted
 from hil.vmu.calibration.synthetic_images import board_pair, led_pair, led_renderer, write_views
 from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.render import NOTHING
+from tests.support.run_settings import typed
 
 BOARD = Board(7, 5, 0.05)
 SMALL = (

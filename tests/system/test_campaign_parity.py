@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil import build
+from hil.campaign.case_runner import Flight
 from hil.campaign.dispersions import Design, case_seed
-from hil.campaign.flight import Flight
 from hil.campaign.outcome import row_of
 from hil.config.load import load_rig, load_scenario
-from hil.messages import CYCLE
+from hil.core.messages import CYCLE
+from hil.loop.runner import COMPLETED, Outcome
 from hil.report.summary import summarise
-from hil.runner import COMPLETED, Outcome
+from hil.session import build
 
 CLOSE = ("initial.position_m=[0.55, 0.01, -0.01]", "initial.attitude_deg=[0.3, 0.2, -0.2]")
 LATE = (

@@ -12,19 +12,19 @@ from pathlib import Path
 
 import pytest
 
-from hil import build
-from hil.build import WiredBench
+from hil.checks.compatibility import sign_off_gap
 from hil.cli.main import execute
-from hil.commission.dialogue import Scripted, StepFailed
 from hil.commission.emulated import EmulatedTechnician
+from hil.commission.prompt import Scripted, StepFailed
 from hil.commission.steps import Commissioning
-from hil.config.digest import motion_digest
 from hil.config.load import load_rig, load_scenario
-from hil.drivers.faults import FaultControl
+from hil.config.motion_digest import motion_digest
+from hil.core.modes import Mode
+from hil.drivers.fault_injection import FaultControl
 from hil.errors import DeviceError
-from hil.fitness import sign_off_gap
-from hil.modes import Mode
-from hil.runner import Runner
+from hil.loop.runner import Runner
+from hil.session import build
+from hil.session.build import WiredBench
 
 X, Y, YAW = 0, 1, 5
 SPEED = 2.0

@@ -15,9 +15,6 @@ from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
-from console_client import Console, Page, console
-from foreign_gnc import c_example
-from run_settings import NEAR, typed
 
 from hil.cli.main import BAD_INPUT, execute
 from hil.console.serve import is_loopback
@@ -26,6 +23,9 @@ from hil.console.session_process import SessionProcess
 from hil.recording.catalogue import Catalogue
 from hil.recording.read import load
 from hil.recording.replay import replay
+from tests.support.console_client import Console, Page, console
+from tests.support.external_gnc import c_example
+from tests.support.run_settings import NEAR, typed
 
 TOKEN = "0123456789abcdef-right"
 

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from console_client import PATIENT, Console, console
-from run_settings import NEAR, typed
 
 from hil.recording.read import load
 from hil.recording.replay import replay
+from tests.support.console_client import PATIENT, Console, console
+from tests.support.run_settings import NEAR, typed
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 
 import pytest
-from run_settings import NEAR, UNHURRIED
 
-from hil.build import Job, check, warm_up
-from hil.build import runner as make_runner
 from hil.config.load import load_rig, load_scenario
-from hil.drivers.faults import FaultControl
-from hil.modes import Mode
+from hil.core.modes import Mode
+from hil.drivers.fault_injection import FaultControl
+from hil.session.build import Job, check, warm_up
+from hil.session.build import runner as make_runner
+from tests.support.run_settings import NEAR, UNHURRIED
 
 # the fault matrix presses it in the normal run
 pytestmark = pytest.mark.slow

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from run_settings import UNHURRIED
 
-from hil.build import Job, WiredBench, check, warm_up, wired_bench
+from hil.commission.fault_matrix import GOES_ON, TIGHT, Case, matrix, rehearse, representatives
 from hil.config.load import load_rig, load_scenario
-from hil.modes import Mode
-from hil.rehearsal import GOES_ON, TIGHT, Case, matrix, rehearse, representatives
+from hil.core.modes import Mode
+from hil.session.build import Job, WiredBench, check, warm_up, wired_bench
+from tests.support.run_settings import UNHURRIED
 
 SETTINGS = (*TIGHT, *UNHURRIED)
 

@@ -16,7 +16,7 @@ from hil.campaign.fusion import INITIAL_SIGMA, VMU_SIGMA, Reading, Study, run_ba
 from hil.campaign.fusion_kernel import STUDY_RESULT
 from hil.cli.main import execute
 from hil.config.scenario import Scenario
-from hil.messages import new
+from hil.core.messages import new
 
 READINGS: tuple[Reading, Reading] = ("swapped", "printed")
 AXES = ("position_rmse_m", "position_bound_m", "position_ratio", "position_max_m",

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
 
 from hil.cli.main import execute
 from hil.config.load import load_scenario
 from hil.gnc_check.check import Report, check_gnc
-from hil.gnc_check.partners import LibraryPartner, LinkPartner, check_link
+from hil.gnc_check.gnc_under_test import LibraryPartner, LinkPartner, check_link
+from tests.support.external_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
 
 SCALAR_FIRST = (
     "    gnc_state *g = gnc; => "

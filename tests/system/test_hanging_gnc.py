@@ -6,8 +6,9 @@ import time
 from pathlib import Path
 
 import pytest
-from foreign_gnc import c_example
-from test_killed_processes import GENEROUS_S, running
+
+from tests.support.external_gnc import c_example
+from tests.system.test_killed_processes import GENEROUS_S, running
 
 
 @pytest.mark.slow

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from run_settings import typed
 
-from hil.clock import WallClock
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import RAIL_NAMES, Rig
-from hil.emulation import EmulatedDevices
+from hil.core.clock import WallClock
+from hil.processes.emulators import EmulatedDevices
+from tests.support.run_settings import typed
 
 MOVING = (
     "initial.position_m=[2.0, -0.12, 0.12]",

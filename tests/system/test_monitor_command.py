@@ -13,9 +13,9 @@ import pytest
 from hil.cli.main import execute
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise
-from hil.monitor.findings import QUANTITIES
 from hil.monitor.monitor import Monitor
 from hil.monitor.render import Conditions, Renderer, film
+from hil.monitor.results import QUANTITIES
 
 COLUMNS = [
     "t_s", "frames", "status", "d1_m", "d2_m", "d3_m", "phi1_rad", "phi2_rad", "phi3_rad", "range_m", "range_rate_mps",

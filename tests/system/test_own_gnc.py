@@ -9,22 +9,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_gnc import PYTHON_EXAMPLE, c_example
-from run_settings import typed
 
-from hil import build
-from hil.assembly import library_problems
-from hil.campaign.flight import Flight
+from hil.campaign.case_runner import Flight
 from hil.campaign.outcome import row_of
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
-from hil.gnc_interface import GncState
-from hil.messages import CYCLE
-from hil.modes import Mode
-from hil.orders import Operator, Order
+from hil.core.gnc_records import GncState
+from hil.core.messages import CYCLE
+from hil.core.modes import Mode
+from hil.core.operator_commands import Operator, Order
+from hil.loop.runner import COMPLETED, Outcome
 from hil.recording.read import load
 from hil.recording.replay import replay
-from hil.runner import COMPLETED, Outcome
+from hil.session import build
+from hil.setup.assembly import library_problems
+from tests.support.external_gnc import PYTHON_EXAMPLE, c_example
+from tests.support.run_settings import typed
 
 OF_THE_CLOCK = ("sampled_s", "received_s", "commanded_s", "on_wire_s", "lateness_s")
 """Stamps of devices, which a loop without devices does not have."""

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from foreign_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
 
 from hil.cli.main import execute
+from tests.support.external_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
 
 
 def free_port() -> int:

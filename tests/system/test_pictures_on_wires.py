@@ -6,16 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from run_settings import UNHURRIED, typed
 
 from hil.cli.main import execute
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
-from hil.recording.pictures import pairs
+from hil.recording.images import pairs
 from hil.recording.read import load
 from hil.recording.replay import replay
-from hil.recording.replay_pictures import replay_monitor, replay_vision_unit
+from hil.recording.replay_images import replay_monitor, replay_vision_unit
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
+from tests.support.run_settings import UNHURRIED, typed
 
 SETTINGS = (
     "vmu.source=rendered",

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from run_settings import UNHURRIED, typed
 
 from hil.cli.main import execute
+from tests.support.run_settings import UNHURRIED, typed
 
 OF_THIS_MACHINE = ("clock", "scheduling", "memory lock", "CPU", "processors", "disk", "kernel", "compiled", "lateness")
 

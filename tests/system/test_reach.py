@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from run_settings import typed
 
-from hil import build
+from hil.checks.reachability import demands, reach_problems
 from hil.cli.main import execute
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
-from hil.reach import demands, reach_problems
+from hil.session import build
+from tests.support.run_settings import typed
 
 REFUSALS = {
     "rail's travel, by the dispersion": (

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from run_settings import NEAR, UNHURRIED, typed
 
 from hil.cli.main import execute
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
 from hil.recording.read import contents, load
 from hil.recording.recover import recover
 from hil.recording.replay import replay
+from tests.support.run_settings import NEAR, UNHURRIED, typed
 
 
 @pytest.fixture(scope="module")

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil import build, parameters
+from hil.cameras.factory import make_eye
+from hil.checks.compatibility import axes_at
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
-from hil.eyes import make_eye
-from hil.fitness import axes_at
+from hil.core.messages import PoseFrame
 from hil.maths import quat
-from hil.maths.stations import camera_pose
-from hil.messages import PoseFrame
+from hil.models.mounting import camera_pose
+from hil.params import gnc as gnc_params
+from hil.session import build
 from hil.vmu.geometry import geometry_of_rig
 
 RENDERED = "vmu.source=rendered"
@@ -37,8 +38,8 @@ def seen(*settings: str, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) 
     from hil.bench.kinematics import pose_of_axes
 
     r, q = np.empty(3), np.empty(4)
-    pose_of_axes(parameters.bench(rig, scenario.step_s), axes.rail_m, axes.gimbal_rad, r, q)
-    camera_pose(parameters.stations(rig), r, q, t_v, q_vt)
+    pose_of_axes(gnc_params.bench(rig, scenario.step_s), axes.rail_m, axes.gimbal_rad, r, q)
+    camera_pose(gnc_params.stations(rig), r, q, t_v, q_vt)
     return found, t_v, q_vt
 
 

@@ -11,17 +11,17 @@ import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from run_settings import typed
 
 from hil.cli.main import execute
 from hil.config.load import load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
-from hil.recording.pictures import pairs, pictures
+from hil.recording.images import pairs, pictures
 from hil.recording.read import Recorded, load
 from hil.recording.replay import replay
-from hil.recording.replay_pictures import replay_monitor, replay_vision_unit
+from hil.recording.replay_images import replay_monitor, replay_vision_unit
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
+from tests.support.run_settings import typed
 
 RENDERED = ("vmu.source=rendered", "monitor.source=rendered", "initial.position_m=[2.0, -0.05, 0.05]")
 ALL_PNG = ("rig.recording.pictures=png", "rig.recording.picture_each_s=0")

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil import build
 from hil.cli.main import execute
+from hil.config.gnc_override import with_other_gnc
 from hil.config.load import load_rig, load_scenario
-from hil.config.other_gnc import with_other_gnc
+from hil.core.modes import Mode
+from hil.core.operator_commands import Operator, Order
 from hil.errors import BadInput
-from hil.modes import Mode
-from hil.orders import Operator, Order
 from hil.recording.read import Recorded, load
 from hil.recording.replay import replay
 from hil.recording.session import recording
 from hil.report.summary import summarise
+from hil.session import build
 
 
 def record(folder: Path, scenario: str, duration_s: float, *settings: str) -> Recorded:

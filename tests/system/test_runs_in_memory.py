@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from run_settings import typed
 
-from hil import build
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.report.paper import TABLE_V
 from hil.report.verdict import ROW_NAMES
+from hil.session import build
+from tests.support.run_settings import typed
 
 
 @pytest.fixture(scope="module")

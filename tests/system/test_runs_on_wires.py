@@ -14,7 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from run_settings import NEAR, UNHURRIED, typed
+
+from tests.support.run_settings import NEAR, UNHURRIED, typed
 
 GENEROUS_EXIT_S = 3.0  # the product's own figure is 0.5 s; this one holds on a machine that does other things too
 

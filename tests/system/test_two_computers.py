@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from far_gnc import gnc_thread, split_bench
-from relay import Relay
 
-from hil import build
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.errors import DeviceError, LinkTimeout
+from hil.session import build
+from tests.support.split_bench import gnc_thread, split_bench
+from tests.support.udp_relay import Relay
 
 
 def in_one_process(scenario: str, duration_s: float, settings: tuple[str, ...] = (), seed: int = 0) -> build.Job:

@@ -13,8 +13,8 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
-from hil.clock import WallClock
 from hil.config.io import Io
+from hil.core.clock import WallClock
 from hil.drivers.io import NAME
 from hil.drivers.io.codec import Function, LineMap
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError

@@ -13,15 +13,15 @@ from concurrent.futures import Future
 from contextlib import suppress
 from typing import Final
 
-from hil.clock import WallClock
 from hil.config.io import Io
+from hil.core.clock import WallClock
+from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.io import NAME
 from hil.drivers.io.codec import LineMap
 from hil.drivers.io.coupler import Coupler
 from hil.drivers.latest import Latest
 from hil.drivers.loop_thread import LoopThread
 from hil.errors import DriveFault, LinkLost
-from hil.messages import IoInputs, IoOutputs
 
 IDLE_PERIOD_S: Final = 0.02  # between exchanges while nothing changes
 _OFF: Final = IoOutputs(False, b"")

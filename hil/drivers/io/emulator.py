@@ -8,13 +8,13 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-from hil.clock import WallClock
 from hil.config.io import Io
-from hil.drivers.faults import WIRE, Faults, FaultyWire, Kind, kinds
+from hil.core.clock import WallClock
+from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, Kind, kinds
 from hil.drivers.io import NAME
 from hil.drivers.io.codec import Image, LineMap, answer
 from hil.drivers.io.relay import SafetyRelay
-from hil.maths.streams import stream
+from hil.maths.random_streams import stream
 
 STEP_S: Final = 0.004  # of bench time, between two looks at the relay
 IDENTITY: Final = ("hil", "io-coupler", "1.0")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from hil.config.io import Io
+from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.io import NAME
 from hil.drivers.io.relay import SafetyRelay
 from hil.errors import DeviceError, LinkLost
-from hil.messages import IoInputs, IoOutputs
 
 _OFF = IoOutputs(False, b"")
 

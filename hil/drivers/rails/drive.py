@@ -7,9 +7,9 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from hil.clock import WallClock
+from hil.core.clock import WallClock
 from hil.drivers.rails.codec import Block, Command, Control, RegisterMap, State, Status
-from hil.drivers.rails.line import Line
+from hil.drivers.rails.modbus_bus import Line
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
 
 CONNECT_TIMEOUT_S: Final = 1.0

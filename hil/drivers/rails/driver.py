@@ -17,8 +17,9 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from hil.clock import WallClock
 from hil.config.rig import Rails
+from hil.core.clock import WallClock
+from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, RAIL_NAMES, accepted_setpoint, full_names
 from hil.drivers.latest import Latest
@@ -29,7 +30,6 @@ from hil.drivers.rails.frames import new_counters
 from hil.drivers.rails.homing import HomingWatch, limit_switch
 from hil.drivers.rails.wiring import check_wires, make_wires
 from hil.errors import DeviceError, DriveFault, LinkLost, SafetyTrip
-from hil.messages import Array, AxisFeedback, Homing
 
 IDLE_PERIOD_S: Final = 0.02  # between exchanges while nobody sends
 _STOP_WAIT_WALL_S: Final = 0.08

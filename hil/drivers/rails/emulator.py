@@ -8,18 +8,18 @@ import heapq
 import threading
 from typing import Final
 
-from hil.clock import WallClock
 from hil.config.rail_wires import ModbusRtu
 from hil.config.rig import Rails
+from hil.core.clock import WallClock
 from hil.drivers.base import RAIL_NAMES, TORQUE_OFF, full_names
-from hil.drivers.board import AxisBoard
 from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
-from hil.drivers.faults import FaultyWire
-from hil.drivers.lines import PtyLine
+from hil.drivers.fault_injection import FaultyWire
+from hil.drivers.pty_line import PtyLine
 from hil.drivers.rails.codec import Identity, RegisterMap
-from hil.drivers.rails.slave import EmulatedDrive, Slave
+from hil.drivers.rails.modbus_server import EmulatedDrive, Slave
 from hil.drivers.rails.wiring import tcp_axes
-from hil.maths.streams import stream
+from hil.drivers.shared_state import AxisBoard
+from hil.maths.random_streams import stream
 
 FIRMWARE: Final = (1, 0)
 _FAULT: Final = "over-current"  # that a drive reports when none was chosen

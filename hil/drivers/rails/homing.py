@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from hil.config.rig import RAIL_NAMES, Rails
+from hil.core.messages import Homing
 from hil.drivers.rails.codec import State, Status
-from hil.messages import Homing
 
 
 class HomingWatch:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-from hil.clock import WallClock
 from hil.config.rail_wires import ModbusRtu
 from hil.config.rig import RAIL_NAMES, Modbus, ModbusAxis, Rails
+from hil.core.clock import WallClock
 from hil.drivers.rails.drive import ATTEMPTS, Wire
 from hil.drivers.rails.frames import Counters
-from hil.drivers.rails.line import Line
+from hil.drivers.rails.modbus_bus import Line
 from hil.errors import BadInput
 
 # An exchange that waits for one drive keeps the others without a command: their watchdogs must not notice.

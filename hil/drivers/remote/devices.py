@@ -7,20 +7,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.clock import Clock
 from hil.config.io import Io
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Turntable, Vmu
+from hil.core.clock import Clock
+from hil.core.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, accepted_setpoint, full_names
-from hil.drivers.remote import cells
-from hil.drivers.remote.cells import Exchange
+from hil.drivers.remote import io_layout
+from hil.drivers.remote.io_layout import Exchange
 from hil.drivers.remote.requests import Requests
 from hil.errors import DeviceError, LinkLost, LinkTimeout
-from hil.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 
 SILENCE_MAX_S = 0.1
 """Wall time that the process which serves a device may be silent."""
-_PROCESSES = {cells.HOST: "I/O process", cells.GUARD: "watchdog process"}
+_PROCESSES = {io_layout.HOST: "I/O process", io_layout.GUARD: "watchdog process"}
 
 
 _CLOSE_WALL_S = 1.0
@@ -42,12 +42,12 @@ class IoLink:
         self._name = name
         self._process = _PROCESSES[name]
         self._ended = ended
-        self._heartbeat = np.zeros(1, cells.HEARTBEAT)
+        self._heartbeat = np.zeros(1, io_layout.HEARTBEAT)
 
     def beat(self, now_s: float, watched: bool) -> None:
         """Tell that the loop is alive; watched: silence from now on means that it is not."""
         self._heartbeat["watched"] = watched
-        self.exchange.block[cells.LOOP].write(self._heartbeat, now_s)
+        self.exchange.block[io_layout.LOOP].write(self._heartbeat, now_s)
 
     def check(self, device: str, now_s: float) -> None:
         """Raise LinkLost, in the name of ``device``, when its process has ended or is silent."""
@@ -72,7 +72,7 @@ class _RemoteDevice:
         self._block = link.exchange.block
         self._failure = self._block[f"{name}.failure"]
         self._failures_before = 0
-        self._record = np.zeros(1, cells.FAILURE)
+        self._record = np.zeros(1, io_layout.FAILURE)
         self._is_open = False
 
     def _open(self, now_s: float) -> None:
@@ -81,21 +81,21 @@ class _RemoteDevice:
         if "failure" in answer:
             kind, device, what = answer["failure"]
             self._record[0] = (kind.encode(), device.encode(), what.encode())
-            raise cells.failure_of(self._record)
+            raise io_layout.failure_of(self._record)
         self._is_open = True
 
     def _check(self, now_s: float) -> None:
         if not self._is_open:
             raise LinkLost(self.name, "is not open")
         if self._failure.read(self._record)[0] > self._failures_before:
-            raise cells.failure_of(self._record)
+            raise io_layout.failure_of(self._record)
         self._link.check(self.name, now_s)
 
     def counters(self) -> dict[str, int]:
         """Return what the driver counted since ``open``, some 0.1 s old."""
-        record = np.zeros(1, cells.COUNTERS)
+        record = np.zeros(1, io_layout.COUNTERS)
         self._block[f"{self.name}.counters"].read(record)
-        return cells.counters_of(record)
+        return io_layout.counters_of(record)
 
     def lost_packets(self) -> int:
         """Return how many packets the driver counted as lost or damaged since ``open``."""
@@ -125,12 +125,12 @@ class RemoteAxes(_RemoteDevice):
         axes = ServoAxes(config)
         self._low, self._high, self._rate_max = axes.low, axes.high, axes.rate_max
         self._timeout_s = config.timeout_s
-        self._setpoint = np.zeros(1, cells.SETPOINT)
-        self._feedback = np.zeros(1, cells.FEEDBACK)
-        self._stop = np.zeros(1, cells.STOP)
+        self._setpoint = np.zeros(1, io_layout.SETPOINT)
+        self._feedback = np.zeros(1, io_layout.FEEDBACK)
+        self._stop = np.zeros(1, io_layout.STOP)
         self._feedback_before = 0
         self._stopped = False
-        self._kind = cells.CYCLIC
+        self._kind = io_layout.CYCLIC
 
     def open(self, now_s: float) -> None:
         """Let the I/O process open the device; the axes hold where they stand. Raises DeviceError."""
@@ -138,7 +138,7 @@ class RemoteAxes(_RemoteDevice):
         self._link.beat(now_s, watched=False)
         self._feedback_before = self._block[f"{self.name}.feedback"].read(self._feedback)[0]
         self._stopped = False
-        self._kind = cells.CYCLIC
+        self._kind = io_layout.CYCLIC
         self._open(now_s)
 
     def home(self, now_s: float) -> None:
@@ -149,10 +149,10 @@ class RemoteAxes(_RemoteDevice):
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Hand over the newest setpoint; return the accepted position, or where a stopped device stands."""
         self._check(now_s)
-        low, high = (ANYWHERE_LOW, ANYWHERE_HIGH) if self._kind == cells.JOGGED else (self._low, self._high)
+        low, high = (ANYWHERE_LOW, ANYWHERE_HIGH) if self._kind == io_layout.JOGGED else (self._low, self._high)
         accepted = accepted_setpoint(self.axis_names, position, low, high)
         wanted_rate = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
-        if self._stopped or self._kind == cells.GOAL:
+        if self._stopped or self._kind == io_layout.GOAL:
             return np.array(self._feedback["position"][0])
         self._hand_over(accepted, np.where(accepted == position, wanted_rate, 0.0), now_s)
         return accepted
@@ -164,7 +164,7 @@ class RemoteAxes(_RemoteDevice):
 
     def set_jogging(self, on: bool) -> None:
         """While on, take setpoints of axes that are not homed, and cut none to the travel."""
-        self._kind = cells.JOGGED if on else cells.CYCLIC
+        self._kind = io_layout.JOGGED if on else io_layout.CYCLIC
 
     def read(self, now_s: float) -> AxisFeedback:
         """Return the newest feedback. Raises LinkTimeout when it is older than ``timeout_s``."""
@@ -173,7 +173,7 @@ class RemoteAxes(_RemoteDevice):
         number, _ = self._block[f"{self.name}.feedback"].read(self._feedback)
         if number <= self._feedback_before:
             raise LinkTimeout(self.name, "has not answered yet")
-        feedback = cells.read_feedback(self._feedback)
+        feedback = io_layout.read_feedback(self._feedback)
         age_s = now_s - feedback.t_s
         if age_s > self._timeout_s:
             raise LinkTimeout(self.name, f"no answer for {age_s:.3f} s, allowed {self._timeout_s:g} s")
@@ -199,7 +199,7 @@ class RemoteTurntable(RemoteAxes):
         goal = accepted_setpoint(self.axis_names, position, self._low, self._high)
         speed = accepted_setpoint(self.axis_names, np.abs(rate), np.zeros(3), self._rate_max, "rate")
         if not self._stopped:
-            self._kind = cells.GOAL
+            self._kind = io_layout.GOAL
             self._hand_over(goal, speed, now_s)
         return goal
 
@@ -220,7 +220,7 @@ class RemotePoses(_RemoteDevice):
     def poll(self, now_s: float) -> list[PoseFrame]:
         """Return the frames that came since the last call, oldest first. Raises DeviceError."""
         self._check(now_s)
-        return [cells.read_frame(record) for record in self._frames.take()]
+        return [io_layout.read_frame(record) for record in self._frames.take()]
 
 
 class RemoteIo(_RemoteDevice):
@@ -229,8 +229,8 @@ class RemoteIo(_RemoteDevice):
     def __init__(self, config: Io, link: IoLink) -> None:
         super().__init__("io", link)
         self._timeout_s = config.timeout_s
-        self._inputs = np.zeros(1, cells.INPUTS)
-        self._stop = np.zeros(1, cells.STOP)
+        self._inputs = np.zeros(1, io_layout.INPUTS)
+        self._stop = np.zeros(1, io_layout.STOP)
 
     def open(self, now_s: float) -> None:
         """Let the watchdog open the coupler, all outputs off. Raises DeviceError."""
@@ -243,14 +243,14 @@ class RemoteIo(_RemoteDevice):
     def write(self, outputs: IoOutputs, now_s: float) -> None:
         """Hand over the outputs. Raises DeviceError once the link failed."""
         self._check(now_s)
-        self._block["io.outputs"].write(cells.outputs_record(outputs), now_s)
+        self._block["io.outputs"].write(io_layout.outputs_record(outputs), now_s)
         self._link.rouse()
 
     def read(self, now_s: float) -> IoInputs:
         """Return the newest inputs. Raises LinkTimeout when they are too old, DeviceError on failure."""
         self._check(now_s)
         self._block["io.inputs"].read(self._inputs)
-        inputs = cells.read_inputs(self._inputs)
+        inputs = io_layout.read_inputs(self._inputs)
         age_s = now_s - inputs.t_s
         if age_s > self._timeout_s:
             raise LinkTimeout(self.name, f"no answer for {age_s:.3f} s, allowed {self._timeout_s:g} s")

@@ -14,12 +14,12 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from hil.clock import WallClock
+from hil.core.clock import WallClock
+from hil.core.realtime import SWITCH_INTERVAL_S, take_fifo
 from hil.drivers.base import accepted_setpoint
-from hil.drivers.remote import cells
-from hil.drivers.remote.cells import Exchange
+from hil.drivers.remote import io_layout
+from hil.drivers.remote.io_layout import Exchange
 from hil.errors import BenchError
-from hil.realtime import SWITCH_INTERVAL_S, take_fifo
 
 LOOP_SILENCE_MAX_S: Final = 0.05
 """Wall time without a heartbeat of a process that is to be heard after which the bench is stopped."""
@@ -79,10 +79,10 @@ class Host:
         self._requests = requests
         self._beat = exchange.block[name]
         self._wake = exchange.wakes[name]
-        self._heartbeat = np.zeros(1, cells.HEARTBEAT)
+        self._heartbeat = np.zeros(1, io_layout.HEARTBEAT)
         self._heartbeat["watched"] = 1
-        self._heard = np.zeros(1, cells.HEARTBEAT)
-        self._stop = np.zeros(1, cells.STOP)
+        self._heard = np.zeros(1, io_layout.HEARTBEAT)
+        self._stop = np.zeros(1, io_layout.STOP)
         self._stops: dict[str, int] = {}
 
     def start(self) -> dict[str, str]:
@@ -139,12 +139,12 @@ class Host:
     def fail(self, name: str, error: BenchError, now_s: float) -> None:
         """Tell the loop, once; the device is not asked any more until it is opened again."""
         self.served.discard(name)
-        self.exchange.block[f"{name}.failure"].write(cells.failure_record(error, name), now_s)
+        self.exchange.block[f"{name}.failure"].write(io_layout.failure_record(error, name), now_s)
 
     def _tell_counters(self, name: str, now_s: float) -> None:
         count = getattr(self._devices[name], "counters", None)
         if count is not None:
-            self.exchange.block[f"{name}.counters"].write(cells.counters_record(count()), now_s)
+            self.exchange.block[f"{name}.counters"].write(io_layout.counters_record(count()), now_s)
 
     def _answer(self) -> None:
         """Answer requests one after the other; the end of the socket ends it."""
@@ -171,6 +171,6 @@ class Host:
             elif do == "home":
                 device.home(now_s)  # type: ignore[attr-defined]
         except BenchError as error:
-            record = cells.failure_record(error, name)
+            record = io_layout.failure_record(error, name)
             return {"failure": [field.decode(errors="replace") for field in record[0]]}
         return {}

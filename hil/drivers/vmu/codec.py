@@ -43,7 +43,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.messages import PoseFrame
+from hil.core.messages import PoseFrame
 
 STATUS_GOOD: Final = 0
 STATUS_NO_POSE: Final = 1

@@ -10,13 +10,13 @@ from typing import Final
 
 import serial
 
-from hil.clock import Clock
 from hil.config.rig import SerialLine, Vmu
+from hil.core.clock import Clock
+from hil.core.messages import PoseFrame
 from hil.drivers.latest import Latest
 from hil.drivers.vmu import COUNTERS, NAME
 from hil.drivers.vmu.codec import FRAME_BYTES, STATUS_NO_POSE, Decoded, Decoder
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
-from hil.messages import PoseFrame
 
 _LOOK_WALL_S: Final = 0.01
 _READ_WALL_S: Final = 0.1  # bound of one blocking read; close cuts it short

@@ -9,15 +9,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from hil.clock import WallClock
 from hil.config.rig import SerialLine, Vmu
-from hil.drivers.faults import WIRE, Faults, FaultyWire, Kind, kinds
-from hil.drivers.lines import PtyLine
+from hil.core.clock import WallClock
+from hil.core.messages import PoseFrame
+from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, Kind, kinds
+from hil.drivers.pty_line import PtyLine
 from hil.drivers.vmu import NAME
 from hil.drivers.vmu.codec import STATUS_NO_POSE, Identity, encode, encode_identity, encode_status
 from hil.drivers.vmu.transport import Transport
-from hil.maths.streams import stream
-from hil.messages import PoseFrame
+from hil.maths.random_streams import stream
 
 IDENTITY: Final = Identity("hil", "VMU-0001", "1.4")
 IDENTITY_PERIOD_S: Final = 1.0

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from hil.config.rig import Vmu
+from hil.core.messages import PoseFrame
 from hil.drivers.latest import Latest
 from hil.drivers.vmu import COUNTERS, NAME
 from hil.drivers.vmu.transport import Transport
 from hil.errors import DeviceError, LinkLost
-from hil.maths.exposure import TIME_SLACK_S, exposure_time, first_exposure
-from hil.messages import PoseFrame
+from hil.models.camera_timing import TIME_SLACK_S, exposure_time, first_exposure
 
 
 class MockVmu:

@@ -7,9 +7,9 @@ from typing import Final
 
 import serial
 
+from hil.core.messages import PoseFrame
 from hil.drivers.vmu.codec import STATUS_NO_POSE, Identity, encode, encode_identity, encode_status
 from hil.errors import LinkLost
-from hil.messages import PoseFrame
 
 IDENTITY: Final = Identity("hil", "VMU-SOFT", "1.0")
 IDENTITY_PERIOD_S: Final = 1.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.maths.exposure import TRAVEL, TRAVEL_DRAWS, delays
-from hil.messages import new
+from hil.core.messages import new
+from hil.models.camera_timing import TRAVEL, TRAVEL_DRAWS, delays
 
 
 class Transport:

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.maths import euler, quat
-from hil.messages import Array
 from hil.vmu.calibration.hand_eye import hand_eye
 from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, Turntable
 from hil.vmu.calibration.views import Views, read_pair

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f
 
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.calibration.files import MOST_LEDS, Calibrated
 from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
 from hil.vmu.calibration.refine import information, layout_basis

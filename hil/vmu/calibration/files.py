@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.vmu_geometry import Sensor, VmuGeometry
+from hil.core.messages import Array
 from hil.errors import BadInput
-from hil.messages import Array
 from hil.vmu.calibration.model import SIDES, Setup, Turntable, camera_of, lens_numbers, parameters
 from hil.vmu.calibration.refine import Fit
 from hil.vmu.kernels.chain import (

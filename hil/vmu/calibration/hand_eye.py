@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.calibration.model import orthonormal
 
 _WEAK = 1e-3  # weight of what the rig file says, where the views say nothing

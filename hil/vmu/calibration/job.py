@@ -9,8 +9,8 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.config.vmu_geometry import VmuGeometry
+from hil.core.messages import Array
 from hil.errors import BadInput
-from hil.messages import Array
 from hil.vmu.calibration import board as boards
 from hil.vmu.calibration import drift, quality
 from hil.vmu.calibration.board import Board

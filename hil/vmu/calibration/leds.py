@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.calibration.model import Setup, Sightings, Turntable, see
 
 LEAST_VIEWS = 4

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.config.rig import BenchGeometry
 from hil.config.vmu_geometry import Camera, VmuGeometry
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.kernels import chain
 from hil.vmu.kernels.chain import (
     BASELINE,

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, Turntable, parameters, see
 from hil.vmu.calibration.refine import Belief, Fit
 from hil.vmu.kernels.chain import COMMON, SCALE

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
 from hil.vmu.kernels.chain import COMMON, SCALE
 

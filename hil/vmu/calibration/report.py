@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.calibration.job import Checked, Outcome
 from hil.vmu.calibration.model import PARTS, Parameter, Setup, parameters
 from hil.vmu.calibration.quality import AtRange

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
+from hil.core.messages import Array
 from hil.errors import BadInput
-from hil.messages import Array
 from hil.vmu.calibration.leds import LEAST_VIEWS, SpotViews, identify
 from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
 from hil.vmu.calibration.refine import Belief, Fit, Problem, layout_basis, whiteners

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.config.vmu_geometry import Sensor
-from hil.messages import Array
+from hil.core.messages import Array
 from hil.vmu.calibration.leds import Spots, SpotViews
 from hil.vmu.calibration.views import Views, read_pair
 from hil.vmu.detect import Detector

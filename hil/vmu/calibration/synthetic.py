@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from hil.core.messages import Array
 from hil.maths import euler, quat
-from hil.messages import Array
 from hil.vmu.calibration.model import Setup, Sightings, Turntable, see
 from hil.vmu.kernels.chain import CAMERA_STATION, TARGET_STATION
 

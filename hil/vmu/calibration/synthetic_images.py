@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hil.core.messages import Array
 from hil.maths import euler, quat
-from hil.messages import Array
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.model import Setup, Turntable
 from hil.vmu.calibration.views import COLUMNS

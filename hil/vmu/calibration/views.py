@@ -11,8 +11,8 @@ from typing import Final
 import cv2
 import numpy as np
 
+from hil.core.messages import Array
 from hil.errors import BadInput, Problem
-from hil.messages import Array
 
 COLUMNS: Final = ("view", "rail_x_m", "rail_y_m", "rail_z_m", "roll_deg", "pitch_deg", "yaw_deg")
 IMAGE_COLUMNS: Final = ("left", "right")

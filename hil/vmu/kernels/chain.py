@@ -4,7 +4,7 @@
     p_v = exp([e_c]x) A0 (A(gimbals) (p_L - rails) - lever_arm - camera_station)
     p_r = exp([r]x).T (p_v - baseline)
 
-This is ``hil.bench.kinematics.pose_of_axes`` followed by ``hil.maths.stations.camera_pose``, with slopes.
+This is ``hil.bench.kinematics.pose_of_axes`` followed by ``hil.models.mounting.camera_pose``, with slopes.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
+from hil.core.jit import kernel
 from hil.maths import euler, quat
-from hil.maths.jit import kernel
 from hil.vmu.kernels.lens import LENS, distort, project_slopes
 
 # places of the shared unknowns in a vector of COMMON

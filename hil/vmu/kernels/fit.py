@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.jit import kernel
 from hil.maths import cholesky
-from hil.maths.jit import kernel
 from hil.vmu.kernels.shape import node, point_sums, strip_sums, strips
 
 PLANE = 3  # parameters of the background

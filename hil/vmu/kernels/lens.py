@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.maths.jit import kernel
-from hil.messages import Array
+from hil.core.jit import kernel
+from hil.core.messages import Array
 
 LENS = np.dtype(
     [

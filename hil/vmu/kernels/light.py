@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 
 # what is known of a component, all of a spot's pixels that touch; a row of int64
 FIRST, END = 0, 1  # its places in the queue

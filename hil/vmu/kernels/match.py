@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 from hil.vmu.kernels.lens import in_image, project, undistort
 from hil.vmu.kernels.records import MAX_LEDS
 from hil.vmu.kernels.refine import jacobian, place, refine

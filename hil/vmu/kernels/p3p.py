@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 
 
 @kernel

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 from hil.vmu.kernels.fit import FLUX, PLANE, POINT, SIGMA, U, V
 from hil.vmu.kernels.light import BAD, END, FIRST, U0, V0
 

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 from hil.vmu.kernels.hypotheses import acceptable, known, mirror
 from hil.vmu.kernels.match import settle
 from hil.vmu.kernels.p3p import axes_of_three, ray_lengths

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.messages import Array
+from hil.core.messages import Array
 
 MAX_LEDS: Final = 8
 MAX_SPOTS: Final = 16

@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
+from hil.core.jit import kernel
 from hil.maths import cholesky, quat
 from hil.maths.arrays import copy_into, copy_matrix
-from hil.maths.jit import kernel
 from hil.vmu.kernels.lens import project, project_slopes
 
 _STEPS = 30

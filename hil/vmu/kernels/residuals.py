@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 from hil.maths.kalman import normalised_square
 from hil.vmu.kernels.fit import FULL_SCALE, PLANE, SIGMA, U, V, gather, invert
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from hil.core.jit import kernel
 from hil.maths import quat
-from hil.maths.jit import kernel
 from hil.vmu.kernels.lens import project, project_slopes
 
 

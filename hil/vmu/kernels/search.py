@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 from hil.vmu.kernels.light import (
     COMPONENT_WIDTH,
     END,

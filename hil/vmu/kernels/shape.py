@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 
 MOST_STRIPS = 64
 _ROOT_2 = math.sqrt(2.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.maths.jit import kernel
+from hil.core.jit import kernel
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.p3p import axes_of_three
 from hil.vmu.kernels.refine import place

@@ -1,0 +1,139 @@
+"""What a plan with its dispersion asks of the six axes and of the cameras: numbers only, no opinion.
+
+Axes are numbered as in BENCH_PARAMS: rails x y z in m, gimbals roll pitch yaw in rad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from hil.bench.field_of_view import view_margins
+from hil.bench.kinematics import axes_of_pose
+from hil.core.messages import AXES, Array, new
+from hil.maths import quat
+
+_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
+_AT_REST = np.zeros(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Attitude:
+    """The bench at one attitude and at the corners of its band, the chaser's reference point in the origin of L.
+
+    planned: (6,). corners: (8, 6), m and rad. turned: (6, 3), axis rates by body rate. a_CH: (3, 3).
+    """
+
+    planned: Array
+    corners: Array
+    turned: Array
+    a_CH: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """What each axis is asked for at each of n moments, (n, 6): position, its band with the room to brake, and largest
+    speed and acceleration."""
+
+    planned: Array
+    low: Array
+    high: Array
+    planned_rate: Array
+    rate: Array
+    acceleration: Array
+
+
+def attitude(params: np.record, turn: Array, band_rad: float) -> Attitude:
+    """Return the bench at the rotation vector ``turn`` (3,), rad, and ``band_rad`` about each body axis of it."""
+    q = quat.from_rotation_vector(turn)
+    corners = [
+        _axes(params, quat.multiply(quat.from_rotation_vector(band_rad * corner), q), _AT_REST)[0]
+        for corner in _CORNERS
+    ]
+    turned = np.column_stack([_axes(params, q, unit)[1] for unit in np.eye(3)])
+    return Attitude(_axes(params, q, _AT_REST)[0], np.array(corners), turned, quat.to_matrix(q))
+
+
+def _axes(params: np.record, q_CH: Array, w_CH_C: Array) -> tuple[Array, Array]:
+    """Return positions and rates, (6,) each, of the axes for a chaser in the origin."""
+    axes = new(AXES)
+    axes_of_pose(params, _AT_REST, _AT_REST, q_CH, w_CH_C, axes)
+    return np.concatenate([axes.rail_m, axes.gimbal_rad]), np.concatenate([axes.rail_mps, axes.gimbal_radps])
+
+
+def envelope(
+    params: np.record,
+    attitudes: list[Attitude],
+    r_CT_H: Array,
+    v_CT_H: Array,
+    margin_m: Array,
+    speed: Array,
+    rate: Array,
+    acceleration: Array,
+    turning: Array,
+) -> Envelope:
+    """Return what the axes are asked for.
+
+    attitudes: n of them. r_CT_H, v_CT_H: (n, 3), m, m/s. margin_m: (n, 3), half the band of positions. In c, (3,) each:
+    speed, m/s, rate, rad/s, acceleration, m/s^2, turning, rad/s^2, that may come on top of the plan.
+    """
+    n = len(attitudes)
+    at = np.hstack([r_CT_H, np.zeros((n, 3))])
+    half = np.hstack([margin_m, np.zeros((n, 3))])
+    corners = np.array([a.corners for a in attitudes])
+    turned = np.abs([a.turned for a in attitudes])
+    to_h = np.abs([a.a_CH.T for a in attitudes])
+    own_rate = turned @ rate
+    planned_rate = np.hstack([np.abs(v_CT_H), np.zeros((n, 3))])
+    fastest = planned_rate + own_rate
+    fastest[:, :3] += to_h @ speed
+    hardest = turned @ turning
+    hardest[:, :3] += to_h @ acceleration + np.linalg.norm(params.lever_arm) * float(rate @ rate)
+    hardest[:, 3:] += own_rate[:, 3:] ** 2
+    room = fastest**2 / (2.0 * params.acceleration_max)
+    return Envelope(
+        planned=at + [a.planned for a in attitudes],
+        low=at + corners.min(axis=1) - half - room,
+        high=at + corners.max(axis=1) + half + room,
+        planned_rate=planned_rate,
+        rate=fastest,
+        acceleration=hardest,
+    )
+
+
+def view(
+    params: np.record,
+    stations: np.record,
+    camera: np.record,
+    leds: Array,
+    attitudes: list[Attitude],
+    r_CT_H: Array,
+    margin_m: Array,
+) -> tuple[Array, Array]:
+    """Return the least distance of a lamp from an image's edge, px, (n,): as planned, and in the whole band.
+
+    attitudes: n of them. r_CT_H: (n, 3), m. margin_m: (n, 3), m, half the band of positions.
+    """
+    n = len(attitudes)
+    planned = _margins(
+        params, stations, camera, leds, r_CT_H, np.array([a.planned for a in attitudes]).reshape(n, 1, 6)
+    )
+    shifted = r_CT_H[:, None, :] + margin_m[:, None, :] * _CORNERS  # (n, 8, 3)
+    corners = np.array([a.corners for a in attitudes])  # (n, 8, 6)
+    least = planned[:, 0]
+    for k in range(len(_CORNERS)):
+        least = np.minimum(least, _margins(params, stations, camera, leds, shifted[:, k], corners).min(axis=1))
+    return planned[:, 0], least
+
+
+def _margins(
+    params: np.record, stations: np.record, camera: np.record, leds: Array, r_CT_H: Array, axes: Array
+) -> Array:
+    """Return the view margins (n, m), px, of n positions (n, 3), each with m attitudes of the bench (n, m, 6)."""
+    rail = np.ascontiguousarray((axes[:, :, :3] + r_CT_H[:, None, :]).reshape(-1, 3))
+    gimbal = np.ascontiguousarray(axes[:, :, 3:].reshape(-1, 3))
+    out = np.empty(len(rail))
+    view_margins(params, stations, camera, leds, rail, gimbal, out)
+    return out.reshape(axes.shape[:2])

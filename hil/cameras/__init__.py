@@ -1,0 +1,1 @@
+"""Simulated cameras: pose from axis positions, rendered images."""

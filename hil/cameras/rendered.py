@@ -1,0 +1,97 @@
+"""The camera in the loop without cameras: draws what they would see, and lets the vision unit find the pose in it."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from hil.bench.kinematics import pose_of_axes
+from hil.config.scenario import Pictures
+from hil.config.vmu_geometry import VmuGeometry
+from hil.core.camera_images import LEFT, RIGHT, MakesPictures, View
+from hil.core.messages import Array, PoseFrame
+from hil.maths import quat
+from hil.maths.random_streams import stream
+from hil.models.mounting import camera_pose
+from hil.vmu.geometry import camera_pair, led_positions
+from hil.vmu.render import Extras, Light, Look, Renderer
+from hil.vmu.shapes import shapes
+from hil.vmu.unit import Solution, VisionUnit
+
+_DECOY_NEAREST_M: Final = 0.25  # from the ring's centre, in its plane
+_DECOY_FARTHEST_M: Final = 1.0
+
+
+class RenderedEye:
+    """Turns axis positions into the pair of pictures there, and these into the pose that the unit finds.
+
+    bench: BENCH_PARAMS. stations: STATIONS. scene: what is drawn; geometry: what the unit takes it for. Every
+    error of the bench, and of the calibration where both differ, reaches the pose as it would in a lab.
+    shown: takes the pictures with what was found in them.
+    """
+
+    def __init__(
+        self,
+        bench: np.record,
+        stations: np.record,
+        scene: VmuGeometry,
+        geometry: VmuGeometry,
+        pictures: Pictures,
+        seed: int,
+        shown: MakesPictures | None = None,
+    ) -> None:
+        self._bench = bench
+        self._stations = stations
+        look = Look(
+            psf_sigma_px=pictures.psf_sigma_px,
+            led_diameter_m=pictures.led_diameter_m,
+            flux_1m_levels=pictures.led_flux_1m_levels,
+            background_levels=pictures.background_levels,
+            electrons_per_level=pictures.electrons_per_level,
+            read_noise_levels=pictures.read_noise_levels,
+        )
+        self._renderer = Renderer(camera_pair(scene), led_positions(scene), look)
+        self._unit = VisionUnit(geometry)
+        self._rng = stream(seed, "pictures")
+        self._decoys = _decoys(self._rng, pictures.decoy_lights)
+        self._shown = shown
+        self._exposures = 0
+        self._r, self._q = np.empty(3), np.empty(4)
+
+    def look(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
+        """Return the pose that the unit finds in the pictures of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,)."""
+        t_v, q_vt = np.empty(3), np.empty(4)
+        pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
+        camera_pose(self._stations, self._r, self._q, t_v, q_vt)
+        lights = [Light(tuple(quat.transform(q_vt, place) + t_v)) for place in self._decoys]
+        left, right = self._renderer.pair(t_v, q_vt, None, self._rng, Extras(lights=lights))
+        solution = self._unit.solve(left, right, t_s)
+        if self._shown is not None:
+            self._show(self._shown, left, right, solution)
+        self._exposures += 1
+        return solution.frame(0, t_s)
+
+    def _show(self, shown: MakesPictures, left: np.ndarray, right: np.ndarray, solution: Solution) -> None:
+        """Hand over the pair with what was found in it, where it is wanted."""
+        if not shown.due(solution.t_s):
+            return
+        views = (
+            View(
+                name,
+                image,
+                bench_s=solution.t_s,
+                number=self._exposures,
+                status=solution.status,
+                shapes=shapes(self._unit.solver.scene, solution, camera),
+            )
+            for camera, (name, image) in enumerate(((LEFT, left), (RIGHT, right)))
+        )
+        shown.put(*views)
+
+
+def _decoys(rng: np.random.Generator, count: int) -> Array:
+    """Return places of lights about the ring, in its plane, (count, 3), m, in t."""
+    turn, far = rng.uniform(0.0, math.tau, count), rng.uniform(_DECOY_NEAREST_M, _DECOY_FARTHEST_M, count)
+    return np.column_stack([far * np.cos(turn), far * np.sin(turn), np.zeros(count)])

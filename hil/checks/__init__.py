@@ -1,0 +1,1 @@
+"""Checks of scenario and rig before a run."""

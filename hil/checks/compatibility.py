@@ -1,0 +1,171 @@
+"""Whether a scenario and a rig suit each other: what shows only when the two meet, one problem a line."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from serial.tools import list_ports
+
+from hil.bench.kinematics import axes_of_pose
+from hil.checks.reachability import reach_problems
+from hil.checks.wires import wires
+from hil.config.load import Loaded, load_protocol, load_scene
+from hil.config.motion_digest import motion_digest
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.scenario import Scenario
+from hil.core.messages import AXES, MAX_THRUSTERS, new
+from hil.errors import BadInput, Problem
+from hil.maths import euler
+from hil.params import gnc as gnc_params
+
+
+def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_deg: Sequence[float]) -> np.record:
+    """Return AXES, at rest, for the chaser at ``position_m`` in H with the 3-2-1 angles ``attitude_deg``."""
+    axes = new(AXES)
+    rest = np.zeros(3)
+    q = euler.to_quaternion(np.radians(attitude_deg), gnc_params.YAW_PITCH_ROLL)
+    axes_of_pose(gnc_params.bench(rig, scenario.step_s), np.array(position_m), rest, q, rest, axes)
+    return axes
+
+
+def flight_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return the problems of ``reach_problems``, or one where the thrusters cannot move an axis of the chaser."""
+    try:
+        gnc_params.allocation(scenario.value.chaser)
+    except ValueError as error:
+        key = "chaser.thrusters.position_m"
+        return [Problem(scenario.where(key), key, str(error))]
+    return reach_problems(scenario, rig)
+
+
+def approach_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return a problem for each phase that closes in faster than its own supervision allows."""
+    gnc = scenario.value.gnc
+    problems = []
+    limit = gnc.corridor.closing_rate_max_mps
+    for name in gnc.guidance.sequence:
+        phase = gnc.guidance.phases[name]
+        own = phase.speed_mps is not None
+        speed = phase.speed_mps if phase.speed_mps is not None else gnc.guidance.approach_speed_mps
+        if phase.kind in ("approach", "final") and speed >= limit:
+            key = f"gnc.guidance.phases.{name}.speed_mps" if own else "gnc.guidance.approach_speed_mps"
+            text = f"{speed:g}: must be below gnc.corridor.closing_rate_max_mps, {limit:g}"
+            problems.append(Problem(scenario.where(key), key, text))
+    return problems
+
+
+def host_problems(rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem where the loop is to run on a CPU that this process cannot have."""
+    cpu, present = rig.value.host.cpu, sorted(os.sched_getaffinity(0))
+    if cpu is None or cpu in present:
+        return []
+    text = f"{cpu}: this computer has {', '.join(map(str, present))}"
+    return [Problem(rig.where("host.cpu"), "rig.host.cpu", text)]
+
+
+def turntable_problems(rig: Loaded[Rig]) -> list[Problem]:
+    """Return the problems of the protocol file or EDS that the turntable's driver goes by."""
+    config = rig.value.turntable
+    try:
+        if config.driver == "ascii" and config.ascii is not None:
+            load_protocol(config.ascii.protocol)
+        elif config.driver == "cia402" and config.cia402 is not None:
+            from hil.drivers.turntable.cia402.eds import Eds  # not without need: canopen takes its time
+
+            Eds.of(config.cia402, homing=any(getattr(config, name).encoder == "incremental" for name in GIMBAL_NAMES))
+    except BadInput as error:
+        return list(error.problems)
+    return []
+
+
+def turntable_warnings(rig: Rig) -> list[str]:
+    """Return a line for each protection that the turntable's command set goes without."""
+    config = rig.turntable
+    return load_protocol(config.ascii.protocol).value.warnings() if config.driver == "ascii" and config.ascii else []
+
+
+def port_problems(rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each serial port of a hardware rig that this computer does not have."""
+    if rig.value.kind != "hardware":
+        return []
+    present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
+    return [
+        Problem(rig.where(wire.key), wire.key, f"{wire.address}: no such port, this computer has {present}")
+        for wire in wires(rig.value)
+        if wire.kind == "serial" and wire.address.startswith("/") and not Path(wire.address).exists()
+    ]
+
+
+def flight_computer_problems(rig: Loaded[Rig]) -> list[Problem]:
+    """Return what keeps a flight computer's words from being heard."""
+    computer = rig.value.flight_computer
+    if computer.words == "none":
+        return []
+    if rig.value.kind == "mock":
+        key, text = "flight_computer.words", f'"{computer.words}": a mock rig has no wall clock for a flight computer'
+        return [Problem(rig.where(key), f"rig.{key}", text)]
+    return [
+        Problem(rig.where(key), f"rig.{key}", "is missing: the wire of the words") for key in computer.missing_wires()
+    ]
+
+
+def monitor_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return what keeps the docking monitor from looking at its scene, where the run has one."""
+    monitor = scenario.value.monitor
+    if monitor.source == "none":
+        return []
+    try:
+        scene = load_scene(monitor.scene).value
+    except BadInput as error:
+        return list(error.problems)
+    if monitor.target == "reserve" and scene.reserve is None:
+        text = f'"reserve": scene {monitor.scene} has the basic target alone'
+        return [Problem(scenario.where("monitor.target"), "monitor.target", text)]
+    return []
+
+
+def line_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem where the digital lines are too few for the thrusters, or the cycle too slow for the relay."""
+    io = rig.value.io
+    if io is None or not rig.value.has_io:
+        return []
+    problems = []
+    count = len(scenario.value.chaser.thrusters.position_m)
+    if 0 < io.thruster_lines < count:
+        key = "io.thruster_lines"
+        text = f"{io.thruster_lines}: allowed {count} to {MAX_THRUSTERS} for the scenario's thrusters, or 0 for none"
+        problems.append(Problem(rig.where(key), f"rig.{key}", text))
+    if io.driver == "modbus" and scenario.value.step_s > 0.5 * io.pump_timeout_s:
+        key = "io.pump_timeout_s"
+        text = f"{io.pump_timeout_s:g}: must be twice the scenario's step_s, {scenario.value.step_s:g}, or more"
+        problems.append(Problem(rig.where(key), f"rig.{key}", text))
+    return problems
+
+
+def sign_off_problems(rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem where hardware was not commissioned as it stands in its file, and nobody waived that."""
+    found = rig.value.sign_off
+    if rig.value.kind != "hardware" or (found is not None and found.waived):
+        return []
+    reason = sign_off_gap(rig.value)
+    advice = f"commission it with hil commission {rig.source}, or set rig.sign_off.waived=true"
+    return [Problem(rig.source, "rig.sign_off", f"{reason}: {advice}")] if reason else []
+
+
+def sign_off_gap(rig: Rig) -> str:
+    """Return why the rig does not count as signed off, "" where it does. Raises BadInput for an unreadable file."""
+    found = rig.sign_off
+    if found is None:
+        return "is missing"
+    if found.digest is None:
+        digest = motion_digest(rig)
+        names = [f"rails.{name}" for name in RAIL_NAMES] + [f"turntable.{name}" for name in GIMBAL_NAMES]
+        signed = {name for name, axis in found.axes.items() if axis.digest == digest}
+        left = ", ".join(name for name in names if name not in signed)
+        return f"is not complete, left: {left or 'the dry run'}"
+    if found.digest != motion_digest(rig):
+        return f"does not hold: the rig was changed after it was signed off on {found.date}"
+    return ""

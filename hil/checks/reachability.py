@@ -1,0 +1,220 @@
+"""Whether the bench can follow the whole plan of a scenario: travel, speed, acceleration and view of the cameras.
+
+Each axis and each kind of limit gets one problem at most, at the moment at which it is passed furthest.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.bench import reachability
+from hil.checks.planned_trajectory import Moment, liberty, moments
+from hil.config.load import Loaded
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.scenario import Scenario
+from hil.core.messages import Array
+from hil.errors import Problem
+from hil.params import gnc as gnc_params
+
+AXES_OF_THE_BENCH = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" for name in GIMBAL_NAMES))
+_ROUNDING = 1e-9
+_DEGREES = math.degrees(1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Demands:
+    """What a scenario asks of a bench: the n moments of its plan, and for each of them the bench and its axes."""
+
+    plan: list[Moment]
+    attitudes: list[reachability.Attitude]
+    margin_m: Array
+    axes: reachability.Envelope
+
+
+def demands(scenario: Scenario, rig: Rig) -> Demands:
+    """Return what the plan with its dispersion asks of the axes.
+
+    Raises ValueError where the thruster layout cannot move an axis.
+    """
+    bench = gnc_params.bench(rig, scenario.step_s)
+    plan = moments(scenario)
+    free = liberty(scenario)
+    band = math.radians(scenario.reach.attitude_margin_deg)
+    known = {turn: reachability.attitude(bench, np.array(turn), band) for turn in {tuple(m.turn) for m in plan}}
+    attitudes = [known[tuple(m.turn)] for m in plan]
+    r, v = np.array([m.r_CT_H for m in plan]), np.array([m.v_CT_H for m in plan])
+    margin = _position_margin(scenario, np.array([m.far_m for m in plan]))
+    axes = reachability.envelope(bench, attitudes, r, v, margin, free.speed, free.rate, free.acceleration, free.turning)
+    return Demands(plan, attitudes, margin, axes)
+
+
+def reach_problems(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each axis, and for the cameras, that the plan with its dispersion asks too much of.
+
+    The cameras are looked at only where the axes can go. Raises ValueError where the thruster layout cannot
+    move an axis.
+    """
+    asked = demands(scenario_file.value, rig_file.value)
+    found = _Findings(scenario_file, rig_file.value, asked)
+    found.travel(asked.axes)
+    found.speed(asked.axes)
+    found.acceleration(asked.axes)
+    found.start_in_motion(asked.attitudes[0])
+    if not found.problems:
+        found.view()
+    return found.problems
+
+
+def _position_margin(scenario: Scenario, far_m: Array) -> Array:
+    """Return half the band of positions (n, 3), m: Table III at the ready point, and a share of the cone beyond."""
+    wanted, guidance, corridor = scenario.requirements, scenario.gnc.guidance, scenario.gnc.corridor
+    at_ready = np.array([wanted.axial_tolerance_m, wanted.radial_distance_m, wanted.radial_distance_m])
+    slope = scenario.reach.corridor_share * math.tan(math.radians(corridor.half_angle_deg))
+    beyond = np.maximum(0.0, far_m - math.hypot(*guidance.ready_point_m))
+    margin: Array = at_ready + slope * beyond[:, None]
+    return margin
+
+
+class _Findings:
+    """Collects the problems and puts them into words."""
+
+    def __init__(self, scenario: Loaded[Scenario], rig: Rig, asked: Demands) -> None:
+        self.problems: list[Problem] = []
+        self._scenario = scenario
+        self._rig = rig
+        self._bench = gnc_params.bench(rig, scenario.value.step_s)
+        self._asked = asked
+        self._plan = asked.plan
+        self._in_abort = np.array([m.abort_s is not None for m in asked.plan])
+        self._named: set[int] = set()  # axes: what they cannot do after their first problem follows from it
+
+    def travel(self, asked: reachability.Envelope) -> None:
+        over = np.maximum(self._bench.low - asked.low, asked.high - self._bench.high)
+        for axis, k in self._worst(over):
+            unit, scale, digits = _unit(axis)
+            too_high = asked.high[k, axis] - self._bench.high[axis] >= self._bench.low[axis] - asked.low[k, axis]
+            value = (asked.high if too_high else asked.low)[k, axis] * scale
+            planned = asked.planned[k, axis] * scale
+            low, high = self._bench.low[axis] * scale, self._bench.high[axis] * scale
+            self._say(
+                self._point_key(k, axis),
+                f"{AXES_OF_THE_BENCH[axis]} would go to {value:.{digits}f} {unit} "
+                f"(planned {planned:.{digits}f} {unit}) {self._when(k)}, "
+                f"allowed {low:g} to {high:g} {unit} by {_rig_key(axis, 'travel', unit)}",
+            )
+
+    def speed(self, asked: reachability.Envelope) -> None:
+        for axis, k in self._worst(asked.rate - self._bench.rate_max):
+            unit, scale, _ = _unit(axis)
+            planned = f"planned {asked.planned_rate[k, axis]:.3g} {unit}/s, the rest is" if axis < 3 else "all of it is"
+            self._say(
+                self._rate_key(k, axis),
+                f"{AXES_OF_THE_BENCH[axis]} would go at up to {asked.rate[k, axis] * scale:.3g} {unit}/s "
+                f"({planned} control) {self._when(k)}, allowed "
+                f"{self._bench.rate_max[axis] * scale:g} {unit}/s by {_rig_key(axis, 'rate_max', f'{unit}ps')}",
+            )
+
+    def acceleration(self, asked: reachability.Envelope) -> None:
+        for axis, k in self._worst(asked.acceleration - self._bench.acceleration_max):
+            unit, scale, _ = _unit(axis)
+            self._say(
+                "chaser.thrusters.force_n",
+                f"{AXES_OF_THE_BENCH[axis]} would be asked for up to "
+                f"{asked.acceleration[k, axis] * scale:.3g} {unit}/s2 {self._when(k)}, allowed "
+                f"{self._bench.acceleration_max[axis] * scale:g} {unit}/s2 "
+                f"by {_rig_key(axis, 'acceleration_max', f'{unit}ps2')}",
+            )
+
+    def start_in_motion(self, start: reachability.Attitude) -> None:
+        """The bench stands still before the run: each axis has to catch up with a chaser that starts in motion."""
+        initial = self._scenario.value.initial
+        own = start.turned @ np.radians(initial.rate_degps)
+        rate = np.abs(own + np.array([*initial.velocity_mps, 0.0, 0.0, 0.0]))
+        takes_s = rate / self._bench.acceleration_max
+        allowed_s = self._scenario.value.reach.catch_up_s
+        for axis in sorted({int(axis) for axis in np.flatnonzero(takes_s > allowed_s)} - self._named):
+            unit, scale, _ = _unit(axis)
+            moved = axis < 3 and abs(initial.velocity_mps[axis]) >= abs(own[axis])
+            self._say(
+                "initial.velocity_mps" if moved else "initial.rate_degps",
+                f"{AXES_OF_THE_BENCH[axis]} would need {takes_s[axis]:.2g} s at 0.0 s to catch up with "
+                f"{rate[axis] * scale:.3g} {unit}/s at {self._bench.acceleration_max[axis] * scale:g} {unit}/s2, "
+                f"allowed {allowed_s:g} s by reach.catch_up_s",
+            )
+
+    def view(self) -> None:
+        """One problem where a lamp leaves an image."""
+        camera, leds = gnc_params.camera(self._rig)
+        asked, stations = self._asked, gnc_params.stations(self._rig)
+        r = np.array([m.r_CT_H for m in self._plan])
+        planned, least = reachability.view(self._bench, stations, camera, leds, asked.attitudes, r, asked.margin_m)
+        k = int(np.argmin(least))
+        if least[k] < 0.0:
+            self._say(
+                self._view_key(k),
+                f"vmu: a lamp of the ring would be {_pixels(least[k])} (planned: {_pixels(planned[k])}) "
+                f"{self._when(k)}, allowed 0 px or more inside both images of "
+                f"{self._rig.vmu.camera.width_px} x {self._rig.vmu.camera.height_px} px",
+            )
+
+    def _worst(self, over: Array) -> list[tuple[int, int]]:
+        """Return axis and moment of the largest excess for each axis that has one, the approach before aborts.
+
+        Not a number is an excess. An axis is named once.
+        """
+        over = np.where(np.isfinite(over), over, np.inf)
+        found = []
+        for axis in sorted(set(range(6)) - self._named):
+            excess = over[:, axis] > _ROUNDING
+            chosen = excess & ~self._in_abort
+            if excess.any():
+                among = chosen if chosen.any() else excess
+                found.append((axis, int(np.where(among, over[:, axis], -np.inf).argmax())))
+        self._named.update(axis for axis, _ in found)
+        return found
+
+    def _point_key(self, k: int, axis: int) -> str:
+        moment = self._plan[k]
+        if axis < 3:
+            return moment.point_key
+        return moment.turn_key if moment.turn.any() else "reach.attitude_margin_deg"
+
+    def _view_key(self, k: int) -> str:
+        """Return the key of what turns the ring out of view: the attitude, or the place beside the docking axis."""
+        moment = self._plan[k]
+        axial = float(moment.r_CT_H @ np.array(self._scenario.value.gnc.corridor.axis))
+        beside = math.acos(min(1.0, abs(axial) / max(float(np.linalg.norm(moment.r_CT_H)), 1e-9)))
+        return moment.turn_key if float(np.linalg.norm(moment.turn)) > beside else moment.point_key
+
+    def _rate_key(self, k: int, axis: int) -> str:
+        if axis < 3:
+            return self._plan[k].speed_key
+        initial, control = self._scenario.value.initial, self._scenario.value.gnc.control
+        own = max(abs(rate) for rate in initial.rate_degps) > control.slew_rate_degps
+        return "initial.rate_degps" if own else "gnc.control.slew_rate_degps"
+
+    def _when(self, k: int) -> str:
+        moment = self._plan[k]
+        begun = "" if moment.abort_s is None else f", in an abort begun at {moment.abort_s:.1f} s"
+        return f"at {moment.t_s:.1f} s{begun}"
+
+    def _say(self, key: str, text: str) -> None:
+        self.problems.append(Problem(self._scenario.where(key), key, text))
+
+
+def _unit(axis: int) -> tuple[str, float, int]:
+    """Return unit, factor from SI and decimals of an axis."""
+    return ("m", 1.0, 3) if axis < 3 else ("deg", _DEGREES, 2)
+
+
+def _rig_key(axis: int, name: str, unit: str) -> str:
+    return f"rig.{AXES_OF_THE_BENCH[axis]}.{name}_{unit}"
+
+
+def _pixels(margin_px: float) -> str:
+    if not math.isfinite(margin_px):
+        return "behind the camera"
+    return f"{abs(margin_px):.0f} px {'inside' if margin_px >= 0.0 else 'outside'} an image"

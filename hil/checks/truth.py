@@ -1,0 +1,75 @@
+"""Faults of a scenario's truth that show only when its tables, or its files, meet."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.config.load import Loaded
+from hil.config.scenario import Scenario
+from hil.dynamics import gravity_file
+from hil.dynamics.gravity_file import MOON_RADIUS_M, GravityFileError
+from hil.errors import Problem
+from hil.params import dynamics as dynamics_params
+
+
+def truth_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return every such fault."""
+    return [*_orbit_problems(scenario), *_gravity_problems(scenario), *_array_problems(scenario)]
+
+
+def _orbit_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    orbit = scenario.value.orbit
+    problems = []
+    axis_m = dynamics_params.semi_major_axis_m(scenario.value)
+    lowest_m = axis_m * (1.0 - orbit.eccentricity) - MOON_RADIUS_M
+    if lowest_m <= 0.0:
+        key = "orbit.eccentricity"
+        allowed = 1.0 - MOON_RADIUS_M / axis_m
+        text = (
+            f"{orbit.eccentricity:g}: the periapsis lies {-lowest_m / 1e3:.1f} km inside the Moon, "
+            f"at altitude_m {orbit.altitude_m:g} allowed below {allowed:.4f}"
+        )
+        problems.append(Problem(scenario.where(key), key, text))
+    if scenario.value.truth.relative_motion == "hill" and orbit.eccentricity != 0.0:
+        key = "truth.relative_motion"
+        text = (
+            f'"hill": needs a circular orbit, orbit.eccentricity is {orbit.eccentricity:g}; allowed here: "nonlinear"'
+        )
+        problems.append(Problem(scenario.where(key), key, text))
+    return problems
+
+
+def _gravity_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    truth = scenario.value.truth
+    try:
+        field = gravity_file.read(dynamics_params.gravity_path(scenario.value))
+    except GravityFileError as error:
+        key = "truth.gravity_file"
+        return [Problem(scenario.where(key), key, f"{truth.gravity_file}: {error}")]
+    if truth.gravity_degree <= field.degree:
+        return []
+    key = "truth.gravity_degree"
+    name = truth.gravity_file or "the shipped field"
+    text = f"{truth.gravity_degree}: too high for {name}, allowed 0 to {field.degree}"
+    return [Problem(scenario.where(key), key, text)]
+
+
+def _array_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    chaser, truth = scenario.value.chaser, scenario.value.truth
+    if chaser.solar_array is None:
+        return [
+            Problem(scenario.where(f"truth.{name}"), f"truth.{name}", "true: needs the table chaser.solar_array")
+            for name in ("solar_pressure", "flexible_array")
+            if getattr(truth, name)
+        ]
+    coupling = np.array(chaser.solar_array.mode_coupling)
+    rigid = np.array(chaser.inertia_kg_m2) - np.outer(coupling, coupling)
+    smallest = float(np.linalg.eigvalsh(rigid)[0])
+    if smallest > 0.0:
+        return []
+    key = "chaser.solar_array.mode_coupling"
+    text = (
+        f"{coupling.tolist()}: the array would carry more inertia than the vehicle has: inertia_kg_m2 less the square "
+        f"of the coupling must be positive definite, its smallest moment is {smallest:.4g} kg m^2"
+    )
+    return [Problem(scenario.where(key), key, text)]

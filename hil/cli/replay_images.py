@@ -1,0 +1,156 @@
+"""``hil replay --vmu`` and ``--monitor``: recorded pictures through today's vision unit and docking monitor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+
+from hil.cli.output import check_json_path, write_json
+from hil.cli.text_table import columns
+from hil.config.load import load_file, load_scene
+from hil.config.scene import Scene
+from hil.config.vmu_geometry import VmuGeometry
+from hil.errors import BadInput, Problem
+from hil.monitor.results import QUANTITIES
+from hil.recording.read import Recorded, load
+from hil.recording.replay_images import Component, PicturesReplayed, replay_monitor, replay_vision_unit
+from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
+
+_SAME, _DIFFERS = 0, 1
+_SHOWN: Final = {"m": ("mm", 1e3), "rad": ("deg", 57.29577951308232), "m/s": ("mm/s", 1e3)}
+
+
+def replay_pictures_command(
+    recording: str,
+    vmu: bool,
+    geometry: str | None,
+    monitor: bool,
+    scene: str | None,
+    other_gnc: str | None,
+    json_path: str | None,
+) -> int:
+    """Do ``hil replay --vmu --monitor``; return its exit code. Raises BadInput.
+
+    other_gnc: an option of the replay of the GNC that was given as well.
+    """
+    _check_options(vmu, geometry, monitor, scene, other_gnc, json_path)
+    recorded = load(Path(recording))
+    found: dict[str, tuple[PicturesReplayed, bool]] = {}
+    with Console(stderr=True).status("looking at the pictures again"):
+        if vmu:
+            found["vmu"] = (replay_vision_unit(recorded, _geometry(recorded, geometry)), geometry is not None)
+        if monitor:
+            found["monitor"] = (replay_monitor(recorded, _scene(recorded, scene)), scene is not None)
+    if json_path is not None:
+        write_json(_as_json(recorded, found), json_path)
+    if json_path != "-":
+        _print(recorded, found, Console())
+    same = all(replayed.identical or changed for replayed, changed in found.values())
+    return _SAME if same else _DIFFERS
+
+
+def _check_options(
+    vmu: bool, geometry: str | None, monitor: bool, scene: str | None, other_gnc: str | None, json_path: str | None
+) -> None:
+    problems = check_json_path("--json", json_path)
+    if geometry is not None and not vmu:
+        problems.append(Problem("--geometry", "", "goes with --vmu"))
+    if scene is not None and not monitor:
+        problems.append(Problem("--scene", "", "goes with --monitor"))
+    if other_gnc is not None:
+        problems.append(Problem(other_gnc, "", "goes with a replay of the GNC, not with --vmu or --monitor"))
+    if problems:
+        raise BadInput(problems)
+
+
+def _geometry(recorded: Recorded, path: str | None) -> VmuGeometry:
+    if path is not None:
+        return load_file(Path(path), VmuGeometry).value
+    if recorded.scenario.vmu.source != "rendered":
+        raise BadInput.single(str(recorded.path), "", 'holds no pictures of the vision unit: vmu.source was "model"')
+    return recorded.calibration(GEOMETRY_FILE, VmuGeometry)
+
+
+def _scene(recorded: Recorded, name: str | None) -> Scene:
+    if recorded.scenario.monitor.source == "none":
+        raise BadInput.single(
+            str(recorded.path), "", 'holds no pictures of a docking monitor: monitor.source was "none"'
+        )
+    return load_scene(name).value if name is not None else recorded.calibration(SCENE_FILE, Scene)
+
+
+def _as_json(recorded: Recorded, found: dict[str, tuple[PicturesReplayed, bool]]) -> dict[str, Any]:
+    return {
+        "recording": str(recorded.path),
+        "run": recorded.run["run"],
+        "intact": recorded.intact,
+        **{
+            name: {
+                "changed": changed,
+                "identical": replayed.identical,
+                "exposures": replayed.pictures,
+                "compared": replayed.compared,
+                "missing": replayed.missing,
+                "new": replayed.new,
+                "statuses": [
+                    {"recorded": before, "replayed": now, "count": count}
+                    for (before, now), count in sorted(replayed.statuses.items())
+                ],
+                "differences": [difference.as_json() for difference in replayed.differences],
+                "remarks": replayed.remarks,
+            }
+            for name, (replayed, changed) in found.items()
+        },
+    }
+
+
+def _print(recorded: Recorded, found: dict[str, tuple[PicturesReplayed, bool]], console: Console) -> None:
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+    if not recorded.intact:
+        say(f"{recorded.path} broke off or is damaged: what is whole in it is replayed")
+    for name, (replayed, _) in found.items():
+        what = "poses" if name == "vmu" else "portions"
+        of = f"{replayed.of}, {replayed.pictures} exposures, {replayed.compared} {what}"
+        for remark in replayed.remarks:
+            say(remark)
+        if replayed.identical:
+            say(f"identical, bit by bit: {of}")
+            continue
+        for line in _tables(replayed, what):
+            say(line)
+        firsts = [d.first_s for d in replayed.differences if d.first_s is not None]
+        since = f" from {min(firsts):.2f} s on" if firsts else ""
+        say(f"differs{since}: {of}")
+
+
+def _tables(replayed: PicturesReplayed, what: str) -> list[str]:
+    rows = [(before, now, str(count)) for (before, now), count in sorted(replayed.statuses.items())]
+    lines = columns(("status, recorded", "now", "exposures"), rows, frozenset({0, 1}))
+    if replayed.differences:
+        head = ("differs", "unit", what, "from, s", "at most by", "sigmas", "at, s")
+        lines += columns(head, [_row(d) for d in replayed.differences], frozenset({0, 1}))
+    if replayed.missing:
+        lines.append(f"{replayed.missing} {what} of the recording do not come out any more")
+    if replayed.new:
+        lines.append(f"{replayed.new} {what} come out that are not in the recording")
+    return lines
+
+
+def _row(d: Component) -> tuple[str, ...]:
+    unit, factor = _SHOWN.get(d.unit, (d.unit, 1.0))
+    largest = None if d.largest is None else factor * d.largest
+    size = _number(largest) if d.unit else "-"
+    name = d.name.rpartition("_")[0].replace("_", " ") if d.name in QUANTITIES else d.name
+    return (name, unit or "-", str(d.count), _time(d.first_s), size, _number(d.largest_sigmas), _time(d.largest_s))
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _time(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

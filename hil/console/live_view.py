@@ -1,0 +1,125 @@
+"""What a session shows of itself beside words: plotted rows, pictures, the docking monitor's numbers.
+
+The newest picture of each camera is kept, and each page gets those of the one camera that it watches: a page that is
+slow misses pictures, and nobody waits for it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from hil.cameras.docking import chaser_position, stations
+from hil.console.client import Client
+from hil.console.columns import console_rows
+from hil.console.message import Picture
+from hil.console.rows import RowStore
+from hil.console.session_process import SessionProcess
+from hil.console.status import status_of
+from hil.core.camera_images import CAMERAS, data_of, shapes_of
+from hil.core.messages import Array
+from hil.monitor.results import Portion, portion_of
+from hil.params import gnc as gnc_params
+from hil.setup.assembly import Job
+
+_PORTIONS: Final = 3000  # as many as the docking monitor has in an hour
+
+
+class Shown:
+    """Rows, pictures and portions since the session began."""
+
+    def __init__(self) -> None:
+        self.rows = RowStore()
+        self.portions: list[dict[str, Any]] = []
+        self._pictures: dict[str, tuple[int, Picture]] = {}
+        self._number = 0
+        self._bench: np.record | None = None
+        self._places: np.record | None = None
+
+    def begin(self, job: Job) -> None:
+        """Forget all: a session of ``job`` begins."""
+        scenario, rig = job.scenario.value, job.rig.value
+        self._bench = gnc_params.bench(rig, scenario.step_s)
+        self._places = stations(scenario.monitor)
+        self.rows.begin()
+        self.portions = []
+        self._pictures.clear()
+
+    def take(self, session: SessionProcess, status: np.ndarray, now_s: float) -> None:
+        """Take what ``session`` has put into its shared memory. status: the newest STATUS (1,); now_s: wall time."""
+        assert self._bench is not None
+        self.rows.add(console_rows(self._bench, session.take_rows()))
+        for rows in session.take_pictures():
+            for row in rows:
+                self.show(picture_of(row, status, now_s))
+        for row in session.take_portions():
+            if len(self.portions) < _PORTIONS:
+                self.portions.append(self._told(portion_of(row)))
+
+    def show(self, picture: Picture) -> None:
+        """Show ``picture`` from now on instead of the one of its camera before."""
+        self._number += 1
+        self._pictures[picture.name] = (self._number, picture)
+
+    @property
+    def cameras(self) -> list[str]:
+        """Those with pictures, the known ones first."""
+        return sorted(self._pictures, key=lambda name: (CAMERAS.index(name) if name in CAMERAS else len(CAMERAS), name))
+
+    def picture_for(self, client: Client) -> Picture | None:
+        """Return the newest picture of the camera that ``client`` watches, None where it has it."""
+        camera = client.camera if client.camera in self._pictures else next(iter(self.cameras), "")
+        number, picture = self._pictures.get(camera, (0, None))
+        if number == client.picture_seen:
+            return None
+        client.picture_seen = number
+        return picture
+
+    def rows_for(self, client: Client) -> tuple[np.ndarray[Any, Any], int, dict[str, Any] | None]:
+        """Return the rows that ``client`` has not seen, the number of their first, and the portions, None for none."""
+        before = client.cursor.seen
+        rows = self.rows.since(client.cursor)
+        first = 0 if client.cursor.restarted else before
+        begin = 0 if client.cursor.restarted else client.portions_seen
+        client.portions_seen = len(self.portions)
+        if begin == len(self.portions) and not client.cursor.restarted:
+            return rows, first, None
+        return rows, first, {"first": begin, "list": self.portions[begin:]}
+
+    def _told(self, portion: Portion) -> dict[str, Any]:
+        assert self._places is not None
+        d, phi = portion.values[:3], portion.values[3:6]
+        known = bool(np.isfinite(d).all() and np.isfinite(phi).all())
+        return {
+            "t_s": portion.t_s,
+            "status": portion.status,
+            "frames": portion.frames,
+            "values": _numbers(portion.values),
+            "sigmas": _numbers(portion.sigmas),
+            "r_m": chaser_position(self._places, d, phi).tolist() if known else None,
+        }
+
+
+def picture_of(row: np.void, status: np.ndarray, now_s: float) -> Picture:
+    """Return ``row``, of PICTURE, for the pages, with how old it is by the bench's time, or else by the run's."""
+    bench = status_of(status)
+    late_s = float(bench.bench_s - row["bench_s"])
+    if not math.isfinite(late_s):
+        late_s = float(bench.run_s - row["t_s"])
+    return Picture(
+        row["camera"].decode(errors="replace"),
+        float(row["t_s"]),
+        int(row["width_px"]),
+        int(row["height_px"]),
+        data_of(row),
+        shapes_of(row),
+        row["encoding"].decode(errors="replace"),
+        row["status"].decode(errors="replace"),
+        now_s - (max(0.0, late_s) if math.isfinite(late_s) else 0.0),
+    )
+
+
+def _numbers(values: Array) -> list[float | None]:
+    return [float(value) if math.isfinite(value) else None for value in values]

@@ -1,0 +1,1 @@
+"""Foundations of all packages: records, modes, clock, kernels, operating system."""

@@ -1,0 +1,67 @@
+"""What the bench may be doing, and which changes are allowed (drawn in docs/safety.md)."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from hil.core.observable import Told
+from hil.errors import BenchError
+
+
+class Mode(Enum):
+    """What the bench is doing.
+
+    OFF: nothing is open. STANDBY: devices open, standing. HOMING: axes look for their home switches.
+    JOGGING: one axis creeps while a key is held. PLACING: moving to the start pose. ARMED: at the
+    start pose, poses come in. RUNNING: the loop is closed. PARKING: on the way to the place where the
+    bench is left. HOLD: brought to a stand in the middle of
+    PLACING or RUNNING, the run's time stands. SAFE_STOP: stopped by a fault or by the operator; only
+    OFF leads out.
+    """
+
+    OFF = "off"
+    STANDBY = "standby"
+    HOMING = "homing"
+    JOGGING = "jogging"
+    PLACING = "placing"
+    ARMED = "armed"
+    RUNNING = "running"
+    PARKING = "parking"
+    HOLD = "hold"
+    SAFE_STOP = "safe-stop"
+
+
+ALLOWED: dict[Mode, frozenset[Mode]] = {
+    Mode.OFF: frozenset({Mode.STANDBY, Mode.SAFE_STOP}),
+    Mode.STANDBY: frozenset({Mode.HOMING, Mode.JOGGING, Mode.PLACING, Mode.PARKING, Mode.OFF, Mode.SAFE_STOP}),
+    Mode.HOMING: frozenset({Mode.STANDBY, Mode.SAFE_STOP}),
+    Mode.JOGGING: frozenset({Mode.STANDBY, Mode.SAFE_STOP}),
+    Mode.PLACING: frozenset({Mode.ARMED, Mode.HOLD, Mode.STANDBY, Mode.SAFE_STOP}),
+    Mode.ARMED: frozenset({Mode.RUNNING, Mode.STANDBY, Mode.SAFE_STOP}),
+    Mode.RUNNING: frozenset({Mode.HOLD, Mode.STANDBY, Mode.SAFE_STOP}),
+    Mode.PARKING: frozenset({Mode.STANDBY, Mode.SAFE_STOP}),
+    Mode.HOLD: frozenset({Mode.PLACING, Mode.RUNNING, Mode.STANDBY, Mode.SAFE_STOP}),
+    Mode.SAFE_STOP: frozenset({Mode.OFF, Mode.SAFE_STOP}),
+}
+
+
+class ModeMachine:
+    """Holds the mode and refuses moves that are not in the table.
+
+    A hold leads back only to the mode that it interrupted: it is no way round arming.
+    """
+
+    def __init__(self) -> None:
+        self.mode = Mode.OFF
+        self.history: Told[Mode] = Told([Mode.OFF])
+        """All modes so far, the present one last."""
+        self.held_from: Mode | None = None
+
+    def go(self, to: Mode) -> None:
+        """Change to ``to``; raise BenchError where the table does not allow it."""
+        past_arming = self.mode is Mode.HOLD and to in (Mode.PLACING, Mode.RUNNING) and to is not self.held_from
+        if to not in ALLOWED[self.mode] or past_arming:
+            raise BenchError(f"bench: cannot go from {self.mode.value} to {to.value}")
+        self.held_from = self.mode if to is Mode.HOLD else None
+        self.mode = to
+        self.history.append(to)

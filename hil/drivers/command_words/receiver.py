@@ -1,0 +1,152 @@
+"""Hears thruster words: a reader thread keeps the newest one and counts what was lost on the way."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+from typing import Final, Protocol
+
+import serial
+
+from hil.config.flight_computer import FlightComputer
+from hil.drivers.command_words.codec import Decoder, Word, decode_can
+from hil.drivers.latest import Latest
+from hil.drivers.turntable.cia402.can_port import CanPort
+from hil.errors import LinkLost
+
+NAME: Final = "flight computer"
+_READ_WALL_S: Final = 0.1  # bound of one blocking read
+
+
+class WordWire(Protocol):
+    """Where words come from."""
+
+    @property
+    def refused(self) -> int:
+        """What came and was no word."""
+
+    def receive(self) -> list[Word]:
+        """Return the words that came, after a bounded wait. Raises LinkLost and whatever the wire raises."""
+
+    def close(self) -> None:
+        """Let go of the wire."""
+
+
+class SerialWords:
+    """Words on a serial port."""
+
+    def __init__(self, port: str, baud: int) -> None:
+        try:
+            self._port = serial.Serial(port, baud, timeout=_READ_WALL_S, exclusive=True)
+            self._port.reset_input_buffer()
+        except Exception as cause:  # pyserial: OSError, ValueError (baud), termios.error
+            raise LinkLost(NAME, f"cannot open {port}: {cause}") from cause
+        self._decoder = Decoder()
+
+    @property
+    def refused(self) -> int:
+        return self._decoder.refused
+
+    def receive(self) -> list[Word]:
+        """Return the words that came."""
+        return self._decoder.feed(self._port.read(max(1, self._port.in_waiting)))
+
+    def close(self) -> None:
+        """Let go of the port."""
+        with contextlib.suppress(Exception):
+            self._port.close()
+
+
+class CanWords:
+    """Words on a CAN bus."""
+
+    def __init__(self, config: FlightComputer) -> None:
+        self._identifier = config.can.identifier
+        self._port = CanPort(NAME, config.can)
+        self._refused = 0
+
+    @property
+    def refused(self) -> int:
+        return self._refused
+
+    def receive(self) -> list[Word]:
+        """Return the words that came."""
+        frame = self._port.receive(_READ_WALL_S)
+        if frame is None or frame[0] != self._identifier:
+            return []
+        word = decode_can(frame[1])
+        self._refused += word is None
+        return [] if word is None else [word]
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        self._port.close()
+
+
+class WordReceiver:
+    """The newest word of a flight computer, and when it came. now_s: tells bench time, from any thread."""
+
+    def __init__(self, config: FlightComputer, now_s: Callable[[], float]) -> None:
+        self._config = config
+        self._now_s = now_s
+        self._wire: WordWire | None = None
+        self._reader: threading.Thread | None = None
+        self._ending = threading.Event()
+        self._newest: Latest[tuple[Word, float]] = Latest(NAME)
+        self.received = self.lost = self.repeated = 0
+
+    def open(self) -> None:
+        """Open the wire and start to read. Raises LinkLost."""
+        self.close()
+        config = self._config
+        self._ending = threading.Event()
+        self._newest = Latest(NAME)
+        self.received = self.lost = self.repeated = 0
+        wire: WordWire
+        if config.words == "can":
+            wire = CanWords(config)
+        else:
+            wire = SerialWords(str(config.serial.port), config.serial.baud)
+        self._wire = wire
+        self._reader = threading.Thread(target=self._read, args=(wire,), name="words-reader", daemon=True)
+        self._reader.start()
+
+    def newest(self) -> tuple[Word, float] | None:
+        """Return the newest word and when it came, None before the first. Raises LinkLost where the wire is gone."""
+        self._newest.check()
+        return self._newest.peek()
+
+    def counters(self) -> dict[str, int]:
+        """Return what was counted since ``open``."""
+        refused = self._wire.refused if self._wire is not None else 0
+        return {"received": self.received, "lost": self.lost, "repeated": self.repeated, "refused": refused}
+
+    def close(self) -> None:
+        """End the reader and let go of the wire; idempotent."""
+        self._ending.set()
+        wire, self._wire = self._wire, None
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            reader.join(2.0 * _READ_WALL_S)
+        if wire is not None:
+            wire.close()
+
+    def _read(self, wire: WordWire) -> None:
+        before: int | None = None
+        try:
+            while not self._ending.is_set():
+                for word in wire.receive():
+                    if word.counter == before:
+                        self.repeated += 1  # a sender that hangs must not pass for one that lives
+                        continue
+                    if before is not None:
+                        self.lost += (word.counter - before - 1) & 0xFF
+                    before = word.counter
+                    self.received += 1
+                    heard_s = self._now_s()
+                    self._newest.put((word, heard_s), heard_s)
+        except Exception as cause:  # whatever ends this thread must reach the loop
+            if not self._ending.is_set():
+                error = cause if isinstance(cause, LinkLost) else LinkLost(NAME, str(cause))
+                self._newest.fail(error)

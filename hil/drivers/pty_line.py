@@ -1,0 +1,74 @@
+"""Emulated serial wires: pseudo terminals that take as long as the real line.
+
+A pty has no line rate; here every byte takes its ten bit times of bench time, so latency and
+half-duplex turn-around come out as on the bench. The other end opens ``path`` like any port.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import termios
+import threading
+import tty
+
+from hil.core.clock import WallClock
+
+_BITS_A_BYTE = 10
+_CHUNK = 4096
+
+
+def _open_raw_pty() -> tuple[int, int, str]:
+    master, slave = os.openpty()
+    tty.setraw(slave, termios.TCSANOW)
+    os.set_blocking(master, False)
+    return master, slave, os.ttyname(slave)
+
+
+class PtyLine:
+    """The device's end of a serial line. ``path`` is the port for the other end."""
+
+    def __init__(self, baud: int, clock: WallClock) -> None:
+        self._clock = clock
+        self._byte_s = _BITS_A_BYTE / baud
+        self._master, self._slave, self.path = _open_raw_pty()
+        self._sent_until_s = 0.0
+        self._write_lock = threading.Lock()
+        self._open = True
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what came within ``timeout_s`` of bench time, b"" if nothing, after its line time."""
+        ready, _, _ = select.select([self._master], [], [], self._clock.wall_s(timeout_s))
+        if not ready:
+            return b""
+        arrived_s = self._clock.now_s()
+        data = os.read(self._master, _CHUNK)
+        self._clock.sleep_until(arrived_s + len(data) * self._byte_s)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send ``data``: the call returns, and the bytes appear, when the last of them is through.
+
+        What nobody reads is lost once the kernel's buffer is full, as on a real line.
+        """
+        with self._write_lock:
+            start_s = max(self._clock.now_s(), self._sent_until_s)
+            self._sent_until_s = start_s + len(data) * self._byte_s
+            self._clock.sleep_until(self._sent_until_s)
+            _write_or_lose(self._master, data)
+
+    def close(self) -> None:
+        """Let go of the line; idempotent."""
+        if self._open:
+            self._open = False
+            os.close(self._slave)
+            os.close(self._master)
+
+
+def _write_or_lose(descriptor: int, data: bytes) -> None:
+    """Write ``data`` to a non-blocking ``descriptor``; what it cannot take now is lost, as on a real line."""
+    try:
+        while data:
+            data = data[os.write(descriptor, data) :]
+    except BlockingIOError:
+        return

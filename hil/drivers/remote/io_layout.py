@@ -1,0 +1,210 @@
+"""What passes between the loop and the I/O process, and the shared memory that it passes through.
+
+The loop writes setpoints, outputs and its heartbeat; the I/O process and the watchdog write feedback, pose
+frames, inputs, counters, errors and their own heartbeats. Nobody waits for anybody.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import Final
+
+import numpy as np
+
+from hil.core.messages import MAX_THRUSTERS, POSE, AxisFeedback, Homing, IoInputs, IoOutputs, PoseFrame
+from hil.errors import BenchError, DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
+from hil.frmn.mailbox import Block
+from hil.frmn.ring import Ring
+
+AXIS_DEVICES: Final = ("rails", "turntable", "target")
+DEVICES: Final = (*AXIS_DEVICES, "vmu", "io")
+LOOP, HOST, GUARD = "loop", "host", "guard"
+"""Cells of the heartbeats: of the loop, of the I/O process, of the watchdog."""
+
+SETPOINT: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3), ("kind", "i8")])
+CYCLIC, JOGGED, GOAL = 0, 1, 2
+"""Kinds of setpoints: of homed axes within their travel; of axes that are jogged; the place where they are to park."""
+FEEDBACK: Final = np.dtype(
+    [("t_s", "f8"), ("position", "f8", 3), ("rate", "f8", 3), ("homing", "i8", 3), ("limit", "i8", 3)]
+)
+HEARTBEAT: Final = np.dtype([("watched", "i8")])
+STOP: Final = np.dtype([("number", "i8")])
+FAILURE: Final = np.dtype([("kind", "S24"), ("device", "S64"), ("what", "S512")])
+COUNTERS: Final = np.dtype([("text", "S1024")])
+FRAME: Final = np.dtype(
+    [
+        ("counter", "i8"),
+        ("t_s", "f8"),
+        ("received_s", "f8"),
+        ("t_v", "f8", 3),
+        ("q_vt", "f8", 4),
+        ("covariance", "f8", (6, 6)),
+        ("leds_left", "i8"),
+        ("leds_right", "i8"),
+    ]
+)
+ARRIVAL: Final = np.dtype([("cycle", "i8"), ("frame", FRAME), ("pose", POSE)])
+"""A frame as the loop took it. cycle: number of the cycle that used it, -1 for none (loop open, hold, too old, too
+many). pose: what navigation got, in chaser and target; zero where no cycle used it."""
+INPUTS: Final = np.dtype(
+    [("t_s", "f8"), ("estop_closed", "i8"), ("chain_closed", "i8"), ("interlocks", "S512"), ("thrusters_s", "f8")]
+)
+OUTPUTS: Final = np.dtype([("enable", "i8"), ("count", "i8"), ("thrusters", "u1", MAX_THRUSTERS)])
+_FRAMES: Final = 256
+_KINDS: Final[dict[str, type[DeviceError]]] = {
+    kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError, DriveFault)
+}
+
+LAYOUT: Final = {
+    LOOP: HEARTBEAT,
+    HOST: HEARTBEAT,
+    GUARD: HEARTBEAT,
+    **{f"{device}.setpoint": SETPOINT for device in AXIS_DEVICES},
+    **{f"{device}.feedback": FEEDBACK for device in AXIS_DEVICES},
+    **{f"{device}.stop": STOP for device in (*AXIS_DEVICES, "io")},
+    "io.inputs": INPUTS,
+    "io.outputs": OUTPUTS,
+    **{f"{device}.failure": FAILURE for device in DEVICES},
+    **{f"{device}.counters": COUNTERS for device in DEVICES},
+}
+
+
+class Exchange:
+    """All sides' view of the shared memory. wakes: descriptors of the eventfds that rouse HOST and GUARD."""
+
+    def __init__(self, block: Block, frames: Ring, wakes: dict[str, int]) -> None:
+        self.block = block
+        self.frames = frames
+        self.wakes = wakes
+
+    @classmethod
+    def create(cls) -> Exchange:
+        """Make new memory; hand ``descriptors`` to the other processes (``pass_fds``)."""
+        wakes = {name: os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC) for name in (HOST, GUARD)}
+        return cls(Block.create(LAYOUT, "io"), Ring.create(FRAME, _FRAMES, "poses"), wakes)
+
+    @classmethod
+    def attach(cls, descriptors: tuple[int, int, int, int]) -> Exchange:
+        """Join the memory that another process made."""
+        block, frames, host, guard = descriptors
+        return cls(Block(block, LAYOUT, "io"), Ring(frames, FRAME, _FRAMES, "poses"), {HOST: host, GUARD: guard})
+
+    @property
+    def descriptors(self) -> tuple[int, int, int, int]:
+        return self.block.descriptor, self.frames.descriptor, self.wakes[HOST], self.wakes[GUARD]
+
+    def rouse(self, name: str) -> None:
+        """Let HOST or GUARD look at once; never waits."""
+        os.eventfd_write(self.wakes[name], 1)
+
+    def close(self) -> None:
+        """Let go of the memory; idempotent."""
+        while self.wakes:
+            os.close(self.wakes.popitem()[1])
+        self.block.close()
+        self.frames.close()
+
+
+def write_feedback(record: np.ndarray, feedback: AxisFeedback) -> None:
+    """Put ``feedback`` into ``record``, shape (1,) of FEEDBACK."""
+    record[0] = (feedback.t_s, feedback.position, feedback.rate, feedback.homing, feedback.limit)
+
+
+def read_feedback(record: np.ndarray) -> AxisFeedback:
+    """Return what ``record``, shape (1,) of FEEDBACK, holds; its arrays are copies."""
+    t_s, position, rate, homing, limit = record[0].item()
+    del position, rate
+    return AxisFeedback(
+        t_s,
+        record["position"][0].copy(),
+        record["rate"][0].copy(),
+        (Homing(homing[0]), Homing(homing[1]), Homing(homing[2])),
+        (int(limit[0]), int(limit[1]), int(limit[2])),
+    )
+
+
+def write_frame(record: np.ndarray, frame: PoseFrame) -> None:
+    """Put ``frame`` into ``record``, shape (1,) of FRAME."""
+    record[0] = (
+        frame.counter,
+        frame.t_s,
+        frame.received_s,
+        frame.t_v,
+        frame.q_vt,
+        frame.covariance,
+        frame.leds_left,
+        frame.leds_right,
+    )
+
+
+def read_frame(record: np.void) -> PoseFrame:
+    """Return what ``record`` of FRAME holds; its arrays are copies."""
+    return PoseFrame(
+        int(record["counter"]),
+        float(record["t_s"]),
+        float(record["received_s"]),
+        record["t_v"].copy(),
+        record["q_vt"].copy(),
+        record["covariance"].copy(),
+        int(record["leds_left"]),
+        int(record["leds_right"]),
+    )
+
+
+def inputs_record(inputs: IoInputs) -> np.ndarray:
+    """Return inputs as INPUTS, shape (1,)."""
+    record = np.zeros(1, INPUTS)
+    names = "\n".join(inputs.open_interlocks).encode()
+    record[0] = (inputs.t_s, inputs.estop_closed, inputs.chain_closed, names, inputs.thrusters_s)
+    return record
+
+
+def read_inputs(record: np.ndarray) -> IoInputs:
+    """Return what ``record``, shape (1,) of INPUTS, holds."""
+    t_s, estop_closed, chain_closed, names, thrusters_s = record[0].item()
+    interlocks = tuple(names.decode().split("\n")) if names else ()
+    return IoInputs(t_s, bool(estop_closed), bool(chain_closed), interlocks, thrusters_s)
+
+
+def outputs_record(outputs: IoOutputs) -> np.ndarray:
+    """Return outputs as OUTPUTS, shape (1,)."""
+    record = np.zeros(1, OUTPUTS)
+    lines = outputs.thrusters
+    record["enable"], record["count"] = outputs.enable, len(lines)
+    record["thrusters"][0, : len(lines)] = np.frombuffer(lines, np.uint8)
+    return record
+
+
+def read_outputs(record: np.ndarray) -> IoOutputs:
+    """Return what ``record``, shape (1,) of OUTPUTS, holds."""
+    return IoOutputs(bool(record["enable"][0]), record["thrusters"][0].tobytes()[: int(record["count"][0])])
+
+
+def failure_record(error: BenchError, device: str) -> np.ndarray:
+    """Return ``error`` as FAILURE, shape (1,); what is no DeviceError becomes one of ``device``."""
+    record = np.zeros(1, FAILURE)
+    if isinstance(error, DeviceError):
+        record[0] = (type(error).__name__.encode(), error.device.encode(), error.what.encode()[:512])
+    else:
+        record[0] = (b"DeviceError", device.encode(), str(error).encode()[:512])
+    return record
+
+
+def failure_of(record: np.ndarray) -> DeviceError:
+    """Return the error that ``record``, shape (1,) of FAILURE, tells of."""
+    kind, device, what = (field.decode(errors="replace") for field in record[0])
+    return _KINDS.get(kind, DeviceError)(device, what)
+
+
+def counters_record(counters: dict[str, int]) -> np.ndarray:
+    """Return counters as COUNTERS, shape (1,)."""
+    record = np.zeros(1, COUNTERS)
+    record["text"] = json.dumps(counters, separators=(",", ":")).encode()[:1024]
+    return record
+
+
+def counters_of(record: np.ndarray) -> dict[str, int]:
+    """Return the counters that ``record``, shape (1,) of COUNTERS, tells of."""
+    counted: dict[str, int] = json.loads(record["text"][0] or b"{}")
+    return counted

@@ -1,0 +1,1 @@
+"""Turntable on a serial line: ASCII protocols described by a file."""

@@ -1,0 +1,187 @@
+"""Emulated serial turntable controller: any protocol file on a paced pty, three gimbals behind it."""
+
+from __future__ import annotations
+
+import math
+import threading
+from typing import Final
+
+from hil.config.load import load_protocol
+from hil.config.rig import GIMBAL_NAMES, Turntable
+from hil.core.clock import WallClock
+from hil.core.messages import Homing
+from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
+from hil.drivers.pty_line import PtyLine
+from hil.drivers.shared_state import AxisBoard
+from hil.drivers.turntable.ascii.frames import BrokenLine
+from hil.drivers.turntable.ascii.protocol import DEVICE, Dialect, Key, Line, Refused, Value
+from hil.drivers.turntable.faulty_channel import FaultyLane
+from hil.errors import BadInput
+from hil.maths.random_streams import stream
+
+_ALL: Final = (0, 1, 2)
+
+
+class AsciiTurntableEmulator:
+    """Controller of roll, pitch, yaw on ``config.ascii``; serve it with ``run`` in a process of its own.
+
+    Faults of the wire hit its replies; a dead wire brings no requests either.
+    """
+
+    def __init__(
+        self,
+        config: Turntable,
+        clock: WallClock,
+        board: AxisBoard,
+        chain_closed: ChainClosed | None = None,
+        seed: int = 0,
+    ) -> None:
+        if config.ascii is None:
+            raise BadInput.single("rig", "turntable.ascii", "is missing")
+        protocol = load_protocol(config.ascii.protocol).value
+        self._baud = config.ascii.baud
+        self._clock = clock
+        self._bits = protocol.status
+        self._words = protocol.emulator
+        self._has_flags = protocol.faults.kind == "flags"
+        self.dialect = Dialect(protocol)
+        self.gimbals = EmulatedAxes("turntable", config, clock, board, chain_closed=chain_closed, seed=seed)
+        self.faults = self.gimbals.faults
+        self._lane = FaultyLane(self.faults, stream(seed, "wire"))
+        self.splitter = self.dialect.requests.splitter()
+        self._enabled = [False, False, False]
+        self._searching = [False, False, False]  # until the axis stands again
+        self._quick_stopped = False
+        self.fault = [0, 0, 0]
+        self._frozen: dict[Key, Value] | None = None
+        self._line: PtyLine | None = None
+
+    def start(self) -> dict[str, str]:
+        """Open the line; return the controller's port of it."""
+        self._line = PtyLine(self._baud, self._clock)
+        return {"turntable": self._line.path}
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve the line until ``stop`` is set."""
+        line = self._line
+        if line is None:
+            raise RuntimeError("start the emulator first")
+        while not stop.is_set():
+            data = line.read(STEP_S)
+            if self.faults.value("link_down") is not None:
+                data = b""
+            self._pass_time()
+            for request in self.splitter.feed(data) if data else ():
+                reply = self.answer(request)
+                if reply:
+                    self._lane.put(reply, self._clock.now_s())
+            for reply in self._lane.due(self._clock.now_s()):
+                line.write(reply)
+                self._pass_time()
+
+    def close(self) -> None:
+        """Close the line."""
+        if self._line is not None:
+            self._line.close()
+        self._line = None
+
+    def answer(self, text: bytes) -> bytes:
+        """Do what one request line says; return the reply line, b"" for a line that is broken."""
+        try:
+            sequence, line, axis, values = self.dialect.take_request(text)
+        except BrokenLine:
+            return b""  # whose sequence number could not be trusted: the controller says nothing
+        except Refused as refused:
+            return self.dialect.refusal(int(str(refused), 16), self._words.unknown)
+        if self._refuses(line.action, axis):
+            return self.dialect.refusal(sequence, self._words.refused)
+        self._do(line, axis, values)
+        return self.dialect.reply(sequence, line, axis, self._told())
+
+    def _refuses(self, action: str, axis: int) -> bool:
+        axes = _ALL if axis == DEVICE else (axis,)
+        if action == "enable":
+            return any(self.fault[i] or self.gimbals.moving(i) or self.gimbals.torque_off for i in axes)
+        return action == "home" and not all(self._enabled[i] for i in axes)
+
+    def _do(self, line: Line, axis: int, values: dict[Key, Value]) -> None:
+        for i in _ALL if axis == DEVICE else (axis,):
+            if line.action == "set":
+                position = values.get(("position", i), self.gimbals.position[i])
+                self._follow(i, float(position), float(values.get(("rate", i), 0.0)))
+            elif line.action == "enable":
+                self._enabled[i] = True
+                self._quick_stopped = False
+                self._stand(i)
+            elif line.action == "hold":
+                self._stand(i)
+            elif line.action == "quick_stop":
+                self._quick_stopped = True
+                self._disable(i)
+            elif line.action == "clear_faults":
+                self.fault[i] = 0
+            elif line.action == "home" and self.gimbals.homing[i] is not Homing.DONE:
+                self._searching[i] = True
+                self.gimbals.home(i)
+
+    def _follow(self, axis: int, position_rad: float, rate_radps: float) -> None:
+        if self._enabled[axis]:
+            self.gimbals.follow(axis, position_rad, rate_radps, self._clock.now_s())
+
+    def _stand(self, axis: int) -> None:
+        """Stay where the axis is, for as long as nothing else is said: setpoints alone are watched to go on."""
+        if self._enabled[axis]:
+            place = float(self.gimbals.position[axis])
+            self.gimbals.follow(axis, place, 0.0, self._clock.now_s(), watchdog_s=math.inf)
+
+    def _disable(self, axis: int) -> None:
+        self._enabled[axis] = False
+        self.gimbals.brake(axis)
+
+    def _pass_time(self) -> None:
+        self.gimbals.advance(self._clock.now_s())
+        for axis, name in enumerate(GIMBAL_NAMES):
+            self._searching[axis] &= self.gimbals.homing[axis] is Homing.UNDER_WAY or self.gimbals.moving(axis)
+            switched = self.faults.take("drive_fault", name)
+            if switched is not None:
+                self._fail(axis, round(switched) or self._words.drive_fault)
+            if self.gimbals.overdue[axis]:
+                self.gimbals.overdue[axis] = False
+                self._fail(axis, self._words.command_timeout)
+            if self.gimbals.torque_off and self._enabled[axis]:
+                self._fail(axis, self._words.torque_off)
+
+    def _fail(self, axis: int, number: int) -> None:
+        self.fault[axis] = self.fault[axis] | number if self._has_flags else self.fault[axis] or number
+        self._disable(axis)
+
+    def _status(self, axis: int) -> int:
+        homing, limit = self.gimbals.homing[axis], self.gimbals.limit[axis]
+        shown = {
+            "enabled": self._enabled[axis],
+            "fault": self.fault[axis] != 0,
+            "quick_stopped": self._quick_stopped,
+            "moving": self.gimbals.moving(axis),
+            "homed": homing is Homing.DONE,
+            "not_homed": homing is not Homing.DONE,
+            "homing": self._searching[axis],
+            "homing_failed": homing is Homing.FAILED,
+            "limit_low": limit < 0,
+            "limit_high": limit > 0,
+        }
+        return sum(getattr(self._bits, name) or 0 for name, on in shown.items() if on)
+
+    def _told(self) -> dict[Key, Value]:
+        """Return everything that a reply may tell; for ever the same once the device is frozen."""
+        if self._frozen is not None and self.faults.value("freeze") is not None:
+            return self._frozen
+        words = self._words
+        told: dict[Key, Value] = {("model", DEVICE): words.model, ("serial", DEVICE): words.serial}
+        told |= {("firmware", DEVICE): words.firmware, ("ignore", DEVICE): ""}
+        for axis in _ALL:
+            told["position", axis] = float(self.gimbals.position[axis])
+            told["rate", axis] = float(self.gimbals.rate[axis])
+            told["status", axis] = self._status(axis)
+            told["fault", axis] = self.fault[axis]
+        self._frozen = told
+        return told

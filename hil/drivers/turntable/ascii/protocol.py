@@ -1,0 +1,209 @@
+"""A protocol file at work: actions <-> lines, for the driver and for the emulator alike. No I/O, no clock.
+
+Values are keyed by (field, axis): ("position", 0) in rad, ("rate", 2) in rad/s, ("status", 1) and
+("fault", 1) as whole numbers; fields of the device, such as "model", have axis -1.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Final
+
+from hil.config.protocol import AXIS_NAMES, OF_AXIS, Protocol, Step, Whole, numbers, template_places
+from hil.drivers.turntable.ascii.frames import BrokenLine, Framing
+
+DEVICE: Final = -1
+Value = float | int | str
+Key = tuple[str, int]
+
+_DEGREES: Final = {"deg": 1.0, "mdeg": 1e-3, "arcsec": 1.0 / 3600.0}
+
+
+class Refused(Exception):
+    """The controller answered by an error; ``text`` says which."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.text = text
+
+
+class Form:
+    """How one field is written: text <-> value."""
+
+    def __init__(self, protocol: Protocol, name: str) -> None:
+        fields = protocol.fields
+        self._decimals = 0
+        self._whole: Whole | None = None
+        self.scale = 1.0
+        if name in ("position", "rate"):
+            angle = fields.position if name == "position" else fields.rate
+            self._decimals = angle.decimals
+            unit = angle.unit.removesuffix("ps")
+            turn = protocol.counts_per_turn or 1
+            self.scale = math.tau / turn if unit == "counts" else math.radians(_DEGREES[unit])
+            self.pattern = r"[+-]?\d{1,12}" + (r"(?:\.\d{1,12})?" if angle.decimals else "")
+        elif name in ("status", "fault", "error"):
+            self._whole = getattr(fields, name)
+            length = f"{{{self._whole.digits}}}" if self._whole.digits else "{1,10}"
+            self.pattern = ("[0-9A-F]" if self._whole.base == 16 else r"\d") + length
+        else:
+            self.pattern = r"[ -~]*?" if name == "ignore" else r"[!-~]+?"
+        self._is_number = name in ("position", "rate")
+
+    def write(self, value: Value) -> str:
+        if self._is_number:
+            return f"{float(value) / self.scale:.{self._decimals}f}"
+        if self._whole is not None:
+            form = "X" if self._whole.base == 16 else "d"
+            return f"{int(value):0{self._whole.digits or 1}{form}}"
+        return str(value)
+
+    def read(self, text: str) -> Value:
+        if self._is_number:
+            return float(text) * self.scale
+        if self._whole is not None:
+            return int(text, self._whole.base)
+        return text
+
+
+class Template:
+    """One template, as text to write and as pattern to read. ``axes``: what ``{axis}`` is for each."""
+
+    def __init__(self, protocol: Protocol, text: str) -> None:
+        self.text = text
+        self._axes = protocol.axes
+        self._parts = template_places(text)
+        self._forms = [Form(protocol, name.partition(".")[0]) for _, name in self._parts if name and name != "axis"]
+        pattern = ""
+        forms = iter(self._forms)
+        for literal, name in self._parts:
+            pattern += re.escape(literal)
+            if name == "axis":
+                pattern += "(" + "|".join(map(re.escape, self._axes)) + ")"
+            elif name:
+                pattern += f"({next(forms).pattern})"
+        self._pattern = re.compile(pattern, re.ASCII)
+        self.names = [name for _, name in self._parts if name]
+
+    def write(self, values: Mapping[Key, Value], axis: int) -> str:
+        """Return the text; fields without an axis name are those of ``axis``."""
+        out, forms = [], iter(self._forms)
+        for literal, name in self._parts:
+            out.append(literal)
+            if name == "axis":
+                out.append(self._axes[axis])
+            elif name:
+                out.append(next(forms).write(values[_key(name, axis)]))
+        return "".join(out)
+
+    def read(self, text: str, axis: int | None) -> tuple[int, dict[Key, Value]] | None:
+        """Return the axis that the text speaks of and its values, None where it does not fit the template.
+
+        axis: the one expected; None where the text itself has to tell, DEVICE where it speaks of none.
+        """
+        match = self._pattern.fullmatch(text)
+        if match is None:
+            return None
+        groups = match.groups()
+        told = {self._axes.index(group) for name, group in zip(self.names, groups, strict=True) if name == "axis"}
+        if len(told) > 1 or (told and axis is not None and told != {axis}):
+            return None
+        spoken = axis if axis is not None else (told.pop() if told else DEVICE)
+        fields = [(name, group) for name, group in zip(self.names, groups, strict=True) if name != "axis"]
+        pairs = zip(fields, self._forms, strict=True)
+        return spoken, {_key(name, spoken): form.read(group) for (name, group), form in pairs}
+
+
+class Line:
+    """One line that can be sent: the step of an action, compiled."""
+
+    def __init__(self, protocol: Protocol, action: str, step: Step) -> None:
+        self.action = action
+        self.each_axis = step.each_axis
+        self.send = Template(protocol, step.send)
+        self.reply = Template(protocol, protocol.replies[step.reply])
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """The axes for which it is sent."""
+        return (0, 1, 2) if self.each_axis else (DEVICE,)
+
+
+class Dialect:
+    """The command set of ``protocol``."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self.protocol = protocol
+        self.has_sequence = protocol.sequence is not None
+        self.sequence_range = 16**protocol.sequence.digits if protocol.sequence else 1
+        self.requests = Framing(protocol, protocol.line.request_start, protocol.line.request_end)
+        self.replies = Framing(protocol, protocol.line.reply_start, protocol.line.reply_end)
+        self.lines: dict[str, list[Line]] = {}
+        for action, step in protocol.steps():
+            self.lines.setdefault(action, []).append(Line(protocol, action, step))
+        self._all_lines = [line for lines in self.lines.values() for line in lines]
+        self._error = Template(protocol, protocol.errors.reply) if protocol.errors else None
+        self._errors = numbers("errors.names", protocol.error_names)
+        self._faults = numbers("faults.names", protocol.faults.names)
+        self.set_tells_all = {(name, axis) for name in ("position", "status") for axis in AXIS_NAMES} <= protocol.gives(
+            "set"
+        )
+
+    def request(self, sequence: int, line: Line, axis: int, values: Mapping[Key, Value]) -> bytes:
+        """Return a request."""
+        return self.requests.encode(sequence, line.send.write(values, axis))
+
+    def take_request(self, text: bytes) -> tuple[int, Line, int, dict[Key, Value]]:
+        """Return sequence number, what is asked, of which axis, and its values.
+
+        Raises BrokenLine for a line without meaning, Refused for a good line with an unknown command.
+        """
+        sequence, body = self.requests.decode(text)
+        for line in self._all_lines:
+            found = line.send.read(body, None if line.each_axis else DEVICE)
+            if found is not None:
+                return sequence, line, *found
+        raise Refused(f"{sequence:X}")
+
+    def reply(self, sequence: int, line: Line, axis: int, values: Mapping[Key, Value]) -> bytes:
+        """Return the reply to a request."""
+        return self.replies.encode(sequence, line.reply.write(values, axis))
+
+    def refusal(self, sequence: int, number: int) -> bytes:
+        """Return the reply that says no, b"" where the command set has none."""
+        if self._error is None:
+            return b""
+        return self.replies.encode(
+            sequence, self._error.write({("error", DEVICE): number, ("ignore", DEVICE): ""}, DEVICE)
+        )
+
+    def take_reply(self, body: str, line: Line, axis: int) -> dict[Key, Value]:
+        """Return the values in a reply's body. Raises BrokenLine, or Refused for an error reply."""
+        found = line.reply.read(body, axis)
+        if found is not None:
+            return found[1]
+        refusal = self._error.read(body, DEVICE) if self._error else None
+        if refusal is None:
+            raise BrokenLine(f"{body!r} is no reply to {line.send.text!r}")
+        number = int(refusal[1]["error", DEVICE]) if ("error", DEVICE) in refusal[1] else 0
+        raise Refused(f"error {number} ({self._errors.get(number, 'not in the protocol file')})")
+
+    def fault_text(self, number: int) -> str:
+        """Return the name of a fault number, or the names of fault flags."""
+        if self.protocol.faults.kind == "code":
+            return self._faults.get(number, f"unknown fault {number}") if number else "no fault number"
+        names = [name for bit, name in self._faults.items() if number & bit]
+        unknown = number & ~sum(self._faults)
+        if unknown:
+            names.append(f"unknown flags 0x{unknown:04X}")
+        return ", ".join(names) or "no fault flag"
+
+
+def _key(name: str, axis: int) -> Key:
+    """Return the key of a field as a template names it."""
+    field, _, of = name.partition(".")
+    if of:
+        return field, AXIS_NAMES.index(of)
+    return (field, axis) if field in OF_AXIS else (field, DEVICE)

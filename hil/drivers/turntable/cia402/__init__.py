@@ -1,0 +1,1 @@
+"""Turntable on CAN: CANopen drives with the CiA 402 profile."""

@@ -1,0 +1,96 @@
+"""The emulated drives' end of a CAN bus: python-can's serial framing on a paced pty, or a bus of python-can.
+
+Faults of the wire hit what the drives send. On the serial wire spoilt bytes arrive; on a real bus the
+controller's own checksum would have refused the frame, so there it is lost. A dead wire brings nothing in either.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from hil.config.rig import Cia402
+from hil.core.clock import WallClock
+from hil.drivers.fault_injection import Faults
+from hil.drivers.pty_line import PtyLine
+from hil.drivers.turntable.ascii.frames import crc16_ccitt
+from hil.drivers.turntable.cia402.can_port import CanPort
+from hil.drivers.turntable.cia402.serial_can import Frame, SerialFrames, encode_serial
+from hil.drivers.turntable.faulty_channel import FaultyLane
+
+_ALONE_AFTER_S = 1.0
+
+
+class Station(Protocol):
+    """One end of the bus. ``address`` is what the controller's configuration names as channel."""
+
+    address: str
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        """Return what came within ``timeout_s`` of bench time."""
+
+    def send(self, frames: list[Frame]) -> None:
+        """Put frames on the bus, and those that were on their way until now."""
+
+    def close(self) -> None:
+        """Leave the bus."""
+
+
+class SerialStation:
+    """A station on a pty that takes ``bytes_per_s`` of bench time, both ways."""
+
+    def __init__(self, bytes_per_s: float, clock: WallClock, faults: Faults, generator: np.random.Generator) -> None:
+        self._faults = faults
+        self._lane = FaultyLane(faults, generator)
+        self._line = PtyLine(round(10.0 * bytes_per_s), clock)
+        self.address = self._line.path
+        self._frames = SerialFrames()
+        self._clock = clock
+        self._heard_s = -_ALONE_AFTER_S
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        data = self._line.read(max(0.0, timeout_s))
+        if not data or self._faults.value("link_down") is not None:
+            return []
+        self._heard_s = self._clock.now_s()
+        return self._frames.feed(data)
+
+    def send(self, frames: list[Frame]) -> None:
+        """Put frames on the wire; without another station nothing leaves, as on a bus nobody acknowledges."""
+        now_s = self._clock.now_s()
+        if now_s - self._heard_s < _ALONE_AFTER_S:
+            for frame in frames:
+                self._lane.put(encode_serial(frame), now_s)
+        if arrived := self._lane.due(now_s):
+            self._line.write(b"".join(arrived))
+
+    def close(self) -> None:
+        self._line.close()
+
+
+class BusStation:
+    """A station on any bus of python-can."""
+
+    def __init__(self, config: Cia402, clock: WallClock, faults: Faults, generator: np.random.Generator) -> None:
+        self._faults = faults
+        self._lane = FaultyLane(faults, generator)
+        self._port = CanPort("turntable", config)
+        self.address = str(config.channel)
+        self._clock = clock
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        frame = self._port.receive(max(0.0, self._clock.wall_s(timeout_s)))
+        return [] if frame is None or self._faults.value("link_down") is not None else [frame]
+
+    def send(self, frames: list[Frame]) -> None:
+        now_s = self._clock.now_s()
+        for frame in frames:
+            packet = encode_serial(frame)
+            self._lane.put(packet + crc16_ccitt(packet).to_bytes(2, "big"), now_s)
+        for packet in self._lane.due(now_s):
+            if crc16_ccitt(packet[:-2]).to_bytes(2, "big") == packet[-2:]:
+                self._port.send(*SerialFrames().feed(packet[:-2])[0])
+
+    def close(self) -> None:
+        self._port.close()

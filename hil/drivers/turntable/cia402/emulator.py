@@ -1,0 +1,124 @@
+"""Three emulated CiA 402 drives on one CAN bus: python-can's serial framing over a pty, or any other bus."""
+
+from __future__ import annotations
+
+import threading
+
+from hil.config.rig import GIMBAL_NAMES, Turntable
+from hil.core.clock import WallClock
+from hil.core.messages import Homing
+from hil.drivers.emulated_axes import STEP_S, WATCHDOG_S, ChainClosed, EmulatedAxes
+from hil.drivers.shared_state import AxisBoard
+from hil.drivers.turntable.cia402 import codec as codec
+from hil.drivers.turntable.cia402.drive import EmulatedDrive
+from hil.drivers.turntable.cia402.emulated_bus import BusStation, SerialStation, Station
+from hil.drivers.turntable.cia402.serial_can import Frame
+from hil.errors import BadInput
+from hil.maths.random_streams import stream
+
+BUS_BYTES_PER_S = 150e3
+"""A frame of 8 data bytes is 19 bytes in python-can's serial framing and about 125 us at 1 Mbit/s."""
+
+
+class _Axis:
+    """One gimbal as its drive sees it: counts."""
+
+    def __init__(self, gimbals: EmulatedAxes, axis: int, counts_per_turn: int, clock: WallClock) -> None:
+        self._gimbals = gimbals
+        self._axis = axis
+        self._scale = counts_per_turn
+        self._clock = clock
+
+    def feedback(self) -> tuple[int, int]:
+        position, rate = self._gimbals.position[self._axis], self._gimbals.rate[self._axis]
+        return codec.counts_from_rad(position, self._scale), codec.counts_from_rad(rate, self._scale)
+
+    def follow(self, target: int, velocity_offset: int, watchdog_s: float) -> None:
+        position = codec.rad_from_counts(target, self._scale)
+        rate = codec.rad_from_counts(velocity_offset, self._scale)
+        self._gimbals.follow(self._axis, position, rate, self._clock.now_s(), watchdog_s)
+
+    def brake(self) -> None:
+        self._gimbals.brake(self._axis)
+
+    def home(self) -> None:
+        self._gimbals.home(self._axis)
+
+    def homing(self) -> Homing:
+        return self._gimbals.homing[self._axis]
+
+    def moving(self) -> bool:
+        return self._gimbals.moving(self._axis)
+
+    def limit(self) -> int:
+        return self._gimbals.limit[self._axis]
+
+    def torque_off(self) -> bool:
+        return self._gimbals.torque_off
+
+
+class Cia402Emulator:
+    """Drives of roll, pitch, yaw on ``config.cia402.node_ids``; serve them with ``run`` in a process of their own."""
+
+    def __init__(
+        self,
+        config: Turntable,
+        clock: WallClock,
+        board: AxisBoard,
+        chain_closed: ChainClosed | None = None,
+        seed: int = 0,
+    ) -> None:
+        if config.cia402 is None:
+            raise BadInput.single("rig", "turntable.cia402", "is missing")
+        self._config = config.cia402
+        self._clock = clock
+        self.gimbals = EmulatedAxes("turntable", config, clock, board, chain_closed=chain_closed, seed=seed)
+        self.faults = self.gimbals.faults
+        self.drives = []
+        for index, node_id in enumerate(config.cia402.node_ids):
+            axis = _Axis(self.gimbals, index, config.cia402.counts_per_turn, clock)
+            self.drives.append(EmulatedDrive(node_id, axis, WATCHDOG_S))
+        self._wire_noise = stream(seed, "wire")
+        self._station: Station | None = None
+
+    def start(self) -> dict[str, str]:
+        """Join the bus; return the controller's address of it."""
+        if self._config.interface == "serial":
+            self._station = SerialStation(BUS_BYTES_PER_S, self._clock, self.faults, self._wire_noise)
+        else:
+            self._station = BusStation(self._config, self._clock, self.faults, self._wire_noise)
+        self._station.send([frame for drive in self.drives for frame in drive.boot()])
+        return {"turntable": self._station.address}
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve the bus until ``stop`` is set."""
+        station = self._station
+        if station is None:
+            raise RuntimeError("start the emulator first")
+        stepped_s = self._clock.now_s()
+        while not stop.is_set():
+            received = station.receive(stepped_s + STEP_S - self._clock.now_s())
+            stepped_s = self._clock.now_s()
+            self.gimbals.advance(stepped_s)
+            frames = self._housekeep(stepped_s)
+            for frame in received:
+                frames += [answer for drive in self.drives for answer in drive.on_frame(*frame, stepped_s)]
+            station.send(frames)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        if self._station is not None:
+            self._station.close()
+        self._station = None
+
+    def _housekeep(self, now_s: float) -> list[Frame]:
+        frames: list[Frame] = []
+        for axis, (name, drive) in enumerate(zip(GIMBAL_NAMES, self.drives, strict=True)):
+            code = self.faults.take("drive_fault", name)
+            if code is not None:
+                frames += drive.fail(round(code) or codec.OVER_CURRENT)
+            if self.gimbals.overdue[axis]:
+                self.gimbals.overdue[axis] = False
+                frames += drive.overdue()
+            frames += drive.advance(now_s)
+        return frames

@@ -1,0 +1,122 @@
+"""What an emulated CiA 402 drive does in each mode of operation, once it is enabled; counts and counts/s."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from hil.core.messages import Homing
+from hil.drivers.turntable.cia402 import codec as codec
+from hil.drivers.turntable.cia402.objects import ObjectDictionary
+from hil.drivers.turntable.profiled_move import Glide, compile_glide
+
+_BIT_4 = 0x10  # of the controlword: start
+_FOLLOWS = 0x1000  # statusword in cyclic synchronous position: the drive follows the target
+_CLOSE_COUNTS = 50
+_HOMING_WORD = {
+    Homing.NEEDED: codec.TARGET_REACHED,  # stands, and was not asked yet
+    Homing.UNDER_WAY: 0,
+    Homing.DONE: codec.HOMING_ATTAINED,
+    Homing.FAILED: codec.TARGET_REACHED | codec.HOMING_ERROR,
+}
+
+
+class AxisPort(Protocol):
+    """The axis behind a drive; counts and counts/s."""
+
+    def feedback(self) -> tuple[int, int]:
+        """Return position and velocity."""
+
+    def follow(self, target: int, velocity_offset: int, watchdog_s: float) -> None:
+        """Go to ``target``; brake when no other target comes within ``watchdog_s``."""
+
+    def brake(self) -> None:
+        """Quick stop, then stand."""
+
+    def home(self) -> None:
+        """Look for the home switch."""
+
+    def homing(self) -> Homing:
+        """Return how far that is."""
+
+    def moving(self) -> bool:
+        """Return whether the axis moves."""
+
+    def limit(self) -> int:
+        """Return the limit switch that the axis stands on: -1, 0, 1."""
+
+    def torque_off(self) -> bool:
+        """Return whether the safety chain takes the torque away."""
+
+
+class Motion:
+    """The enabled drive: follows setpoints, homes or goes by a profile, as object 0x6060 says."""
+
+    def __init__(self, axis: AxisPort, objects: ObjectDictionary) -> None:
+        self._axis = axis
+        self._objects = objects
+        self._glide: Glide | None = None
+        self._goal = 0
+        self._taken = False
+        compile_glide()
+
+    @property
+    def mode(self) -> int:
+        return self._objects.value(codec.MODE)
+
+    def begin(self) -> None:
+        """The drive was enabled, or its mode has changed: stay where the setpoint, or the axis, is."""
+        self._glide = None
+        self._taken = False
+        if self.mode == codec.CYCLIC_SYNCHRONOUS_POSITION:
+            self.follow()
+        else:
+            self._axis.follow(self._axis.feedback()[0], 0, math.inf)
+
+    def control(self, word: int, rising: int, falling: int, now_s: float) -> None:
+        """Act on bit 4 of the controlword."""
+        if self.mode == codec.HOMING and rising & _BIT_4:
+            self._axis.home()
+        elif self.mode == codec.HOMING and falling & _BIT_4 and self._axis.homing() is Homing.UNDER_WAY:
+            self._axis.brake()
+        elif self.mode == codec.PROFILE_POSITION and rising & _BIT_4:
+            self._plan(now_s)
+        self._taken = bool(word & _BIT_4)
+
+    def on_sync(self) -> None:
+        """Take the new target."""
+        if self.mode == codec.CYCLIC_SYNCHRONOUS_POSITION:
+            self.follow()
+
+    def follow(self) -> None:
+        deadline_ms = self._objects.value(codec.SETPOINT_PDO.parameter, codec.PDO_EVENT_TIMER)
+        self._axis.follow(
+            self._objects.value(codec.TARGET_POSITION),
+            self._objects.value(codec.VELOCITY_OFFSET),
+            deadline_ms * 1e-3 if deadline_ms else math.inf,
+        )
+
+    def advance(self, now_s: float) -> None:
+        """Go on along the profile."""
+        if self._glide is not None:
+            position, rate = self._glide.at(now_s)
+            self._axis.follow(round(position[0]), round(rate[0]), math.inf)
+
+    def statusword(self) -> int:
+        """Return the bits that depend on the mode."""
+        if self.mode == codec.HOMING:
+            stands = self._axis.homing() is Homing.DONE and not self._axis.moving()
+            return _HOMING_WORD[self._axis.homing()] | codec.TARGET_REACHED * stands
+        if self.mode == codec.PROFILE_POSITION:
+            there = self._glide is not None and abs(self._axis.feedback()[0] - self._goal) <= _CLOSE_COUNTS
+            return codec.SETPOINT_TAKEN * self._taken | codec.TARGET_REACHED * there
+        return _FOLLOWS
+
+    def _plan(self, now_s: float) -> None:
+        self._goal = self._objects.value(codec.TARGET_POSITION)
+        speed = np.array([float(self._objects.value(codec.PROFILE_VELOCITY))])
+        acceleration = np.array([float(self._objects.value(codec.PROFILE_ACCELERATION))])
+        start = np.array([float(self._axis.feedback()[0])])
+        self._glide = Glide(start, np.array([float(self._goal)]), speed, acceleration, now_s)

@@ -1,0 +1,35 @@
+"""The way of pictures out of a process that has them: what is handed to it, and what it makes of that."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from hil.config.rig import Rig
+from hil.core.camera_images import PICTURE, PictureMaker, Wanted
+from hil.frmn.ring import Ring
+from hil.frmn.run_time import RunTime
+
+
+class PictureMemory(NamedTuple):
+    """Ring of pictures and cell of the run's time, by their descriptors (``pass_fds``)."""
+
+    ring: int
+    slots: int
+    run_time: int
+
+    @property
+    def descriptors(self) -> tuple[int, int]:
+        """What the other process must be given."""
+        return self.ring, self.run_time
+
+    def maker(self, rig: Rig) -> PictureMaker | None:
+        """Return, in the other process, what takes pictures as ``rig`` wants them; None where it wants none."""
+        wanted = wanted_pictures(rig)
+        if wanted.encoding == "none":
+            return None
+        return PictureMaker(Ring(self.ring, PICTURE, self.slots, "pictures"), wanted, RunTime(self.run_time))
+
+
+def wanted_pictures(rig: Rig) -> Wanted:
+    """Return which pictures ``rig`` wants."""
+    return Wanted(rig.recording.pictures, rig.recording.picture_each_s)

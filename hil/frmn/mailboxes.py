@@ -1,0 +1,108 @@
+"""The cells of the reflective memory: each one's number on the wire, layout, and the side that writes it.
+
+A cell has one writer. Its newest value wins; what was lost on the way is not sent again. The records are those of
+``hil/core/messages.py`` and ``hil/core/gnc_records.py``, little-endian and aligned as a C compiler aligns them.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+
+from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GNC_SETUP
+from hil.core.messages import AXES, COMMAND, IMU, NAVIGATION, POSE, TRUTH
+
+NAME_BYTES: Final = 16
+
+
+class Role(IntEnum):
+    """Who speaks."""
+
+    DSS = 1  # dynamics, bench and vision unit: the side that has the truth
+    GNC = 2
+
+
+HEALTH: Final = np.dtype(
+    [
+        ("cycle", "i8"),  # of the run, -1 before the first
+        ("t_s", "f8"),  # time of the run
+        ("mode", "S16"),  # of the bench: off, standby, ..., running, hold, safe-stop
+        ("lateness_s", "f8"),  # of the cycle's wake-up
+        ("overruns", "i8"),  # cycles that ended after the next one's deadline
+    ],
+    align=True,
+)
+
+GNC_FLIGHT: Final = np.dtype([("output", GNC_OUTPUT), ("navigation", NAVIGATION), ("command", COMMAND)], align=True)
+"""What the built-in GNC sends in place of GNC_OUTPUT alone: all that ``hil run`` would have recorded of it."""
+
+GNC_FILTERS: Final = np.dtype(
+    [
+        ("cycle", "i8"),
+        ("attitude_x", "f8", 7),  # q_CH, gyro drift in rad/s
+        ("attitude_p", "f8", (6, 6)),
+        ("position_x", "f8", 9),  # r_CT_H, v_CT_H, accelerometer bias
+        ("position_p", "f8", (9, 9)),
+    ],
+    align=True,
+)
+"""The built-in filters in a cycle with a pose: with the truth, which the GNC has not, their consistency (NEES)."""
+
+
+@dataclass(frozen=True)
+class CellKind:
+    """A cell as both sides know it. number: on the wire. layout: two bytes of the digest of its fields, never 0."""
+
+    number: int
+    name: str
+    dtype: np.dtype
+    writer: Role
+    layout: int
+
+
+def layout_of(dtype: np.dtype) -> int:
+    """Return the low 16 bits of the CRC-32 of the layout's text, 1 where they are zero.
+
+    The text has a line a plain field: offset in bytes, type as in numpy, and shape; nested records are spread out.
+    Names do not count: the same bytes may be called otherwise.
+    """
+    return (zlib.crc32("\n".join(_lines(dtype, 0)).encode()) & 0xFFFF) or 1
+
+
+def _lines(dtype: np.dtype, start: int) -> list[str]:
+    if dtype.names is None:
+        return [f"{start} {dtype.base.str.lstrip('<|=')} {'x'.join(map(str, dtype.shape))}".rstrip()]
+    lines = []
+    for inner, offset, *_ in (dtype.fields or {}).values():
+        if inner.base.names is None:
+            lines += _lines(inner, start + offset)
+            continue
+        for i in range(int(np.prod(inner.shape))):
+            lines += _lines(inner.base, start + offset + i * inner.base.itemsize)
+    return lines
+
+
+def _kind(number: int, name: str, dtype: np.dtype, writer: Role) -> CellKind:
+    return CellKind(number, name, dtype, writer, layout_of(dtype))
+
+
+_ALL: Final = (
+    _kind(1, "gnc.setup", GNC_SETUP, Role.DSS),
+    _kind(2, "gnc.input", GNC_INPUT, Role.DSS),
+    _kind(3, "gnc.output", GNC_OUTPUT, Role.GNC),
+    _kind(4, "gnc.flight", GNC_FLIGHT, Role.GNC),
+    _kind(5, "gnc.filters", GNC_FILTERS, Role.GNC),
+    _kind(16, "truth", TRUTH, Role.DSS),
+    _kind(17, "imu", IMU, Role.DSS),
+    _kind(18, "pose", POSE, Role.DSS),
+    _kind(19, "command", COMMAND, Role.DSS),
+    _kind(20, "setpoint", AXES, Role.DSS),
+    _kind(21, "feedback", AXES, Role.DSS),
+    _kind(22, "health", HEALTH, Role.DSS),
+)
+CELLS: Final[dict[str, CellKind]] = {kind.name: kind for kind in _ALL}
+BY_NUMBER: Final[dict[int, CellKind]] = {kind.number: kind for kind in _ALL}

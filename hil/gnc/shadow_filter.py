@@ -1,0 +1,202 @@
+"""The shadow filter: both filters once more, from filterpy, on the same inputs, to see whether the two part.
+
+Another author's filters, with process models written out from bench paper eq. (6) and (14) and carried
+through matrix exponentials. They run ``LAG`` steps behind, so that late poses have come in by
+then, and are laid beside what the compiled filters' memory holds of the same moment.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from hil.core.messages import Array
+
+LAG = 40  # steps behind the loop; less than the compiled filters remember
+
+
+@dataclass(slots=True)
+class _Moment:
+    rate_C: Array
+    force_C: Array
+    poses: list[np.record]
+
+
+@dataclass(frozen=True, slots=True)
+class Parting:
+    """How far the shadow is from the compiled filters at a moment: position, m, and angle, rad."""
+
+    position: float
+    angle: float
+
+
+class ShadowFilter:
+    """filterpy's KalmanFilter and ExtendedKalmanFilter behind ``step``.
+
+    params: FUSION_PARAMS of the compiled filters, whose noise levels and orbit are taken.
+    """
+
+    def __init__(self, params: np.record) -> None:
+        self._akf_params = params.akf
+        self._pkf_params = params.pkf
+        self._dt = float(params.pkf.dt_s)
+        self._moments: deque[_Moment] = deque(maxlen=LAG + 1)
+        w0 = float(params.akf.orbit_rate)
+        whole = np.zeros((9, 9))  # eq. (11) with an acceleration in H as three further states (Van Loan)
+        whole[:3, 3:6] = whole[3:6, 6:] = np.eye(3)
+        whole[3:6, :3] = w0**2 * np.diag([0.0, -1.0, 3.0])
+        whole[3, 5], whole[5, 3] = 2.0 * w0, -2.0 * w0
+        self._step_in_h = expm(whole * self._dt)
+        self._position: KalmanFilter | None = None
+        self._attitude: ExtendedKalmanFilter | None = None
+
+    def step(self, cycle: int, imu: np.record, poses: np.ndarray, memory: np.ndarray) -> Parting | None:
+        """Take what came in ``cycle``; return the parting at the moment ``LAG`` steps ago, None before the start.
+
+        poses: array of POSE, new ones alone. memory: of fusion.STEP, the compiled filters'.
+        """
+        self._moments.append(_Moment(imu.rate_C.copy(), imu.force_C.copy(), []))
+        for pose in poses:
+            behind = cycle - round(pose.t_s / self._dt)
+            if 0 <= behind < len(self._moments):
+                moment = self._moments[-1 - behind]
+                if all(abs(known.t_s - pose.t_s) > 1e-6 for known in moment.poses):
+                    moment.poses.append(pose.copy())
+        if len(self._moments) <= LAG:
+            return None
+        return self._go_on(self._moments[0], memory[(cycle - LAG) % len(memory)])
+
+    def _go_on(self, moment: _Moment, compiled: np.void) -> Parting | None:
+        parting = None
+        if self._position is None or self._attitude is None:
+            if moment.poses:
+                self._start(moment.poses[0])
+            return None
+        self._predict(moment)
+        if compiled["is_start"] == 0:
+            parting = self._compare(compiled)
+        for pose in moment.poses:
+            self._update(pose)
+        return parting
+
+    def _start(self, pose: np.record) -> None:
+        p, a = self._pkf_params, self._akf_params
+        to_c = _matrix(pose.q_CH)
+        self._attitude = ExtendedKalmanFilter(dim_x=7, dim_z=3)
+        self._attitude.x = np.concatenate([pose.q_CH, a.initial_drift])
+        xi = _xi(pose.q_CH)
+        self._attitude.P = np.zeros((7, 7))
+        self._attitude.P[:4, :4] = 0.25 * xi @ pose.covariance_attitude @ xi.T
+        self._attitude.P[4:, 4:] = a.initial_drift_sigma**2 * np.eye(3)
+        self._position = KalmanFilter(dim_x=9, dim_z=3, dim_u=3)
+        self._position.x = np.concatenate([-to_c.T @ pose.z_TC_C, np.zeros(3), p.initial_bias])
+        spread = _cross(pose.z_TC_C) @ pose.covariance_attitude @ _cross(pose.z_TC_C).T
+        self._position.P = np.zeros((9, 9))
+        self._position.P[:3, :3] = to_c.T @ (pose.covariance_position + spread) @ to_c
+        self._position.P[3:6, 3:6] = p.initial_velocity_sigma**2 * np.eye(3)
+        self._position.P[6:, 6:] = p.initial_bias_sigma**2 * np.eye(3)
+
+    def _predict(self, moment: _Moment) -> None:
+        assert self._attitude is not None
+        assert self._position is not None
+        ekf, kf, dt = self._attitude, self._position, self._dt
+        w0 = float(self._akf_params.orbit_rate)
+        before = ekf.x[:4].copy()
+        # eq. (3): dQ/dt = Omega(w) Q / 2, the turn [0, -w0, 0] of H on the other side
+        rate = moment.rate_C - ekf.x[4:]
+        process = np.zeros((7, 7))
+        process[:4, :4] = 0.5 * (_omega(rate) + w0 * _HILL_TURN)
+        process[:4, 4:] = -0.5 * _xi(before)
+        transition = _exponential(process * dt)
+        q = _exponential(process[:4, :4] * dt) @ before
+        q /= np.linalg.norm(q)
+        spread = 0.5 * dt * _xi(q)
+        noise = np.zeros((7, 7))
+        noise[:4, :4] = self._akf_params.sigma_gyro**2 * spread @ spread.T
+        noise[4:, 4:] = (dt * self._akf_params.sigma_drift) ** 2 * np.eye(3)
+        ekf.x = np.concatenate([q, ekf.x[4:]])
+        ekf.P = transition @ ekf.P @ transition.T + noise
+        middle = before + q
+        to_h = _matrix(middle / np.linalg.norm(middle)).T
+        # eq. (14): a force in c, and minus a bias in c, act through the response to an acceleration in H
+        response = self._step_in_h[:6, 6:] @ to_h
+        kf.F, kf.B = np.eye(9), np.zeros((9, 3))
+        kf.F[:6, :6], kf.F[:6, 6:], kf.B[:6] = self._step_in_h[:6, :6], -response, response
+        kf.Q = self._pkf_params.sigma_accelerometer**2 * kf.B @ kf.B.T
+        kf.Q[6:, 6:] += (dt * self._pkf_params.sigma_bias) ** 2 * np.eye(3)
+        kf.predict(u=moment.force_C)
+
+    def _update(self, pose: np.record) -> None:
+        assert self._attitude is not None
+        assert self._position is not None
+        measured = _angles(pose.q_CH)
+        e = _angle_jacobian(pose.q_CH) @ (0.5 * _xi(pose.q_CH))
+        self._attitude.update(
+            measured,
+            lambda x: np.hstack([_angle_jacobian(x[:4]), np.zeros((3, 3))]),
+            lambda x: _angles(x[:4]),
+            R=e @ pose.covariance_attitude @ e.T,
+            residual=lambda a, b: (a - b + np.pi) % (2.0 * np.pi) - np.pi,
+        )
+        self._attitude.x[:4] /= np.linalg.norm(self._attitude.x[:4])
+        q = self._attitude.x[:4]
+        to_c = _matrix(q)
+        turn = 2.0 * _xi(q).T @ self._attitude.P[:4, :4] @ (2.0 * _xi(q))
+        arm = _cross(to_c @ self._position.x[:3])
+        h = np.hstack([-to_c, np.zeros((3, 6))])
+        self._position.update(pose.z_TC_C, R=pose.covariance_position + arm @ turn @ arm.T, H=h)
+
+    def _compare(self, compiled: np.void) -> Parting:
+        assert self._attitude is not None
+        assert self._position is not None
+        filters = compiled["predicted"]
+        position = np.linalg.norm(self._position.x[:3] - filters["pkf"]["x"][:3])
+        mine, theirs = Rotation.from_quat(self._attitude.x[:4]), Rotation.from_quat(filters["akf"]["x"][:4])
+        return Parting(float(position), float((mine.inv() * theirs).magnitude()))
+
+
+_HILL_TURN = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]], dtype=float)
+
+
+def _exponential(m: Array) -> Array:
+    """Return exp(m) of a small ``m`` by its series: a step of the filters is far below its next term."""
+    square = m @ m
+    return np.asarray(np.eye(len(m)) + m + square / 2.0 + square @ m / 6.0 + square @ square / 24.0)
+
+
+def _matrix(q: Array) -> Array:
+    """Return A(q): scipy's matrix is its transpose."""
+    return np.asarray(Rotation.from_quat(q).as_matrix().T)
+
+
+def _cross(v: Array) -> Array:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def _omega(w: Array) -> Array:
+    return np.array(
+        [[0.0, w[2], -w[1], w[0]], [-w[2], 0.0, w[0], w[1]], [w[1], -w[0], 0.0, w[2]], [-w[0], -w[1], -w[2], 0.0]]
+    )
+
+
+def _xi(q: Array) -> Array:
+    return np.array([[q[3], -q[2], q[1]], [q[2], q[3], -q[0]], [-q[1], q[0], q[3]], [-q[0], -q[1], -q[2]]])
+
+
+def _angles(q: Array) -> Array:
+    return np.asarray(Rotation.from_quat(q).as_euler("ZYX")[::-1])
+
+
+def _angle_jacobian(q: Array) -> Array:
+    """Return d(theta)/d(q), (3, 4), by central differences."""
+    columns = []
+    for i in range(4):
+        step = np.zeros(4)
+        step[i] = 1e-6
+        columns.append((_angles(q + step) - _angles(q - step)) / 2e-6)
+    return np.array(columns).T

@@ -1,0 +1,1 @@
+"""GNC backends: everything that can close the loop, behind one Protocol."""

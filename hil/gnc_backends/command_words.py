@@ -1,0 +1,88 @@
+"""The seat of a flight computer that opens thrusters by digital words and is told nothing but poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hil.config.flight_computer import FlightComputer
+from hil.core.messages import MAX_THRUSTERS
+from hil.drivers.command_words.poses import PoseForwarder
+from hil.drivers.command_words.receiver import NAME, WordReceiver
+from hil.errors import LinkTimeout
+from hil.gnc_backends import external_records
+from hil.gnc_backends.base import Records
+from hil.gnc_backends.external import Briefing, ForeignGnc
+
+_BITS = 1 << np.arange(MAX_THRUSTERS)
+
+
+class WordsGnc(ForeignGnc):
+    """Flies as the newest word says; a word that is too old opens nothing, and none for longer holds or stops.
+
+    bench_now_s: bench time, by which words have their age.
+    """
+
+    def __init__(
+        self,
+        config: FlightComputer,
+        receiver: WordReceiver,
+        forwarder: PoseForwarder | None,
+        bench_now_s: Callable[[], float],
+        briefing: Briefing,
+    ) -> None:
+        super().__init__(NAME, briefing)
+        self._config = config
+        self._receiver = receiver
+        self.forwarder = forwarder
+        self._now_s = bench_now_s
+        self._silent_since_s: float | None = None
+
+    @property
+    def not_ready(self) -> str:
+        """Why a held run cannot go on: no word that is new enough."""
+        return "" if self._age_s() <= self._config.timeout_s else f"{NAME} is silent"
+
+    def open(self, bench_s: float) -> None:
+        """Open both wires. Raises LinkLost."""
+        self._receiver.open()
+        if self.forwarder is not None:
+            self.forwarder.open()
+
+    def close(self) -> None:
+        """Let go of both wires."""
+        self._receiver.close()
+        if self.forwarder is not None:
+            self.forwarder.close()
+
+    def exchange(self) -> bool:
+        """Bring the newest word into ``output``; False where none is new enough."""
+        newest = self._receiver.newest()
+        now_s = self._now_s()
+        if newest is None or now_s - newest[1] > self._config.timeout_s:
+            if self._silent_since_s is None:
+                self._silent_since_s = newest[1] if newest is not None else now_s
+            return False
+        self._silent_since_s = None
+        out = self.output
+        external_records.clear_output(out, self.cycle)
+        out.direct = 1
+        out.on[:] = (newest[0].thrusters & _BITS) != 0
+        return True
+
+    def miss(self, now: Records) -> None:
+        """Close all thrusters; after a longer silence hold or stop. Raises LinkTimeout."""
+        super().miss(now)
+        assert self._silent_since_s is not None
+        silent_s = self._now_s() - self._silent_since_s
+        if silent_s <= self._config.lost_s:
+            return
+        text = f"no word for {silent_s:.2f} s, allowed {self._config.lost_s:g} s"
+        if self._config.on_loss == "stop":
+            raise LinkTimeout(NAME, text)
+        self.ask_for_hold(f"{NAME}: {text}")
+
+    def _age_s(self) -> float:
+        newest = self._receiver.newest()
+        return self._now_s() - newest[1] if newest is not None else np.inf

@@ -1,0 +1,1 @@
+"""The control cycle: stages, run sequence, rate, overruns."""

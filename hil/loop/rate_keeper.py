@@ -1,0 +1,120 @@
+"""Keeps the rate of the loop: absolute deadlines, late cycles counted and not made up."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Protocol
+
+from hil.core.clock import SimulatedClock, WallClock
+
+_SPIN_NS = 200_000  # the last of each wait: the kernel's wake-up is coarser than this
+_SPIN_SHARE = 0.5  # of a period at most: the kernel takes the CPU from a real-time thread that never sleeps
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One cycle's moment: bench time now, bench time at which the run's time is zero, wall lateness.
+
+    skipped: periods that the cycle before ate by ending ``overrun_s`` (wall) after this one's deadline.
+    """
+
+    now_s: float
+    run_zero_s: float
+    lateness_s: float
+    skipped: int = 0
+    overrun_s: float = 0.0
+
+
+class Rate(Protocol):
+    """Gives the moment of each cycle, and counts since ``restart``: executed + skipped_periods == elapsed periods."""
+
+    executed: int
+    """Cycles that were begun."""
+    overruns: int
+    """Cycles that ended after the next one's deadline."""
+    skipped_periods: int
+    """Periods in which no cycle was begun, because one before was under way."""
+    on_the_wall: bool
+    """Whether cycles have deadlines."""
+
+    def now_s(self) -> float:
+        """Return bench time."""
+
+    def restart(self) -> None:
+        """Let the next cycle be number 0 of a new count, one period from now."""
+
+    def wait(self) -> Tick:
+        """Wait for the next cycle's deadline."""
+
+
+class SimulatedRate:
+    """As fast as it goes: cycle k is at exactly ``k * step_s`` after the restart."""
+
+    def __init__(self, clock: SimulatedClock, step_s: float) -> None:
+        self._clock = clock
+        self._step_s = step_s
+        self.executed = self.overruns = self.skipped_periods = 0
+        self.on_the_wall = False
+        self.restart()
+
+    def now_s(self) -> float:
+        return self._clock.now_s()
+
+    def restart(self) -> None:
+        self._zero_s = self._clock.now_s()
+        self.executed = 0
+
+    def wait(self) -> Tick:
+        self._clock.t_s = self._zero_s + self.executed * self._step_s
+        self.executed += 1
+        return Tick(self._clock.t_s, self._zero_s, 0.0)
+
+
+class WallRate:
+    """Absolute deadlines on the monotonic clock.
+
+    A cycle that ends after the next deadline is an overrun: the periods that it ate are skipped and
+    counted, the run's time lags by them, and no cycle is made up.
+    """
+
+    def __init__(self, clock: WallClock, step_s: float) -> None:
+        self._clock = clock
+        self._step_s = step_s
+        self._period_ns = round(step_s / clock.speed * 1e9)
+        self._spin_ns = min(_SPIN_NS, int(_SPIN_SHARE * self._period_ns))
+        self.executed = self.overruns = self.skipped_periods = 0
+        self.on_the_wall = True
+        self.restart()
+
+    def now_s(self) -> float:
+        return self._clock.now_s()
+
+    def restart(self) -> None:
+        self._deadline_ns = time.monotonic_ns()
+        self._zero_s = self._bench_s(self._deadline_ns + self._period_ns)
+        self.executed = self.overruns = self.skipped_periods = 0
+
+    def wait(self) -> Tick:
+        self._deadline_ns += self._period_ns
+        late_ns = time.monotonic_ns() - self._deadline_ns
+        skipped = 0
+        if late_ns >= 0:
+            skipped = late_ns // self._period_ns + 1
+            self.overruns += 1
+            self.skipped_periods += skipped
+            self._deadline_ns += skipped * self._period_ns
+            self._zero_s += skipped * self._step_s
+        left_ns = self._deadline_ns - time.monotonic_ns() - self._spin_ns
+        if left_ns > 0:
+            time.sleep(left_ns * 1e-9)
+        while (now_ns := time.monotonic_ns()) < self._deadline_ns:
+            pass
+        self.executed += 1
+        lateness_s = (now_ns - self._deadline_ns) * 1e-9
+        if not skipped:
+            return Tick(self._bench_s(now_ns), self._zero_s, lateness_s)
+        return Tick(self._bench_s(now_ns), self._zero_s, lateness_s, skipped, late_ns * 1e-9)
+
+    def _bench_s(self, monotonic_ns: int) -> float:
+        return (monotonic_ns - self._clock.epoch_ns) * 1e-9 * self._clock.speed

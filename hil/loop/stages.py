@@ -1,0 +1,219 @@
+"""The stages of a cycle: what each holds between cycles, and the kernels it calls.
+
+A stage owns its parameters and its state; the records that pass between stages belong to the cycle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from hil.core.messages import MAX_POSES, POSE, Array, Event, PoseFrame, new
+from hil.core.observable import Told
+from hil.drivers.base import PoseSource
+from hil.drivers.remote.io_layout import ARRIVAL, write_frame
+from hil.dynamics import imu as imu_kernels
+from hil.dynamics import truth as truth_kernels
+from hil.dynamics.held_gravity import HELD
+from hil.frmn.ring import Telemetry
+from hil.gnc import allocation, control, navigation
+from hil.gnc.filter_monitor import FilterWatch
+from hil.gnc.fusion import MEMORY, STEP
+from hil.gnc.navigation import NAVIGATION_STATE
+from hil.gnc_backends.approach import Approach
+from hil.gnc_backends.approach_events import ApproachDiary
+from hil.gnc_backends.base import Poses, Records
+from hil.maths.random_streams import NormalRows
+from hil.models.mounting import chaser_pose
+
+_NO_POSE = new(POSE)
+
+
+class Dss:
+    """Dynamics simulation: the truth and the virtual IMU."""
+
+    def __init__(self, params: np.record, field: Array, imu_params: np.record, imu_noise: NormalRows) -> None:
+        self.params = params
+        self._field = field
+        self._harmonics = new(HELD)
+        self._imu_params = imu_params
+        self._noise = imu_noise
+        self._rate = np.empty(3)
+
+    def sample_imu(self, truth: np.record, imu: np.record) -> None:
+        """Write the IMU's sample of the step that ended at ``truth``."""
+        imu_kernels.sample(self._imu_params, truth, self._noise.take(), imu)
+
+    def step(self, truth: np.record, command: np.record) -> None:
+        """Move ``truth`` on by one step under the thrusters that ``command`` opens."""
+        truth_kernels.step(self.params, self._field, self._harmonics, truth, command.on)
+
+    def rate_against_hill(self, truth: np.record) -> Array:
+        """Return the chaser's rate against H, in c, (3,), rad/s; valid until the next call."""
+        truth_kernels.rate_against_hill(truth, self._rate)
+        return self._rate
+
+
+class Vision:
+    """The poses of the vision unit, brought from the camera to the chaser."""
+
+    def __init__(self, source: PoseSource, stations: np.record) -> None:
+        self.source = source
+        self._stations = stations
+        self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
+        self._records = [self.poses[i] for i in range(MAX_POSES)]
+        self.arrived = 0
+        self.dropped = 0  # beyond MAX_POSES in one cycle
+        self.not_before_s = -math.inf
+        """Frames exposed before this bench time are of another life of the run: they are left out."""
+        self.tap: Telemetry | None = None
+        """Is given each frame that comes, a row of ARRIVAL."""
+        self.on_run_zero: Callable[[float], None] | None = None
+        """Is told the bench time at which the run's time is zero when that changes; nan while no run's time goes."""
+        self._run_zero_s: float | None = None
+        self.forward: Callable[[PoseFrame, float], None] | None = None
+        """Is given each frame that is used, and its moment of exposure in time of the run."""
+        self._row = np.zeros(1, ARRIVAL)
+        self._cycle = -1
+
+    def take(self, bench_s: float, run_zero_s: float, row: np.ndarray) -> None:
+        """Bring the frames that came since the last cycle into ``poses``; the newest one also into ``row["pose"]``.
+
+        run_zero_s: bench time at which the run's time is zero.
+        """
+        if run_zero_s != self._run_zero_s:
+            self._tell_run_zero(run_zero_s)
+        came = frames = self.source.poll(bench_s)
+        self._cycle += 1
+        if frames:
+            frames = [frame for frame in frames if frame.t_s >= self.not_before_s]
+        self.dropped += max(0, len(frames) - MAX_POSES)
+        self.arrived = min(len(frames), MAX_POSES)
+        frames = frames[-MAX_POSES:]
+        if self.tap is not None:
+            self._show_unused([frame for frame in came if not any(frame is used for used in frames)])
+        if not frames:
+            row["pose"]["fresh"] = 0
+            return
+        for frame, pose in zip(frames, self._records, strict=False):
+            chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
+            pose.t_s = frame.t_s - run_zero_s
+            if self.forward is not None:
+                self.forward(frame, pose.t_s)
+            if self.tap is not None:
+                self._show(frame, self._cycle, pose)
+        newest = self.poses[: self.arrived]["t_s"].argmax()
+        row["pose"] = self.poses[newest]
+        row["pose"]["fresh"] = self.arrived
+        row["received_s"] = frames[newest].received_s - run_zero_s
+
+    def _tell_run_zero(self, run_zero_s: float | None) -> None:
+        self._run_zero_s = run_zero_s
+        if self.on_run_zero is not None:
+            self.on_run_zero(math.nan if run_zero_s is None else run_zero_s)
+
+    def look_away(self, bench_s: float) -> int:
+        """Take the frames that came since the last cycle and use none; return how many."""
+        if self._run_zero_s is not None:
+            self._tell_run_zero(None)
+        frames = self.source.poll(bench_s)
+        if self.tap is not None:
+            self._show_unused(frames)
+        return len(frames)
+
+    def _show_unused(self, frames: list[PoseFrame]) -> None:
+        for frame in frames:
+            self._show(frame, -1, _NO_POSE)
+
+    def _show(self, frame: PoseFrame, cycle: int, pose: np.record) -> None:
+        """Give the tap ``frame`` with the number of the cycle that uses it and what navigation gets of it."""
+        assert self.tap is not None
+        self._row["cycle"] = cycle
+        write_frame(self._row["frame"], frame)
+        self._row["pose"] = pose
+        self.tap.put(self._row)
+
+
+class Gnc(Approach):
+    """Navigation, guidance, supervision, control and allocation: the GNC that is built in."""
+
+    def __init__(
+        self,
+        navigation_params: np.record,
+        guidance_params: np.record,
+        supervision_params: np.record,
+        control_params: np.record,
+        sets: np.ndarray,
+        n_thrusters: int,
+        diary: ApproachDiary,
+        watch: FilterWatch,
+    ) -> None:
+        super().__init__(guidance_params, supervision_params, diary)
+        self.watch = watch
+        self._navigation = navigation_params
+        self._control = control_params
+        self._sets = sets
+        self._n = n_thrusters
+        self.state = new(NAVIGATION_STATE)
+        self._memory = np.zeros(MEMORY, STEP)
+        self._nees = np.empty(2)
+        self._fuses = bool(navigation_params.sensors == navigation.VISION_AND_IMU)
+        self._fuses_now = False
+
+    @property
+    def logs(self) -> tuple[Told[Event], ...]:
+        """What happened, of the approach and of the filters."""
+        return (self.diary.events, self.watch.events)
+
+    @property
+    def fused_now(self) -> bool:
+        """Whether the filters took a pose in the last cycle."""
+        return self._fuses_now
+
+    def act(self, t_s: float, now: Records, vision: Poses) -> None:
+        """Run stages 4 to 7 of the cycle."""
+        self.navigate(now.imu, vision, now.navigation)  # 4  AKF and PKF
+        self.guide(t_s, now.supervision, now.reference)  # 5  reference of the present phase
+        self.supervise(t_s, now.navigation, now.reference, now.supervision)  # 6  corridor, closing rate, abort
+        self.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
+
+    def adjust(self, navigation: np.record, supervision: np.record, control: np.record) -> int:
+        """Take over other parameters, between two cycles; return the number of the cycle from which on they act.
+
+        NAVIGATION_PARAMS, SUPERVISION_PARAMS, CONTROL_PARAMS of the same step and sensors. They are written in place:
+        whoever looks at them beside the loop, as the shadow filter does, goes on with the new ones as well.
+        """
+        for mine, theirs in (
+            (self._navigation, navigation),
+            (self._supervision, supervision),
+            (self._control, control),
+        ):
+            for name in mine.dtype.names or ():
+                mine[name] = theirs[name]
+        return self.cycle + 1
+
+    def navigate(self, imu: np.record, vision: Poses, out: np.record) -> None:
+        """Write NAVIGATION from the step's IMU sample and the poses that came."""
+        navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
+        self.cycle += 1
+        self._fuses_now = self._fuses and vision.arrived > 0
+        if self._fuses_now or (self._fuses and self.watch.looks_always):
+            self.watch.look(self.cycle, imu, vision.poses[: vision.arrived], out, self._memory)
+
+    def control(self, estimate: np.record, reference: np.record, command: np.record) -> None:
+        """Write the demands and the thrusters of COMMAND."""
+        control.control(self._control, estimate, reference, command)
+        allocation.select(self._sets, self._n, command)
+
+    def consistency(self, truth: np.record, imu: np.record) -> Array:
+        """Return NEES of position and attitude filter, (2,), in cycles with a pose, nan otherwise.
+
+        Valid until the next call.
+        """
+        if self._fuses_now:
+            navigation.normalised_errors(self.state.fusion.filters, truth, imu, self._nees)
+        else:
+            self._nees[:] = np.nan
+        return self._nees

@@ -1,0 +1,1 @@
+"""Models of bench components: servo, cameras, mounting, motion profiles."""

@@ -1,0 +1,47 @@
+"""When a free-running camera exposes, and how late its poses come: the vision unit's time, in simulated time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.jit import kernel
+
+TIME_SLACK_S = 1e-9  # sums of cycle times are off by a few 1e-16 of themselves
+TRAVEL_DRAWS = 4  # uniform numbers in [0, 1) a frame: lost, twice, first delay, second delay
+
+TRAVEL = np.dtype(
+    [
+        ("latency_s", "f8"),  # constant part
+        ("jitter_s", "f8"),  # largest random part, uniform
+        ("duplicate_share", "f8"),  # 0..1 of the frames that come twice
+        ("loss_share", "f8"),  # 0..1 of those that never come
+    ],
+    align=True,
+)
+
+
+@kernel
+def first_exposure(now_s, rate_hz):
+    """Return the number k of the first exposure, at ``k / rate_hz``, at or after ``now_s``."""
+    return math.ceil((now_s - TIME_SLACK_S) * rate_hz)
+
+
+@kernel
+def exposure_time(number, rate_hz):
+    """Return when the exposure ``number`` is, s."""
+    return number / rate_hz
+
+
+@kernel
+def delays(travel, draws, out):
+    """Write how long after its exposure a frame arrives, s, into ``out`` (2,); return how often it does, 0, 1 or 2.
+
+    travel: TRAVEL. draws: (TRAVEL_DRAWS,), uniform in [0, 1).
+    """
+    for i in range(2):
+        out[i] = travel.latency_s + draws[2 + i] * travel.jitter_s
+    if draws[0] < travel.loss_share:
+        return 0
+    return 2 if draws[1] < travel.duplicate_share else 1

@@ -1,0 +1,83 @@
+"""From the pose of the chaser to the pose that its camera sees, and back.
+
+The camera stands at ``camera_station`` (in c, from the chaser's reference point) with the axes
+``q_vc``; the LED ring at ``ring_station`` (in H, from the target's reference point) with ``q_th``.
+The camera's pose is ``p_v = A(q_vt) p_t + t_v``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.core.jit import kernel
+from hil.maths import quat, stack_arrays
+from hil.maths.arrays import copy_into
+
+STATIONS = np.dtype(
+    [
+        ("camera_station", "f8", 3),  # m, in c
+        ("q_vc", "f8", 4),
+        ("ring_station", "f8", 3),  # m, in H
+        ("q_th", "f8", 4),
+        ("position_variance", "f8"),  # m^2, of each axis: what the bench adds to the error of a pose
+        ("attitude_variance", "f8"),  # rad^2, the same about each axis
+    ],
+    align=True,
+)
+
+
+@kernel
+def camera_pose(stations, r_CT_H, q_CH, t_v, q_vt):
+    """Write the pose t -> v, ``t_v`` (3,), m, and ``q_vt`` (4,), of a chaser at ``r_CT_H`` with ``q_CH``."""
+    ring_c, q_ht, q_ct = stack_arrays.vector(3), stack_arrays.vector(4), stack_arrays.vector(4)
+    for i in range(3):
+        ring_c[i] = stations.ring_station[i] - r_CT_H[i]
+    quat.transform_into(q_CH, ring_c, ring_c)
+    for i in range(3):
+        ring_c[i] -= stations.camera_station[i]
+    quat.transform_into(stations.q_vc, ring_c, t_v)
+    quat.conjugate_into(stations.q_th, q_ht)
+    quat.multiply_into(q_CH, q_ht, q_ct)
+    quat.multiply_into(stations.q_vc, q_ct, q_vt)
+
+
+@kernel
+def chaser_pose(stations, t_v, q_vt, covariance, pose):
+    """Write ``pose`` (POSE without t_s and fresh) of the chaser from the camera's pose and covariance.
+
+    covariance: (6, 6) of t_v and of the small rotation e about v's axes, ``R_est = exp([e]x) R_true``.
+    The attitude error of c is that rotation seen in c; the position picks up its lever arm. What the bench itself is
+    off, which no unit can know, comes on top.
+    """
+    q_cv = quat.conjugate(stations.q_vc)
+    copy_into(pose.q_CH, quat.multiply(q_cv, quat.multiply(q_vt, stations.q_th)))
+    # both orders of multiplication keep unit length up to rounding
+    quat.normalise(pose.q_CH)
+    ring_c = quat.transform(q_cv, t_v)
+    ring_arm_c = quat.transform(pose.q_CH, stations.ring_station)
+    for i in range(3):
+        pose.z_TC_C[i] = ring_c[i] + stations.camera_station[i] - ring_arm_c[i]
+    # dz_c = A_cv dt_v - e_c x ring_arm_c, e_c = A_cv e_v
+    a = quat.to_matrix(q_cv)
+    g = np.zeros((3, 6))
+    for i in range(3):
+        for j in range(3):
+            g[i, j] = a[i, j]
+    for j in range(3):
+        g[0, 3 + j] = -(a[1, j] * ring_arm_c[2] - a[2, j] * ring_arm_c[1])
+        g[1, 3 + j] = -(a[2, j] * ring_arm_c[0] - a[0, j] * ring_arm_c[2])
+        g[2, 3 + j] = -(a[0, j] * ring_arm_c[1] - a[1, j] * ring_arm_c[0])
+    for i in range(3):
+        for j in range(3):
+            position = 0.0
+            attitude = 0.0
+            for m in range(6):
+                for n in range(6):
+                    position += g[i, m] * covariance[m, n] * g[j, n]
+            for m in range(3):
+                for n in range(3):
+                    attitude += a[i, m] * covariance[3 + m, 3 + n] * a[j, n]
+            pose.covariance_position[i, j] = position
+            pose.covariance_attitude[i, j] = attitude
+        pose.covariance_position[i, i] += stations.position_variance
+        pose.covariance_attitude[i, i] += stations.attitude_variance

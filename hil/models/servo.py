@@ -1,0 +1,116 @@
+"""A position-controlled axis with lag, speed and acceleration limits and end stops.
+
+The bench's mocks and the device emulators move by this one model: a position loop of gain ``kp``
+with velocity feed-forward, a drive that follows its speed command as a first-order lag ``tau``.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hil.core.jit import kernel
+from hil.maths import stack_arrays
+
+_LANES: Final = 6
+_ROWS: Final = 10
+
+
+@kernel
+def _parts(tau, dt):
+    """Return into how many parts a step of ``dt``, s, is split for a lag of ``tau``, s."""
+    return int(dt / (0.25 * tau)) + 1
+
+
+@kernel
+def _goal(setpoint, feedforward, kp):
+    """Return the rate that is asked for at position zero."""
+    return feedforward + kp * setpoint
+
+
+@kernel
+def _part(position, rate, goal, kp, share, rate_max, change_max, low, high, h):
+    """Return position and rate of one axis after a part of ``h``, s; all arguments are numbers.
+
+    goal: see ``_goal``. share: of the way to the wanted rate that is made, h / tau. change_max: of the rate in a part.
+    """
+    wanted = min(rate_max, max(-rate_max, goal - kp * position))
+    rate += min(change_max, max(-change_max, (wanted - rate) * share))
+    position += rate * h
+    if position < low:
+        position = low
+        rate = 0.0
+    elif position > high:
+        position = high
+        rate = 0.0
+    return position, rate
+
+
+@kernel
+def servo_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceleration_max, low, high, dt):
+    """Move axes on by ``dt``, s, in place. All arguments but ``dt`` are arrays of shape (n,).
+
+    position, rate: state, m and m/s (or rad and rad/s). setpoint, feedforward: wanted position and
+    its rate. kp: 1/s. tau: s. rate_max, acceleration_max: limits. low, high: end stops, where the
+    axis stands still. The step is split so that it stays well inside the lag. Neighbours of the same lag
+    go through its parts side by side: a part waits for the one before it, another axis does not.
+    """
+    first = 0
+    while first < position.shape[0]:
+        end = first + 1
+        while end < position.shape[0] and tau[end] == tau[first]:
+            end += 1
+        n = _parts(tau[first], dt)
+        h = dt / n
+        share = h / tau[first]
+        for _ in range(n):
+            for i in range(first, end):
+                position[i], rate[i] = _part(
+                    position[i], rate[i], _goal(setpoint[i], feedforward[i], kp[i]), kp[i], share,
+                    rate_max[i], acceleration_max[i] * h, low[i], high[i], h,
+                )  # fmt: skip
+        first = end
+
+
+@kernel
+def servo_step_of_two(one, other, dt):
+    """``servo_step`` of two devices of three axes each, with the same bits: side by side neither waits for the other.
+
+    one, other: records with the arguments of ``servo_step`` as fields; the three axes of each have one lag.
+    """
+    lanes = stack_arrays.matrix(_ROWS, _LANES)
+    n_one, n_other = _parts(one.tau[0], dt), _parts(other.tau[0], dt)
+    _lay_out(one, dt / n_one, 0, lanes)
+    _lay_out(other, dt / n_other, 3, lanes)
+    both = min(n_one, n_other)
+    _run_parts(lanes, both)
+    if n_one != n_other:
+        done = 0 if n_one == both else 3
+        for i in range(done, done + 3):  # parts of no time
+            lanes[4, i] = lanes[6, i] = lanes[9, i] = 0.0
+        _run_parts(lanes, max(n_one, n_other) - both)
+    for i in range(3):
+        one.position[i], one.rate[i] = lanes[0, i], lanes[1, i]
+        other.position[i], other.rate[i] = lanes[0, 3 + i], lanes[1, 3 + i]
+
+
+@kernel
+def _lay_out(axes, h, first, lanes):
+    """Write the arguments of ``_part`` of three axes into columns of ``lanes`` from ``first`` on."""
+    share = h / axes.tau[0]
+    for i in range(3):
+        j = first + i
+        lanes[0, j], lanes[1, j] = axes.position[i], axes.rate[i]
+        lanes[2, j], lanes[3, j] = _goal(axes.setpoint[i], axes.feedforward[i], axes.kp[i]), axes.kp[i]
+        lanes[4, j], lanes[5, j], lanes[6, j] = share, axes.rate_max[i], axes.acceleration_max[i] * h
+        lanes[7, j], lanes[8, j], lanes[9, j] = axes.low[i], axes.high[i], h
+
+
+@kernel
+def _run_parts(lanes, n):
+    """Move all lanes on by ``n`` parts."""
+    for _ in range(n):
+        for i in range(_LANES):
+            lanes[0, i], lanes[1, i] = _part(
+                lanes[0, i], lanes[1, i], lanes[2, i], lanes[3, i], lanes[4, i],
+                lanes[5, i], lanes[6, i], lanes[7, i], lanes[8, i], lanes[9, i],
+            )  # fmt: skip

@@ -1,0 +1,233 @@
+"""From a frame to its pose: follow the target where it was, or find it in the whole region, measure, and judge."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.config.scene import Scene
+from hil.models import docking_view
+from hil.monitor import validation
+from hil.monitor.detector import Recogniser
+from hil.monitor.features import ACROSS, LABEL, UPRIGHT, parts_of
+from hil.monitor.frame_result import FAR, NEAR, NO_TARGET, Look
+from hil.monitor.kernels import measure
+from hil.monitor.kernels.edge_samples import CELL
+from hil.monitor.kernels.pose import UNKNOWNS
+from hil.monitor.motion import Motion
+from hil.monitor.paper.paper import paper_frame
+from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
+from hil.monitor.results import Seen
+from hil.monitor.settings import Settings
+from hil.monitor.sources import Frame
+
+Floats = NDArray[np.float64]
+
+_MOST_CELLS: Final = 4096
+_TRACK_REACHES_PX: Final = (4.0, 10.0)
+_SEARCH_REACHES_PX: Final = (3.0, 6.0, 12.0)
+_FEWEST_AGREEING: Final = 12
+_MOST_AGREE: Final = 0.7  # share of the edges
+_TRIED: Final = 5  # hypotheses a frame
+_MARGIN_PX: Final = 24.0
+
+
+class Observer:
+    """Looks at frame after frame of one target; remembers where it was and what the camera's noise is like."""
+
+    def __init__(self, scene: Scene, settings: Settings) -> None:
+        self._settings = settings
+        self._camera = scene.camera
+        self._parts = parts_of(scene.camera, scene.chosen(settings.target))
+        self._recogniser = Recogniser(self._parts)
+        self._tuning = settings.tuning()
+        self._cells = np.zeros(_MOST_CELLS, CELL)
+        self._left, self._normal, self._sums = np.zeros(_MOST_CELLS), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(4)
+        self._state = _fresh_camera()
+        self._last: tuple[float, Floats] | None = None
+        self._motion: Motion | None = None
+        self._near = np.ones(self._parts.features, np.int64)
+        self._far = self._near.copy()
+        self._far[[ACROSS, UPRIGHT, LABEL]] = 0
+        self._whole = Region(0, 0, scene.camera.width, scene.camera.height)
+
+    def expect(self, motion: Motion) -> None:
+        """Let the next frames be looked for along ``motion``."""
+        self._motion = motion
+
+    def look(self, frame: Frame) -> Look:
+        """Return what ``frame`` shows."""
+        image = frame.image
+        patch = image[:: max(image.shape[0] // 64, 1), :: max(image.shape[1] // 64, 1)]
+        if int(patch.max()) - int(patch.min()) < LEAST_CONTRAST:
+            return self._nothing(frame, NO_TARGET, "black")
+        followed = self._follow(frame)
+        if followed is not None and followed.used:
+            return followed
+        found = self._find(frame)
+        if found is not None and found.used:
+            return found
+        for candidate in (followed, found):
+            if candidate is not None:
+                return candidate
+        return self._nothing(frame, NO_TARGET, "not found")
+
+    def _follow(self, frame: Frame) -> Look | None:
+        """Look where the target should be by the last frames (task 1b)."""
+        if self._last is None or frame.t_s - self._last[0] > self._settings.lost_s:
+            return None
+        dt = frame.t_s - self._last[0]
+        x = self._last[1].copy()
+        if self._motion is not None:
+            x[:6] += dt * self._motion.w[1::2]
+        if not self._seek(frame, x, _TRACK_REACHES_PX):
+            return None
+        return self._measure(frame, x, tracked=True)
+
+    def _find(self, frame: Frame) -> Look | None:
+        """Look in the operator's region, then in the whole picture (task 1a)."""
+        best: Look | None = None
+        regions = [self._settings.region] if self._settings.region is not None and self._last is None else []
+        for region in [*regions, self._whole]:
+            for look in self._find_in(frame, region):
+                if look.used:
+                    return look
+                best = best or look
+        return best
+
+    def _find_in(self, frame: Frame, region: Region) -> list[Look]:
+        first = math.ceil((region.top - frame.first_line) / frame.line_step)
+        last = math.ceil((region.bottom - frame.first_line) / frame.line_step)
+        patch = np.ascontiguousarray(frame.image[max(first, 0) : last, region.left : region.right])
+        prepared = prepare(patch)
+        if prepared.contrast < LEAST_CONTRAST:
+            return []
+        shifted = Region(region.left, max(first, 0), region.right, last)
+        looks: list[Look] = []
+        guesses = self._recogniser.hypotheses(prepared, shifted, float(frame.first_line), float(frame.line_step))
+        for guess in guesses[:_TRIED]:
+            self._state = _fresh_camera()
+            x = guess.pose.copy()
+            if not self._seek(frame, x, _SEARCH_REACHES_PX):
+                continue
+            look = self._measure(frame, x, tracked=False)
+            looks.append(look)
+            if look.used:
+                break
+        return looks
+
+    def _seek(self, frame: Frame, x: Floats, reaches: tuple[float, ...]) -> bool:
+        """Move x (7,) onto the edges, within the first of ``reaches``, px, in which most edges agree; else the best."""
+        noise = math.sqrt(self._state["noise_0"] + 100.0 * self._state["noise_1"])
+        parts, start, best, found = self._parts, x.copy(), 0, x.copy()
+        for reach in reaches:
+            trial = start.copy()
+            agreeing, share = measure.seek(
+                frame.image, float(frame.first_line), float(frame.line_step), parts.lens, parts.circles, parts.lines,
+                parts.borders, trial, self._state, self._tuning, reach, max(3.0 * noise, 4.0), self._cells,
+            )  # fmt: skip
+            if agreeing > best:
+                best, found = agreeing, trial
+            if agreeing >= _FEWEST_AGREEING and share > _MOST_AGREE:
+                break
+        x[:] = found
+        return best >= _FEWEST_AGREEING
+
+    def _bar_px(self, x: Floats) -> float:
+        """Return how wide a bar of the cross is in the picture, px; 0 where it is not in front of the camera."""
+        offset, _, width = self._parts.cross
+        depth = x[2] - offset
+        return float(self._parts.lens[0] * width / depth) if width > 0.0 and depth > 0.05 else 0.0
+
+    def _measure(self, frame: Frame, x: Floats, tracked: bool) -> Look:
+        """Measure with the near features if the cross is large enough and holds, else with the far ones."""
+        first: Look | None = None
+        if self._bar_px(x) >= self._settings.near_bar_px:
+            first = self._measure_with(frame, x.copy(), NEAR, tracked)
+            if first.used:
+                return first
+        second = self._measure_with(frame, x.copy(), FAR, tracked)
+        return second if second.used or first is None else first
+
+    def _measure_with(self, frame: Frame, x: Floats, mode: str, tracked: bool) -> Look:
+        parts, state = self._parts, self._state.copy()
+        status, count = measure.measure(
+            frame.image, float(frame.first_line), float(frame.line_step), parts.lens, parts.circles, parts.lines,
+            parts.borders, x, state, self._tuning, self._near if mode == NEAR else self._far, self._cells, self._left,
+            self._normal, self._sums,
+        )  # fmt: skip
+        if status != measure.MEASURED:
+            return self._nothing(frame, "rejected_measurement", "too few edges")
+        if validation.wrong_pose(x):
+            return self._nothing(frame, "rejected_pose", "pose out of bounds")
+        cells = self._cells[:count]
+        noise = math.sqrt(float(state["noise_0"] + 100.0 * state["noise_1"]))
+        verdict = validation.Verdict(parts, cells, self._left[:count], noise)
+        if mode == NEAR:
+            labels = np.empty(len(parts.circles))
+            measure.label_contrasts(
+                frame.image, float(frame.first_line), float(frame.line_step), parts.lens, x, parts.circles, labels
+            )
+            why = validation.why_not_near(parts, verdict, labels, noise)
+        else:
+            why = validation.why_not_far(parts, verdict)
+        if why:
+            return self._nothing(frame, f"rejected_{why}", f"{mode}: {why}")
+        self._state = state
+        self._last = (frame.t_s, x.copy())
+        return self._seen(frame, x, mode, tracked, cells, noise)
+
+    def _seen(self, frame: Frame, x: Floats, mode: str, tracked: bool, cells: Any, noise: float) -> Look:
+        used = cells["good"] == 1
+        places = np.column_stack((cells["u"] + cells["shift"] * cells["nu"], cells["v"] + cells["shift"] * cells["nv"]))
+        prior = np.zeros(UNKNOWNS)
+        prior[:2] = 1.0 / (self._settings.passive_angle_rad * x[2]) ** 2
+        prior[6] = 1.0 / self._settings.growth_px**2
+        low, high = places[used].min(axis=0) - _MARGIN_PX, places[used].max(axis=0) + _MARGIN_PX
+        seen = Seen(
+            frame.number, frame.t_s, mode, (low[0], low[1], high[0] - low[0], high[1] - low[1]), places[used],
+            self._cross_at(x) if mode == NEAR else None, self._circle_at(x, near=True), self._circle_at(x, near=False),
+        )  # fmt: skip
+        return Look(
+            seen, "", x, self._normal.copy(), prior, self._sums.copy(), tracked, float(self._state["blur"]), noise,
+            cells["feature"].copy(), used,
+            paper_frame(self._parts.lens, cells) if self._settings.calculation == "paper" and mode == NEAR else None,
+        )  # fmt: skip
+
+    def _point_at(self, x: Floats, y: Floats) -> tuple[float, float, float]:
+        """Return u, v, px, and the depth, m, of the point y (3,) of C."""
+        p = docking_view.to_camera(docking_view.attitude(x[3:6]), x[:3], y)
+        f, cx, cy = self._parts.lens[:3]
+        u, v = docking_view.picture_point(f, cx, cy, p)
+        return float(u), float(v), float(p[2])
+
+    def _cross_at(self, x: Floats) -> tuple[float, float, float]:
+        u, v, _ = self._point_at(x, np.array([0.0, 0.0, self._parts.cross[0]]))
+        return u, v, -float(x[5])
+
+    def _circle_at(self, x: Floats, near: bool) -> tuple[float, float, float] | None:
+        target = self._parts.target
+        part = target.disc if near else target.outline
+        if part is None:
+            return None
+        centre = np.zeros(3)
+        if target.outline is not None and not near:
+            centre[:] = *target.outline.center_m, target.outline.offset_m
+        u, v, depth = self._point_at(x, centre)
+        return u, v, float(self._parts.lens[0] * part.radius_m / depth)
+
+    def _nothing(self, frame: Frame, status: str, reason: str) -> Look:
+        return Look(
+            Seen(frame.number, frame.t_s, status), reason, np.full(UNKNOWNS, np.nan), np.zeros((UNKNOWNS, UNKNOWNS)),
+            np.zeros(UNKNOWNS), np.zeros(4), False,
+        )  # fmt: skip
+
+
+def _fresh_camera() -> Any:
+    """Return what is assumed of a camera before its first frame is measured."""
+    state = np.zeros(1, measure.CAMERA_STATE)[0]
+    state["blur"], state["noise_0"] = 1.0, 9.0
+    return state

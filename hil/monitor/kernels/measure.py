@@ -1,0 +1,247 @@
+"""One frame: from an assumed pose to the measured one, by edges sought roughly, then fitted, in two or three rounds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.jit import kernel
+from hil.models import docking_view
+from hil.monitor.kernels.edge_samples import ARCS, BAR, SIDES, lay_cells
+from hil.monitor.kernels.edges import fit_cells
+from hil.monitor.kernels.pose import UNKNOWNS, fit_pose, residuals
+from hil.monitor.kernels.search import search_cells
+
+MEASURED, LOST, TOO_FEW, UNSOLVED = range(4)
+
+TUNING = np.dtype(
+    [
+        ("length", "f8"),  # px, of a cell along its edge
+        ("most", "i8"),  # cells of one edge
+        ("wide_bar", "f8"),  # widths of the blur from which each side of a bar is an edge of its own
+        ("wanted", "f8"),  # px to each side of an edge
+        ("reject", "f8"),  # sigmas beyond which a cell's shift is an outlier
+        ("prior_angle", "f8"),  # rad, 1 sigma of the passive angles before anything is measured
+        ("prior_growth", "f8"),  # px, 1 sigma of the edges' growth
+        ("near_bar", "f8"),  # px, narrower bars are no measure
+        ("rounds", "i8"),
+    ],
+    align=True,
+)
+
+CAMERA_STATE = np.dtype([("blur", "f8"), ("noise_0", "f8"), ("noise_1", "f8")], align=True)
+"""What the frames so far say of the camera: 1 sigma of an edge, px; variance of a pixel, noise_0 + noise_1 grey."""
+
+_SMALLEST_NOISE = 1.0 / 12.0  # rounding to whole grey values
+_FEWEST = 12
+
+
+@kernel
+def seek(image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, reach, least, cells):
+    """Move ``x`` (7,), a pose some pixels off, to within a fraction of a pixel; return how many cells
+    agree, and the share of all cells that they are."""
+    prior = np.empty(2)
+    prior[0], prior[1] = tuning.prior_angle, 0.01
+    normal = np.empty((UNKNOWNS, UNKNOWNS))
+    agree, count = 0, 0
+    for turn in range(2 if reach <= 4.0 else 3):
+        width = max(reach / (1.0 + 1.5 * turn), 2.0)
+        a = docking_view.attitude(x[3:6])
+        count = lay_cells(lens, a, x[:3], circles, lines, borders, camera.blur, 8.0, 16, 1e9, 3.0, cells)
+        search_cells(image, first_line, line_step, cells, count, width, least)
+        for robust in (width, max(0.5 * width, 1.5), max(0.25 * width, 1.0)):
+            if not fit_pose(lens, cells, count, x, robust, prior, 2, normal):
+                return 0, 0.0
+        left = np.empty(count)
+        residuals(lens, cells, count, x, left)
+        agree = 0
+        for c in range(count):
+            if abs(left[c]) < 1.0:
+                agree += 1
+    return agree, agree / max(count, 1)
+
+
+@kernel
+def _update_noise(cells, count, camera):
+    """Fit the pixels' variance against the grey value to what the cells' pixels leave unexplained."""
+    ratios = np.empty(count)
+    n = 0
+    for c in range(count):
+        if cells[c].good == 1 and cells[c].pixels > 12.0:
+            ratios[n] = cells[c].misfit / (cells[c].pixels - 4.0)
+            n += 1
+    if n < 6:
+        return
+    middle = np.median(ratios[:n])
+    s0, s1, s2, t0, t1 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for c in range(count):
+        cell = cells[c]
+        if cell.good != 1 or not cell.pixels > 12.0:
+            continue
+        ratio = cell.misfit / (cell.pixels - 4.0)
+        if ratio > 2.5 * middle:
+            continue
+        level = max(0.5 * (cell.low + cell.high), 0.0)
+        variance = ratio * (camera.noise_0 + camera.noise_1 * level)
+        weight = cell.pixels / (variance * variance)
+        s0 += weight
+        s1 += weight * level
+        s2 += weight * level * level
+        t0 += weight * variance
+        t1 += weight * level * variance
+    if not s0 > 0.0:
+        return
+    mean_level, mean = s1 / s0, t0 / s0
+    spread = s2 - s1 * mean_level
+    # a slope that the few levels of a picture hardly tell is held at none
+    doubt = 1.0 / max(mean / max(mean_level, 1.0), 1e-6) ** 2
+    slope = (t1 - t0 * mean_level) / (spread + doubt)
+    slope = min(max(slope, 0.0), 0.9 * mean / max(mean_level, 1.0))
+    camera.noise_1 = slope
+    camera.noise_0 = max(mean - slope * mean_level, _SMALLEST_NOISE)
+
+
+@kernel
+def drop_outliers(cells, count, left, reject):
+    """Set good = 2 where a shift is more than ``reject`` sigmas off, sigma widened by what most shifts scatter."""
+    ratios = np.empty(count)
+    n = 0
+    for c in range(count):
+        if cells[c].good == 1:
+            ratios[n] = abs(left[c]) / math.sqrt(cells[c].variance)
+            n += 1
+    if n == 0:
+        return 0
+    scale = max(1.4826 * np.median(ratios[:n]), 1.0)
+    kept = 0
+    for c in range(count):
+        if cells[c].good == 1:
+            if abs(left[c]) > reject * scale * math.sqrt(cells[c].variance):
+                cells[c].good = 2
+            else:
+                kept += 1
+    return kept
+
+
+@kernel
+def square_sums(cells, count, left, clusters, sums):
+    """Write what the residuals ``left`` say of the sigmas; sums (4,).
+
+    Square sum of the cells' residuals in their sigmas, number of cells; the same of the means of the straight edges
+    and arcs: errors that the cells of one edge share show there.
+    """
+    total, n = 0.0, 0
+    weights, means = np.zeros(clusters), np.zeros(clusters)
+    for c in range(count):
+        cell = cells[c]
+        if cell.good == 1:
+            total += left[c] * left[c] / cell.variance
+            n += 1
+            weights[cell.cluster] += 1.0 / cell.variance
+            means[cell.cluster] += left[c] / cell.variance
+    sums[0], sums[1], sums[2], sums[3] = total, n, 0.0, 0.0
+    for k in range(clusters):
+        if weights[k] > 0.0:
+            sums[2] += means[k] * means[k] / weights[k]
+            sums[3] += 1.0
+
+
+@kernel
+def _leave_out(cells, count, used, camera, near_bar):
+    """Drop cells of features that are not used, bars too narrow to measure, and shifts too uncertain."""
+    for c in range(count):
+        cell = cells[c]
+        if cell.good != 1:
+            continue
+        if used[cell.feature] == 0 or (cell.kind == BAR and cell.width < near_bar) or not 0.0 < cell.variance < 0.09:
+            cell.good = 0
+        elif cell.misfit > 6.0 * cell.pixels:
+            cell.good = 3
+
+
+@kernel
+def measure(
+    image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, used, cells, left, normal, sums
+):
+    """Measure the pose ``x`` (7,), which is right to about a pixel; return (status, number of cells).
+
+    camera: CAMERA_STATE, brought up to date. used: (features,), 1 where a feature takes part. left: residuals, px.
+    normal: (7, 7), of the edges alone. sums: (4,) of ``square_sums``.
+    """
+    prior, noise, blur_sums = np.empty(2), np.empty(2), np.empty(2)
+    prior[0], prior[1] = tuning.prior_angle, tuning.prior_growth
+    clusters = ARCS * circles.shape[0] + SIDES * lines.shape[0]
+    count = 0
+    for _ in range(tuning.rounds):
+        a = docking_view.attitude(x[3:6])
+        count = lay_cells(lens, a, x[:3], circles, lines, borders, camera.blur, tuning.length, tuning.most,
+                          tuning.wide_bar * camera.blur, tuning.wanted, cells)  # fmt: skip
+        noise[0], noise[1] = camera.noise_0, camera.noise_1
+        fit_cells(image, first_line, line_step, cells, count, camera.blur, noise, 1, blur_sums)
+        _leave_out(cells, count, used, camera, tuning.near_bar)
+        _update_noise(cells, count, camera)
+        if blur_sums[1] > 0.0:
+            step = min(max(blur_sums[0] / blur_sums[1], -0.3), 0.3)
+            camera.blur = min(max(camera.blur + step, 0.3), 4.0)
+        for _ in range(3):
+            if not fit_pose(lens, cells, count, x, 0.0, prior, 1, normal):
+                return UNSOLVED, count
+            residuals(lens, cells, count, x, left)
+            if drop_outliers(cells, count, left, tuning.reject) < _FEWEST:
+                return TOO_FEW, count
+    if not fit_pose(lens, cells, count, x, 0.0, prior, 1, normal):
+        return UNSOLVED, count
+    residuals(lens, cells, count, x, left)
+    square_sums(cells, count, left, clusters, sums)
+    return MEASURED, count
+
+
+@kernel
+def label_contrasts(image, first_line, line_step, lens, x, circles, out):
+    """Write how each small circle (group < 0) stands out: mean grey inside minus that around it (nan: not to be seen).
+
+    out: (circles,).
+    """
+    a = docking_view.attitude(x[3:6])
+    p = np.empty(3)
+    for i in range(circles.shape[0]):
+        out[i] = np.nan
+        c = circles[i]
+        if c.group >= 0:
+            continue
+        p[0], p[1], p[2] = c.y1, c.y2, c.y3
+        seen = docking_view.to_camera(a, x[:3], p)
+        if seen[2] < 1e-3:
+            continue
+        u, v = docking_view.picture_point(lens[0], lens[1], lens[2], seen)
+        radius = lens[0] * c.radius / seen[2]
+        out[i] = _spot(image, first_line, line_step, u, v, radius)
+
+
+@kernel
+def _spot(image, first_line, line_step, u, v, radius):
+    """Return the mean grey value within half the radius minus that of a ring at 1.5 to 2 radii plus a pixel; or nan."""
+    outer = 2.0 * radius + 1.0
+    inner = max(0.5 * radius, 0.7)
+    ring = 1.5 * radius + 1.0
+    top, bottom = (
+        math.ceil((v - outer - first_line) / line_step),
+        math.floor((v + outer - first_line) / line_step),
+    )
+    left, right = math.ceil(u - outer), math.floor(u + outer)
+    if top < 0 or left < 0 or bottom >= image.shape[0] or right >= image.shape[1]:
+        return np.nan
+    low, n_low, high, n_high = 0.0, 0, 0.0, 0
+    for row in range(top, bottom + 1):
+        for column in range(left, right + 1):
+            distance = math.hypot(column - u, first_line + line_step * row - v)
+            if distance <= inner:
+                low += image[row, column]
+                n_low += 1
+            elif ring <= distance <= outer:
+                high += image[row, column]
+                n_high += 1
+    if n_low == 0 or n_high == 0:
+        return np.nan
+    return low / n_low - high / n_high

@@ -1,0 +1,1 @@
+"""The docking monitor as printed in the monitor paper."""

@@ -1,0 +1,1 @@
+"""Screen of the docking monitor: overlay, plots, drawing."""

@@ -1,0 +1,104 @@
+"""Whether what was measured is the target: support by enough of each feature's edges, one sense, the labels, scatter.
+
+A frame that fails gives no numbers. Nothing is judged by grey values, only by which side is brighter and by noise.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.monitor.features import ACROSS, BOX, DISC, LABEL, OUTLINE, PLATE, UPRIGHT, Parts
+
+Floats = NDArray[np.float64]
+
+_SUPPORT: Final = 0.5  # share of a feature's cells that must agree with the pose
+_ONE_SENSE: Final = 0.9  # share of a feature's cells that step the same way
+_LARGEST_SCATTER_PX: Final = 0.35
+_LARGEST_ANGLE: Final = 0.7  # rad
+_LARGEST_PASSIVE: Final = 0.4
+_FARTHEST_M: Final = 500.0
+_LEAST_STEP: Final = 4.0  # noise sigmas of a step's height
+
+
+class Verdict:
+    """Counts of one measured frame, by feature."""
+
+    def __init__(self, parts: Parts, cells: NDArray[np.void], left: Floats, noise: float) -> None:
+        n = parts.features
+        feature = cells["feature"]
+        used = cells["good"] == 1
+        self._cells, self._used, self._left, self._features = cells, used, left, n
+        self.laid = np.bincount(feature, minlength=n)
+        self.good = np.bincount(feature[used], minlength=n)
+        step = cells["high"] - cells["low"]
+        sense = np.sign(step)
+        total = np.bincount(feature[used], weights=sense[used], minlength=n)
+        height = np.bincount(feature[used], weights=np.abs(step[used]), minlength=n)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            same = 0.5 * (1.0 + np.abs(total) / self.good)
+            high = height / self.good
+            share = self.good / self.laid
+        self.supported = (share >= _SUPPORT) & (same >= _ONE_SENSE) & (high >= _LEAST_STEP * noise)
+        self.seen = self.laid > 0
+
+    def scatter_px(self) -> float:
+        """Root mean square of the used points' residuals, px, in excess of their own noise."""
+        cells, used = self._cells, self._used
+        square = np.mean(self._left[used] ** 2) - np.mean(cells["variance"][used])
+        return float(np.sqrt(max(square, 0.0)))
+
+
+def wrong_pose(x: Floats) -> bool:
+    """Return whether the pose (7,) cannot be one of an approach."""
+    return (
+        not np.all(np.isfinite(x))
+        or not 0.05 < x[2] < _FARTHEST_M
+        or bool(np.any(np.abs(x[3:6]) > _LARGEST_ANGLE))
+        or max(abs(x[0]), abs(x[1])) > _LARGEST_PASSIVE * x[2]
+        or abs(x[6]) > 0.5
+    )
+
+
+def why_not_near(parts: Parts, verdict: Verdict, labels: Floats, noise: float) -> str:
+    """Return why the near features do not confirm the target; empty where they do. labels: contrasts, grey values."""
+    supported, laid, good = verdict.supported, verdict.laid, verdict.good
+    for bar in (ACROSS, UPRIGHT):
+        if not supported[bar] or good[bar] < 2:
+            return "cross"
+    if laid[DISC] >= 6 and not supported[DISC]:
+        return "disc"
+    if verdict.scatter_px() > _LARGEST_SCATTER_PX:
+        return "scatter"
+    shown = labels[np.isfinite(labels)]
+    confirmed = False
+    if len(shown) >= 2:
+        strong = np.abs(shown) > 2.0 * noise
+        agreeing = max(int(np.sum(strong & (shown > 0.0))), int(np.sum(strong & (shown < 0.0))))
+        if agreeing < max(2, (len(shown) + 1) // 2):
+            return "labels"
+        confirmed = True
+    if supported[PLATE] and good[PLATE] >= 6:
+        confirmed = True
+    if supported[OUTLINE] or supported[LABEL] or bool(np.any(supported[BOX:])):
+        confirmed = True
+    return "" if confirmed else "unconfirmed"
+
+
+def why_not_far(parts: Parts, verdict: Verdict) -> str:
+    """Return why outline and boxes do not confirm the target; empty where they do."""
+    supported, laid = verdict.supported, verdict.laid
+    boxes = supported[BOX:]
+    if parts.target.outline is not None:
+        if laid[OUTLINE] < 6 or not supported[OUTLINE]:
+            return "outline"
+    elif not supported[DISC]:
+        return "disc"
+    if verdict.scatter_px() > _LARGEST_SCATTER_PX:
+        return "scatter"
+    others = int(np.sum(boxes)) + int(supported[PLATE]) + (int(supported[DISC]) if parts.target.outline else 0)
+    if parts.target.boxes and np.any(verdict.seen[BOX:]) and not np.any(boxes):
+        return "boxes"
+    return "" if others >= 1 else "unconfirmed"

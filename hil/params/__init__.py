@@ -1,0 +1,1 @@
+"""Parameter records of the kernels, from user units to SI."""

@@ -1,0 +1,247 @@
+"""From configuration, in the units of people, to the parameter records of the kernels, in SI."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import gammainccinv, ndtr
+
+from hil.bench.kinematics import BENCH_PARAMS
+from hil.config.rig import Rig
+from hil.config.scenario import Chaser, Scenario, Thrusters
+from hil.core.messages import MAX_THRUSTERS, Array, new
+from hil.dynamics.hill import input_response, transition
+from hil.dynamics.imu import IMU_PARAMS
+from hil.dynamics.vision import VISION_PARAMS
+from hil.gnc.allocation import AXES_OF_A_BODY, ROWS, thruster_sets, unit_wrenches
+from hil.gnc.approach_monitor import SUPERVISION_PARAMS
+from hil.gnc.control import CONTROL_PARAMS
+from hil.gnc.fusion import AS_PRINTED, MULTIPLICATIVE
+from hil.gnc.guidance import APPROACH, FINAL, GUIDANCE_PARAMS, HOLD, RETREAT, WAIT
+from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
+from hil.maths import euler, quat
+from hil.models.camera import CAMERA
+from hil.models.mounting import STATIONS
+from hil.params.dynamics import YAW_PITCH_ROLL as YAW_PITCH_ROLL
+from hil.params.dynamics import dss as dss
+from hil.params.dynamics import field as field
+from hil.params.dynamics import initial_truth as initial_truth
+from hil.params.dynamics import orbit_rate as orbit_rate
+from hil.params.dynamics import thruster_draws_shape as thruster_draws_shape
+
+
+def initial_rotation_vector(scenario: Scenario) -> Array:
+    """Return the chaser's initial attitude against H as a rotation vector (3,), rad."""
+    q = euler.to_quaternion(np.radians(scenario.initial.attitude_deg), YAW_PITCH_ROLL)
+    phi: Array = quat.to_rotation_vector(q)
+    return phi
+
+
+def imu(scenario: Scenario) -> np.record:
+    """Return IMU_PARAMS."""
+    params = new(IMU_PARAMS)
+    params.dt_s = scenario.step_s
+    params.sigma_gyro = math.radians(scenario.imu.gyro_noise_degps)
+    params.sigma_drift = math.radians(scenario.imu.gyro_drift_noise_degps2)
+    params.sigma_accelerometer = scenario.imu.accelerometer_noise_mps2
+    params.sigma_bias = scenario.imu.accelerometer_bias_noise_mps3
+    return params
+
+
+def vision(scenario: Scenario) -> np.record:
+    """Return VISION_PARAMS."""
+    params = new(VISION_PARAMS)
+    params.sigma_position = scenario.vmu.sigma_position_m
+    params.sigma_angle = math.radians(scenario.vmu.sigma_angle_deg)
+    params.reference_range = scenario.vmu.reference_range_m
+    params.reported_scale = scenario.vmu.reported_sigma_scale
+    return params
+
+
+def stations(rig: Rig) -> np.record:
+    """Return STATIONS."""
+    params = new(STATIONS)
+    params.camera_station = rig.bench.camera_station_m
+    params.q_vc = quat.from_matrix(np.array(rig.bench.camera_axes))
+    params.ring_station = rig.bench.ring_station_m
+    params.q_th = quat.from_matrix(np.array(rig.bench.ring_axes))
+    params.position_variance = rig.vmu.bench_sigma_m**2
+    params.attitude_variance = math.radians(rig.vmu.bench_sigma_deg) ** 2
+    return params
+
+
+def camera(rig: Rig) -> tuple[np.record, Array]:
+    """Return CAMERA, and the lamps of the ring in t, (n, 3), m."""
+    params = new(CAMERA)
+    settings = rig.vmu.camera
+    params.focal = settings.focal_px
+    params.width = settings.width_px
+    params.height = settings.height_px
+    params.baseline = settings.baseline_m
+    return params, np.array(rig.vmu.leds_m, dtype=float)
+
+
+def navigation(scenario: Scenario) -> np.record:
+    """Return NAVIGATION_PARAMS."""
+    params = new(NAVIGATION_PARAMS)
+    gnc = scenario.gnc
+    w0 = orbit_rate(scenario)
+    params.sensors = VISION_AND_IMU if gnc.navigation.sensors == "vision_imu" else VISION_ALONE
+    fusion = params.fusion
+    fusion.attitude_form = AS_PRINTED if gnc.akf.form == "as_printed" else MULTIPLICATIVE
+    akf = fusion.akf
+    akf.dt_s = scenario.step_s
+    akf.orbit_rate = w0
+    akf.sigma_gyro = math.radians(gnc.akf.gyro_noise_degps)
+    akf.sigma_drift = math.radians(gnc.akf.gyro_drift_noise_degps2)
+    akf.initial_drift = np.radians(gnc.akf.gyro_drift_degps)
+    akf.gate = _gate(gnc.navigation.gate_sigma)
+    akf.initial_drift_sigma = math.radians(gnc.akf.initial_drift_sigma_degps)
+    pkf = fusion.pkf
+    pkf.dt_s = scenario.step_s
+    pkf.hill_transition = transition(w0, scenario.step_s)
+    pkf.hill_response = input_response(w0, scenario.step_s)
+    pkf.sigma_accelerometer = gnc.pkf.accelerometer_noise_mps2
+    pkf.sigma_bias = gnc.pkf.accelerometer_bias_noise_mps3
+    pkf.gate = akf.gate
+    pkf.initial_velocity_sigma = gnc.pkf.initial_velocity_sigma_mps
+    pkf.initial_bias = gnc.pkf.accelerometer_bias_mps2
+    pkf.initial_bias_sigma = gnc.pkf.initial_bias_sigma_mps2
+    look = params.vision_only
+    look.dt_s = scenario.step_s
+    look.position_lag_s = gnc.vision_only.position_lag_s
+    look.velocity_lag_s = gnc.vision_only.velocity_lag_s
+    look.attitude_lag_s = gnc.vision_only.attitude_lag_s
+    look.rate_lag_s = gnc.vision_only.rate_lag_s
+    return params
+
+
+def _gate(sigma: float) -> float:
+    """Return the NIS of three components that is as rare as ``sigma`` standard deviations of one."""
+    return float(2.0 * gammainccinv(1.5, 2.0 * ndtr(-sigma)))  # chi-square of 3; scipy.stats is slow to import
+
+
+PHASE_KINDS = {"approach": APPROACH, "hold": HOLD, "wait": WAIT, "final": FINAL, "retreat": RETREAT}
+
+
+_BRAKE_SHARE = 0.9  # of what the thrusters give: the rest is for control
+
+
+def braking_acceleration(scenario: Scenario) -> float:
+    """Return what the strong sets give along the docking axis with the chaser upright, m/s^2."""
+    _, strength = allocation(scenario.chaser)
+    axis = np.abs(np.array(scenario.gnc.corridor.axis))
+    return float((strength[AXES_OF_A_BODY:] / np.maximum(axis, 1e-12)).min() / scenario.chaser.mass_kg)
+
+
+def guidance(scenario: Scenario) -> np.record:
+    """Return GUIDANCE_PARAMS: the phases in the order of the sequence, from the planned start on."""
+    params = new(GUIDANCE_PARAMS)
+    settings, abort = scenario.gnc.guidance, scenario.gnc.abort
+    params.start = scenario.initial.position_m
+    params.n_phases = len(settings.sequence)
+    for k, name in enumerate(settings.sequence):
+        phase = settings.phases[name]
+        params.kind[k] = PHASE_KINDS[phase.kind]
+        params.point[k] = phase.point_m or settings.ready_point_m
+        params.speed[k] = phase.speed_mps or settings.approach_speed_mps
+        params.acceleration[k] = phase.acceleration_mps2 or settings.acceleration_mps2
+        params.deceleration[k] = phase.deceleration_mps2 or settings.deceleration_mps2
+        params.duration_s[k] = phase.duration_s or 0.0
+        params.until_s[k] = math.inf if phase.until_s is None else phase.until_s
+    params.axis = scenario.gnc.corridor.axis
+    axial_start = float(np.dot(scenario.initial.position_m, params.axis))
+    # no farther out than the start, which the bench is known to reach
+    params.abort_distance = min(abort.hold_distance_m, max(0.0, axial_start))
+    params.abort_speed = abort.speed_mps
+    params.abort_acceleration = abort.acceleration_mps2
+    params.brake = min(abort.brake_mps2, _BRAKE_SHARE * braking_acceleration(scenario))
+    return params
+
+
+def supervision(scenario: Scenario) -> np.record:
+    """Return SUPERVISION_PARAMS."""
+    params = new(SUPERVISION_PARAMS)
+    corridor, wanted = scenario.gnc.corridor, scenario.requirements
+    params.cone = math.tan(math.radians(corridor.half_angle_deg))
+    params.minimum_radius = corridor.minimum_radius_m
+    params.closing_floor = corridor.closing_rate_mps
+    params.closing_slope = corridor.closing_rate_slope_per_s
+    params.closing_greatest = corridor.closing_rate_max_mps
+    params.floor_range = math.hypot(*scenario.gnc.guidance.ready_point_m)
+    params.confidence = corridor.confidence
+    params.persistence = max(1, round(corridor.persistence_s / scenario.step_s))
+    at_s = scenario.gnc.abort.at_s
+    params.abort_at_s = math.inf if at_s is None else at_s
+    params.ready_point = (wanted.axial_distance_m, 0.0, 0.0)
+    params.ready_distance = (wanted.axial_tolerance_m, wanted.radial_distance_m, wanted.radial_distance_m)
+    params.ready_rate = (wanted.axial_rate_mps, wanted.radial_rate_mps, wanted.radial_rate_mps)
+    params.ready_angle = math.radians(wanted.angle_deg)
+    params.ready_angular_rate = math.radians(wanted.angular_rate_degps)
+    return params
+
+
+def allocation(chaser: Chaser) -> tuple[np.ndarray, Array]:
+    """Return the thruster sets, int64 (ROWS, 2, MAX_THRUSTERS), and the strength (ROWS,), N and N m, of each row.
+
+    Raises ValueError where the layout cannot move an axis.
+    """
+    sets, strength = _allocation(chaser.thrusters)
+    return sets.copy(), strength.copy()
+
+
+@lru_cache(maxsize=8)
+def _allocation(thrusters: Thrusters) -> tuple[np.ndarray, Array]:
+    """Return what ``allocation`` does; thousands of sets are looked through, so each layout is looked at once."""
+    n = len(thrusters.position_m)
+    wrenches = unit_wrenches(
+        np.array(thrusters.position_m), np.array(thrusters.direction), np.full(n, thrusters.force_n)
+    )
+    sets = np.zeros((ROWS, 2, MAX_THRUSTERS), dtype=np.int64)
+    chosen, strength = thruster_sets(wrenches)
+    sets[:AXES_OF_A_BODY, :, :n] = chosen
+    strong, boosted = thruster_sets(wrenches, strong=True)
+    sets[AXES_OF_A_BODY:, :, :n] = strong[:3]
+    return sets, np.concatenate([strength, boosted[:3]])
+
+
+def control(scenario: Scenario, strength: Array) -> np.record:
+    """Return CONTROL_PARAMS; ``strength`` (ROWS,), N and N m, as ``allocation`` gives it."""
+    params = new(CONTROL_PARAMS)
+    settings = scenario.gnc.control
+    step_s = scenario.step_s
+
+    def six(force: float, torque: float) -> list[float]:
+        return [force] * 3 + [torque] * 3
+
+    params.dt_s = step_s
+    params.deadband = six(settings.deadband_m, math.radians(settings.deadband_deg))
+    params.caution = six(settings.caution, settings.attitude_caution)
+    params.lead = six(settings.lead_s, settings.attitude_lead_s)
+    params.correction_rate = six(settings.correction_rate_mps, math.radians(settings.slew_rate_degps))
+    params.period = [max(1, round(s / step_s)) for s in six(settings.period_s, settings.attitude_period_s)]
+    inertia = np.diag(np.array(scenario.chaser.inertia_kg_m2))
+    params.acceleration = np.concatenate([strength[:3] / scenario.chaser.mass_kg, strength[3:6] / inertia])
+    params.boosted_acceleration = strength[6:] / scenario.chaser.mass_kg
+    return params
+
+
+def bench(rig: Rig, step_s: float) -> np.record:
+    """Return BENCH_PARAMS: geometry and limits of the six axes."""
+    params = new(BENCH_PARAMS)
+    params.dt_s = step_s
+    params.lever_arm = rig.bench.lever_arm_m
+    params.order = ["xyz".index(letter) for letter in rig.bench.gimbal_order]
+    rails = (rig.rails.x, rig.rails.y, rig.rails.z)
+    gimbals = (rig.turntable.roll, rig.turntable.pitch, rig.turntable.yaw)
+    params.low = [*(a.travel_m[0] for a in rails), *(math.radians(a.travel_deg[0]) for a in gimbals)]
+    params.high = [*(a.travel_m[1] for a in rails), *(math.radians(a.travel_deg[1]) for a in gimbals)]
+    params.rate_max = [*(a.rate_max_mps for a in rails), *(math.radians(a.rate_max_degps) for a in gimbals)]
+    params.acceleration_max = [
+        *(a.acceleration_max_mps2 for a in rails),
+        *(math.radians(a.acceleration_max_degps2) for a in gimbals),
+    ]
+    params.lead = [a.lead_s for a in (*rails, *gimbals)]
+    return params

@@ -1,0 +1,1 @@
+"""Sessions: a bench built for a rig, run and closed."""

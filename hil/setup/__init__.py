@@ -1,0 +1,1 @@
+"""Assembly of a loop from scenario and rig."""

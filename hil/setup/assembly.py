@@ -1,0 +1,294 @@
+"""The loop put together from its parts, whatever the devices are: stages, supervisor, runner, and the mocks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.cameras.factory import make_eye
+from hil.cameras.pose_model import transport
+from hil.checks.compatibility import axes_at
+from hil.config.load import Loaded
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable
+from hil.config.scenario import Scenario
+from hil.core.camera_images import MakesPictures
+from hil.core.messages import AXES, CYCLE, PoseFrame, new
+from hil.core.operator_commands import Operator
+from hil.core.realtime import NoPrecedence, Precedence
+from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
+from hil.drivers.command_words.poses import PoseForwarder
+from hil.drivers.command_words.receiver import WordReceiver
+from hil.dynamics.imu import IMU_NOISE
+from hil.errors import BadInput, Problem
+from hil.frmn.ring import NoTelemetry, Telemetry
+from hil.gnc.filter_monitor import FilterWatch
+from hil.gnc_backends.approach_events import ApproachDiary
+from hil.gnc_backends.base import Seat
+from hil.gnc_backends.command_words import WordsGnc
+from hil.gnc_backends.library_file import KEY as LIBRARY_KEY
+from hil.gnc_backends.library_file import Library
+from hil.gnc_backends.shared_library import LibraryGnc
+from hil.loop.bench_stage import Bench
+from hil.loop.cycle import Loop
+from hil.loop.motion_sequences import Watch
+from hil.loop.overrun_monitor import LateCycles
+from hil.loop.rate_keeper import Rate
+from hil.loop.runner import Runner
+from hil.loop.safety_io_stage import IoStage
+from hil.loop.stages import Dss, Gnc, Vision
+from hil.loop.target_stage import PlacedTarget
+from hil.maths.random_streams import NormalRows, stream
+from hil.params import gnc as gnc_params
+from hil.safety.limits import limits_of
+from hil.safety.monitor import Supervisor
+from hil.safety.packet_loss import LeakyBucket, LinkWatch
+from hil.setup.gnc_setup import briefing, gnc_setup
+
+_FRAMES_TO_FORGET = 2.0  # in their time one lost frame is forgiven, where the rig file says nothing else
+
+
+Devices = tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None, AxisGroup | None]
+"""Rails, turntable, vision unit, digital lines, what moves the target."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be run, checked.
+
+    dispersed: the scenario as it is in truth, where chance has moved it away from what guidance, navigation and
+    control were told; None where it has not. seat: makes who flies, in place of what the scenario says. paced: a
+    mock rig runs on the wall clock.
+    """
+
+    scenario: Loaded[Scenario]
+    rig: Loaded[Rig]
+    seed: int
+    duration_s: float
+    speed: float
+    dispersed: Scenario | None = None
+    seat: Callable[[Scenario], Seat] | None = None
+    paced: bool = False
+
+    @property
+    def truth(self) -> Scenario:
+        """The scenario of vehicle, sensors and start; ``scenario`` is that of the GNC."""
+        return self.dispersed or self.scenario.value
+
+    @property
+    def cycles(self) -> int:
+        """Cycles of the run, the one at t = 0 and the one at t = duration included."""
+        return round(self.duration_s / self.scenario.value.step_s) + 1
+
+
+def assemble(
+    job: Job,
+    rig: Rig,
+    rate: Rate,
+    rails: AxisGroup,
+    turntable: AxisGroup,
+    source: PoseSource,
+    io: DiscreteIo | None,
+    target: AxisGroup | None,
+    frames_to_arm: int,
+    watch: Watch,
+    operator: Operator | None = None,
+    precedence: Precedence | None = None,
+    telemetry: Telemetry | None = None,
+) -> Runner:
+    """Return a Runner of ``job`` on these devices, kept in time by ``rate``.
+
+    frames_to_arm: poses that must have come before the loop is closed. watch: told now and then how far it is.
+    """
+    scenario = job.scenario.value
+    bench = gnc_params.bench(rig, scenario.step_s)
+    axis_names = (*rails.axis_names, *turntable.axis_names)
+    supervisor = Supervisor(limits_of(rig, bench), axis_names, _links(rig, rails, turntable, source))
+    loop = Loop(
+        dss=_dss(job.truth, job.seed),
+        bench=Bench(rails, turntable, bench, supervisor),
+        vision=Vision(source, gnc_params.stations(rig)),
+        gnc=_seat(job, rig, rate),
+        history=np.zeros(job.cycles, CYCLE),
+        telemetry=telemetry or NoTelemetry(),
+        bench_now_s=rate.now_s,
+    )
+    if io is not None and rig.io is not None:
+        lines = IoStage(io, loop.now.command.on[: rig.io.thruster_lines])
+        loop.lines = lines
+        loop.bench.emergency_input = lines.emergency_input
+    if isinstance(loop.gnc, WordsGnc) and loop.gnc.forwarder is not None:
+        loop.vision.forward = loop.gnc.forwarder.put
+    if target is not None and rig.moved_target is not None:
+        loop.target = PlacedTarget(target, rig.moved_target)
+    loop.now.row["truth"] = gnc_params.initial_truth(job.truth)
+    draw_initial_imu_errors(job.truth, job.seed, loop.now.imu)
+    late_cycles = LateCycles(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
+    late_cycles.on_hold = lambda trip: supervisor.ask_for_hold(str(trip))
+    loop.gnc.ask_for_hold = supervisor.ask_for_hold
+    return Runner(
+        loop,
+        rate,
+        precedence or NoPrecedence(),
+        late_cycles,
+        scenario.step_s,
+        job.cycles,
+        frames_to_arm,
+        watch,
+        operator,
+        parking_place(rig),
+        rig.bench.park_after_run,
+    )
+
+
+def _seat(job: Job, rig: Rig, rate: Rate) -> Seat:
+    """Return who flies: whom the job names, a flight computer where the rig has one, or whom the scenario names."""
+    scenario, computer = job.scenario.value, rig.flight_computer
+    if job.seat is not None:
+        return job.seat(scenario)
+    if computer.words == "none":
+        return make_seat(scenario)
+    return WordsGnc(
+        computer,
+        WordReceiver(computer, rate.now_s),
+        PoseForwarder(computer.poses) if computer.poses.port is not None else None,
+        rate.now_s,
+        briefing(scenario),
+    )
+
+
+def make_gnc(scenario: Scenario) -> Gnc:
+    """Return navigation, guidance, supervision and control of ``scenario``, before their first cycle."""
+    sets, strength = gnc_params.allocation(scenario.chaser)
+    navigation = gnc_params.navigation(scenario)
+    return Gnc(
+        navigation,
+        gnc_params.guidance(scenario),
+        gnc_params.supervision(scenario),
+        gnc_params.control(scenario, strength),
+        sets,
+        len(scenario.chaser.thrusters.position_m),
+        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+        FilterWatch(navigation, _shadow_limits(scenario)),
+    )
+
+
+def make_seat(scenario: Scenario) -> Seat:
+    """Return who flies ``scenario``: the GNC here, or the library that it names. Raises BadInput where that is none."""
+    if scenario.gnc.library is None:
+        return make_gnc(scenario)
+    return LibraryGnc(Library(scenario.gnc.library), briefing(scenario))
+
+
+def library_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return what keeps the library of ``scenario``, where it names one, from flying it."""
+    path = scenario.value.gnc.library
+    if path is None:
+        return []
+    try:
+        with Library(path, scenario.where(LIBRARY_KEY)).open(gnc_setup(scenario.value)):
+            return []
+    except BadInput as error:
+        return list(error.problems)
+
+
+def parking_place(rig: Rig) -> np.record:
+    """Return AXES, at rest, where the bench is left: each axis' ``park_m`` or ``park_deg``."""
+    axes: np.record = new(AXES)
+    axes.rail_m = [getattr(rig.rails, name).park_m for name in RAIL_NAMES]
+    axes.gimbal_rad = np.radians([getattr(rig.turntable, name).park_deg for name in GIMBAL_NAMES])
+    return axes
+
+
+def _links(rig: Rig, rails: AxisGroup, turntable: AxisGroup, source: PoseSource) -> list[LinkWatch]:
+    """Return a leaky bucket for each device that counts what its wire loses."""
+    watches = []
+    for device, config in ((rails, rig.rails), (turntable, rig.turntable)):
+        if isinstance(device, CountsLosses):
+            bucket = LeakyBucket(config.lost_packets_max, config.lost_packets_forget_s)
+            watches.append(LinkWatch(device.name, bucket, device.lost_packets))
+    forget_s = rig.vmu.lost_packets_forget_s or _FRAMES_TO_FORGET / rig.vmu.rate_hz
+    bucket = LeakyBucket(rig.vmu.lost_packets_max, forget_s)
+    return [*watches, LinkWatch(source.name, bucket, lambda: _lost_frames(source.counters()))]
+
+
+def _lost_frames(counters: dict[str, int]) -> int:
+    """Return the frames that did not come whole: one with a bad checksum leaves a gap in the numbers as well."""
+    return max(counters.get("lost", 0), counters.get("crc_errors", 0))
+
+
+def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
+    shadow = scenario.gnc.shadow
+    return (shadow.position_limit_m, math.radians(shadow.attitude_limit_deg)) if shadow.enabled else None
+
+
+def _dss(scenario: Scenario, seed: int) -> Dss:
+    """Return the simulation with thrusters as chance has built them."""
+    return Dss(
+        dss_as_built(scenario, seed),
+        gnc_params.field(scenario),
+        gnc_params.imu(scenario),
+        NormalRows(stream(seed, "imu"), IMU_NOISE),
+    )
+
+
+def dss_as_built(scenario: Scenario, seed: int) -> np.record:
+    """Return DSS_PARAMS with the thrusters that the run's seed gives."""
+    draws = stream(seed, "thrusters").standard_normal(gnc_params.thruster_draws_shape(scenario))
+    return gnc_params.dss(scenario, draws)
+
+
+def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:
+    """Draw the true drift and bias about their means."""
+    draws = stream(seed, "initial").standard_normal(6)
+    drift = np.array(scenario.imu.gyro_drift_degps) + scenario.imu.gyro_drift_initial_sigma_degps * draws[:3]
+    bias_sigma = scenario.imu.accelerometer_bias_initial_sigma_mps2
+    imu.drift_C = np.radians(drift)
+    imu.bias_C = np.array(scenario.imu.accelerometer_bias_mps2) + bias_sigma * draws[3:]
+
+
+def mocks(scenario: Scenario, rig: Rig, seed: int, pictures: MakesPictures | None = None) -> Devices:
+    """Return mocks of the devices; the axes stand at the start pose from the beginning.
+
+    pictures: takes those of a rendered vision unit.
+    """
+    from hil.drivers.io.mock import MockIo
+    from hil.drivers.mock_axes import MockAxes
+    from hil.drivers.vmu.mock import MockVmu
+
+    rails_config, turntable_config = axes_at_start(scenario, rig)
+    rails = MockAxes("rails", RAIL_NAMES, rails_config)
+    turntable = MockAxes("turntable", GIMBAL_NAMES, turntable_config)
+    eye = make_eye(scenario, rig, seed, pictures)
+
+    def pose_at(t_s: float) -> PoseFrame | None:
+        return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
+
+    io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
+    target = MockAxes("target", RAIL_NAMES, rig.moved_target) if rig.moved_target else None
+    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io, target
+
+
+def axes_at_start(scenario: Scenario, rig: Rig) -> tuple[Rails, Turntable]:
+    """Return both devices' settings with the scenario's start pose as the place where their axes stand."""
+    start = start_axes(scenario, rig)
+    rails_config = rig.rails.model_copy(
+        update={
+            name: getattr(rig.rails, name).model_copy(update={"park_m": float(start.rail_m[i])})
+            for i, name in enumerate(RAIL_NAMES)
+        }
+    )
+    turntable_config = rig.turntable.model_copy(
+        update={
+            name: getattr(rig.turntable, name).model_copy(update={"park_deg": math.degrees(start.gimbal_rad[i])})
+            for i, name in enumerate(GIMBAL_NAMES)
+        }
+    )
+    return rails_config, turntable_config
+
+
+def start_axes(scenario: Scenario, rig: Rig) -> np.record:
+    """Return AXES, at rest, of the scenario's start pose."""
+    return axes_at(scenario, rig, scenario.initial.position_m, scenario.initial.attitude_deg)

@@ -1,0 +1,49 @@
+"""What a GNC that is not ours may know before the run: GNC_SETUP from the scenario as the GNC has it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.config.scenario import Scenario
+from hil.core.gnc_records import GNC_SETUP
+from hil.core.messages import new
+from hil.gnc_backends.approach_events import ApproachDiary
+from hil.gnc_backends.external import Briefing
+from hil.maths import euler
+from hil.params import gnc as gnc_params
+
+
+def gnc_setup(scenario: Scenario) -> np.record:
+    """Return GNC_SETUP: the nominal vehicle and plan, no seed and nothing that chance has moved."""
+    setup = new(GNC_SETUP)
+    chaser, thrusters = scenario.chaser, scenario.chaser.thrusters
+    control = gnc_params.control(scenario, gnc_params.allocation(chaser)[1])
+    setup.scenario = scenario.name.encode()[: GNC_SETUP["scenario"].itemsize]
+    setup.step_s = scenario.step_s
+    setup.duration_s = scenario.duration_s
+    setup.mean_motion_radps = gnc_params.orbit_rate(scenario)
+    setup.mass_kg = chaser.mass_kg
+    setup.inertia_kgm2 = chaser.inertia_kg_m2
+    n = len(thrusters.position_m)
+    setup.n_thrusters = n
+    setup.thruster_position_m[:n] = thrusters.position_m
+    setup.thruster_force_N[:n] = thrusters.force_n * np.array(thrusters.direction)
+    setup.minimum_on_s = thrusters.minimum_on_s
+    setup.acceleration_mps2 = control.acceleration[:3]
+    setup.angular_acceleration_radps2 = control.acceleration[3:]
+    setup.start_r_CT_H_m = scenario.initial.position_m
+    setup.start_q_CH = euler.to_quaternion(np.radians(scenario.initial.attitude_deg), gnc_params.YAW_PITCH_ROLL)
+    setup.ready_point_m = scenario.gnc.guidance.ready_point_m
+    setup.closing_rate_max_mps = scenario.gnc.corridor.closing_rate_max_mps
+    return setup
+
+
+def briefing(scenario: Scenario) -> Briefing:
+    """Return what the seat of whoever flies ``scenario`` in place of our GNC is made from."""
+    return Briefing(
+        gnc_setup(scenario),
+        gnc_params.guidance(scenario),
+        gnc_params.supervision(scenario),
+        gnc_params.allocation(scenario.chaser)[0],
+        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+    )

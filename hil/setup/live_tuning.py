@@ -1,0 +1,74 @@
+"""What of the GNC may be changed between two cycles: its parameter records, built anew from a checked scenario.
+
+The same function serves the session, whose loop takes the records over, and the replay, which does so at the same
+cycle: both get the same bits.
+"""
+
+from __future__ import annotations
+
+import base64
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from hil.checks.compatibility import approach_problems, flight_problems
+from hil.config.load import Loaded, apply_setting, check_table
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.errors import BadInput
+from hil.gnc.approach_monitor import SUPERVISION_PARAMS
+from hil.gnc.control import CONTROL_PARAMS
+from hil.gnc.navigation import NAVIGATION_PARAMS
+from hil.params import gnc as gnc_params
+
+_LAYOUTS: Final = (NAVIGATION_PARAMS, SUPERVISION_PARAMS, CONTROL_PARAMS)
+
+
+class Tuning(NamedTuple):
+    """NAVIGATION_PARAMS, SUPERVISION_PARAMS and CONTROL_PARAMS of one scenario."""
+
+    navigation: np.record
+    supervision: np.record
+    control: np.record
+
+
+def tuning(scenario: Scenario) -> Tuning:
+    """Return the records that the GNC of ``scenario`` has."""
+    _, strength = gnc_params.allocation(scenario.chaser)
+    return Tuning(
+        gnc_params.navigation(scenario), gnc_params.supervision(scenario), gnc_params.control(scenario, strength)
+    )
+
+
+def with_setting(scenario: Scenario, setting: str, source: str) -> Loaded[Scenario]:
+    """Return ``scenario`` with ``key=value`` laid over, checked anew. Raises BadInput; source: for its words."""
+    table = scenario.model_dump(mode="json", exclude_none=True)
+    origin: dict[str, str] = {}
+    apply_setting(table, setting, "", origin)
+    return check_table(table, Scenario, source, dict.fromkeys(origin, source))
+
+
+def check_in_flight(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> None:
+    """Raise BadInput where a scenario that is being flown could not have been begun with these settings."""
+    if problems := [*approach_problems(scenario), *flight_problems(scenario, rig)]:
+        raise BadInput(problems)
+
+
+def packed(records: Tuning) -> str:
+    """Return ``records`` as text, for a way between processes."""
+    return base64.b64encode(b"".join(record.tobytes() for record in records)).decode()
+
+
+def unpacked(text: str) -> Tuning:
+    """Return what ``packed`` has made a text of. Raises ValueError for anything else."""
+    data = base64.b64decode(text, validate=True)
+    sizes = [layout.itemsize for layout in _LAYOUTS]
+    if len(data) != sum(sizes):
+        raise ValueError(f"{len(data)} bytes of parameters, expected {sum(sizes)}")
+    starts = np.cumsum([0, *sizes]).tolist()
+    return Tuning(
+        *(
+            np.frombuffer(data, layout, 1, start).view(np.recarray)[0]
+            for layout, start in zip(_LAYOUTS, starts, strict=False)
+        )
+    )

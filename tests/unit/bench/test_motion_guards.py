@@ -1,0 +1,145 @@
+"""Kernels that watch and stop the axes: following error, soft limits, the way to a stand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.bench.guard import (
+    BREACH,
+    FOLLOWING,
+    GUARD,
+    NOT_FINITE,
+    NOTHING,
+    TRAVEL,
+    first_beyond_travel,
+    first_breach,
+    first_moving,
+)
+from hil.bench.kinematics import BENCH_PARAMS, MOTION
+from hil.bench.stopping import brake_step, slower, stopping_distance
+from hil.core.messages import AXES, new
+
+DT = 0.02
+
+
+def guard(per_speed: float = 0.0) -> np.record:
+    made = new(GUARD)
+    made.following_max, made.following_per_speed = [0.05] * 6, [per_speed] * 6
+    made.low, made.high = [-1.0] * 6, [1.0] * 6
+    return made
+
+
+def axes(axis: int = 0, position: float = 0.0, rate: float = 0.0) -> np.record:
+    made = new(AXES)
+    made["rail_m" if axis < 3 else "gimbal_rad"][axis % 3] = position
+    made["rail_mps" if axis < 3 else "gimbal_radps"][axis % 3] = rate
+    return made
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_following_error_trips_just_above_its_limit_and_names_the_axis(axis: int) -> None:
+    breach = new(BREACH)
+    assert first_breach(guard(), axes(axis, 0.3), axes(axis, 0.2501), breach) == NOTHING
+    assert first_breach(guard(), axes(axis, 0.3), axes(axis, 0.2499), breach) == FOLLOWING
+    assert (breach.axis, breach.value, breach.high) == (axis, pytest.approx(0.0501), 0.05)
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("rate", [0.5, -0.5])
+def test_allowed_following_error_grows_with_the_commanded_speed(axis: int, rate: float) -> None:
+    breach = new(BREACH)
+    fast, still = axes(axis, 0.3, rate), axes(axis, 0.3)
+    behind = axes(axis, 0.2)
+    assert first_breach(guard(0.2), fast, behind, breach) == NOTHING  # 0.05 + 0.2 * 0.5 = 0.15
+    assert first_breach(guard(0.2), still, behind, breach) == FOLLOWING
+    assert first_breach(guard(), fast, behind, breach) == FOLLOWING
+    assert first_breach(guard(0.2), fast, axes(axis, 0.1499), breach) == FOLLOWING
+    assert breach.high == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_numbers_that_are_none_are_not_missed(axis: int) -> None:
+    breach = new(BREACH)
+    assert first_breach(guard(), axes(), axes(axis, math.nan), breach) == FOLLOWING
+    assert breach.axis == axis
+    assert first_breach(guard(), axes(axis, math.nan), axes(), breach) == FOLLOWING
+    assert first_breach(guard(), axes(axis, 0.0, math.nan), axes(), breach) == FOLLOWING
+    assert first_beyond_travel(guard(), axes(axis, math.nan), np.zeros(6), breach) == NOT_FINITE
+    assert breach.axis == axis
+    assert first_moving(axes(axis, 0.0, math.nan), 0.01, 0.01) == axis
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_position_beyond_the_travel_trips(axis: int, side: float) -> None:
+    breach = new(BREACH)
+    here = axes(axis, 1.06 * side)
+    assert first_breach(guard(), here, here, breach) == TRAVEL
+    assert (breach.axis, breach.value) == (axis, 1.06 * side)
+    assert first_beyond_travel(guard(), here, np.full(6, 0.001), breach) == TRAVEL
+    assert first_beyond_travel(guard(), axes(axis, 1.0005 * side), np.full(6, 0.001), breach) == NOTHING
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_first_moving_axis_is_named(axis: int) -> None:
+    assert first_moving(axes(axis, 0.0, -0.011), 0.01, 0.01) == axis
+    assert first_moving(axes(axis, 0.0, 0.009), 0.01, 0.01) == -1
+
+
+def bench() -> np.record:
+    params = new(BENCH_PARAMS)
+    params.dt_s = DT
+    params.low, params.high = [-1.0] * 6, [1.0] * 6
+    params.rate_max, params.acceleration_max = [0.5] * 6, [0.6] * 6
+    return params
+
+
+@given(st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6))
+def test_braking_keeps_the_acceleration_never_turns_back_and_stays_within_its_way(rates: list[float]) -> None:
+    params, motion, out = bench(), new(MOTION), new(AXES)
+    motion.rate = rates
+    before, place = np.array(rates), np.zeros(6)
+    for _ in range(60):
+        moving = brake_step(params, motion, out)
+        step = motion.position - place
+        assert np.all(np.abs(motion.rate - before) <= 0.6 * DT * (1 + 1e-9))
+        assert np.all(step * np.sign(rates) >= 0.0)
+        np.testing.assert_allclose(step, motion.rate * DT, atol=1e-12)
+        before, place = motion.rate.copy(), motion.position.copy()
+    assert moving == 0
+    assert not motion.rate.any()
+    np.testing.assert_array_equal(np.concatenate([out.rail_m, out.gimbal_rad]), motion.position)
+    way = [stopping_distance(rate, 0.6, DT) for rate in rates]
+    np.testing.assert_allclose(np.abs(motion.position), way, atol=1e-12)
+    assert np.all(way <= np.array(rates) ** 2 / 1.2 + 1e-12)
+
+
+def test_setpoint_that_stands_stays_where_it_is() -> None:
+    params, motion, out = bench(), new(MOTION), new(AXES)
+    motion.position = 0.3
+    assert brake_step(params, motion, out) == 0
+    assert out.rail_m.tolist() == [0.3] * 3
+    assert not out.rail_mps.any()
+
+
+def test_braking_ends_at_the_end_of_the_travel_and_does_not_jump_back_from_beyond() -> None:
+    params, motion, out = bench(), new(MOTION), new(AXES)
+    motion.position, motion.rate = 0.999, 0.5
+    for _ in range(60):
+        brake_step(params, motion, out)
+        assert motion.position.max() <= 1.0
+    motion.position, motion.rate = 1.2, 0.1
+    brake_step(params, motion, out)
+    assert motion.position.tolist() == [1.2] * 6
+
+
+@given(st.floats(-1.0, 1.0), st.floats(1e-6, 1.0))
+def test_slower_goes_towards_zero_and_not_past_it(rate: float, loss: float) -> None:
+    left = slower(rate, loss)
+    assert abs(left) == pytest.approx(max(0.0, abs(rate) - loss))
+    assert left * rate >= 0.0

@@ -1,0 +1,220 @@
+"""The sign-off of a rig: its file, what its digest covers, and which rigs may run."""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from hil.checks.compatibility import sign_off_gap, sign_off_problems
+from hil.cli.commission import Terminal
+from hil.cli.main import execute
+from hil.commission.file import as_toml, signed_before
+from hil.commission.steps import AxisFound, Found
+from hil.config.load import load_rig
+from hil.config.motion_digest import motion_digest
+from hil.config.rig import Rig
+from hil.report.summary import sign_off_summary
+from hil.report.table import print_sign_off
+
+NAMES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
+WIRES = """
+rails.modbus.x.port = 502
+rails.modbus.y.port = 503
+rails.modbus.z.port = 504
+turntable.cia402.channel = "/dev/null"
+vmu.rs422.port = "/dev/null"
+io.port = 505
+"""
+
+
+def found(axes: range | list[int], whole: bool) -> Found:
+    results = [AxisFound(k, NAMES[k], 0.001, 0.0004 if k < 3 else math.radians(0.05)) for k in axes]
+    return Found(results, np.full(6, 0.001) if whole else None)
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    path = tmp_path / "lab.toml"
+    path.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\n{WIRES}')
+    return path
+
+
+def signed(lab: Path, axes: range | list[int] = range(6), whole: bool = True, base: str = "lab.toml") -> Path:
+    """Write the sign-off of ``lab`` beside it; return its path."""
+    text = as_toml(found(axes, whole), load_rig(str(lab)).value, base, 'A. "Tech" Nician', "2026-03-01")
+    path = lab.with_name(f"signed-{len(list(lab.parent.iterdir()))}.toml")
+    path.write_text(text)
+    return path
+
+
+def test_file_says_who_signed_when_and_what_was_found(lab: Path) -> None:
+    sign_off = load_rig(str(signed(lab))).value.sign_off
+    assert sign_off is not None
+    assert (sign_off.by, sign_off.date) == ('A. "Tech" Nician', "2026-03-01")
+    assert set(sign_off.axes) == set(NAMES)
+    assert sign_off.axes["rails.x"].following_error_max_m == pytest.approx(0.0004)
+    assert sign_off.axes["rails.x"].following_error_max_deg is None
+    assert sign_off.axes["turntable.yaw"].following_error_max_deg == pytest.approx(0.05)
+    assert sign_off.axes["turntable.yaw"].scale_error == pytest.approx(0.001)
+
+
+def test_rig_that_is_signed_off_may_run(lab: Path) -> None:
+    assert sign_off_problems(load_rig(str(signed(lab)))) == []
+
+
+def test_hardware_without_a_sign_off_is_refused_in_a_line(lab: Path) -> None:
+    (problem,) = sign_off_problems(load_rig(str(lab)))
+    assert str(problem).startswith(f"{lab}: rig.sign_off: is missing: commission it with hil commission {lab}")
+    assert "rig.sign_off.waived=true" in str(problem)
+
+
+def test_waiver_is_an_override(lab: Path) -> None:
+    assert sign_off_problems(load_rig(str(lab), ["rig.sign_off.waived=true"])) == []
+
+
+def test_run_refuses_hardware_before_anything_is_opened(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["run", "scheme-1", "--rig", str(lab)]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith(f"{lab}: rig.sign_off: is missing: commission it with hil commission")
+    changed = ["--set", "rig.rails.x.rate_max_mps=0.45"]
+    assert execute(["run", "scheme-1", "--rig", str(signed(lab)), *changed]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "the rig was changed after it was signed off" in line
+
+
+def test_report_of_hardware_says_who_signed_or_that_it_was_waived(lab: Path, mock_rig: Rig) -> None:
+    told = io.StringIO()
+    console = Console(file=told, width=200)
+    for rig in (load_rig(str(signed(lab))).value, load_rig(str(lab), ["rig.sign_off.waived=true"]).value, mock_rig):
+        print_sign_off(sign_off_summary(rig), console)
+    signed_line, waived_line = told.getvalue().strip().splitlines()
+    assert signed_line == 'Sign-off    2026-03-01 by A. "Tech" Nician'
+    assert waived_line == "Sign-off    waived (rig.sign_off.waived); the sign-off is not complete, left: " + ", ".join(
+        NAMES
+    )
+    assert sign_off_summary(mock_rig) is None
+
+
+@pytest.mark.parametrize("rig", ["mock", "emulated", "emulated-rtu"])
+def test_no_other_rig_needs_one(rig: str) -> None:
+    assert sign_off_problems(load_rig(rig)) == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "rig.rails.x.rate_max_mps=0.4",
+        "rig.rails.x.travel_m=[-0.2, 11.0]",
+        "rig.turntable.yaw.acceleration_max_degps2=81.0",
+        "rig.turntable.following_error_max_deg=2.5",
+        "rig.turntable.cia402.counts_per_turn=10000001",
+        "rig.bench.lever_arm_m=[0.0, 0.0, 0.36]",
+        "rig.bench.gimbal_order=zxy",
+        "rig.rails.map.word_order=little",
+        "rig.rails.modbus.x.port=1502",
+        "rig.io.pump_timeout_s=0.06",
+        "rig.safety.command_age_max_s=0.4",
+    ],
+)
+def test_change_of_what_decides_the_motion_ends_the_sign_off(lab: Path, change: str) -> None:
+    (problem,) = sign_off_problems(load_rig(str(signed(lab)), [change]))
+    assert "the rig was changed after it was signed off on 2026-03-01" in str(problem)
+    assert "hil commission" in str(problem)
+
+
+@pytest.mark.parametrize(
+    "change", ["rig.rails.x.lead_s=-0.01", "rig.name=other", "rig.host.cpu=1", "rig.vmu.rate_hz=5.0"]
+)
+def test_change_of_anything_else_does_not(lab: Path, change: str) -> None:
+    assert sign_off_problems(load_rig(str(signed(lab)), [change])) == []
+
+
+def test_sign_off_of_a_rehearsal_does_not_hold_for_hardware(lab: Path, tmp_path: Path) -> None:
+    rehearsed = tmp_path / "rehearsed.toml"
+    rehearsed.write_text(f'extends = "emulated"\n{WIRES}')
+    now_hardware = tmp_path / "now-hardware.toml"
+    now_hardware.write_text(f'extends = "{signed(rehearsed, base="rehearsed.toml").name}"\nkind = "hardware"\n')
+    (problem,) = sign_off_problems(load_rig(str(now_hardware)))
+    assert "changed" in str(problem)
+
+
+def test_axes_may_be_signed_one_after_the_other(lab: Path) -> None:
+    first = signed(lab, [0, 5], whole=False)
+    rig = load_rig(str(first)).value
+    assert signed_before(rig) == {"rails.x", "turntable.yaw"}
+    assert sign_off_gap(rig) == "is not complete, left: rails.y, rails.z, turntable.roll, turntable.pitch"
+    second = signed(first, [1, 2, 3, 4], whole=True, base=first.name)
+    both = load_rig(str(second))
+    assert both.value.sign_off is not None
+    assert set(both.value.sign_off.axes) == set(NAMES)
+    assert sign_off_problems(both) == []
+
+
+def test_axes_signed_before_a_change_do_not_count(lab: Path) -> None:
+    first = load_rig(str(signed(lab, [0], whole=False)), ["rig.rails.z.rate_max_mps=0.1"]).value
+    assert signed_before(first) == frozenset()
+    assert "left: rails.x, rails.y" in sign_off_gap(first)
+
+
+def test_digest_covers_what_stands_in_the_protocol_file_and_not_where_it_lies(tmp_path: Path) -> None:
+    digests = []
+    for folder, delay in (("a", ""), ("b", ""), ("c", "# another word\n")):
+        (tmp_path / folder).mkdir()
+        source = Path("configs/protocols/acu.toml").read_text()
+        (tmp_path / folder / "mine.toml").write_text(delay + source)
+        rig = tmp_path / folder / "rig.toml"
+        rig.write_text(
+            'extends = "emulated"\n[turntable]\ndriver = "ascii"\n[turntable.ascii]\nprotocol = "mine.toml"\n'
+        )
+        digests.append(motion_digest(load_rig(str(rig)).value))
+    assert digests[0] == digests[1] == digests[2]
+    other = tmp_path / "d.toml"
+    other.write_text('extends = "emulated"\n[turntable]\ndriver = "ascii"\n[turntable.ascii]\nprotocol = "hil-ascii"\n')
+    assert motion_digest(load_rig(str(other)).value) != digests[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("mock",), ("mock", "no devices to commission")),
+        (("emulated", "--axis", "rails.w"), ("--axis", "rails.w", "turntable.yaw")),
+        (("emulated", "--out", "lab.ini"), ("--out", "lab.ini", ".toml")),
+        (("emulated", "--date", "1.3.2026"), ("--date", "1.3.2026", "2026-03-01")),
+        (("emulated", "--date", "2026-13-01"), ("--date", "2026-13-01")),
+        (("emulated", "--by", " "), ("--by", "give a name")),
+        (("emulated", "--speed", "0"), ("--speed", "above 0")),
+        (
+            ("emulated", "--out", "new.toml", "--set", "rig.rails.timeout_s=1.0"),
+            ("--set", "rig.rails.timeout_s", "--out"),
+        ),
+    ],
+)
+def test_bad_option_is_refused_in_a_line(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    assert execute(["commission", *arguments]) == 2
+    line = capsys.readouterr().err.strip()
+    assert "\n" not in line
+    assert all(word in line for word in words), line
+
+
+def test_nobody_answers_for_a_technician_on_hardware(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["commission", str(lab), "--yes"]) == 2
+    assert "--yes: lab is hardware: somebody must look" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("typed", "answer", "times"), [("y\n", True, 1), ("No\n", False, 1), ("what\n\nyes\n", True, 3), ("", False, 1)]
+)
+def test_question_is_asked_until_it_is_answered_and_nobody_there_is_a_no(
+    monkeypatch: pytest.MonkeyPatch, typed: str, answer: bool, times: int
+) -> None:
+    shown = io.StringIO()
+    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+    assert Terminal(Console(file=shown)).ask("Is it [so]?") is answer
+    assert shown.getvalue().count("Is it [so]? [y/n]") == times

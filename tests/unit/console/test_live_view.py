@@ -1,0 +1,151 @@
+"""Pictures and the docking monitor's numbers on their way to a page: the newest of the camera that it watches."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from hil.cameras.docking import chaser_position, stations, view
+from hil.config.load import load_rig, load_scenario
+from hil.console.client import Client
+from hil.console.live_view import Shown, picture_of
+from hil.console.message import Picture, pack, unpack
+from hil.console.session_process import SessionProcess
+from hil.console.status import empty_status
+from hil.core.camera_images import PICTURE, picture_row
+from hil.core.messages import CYCLE
+from hil.frmn.ring import Ring
+from hil.maths import euler
+from hil.monitor.results import PORTION, Portion, portion_row
+from hil.params.gnc import YAW_PITCH_ROLL
+from hil.session import build
+
+JOB = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0, 1.0)
+
+
+class Session:
+    """What a session has in its shared memory."""
+
+    def __init__(self) -> None:
+        self.pictures: list[np.ndarray] = []
+        self.portions = np.empty(0, PORTION)
+
+    def take_rows(self) -> np.ndarray:
+        return np.empty(0, CYCLE)
+
+    def take_pictures(self) -> list[np.ndarray]:
+        return self.pictures
+
+    def take_portions(self) -> np.ndarray:
+        return self.portions
+
+
+def status(bench_s: float, run_s: float) -> np.ndarray:
+    found = empty_status()
+    found["bench_s"], found["run_s"] = bench_s, run_s
+    return found
+
+
+def take(shown: Shown, **what: Any) -> None:
+    session = Session()
+    vars(session).update(what)
+    shown.take(cast(SessionProcess, session), status(12.0, 2.0), 100.0)
+
+
+@pytest.fixture
+def shown() -> Shown:
+    made = Shown()
+    made.begin(JOB)
+    return made
+
+
+def page(**more: Any) -> Client:
+    return Client("k" * 16, "ann", **more)
+
+
+def test_each_page_gets_the_newest_picture_of_its_camera_once(shown: Shown) -> None:
+    pair = [picture_row(camera, 1.5, b"l" + camera.encode(), "png", (8, 6)) for camera in ("vmu.left", "vmu.right")]
+    take(shown, pictures=[np.concatenate(pair), picture_row("monitor", 1.0, b"tv")])
+    anyone, watcher, lost = page(), page(camera="monitor"), page(camera="no such camera")
+    assert shown.cameras == ["vmu.left", "vmu.right", "monitor"]
+    for client, name in ((anyone, "vmu.left"), (watcher, "monitor"), (lost, "vmu.left")):
+        found = shown.picture_for(client)
+        assert found is not None
+        assert found.name == name
+        assert shown.picture_for(client) is None
+    watcher.camera = "vmu.right"
+    found = shown.picture_for(watcher)
+    assert found is not None
+    assert (found.name, found.data, found.encoding, found.width_px) == ("vmu.right", b"lvmu.right", "png", 8)
+    take(shown, pictures=[picture_row("monitor", 1.4, b"newer")])
+    assert shown.picture_for(watcher) is None  # of another camera
+    shown.begin(JOB)
+    assert shown.cameras == []
+    assert shown.picture_for(page()) is None
+
+
+@pytest.mark.parametrize(
+    ("t_s", "bench_s", "age_s"),
+    [(1.5, 11.25, 0.75), (1.5, math.nan, 0.5), (math.nan, 11.0, 1.0), (math.nan, math.nan, 0.0), (3.0, math.nan, 0.0)],
+)
+def test_age_of_a_picture_counts_from_its_exposure(t_s: float, bench_s: float, age_s: float) -> None:
+    (row,) = picture_row("vmu.left", t_s, b"x", bench_s=bench_s)
+    picture = picture_of(row, status(12.0, 2.0), 100.0)
+    header = unpack(pack({"wall_s": 100.5}, None, np.empty((0, 1)), 0, picture))[0]["picture"]
+    assert header["age_s"] == pytest.approx(age_s + 0.5)
+    assert header["t_s"] == (None if math.isnan(t_s) else t_s)
+
+
+def test_picture_that_nobody_dates_is_new() -> None:
+    assert Picture("left", 0.0, 1, 1).header(5.0)["age_s"] == 0.0
+
+
+def test_portions_come_once_and_all_of_them_to_a_page_that_comes_late(shown: Shown) -> None:
+    places = stations(JOB.scenario.value.monitor)
+    r, q = np.array([1.2, 0.03, -0.02]), euler.to_quaternion(np.array([0.02, -0.03, 0.01]), YAW_PITCH_ROLL)
+    near = np.full(12, 0.1)
+    near[:3], near[3:6] = view(places, r, q)
+    far = np.full(12, np.nan)
+    rows = [portion_row(Portion(1.0, 25, "near", near, near)), portion_row(Portion(2.0, 12, "far", far, far))]
+    early = page()
+    assert shown.rows_for(early)[2] == {"first": 0, "list": []}
+    take(shown, portions=np.concatenate(rows))
+    told = shown.rows_for(early)[2]
+    assert told is not None
+    one, other = told["list"]
+    np.testing.assert_allclose(one["r_m"], r, atol=1e-12)
+    assert (other["status"], other["r_m"], other["values"][0]) == ("far", None, None)
+    assert shown.rows_for(early)[2] is None
+    assert shown.rows_for(page())[2] == {"first": 0, "list": [one, other]}
+    take(shown, portions=rows[0])
+    again = shown.rows_for(early)[2]
+    assert again is not None
+    assert again["first"] == 2
+
+
+def test_chaser_is_where_its_docking_camera_s_view_has_it(rng: np.random.Generator) -> None:
+    places = stations(JOB.scenario.value.monitor)
+    for _ in range(20):
+        r = rng.uniform([0.4, -0.5, -0.5], [20.0, 0.5, 0.5])
+        q = euler.to_quaternion(rng.uniform(-0.3, 0.3, 3), YAW_PITCH_ROLL)
+        np.testing.assert_allclose(chaser_position(places, *view(places, r, q)), r, atol=1e-12)
+
+
+def test_reader_that_wants_the_newest_passes_over_the_rest_and_counts_none_of_it_as_lost() -> None:
+    ring = Ring.create(PICTURE, 4, "pictures")
+    reader = ring.reader()
+    assert len(reader.newest(2)) == 0
+    for number in range(7):
+        ring.put(picture_row("monitor", float(number), b"x"))
+    assert reader.newest(2)["t_s"].tolist() == [5.0, 6.0]
+    assert len(reader.newest(2)) == 0
+    ring.put(picture_row("monitor", 7.0, b"x"))
+    assert reader.newest(9)["t_s"].tolist() == [7.0]
+    for number in range(20):
+        ring.put(picture_row("monitor", float(number), b"x"))
+    assert reader.newest(9)["t_s"].tolist() == [17.0, 18.0, 19.0]
+    assert reader.lost == 0
+    ring.close()

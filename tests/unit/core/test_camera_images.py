@@ -1,0 +1,339 @@
+"""Pictures as records: what goes in comes out, what has no room is counted, and nobody waits."""
+
+from __future__ import annotations
+
+import math
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from hil.config.load import load_rig
+from hil.config.rig import Rig
+from hil.core.camera_images import (
+    LEFT,
+    MONITOR,
+    OVERLAY_BYTES,
+    PICTURE,
+    RIGHT,
+    SLOTS,
+    MakerBeside,
+    PictureMaker,
+    View,
+    Wanted,
+    data_of,
+    encode,
+    packed,
+    picture_row,
+    shapes_of,
+)
+from hil.core.messages import CYCLE, PoseFrame
+from hil.frmn.image_memory import PictureMemory
+from hil.frmn.ring import Ring
+from hil.frmn.run_time import RunTime
+from hil.loop.stages import Vision
+from hil.params import gnc as gnc_params
+from hil.recording.read import contents
+from hil.recording.writer import Header, RunFile
+
+CROSS = {"kind": "cross", "at": [1.5, 2.25], "good": True, "part": "led"}
+PNG = Wanted("png")
+
+
+class Kept:
+    """Keeps copies of what it is given."""
+
+    def __init__(self) -> None:
+        self.rows: list[np.ndarray] = []
+
+    def put(self, row: np.ndarray) -> None:
+        self.rows.append(row.copy())
+
+
+def noise(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    return rng.integers(0, 256, shape, dtype=np.uint8)
+
+
+def test_a_row_gives_back_what_was_put_in() -> None:
+    row = picture_row(LEFT, 1.25, b"data", "png", (640, 480), [CROSS], bench_s=7.5, number=3, status="ok", left_out=2)
+    (found,) = row
+    assert (found["t_s"], found["bench_s"], found["number"], found["left_out"]) == (1.25, 7.5, 3, 2)
+    assert (found["camera"], found["encoding"], found["status"]) == (b"vmu.left", b"png", b"ok")
+    assert (found["width_px"], found["height_px"]) == (640, 480)
+    assert data_of(found) == b"data"
+    assert shapes_of(found) == (CROSS,)
+    (again,) = picture_row(LEFT, 1.25, b"da", into=row)
+    assert data_of(again) == b"da"
+    assert shapes_of(again) == ()
+
+
+def test_shapes_beyond_their_room_are_cut_from_the_end() -> None:
+    many = [{**CROSS, "at": [k, k]} for k in range(1000)]
+    kept = shapes_of(picture_row(LEFT, 0.0, b"", shapes=many)[0])
+    assert kept == tuple(many[: len(kept)])
+    assert OVERLAY_BYTES - 100 < len(packed(many)) <= OVERLAY_BYTES
+
+
+def test_a_shape_without_a_place_is_left_out() -> None:
+    assert packed([{**CROSS, "at": [math.nan, 0.0]}, CROSS]) == packed([CROSS])
+
+
+def test_png_is_lossless_and_jpeg_nearly(rng: np.random.Generator) -> None:
+    image = noise(rng, 40, 60)
+    again = cv2.imdecode(np.frombuffer(encode(image, "png"), np.uint8), cv2.IMREAD_GRAYSCALE)
+    np.testing.assert_array_equal(again, image)
+    smooth = np.add.outer(np.arange(100), np.arange(120)).astype(np.uint8)
+    found = cv2.imdecode(np.frombuffer(encode(smooth, "jpeg"), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert np.abs(found.astype(int) - smooth).max() < 6
+    colour = noise(rng, 20, 30, 3)
+    np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(encode(colour, "png"), np.uint8), 1), colour)
+
+
+@pytest.mark.parametrize("image", [np.zeros((4, 4)), np.zeros(4, np.uint8), np.zeros((0, 4), np.uint8)])
+def test_what_is_no_image_is_refused(image: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="no picture"):
+        encode(image, "png")
+
+
+def test_pictures_are_taken_as_often_as_they_are_wanted() -> None:
+    def taken(each_s: float, times: list[float]) -> list[float]:
+        maker = PictureMaker(Kept(), Wanted("jpeg", each_s))
+        return [t for t in times if maker.due(t)]
+
+    beats = [k / 6.25 for k in range(10)]
+    assert taken(0.0, beats) == beats
+    assert taken(0.5, beats) == [beats[k] for k in (0, 4, 8)]
+    assert taken(0.48, beats) == [beats[k] for k in (0, 3, 6, 9)]
+    assert taken(1.0, [5.0, 0.2, 0.3]) == [5.0, 0.2]  # a clock that was set back
+    assert not PictureMaker(Kept(), Wanted("none")).due(0.0)
+
+
+def test_a_picture_too_large_is_counted_and_comes_without_data(rng: np.random.Generator, tmp_path: Path) -> None:
+    kept = Kept()
+    maker = PictureMaker(kept, PNG)
+    maker.put(View(MONITOR, noise(rng, 1100, 700, 3), shapes=[CROSS]), View(LEFT, noise(rng, 8, 8)))
+    maker.put(View(MONITOR, noise(rng, 8, 8), number=1))
+    assert [(row[0]["camera"], row[0]["left_out"]) for row in kept.rows] == [
+        (b"monitor", 1),
+        (b"vmu.left", 0),
+        (b"monitor", 1),
+    ]
+    assert [row[0]["size"] > 0 for row in kept.rows] == [False, True, True]
+    assert shapes_of(kept.rows[0][0]) == (CROSS,)
+    path = tmp_path / "run.mcap"
+    file = RunFile(path, Header({"schema_version": "1"}, {}, 0))
+    for row in kept.rows:
+        file.pictures(row)
+    account = file.finish({})
+    assert account.dropped == 1
+    assert "pictures too large" in account.problem
+    assert [line["number"] for line in contents(path).lines["/pictures/monitor"]] == [1]
+
+
+def test_a_picture_has_the_run_s_time_of_when_it_was_taken_though_it_waits() -> None:
+    class Clock:
+        """A run that begins at 1 s of bench time and is held soon after."""
+
+        zero_s = 1.0
+
+        def of(self, bench_s: float) -> float:
+            return bench_s - self.zero_s
+
+    class Slow(Kept):
+        def __init__(self) -> None:
+            super().__init__()
+            self.go = threading.Event()
+
+        def put(self, row: np.ndarray) -> None:
+            assert self.go.wait(30.0)
+            super().put(row)
+
+    slow, clock = Slow(), Clock()
+    beside = MakerBeside(PictureMaker(slow, PNG, clock))
+    image = np.zeros((4, 4), np.uint8)
+    beside.put(View(LEFT, image, bench_s=1.5))
+    beside.put(View(LEFT, image, bench_s=1.75))
+    clock.zero_s = math.nan
+    beside.put(View(LEFT, image, bench_s=2.0))
+    slow.go.set()
+    beside.close()
+    np.testing.assert_array_equal([row[0]["t_s"] for row in slow.rows], [0.5, 0.75, math.nan])
+
+
+def test_a_maker_whose_outlet_fails_can_be_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken(Kept):
+        def put(self, row: np.ndarray) -> None:
+            raise OSError("gone")
+
+    told = threading.Event()
+    monkeypatch.setattr(threading, "excepthook", lambda _: told.set())
+    beside = MakerBeside(PictureMaker(Broken(), PNG))
+    for number in range(MakerBeside.WAITING_MOST + 5):
+        beside.put(View(LEFT, np.zeros((4, 4), np.uint8), number=number))
+    assert told.wait(30.0)
+    beside.close()
+
+
+def test_a_maker_beside_never_waits_and_counts_what_it_leaves_out() -> None:
+    class Slow(Kept):
+        """Takes nothing before it is let."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.begun, self.go = threading.Event(), threading.Event()
+
+        def put(self, row: np.ndarray) -> None:
+            self.begun.set()
+            assert self.go.wait(30.0)
+            super().put(row)
+
+    slow = Slow()
+    beside = MakerBeside(PictureMaker(slow, PNG))
+    image = np.zeros((4, 4), np.uint8)
+    beside.put(View(LEFT, image), View(RIGHT, image))
+    assert slow.begun.wait(30.0)
+    for number in range(1, MakerBeside.WAITING_MOST + 4):  # three more than there is room for
+        beside.put(View(LEFT, image, number=number), View(RIGHT, image, number=number))
+    slow.go.set()
+    beside.close()
+    beside.close()
+    assert len(slow.rows) == 2 * (MakerBeside.WAITING_MOST + 1)
+    assert [row[0]["number"] for row in slow.rows[::2]] == list(range(MakerBeside.WAITING_MOST + 1))
+    assert [int(row[0]["left_out"]) for row in slow.rows[-2:]] == [3, 3]
+
+
+def test_the_run_s_time_is_known_where_the_cell_is_shared() -> None:
+    here = RunTime.create()
+    there = RunTime(here.descriptor)
+    assert math.isnan(there.of(3.0))
+    here.tell(2.5)
+    assert there.of(3.0) == 0.5
+    here.tell(math.nan)
+    assert math.isnan(there.of(3.0))
+    here.close()
+
+
+def test_vision_tells_the_run_s_time_when_it_begins_changes_and_stands() -> None:
+    class Silent:
+        def poll(self, now_s: float) -> list[PoseFrame]:
+            return []
+
+    vision = Vision(Silent(), gnc_params.stations(load_rig("mock").value))  # type: ignore[arg-type]
+    told: list[float] = []
+    vision.on_run_zero = told.append
+    row = np.zeros(1, CYCLE)[0]
+    vision.look_away(0.5)
+    assert told == []
+    for bench_s, zero_s in ((1.0, 1.0), (1.02, 1.0), (1.06, 1.02)):  # a period was lost
+        vision.take(bench_s, zero_s, row)
+    vision.look_away(1.08)
+    vision.look_away(1.1)
+    vision.take(1.12, 1.06, row)
+    np.testing.assert_array_equal(told, [1.0, 1.02, math.nan, 1.06])
+
+
+@pytest.fixture
+def png_rig() -> Rig:
+    return load_rig("mock", ("rig.recording.pictures=png", "rig.recording.picture_each_s=0")).value
+
+
+def test_another_process_gets_ring_and_time_by_their_descriptors(png_rig: Rig) -> None:
+    ring, run = Ring.create(PICTURE, SLOTS, "pictures"), RunTime.create()
+    run.tell(10.0)
+    memory = PictureMemory(ring.descriptor, ring.slots, run.descriptor)
+    maker = PictureMemory(*memory).maker(png_rig)
+    assert maker is not None
+    assert maker.due(12.5)
+    maker.put(View(RIGHT, np.zeros((4, 6), np.uint8), bench_s=12.5, number=7, shapes=[CROSS]))
+    (row,) = ring.reader().take()
+    assert (row["t_s"], row["bench_s"], row["number"]) == (2.5, 12.5, 7)
+    assert (row["width_px"], row["height_px"]) == (6, 4)
+    none = load_rig("mock", ("rig.recording.pictures=none",)).value
+    assert PictureMemory(*memory).maker(none) is None
+    ring.close()
+    run.close()
+
+
+def test_what_makers_left_out_is_counted_as_dropped(tmp_path: Path) -> None:
+    file = RunFile(tmp_path / "run.mcap", Header({"schema_version": "1"}, {}, 0))
+    for left_out in (1, 1, 4):
+        file.pictures(picture_row(LEFT, 0.0, b"x", left_out=left_out))
+    file.pictures(picture_row(RIGHT, 0.0, b"x", left_out=2))
+    account = file.finish({})
+    assert account.dropped == 6
+    assert "6 messages" in account.problem
+
+
+def test_a_picture_outside_the_run_s_time_stands_where_the_run_does(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    file = RunFile(path, Header({"schema_version": "1"}, {}, 1_000_000_000))
+    file.pictures(picture_row(LEFT, math.nan, b"x", bench_s=3.5))
+    rows = np.zeros(1, CYCLE)
+    rows["t_s"] = 4.0
+    file.cycles(rows)
+    file.pictures(picture_row(LEFT, math.nan, b"x", bench_s=9.5))
+    file.finish({})
+    found = contents(path).lines["/pictures/vmu.left"]
+    assert [(line["timestamp"]["sec"], line["t_s"], line["bench_s"]) for line in found] == [
+        (1, None, 3.5),
+        (5, None, 9.5),
+    ]
+
+
+def test_shapes_are_recorded_as_foxglove_draws_them(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    shapes = [
+        CROSS,
+        {"kind": "circle", "at": [5.0, 6.0], "radius": 2.5, "good": False},
+        {"kind": "line", "from": [0.0, 0.0], "to": [3.0, 4.0], "good": True},
+        {"kind": "text", "at": [7.0, 8.0], "text": "ok", "good": True},
+    ]
+    file = RunFile(path, Header({"schema_version": "1"}, {}, 0))
+    file.pictures(picture_row(LEFT, 2.0, b"x", shapes=shapes))
+    file.finish({})
+    (found,) = contents(path).lines["/pictures/vmu.left/annotations"]
+    (circle,), (lines,), (text,) = found["circles"], found["points"], found["texts"]
+    assert (circle["position"], circle["diameter"]) == ({"x": 5.0, "y": 6.0}, 5.0)
+    assert lines["type"] == 4  # pairs of points: two of the cross, one line
+    assert [(p["x"], p["y"]) for p in lines["points"]] == [
+        (-3.5, 2.25),
+        (6.5, 2.25),
+        (1.5, -2.75),
+        (1.5, 7.25),
+        (0, 0),
+        (3, 4),
+    ]
+    assert (text["text"], text["position"]) == ("ok", {"x": 7.0, "y": 8.0})
+    assert circle["outline_color"] != lines["outline_color"]
+
+
+def test_pictures_without_cycles_reach_the_disk_by_and_by(tmp_path: Path, rng: np.random.Generator) -> None:
+    path = tmp_path / "run.mcap"
+    file = RunFile(path, Header({"schema_version": "1"}, {}, 0))
+    row = picture_row(MONITOR, 1.0, noise(rng, 1_000_000).tobytes())
+    sizes = []
+    for _ in range(20):
+        file.pictures(row)
+        sizes.append(path.stat().st_size)
+    assert sizes[-1] > 5_000_000
+    assert len(contents(path).lines["/pictures/monitor"]) >= 8  # as the file is, without an end
+    file.finish({})
+
+
+def test_a_ring_that_forgot_pictures_says_so() -> None:
+    ring = Ring.create(PICTURE, 4, "pictures")
+    reader = ring.reader()
+    for number in range(6):
+        ring.put(picture_row(LEFT, float(number), b"x", number=number))
+    found = reader.take()
+    assert [int(row["number"]) for row in found] == [3, 4, 5]
+    assert reader.lost == 3
+    ring.close()
+
+
+def test_the_shipped_rigs_keep_two_jpegs_a_second() -> None:
+    found = load_rig("emulated").value.recording
+    assert SimpleNamespace(**found.model_dump()) == SimpleNamespace(pictures="jpeg", picture_each_s=0.5)

@@ -1,0 +1,86 @@
+"""The cache of compiled kernels: keyed by every source they are compiled from, wherever those are."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import hil
+from hil.core.jit import kernel_sources, source_digest
+
+PACKAGE = Path(hil.__file__).parent
+
+CALL_ONE_KERNEL = """
+import numpy as np
+from hil.maths.limits import cut_to_range
+cut_to_range(np.zeros(3), np.zeros(3), np.ones(3), np.empty(3))
+print(sum(cut_to_range.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """Return a copy of the package's sources."""
+    return Path(shutil.copytree(PACKAGE, tmp_path / "hil", ignore=shutil.ignore_patterns("__pycache__")))
+
+
+def run_with_cache(code: str, folder: Path, checkout: Path) -> subprocess.CompletedProcess[str]:
+    """Run ``code`` against the package in ``checkout`` with its kernels cached in ``folder``."""
+    environment = os.environ | {"HIL_CACHE_DIR": str(folder), "PYTHONPATH": str(checkout)}
+    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+
+
+def test_digest_is_the_same_for_a_copy_of_the_sources(copy: Path) -> None:
+    assert source_digest(copy) == source_digest(PACKAGE)
+
+
+def test_kernel_that_moves_to_a_new_folder_stays_in_the_digest(copy: Path) -> None:
+    before = source_digest(copy)
+    (copy / "new_folder").mkdir()
+    moved = (copy / "dynamics" / "hill.py").rename(copy / "new_folder" / "hill.py")
+    assert "new_folder/hill.py" in kernel_sources(copy)
+    assert source_digest(copy) != before
+
+    after = source_digest(copy)
+    moved.write_bytes(moved.read_bytes().replace(b"2.0 * w0", b"2.1 * w0"))
+    assert source_digest(copy) != after
+
+
+@pytest.mark.parametrize("imported", ["core/messages.py", "core/gnc_records.py"])
+def test_module_whose_constants_kernels_use_is_in_the_digest(copy: Path, imported: str) -> None:
+    before = source_digest(copy)
+    (copy / imported).write_bytes((copy / imported).read_bytes() + b"\nADDED = 1\n")
+    assert source_digest(copy) != before
+
+
+def test_module_without_influence_on_kernels_is_not_in_the_digest(copy: Path) -> None:
+    before = source_digest(copy)
+    (copy / "cli" / "main.py").write_bytes(b"")
+    assert source_digest(copy) == before
+
+
+def test_second_checkout_of_the_same_sources_compiles_nothing(copy: Path, tmp_path: Path) -> None:
+    first = run_with_cache(CALL_ONE_KERNEL, tmp_path / "cache", PACKAGE.parent)
+    second = run_with_cache(CALL_ONE_KERNEL, tmp_path / "cache", copy.parent)
+    assert (first.stdout, second.stdout) == ("0\n", "1\n"), first.stderr + second.stderr
+
+
+def test_import_writes_nothing(tmp_path: Path) -> None:
+    done = run_with_cache("import hil.maths.quat, hil.campaign.loop_kernel", tmp_path / "cache", PACKAGE.parent)
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "cache").exists()
+
+
+def test_cache_that_cannot_be_written_is_one_clear_line() -> None:
+    command = [sys.executable, "-m", "hil", "run", "scheme-1", "--duration", "1"]
+    environment = os.environ | {"HIL_CACHE_DIR": "/proc/hil"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("kernel cache: /proc/hil: cannot be written")
+    assert "set HIL_CACHE_DIR" in line

@@ -1,0 +1,73 @@
+"""Orders of an operator, and in which modes they are obeyed."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+
+from hil.core.modes import Mode
+from hil.core.operator_commands import OBEYED_IN, JogWish, Operator, Order
+
+
+@pytest.mark.parametrize(("order", "mode"), list(product(Order, Mode)))
+def test_an_order_is_obeyed_in_its_modes_and_refused_in_words_elsewhere(order: Order, mode: Mode) -> None:
+    operator = Operator((), attended=True)
+    operator.order(order)
+    if mode in OBEYED_IN[order]:
+        assert operator.take(mode) is order
+        assert not operator.answers
+    else:
+        assert operator.take(mode) is None
+        assert list(operator.answers) == [f"bench: cannot {order.value} in {mode.value}"]
+    assert not operator.waiting
+
+
+def test_plan_waits_for_its_modes_and_does_not_count_as_an_order_that_waits() -> None:
+    operator = Operator()
+    assert not operator.waiting
+    assert operator.next(Mode.RUNNING) is None
+    assert operator.next(Mode.STANDBY) is Order.HOME
+    assert operator.next(Mode.STANDBY) is Order.ARM
+    assert operator.next(Mode.STANDBY) is None
+    assert operator.next(Mode.ARMED) is Order.START
+    assert operator.next(Mode.ARMED) is None
+
+
+def test_dropped_plan_gives_no_orders() -> None:
+    operator = Operator()
+    operator.drop_plan()
+    assert operator.next(Mode.STANDBY) is None
+
+
+def test_stop_goes_before_all_others_and_is_never_dropped() -> None:
+    operator = Operator((), attended=True)
+    for _ in range(200):
+        operator.order(Order.HOLD)
+    operator.order(Order.STOP)
+    assert operator.take(Mode.RUNNING) is Order.STOP
+    assert len(operator.waiting) == 64
+
+
+def test_jog_key_orders_one_jog_and_counts_each_refresh_once() -> None:
+    operator = Operator((), attended=True)
+    operator.jog("rails.x", 1)
+    operator.jog("rails.x", 1)
+    assert operator.take(Mode.STANDBY) is Order.JOG
+    assert operator.take(Mode.STANDBY) is None
+    assert operator.jog_wish() == JogWish("rails.x", 1)
+    assert operator.jog_wish() is None
+    operator.jog("rails.x", 1)
+    assert operator.jog_wish() == JogWish("rails.x", 1)
+    operator.jog_ended()
+    operator.jog("rails.y", -1)
+    assert operator.take(Mode.STANDBY) is Order.JOG
+
+
+def test_refused_jog_leaves_no_key_pressed() -> None:
+    operator = Operator((), attended=True)
+    operator.jog("rails.x", 1)
+    assert operator.take(Mode.RUNNING) is None
+    assert operator.jog_wish() is None
+    operator.jog("rails.x", 1)
+    assert operator.take(Mode.STANDBY) is Order.JOG

@@ -1,0 +1,154 @@
+"""The mechanics behind the emulated drives, and each fault of an axis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from hil.config.load import load_rig
+from hil.core.clock import WallClock
+from hil.core.messages import Homing
+from hil.drivers.emulated_axes import EmulatedAxes
+from hil.drivers.shared_state import AxisBoard
+
+Make = Callable[..., EmulatedAxes]
+PERIOD_S = 0.02
+
+
+class StoppedClock(WallClock):
+    """A clock that stands at zero: time is handed in."""
+
+    def now_s(self) -> float:
+        return 0.0
+
+
+@pytest.fixture
+def board() -> Iterator[AxisBoard]:
+    board = AxisBoard.create()
+    yield board
+    board.close()
+
+
+@pytest.fixture
+def make(board: AxisBoard) -> Make:
+    def rails(*settings: str, chain_closed: Callable[[], bool] = lambda: True) -> EmulatedAxes:
+        config = load_rig("emulated", settings).value.rails
+        return EmulatedAxes("rails", config, StoppedClock(), board, chain_closed=chain_closed)
+
+    return rails
+
+
+def travel(axes: EmulatedAxes, axis: int, rate: float, from_s: float, to_s: float) -> float:
+    """Let one axis follow a ramp from where its encoder says it is; return the largest following error."""
+    start = float(axes.position[axis])
+    worst = 0.0
+    for k in range(round((to_s - from_s) / PERIOD_S)):
+        t_s = from_s + k * PERIOD_S
+        wanted = start + rate * (t_s - from_s)
+        worst = max(worst, abs(wanted - float(axes.position[axis])))
+        axes.follow(axis, wanted, rate, t_s)
+        axes.advance(t_s + PERIOD_S)
+    return worst
+
+
+def test_an_axis_follows_a_ramp_closely(make: Make) -> None:
+    assert travel(make(), 1, 0.05, 0.0, 3.0) < 0.003
+
+
+@pytest.mark.parametrize("fault", ["stuck", "reversed"])
+def test_an_axis_that_fails_no_longer_follows(make: Make, fault: str) -> None:
+    axes = make()
+    travel(axes, 1, 0.05, 0.0, 1.0)
+    axes.faults.on(fault, "y")
+    assert travel(axes, 1, 0.05, 1.0, 3.0) > 0.05
+
+
+def test_a_reversed_encoder_makes_the_axis_run_away(make: Make, board: AxisBoard) -> None:
+    axes = make()
+    axes.faults.on("reversed", "y")
+    travel(axes, 1, 0.02, 0.0, 4.0)
+    assert axes.limit[1] == 1  # ran into the end of its travel, not 40 mm on
+    assert board.read("rails", 4.0)[0][1] == pytest.approx(axes.high[1])
+
+
+def test_a_jump_of_the_encoder_is_seen_at_once_and_happens_once(make: Make) -> None:
+    axes = make()
+    travel(axes, 2, 0.05, 0.0, 1.0)
+    before = axes.position[2]
+    axes.faults.on("jump", "z", 0.1)
+    axes.advance(1.0 + 0.004)
+    assert axes.position[2] - before == pytest.approx(0.1, abs=0.002)
+    assert axes.faults.shown() == "none"
+
+
+def test_frozen_values_stay_while_the_axis_moves_on(make: Make, board: AxisBoard) -> None:
+    axes = make()
+    axes.faults.on("freeze")
+    before = axes.position.copy()
+    travel(axes, 1, 0.05, 0.0, 1.0)
+    assert np.array_equal(axes.position, before)
+    assert board.read("rails", 1.0)[0][1] > before[1] + 0.04
+
+
+def test_an_axis_without_commands_brakes_and_says_so(make: Make) -> None:
+    axes = make()
+    travel(axes, 1, 0.05, 0.0, 1.0)
+    axes.advance(3.0)
+    assert axes.overdue == [False, True, False]
+    assert not axes.moving(1)
+
+
+def test_an_open_chain_takes_the_torque_and_closing_it_starts_nothing(make: Make) -> None:
+    closed = [True]
+    axes = make(chain_closed=lambda: closed[0])
+    travel(axes, 1, 0.05, 0.0, 1.0)
+    closed[0] = False
+    axes.advance(1.5)
+    assert axes.torque_off
+    assert not axes.moving(1)
+    stood = float(axes.position[1])
+    axes.follow(1, stood + 0.1, 0.0, 1.5)
+    axes.advance(2.0)
+    closed[0] = True
+    axes.advance(2.5)
+    assert axes.position[1] == pytest.approx(stood, abs=1e-6)
+
+
+INCREMENTAL = (
+    'rig.rails.y={travel_m=[-1.5,1.5],rate_max_mps=0.5,acceleration_max_mps2=0.6,park_m=0.3,encoder="incremental"}'
+)
+
+
+def test_an_incremental_encoder_counts_from_nowhere_until_it_has_been_homed(make: Make, board: AxisBoard) -> None:
+    axes = make(INCREMENTAL)
+    assert axes.homing == [Homing.DONE, Homing.NEEDED, Homing.DONE]
+    assert axes.position[1] == pytest.approx(0.0)  # it stands at 0.3 m
+    axes.home(1)
+    axes.advance(3.0)
+    assert axes.homing[1] is Homing.UNDER_WAY
+    axes.advance(12.0)
+    assert axes.homing[1] is Homing.DONE
+    assert axes.position[1] == pytest.approx(board.read("rails", 12.0)[0][1], abs=1e-6)
+    assert axes.position[1] == pytest.approx(0.0, abs=0.005)
+    axes.power_off(1)
+    assert axes.homing[1] is Homing.NEEDED
+
+
+def test_homing_that_is_broken_off_has_failed(make: Make) -> None:
+    axes = make(INCREMENTAL)
+    axes.home(1)
+    axes.advance(1.0)
+    axes.brake(1)
+    axes.advance(2.0)
+    assert axes.homing[1] is Homing.FAILED
+    assert not axes.moving(1)
+
+
+def test_homing_of_a_stuck_axis_fails(make: Make) -> None:
+    axes = make(INCREMENTAL)
+    axes.faults.on("stuck", "y")
+    axes.home(1)
+    axes.advance(130.0)
+    assert axes.homing[1] is Homing.FAILED

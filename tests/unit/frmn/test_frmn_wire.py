@@ -1,0 +1,151 @@
+"""Datagrams of the reflective memory: transcripts, every fault by its name, and floods of nonsense."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+from hil.core.gnc_records import GNC_OUTPUT
+from hil.frmn import wire
+from hil.frmn.mailboxes import BY_NUMBER, CELLS, Role, layout_of
+from hil.frmn.wire import Fault, Kind
+
+OUTPUT = CELLS["gnc.output"]
+
+
+def output(cycle: int) -> bytes:
+    record = np.zeros(1, GNC_OUTPUT)
+    record["cycle"] = cycle
+    return wire.pack(Kind.CELL, record.tobytes(), 7, 1, 2.5, OUTPUT)
+
+
+def changed(datagram: bytes, offset: int, replacement: bytes) -> bytes:
+    """Return ``datagram`` with other bytes at ``offset``, and the checksum that belongs to them."""
+    made = bytearray(datagram)
+    made[offset : offset + len(replacement)] = replacement
+    made[4:8] = struct.pack("<I", zlib.crc32(made[8:]))
+    return bytes(made)
+
+
+def test_datagram_is_what_the_page_says() -> None:
+    datagram = wire.pack(Kind.HEARTBEAT, wire.heartbeat_payload(1.0, 2.0), 0x01020304, 5, 0.5)
+    assert datagram.hex(" ", 4) == (
+        "46524d4e dc90bc2b 01030000 10000000 04030201 05000000 00000000 0000e03f 00000000 0000f03f 00000000 00000040"
+    )
+    assert struct.unpack_from("<I", datagram, 4)[0] == zlib.crc32(datagram[8:])
+
+
+def test_header_comes_back_and_the_payload_follows_it() -> None:
+    datagram = output(42)
+    header = wire.unpack(datagram)
+    assert header == wire.Header(Kind.CELL, OUTPUT, 7, 1, 2.5)
+    assert np.frombuffer(datagram[32:], GNC_OUTPUT)["cycle"][0] == 42
+
+
+def test_every_cell_fits_an_ethernet_frame_and_has_a_number_of_its_own() -> None:
+    assert len(BY_NUMBER) == len(CELLS)
+    assert all(wire.HEADER.size + kind.dtype.itemsize <= wire.LARGEST for kind in CELLS.values())
+    assert max(wire.HEADER.size + kind.dtype.itemsize for kind in CELLS.values()) == wire.LARGEST
+
+
+@pytest.mark.parametrize(
+    ("datagram", "fault"),
+    [
+        (b"", Fault.FOREIGN),
+        (output(1)[:31], Fault.FOREIGN),
+        (b"HTTP" + output(1)[4:], Fault.FOREIGN),
+        (changed(output(1), 8, b"\x02"), Fault.VERSION),
+        (output(1)[:-1], Fault.CORRUPT),
+        (output(1) + b"\0", Fault.CORRUPT),
+        (output(1)[:100] + b"\x55" + output(1)[101:], Fault.CORRUPT),
+        (changed(output(1), 9, b"\x09"), Fault.KIND),
+        (changed(output(1), 10, b"\x63\0"), Fault.CELL),
+        (changed(output(1), 12, b"\0\0"), Fault.SIZE),
+        (changed(output(1) + b"\0" * 8, 12, struct.pack("<H", 248)), Fault.SIZE),
+        (changed(output(1), 14, b"\x01\0"), Fault.LAYOUT),
+        (changed(wire.pack(Kind.HELLO, b"", 1, 1, 0.0), 9, b"\x01"), Fault.SIZE),
+    ],
+)
+def test_each_fault_has_its_name(datagram: bytes, fault: Fault) -> None:
+    assert wire.unpack(datagram) is fault
+
+
+def test_layout_that_is_not_said_is_not_checked() -> None:
+    assert isinstance(wire.unpack(changed(output(1), 14, b"\0\0")), wire.Header)
+
+
+def test_layout_tells_other_fields_of_the_same_size_and_not_other_names() -> None:
+    ours = np.dtype([("a", "f8", 2), ("b", "i4", 2)])
+    assert layout_of(ours) == layout_of(np.dtype([("x", "f8", 2), ("y", "i4", 2)]))
+    assert layout_of(ours) != layout_of(np.dtype([("a", "f8", 2), ("b", "f4", 2)]))
+    assert layout_of(ours) != layout_of(np.dtype([("b", "i4", 2), ("a", "f8", 2)]))
+
+
+def test_hello_comes_back() -> None:
+    payload = wire.hello_payload(Role.GNC, "mine", ["gnc.output"], ["gnc.setup", "gnc.input"])
+    hello = wire.read_hello(payload)
+    assert hello == wire.Hello(2, "mine", frozenset({"gnc.output"}), frozenset({"gnc.setup", "gnc.input"}))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("count", 17, "17 cells in its hello, 0 to 16 are possible"),
+        ("count", -1, "-1 cells in its hello"),
+        ("number", 99, "cell 99, use 1: known are 1, 2, 3"),
+        ("use", 3, "cell 3, use 3: known are"),
+        ("size", 200, "cell gnc.output has 200 bytes there and 240 here"),
+        ("layout", 1, "cell gnc.output has another layout there than here"),
+    ],
+)
+def test_hello_with_other_cells_is_told_in_words(field: str, value: int, said: str) -> None:
+    record = np.frombuffer(wire.hello_payload(Role.GNC, "mine", ["gnc.output"], []), wire.HELLO).copy()
+    if field == "count":
+        record["count"] = value
+    else:
+        record["cells"][field][0, 0] = value
+    found = wire.read_hello(record.tobytes())
+    assert isinstance(found, str)
+    assert found.startswith(said)
+
+
+def nonsense(rng: np.random.Generator, good: list[bytes]) -> bytes:
+    """Return a good datagram with some of its bytes changed, cut, or grown; now and then with a right checksum."""
+    datagram = bytearray(good[rng.integers(len(good))])
+    for _ in range(rng.integers(0, 4)):
+        datagram[rng.integers(len(datagram))] = rng.integers(256)
+    if rng.random() < 0.1:
+        datagram = datagram[: rng.integers(len(datagram))]
+    elif rng.random() < 0.1:
+        datagram += rng.bytes(rng.integers(1, 40))
+    if rng.random() < 0.7 and len(datagram) >= 8:
+        datagram[4:8] = struct.pack("<I", zlib.crc32(datagram[8:]))
+    return bytes(datagram)
+
+
+def good_ones() -> list[bytes]:
+    """Return a datagram of each kind and cell."""
+    hello = wire.hello_payload(Role.GNC, "mine", ["gnc.output"], ["gnc.input"])
+    return [
+        wire.pack(Kind.HELLO, hello, 1, 1, 0.0),
+        wire.pack(Kind.HEARTBEAT, wire.heartbeat_payload(1.0, 2.0), 1, 1, 0.0),
+        wire.pack(Kind.GOODBYE, wire.word_payload(0, "over"), 1, 1, 0.0),
+        wire.pack(Kind.REFUSED, wire.word_payload(1, "no"), 1, 1, 0.0),
+        *(wire.pack(Kind.CELL, bytes(kind.dtype.itemsize), 1, 1, 0.0, kind) for kind in CELLS.values()),
+    ]
+
+
+def test_nonsense_is_refused_or_read_and_nothing_else(rng: np.random.Generator) -> None:
+    good, found = good_ones(), set()
+    for _ in range(5000):
+        datagram = nonsense(rng, good)
+        header = wire.unpack(datagram)
+        found.add(header if isinstance(header, Fault) else header.kind)
+        if not isinstance(header, Fault) and header.kind is Kind.HELLO:
+            wire.read_hello(datagram[32:])
+        if not isinstance(header, Fault) and header.kind in (Kind.GOODBYE, Kind.REFUSED):
+            assert wire.read_word(datagram[32:])[1].isprintable()
+    assert found == {*Fault, *Kind}

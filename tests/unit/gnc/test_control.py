@@ -1,0 +1,235 @@
+"""Phase-plane control: signs, dead band, burn length, convergence."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hil.config.scenario import Scenario
+from hil.core.messages import COMMAND, NAVIGATION, REFERENCE, new
+from hil.gnc.control import burn, control
+from hil.params import gnc as gnc_params
+
+IDENTITY = [0.0, 0.0, 0.0, 1.0]
+A, DEADBAND, LEAD, DT = 0.02, 0.002, 8.0, 0.02
+
+
+@pytest.fixture
+def params(scheme_1: Scenario) -> np.record:
+    """Return the shipped parameters."""
+    return gnc_params.control(scheme_1, gnc_params.allocation(scheme_1.chaser)[1])
+
+
+def seen(r: tuple[float, ...] = (0, 0, 0), q: list[float] | np.ndarray = IDENTITY) -> np.record:
+    """Return a valid navigation at ``r`` and ``q``, at rest."""
+    navigation = new(NAVIGATION)
+    navigation.valid, navigation.r_CT_H, navigation.q_CH = 1, r, q
+    return navigation
+
+
+def held() -> np.record:
+    """Return the reference at the origin, aligned."""
+    reference = new(REFERENCE)
+    reference.q_CH = IDENTITY
+    return reference
+
+
+def demanded(params: np.record, navigation: np.record) -> np.record:
+    command = new(COMMAND)
+    control(params, navigation, held(), command)
+    return command
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_displaced_chaser_is_pushed_back(params: np.record, axis: int, sign: int) -> None:
+    r = np.zeros(3)
+    r[axis] = 0.5 * sign
+    command = demanded(params, seen(tuple(r)))
+    np.testing.assert_array_equal(command.force, -sign * np.eye(3, dtype=int)[axis])
+    np.testing.assert_array_equal(command.torque, 0)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_turned_chaser_is_turned_back(params: np.record, axis: int, sign: int) -> None:
+    turn = 0.05 * sign * np.eye(3)[axis]
+    command = demanded(params, seen(q=Rotation.from_rotvec(turn).as_quat()))
+    np.testing.assert_array_equal(command.torque, -sign * np.eye(3, dtype=int)[axis])
+    np.testing.assert_array_equal(command.force, 0)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_motion_is_braked(params: np.record, axis: int, sign: int) -> None:
+    navigation = seen()
+    navigation.v_CT_H[axis], navigation.w_CH_C[axis] = 0.05 * sign, 0.01 * sign
+    command = demanded(params, navigation)
+    np.testing.assert_array_equal(command.force, -sign * np.eye(3, dtype=int)[axis])
+    np.testing.assert_array_equal(command.torque, -sign * np.eye(3, dtype=int)[axis])
+
+
+def test_demand_is_along_body_axes(params: np.record) -> None:
+    # yawed by +90 deg, the body's -y axis points along x_H
+    command = demanded(params, seen((0.5, 0.0, 0.0), Rotation.from_rotvec([0.0, 0.0, math.pi / 2]).as_quat()))
+    np.testing.assert_array_equal(command.force, [0, 1, 0])
+
+
+def test_both_signs_of_a_quaternion_demand_the_same(params: np.record) -> None:
+    q = Rotation.from_rotvec([0.02, -0.03, 0.04]).as_quat()
+    np.testing.assert_array_equal(demanded(params, seen(q=q)).torque, demanded(params, seen(q=-q)).torque)
+
+
+def test_nothing_fires_inside_the_dead_band(params: np.record) -> None:
+    inside = 0.9 * params.deadband[0]
+    command = demanded(params, seen((inside, -inside, inside), [0.4 * params.deadband[3], 0.0, 0.0, 1.0]))
+    np.testing.assert_array_equal([*command.force, *command.torque], 0)
+
+
+def test_nothing_fires_without_valid_navigation(params: np.record) -> None:
+    command = demanded(params, seen((1.0, 1.0, 1.0)))
+    assert command.force.all()
+    navigation = seen((1.0, 1.0, 1.0))
+    navigation.valid = 0
+    control(params, navigation, held(), command)
+    for name in ("force", "torque", "cycles_left", "until_decision"):
+        np.testing.assert_array_equal(command[name], 0)
+
+
+def test_burn_lasts_as_long_as_takes_the_switching_function_to_zero() -> None:
+    # s = 0.01 m at rest: 0.01 / (8 s * 0.02 m/s^2) = 0.0625 s, three cycles of 0.02 s
+    assert burn(0.01, 0.0, A, DEADBAND, LEAD, 50, DT) == -3
+    assert burn(-0.01, 0.0, A, DEADBAND, LEAD, 50, DT) == 3
+
+
+def test_burn_is_at_least_a_cycle_and_at_most_the_period() -> None:
+    assert burn(1.1 * DEADBAND, 0.0, A, DEADBAND, LEAD, 50, DT) == -1
+    assert burn(10.0, 0.0, A, DEADBAND, LEAD, 50, DT) == -50
+    assert burn(0.9 * DEADBAND, 0.0, A, DEADBAND, LEAD, 50, DT) == 0
+
+
+def test_switching_line_is_the_braking_parabola_plus_the_lead() -> None:
+    for rate in (0.05, 0.2):
+        on_line = -LEAD * rate - rate * rate / (2.0 * A)
+        assert burn(on_line, rate, A, DEADBAND, LEAD, 1, DT) == 0
+        assert burn(on_line + 2 * DEADBAND, rate, A, DEADBAND, LEAD, 1, DT) == -1
+        assert burn(on_line - 2 * DEADBAND, rate, A, DEADBAND, LEAD, 1, DT) == 1
+        assert burn(-on_line, -rate, A, DEADBAND, LEAD, 1, DT) == 0
+
+
+def test_axis_holds_its_decision_for_a_period(params: np.record) -> None:
+    params.period[:3] = 10
+    command, demands = new(COMMAND), []
+    error = 3.5 * params.lead[0] * params.acceleration[1] * params.dt_s  # three cycles of thrust
+    assert error > params.deadband[0]
+    for k in range(20):
+        # the moved chaser is not looked at until the period is over
+        control(params, seen((0.0, error if k == 0 or k >= 10 else -0.5, 0.0)), held(), command)
+        demands.append(int(command.force[1]))
+    assert demands == [-1, -1, -1, 0, 0, 0, 0, 0, 0, 0] * 2
+
+
+@pytest.mark.parametrize(("period", "start"), [(1, 0.5), (1, 0.05), (25, 0.5)])
+def test_double_integrator_comes_to_rest_with_at_most_one_overshoot(
+    params: np.record, period: int, start: float
+) -> None:
+    params.period[:3] = period
+    params.correction_rate[:3] = 0.05  # half a metre is worked off within the 80 s
+    command, position, velocity, track = new(COMMAND), start, 0.0, []
+    for _ in range(6000):
+        navigation = seen((position, 0.0, 0.0))
+        navigation.v_CT_H = [velocity, 0.0, 0.0]
+        control(params, navigation, held(), command)
+        velocity += command.force[0] * params.acceleration[0] * params.dt_s
+        position += velocity * params.dt_s
+        track.append(position)
+    found = np.array(track)
+    band = 1.5 * params.deadband[0] + params.acceleration[0] * params.dt_s * params.lead[0]
+    assert np.abs(found[4000:]).max() <= band
+    outside = np.sign(found[np.abs(found) > band])
+    assert np.count_nonzero(np.diff(outside)) <= 1
+
+
+def test_attitude_converges_in_about_ten_seconds(params: np.record) -> None:
+    """Bench paper, discussion of Fig. 6: scheme 1 starts at 3 deg and has converged at about 10 s."""
+    command, turn, rate = new(COMMAND), math.radians(3.0), 0.0
+    for _ in range(round(12.0 / params.dt_s)):
+        navigation = seen(q=Rotation.from_rotvec([turn, 0.0, 0.0]).as_quat())
+        navigation.w_CH_C = [rate, 0.0, 0.0]
+        control(params, navigation, held(), command)
+        rate += command.torque[0] * params.acceleration[3] * params.dt_s
+        turn += rate * params.dt_s
+    assert abs(math.degrees(turn)) < 0.1
+
+
+def test_dead_band_is_widened_by_what_navigation_does_not_know(params: np.record) -> None:
+    error = 5.0 * params.deadband[0]
+    navigation = seen((error, 0.0, 0.0))
+    assert demanded(params, navigation).force[0] == -1
+    navigation.sigma_v_mps[0] = error / (params.caution[0] * params.lead[0])
+    assert demanded(params, navigation).force[0] == 0
+    navigation.sigma_v_mps[0] = np.nan  # not known: no widening
+    assert demanded(params, navigation).force[0] == -1
+
+
+def test_brake_of_an_abort_knows_no_caution(params: np.record) -> None:
+    navigation, command, reference = seen((0.02, 0.0, 0.0)), new(COMMAND), held()
+    navigation.sigma_r_m[0] = 1.0
+    control(params, navigation, reference, command)
+    assert command.force[0] == 0
+    reference.boost = 1
+    control(params, navigation, reference, command)
+    assert command.force[0] == -1
+    assert command.boost == 1
+
+
+def test_slew_is_no_faster_than_its_rate(params: np.record) -> None:
+    command, turn, rate, fastest = new(COMMAND), math.radians(20.0), 0.0, 0.0
+    for _ in range(round(30.0 / params.dt_s)):
+        navigation = seen(q=Rotation.from_rotvec([0.0, turn, 0.0]).as_quat())
+        navigation.w_CH_C = [0.0, rate, 0.0]
+        control(params, navigation, held(), command)
+        rate += command.torque[1] * params.acceleration[4] * params.dt_s
+        turn += rate * params.dt_s
+        fastest = max(fastest, abs(rate))
+    pulse = params.acceleration[4] * params.dt_s
+    assert fastest <= params.correction_rate[4] + pulse
+
+
+@pytest.mark.parametrize("sigma_m", [1.0, 0.0])  # feedback sees nothing; feedback sees all and finds nothing to do
+def test_reference_is_followed_by_feed_forward_alone(params: np.record, sigma_m: float) -> None:
+    """A perfect estimate under a constant reference acceleration: thrust makes the same change of rate, to a pulse."""
+    command, reference, fired = new(COMMAND), held(), 0
+    position = velocity = 0.0
+    reference.a_CT_H[0] = 0.0045  # four and a half pulses a period: something is always owed
+    for k in range(500):
+        t = k * params.dt_s
+        reference.r_CT_H[0], reference.v_CT_H[0] = 0.5 * 0.0045 * t * t, 0.0045 * t
+        navigation = seen((position, 0.0, 0.0))
+        navigation.v_CT_H[0] = velocity
+        navigation.sigma_r_m[0] = sigma_m
+        control(params, navigation, reference, command)
+        change = command.force[0] * params.acceleration[0] * params.dt_s
+        position += (velocity + 0.5 * change) * params.dt_s
+        velocity += change
+        fired += abs(int(command.force[0]))
+        assert command.force[0] >= 0
+    wanted = 0.0045 * 500 * params.dt_s
+    assert fired * params.acceleration[0] * params.dt_s == pytest.approx(
+        wanted, abs=2.0 * params.acceleration[0] * params.dt_s
+    )
+    # fired ahead by up to a period: half of 0.2 s at the speed's growth, and the last step
+    assert abs(position - reference.r_CT_H[0]) < 0.005
+
+
+def test_feedback_leaves_to_feed_forward_what_is_owed(params: np.record) -> None:
+    command, navigation = new(COMMAND), seen()
+    pulse = params.acceleration[0] * params.dt_s
+    command.owed[0] = 0.45 * pulse  # asked for, too little for a pulse so far
+    navigation.v_CT_H[0] = -0.45 * pulse
+    assert 0.45 * pulse * params.lead[0] > params.deadband[0]
+    control(params, navigation, held(), command)
+    assert command.force[0] == 0

@@ -1,0 +1,219 @@
+"""Navigation as the cycle calls it: what it shows, whether its sigmas are honest, what a wrong sensor looks like."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
+from hil.dynamics.vision import see
+from hil.gnc import fusion, navigation
+from hil.gnc.navigation import VISION_ALONE
+from hil.maths import quat
+from hil.models.mounting import chaser_pose
+from hil.params import gnc as gnc_params
+
+SIGMA_M, SIGMA_RAD = 0.005, math.radians(0.033)
+
+
+class Navigator:
+    """Navigation with all that it works in, fed with a chaser that hangs still at 10 m."""
+
+    def __init__(self, params: np.record, rng: np.random.Generator, scale: float = 1.0) -> None:
+        self.params, self.out = params, new(NAVIGATION)
+        self.state, self._memory = new(navigation.NAVIGATION_STATE), np.zeros(fusion.MEMORY, fusion.STEP)
+        self._poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
+        self._rng, self._scale = rng, scale
+        self.r, self.q = np.array([10.0, -0.5, 0.5]), Rotation.from_euler("ZYX", [-5, 5, 5], degrees=True).as_quat()
+
+    def pose(self, t_s: float, off_m: float = 0.0, off_rad: float = 0.0) -> np.record:
+        """Return a noisy pose, wrong by ``off_m`` and ``off_rad``, that claims ``scale`` times its sigmas."""
+        pose, noise = new(POSE), self._rng.standard_normal(6)
+        noise = noise + np.array([off_m / SIGMA_M, 0, 0, off_rad / SIGMA_RAD, 0, 0])
+        pose.t_s, pose.z_TC_C = t_s, SIGMA_M * noise[:3] - quat.transform(self.q, self.r)
+        pose.q_CH = quat.multiply(quat.from_rotation_vector(SIGMA_RAD * noise[3:]), self.q)
+        pose.covariance_position = (self._scale * SIGMA_M) ** 2 * np.eye(3)
+        pose.covariance_attitude = (self._scale * SIGMA_RAD) ** 2 * np.eye(3)
+        return pose
+
+    def step(self, *poses: np.record) -> np.record:
+        own, imu = self.params.fusion, new(IMU)
+        for i, pose in enumerate(poses):
+            self._poses[i] = pose
+        w0 = own.akf.orbit_rate
+        still = np.array([0.0, w0**2 * self.r[1], -3.0 * w0**2 * self.r[2]])
+        imu.rate_C = quat.transform(self.q, np.array([0.0, -w0, 0.0])) + own.akf.initial_drift
+        imu.rate_C += own.akf.sigma_gyro * self._rng.standard_normal(3)
+        imu.force_C = quat.transform(self.q, still) + own.pkf.initial_bias
+        imu.force_C += own.pkf.sigma_accelerometer * self._rng.standard_normal(3)
+        navigation.navigate(self.params, self.state, self._memory, imu, self._poses, len(poses), self.out)
+        return self.out
+
+
+@pytest.fixture
+def params(scheme_2: Scenario) -> np.record:
+    """Return the shipped parameters of navigation by vision and IMU."""
+    return gnc_params.navigation(scheme_2)
+
+
+def test_nothing_is_known_until_a_pose_comes_and_one_too_old_does_not_start(
+    params: np.record, rng: np.random.Generator
+) -> None:
+    navigator = Navigator(params, rng)
+    for _ in range(70):
+        assert navigator.step().valid == 0
+    assert navigator.step(navigator.pose(0.12)).valid == 0
+    assert navigator.state.fusion.too_late == 1
+    assert navigator.step(navigator.pose(0.8)).valid == 1  # 31 steps late
+    assert navigator.state.fusion.start_cycle == 40
+    out = navigator.out
+    assert np.abs((out.r_CT_H - navigator.r) / out.sigma_r_m).max() < 4.0
+
+
+def test_what_is_shown_is_what_the_filters_hold(params: np.record, rng: np.random.Generator) -> None:
+    navigator = Navigator(params, rng)
+    for k in range(40):
+        out = navigator.step(*([navigator.pose(0.02 * k)] if k % 8 == 0 else []))
+        held = navigator.state.fusion.filters
+        np.testing.assert_array_equal([*out.r_CT_H, *out.v_CT_H], held.pkf.x[:6])
+        np.testing.assert_array_equal([*out.q_CH, *out.w_CH_C], [*held.akf.x[:4], *held.akf.w_CH_C])
+        np.testing.assert_allclose([*out.sigma_r_m, *out.sigma_v_mps], np.sqrt(np.diag(held.pkf.p)[:6]))
+        np.testing.assert_allclose(out.sigma_attitude_rad, np.sqrt(np.diag(held.akf.p)[:3]))
+        updated = k % 8 == 0 and k > 0
+        assert math.isfinite(out.nis_position) == math.isfinite(out.nis_attitude) == updated
+    assert navigator.state.fusion.cycle == 40
+
+
+def test_all_poses_of_a_step_are_fused_and_no_more(params: np.record, rng: np.random.Generator) -> None:
+    navigator = Navigator(params, rng)
+    navigator.step(navigator.pose(0.0))
+    for _ in range(20):
+        navigator.step()
+    navigator.step(*(navigator.pose(t_s) for t_s in (0.32, 0.08, 0.2, 0.4)))
+    assert (navigator.state.fusion.accepted, navigator.state.fusion.duplicates) == (4, 0)
+    navigator.step()  # the places of the four are still full
+    assert (navigator.state.fusion.accepted, navigator.state.fusion.duplicates) == (4, 0)
+
+
+@pytest.mark.parametrize("part", ["position", "attitude"])
+def test_gate_stands_where_its_parameter_says(params: np.record, part: str) -> None:
+    name = "pkf" if part == "position" else "akf"
+
+    def fused(gate: float) -> np.record:
+        params.fusion.akf.gate = params.fusion.pkf.gate = 1e9
+        params.fusion[name].gate = gate
+        navigator = Navigator(params, np.random.default_rng(3))
+        navigator.step(navigator.pose(0.0))
+        navigator.step(navigator.pose(0.02, off_m=0.02, off_rad=2e-3))
+        return navigator
+
+    nis = fused(1e9).out[f"nis_{part}"]
+    assert nis > 3.0
+    assert fused(nis * 1.0001).state.fusion.accepted == 1
+    kept_out = fused(nis * 0.9999)
+    assert (kept_out.state.fusion.accepted, kept_out.state.fusion[f"rejected_{part}"]) == (0, 1)
+    assert kept_out.out[f"nis_{part}"] == pytest.approx(nis, rel=1e-12)
+
+
+def test_shipped_gate_is_five_sigma(params: np.record) -> None:
+    rare = math.erfc(5.0 / math.sqrt(2.0))
+    assert chi2.sf(params.fusion.akf.gate, 3) == pytest.approx(rare, rel=1e-6)
+    assert params.fusion.pkf.gate == params.fusion.akf.gate
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+def test_wrong_measurement_covariance_shows_as_a_mean_nis_off_three(
+    params: np.record, rng: np.random.Generator, scale: float
+) -> None:
+    params.fusion.akf.gate = params.fusion.pkf.gate = 1e9
+    navigator, nis = Navigator(params, rng, scale), []
+    for k in range(2400):
+        out = navigator.step(*([navigator.pose(0.02 * k)] if k % 8 == 0 else []))
+        if k % 8 == 0 and k > 0:
+            nis.append((out.nis_position, out.nis_attitude))
+    low, high = (chi2.ppf(p, 3 * len(nis)) / len(nis) for p in (0.0005, 0.9995))
+    for mean in np.mean(nis, axis=0):
+        assert (low < mean < high) == (scale == 1.0)
+        assert mean == pytest.approx(3.0 / scale**2, rel=0.2)
+
+
+def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
+    scheme_2: Scenario, mock_rig: Rig, rng: np.random.Generator
+) -> None:
+    """The attitude is estimated: its error, which lasts from frame to frame, is 10 m long."""
+    runs, marks = 40, (0, 80, 400)
+    params, stations = gnc_params.navigation(scheme_2), gnc_params.stations(mock_rig)
+    vision, akf, pkf = gnc_params.vision(scheme_2), params.fusion.akf, params.fusion.pkf
+    vision.reference_range = 1e3  # noise as in Table I at every range
+    hill_rate, no_imu = np.array([0.0, -akf.orbit_rate, 0.0]), new(IMU)
+    truth, out, two = new(TRUTH), new(NAVIGATION), np.empty(2)
+    poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
+    truth.q_CH = [0.0, 0.0, 0.0, 1.0]
+    t_v, q_vt, covariance = np.empty(3), np.empty(4), np.empty((6, 6))
+    total = {mark: np.zeros(2) for mark in marks}
+    for _ in range(runs):
+        state, memory, imu = new(navigation.NAVIGATION_STATE), np.zeros(fusion.MEMORY, fusion.STEP), no_imu
+        x = np.concatenate([[10.0, -0.5, 0.5], pkf.initial_velocity_sigma * rng.standard_normal(3)])
+        imu.bias_C = pkf.initial_bias + pkf.initial_bias_sigma * rng.standard_normal(3)
+        imu.drift_C = akf.initial_drift + akf.initial_drift_sigma * rng.standard_normal(3)
+        for k in range(max(marks) + 1):
+            if k > 0:
+                x = pkf.hill_transition @ x
+                imu.rate_C = hill_rate + imu.drift_C + akf.sigma_gyro * rng.standard_normal(3)
+                imu.force_C = imu.bias_C + pkf.sigma_accelerometer * rng.standard_normal(3)
+                imu.bias_C += 0.02 * pkf.sigma_bias * rng.standard_normal(3)
+                imu.drift_C += 0.02 * akf.sigma_drift * rng.standard_normal(3)
+            truth.r_CT_H, truth.v_CT_H = x[:3], x[3:]
+            if k % 8 == 0:
+                see(vision, stations, truth.r_CT_H, truth.q_CH, rng.standard_normal(6), t_v, q_vt, covariance)
+                chaser_pose(stations, t_v, q_vt, covariance, poses[0])
+                poses[0].t_s = 0.02 * k
+            navigation.navigate(params, state, memory, imu, poses, int(k % 8 == 0), out)
+            if k in total:
+                held = state.fusion.filters
+                navigation.normalised_errors(held, truth, imu, two)
+                total[k] += two
+                joint = np.block([[held.pkf.p, held.pkf.c], [held.pkf.c.T, held.akf.p]])
+                sigma = np.sqrt(np.diag(joint))
+                assert np.linalg.eigvalsh(joint / np.outer(sigma, sigma)).min() > 0.0
+    for mark in marks:
+        for found, freedom in zip(total[mark], (9 * runs, 6 * runs), strict=True):
+            assert chi2.ppf(0.0005, freedom) < found < chi2.ppf(0.9995, freedom), mark
+
+
+def test_normalised_errors_are_those_of_nine_and_six_states(params: np.record, rng: np.random.Generator) -> None:
+    filters, truth, imu, found = new(fusion.FILTERS), new(TRUTH), new(IMU), np.empty(2)
+    parts = [root @ root.T for root in (rng.standard_normal((9, 9)), rng.standard_normal((6, 6)))]
+    filters.pkf.p, filters.akf.p = parts
+    error, turn = rng.standard_normal(9), np.array([0.02, -0.01, 0.03])
+    filters.pkf.x, filters.akf.x = rng.standard_normal(9), [0.0, 0.0, 0.0, 1.0, 0.1, 0.2, 0.3]
+    truth.r_CT_H, truth.v_CT_H, imu.bias_C = (filters.pkf.x + error).reshape(3, 3)
+    truth.q_CH, imu.drift_C = Rotation.from_rotvec(turn).as_quat(), [0.2, 0.2, 0.1]
+    navigation.normalised_errors(filters, truth, imu, found)
+    six = np.array([*turn, 0.1, 0.0, -0.2])
+    np.testing.assert_allclose(found, [error @ np.linalg.solve(parts[0], error), six @ np.linalg.solve(parts[1], six)])
+
+
+def test_vision_alone_shows_its_low_passed_poses_without_sigmas(params: np.record, rng: np.random.Generator) -> None:
+    params.sensors = VISION_ALONE
+    navigator = Navigator(params, rng)
+    assert navigator.step().valid == 0
+    first = navigator.pose(0.02)
+    out = navigator.step(first)
+    assert out.valid == 1
+    np.testing.assert_allclose(out.r_CT_H, -quat.to_matrix(first.q_CH).T @ first.z_TC_C, atol=1e-14)
+    np.testing.assert_array_equal(out.q_CH, first.q_CH)
+    for k in range(2, 400):
+        out = navigator.step(*([navigator.pose(0.02 * k)] if k % 8 == 0 else []))
+        held = navigator.state.vision_only
+        np.testing.assert_array_equal([*out.r_CT_H, *out.v_CT_H], [*held.r_CT_H, *held.v_CT_H])
+    assert np.abs(out.r_CT_H - navigator.r).max() < 0.01
+    assert np.isnan([*out.sigma_r_m, *out.sigma_v_mps, *out.sigma_attitude_rad]).all()
+    assert np.isnan([out.nis_position, out.nis_attitude]).all()
+    assert navigator.state.fusion.started == 0

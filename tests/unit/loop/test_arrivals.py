@@ -1,0 +1,81 @@
+"""Each frame of the vision unit is told with the cycle that used it, and with -1 where none did."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.config.rig import Rig
+from hil.core.messages import CYCLE, MAX_POSES, PoseFrame
+from hil.core.observable import Told
+from hil.drivers.remote.io_layout import ARRIVAL
+from hil.loop.stages import Vision
+from hil.params import gnc as gnc_params
+
+
+class Source:
+    """Hands out the frames that it was given."""
+
+    name = "vmu"
+
+    def __init__(self) -> None:
+        self.frames: list[PoseFrame] = []
+
+    def open(self, now_s: float) -> None: ...
+
+    def poll(self, now_s: float) -> list[PoseFrame]:
+        frames, self.frames = self.frames, []
+        return frames
+
+    def counters(self) -> dict[str, int]:
+        return {}
+
+    def close(self) -> None: ...
+
+
+class Rows:
+    """Keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.rows: list[np.ndarray] = []
+
+    def put(self, row: np.ndarray) -> None:
+        assert row.dtype == ARRIVAL
+        self.rows.append(row[0].copy())
+
+
+def frame(counter: int, t_s: float) -> PoseFrame:
+    q = np.array([0.0, 0.0, 0.0, 1.0])
+    return PoseFrame(counter, t_s, t_s + 0.01, np.array([0.1, 0.2, 3.0 + counter]), q, np.eye(6), 3, 5)
+
+
+def test_frames_are_told_with_the_cycle_that_used_them(mock_rig: Rig) -> None:
+    source, told, row = Source(), Rows(), np.zeros(1, CYCLE)
+    vision = Vision(source, gnc_params.stations(mock_rig))
+    vision.tap = told
+
+    def cycle(*frames: PoseFrame) -> list[tuple[int, int]]:
+        source.frames, told.rows = list(frames), []
+        vision.take(20.0, 10.0, row[0])
+        return [(int(r["frame"]["counter"]), int(r["cycle"])) for r in told.rows]
+
+    source.frames = [frame(1, 9.0)]
+    assert vision.look_away(9.5) == 1  # the bench is armed, the loop is open
+    assert [int(r["cycle"]) for r in told.rows] == [-1]
+    assert cycle() == []
+    assert cycle(frame(2, 11.0), frame(3, 11.1)) == [(2, 1), (3, 1)]
+    assert told.rows[1]["pose"]["t_s"] == 11.1 - 10.0
+    assert told.rows[1]["pose"].tobytes() == vision.poses[1].tobytes()
+    assert told.rows[1]["frame"]["received_s"] == 11.1 + 0.01
+    vision.not_before_s = 12.0
+    assert cycle(frame(4, 11.9), frame(5, 12.5)) == [(4, -1), (5, 2)]
+    many = [frame(10 + i, 13.0 + i) for i in range(MAX_POSES + 2)]
+    assert cycle(*many) == [(10, -1), (11, -1), *((12 + i, 3) for i in range(MAX_POSES))]
+
+
+def test_a_listener_hears_what_was_and_what_comes() -> None:
+    events: Told[int] = Told([1])
+    heard: list[int] = []
+    events.append(2)
+    events.tell(heard.append)
+    events.append(3)
+    assert heard == events == [1, 2, 3]

@@ -1,0 +1,108 @@
+"""What late cycles lead to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.config.load import load_rig, load_scenario
+from hil.config.rig import Rig
+from hil.core.modes import Mode
+from hil.errors import SafetyTrip
+from hil.loop.overrun_monitor import LateCycles, lateness_histogram, lateness_percentiles_us
+from hil.loop.rate_keeper import Tick
+from hil.session import build
+
+
+def late(now_s: float, skipped: int = 1) -> Tick:
+    return Tick(now_s, 0.0, 0.0, skipped, 0.0451)
+
+
+def test_burst_trips_and_names_lateness_and_limit() -> None:
+    cycles = LateCycles("safe_stop", 5, 1.0)
+    cycles.look(late(10.0, 5))
+    with pytest.raises(
+        SafetyTrip,
+        match=r"^loop: late cycles lost 6 periods \(the last cycle ended 45\.1 ms .*\), allowed 5 in 1 s$",
+    ):
+        cycles.look(late(10.01))
+
+
+def test_single_lost_periods_leak_away() -> None:
+    cycles = LateCycles("safe_stop", 5, 1.0)
+    for k in range(1000):
+        cycles.look(late(0.25 * k))
+        cycles.look(Tick(0.25 * k + 0.02, 0.0, 0.0))
+
+
+def test_more_than_the_bucket_leaks_trips_in_the_end() -> None:
+    cycles = LateCycles("hold", 5, 1.0)
+    trips: list[SafetyTrip] = []
+    cycles.on_hold = trips.append
+    for k in range(200):
+        cycles.look(late(0.1 * k))
+    assert len(trips) == 1
+
+
+def test_none_allowed_trips_at_the_first() -> None:
+    with pytest.raises(SafetyTrip, match="allowed 0 in 1 s"):
+        LateCycles("safe_stop", 0, 1.0).look(late(0.02))
+
+
+def test_log_never_trips() -> None:
+    LateCycles("log", 0, 1.0).look(late(1.0, 100))
+
+
+def test_hold_without_anyone_who_holds_is_a_safe_stop() -> None:
+    with pytest.raises(SafetyTrip):
+        LateCycles("hold", 0, 1.0).look(late(1.0))
+
+
+def test_hold_is_asked_for_once_until_the_bucket_is_empty_again() -> None:
+    cycles = LateCycles("hold", 2, 1.0)
+    asked: list[SafetyTrip] = []
+    cycles.on_hold = asked.append
+    for now_s in (1.0, 1.02, 1.04):
+        cycles.look(late(now_s, 3))
+    assert len(asked) == 1
+    cycles.look(late(60.0, 3))
+    assert len(asked) == 2
+
+
+@pytest.mark.parametrize(("kind", "action"), [("hardware", "safe_stop"), ("emulated", "log")])
+def test_hardware_stops_unless_told_otherwise(kind: str, action: str) -> None:
+    emulated = load_rig("emulated").value
+    rig = emulated.model_copy(update={"kind": kind})
+    assert rig.late_cycle == action
+    assert Rig.model_validate(rig.model_dump() | {"host": {"late_cycle": "hold"}}, strict=False).late_cycle == "hold"
+
+
+def test_run_that_loses_too_many_periods_ends_as_a_safe_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 2.0, 1.0)
+    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+        runner.late_cycles = LateCycles("safe_stop", 5, 1.0)
+        rate = runner._rate
+        wait = rate.wait
+
+        def stumble() -> Tick:
+            tick = wait()
+            return late(tick.now_s, 6) if rate.executed == 50 else tick
+
+        monkeypatch.setattr(rate, "wait", stumble)
+        outcome = runner.run()
+    assert outcome.stop.startswith("loop: late cycles lost 6 periods")
+    assert outcome.mode is Mode.SAFE_STOP
+    assert len(outcome.history) < 50
+
+
+def test_percentiles_are_in_microseconds_and_empty_is_zero() -> None:
+    found = lateness_percentiles_us(np.arange(1001) * 1e-6)
+    assert found == pytest.approx({"p50": 500.0, "p99": 990.0, "p999": 999.0, "max": 1000.0})
+    assert set(lateness_percentiles_us(np.empty(0)).values()) == {0.0}
+
+
+def test_histogram_counts_each_cycle_once_in_its_power_of_two() -> None:
+    found = lateness_histogram(np.array([0.0, 0.9, 1.0, 3.0, 4.0, 70_000.0]) * 1e-6)
+    counts = {entry["below_us"]: entry["cycles"] for entry in found if entry["cycles"]}
+    assert counts == {1: 2, 2: 1, 4: 1, 8: 1, None: 1}
+    assert sum(entry["cycles"] or 0 for entry in lateness_histogram(np.empty(0))) == 0

@@ -1,0 +1,114 @@
+"""The safety chain in the cycle, on a coupler in memory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.config.io import Io
+from hil.core.clock import SimulatedClock, WallClock
+from hil.drivers.io.mock import MockIo
+from hil.drivers.shared_state import AxisBoard
+from hil.errors import LinkTimeout, SafetyTrip
+from hil.loop.rate_keeper import SimulatedRate
+from hil.loop.safety_io_stage import CLOSING_TIME_S, IoStage
+
+STEP_S = 0.02
+
+
+class Desk:
+    def __init__(self) -> None:
+        self.io = MockIo(Io(driver="mock", thruster_lines=4))
+        self.on = np.zeros(4, np.int64)
+        self.stage = IoStage(self.io, self.on)
+        self.rate = SimulatedRate(SimulatedClock(), STEP_S)
+
+    def look(self) -> None:
+        self.stage.look(self.rate.wait().now_s)
+
+
+@pytest.fixture
+def desk() -> Desk:
+    desk = Desk()
+    desk.stage.open(desk.rate)
+    return desk
+
+
+def test_opening_closes_the_chain_and_takes_no_simulated_time(desk: Desk) -> None:
+    assert desk.rate.now_s() == 0.0
+    assert desk.io.read(0.0).chain_closed
+    for _ in range(500):
+        desk.look()
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value", "text"),
+    [
+        ("pressed", True, "io: emergency stop pressed, allowed released"),
+        ("open_interlocks", ("door",), "io: interlock door open, allowed closed"),
+    ],
+)
+def test_what_people_do_trips_in_the_next_cycle_and_forbids_opening(
+    desk: Desk, attribute: str, value: object, text: str
+) -> None:
+    desk.look()
+    assert desk.stage.emergency_input(0.0) == (False, False)
+    setattr(desk.io, attribute, value)
+    if attribute == "pressed":  # the supervisor's to tell, not the look's
+        desk.look()
+        assert desk.stage.emergency_input(0.0) == (True, False)
+    else:
+        with pytest.raises(SafetyTrip) as caught:
+            desk.look()
+        assert str(caught.value) == text
+    with pytest.raises(SafetyTrip) as caught:
+        desk.stage.open(desk.rate)
+    assert str(caught.value) == text
+
+
+def test_a_chain_that_opens_by_itself_trips(desk: Desk) -> None:
+    desk.io.outputs = desk.io.outputs._replace(enable=False)
+    desk.look()  # it takes some milliseconds
+    with pytest.raises(SafetyTrip, match="io: safety chain open, allowed closed"):
+        desk.look()
+
+
+def test_a_chain_that_does_not_close_is_given_up() -> None:
+    desk = Desk()
+    desk.io._pump_timeout_s = -1.0  # a relay for which no pump is fast enough
+    with pytest.raises(SafetyTrip, match="io: safety chain open 1 s after enable, allowed closed"):
+        desk.stage.open(desk.rate)
+    assert CLOSING_TIME_S < desk.rate.now_s() < CLOSING_TIME_S + 3 * STEP_S
+
+
+def test_failure_of_the_link_reaches_the_cycle(desk: Desk) -> None:
+    desk.io.fail(LinkTimeout("io", "no answer for 0.5 s"))
+    with pytest.raises(LinkTimeout, match="io: no answer"):
+        desk.look()
+
+
+def test_thrusters_are_mirrored_to_their_lines(desk: Desk) -> None:
+    desk.on[:] = (0, 1, 0, 1)
+    desk.stage.mirror(0.0)
+    assert desk.io.outputs == (True, b"\0\1\0\1")
+    desk.on[:] = 0
+    desk.stage.mirror(0.02)
+    assert desk.io.outputs.thrusters == b"\0\0\0\0"
+    desk.on[0] = 1
+    desk.stage.mirror(0.04)
+    desk.stage.stop(0.06)
+    assert desk.io.outputs == (False, b"")
+
+
+def test_the_board_carries_the_chain_to_the_drives() -> None:
+    board, clock = AxisBoard.create(), WallClock()
+    try:
+        assert board.chain_closed(clock)  # nobody has such a device
+        board.write_chain(False, clock.now_s())
+        assert not board.chain_closed(clock)
+        board.write_chain(True, clock.now_s())
+        assert board.chain_closed(clock)
+        board.write_chain(True, clock.now_s() - 1.0)
+        assert not board.chain_closed(clock)  # whoever should tell is dead
+    finally:
+        board.close()

@@ -1,0 +1,187 @@
+"""The monitor paper's relations as mended: lines, circle, motion over portions, derived quantities."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hil.models import docking_view
+from hil.monitor.frame_result import Look, PaperFrame
+from hil.monitor.kernels.derived import derive, quantities
+from hil.monitor.motion import MotionFit, transition
+from hil.monitor.paper import paper
+from hil.monitor.paper.motion import PaperMotionFit, pair
+from hil.monitor.results import QUANTITIES, Seen
+from hil.monitor.settings import Settings
+
+F, B, R = 1100.0, 0.3, 0.3
+SIGMAS = np.array([0.02, 0.02, 2e-4, 0.01, 0.01, 0.008])
+Z = np.array([0.2, 0.01, -0.15, 0.02, 8.0, -0.1])
+V = np.array([0.01, 1e-3, -0.02, 5e-4, 0.03, -1e-3])
+
+
+def line_points(a: float, x: float, y: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return points of both bars of a cross of slope ``a`` about (x, y)."""
+    t = np.linspace(-30.0, 30.0, 9)
+    across = np.column_stack((x + t, y + a * t, np.full(9, 0.01), np.zeros(9)))
+    upright = np.column_stack((x - a * t, y + t, np.full(9, 0.01), np.zeros(9)))
+    return across, upright
+
+
+def test_the_cross_centre_is_where_the_lines_meet() -> None:
+    """Misprint 5: the second residual is U + a V - c2 and Y_C = (a c2 - c1) / (1 + a^2)."""
+    found, covariance = paper.cross_centre(*line_points(0.07, 12.0, -31.0))
+    np.testing.assert_allclose(found, [12.0, -31.0, 0.07], atol=1e-9)
+    assert covariance[0, 0] == pytest.approx(0.01 / 9.0, rel=0.2)
+
+
+def test_points_of_both_sides_of_wide_bars_count_by_their_middle() -> None:
+    """The half widths are unknowns, so a bar seen wider than it is moves nothing."""
+    across, upright = line_points(-0.03, 5.0, 6.0)
+    n = np.array([0.03, 1.0]) / np.hypot(0.03, 1.0)
+    sides = []
+    for side in (-1.0, 1.0):
+        moved = across.copy()
+        moved[:, :2] += side * 4.2 * n
+        moved[:, 3] = side
+        sides.append(moved)
+    found, _ = paper.cross_centre(np.vstack(sides), upright)
+    np.testing.assert_allclose(found, [5.0, 6.0, -0.03], atol=1e-9)
+
+
+def test_the_bar_across_has_the_slope_minus_phi3() -> None:
+    """Misprint 6: in the axes of 3.1, vertical axis up, a = -phi3 and not phi3."""
+    phi3 = 0.05
+    a = docking_view.attitude(np.array([0.0, 0.0, phi3]))
+    ends = []
+    for y1 in (-0.1, 0.1):
+        x = docking_view.to_camera(a, np.array([0.0, 0.0, 5.0]), np.array([y1, 0.0, B]))
+        ends.append((x[0] / x[2], x[1] / x[2]))
+    slope = (ends[1][1] - ends[0][1]) / (ends[1][0] - ends[0][0])
+    assert slope == pytest.approx(-np.tan(phi3))
+
+
+def test_the_circle_of_noisy_points_is_within_its_covariance(rng: np.random.Generator) -> None:
+    """Gauss-Newton on Phi_2 from the geometric start: errors as large as the covariance says."""
+    ratios = []
+    for _ in range(200):
+        t = rng.uniform(0.0, 2.0 * np.pi, 40)
+        radius = 37.0 + 0.05 * rng.normal(size=40)
+        points = np.column_stack((10.0 + radius * np.cos(t), -5.0 + radius * np.sin(t)))
+        found, covariance = paper.circle(points, np.full(40, 0.05**2))
+        error = found - [10.0, -5.0, 37.0]
+        ratios.append(error @ np.linalg.solve(covariance, error))
+    assert np.mean(ratios) == pytest.approx(3.0, abs=0.6)
+
+
+def paper_looks(rng: np.random.Generator, start: int, z: np.ndarray = Z, v: np.ndarray = V) -> list[Look]:
+    """Return ten frames by the paper's simplified relations, 0.1 s apart, of even motion with z, v at 0 s."""
+    looks = []
+    for k in range(start, start + 10):
+        t = 0.1 * k
+        d, phi = z[0::2] + t * z[1::2], v[0::2] + t * v[1::2]
+        gap = F * B / (d[2] * (d[2] - B))
+        xo, yo = -F * d[0] / d[2] - F * phi[1], F * d[1] / d[2] + F * phi[0]
+        values = np.array([xo - gap * d[0], yo + gap * d[1], -phi[2], xo, yo, F * R / d[2]])
+        values += SIGMAS * rng.normal(size=6)
+        looks.append(_look(t, paper=PaperFrame(values, np.diag(SIGMAS**2))))
+    return looks
+
+
+def _look(t_s: float, **fields: object) -> Look:
+    zeros = np.zeros((7, 7))
+    plain = Look(Seen(0, t_s, "near"), "", np.zeros(7), zeros, np.zeros(7), np.array([100.0, 107, 10, 17]), True)
+    return replace(plain, **fields)
+
+
+@pytest.mark.parametrize("q", [0.0, 0.6])
+def test_one_time_origin_and_one_a_portion_give_the_same_motion(rng: np.random.Generator, q: float) -> None:
+    """Carrying z, v and their normal matrices to a new origin changes nothing but the conditioning."""
+    settings = Settings(q=q, q_attitude=q)
+    one = PaperMotionFit(replace(settings, motion="printed"), F, B, R)
+    own = PaperMotionFit(settings, F, B, R)
+    for portion in range(4):
+        looks = paper_looks(rng, 10 * portion)
+        t_s = looks[-1].seen.t_s
+        first, second = one.fit(looks, t_s), own.fit(looks, t_s)
+        assert first is not None
+        assert second is not None
+        np.testing.assert_allclose(first.motion.w, second.motion.w, rtol=1e-6, atol=1e-9)
+
+
+def test_the_mended_covariance_is_that_of_the_errors_and_the_printed_one_is_not(rng: np.random.Generator) -> None:
+    """Misprint 7: with q < 1, sigma^2 B^-1 over-reports; the propagated covariance covers, rates included."""
+    squares = {"corrected": np.zeros(6), "printed": np.zeros(6)}
+    runs = 150
+    for _ in range(runs):
+        fits = {name: PaperMotionFit(Settings(q=0.5, motion=name), F, B, R) for name in squares}
+        results = {}
+        for portion in range(5):
+            looks = paper_looks(rng, 10 * portion)
+            t_s = looks[-1].seen.t_s
+            results = {name: fit.fit(looks, t_s) for name, fit in fits.items()}
+        truth = pair(t_s) @ Z
+        for name, result in results.items():
+            assert result is not None
+            squares[name] += (result.motion.w[:6] - truth) ** 2 / np.diag(result.motion.covariance)[:6] / runs
+    np.testing.assert_allclose(squares["corrected"], 1.0, atol=0.4)
+    assert np.all(squares["printed"] < 0.85 * squares["corrected"])
+
+
+def exact_looks(rng: np.random.Generator, start: int, w: np.ndarray, normal: np.ndarray) -> list[Look]:
+    """Return ten frames with poses that scatter by ``normal`` (7, 7) about the motion ``w`` (12,) at 0 s."""
+    root = np.linalg.cholesky(np.linalg.inv(normal))
+    looks = []
+    for k in range(start, start + 10):
+        t = 0.1 * k
+        pose = np.append(w[0::2] + t * w[1::2], 0.0) + root @ rng.normal(size=7)
+        looks.append(_look(t, pose=pose, normal=normal))
+    return looks
+
+
+def test_carried_motion_has_the_errors_that_its_covariance_says(rng: np.random.Generator) -> None:
+    """The fit of whole poses, q = 0.5: the mean square error in sigmas is one, for places and for rates."""
+    spread = rng.normal(size=(7, 7))
+    normal = np.diag(1.0 / np.array([2e-3, 2e-3, 1e-3, 3e-4, 3e-4, 2e-4, 0.02]))
+    normal = normal @ (np.eye(7) + 0.05 * (spread + spread.T)) @ normal
+    w = np.zeros(12)
+    w[0:6], w[6:12] = Z, V
+    settings = Settings(acceleration_mps2=1e-9, angular_acceleration_radps2=1e-9)
+    squares, runs = np.zeros(12), 150
+    for _ in range(runs):
+        fit = MotionFit(settings)
+        for portion in range(4):
+            looks = exact_looks(rng, 10 * portion, w, normal)
+            found = fit.fit(looks, looks[-1].seen.t_s)
+        assert found is not None
+        error = found.motion.w - transition(looks[-1].seen.t_s) @ w
+        squares += error**2 / np.diag(found.motion.covariance) / runs
+    np.testing.assert_allclose(squares, 1.0, atol=0.4)
+
+
+def test_rates_have_a_variance_and_range_has_its_root() -> None:
+    """Misprint 7: U has a second row, and sigma_rho is the root of the printed expression."""
+    w = np.zeros(12)
+    w[4], w[5] = 8.0, -0.1
+    covariance = np.diag(np.arange(1.0, 13.0) * 1e-6)
+    values, sigmas = derive(w, covariance)
+    named, sigma = dict(zip(QUANTITIES, values, strict=True)), dict(zip(QUANTITIES, sigmas, strict=True))
+    assert named["range_m"] == pytest.approx(8.0)
+    assert named["range_rate_mps"] == pytest.approx(-0.1)
+    assert sigma["range_m"] == pytest.approx(np.sqrt(5e-6), rel=1e-6)
+    assert sigma["range_rate_mps"] == pytest.approx(np.sqrt(6e-6), rel=1e-6)
+
+
+def test_derived_quantities_are_those_of_their_definitions() -> None:
+    """Passive angles, line of sight and rate of a motion that is not small."""
+    w = np.array([1.0, 0.1, -2.0, 0.2, 9.0, -0.5, 0.1, 0.0, -0.05, 0.0, 0.2, 0.0])
+    out = np.empty(12)
+    quantities(w, out)
+    d, rate = w[0:6:2], w[1:6:2]
+    assert out[7] == pytest.approx(d @ rate / np.linalg.norm(d))
+    assert out[8] == pytest.approx(np.arctan2(d[1], np.hypot(d[0], d[2])))
+    assert out[9] == pytest.approx(np.arctan2(d[0], d[2]))
+    x = docking_view.attitude(w[6::2].copy()).T @ -d
+    np.testing.assert_allclose(out[10:], [np.arctan2(x[0], x[2]), np.arctan2(x[1], x[2])])

@@ -1,0 +1,123 @@
+"""Energy and security by hand: impulsive least, drift, margins up to an abort."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from hil.config.scenario import Scenario
+from hil.core.messages import CYCLE
+from hil.params import gnc as gnc_params
+from hil.report.energy import impulsive_delta_v, judge_energy, slew_impulse
+from hil.report.security import drift, drift_over_an_orbit, judge_security
+
+W0 = 8.2e-4
+
+
+def flight(n: int = 100) -> np.ndarray:
+    """Return a history in which the chaser stands on its line, 3 m out, upright, at full mass."""
+    history = np.zeros(n, CYCLE)
+    history["t_s"] = 0.02 * np.arange(n)
+    for name in ("truth", "navigation"):
+        history[name]["r_CT_H"] = [3.0, 0.0, 0.0]
+    history["truth"]["q_CH"][:, 3] = 1.0
+    history["truth"]["mass_kg"] = 1000.0
+    history["reference"]["from_H"] = [5.0, 0.0, 0.0]
+    history["reference"]["to_H"] = [0.4, 0.0, 0.0]
+    return history
+
+
+def test_line_from_rest_to_rest_costs_twice_its_speed_whatever_its_ramps() -> None:
+    for ramp in (2, 50):
+        speed = np.concatenate([np.linspace(0.0, 0.03, ramp), np.full(20, 0.03), np.linspace(0.03, 0.0, ramp)])
+        along = np.array([0.6, -0.8, 0.0])
+        assert impulsive_delta_v(speed[:, None] * along) == pytest.approx(0.06)
+
+
+def test_corner_without_a_stop_costs_the_change_of_direction() -> None:
+    assert impulsive_delta_v(np.array([[0.03, 0.0, 0.0], [0.0, 0.04, 0.0]])) == pytest.approx(0.03 + 0.05)
+
+
+def test_slews_cost_twice_the_angular_momentum_of_a_steady_turn(scheme_1: Scenario) -> None:
+    # 3 deg in 10 s; J 900, 1100, 1050 kg m^2; sets of two 5 N thrusters on 1 m arms: 10 N for 10 N m
+    rate = math.radians(3.0) / 10.0
+    assert slew_impulse(scheme_1) == pytest.approx(2.0 * rate * (900.0 + 1100.0 + 1050.0))
+
+
+def test_energy_is_judged_against_three_times_the_least(scheme_1: Scenario) -> None:
+    history = flight()
+    history["reference"]["v_CT_H"][20:60, 0] = -0.03
+    exhaust = 220.0 * 9.80665
+    least = 1000.0 * (1.0 - math.exp(-(0.06 + slew_impulse(scheme_1) / 1000.0) / exhaust))
+    for spent, passed in ((2.99 * least, True), (3.01 * least, False)):
+        found = judge_energy(history["reference"]["v_CT_H"], scheme_1, spent, 7)
+        assert found["passed"] is passed
+        assert found["least_propellant_kg"] == pytest.approx(least)
+        assert found["delta_v_mps"] == pytest.approx(-exhaust * math.log(1.0 - spent / 1000.0))
+        assert found["firings"] == 7
+
+
+def test_security_is_judged_on_the_truth_and_names_the_tightest_moment(scheme_1: Scenario) -> None:
+    history = flight()
+    assert judge_security(history, scheme_1, W0)["passed"]
+    history["truth"]["r_CT_H"][40] = [3.0, 0.3, 0.0]
+    found = judge_security(history, scheme_1, W0)
+    assert not found["passed"]
+    assert found["corridor_margin_m"] == pytest.approx(math.hypot(3.0, 0.3) * math.tan(math.radians(5.0)) - 0.3)
+    assert found["corridor_margin_at_s"] == pytest.approx(0.8)
+    history = flight()
+    history["truth"]["v_CT_H"][10, 0] = -0.041
+    found = judge_security(history, scheme_1, W0)
+    assert not found["passed"]
+    assert found["closing_margin_mps"] == pytest.approx(-0.001)
+
+
+def test_security_is_judged_up_to_the_abort_alone(scheme_1: Scenario) -> None:
+    history = flight()
+    history["supervision"]["aborted"][50:] = 3
+    history["reference"]["phase"][50:80] = 3
+    history["reference"]["phase"][80:] = 4
+    history["truth"]["r_CT_H"][60:] = [4.0, 2.0, 0.0]
+    found = judge_security(history, scheme_1, W0)
+    assert found["passed"]
+    abort = found["abort"]
+    assert (abort["at_s"], abort["range_m"], abort["cause"]) == (pytest.approx(1.0), pytest.approx(3.0), "ordered")
+    assert abort["hold_since_s"] == pytest.approx(1.6)
+    assert abort["drift_from_end"]["from_s"] == pytest.approx(history["t_s"][-1])
+
+
+def test_drift_is_that_of_the_integrated_motion(rng: np.random.Generator) -> None:
+    r, v = np.array([5.0, 0.2, -0.1]), 1e-3 * rng.standard_normal(3)
+
+    def derivative(_t: float, y: np.ndarray) -> list[float]:
+        # bench paper eq. (11) without thrust
+        return [*y[3:], 2 * W0 * y[5], -(W0**2) * y[1], -2 * W0 * y[3] + 3 * W0**2 * y[2]]
+
+    t_s = np.linspace(0.0, 2.0 * math.pi / W0, 9)
+    truth = solve_ivp(derivative, (0.0, t_s[-1]), [*r, *v], t_eval=t_s, rtol=1e-11, atol=1e-13).y[:3].T
+    np.testing.assert_allclose(drift(r, v, W0, t_s), truth, atol=1e-6)
+
+
+def test_drift_from_rest_on_the_v_bar_stays_there() -> None:
+    row = flight(1)[0]
+    found = drift_over_an_orbit(row, W0)
+    assert found["nearest_m"] == pytest.approx(3.0)
+    assert found["farthest_m"] == pytest.approx(3.0)
+    assert found["orbit_s"] == pytest.approx(2.0 * math.pi / W0)
+
+
+def test_parts_of_a_run_without_a_cycle_are_not_passed(scheme_1: Scenario) -> None:
+    assert not judge_security(flight(0), scheme_1, W0)["passed"]
+    assert not judge_energy(np.empty((0, 3)), scheme_1, 0.0, 0)["passed"]
+
+
+def test_abort_acceleration_is_within_what_the_thrusters_give(scheme_1: Scenario) -> None:
+    _, strength = gnc_params.allocation(scheme_1.chaser)
+    abort = scheme_1.gnc.abort
+    assert gnc_params.guidance(scheme_1).brake == abort.brake_mps2
+    assert abort.brake_mps2 < strength[6] / scheme_1.chaser.mass_kg
+    # from the greatest closing rate the chaser stops within 0.05 m
+    assert scheme_1.gnc.corridor.closing_rate_max_mps**2 / (2.0 * abort.brake_mps2) < 0.05

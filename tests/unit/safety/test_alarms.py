@@ -1,0 +1,99 @@
+"""Alarms name device, value and limit; the book latches them. Lost packets: single ones pass, bursts do not."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
+from hil.safety.alarms import Alarm, AlarmBook, alarm_of
+from hil.safety.packet_loss import LeakyBucket, LinkWatch
+
+FOLLOWING = Alarm(1.5, "rails.x", "following error", "0.0612 m", "0.05 m")
+
+
+def test_text_names_device_value_and_limit_and_is_that_of_the_trip() -> None:
+    assert FOLLOWING.text == "rails.x: following error 0.0612 m, allowed 0.05 m"
+    assert str(FOLLOWING.trip()) == FOLLOWING.text
+
+
+@pytest.mark.parametrize(
+    ("error", "quantity"),
+    [
+        (SafetyTrip("rails.x", "following error", "0.0612 m", "0.05 m"), "following error"),
+        (LinkLost("rails.x", "connection closed"), "link"),
+        (LinkTimeout("rails.x", "no answer for 0.5 s, allowed 0.4 s"), "silence"),
+        (ProtocolError("rails.x", "CRC 0x1a2b, expected 0x1a2c"), "protocol"),
+        (DriveFault("rails.x", "reports fault 0x05"), "drive fault"),
+    ],
+)
+def test_every_device_error_becomes_an_alarm_with_its_own_text(error: BenchError, quantity: str) -> None:
+    alarm = alarm_of(error, 2.0)
+    assert (alarm.t_s, alarm.device, alarm.quantity, alarm.text) == (2.0, "rails.x", quantity, str(error))
+    assert alarm.value
+    assert alarm.limit
+    assert alarm.latched
+    assert not alarm.acknowledged
+    assert json.loads(json.dumps(alarm.as_json()))["device"] == "rails.x"
+
+
+def test_book_latches_acknowledges_and_lets_go_by_reset_alone() -> None:
+    book = AlarmBook()
+    first = book.enter(FOLLOWING)
+    assert book.enter(Alarm(9.0, "rails.x", "following error", "1 m", "0.05 m")) == first  # does not bury the first
+    book.enter(Alarm(2.0, "rails.y", "following error", "1 m", "0.05 m"))
+    assert [alarm.device for alarm in book.latched()] == ["rails.x", "rails.y"]
+    assert book.acknowledge() == 2
+    assert book.acknowledge() == 0
+    assert len(book.latched()) == 2  # seen, but still there
+    book.reset()
+    assert not book.latched()
+    assert [(alarm.latched, alarm.acknowledged) for alarm in book.all()] == [(False, True)] * 2
+    book.enter(FOLLOWING)
+    assert len(book.all()) == 3
+    assert len(book.latched()) == 1
+
+
+def test_single_lost_packets_are_forgiven_for_ever() -> None:
+    bucket = LeakyBucket(capacity=3.0, forget_s=1.0)
+    assert not any(bucket.add(1, 1.1 * k) for k in range(10_000))
+
+
+def test_a_burst_trips_and_its_size_is_what_is_allowed_at_once() -> None:
+    bucket = LeakyBucket(capacity=3.0, forget_s=1.0)
+    assert [bucket.add(1, 0.0) for _ in range(5)] == [False, False, False, True, True]
+    assert not bucket.add(0, 4.0)
+    assert bucket.level == pytest.approx(1.0)
+
+
+def test_losses_that_come_faster_than_they_are_forgiven_trip_in_the_end() -> None:
+    bucket = LeakyBucket(capacity=3.0, forget_s=1.0)
+    tripped = next(k for k in range(100) if bucket.add(1, 0.5 * k))
+    assert tripped == 5  # the level rises by a half each 0.5 s from 1
+
+
+def test_time_that_runs_backwards_forgives_nothing() -> None:
+    bucket = LeakyBucket(capacity=3.0, forget_s=1.0)
+    bucket.add(3, 5.0)
+    bucket.add(0, 1.0)
+    assert bucket.level == 3.0
+    bucket.add(0, 6.0)
+    assert bucket.level == pytest.approx(2.0)
+
+
+def test_link_watch_counts_what_is_new_and_names_the_device() -> None:
+    lost = [7]
+    watch = LinkWatch("vmu", LeakyBucket(2.0, 1.0), lambda: lost[0])
+    watch.restart()
+    assert watch.look(0.0) is None  # what was lost before the link was opened does not count
+    lost[0] = 9
+    assert watch.look(0.1) is None
+    lost[0] = 0  # the device began to count anew
+    assert watch.look(0.2) is None
+    lost[0] = 2
+    alarm = watch.look(0.2)
+    assert alarm is not None
+    assert alarm.text == "vmu: lost packets 3.9, allowed 2 at once, 1 in 1 s"
+    watch.restart()
+    assert watch.look(0.3) is None

@@ -1,0 +1,185 @@
+"""Settings changed in flight: which may be, what becomes of them, and that a replay makes the same of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.config.gnc_override import with_other_gnc
+from hil.config.live_tunable import SOUND, range_of, value_of
+from hil.config.load import load_rig, load_scenario
+from hil.config.scenario import Scenario
+from hil.console.lease import Refused
+from hil.console.tuner import Tuner, unit_of
+from hil.core.operator_commands import Operator
+from hil.errors import BadInput
+from hil.loop.runner import Runner
+from hil.recording.read import Recorded, load
+from hil.recording.replay import replay
+from hil.recording.session import recording
+from hil.recording.taps import Notes
+from hil.report.summary import summarise
+from hil.session import build
+from hil.setup.live_tuning import packed, tuning, unpacked, with_setting
+
+NOISE = "gnc.pkf.accelerometer_noise_mps2"
+DEADBAND = "gnc.control.deadband_m"
+
+
+def scheme(*settings: str, name: str = "scheme-1") -> build.Job:
+    scenario = load_scenario(name, settings)
+    return build.Job(scenario, load_rig("mock"), 3, 4.0, 1.0)
+
+
+class Changes(Operator):
+    """Changes one setting after each of some cycles."""
+
+    def __init__(self, job: build.Job, changes: dict[int, str]) -> None:
+        super().__init__()
+        self._scenario = job.scenario.value
+        self._changes = dict(changes)
+        self.runner: Runner
+        self.notes: Notes
+
+    def listen(self, now_s: float) -> None:
+        gnc = self.runner.loop.gnc
+        if (text := self._changes.pop(gnc.cycle, None)) is not None:
+            self._scenario = with_setting(self._scenario, text, "test").value
+            self.notes.setting(gnc.adjust(*tuning(self._scenario)), "ann", text)
+
+
+def fly(folder: Path, job: build.Job, changes: dict[int, str]) -> Recorded:
+    """Return the recording of a run with ``changes``: cycle after which, what."""
+    operator = Changes(job, changes)
+    with recording(job, "mock", folder, lambda _: None) as taken:
+        rate = build.SimulatedRate(build.SimulatedClock(), job.scenario.value.step_s)
+        operator.runner = build.in_memory(job, rate, telemetry=taken.taps.cycles, operator=operator)
+        operator.notes = taken.taps.attach(operator.runner)
+        outcome = operator.runner.run()
+        summary, _ = summarise(outcome, job.scenario.value, job.rig.value, "mock", job.seed, 50.0)
+        taken.finish(summary)
+    return load(taken.path)
+
+
+def first_difference(a: np.ndarray, b: np.ndarray, group: str) -> int:
+    bits = [rows[group].tobytes() for rows in (a, b)]
+    size = len(bits[0]) // len(a)
+    return next(k for k in range(len(a)) if bits[0][k * size : (k + 1) * size] != bits[1][k * size : (k + 1) * size])
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    return fly(tmp_path_factory.mktemp("plain"), scheme(), {})
+
+
+@pytest.mark.parametrize("filters", ["compiled", "with their shadow"])
+def test_change_in_flight_acts_from_its_cycle_on_and_the_replay_makes_it_again(
+    filters: str, plain: Recorded, tmp_path: Path
+) -> None:
+    job = scheme() if filters == "compiled" else scheme("gnc.shadow.enabled=true")
+    changes = {119: f"{NOISE}=0.0004", 150: f"{DEADBAND}=0.002", 169: f"{NOISE}=0.0002"}
+    changed = fly(tmp_path, job, changes)
+    assert first_difference(plain.cycles, changed.cycles, "navigation") == 120
+    np.testing.assert_array_equal(plain.cycles[:120]["command"], changed.cycles[:120]["command"])
+    assert [(n["cycle"], n["name"], n["message"]) for n in changed.notes if n["kind"] == "setting"] == [
+        (cycle + 1, "ann", text) for cycle, text in changes.items()
+    ]
+    assert not [note for note in changed.notes if note["name"] == "shadow"]  # it took the new noise over as well
+    found = replay(changed, changed.scenario)
+    assert found.identical, found.differences[:3]
+
+
+def test_replay_leaves_out_changes_of_what_it_has_otherwise(tmp_path: Path) -> None:
+    changed = fly(tmp_path, scheme(), {119: f"{NOISE}=0.0004"})
+    nearly = with_other_gnc(changed.scenario, "test", None, [f"{NOISE}=0.00011"]).value
+    found = replay(changed, nearly)
+    assert min(d.first_cycle for d in found.differences) < 10
+    without = replay(dataclasses.replace(changed, notes=[]), nearly)
+    assert found.rows["navigation"].tobytes() == without.rows["navigation"].tobytes()
+
+
+@pytest.mark.parametrize("key", SOUND)
+def test_each_setting_that_is_sound_in_flight_acts_on_the_parameters_and_has_a_range(key: str) -> None:
+    name = "scheme-3" if "vision_only" in key else "scheme-1"
+    scenario = load_scenario(name).value
+    before = value_of(scenario, key)
+    limits = range_of(Scenario, key)
+    assert before in limits
+    assert limits.low == 0.0
+    changed = with_setting(scenario, f"{key}={1.25 * before + 0.04!r}", "test").value
+    assert packed(tuning(changed)) != packed(tuning(scenario))
+
+
+def test_records_come_back_from_their_text_bit_by_bit_and_nothing_else_does() -> None:
+    records = tuning(load_scenario("scheme-1").value)
+    assert packed(unpacked(packed(records))) == packed(records)
+    for text in ("", "AAAA", "no text of ours!"):
+        with pytest.raises(ValueError, match=r"bytes of parameters|base64|[Pp]adding|alphabet"):
+            unpacked(text)
+
+
+@pytest.mark.parametrize(
+    ("adjustable", "words"),
+    [
+        (["gnc.control.deadband"], "did you mean gnc.control.deadband_m? allowed: gnc.control.deadband_m, "),
+        (["chaser.mass_kg"], '"chaser.mass_kg": cannot be changed in flight: allowed: gnc.'),
+        (["step_s"], '"step_s": cannot be changed in flight'),
+        (["gnc.corridor.axis"], '"gnc.corridor.axis": cannot be changed in flight'),
+        ([DEADBAND, DEADBAND], "stands here twice"),
+    ],
+)
+def test_scenario_that_allows_what_cannot_be_is_refused_in_one_line(adjustable: list[str], words: str) -> None:
+    with pytest.raises(BadInput) as refused:
+        load_scenario("scheme-1", [f"console.adjustable={adjustable}"])
+    (problem,) = refused.value.problems
+    assert problem.key == "console.adjustable"
+    assert words in problem.message
+
+
+def test_page_is_offered_exactly_what_the_scenario_allows_with_value_unit_and_range() -> None:
+    tuner = Tuner(scheme(f'console.adjustable=["{DEADBAND}", "gnc.corridor.half_angle_deg"]'))
+    first, second = tuner.offered()
+    assert (first["key"], first["unit"], first["value"], first["range"]["words"]) == (DEADBAND, "m", 0.0002, "above 0")
+    assert (second["unit"], second["range"]["words"]) == ("\u00b0", "above 0 to below 90")
+    tuner.took(tuner.change(DEADBAND, 0.0004))
+    assert tuner.offered()[0]["value"] == 0.0004
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("gnc.control.caution", -1, "gnc.control.caution: -1: allowed is 0 or more"),
+        (DEADBAND, 0, "gnc.control.deadband_m: 0: allowed is above 0"),
+        (DEADBAND, "0.1", "gnc.control.deadband_m: '0.1' is no number"),
+        (DEADBAND, True, "is no number"),
+        (DEADBAND, float("nan"), "is no number"),
+        (DEADBAND, None, "is no number"),
+        ("gnc.control.lead_s", 4.0, "'gnc.control.lead_s': this scenario lets nobody change it in flight"),
+        ("chaser.mass_kg", 1.0, "'chaser.mass_kg': this scenario lets nobody change it in flight; it allows gnc."),
+        (["x"], 1.0, "this scenario lets nobody change it"),
+        ("gnc.corridor.closing_rate_max_mps", 0.03, "0.03: must be below gnc.corridor.closing_rate_max_mps, 0.03"),
+    ],
+)
+def test_change_that_cannot_be_is_refused_in_words(key: Any, value: Any, words: str) -> None:
+    with pytest.raises((Refused, BadInput)) as refused:
+        Tuner(scheme()).change(key, value)
+    assert words in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "unit"),
+    [
+        (NOISE, "m/s\u00b2"),
+        ("gnc.control.slew_rate_degps", "\u00b0/s"),
+        ("gnc.navigation.gate_sigma", "\u03c3"),
+        ("gnc.corridor.closing_rate_slope_per_s", "1/s"),
+        ("gnc.control.lead_s", "s"),
+        ("gnc.control.caution", ""),
+    ],
+)
+def test_unit_of_a_setting_is_that_of_its_name(key: str, unit: str) -> None:
+    assert unit_of(key) == unit
