@@ -23,7 +23,7 @@ from hil.core.jit import kernel
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.gnc import navigation
-from hil.maths import stack_arrays
+from hil.maths import stack
 from hil.params import gnc as gnc_params
 
 REPEATS, TIMES, FLIGHTS = 100, 1_000, 30  # short ones: some of them nothing else disturbs
@@ -82,7 +82,7 @@ def decide(params, state, sets, n):
 
 @kernel
 def errors(state, n):
-    out = stack_arrays.vector(2)
+    out = stack.vector(2)
     for _ in range(n):
         navigation.normalised_errors(state.navigation.fusion.filters, state.now.truth, state.now.imu, out)
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 
 class HilError(Exception):
@@ -78,8 +79,20 @@ class ProtocolError(DeviceError):
     """The device sent bytes that break its protocol."""
 
 
+class FaultKind(Enum):
+    """What a device's own fault means to the bench. Drivers tell it by the fault's code, never by its text."""
+
+    OTHER = "other"
+    TORQUE_OFF = "torque off"
+    """The safety chain has taken the torque from the drive: the cause lies elsewhere."""
+
+
 class DriveFault(DeviceError):
     """The device reports a fault of its own."""
+
+    def __init__(self, device: str, what: str, kind: FaultKind = FaultKind.OTHER) -> None:
+        super().__init__(device, what)
+        self.kind = kind
 
 
 class SafetyTrip(BenchError):

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import euler, quat, stack_arrays
+from hil.maths import euler, quat, stack
 
 BENCH_PARAMS = np.dtype(
     [
@@ -34,13 +34,8 @@ MOTION = np.dtype([("position", "f8", 6), ("rate", "f8", 6)], align=True)  # rai
 @kernel
 def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
     """Write ``axes`` (AXES): positions and rates that put the chaser's reference point at this pose."""
-    arm, turning, arm_rate, angles = (
-        stack_arrays.vector(3),
-        stack_arrays.vector(3),
-        stack_arrays.vector(3),
-        stack_arrays.vector(3),
-    )
-    a, jacobian = stack_arrays.matrix(3, 3), stack_arrays.matrix(3, 3)
+    arm, turning, arm_rate, angles = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
+    a, jacobian = stack.matrix(3, 3), stack.matrix(3, 3)
     quat.transform_back_into(q_CH, params.lever_arm, arm)
     turning[0] = w_CH_C[1] * params.lever_arm[2] - w_CH_C[2] * params.lever_arm[1]
     turning[1] = w_CH_C[2] * params.lever_arm[0] - w_CH_C[0] * params.lever_arm[2]

@@ -30,7 +30,7 @@ from hil.gnc.control import CONTROL_PARAMS
 from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
 from hil.gnc.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
 from hil.gnc.ready_phase import READY_PARAMS
-from hil.maths import stack_arrays
+from hil.maths import stack
 from hil.maths.arrays import copy_into, copy_matrix, fill
 from hil.maths.limits import cut_to_range, has_held
 from hil.models.camera import CAMERA
@@ -151,7 +151,7 @@ def _move_all(state, now_s):
 @kernel
 def _send(axes, position, rate, now_s, accepted):
     """Give three mock axes their setpoint and write what they took into ``accepted`` (3,); False for a bad number."""
-    feedforward = stack_arrays.vector(3)
+    feedforward = stack.vector(3)
     if cut_to_range(position, axes.low, axes.high, accepted) >= 0:
         return False
     if cut_to_range(rate, axes.rate_min, axes.rate_max, feedforward) >= 0:
@@ -165,8 +165,8 @@ def _send(axes, position, rate, now_s, accepted):
 @kernel
 def _expose(params, state, until_s, vision_noise, travel_draws, leds, frames, tally):
     """Let the vision unit take what it sees up to ``until_s`` and send it on its way into ``frames``."""
-    late = stack_arrays.vector(2)
-    r, q = stack_arrays.vector(3), stack_arrays.vector(4)
+    late = stack.vector(2)
+    r, q = stack.vector(3), stack.vector(4)
     while True:
         t_s = exposure_time(state.next_exposure, params.vmu_rate_hz)
         if t_s > until_s:
@@ -284,7 +284,7 @@ def _decide(params, state, sets, t_s):
     allocation.select(sets, params.n_thrusters, now.command)
     now.nees_position = now.nees_attitude = np.nan
     if state.fuses_now != 0:
-        nees = stack_arrays.vector(2)
+        nees = stack.vector(2)
         navigation.normalised_errors(state.navigation.fusion.filters, now.truth, now.imu, nees)
         now.nees_position, now.nees_attitude = nees[0], nees[1]
 
@@ -293,13 +293,13 @@ def _decide(params, state, sets, t_s):
 def _follow(params, state, now_s):
     """Stage 11: setpoints towards the truth's pose. Returns how many were limited, -1 where one is not finite."""
     now = state.now
-    rate = stack_arrays.vector(3)
+    rate = stack.vector(3)
     truth_kernels.rate_against_hill(now.truth, rate)
     truth = now.truth
     kinematics.axes_of_pose(params.bench, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, state.wanted)
     out = state.next
     limited = kinematics.limit_setpoint(params.bench, state.motion, state.wanted, out)
-    rails, gimbals = stack_arrays.vector(3), stack_arrays.vector(3)
+    rails, gimbals = stack.vector(3), stack.vector(3)
     fine = _send(state.rails, out.rail_m, out.rail_mps, now_s, rails) and _send(
         state.turntable, out.gimbal_rad, out.gimbal_radps, now_s, gimbals
     )
@@ -316,7 +316,7 @@ def _begin(params, state):
     guidance.start(params.guidance, state.flown)
     _read_axes(state, 0.0)
     feedback = state.now.feedback
-    rest = stack_arrays.vector(3)
+    rest = stack.vector(3)
     fill(rest, 0.0)
     kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, state.before)
     kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, state.motion)

@@ -11,7 +11,7 @@ from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics import truth as truth_kernels
 from hil.gnc import approach_monitor, ready_phase
 from hil.gnc.ready_phase import READY_STATE
-from hil.maths import stack_arrays
+from hil.maths import stack
 from hil.maths.arrays import copy_into
 from hil.models.camera import view_margin
 from hil.models.mounting import camera_pose
@@ -58,7 +58,7 @@ def start_tally(tally):
 @kernel
 def count_exposure(camera, stations, leds, r, q, tally):
     """Take account of the view at an exposure with the bench at ``r`` (3,), m, ``q`` (4,)."""
-    t_v, q_vt = stack_arrays.vector(3), stack_arrays.vector(4)
+    t_v, q_vt = stack.vector(3), stack.vector(4)
     camera_pose(stations, r, q, t_v, q_vt)
     tally.view_margin = min(tally.view_margin, view_margin(camera, leds, t_v, q_vt))
 
@@ -130,7 +130,7 @@ def _count_navigation(now, tally):
 def count_cycle(params, state, tally):
     """Take account of the cycle in ``state.now``. params: LOOP_PARAMS."""
     now = state.now
-    rate = stack_arrays.vector(3)
+    rate = stack.vector(3)
     truth_kernels.rate_against_hill(now.truth, rate)
     ready_phase.deviations(params.ready, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, rate, tally.room)
     ready_phase.judge_moment(params.ready, tally.ready, now.t_s, tally.room)

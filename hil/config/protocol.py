@@ -142,9 +142,13 @@ class StatusBits(Strict):
 
 
 class FaultNames(Strict):
-    """What an axis' fault number means. flags: each bit is a fault; code: the number is one."""
+    """What an axis' fault number means. flags: each bit is a fault; code: the number is one.
+
+    torque_off: the one of ``names`` that says that the safety chain has taken the torque; None: there is none.
+    """
 
     kind: Literal["flags", "code"] = "code"
+    torque_off: Annotated[int, Field(ge=1, le=0xFFFF_FFFF)] | None = None
     names: Names = Field(default_factory=dict)
 
 
@@ -155,7 +159,6 @@ class EmulatorWords(Strict):
     serial: str = "0001"
     firmware: str = "1.0"
     command_timeout: int = 1  # fault numbers
-    torque_off: int = 2
     drive_fault: int = 4  # one that is switched on without a number
     unknown: int = 1  # error numbers
     arguments: int = 2
@@ -188,6 +191,11 @@ class Protocol(Strict):
             raise ValueError(f"counts_per_turn: is missing: fields are in {' and '.join(units)}")
         for key, names in (("faults.names", self.faults.names), ("errors.names", self.error_names)):
             numbers(key, names)
+        torque_off, names = self.faults.torque_off, self.faults.names
+        if torque_off is not None and torque_off not in numbers("faults.names", names):
+            raise ValueError(
+                f"faults.torque_off: {torque_off}: allowed are the numbers in [faults.names]: {_listed(names)}"
+            )
         for name, text in self.replies.items():
             _check_template(f"replies.{name}", text, [*_axis_fields(True), *OF_DEVICE])
         if self.errors is not None:

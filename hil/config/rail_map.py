@@ -140,7 +140,8 @@ class RailMap(Strict):
     """Where a rail drive keeps its numbers, and which drive it is.
 
     word_order: of a number in several registers, "big" has the high word first. numbered: whether the drive
-    echoes the number of each exchange (``command.number``, ``state.echo``).
+    echoes the number of each exchange (``command.number``, ``state.echo``). torque_off: the code in ``faults`` of
+    a drive without torque because the safety chain is open, -1 where the drive has none.
     """
 
     word_order: Literal["big", "little"] = "big"
@@ -153,6 +154,7 @@ class RailMap(Strict):
     control_bits: ControlBits = ControlBits()
     status_bits: StatusBits = StatusBits()
     faults: Mapping[FaultCode, str] = FAULT_TEXTS
+    torque_off: Annotated[int, Field(ge=-1, le=0xFFFF_FFFF)] = 7
 
     @property
     def homes(self) -> bool:
@@ -190,6 +192,14 @@ class RailMap(Strict):
     def _bits_fit_their_words(self) -> Self:
         _check_bits("control_bits", self.control_bits, self.command.control, ("enable", "quick_stop"))
         _check_bits("status_bits", self.status_bits, self.state.status, ("enabled", "fault"))
+        return self
+
+    @model_validator(mode="after")
+    def _torque_off_is_a_fault(self) -> Self:
+        given = "torque_off" in self.model_fields_set and self.torque_off >= 0
+        if given and self.torque_off not in {int(code, 0) for code in self.faults}:
+            allowed = ", ".join([*self.faults, "-1"])
+            raise ValueError(f"torque_off {self.torque_off}: no such code in faults, allowed: {allowed}")
         return self
 
 

@@ -18,8 +18,6 @@ from hil.maths.limits import cut_to_range
 
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
-TORQUE_OFF = "safe torque off"
-"""How every drive's driver calls the fault of a drive from which the safety chain has taken the torque."""
 
 
 @runtime_checkable

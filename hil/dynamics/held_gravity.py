@@ -13,7 +13,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.dynamics import moon_gravity
 from hil.dynamics.moon_gravity import LANES
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 from hil.maths.arrays import fill_matrix
 
 HOLD_S = 0.4  # span over which the harmonics are held; one step where that is longer
@@ -62,7 +62,7 @@ def hold_gravity(gm, harmonics, y, force_C, dt, gravity):
     ``follow_perturbation``. y: the integrated state of ``truth`` in inertial axes. force_C: (3,), specific thrust,
     m/s^2, in c.
     """
-    r, rho, thrust = stack_arrays.vector(3), stack_arrays.vector(3), stack_arrays.vector(3)
+    r, rho, thrust = stack.vector(3), stack.vector(3), stack.vector(3)
     quat.transform_back_into(y[6:10], force_C, thrust)
     fill_matrix(gravity, 0.0)
     for row in range(3):

@@ -7,7 +7,7 @@ reference point, the origin of c. The two are one where the offset is zero.
 from __future__ import annotations
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 from hil.maths.vectors import cross_into
 
 
@@ -18,7 +18,7 @@ def shift(q, offset_C, w_C, sign, r, v):
     q: quaternion from the frame F of r and v to c. offset_C: (3,), m, in c. w_C: (3,), rad/s, of c against F, in c.
     sign: 1.0 from the reference point to the centre of mass, -1.0 back.
     """
-    far, fast = stack_arrays.vector(3), stack_arrays.vector(3)
+    far, fast = stack.vector(3), stack.vector(3)
     cross_into(w_C, offset_C, fast)
     quat.transform_back_into(q, offset_C, far)
     quat.transform_back_into(q, fast, fast)
@@ -34,12 +34,7 @@ def add_lever_terms(offset_C, w_before, w_after, w_mean, dt, force):
     The mean over a step of ``-(dw/dt x d + w x (w x d))``, d the offset (3,), m, in c. w_before, w_after, w_mean: (3,),
     rad/s, inertial rate at both ends and its mean. The first term is exact, the second to the change of w in a step.
     """
-    gained, turned, across, drawn = (
-        stack_arrays.vector(3),
-        stack_arrays.vector(3),
-        stack_arrays.vector(3),
-        stack_arrays.vector(3),
-    )
+    gained, turned, across, drawn = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
     for i in range(3):
         gained[i] = (w_after[i] - w_before[i]) / dt
     cross_into(gained, offset_C, turned)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import stack_arrays
+from hil.maths import stack
 
 GRAVITY_PARAMS = np.dtype(
     [
@@ -64,25 +64,15 @@ def harmonics_of_four(params, field, place, out):
     Moon-fixed. out: (4, 3). The recursion is a chain that a processor has to wait for; four of them side by side,
     in the lanes of its registers, take hardly longer than one.
     """
-    s, t, u, step = (
-        stack_arrays.vector(LANES),
-        stack_arrays.vector(LANES),
-        stack_arrays.vector(LANES),
-        stack_arrays.vector(LANES),
-    )
-    a1, a2, a3, a4 = (
-        stack_arrays.vector(LANES),
-        stack_arrays.vector(LANES),
-        stack_arrays.vector(LANES),
-        stack_arrays.vector(LANES),
-    )
-    diagonal = stack_arrays.vector(LANES)  # GM / r^2 (R / r)^m A_mm
-    real, imaginary = stack_arrays.vector(LANES), stack_arrays.vector(LANES)  # (s + i t)^m
-    real_below, imaginary_below = stack_arrays.vector(LANES), stack_arrays.vector(LANES)  # (s + i t)^(m - 1)
-    legendre, before = stack_arrays.vector(LANES), stack_arrays.vector(LANES)
-    sum_c, sum_s = stack_arrays.vector(LANES), stack_arrays.vector(LANES)
-    radial_c, radial_s = stack_arrays.vector(LANES), stack_arrays.vector(LANES)
-    coupled_c, coupled_s = stack_arrays.vector(LANES), stack_arrays.vector(LANES)
+    s, t, u, step = stack.vector(LANES), stack.vector(LANES), stack.vector(LANES), stack.vector(LANES)
+    a1, a2, a3, a4 = stack.vector(LANES), stack.vector(LANES), stack.vector(LANES), stack.vector(LANES)
+    diagonal = stack.vector(LANES)  # GM / r^2 (R / r)^m A_mm
+    real, imaginary = stack.vector(LANES), stack.vector(LANES)  # (s + i t)^m
+    real_below, imaginary_below = stack.vector(LANES), stack.vector(LANES)  # (s + i t)^(m - 1)
+    legendre, before = stack.vector(LANES), stack.vector(LANES)
+    sum_c, sum_s = stack.vector(LANES), stack.vector(LANES)
+    radial_c, radial_s = stack.vector(LANES), stack.vector(LANES)
+    coupled_c, coupled_s = stack.vector(LANES), stack.vector(LANES)
     for j in range(LANES):
         x, y, z = place[j, 0], place[j, 1], place[j, 2]
         r = math.sqrt(x * x + y * y + z * z)
@@ -130,7 +120,7 @@ def harmonics_of_four(params, field, place, out):
 @kernel
 def harmonics(params, field, x, y, z):
     """Return the acceleration by the harmonics at one place, m/s^2, as three floats; see ``harmonics_of_four``."""
-    place, out = stack_arrays.matrix(LANES, 3), stack_arrays.matrix(LANES, 3)
+    place, out = stack.matrix(LANES, 3), stack.matrix(LANES, 3)
     for j in range(LANES):
         place[j, 0], place[j, 1], place[j, 2] = x, y, z
     harmonics_of_four(params, field, place, out)
@@ -204,8 +194,8 @@ def hold_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held):
         for row in range(4):
             held[row, 0], held[row, 1], held[row, 2] = 0.0, 0.0, 0.0
         return
-    place, pull = stack_arrays.matrix(LANES, 3), stack_arrays.matrix(LANES, 3)
-    cosine, sine = stack_arrays.vector(LANES), stack_arrays.vector(LANES)
+    place, pull = stack.matrix(LANES, 3), stack.matrix(LANES, 3)
+    cosine, sine = stack.vector(LANES), stack.vector(LANES)
     squared = r_T[0] * r_T[0] + r_T[1] * r_T[1] + r_T[2] * r_T[2]
     central = -params.gm / (squared * math.sqrt(squared))
     for row in range(4):

@@ -26,7 +26,7 @@ from hil.dynamics.moon_gravity import GRAVITY_PARAMS
 from hil.dynamics.rigid_body import angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
 from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
 
 HILL, NONLINEAR = 0, 1
@@ -139,9 +139,9 @@ def _integrate(params, gravity, y, load, sun_F, dt):
 
     gravity: (3, 10) of ``held_gravity.hold_gravity``.
     """
-    k = stack_arrays.matrix(4, _N)
-    trial = stack_arrays.vector(_N)
-    room = stack_arrays.matrix(_ROOM, 3)
+    k = stack.matrix(4, _N)
+    trial = stack.vector(_N)
+    room = stack.matrix(_ROOM, 3)
     copy_into(trial, y)
     for stage in range(4):
         if stage > 0:
@@ -158,8 +158,8 @@ def _enter(params, truth, y):
     """Write the integrated state for ``truth``: from H into F, from the reference point to the centre of mass."""
     r = y[0:3]
     v = y[3:6]
-    w, a = stack_arrays.vector(3), stack_arrays.matrix(3, 3)
-    q_ch, q_hi = stack_arrays.vector(4), stack_arrays.vector(4)
+    w, a = stack.vector(3), stack.matrix(3, 3)
+    q_ch, q_hi = stack.vector(4), stack.vector(4)
     copy_into(q_ch, truth.q_CH)
     quat.to_matrix_into(q_ch, a)
     for i in range(3):
@@ -189,10 +189,10 @@ def _enter(params, truth, y):
 @kernel
 def _move_frame(params, acceleration, y, truth):
     """Bring target and Hill frame of ``truth`` to the end of the step; acceleration: (3,), m/s^2, the target's."""
-    a = stack_arrays.matrix(3, 3)
+    a = stack.matrix(3, 3)
     r = y[21:24]
     v = y[24:27]
-    rate, q_hi = stack_arrays.vector(3), stack_arrays.vector(4)
+    rate, q_hi = stack.vector(3), stack.vector(4)
     fill(rate, 0.0)
     if params.relative_motion == HILL:
         orbit.turn_on_circle(r, v, params.orbit_rate * params.dt_s)
@@ -214,7 +214,7 @@ def _leave(params, y, truth):
     r = y[0:3]
     v = y[3:6]
     q_ch = y[6:10]
-    q_hi, q_cf, w = stack_arrays.vector(4), stack_arrays.vector(4), stack_arrays.vector(3)
+    q_hi, q_cf, w = stack.vector(4), stack.vector(4), stack.vector(3)
     quat.normalise(q_ch)
     if params.relative_motion != HILL:
         copy_into(q_hi, truth.q_HI)
@@ -249,13 +249,8 @@ def step(params, field, span, truth, on):
     n = params.n_thrusters
     fraction = truth.thrust_fraction
     step_valves(on[:n], truth.open_s[:n], params.minimum_on_s, dt, fraction[:n])
-    load, y, sun_f, w_before = (
-        stack_arrays.vector(7),
-        stack_arrays.vector(_N),
-        stack_arrays.vector(3),
-        stack_arrays.vector(3),
-    )
-    held, gravity = stack_arrays.matrix(4, 3), stack_arrays.matrix(3, 10)
+    load, y, sun_f, w_before = stack.vector(7), stack.vector(_N), stack.vector(3), stack.vector(3)
+    held, gravity = stack.matrix(4, 3), stack.matrix(3, 10)
     wrench(
         fraction,
         params.thruster_position,
@@ -295,7 +290,7 @@ def step(params, field, span, truth, on):
 @kernel
 def rate_against_hill(truth, out):
     """Write w_CH_C (3,), rad/s: the chaser's rate against H, ``w_CI_C - A(q_CH) w_HI_H``, in c."""
-    a = stack_arrays.matrix(3, 3)
+    a = stack.matrix(3, 3)
     quat.to_matrix_into(truth.q_CH, a)
     w = truth.w_HI_H
     for i in range(3):

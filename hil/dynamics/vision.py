@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.models.mounting import camera_pose
 
@@ -43,7 +43,7 @@ def see(params, stations, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
     """
     factor = range_factor(params, r_CT_H)
     camera_pose(stations, r_CT_H, q_CH, t_v, q_vt)
-    turn, aside, q_true = stack_arrays.vector(3), stack_arrays.vector(4), stack_arrays.vector(4)
+    turn, aside, q_true = stack.vector(3), stack.vector(4), stack.vector(4)
     fill_matrix(covariance, 0.0)
     for i in range(3):
         t_v[i] += params.sigma_position * factor * noise[i]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.maths.kalman import gain_of_three, joseph
 
@@ -61,7 +61,7 @@ def transition(turn, dt, phi):
 
     ``theta' = A(turn) theta - dt J drift error`` with ``J = I - [turn]x / 2`` up to second order.
     """
-    q = stack_arrays.vector(4)
+    q = stack.vector(4)
     quat.from_rotation_vector_into(turn, q)
     _transition_of(q, turn, dt, phi)
 
@@ -69,7 +69,7 @@ def transition(turn, dt, phi):
 @kernel
 def _transition_of(q, turn, dt, phi):
     """Write ``transition`` of ``turn``, whose quaternion is ``q`` (4,)."""
-    a = stack_arrays.matrix(3, 3)
+    a = stack.matrix(3, 3)
     quat.to_matrix_into(q, a)
     fill_matrix(phi, 0.0)
     for i in range(3):
@@ -99,13 +99,8 @@ def move(params, state, measured_rate):
     The quaternion moves by the exact turn of a constant rate over the step, of c and of H.
     """
     dt = params.dt_s
-    turn, hill_turn = stack_arrays.vector(3), stack_arrays.vector(3)
-    q, of_c, of_h, moved = (
-        stack_arrays.vector(4),
-        stack_arrays.vector(4),
-        stack_arrays.vector(4),
-        stack_arrays.vector(4),
-    )
+    turn, hill_turn = stack.vector(3), stack.vector(3)
+    q, of_c, of_h, moved = stack.vector(4), stack.vector(4), stack.vector(4), stack.vector(4)
     for i in range(3):
         hill_turn[i] = 0.0
         turn[i] = (measured_rate[i] - state.x[4 + i]) * dt
@@ -118,7 +113,7 @@ def move(params, state, measured_rate):
     copy_into(state.x[0:4], q)
     _transition_of(of_c, turn, dt, state.phi)
     # the second column of A(q)
-    along_y = stack_arrays.vector(3)
+    along_y = stack.vector(3)
     quat.second_column_into(q, along_y)
     for i in range(3):
         state.w_CH_C[i] = (measured_rate[i] - state.x[4 + i]) + along_y[i] * params.orbit_rate
@@ -129,7 +124,7 @@ def move(params, state, measured_rate):
 def spread(params, state):
     """Carry the covariance over the step of ``move``: ``phi p phi.T`` and noise; below, phi is ``[0 I]``."""
     p, f = state.p, state.phi
-    rows = stack_arrays.matrix(3, 6)
+    rows = stack.matrix(3, 6)
     for i in range(3):
         for j in range(6):
             turn = f[i, 0] * p[0, j] + f[i, 1] * p[1, j] + f[i, 2] * p[2, j]
@@ -153,7 +148,7 @@ def spread(params, state):
 @kernel
 def innovate(state, q_measured, covariance, gain, out):
     """Write the innovation (3,), a small turn in rad, and the gain (6, 3); return the NIS. Nothing is changed."""
-    turn, h, s_inverse = stack_arrays.vector(3), stack_arrays.matrix(3, 6), stack_arrays.matrix(3, 3)
+    turn, h, s_inverse = stack.vector(3), stack.matrix(3, 6), stack.matrix(3, 3)
     quat.turn_between(q_measured, state.x[0:4], turn)
     fill_matrix(h, 0.0)
     for i in range(3):
@@ -170,8 +165,8 @@ def innovate(state, q_measured, covariance, gain, out):
 @kernel
 def update(state, covariance, gain, innovation):
     """Fuse an innovation that was let in; ``state.keep`` is left for whoever is correlated with this filter."""
-    correction, q, aside = stack_arrays.vector(6), stack_arrays.vector(4), stack_arrays.vector(4)
-    h = stack_arrays.matrix(3, 6)
+    correction, q, aside = stack.vector(6), stack.vector(4), stack.vector(4)
+    h = stack.matrix(3, 6)
     fill_matrix(h, 0.0)
     for i in range(3):
         h[i, i] = 1.0
@@ -194,7 +189,7 @@ def update(state, covariance, gain, innovation):
 @kernel
 def error(state, q_true, drift_true, out):
     """Write the error (6,): small turn from the estimated to the true c, rad, and true minus estimated drift."""
-    turn = stack_arrays.vector(3)
+    turn = stack.vector(3)
     quat.turn_between(q_true, state.x[0:4], turn)
     for i in range(3):
         out[i] = turn[i]

@@ -18,7 +18,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.gnc import guidance
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 
 NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 
@@ -103,7 +103,7 @@ def _largest(sigma):
 @kernel
 def _is_ready(params, navigation):
     """Return whether the estimate is within Table III, each axis alone (angles as a rotation vector)."""
-    turn = stack_arrays.vector(3)
+    turn = stack.vector(3)
     quat.to_rotation_vector_into(navigation.q_CH, turn)
     for i in range(3):
         if not (

@@ -27,7 +27,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 from hil.maths.arrays import fill
 
 CONTROL_PARAMS = np.dtype(
@@ -117,12 +117,7 @@ def control(params, navigation, reference, command):
     if navigation.valid == 0:
         rest(command)
         return
-    error_c, rate_c, wanted_c, turn = (
-        stack_arrays.vector(3),
-        stack_arrays.vector(3),
-        stack_arrays.vector(3),
-        stack_arrays.vector(3),
-    )
+    error_c, rate_c, wanted_c, turn = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
     for i in range(3):
         error_c[i] = navigation.r_CT_H[i] - reference.r_CT_H[i]
         rate_c[i] = navigation.v_CT_H[i] - reference.v_CT_H[i]

@@ -18,7 +18,7 @@ from hil.gnc import akf, akf_additive, pkf
 from hil.gnc.akf import AKF_PARAMS, AKF_STATE
 from hil.gnc.akf_additive import AKF_ADDITIVE_STATE
 from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix
 
 MEMORY = 64  # steps; at 50 Hz 1.28 s
@@ -108,7 +108,7 @@ def _start(params, pose, filters):
 @kernel
 def _predict(params, filters, rate_C, force_C):
     """Carry both filters over one step."""
-    middle = stack_arrays.vector(4)
+    middle = stack.vector(4)
     copy_into(middle, filters.akf.x[0:4])
     akf.move(params.akf, filters.akf, rate_C)
     additive = params.attitude_form == AS_PRINTED
@@ -142,21 +142,16 @@ def _fuse(params, state, pose, moment_s, judged):
     """
     filters = state.filters
     delta_s = pose.t_s - moment_s
-    turn, z, back, q_measured = (
-        stack_arrays.vector(3),
-        stack_arrays.vector(3),
-        stack_arrays.vector(4),
-        stack_arrays.vector(4),
-    )
+    turn, z, back, q_measured = stack.vector(3), stack.vector(3), stack.vector(4), stack.vector(4)
     for i in range(3):
         turn[i] = -delta_s * filters.akf.w_CH_C[i]
     # c at the filter's moment, from c at the exposure
     quat.from_rotation_vector_into(turn, back)
     quat.multiply_into(back, pose.q_CH, q_measured)
     quat.transform_into(back, pose.z_TC_C, z)
-    gain_a, innovation_a = stack_arrays.matrix(6, 3), stack_arrays.vector(3)
-    gain_p, innovation_p = stack_arrays.matrix(9, 3), stack_arrays.vector(3)
-    h, h_turn = stack_arrays.matrix(3, 9), stack_arrays.matrix(3, 3)
+    gain_a, innovation_a = stack.matrix(6, 3), stack.vector(3)
+    gain_p, innovation_p = stack.matrix(9, 3), stack.vector(3)
+    h, h_turn = stack.matrix(3, 9), stack.matrix(3, 3)
     open_gate = state.in_a_row >= _REOPEN_AFTER
     nis_a = akf.innovate(filters.akf, q_measured, pose.covariance_attitude, gain_a, innovation_a)
     nis_p = np.nan

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_PHASES
-from hil.maths import stack_arrays
+from hil.maths import stack
 from hil.maths.arrays import copy_into, fill
 from hil.models.profile import along_line, duration
 
@@ -212,7 +212,7 @@ def reference(params, state, t_s, out):
             out.r_CT_H[i] = state.from_H[i] + state.brake_H[i] * t - 0.5 * loss * t * t
         return
     length = 0.0 if kind in (HOLD, WAIT) else _length(state)
-    along = stack_arrays.vector(3)
+    along = stack.vector(3)
     fill(along, 0.0)
     if length > 0.0:
         speed, acceleration, deceleration = _limits(params, state.phase)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final
 
 from hil.core.jit import kernel
-from hil.maths import stack_arrays
+from hil.maths import stack
 
 _LANES: Final = 16  # of the 15 joint errors: whole registers
 _HALF_LANES: Final = 8  # of the six of position and velocity
@@ -22,11 +22,7 @@ def propagate(params, state, a, f0, f1, f2, attitude_p, attitude_phi):
     a: A(q_CH) (3, 3). f0, f1, f2: specific force in c, m/s^2. The joint transition is applied to rows, and then once
     more to the rows of the transposed, because the covariance is symmetric.
     """
-    rows, turned, out = (
-        stack_arrays.matrix(12, _LANES),
-        stack_arrays.matrix(12, _HALF_LANES),
-        stack_arrays.matrix(12, _HALF_LANES),
-    )
+    rows, turned, out = stack.matrix(12, _LANES), stack.matrix(12, _HALF_LANES), stack.matrix(12, _HALF_LANES)
     for i in range(9):
         for j in range(9):
             rows[i, j] = state.p[i, j]
@@ -39,8 +35,8 @@ def propagate(params, state, a, f0, f1, f2, attitude_p, attitude_phi):
         for j in range(6):
             rows[9 + i, 9 + j] = attitude_p[i, j]
         rows[9 + i, 15] = 0.0
-    half = stack_arrays.matrix(6, _LANES)
-    push = stack_arrays.matrix(3, _LANES)
+    half = stack.matrix(6, _LANES)
+    push = stack.matrix(3, _LANES)
     for j in range(_LANES):
         push[0, j], push[1, j], push[2, j] = 0.0, 0.0, 0.0
     _move_rows(params, a, f0, f1, f2, rows, push, _LANES, half)
@@ -50,7 +46,7 @@ def propagate(params, state, a, f0, f1, f2, attitude_p, attitude_phi):
     for j in range(12):
         turned[j, 6], turned[j, 7] = 0.0, 0.0
     # white noise of the accelerometer acts as a force in H: turning it changes nothing
-    noise = stack_arrays.matrix(3, _HALF_LANES)
+    noise = stack.matrix(3, _HALF_LANES)
     accelerometer = params.sigma_accelerometer * params.sigma_accelerometer
     for m in range(3):
         for i in range(6):
@@ -127,7 +123,7 @@ def joint_product(phi, lever, sign, p, c, attitude_p, mixed, half):
 
     phi: (9, 9). lever: (9, 3), of the turn theta. What is zero in them costs nothing, see ``hil.maths.kalman``.
     """
-    of_p, of_c = stack_arrays.vector(9), stack_arrays.vector(6)  # sums of one row: kept in registers
+    of_p, of_c = stack.vector(9), stack.vector(6)  # sums of one row: kept in registers
     for i in range(9):
         for j in range(9):
             of_p[j] = 0.0
@@ -156,8 +152,8 @@ def joint_product(phi, lever, sign, p, c, attitude_p, mixed, half):
 @kernel
 def close_product(phi, lever, sign, mixed, half, noise, p):
     """Write ``half phi.T + sign mixed lever.T + noise``, which is symmetric, into ``p`` (9, 9)."""
-    turned, turned_mixed = stack_arrays.matrix(9, 9), stack_arrays.matrix(3, 9)
-    row = stack_arrays.vector(9)
+    turned, turned_mixed = stack.matrix(9, 9), stack.matrix(3, 9)
+    row = stack.vector(9)
     for i in range(9):
         for j in range(9):
             turned[j, i] = half[i, j]

@@ -10,7 +10,7 @@ from hil.core.jit import kernel
 from hil.gnc import akf, fusion, pkf, vision_only
 from hil.gnc.fusion import FUSION_PARAMS, FUSION_STATE
 from hil.gnc.vision_only import VISION_ONLY_PARAMS, VISION_ONLY_STATE
-from hil.maths import stack_arrays
+from hil.maths import stack
 from hil.maths.arrays import copy_into, fill
 from hil.maths.kalman import normalised_square
 
@@ -80,7 +80,7 @@ def normalised_errors(filters, truth, imu, out):
 
     filters: FILTERS, of the moment of ``truth``. ``imu`` holds the true drift and bias.
     """
-    from_akf, from_pkf = stack_arrays.vector(6), stack_arrays.vector(9)
+    from_akf, from_pkf = stack.vector(6), stack.vector(9)
     akf.error(filters.akf, truth.q_CH, imu.drift_C, from_akf)
     for i in range(3):
         from_pkf[i] = truth.r_CT_H[i] - filters.pkf.x[i]

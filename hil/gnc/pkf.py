@@ -17,7 +17,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.gnc import joint_covariance
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix, fill_matrix
 from hil.maths.kalman import invert_symmetric_3
 
@@ -82,7 +82,7 @@ def start(params, pose, attitude_p, state):
 @kernel
 def transition(params, q_CH, phi):
     """Write the transition matrix ``phi`` (9, 9) for the attitude in mid-step ``q_CH``."""
-    a = stack_arrays.matrix(3, 3)
+    a = stack.matrix(3, 3)
     quat.to_matrix_into(q_CH, a)
     fill_matrix(phi, 0.0)
     for i in range(6):
@@ -105,7 +105,7 @@ def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi):
     before the step of the attitude filter's error; attitude_phi: its transition over it (6, 6), whose lower rows, of
     a drift that stays, are ``[0 I]``.
     """
-    a, x = stack_arrays.matrix(3, 3), stack_arrays.vector(6)
+    a, x = stack.matrix(3, 3), stack.vector(6)
     quat.to_matrix_into(q_CH, a)
     h, g = params.hill_transition, params.hill_response
     f0, f1, f2 = measured_force[0] - state.x[6], measured_force[1] - state.x[7], measured_force[2] - state.x[8]
@@ -124,7 +124,7 @@ def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi):
 @kernel
 def follow_attitude_update(state, keep):
     """Carry ``c`` through an update of the attitude filter; keep: its ``I - K H`` (6, 6)."""
-    row = stack_arrays.vector(6)
+    row = stack.vector(6)
     for i in range(9):
         for j in range(6):
             total = 0.0
@@ -142,7 +142,7 @@ def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_turn, ga
     z_TC_C: measured position (3,), in c as it stood at the filter's moment; covariance: (3, 3).
     delta_s: exposure after the filter's moment, a fraction of a step. h: (3, 9). h_turn: (3, 3), of theta.
     """
-    a, expected = stack_arrays.matrix(3, 3), stack_arrays.vector(3)
+    a, expected = stack.matrix(3, 3), stack.vector(3)
     quat.to_matrix_into(q_CH, a)
     for i in range(3):
         expected[i] = state.x[i] + delta_s * state.x[3 + i]
@@ -158,8 +158,8 @@ def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_turn, ga
             h[i, j] = -a[i, j]
             h[i, 3 + j] = -delta_s * a[i, j]
     # with[i, j]: covariance of state i with innovation j; s: of the innovation
-    s, s_inverse = stack_arrays.matrix(3, 3), stack_arrays.matrix(3, 3)
-    reach, reach_turn = stack_arrays.matrix(9, 3), stack_arrays.matrix(3, 3)
+    s, s_inverse = stack.matrix(3, 3), stack.matrix(3, 3)
+    reach, reach_turn = stack.matrix(9, 3), stack.matrix(3, 3)
     for i in range(9):
         for j in range(3):
             total = 0.0
@@ -202,7 +202,7 @@ def update(state, covariance, attitude_p, h, h_turn, gain, innovation):
     ``p' = L p L.T - L c T.T - T c.T L.T + T attitude_p T.T + K R K.T``, ``c' = L c - T attitude_p`` with
     ``L = I - K h``, ``T = K h_turn``.
     """
-    keep, turn = stack_arrays.matrix(9, 9), stack_arrays.matrix(9, 3)
+    keep, turn = stack.matrix(9, 9), stack.matrix(9, 3)
     fill_matrix(keep, 0.0)
     for i in range(9):
         for j in range(6):
@@ -211,7 +211,7 @@ def update(state, covariance, attitude_p, h, h_turn, gain, innovation):
         for j in range(3):
             turn[i, j] = gain[i, 0] * h_turn[0, j] + gain[i, 1] * h_turn[1, j] + gain[i, 2] * h_turn[2, j]
             state.x[i] += gain[i, j] * innovation[j]
-    mixed, half, noise = stack_arrays.matrix(9, 6), stack_arrays.matrix(9, 9), stack_arrays.matrix(9, 9)
+    mixed, half, noise = stack.matrix(9, 6), stack.matrix(9, 9), stack.matrix(9, 9)
     joint_covariance.joint_product(keep, turn, -1.0, state.p, state.c, attitude_p, mixed, half)
     for i in range(9):
         kr0 = gain[i, 0] * covariance[0, 0] + gain[i, 1] * covariance[1, 0] + gain[i, 2] * covariance[2, 0]

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import euler, stack_arrays
+from hil.maths import euler, stack
 from hil.maths.limits import has_held
 
 DEVIATIONS = 12  # position, m, velocity, m/s, 3-2-1 angles, deg, and their axes' rates, deg/s, three each
@@ -39,7 +39,7 @@ def deviations(params, r_CT_H, v_CT_H, q_CH, w_CH_C, out):
 
     params: READY_PARAMS. r_CT_H: (3,), m. v_CT_H: (3,), m/s. q_CH: (4,). w_CH_C: (3,), rad/s, against H.
     """
-    angles = stack_arrays.vector(3)
+    angles = stack.vector(3)
     euler.from_quaternion_into(q_CH, _YAW_PITCH_ROLL, angles)
     for i in range(3):
         out[i] = r_CT_H[i]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
 
 VISION_ONLY_PARAMS = np.dtype(
@@ -58,7 +58,7 @@ def _start(pose, state):
 @kernel
 def predict(params, state):
     """Carry the pose on by one step with the smoothed rates."""
-    turn, aside, moved = stack_arrays.vector(3), stack_arrays.vector(4), stack_arrays.vector(4)
+    turn, aside, moved = stack.vector(3), stack.vector(4), stack.vector(4)
     for i in range(3):
         state.r_CT_H[i] += params.dt_s * state.v_CT_H[i]
         turn[i] = params.dt_s * state.w_CH_C[i]

@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from hil.drivers.base import TORQUE_OFF
-from hil.errors import BenchError, LinkLost
+from hil.errors import BenchError, DriveFault, FaultKind, LinkLost
 from hil.loop.cycle import Loop
 from hil.loop.rate_keeper import Rate
 from hil.loop.safety_io_stage import NoLines
@@ -24,7 +23,7 @@ def cause_behind(fault: BenchError, loop: Loop, rate: Rate) -> BenchError:
     """
     if isinstance(loop.lines, NoLines) or not rate.on_the_wall:
         return fault
-    torque_is_off = TORQUE_OFF in str(fault)
+    torque_is_off = isinstance(fault, DriveFault) and fault.kind is FaultKind.TORQUE_OFF
     begun_s = now_s = rate.now_s()
     while now_s - begun_s < (_CHAIN_COMES_S if torque_is_off else _ESTOP_COMES_S):
         try:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 
 
 @kernel
@@ -34,12 +34,7 @@ def axis_quaternion(axis, angle):
 @kernel
 def to_quaternion_into(angles, order, q):
     """Write the quaternion of the Tait-Bryan ``angles`` (3,), rad, in ``order`` into ``q`` (4,)."""
-    outer, middle, inner, both = (
-        stack_arrays.vector(4),
-        stack_arrays.vector(4),
-        stack_arrays.vector(4),
-        stack_arrays.vector(4),
-    )
+    outer, middle, inner, both = stack.vector(4), stack.vector(4), stack.vector(4), stack.vector(4)
     _axis_quaternion(order[0], angles[order[0]], outer)
     _axis_quaternion(order[1], angles[order[1]], middle)
     _axis_quaternion(order[2], angles[order[2]], inner)
@@ -63,7 +58,7 @@ def from_quaternion_into(q, order, angles):
     ``theta3 = atan2(2 (q3 q4 + q1 q2), q1^2 - q2^2 - q3^2 + q4^2)``. The middle angle lies in
     [-pi/2, pi/2]; at its ends the outer angle takes what can be known and the inner one is zero.
     """
-    a = stack_arrays.matrix(3, 3)
+    a = stack.matrix(3, 3)
     quat.to_matrix_into(q, a)
     from_matrix_into(a, order, angles)
 
@@ -106,7 +101,7 @@ def from_quaternion(q, order):
 @kernel
 def rate_jacobian_into(angles, order, e):
     """Write E with d(angles by axis)/dt = E @ w, w the body rate in the inner frame, into ``e`` (3, 3)."""
-    q, a = stack_arrays.vector(4), stack_arrays.matrix(3, 3)
+    q, a = stack.vector(4), stack.matrix(3, 3)
     to_quaternion_into(angles, order, q)
     quat.to_matrix_into(q, a)
     rate_jacobian_of_matrix_into(a, order, e)

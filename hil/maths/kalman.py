@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import cholesky, stack_arrays
+from hil.maths import cholesky, stack
 
 MAX_STATES: Final = 12
 """Of any filter here; more are refused, because they would not fit on the stack."""
@@ -23,8 +23,8 @@ def propagate_covariance(p, phi, noise):
     n = p.shape[0]
     if n > MAX_STATES:
         raise ValueError("too many states")
-    row = stack_arrays.vector(MAX_STATES)
-    turned = stack_arrays.matrix(MAX_STATES, MAX_STATES)  # (phi p).T
+    row = stack.vector(MAX_STATES)
+    turned = stack.matrix(MAX_STATES, MAX_STATES)  # (phi p).T
     for i in range(n):
         for j in range(n):
             row[j] = 0.0
@@ -72,7 +72,7 @@ def gain_of_three(p, h, r, gain, s_inverse):
     n = p.shape[0]
     if n > MAX_STATES:
         raise ValueError("too many states")
-    ph, s = stack_arrays.matrix(MAX_STATES, 3), stack_arrays.matrix(3, 3)
+    ph, s = stack.matrix(MAX_STATES, 3), stack.matrix(3, 3)
     for i in range(n):
         for j in range(3):
             total = 0.0
@@ -97,7 +97,7 @@ def joseph(p, h, r, gain):
     n = p.shape[0]
     if n > MAX_STATES:
         raise ValueError("too many states")
-    a, noise = stack_arrays.matrix(MAX_STATES, MAX_STATES), stack_arrays.matrix(MAX_STATES, MAX_STATES)
+    a, noise = stack.matrix(MAX_STATES, MAX_STATES), stack.matrix(MAX_STATES, MAX_STATES)
     for i in range(n):
         for j in range(n):
             a[i, j] = -(gain[i, 0] * h[0, j] + gain[i, 1] * h[1, j] + gain[i, 2] * h[2, j])
@@ -120,7 +120,7 @@ def update_three(x, p, h, r, innovation):
     n = x.shape[0]
     if n > MAX_STATES:
         raise ValueError("too many states")
-    gain, s_inverse = stack_arrays.matrix(MAX_STATES, 3), stack_arrays.matrix(3, 3)
+    gain, s_inverse = stack.matrix(MAX_STATES, 3), stack.matrix(3, 3)
     gain_of_three(p, h, r, gain, s_inverse)
     for i in range(n):
         x[i] += gain[i, 0] * innovation[0] + gain[i, 1] * innovation[1] + gain[i, 2] * innovation[2]
@@ -138,7 +138,7 @@ def normalised_square(error, p):
     n = error.shape[0]
     if n > MAX_STATES:
         raise ValueError("too many states")
-    low, y = stack_arrays.matrix(MAX_STATES, MAX_STATES), stack_arrays.vector(MAX_STATES)
+    low, y = stack.matrix(MAX_STATES, MAX_STATES), stack.vector(MAX_STATES)
     if not cholesky.factor(p, n, low):
         return np.nan
     total = 0.0

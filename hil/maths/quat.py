@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import stack_arrays
+from hil.maths import stack
 
 _SMALL_TURN: Final = 0.01
 """rad^2: below it sine, cosine and arc tangent of half the turn are a few terms of their series."""
@@ -239,7 +239,7 @@ def rate_of_change(q, w, out):
 @kernel
 def turn_between(p, q, phi):
     """Write the shortest turn, rad, from the frame of ``q`` to that of ``p`` into ``phi`` (3,): of A(p) A(q).T."""
-    back, turn = stack_arrays.vector(4), stack_arrays.vector(4)
+    back, turn = stack.vector(4), stack.vector(4)
     conjugate_into(q, back)
     multiply_into(p, back, turn)
     to_rotation_vector_into(turn, phi)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 
 CAMERA = np.dtype(
     [
@@ -42,7 +42,7 @@ def view_margin(camera, leds, t_v, q_vt):
     leds: (n, 3), m, in t. t_v: (3,), m, and q_vt: (4,), the pose t -> v, ``p_v = A(q_vt) p_t + t_v``.
     """
     least = np.inf
-    p = stack_arrays.vector(3)
+    p = stack.vector(3)
     for j in range(leds.shape[0]):
         quat.transform_into(q_vt, leds[j], p)
         x, y, z = p[0] + t_v[0], p[1] + t_v[1], p[2] + t_v[2]

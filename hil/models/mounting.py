@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack_arrays
+from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
 
 STATIONS = np.dtype(
@@ -29,7 +29,7 @@ STATIONS = np.dtype(
 @kernel
 def camera_pose(stations, r_CT_H, q_CH, t_v, q_vt):
     """Write the pose t -> v, ``t_v`` (3,), m, and ``q_vt`` (4,), of a chaser at ``r_CT_H`` with ``q_CH``."""
-    ring_c, q_ht, q_ct = stack_arrays.vector(3), stack_arrays.vector(4), stack_arrays.vector(4)
+    ring_c, q_ht, q_ct = stack.vector(3), stack.vector(4), stack.vector(4)
     for i in range(3):
         ring_c[i] = stations.ring_station[i] - r_CT_H[i]
     quat.transform_into(q_CH, ring_c, ring_c)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final
 
 from hil.core.jit import kernel
-from hil.maths import stack_arrays
+from hil.maths import stack
 
 _LANES: Final = 6
 _ROWS: Final = 10
@@ -77,7 +77,7 @@ def servo_step_of_two(one, other, dt):
 
     one, other: records with the arguments of ``servo_step`` as fields; the three axes of each have one lag.
     """
-    lanes = stack_arrays.matrix(_ROWS, _LANES)
+    lanes = stack.matrix(_ROWS, _LANES)
     n_one, n_other = _parts(one.tau[0], dt), _parts(other.tau[0], dt)
     _lay_out(one, dt / n_one, 0, lanes)
     _lay_out(other, dt / n_other, 3, lanes)

@@ -27,7 +27,7 @@ from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses, RemoteTu
 from hil.drivers.remote.host import LOOP_SILENCE_MAX_S
 from hil.drivers.remote.io_layout import HOST, SETPOINT, Exchange
 from hil.drivers.remote.requests import Requests
-from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError
+from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError
 from hil.processes.io_client import HostProcesses
 from hil.processes.io_server import DeviceHost
 
@@ -187,6 +187,19 @@ def test_errors_arrive_as_what_they_are(sides: Sides, kind: type[BenchError]) ->
 
     with pytest.raises(kind, match=r"rails\.y: smells of smoke"):
         sides.wait_until(lambda: False)
+
+
+@pytest.mark.parametrize("kind", FaultKind)
+def test_the_kind_of_a_fault_arrives_while_a_device_is_served_and_at_its_opening(sides: Sides, kind: FaultKind) -> None:
+    sides.unit.error = DriveFault("vmu", "STO active", kind)
+    with pytest.raises(DriveFault, match="vmu: STO active") as caught:
+        sides.vmu.open(sides.clock.now_s())
+    assert caught.value.kind is kind
+    sides.rails.open(sides.clock.now_s())
+    sides.axes["rails"].fail(DriveFault("rails.y", "STO active", kind))
+    with pytest.raises(DriveFault, match=r"rails\.y: STO active") as caught:
+        sides.wait_until(lambda: False)
+    assert caught.value.kind is kind
 
 
 def test_an_error_at_opening_is_told_there(sides: Sides) -> None:

@@ -21,7 +21,7 @@ from hil.drivers.rails.codec import Command, Control, RegisterMap, Status
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
 from hil.drivers.shared_state import AxisBoard
-from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
+from hil.errors import DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 
 RIGS = ("emulated", "emulated-rtu")
 TIMEOUT_S = 1.2  # of bench time; a busy test machine may take some of it
@@ -228,13 +228,14 @@ def test_a_jump_of_an_encoder_is_confirmed_and_then_shown(bench: Bench) -> None:
     assert bench.rails.counters()["retries"] == 1
 
 
-@pytest.mark.parametrize(("code", "text"), [(None, "over-current"), (0x4310, "motor too hot")])
-def test_a_fault_of_a_drive_is_told_by_its_name(bench: Bench, code: float | None, text: str) -> None:
-    if code is not None and bench.tcp:
-        code = 3.0
+@pytest.mark.parametrize("chosen", [False, True])
+def test_a_fault_of_a_drive_is_told_by_its_name(bench: Bench, chosen: bool) -> None:
+    text = "motor too hot" if chosen else "following error too large" if bench.tcp else "over-current"
+    code = (3.0 if bench.tcp else 0x4310) if chosen else None
     bench.emulator.faults.on("drive_fault", "z", code)
     error = bench.failure()
     assert isinstance(error, DriveFault)
+    assert error.kind is FaultKind.OTHER
     assert str(error).startswith("rails.z: fault ")
     assert str(error).endswith(text)
 
@@ -243,12 +244,29 @@ def test_an_open_safety_chain_is_a_fault_by_name_until_it_is_closed(bench: Bench
     bench.chain[0] = False
     error = bench.failure()
     assert isinstance(error, DriveFault)
+    assert error.kind is FaultKind.TORQUE_OFF
     assert str(error).endswith("safe torque off")
     with pytest.raises(DriveFault, match="safe torque off"):
         bench.open()
     bench.chain[0] = True
     time.sleep(0.1)
     bench.open()
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_torque_off_is_known_by_its_code_when_the_map_calls_it_otherwise(rig: str) -> None:
+    register_map = load_rig(rig).value.rails.map
+    renamed = {"faults": {"2": "over-current", str(register_map.torque_off): "STO active"}}
+    with bench_of(rig, map=register_map.model_dump() | renamed) as bench:
+        bench.open()
+        bench.chain[0] = False
+        error = bench.failure()
+        assert isinstance(error, DriveFault)
+        assert str(error).endswith("STO active")
+        assert error.kind is FaultKind.TORQUE_OFF
+        with pytest.raises(DriveFault) as caught:
+            bench.open()
+        assert caught.value.kind is FaultKind.TORQUE_OFF
 
 
 @pytest.mark.parametrize("rig", RIGS)

@@ -23,7 +23,7 @@ from hil.drivers.turntable.ascii.driver import AsciiTurntable
 from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
 from hil.drivers.turntable.cia402.driver import Cia402Turntable
 from hil.drivers.turntable.cia402.emulator import Cia402Emulator
-from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, SafetyTrip
+from hil.errors import DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, SafetyTrip
 
 DRIVERS = {"cia402": Cia402Turntable, "ascii": AsciiTurntable, "acu": AsciiTurntable}
 EMULATORS = {"cia402": Cia402Emulator, "ascii": AsciiTurntableEmulator, "acu": AsciiTurntableEmulator}
@@ -31,7 +31,8 @@ PARK_DEG = (3.0, -2.0, 0.5)
 PATIENCE_WALL_S = 3.0
 
 
-def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=None, **of_axes):
+def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=None, protocol=None, **of_axes):
+    shipped = "acu" if driver == "acu" else "hil-ascii"
     axes = [
         GimbalAxis(
             travel_deg=(-60.0, 60.0), rate_max_degps=40.0, acceleration_max_degps2=80.0, park_deg=park, **of_axes
@@ -46,7 +47,7 @@ def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=No
         pitch=axes[1],
         yaw=axes[2],
         cia402=Cia402(interface=interface, channel=address, **(cia402 or {})),
-        ascii=AsciiTurntableLine(port=address, protocol="acu" if driver == "acu" else "hil-ascii"),
+        ascii=AsciiTurntableLine(port=address, protocol=protocol or shipped),
     )
 
 
@@ -224,8 +225,9 @@ def test_drive_fault_is_named_and_stops_the_other_axes(driver, code, text):
         device.send(np.radians((50.0, -50.0, 50.0)), np.zeros(3), clock.now_s())
         eventually(lambda: np.abs(emulator.gimbals.rate).min() > math.radians(10.0))
         emulator.faults.on("drive_fault", "pitch", code)
-        with pytest.raises(DriveFault, match=text):
+        with pytest.raises(DriveFault, match=text) as caught:
             raise error_of(device, clock)
+        assert caught.value.kind is FaultKind.OTHER
         eventually(lambda: np.abs(emulator.gimbals.rate).max() < 1e-3)
         assert watchdog_trips(emulator) == 0  # it was the driver that stopped them
         device.open(clock.now_s())  # a fault that is gone is reset

@@ -7,9 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from hil.config.load import configs_folder
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
-from hil.errors import DriveFault, LinkTimeout, ProtocolError
+from hil.drivers.turntable.cia402 import codec as codec
+from hil.errors import DriveFault, FaultKind, LinkTimeout, ProtocolError
 from tests.behaviour.test_turntable_drivers import DRIVERS, PARK_DEG, emulated, error_of, eventually, served, turntable
 
 INCREMENTAL = {"encoder": "incremental", "home_deg": 1.0, "homing_rate_degps": 5.0}
@@ -75,8 +77,23 @@ def test_open_safety_chain_is_a_drive_fault_by_name(driver):
     closed = [True]
     with served(driver, chain=lambda: closed[0]) as (_, device, clock):
         closed[0] = False
-        with pytest.raises(DriveFault, match=r"turntable\.(roll|pitch|yaw): .*safe torque off"):
+        with pytest.raises(DriveFault, match=r"turntable\.(roll|pitch|yaw): .*safe torque off") as caught:
             raise error_of(device, clock, 10.0)
+        assert caught.value.kind is FaultKind.TORQUE_OFF
+
+
+def test_torque_off_is_known_by_its_code_when_it_is_called_otherwise(driver, tmp_path, monkeypatch):
+    monkeypatch.setitem(codec.FAULT_NAMES, codec.TORQUE_OFF, "STO active")
+    file = tmp_path / "mine.toml"
+    shipped = "acu" if driver == "acu" else "hil-ascii"
+    text = (configs_folder() / "protocols" / f"{shipped}.toml").read_text()
+    file.write_text(text.replace("safe torque off", "STO active"))
+    closed = [True]
+    with served(driver, chain=lambda: closed[0], protocol=str(file)) as (_, device, clock):
+        closed[0] = False
+        with pytest.raises(DriveFault, match=r"STO active") as caught:
+            raise error_of(device, clock, 10.0)
+        assert caught.value.kind is FaultKind.TORQUE_OFF
 
 
 def test_move_to_parks_the_axes_slowly_and_takes_no_setpoints_any_more(driver):

@@ -38,6 +38,7 @@ from enum import IntFlag
 from typing import Final
 
 from hil.config.rail_map import WORDS, AnyRegister, NumberType, RailMap, counts_per_si, span
+from hil.errors import FaultKind
 
 _STRUCT_CODES: Final[dict[NumberType, str]] = {"u16": "H", "i16": "h", "u32": "I", "i32": "i", "f32": "f", "f64": "d"}
 _FLOATS: Final = ("f32", "f64")
@@ -221,9 +222,14 @@ class RegisterMap:
         """Return a fault code as people read it: ``fault 3, motor too hot``."""
         return f"fault {code}, {self._faults.get(code, 'not in the list of fault codes')}"
 
-    def fault_code(self, text: str) -> int:
-        """Return the code of the fault that is called ``text``, the highest one in the list where none is."""
-        return next((code for code, known in self._faults.items() if known == text), max(self._faults, default=1))
+    def fault_kind(self, code: int) -> FaultKind:
+        """Return what a fault code means to the bench."""
+        known = code == self.config.torque_off and code in self._faults
+        return FaultKind.TORQUE_OFF if known else FaultKind.OTHER
+
+    def code_of(self, kind: FaultKind) -> int:
+        """Return the first code of that kind in the list; of another kind, or 1, where the list has none."""
+        return next((code for code in self._faults if self.fault_kind(code) is kind), next(iter(self._faults), 1))
 
     def _block(self, registers: dict[str, AnyRegister]) -> Block:
         numbers = (Number(each.address, each.type, counts_per_si(each)) for each in registers.values())

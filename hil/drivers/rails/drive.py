@@ -68,7 +68,7 @@ class Drive:
             held_m = state.position_m
             state = await self.exchange(Control.ENABLE, held_m)
             if state.status & Status.FAULT:
-                raise DriveFault(self.name, self._map.fault_text(state.fault))
+                raise self._fault(state.fault)
             if state.status & Status.ENABLED:
                 return held_m
             if self._clock.now_s() > deadline_s:
@@ -80,7 +80,7 @@ class Drive:
         control: Control,
         position_m: float,
         rate_mps: float = 0.0,
-        problem: Callable[[State], str | None] = lambda _: None,
+        problem: Callable[[State], DriveFault | None] = lambda _: None,
     ) -> State:
         """Write one command and read the state that follows it, in one transaction.
 
@@ -111,22 +111,25 @@ class Drive:
         """Take the next position as it comes: homing moves the axis' zero."""
         self._last = None
 
-    def problem(self, state: State, stopping: bool) -> str | None:
+    def problem(self, state: State, stopping: bool) -> DriveFault | None:
         """Return why the drive is not in the state that it was commanded to, None where it is."""
         if state.status & Status.FAULT:
-            return self._map.fault_text(state.fault)
+            return self._fault(state.fault)
         if stopping:
             return None
         if state.status & Status.QUICK_STOP:
-            return "made a quick stop of its own (its watchdog or its stop input)"
+            return DriveFault(self.name, "made a quick stop of its own (its watchdog or its stop input)")
         if not state.status & Status.ENABLED:
-            return "switched itself off"
+            return DriveFault(self.name, "switched itself off")
         return None
 
     async def stop_blindly(self) -> None:
         """Leave a quick stop on the wire without waiting for an answer: the drive may be unable to give one."""
         if self._identified:
             await self._line.leave(self._device_id, *self._transfer(self._next(STOP, 0.0, 0.0)))
+
+    def _fault(self, code: int) -> DriveFault:
+        return DriveFault(self.name, self._map.fault_text(code), self._map.fault_kind(code))
 
     def _next(self, control: Control, position_m: float, rate_mps: float) -> Command:
         self._number = (self._number + 1) % self._map.numbers

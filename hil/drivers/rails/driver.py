@@ -200,13 +200,13 @@ class ModbusRails(LoopThread):
         if seeking:
             drive.forget_place()
 
-        def problem(state: State) -> str | None:  # a stop may come while this exchange is under way
+        def problem(state: State) -> DriveFault | None:  # a stop may come while this exchange is under way
             return drive.problem(state, stopping or self._stopping)
 
         try:
             state = await drive.exchange(control, position_m, rate_mps, problem)
-            if why := problem(state):
-                raise DriveFault(drive.name, why)
+            if fault := problem(state):
+                raise fault
         except DeviceError as error:
             drive.failed = self._stopping = True
             self._box.fail(error)

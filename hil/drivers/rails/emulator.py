@@ -11,7 +11,7 @@ from typing import Final
 from hil.config.rail_wires import ModbusRtu
 from hil.config.rig import Rails
 from hil.core.clock import WallClock
-from hil.drivers.base import RAIL_NAMES, TORQUE_OFF, full_names
+from hil.drivers.base import RAIL_NAMES, full_names
 from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
 from hil.drivers.fault_injection import FaultyWire
 from hil.drivers.pty_line import PtyLine
@@ -19,10 +19,10 @@ from hil.drivers.rails.codec import Identity, RegisterMap
 from hil.drivers.rails.modbus_server import EmulatedDrive, Slave
 from hil.drivers.rails.wiring import tcp_axes
 from hil.drivers.shared_state import AxisBoard
+from hil.errors import FaultKind
 from hil.maths.random_streams import stream
 
 FIRMWARE: Final = (1, 0)
-_FAULT: Final = "over-current"  # that a drive reports when none was chosen
 _READ_BYTES: Final = 4096
 _SILENCE_S: Final = 0.02  # much longer than between the bytes of one request, however busy this host is
 _PTY_BITS_A_BYTE: Final = 10  # that PtyLine reckons with
@@ -47,7 +47,7 @@ class _Rails:
         self._axes = EmulatedAxes(name, config, clock, board, chain_closed=chain_closed, seed=seed)
         self.faults = self._axes.faults
         self._wire = FaultyWire(self.faults, stream(seed, "wire"))
-        torque_off = self._map.fault_code(TORQUE_OFF)
+        torque_off = self._map.code_of(FaultKind.TORQUE_OFF)
         self.drives = [EmulatedDrive(self._axes, index, torque_off) for index in range(len(RAIL_NAMES))]
 
     def _advance(self) -> None:
@@ -57,7 +57,7 @@ class _Rails:
         for name, drive in zip(RAIL_NAMES, self.drives, strict=True):
             code = self.faults.take("drive_fault", name)
             if code is not None:
-                drive.trip(int(code) or self._map.fault_code(_FAULT))
+                drive.trip(int(code) or self._map.code_of(FaultKind.OTHER))
             drive.supervise(now_s)
 
 

@@ -79,8 +79,7 @@ class _RemoteDevice:
         self._failures_before = self._failure.read(self._record)[0]
         answer = self._link.requests.ask("open", self.name)
         if "failure" in answer:
-            kind, device, what = answer["failure"]
-            self._record[0] = (kind.encode(), device.encode(), what.encode())
+            self._record[0] = tuple(field.encode() for field in answer["failure"])
             raise io_layout.failure_of(self._record)
         self._is_open = True
 

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.messages import MAX_THRUSTERS, POSE, AxisFeedback, Homing, IoInputs, IoOutputs, PoseFrame
-from hil.errors import BenchError, DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
+from hil.errors import BenchError, DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError
 from hil.frmn.mailbox import Block
 from hil.frmn.ring import Ring
 
@@ -30,7 +30,8 @@ FEEDBACK: Final = np.dtype(
 )
 HEARTBEAT: Final = np.dtype([("watched", "i8")])
 STOP: Final = np.dtype([("number", "i8")])
-FAILURE: Final = np.dtype([("kind", "S24"), ("device", "S64"), ("what", "S512")])
+FAILURE: Final = np.dtype([("kind", "S24"), ("device", "S64"), ("what", "S512"), ("fault", "S16")])
+"""fault: value of the FaultKind of a DriveFault."""
 COUNTERS: Final = np.dtype([("text", "S1024")])
 FRAME: Final = np.dtype(
     [
@@ -52,9 +53,7 @@ INPUTS: Final = np.dtype(
 )
 OUTPUTS: Final = np.dtype([("enable", "i8"), ("count", "i8"), ("thrusters", "u1", MAX_THRUSTERS)])
 _FRAMES: Final = 256
-_KINDS: Final[dict[str, type[DeviceError]]] = {
-    kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError, DriveFault)
-}
+_KINDS: Final[dict[str, type[DeviceError]]] = {kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError)}
 
 LAYOUT: Final = {
     LOOP: HEARTBEAT,
@@ -185,15 +184,18 @@ def failure_record(error: BenchError, device: str) -> np.ndarray:
     """Return ``error`` as FAILURE, shape (1,); what is no DeviceError becomes one of ``device``."""
     record = np.zeros(1, FAILURE)
     if isinstance(error, DeviceError):
-        record[0] = (type(error).__name__.encode(), error.device.encode(), error.what.encode()[:512])
+        fault = error.kind.value.encode() if isinstance(error, DriveFault) else b""
+        record[0] = (type(error).__name__.encode(), error.device.encode(), error.what.encode()[:512], fault)
     else:
-        record[0] = (b"DeviceError", device.encode(), str(error).encode()[:512])
+        record[0] = (b"DeviceError", device.encode(), str(error).encode()[:512], b"")
     return record
 
 
 def failure_of(record: np.ndarray) -> DeviceError:
     """Return the error that ``record``, shape (1,) of FAILURE, tells of."""
-    kind, device, what = (field.decode(errors="replace") for field in record[0])
+    kind, device, what, fault = (field.decode(errors="replace") for field in record[0])
+    if kind == DriveFault.__name__:
+        return DriveFault(device, what, FaultKind(fault))
     return _KINDS.get(kind, DeviceError)(device, what)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from hil.config.load import load_rig
 from hil.drivers.rails.codec import Command, Control, Identity, RegisterMap, State, Status
-from hil.errors import BadInput
+from hil.errors import BadInput, FaultKind
 
 SHIPPED = RegisterMap(load_rig("emulated-rtu").value.rails.map)
 
@@ -135,7 +135,42 @@ def test_a_drive_without_exchange_numbers_needs_no_registers_for_them(tmp_path: 
             'lab.toml: rig.rails.map.faults.hot: "hot": string should match pattern '
             "'^(0x[0-9a-fA-F]{1,8}|[0-9]{1,10})$'",
         ),
+        (
+            'rails.map = { torque_off = 7, faults = { 2 = "over-current", 0x5441 = "STO active" } }',
+            "lab.toml: rig.rails.map: torque_off 7: no such code in faults, allowed: 2, 0x5441, -1",
+        ),
+        (
+            "rails.map.torque_off = -2",
+            "lab.toml: rig.rails.map.torque_off: -2: must be greater than or equal to -1",
+        ),
     ],
 )
 def test_a_bad_map_is_refused_with_key_value_and_what_is_allowed(tmp_path: Path, text: str, line: str) -> None:
     assert refusal(tmp_path, text) == line
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "kind"),
+    [
+        ("", 7, FaultKind.TORQUE_OFF),
+        ("", 6, FaultKind.OTHER),
+        ("torque_off = 0x21\nfaults = { 0x21 = 'STO active', 7 = 'safe torque off' }", 0x21, FaultKind.TORQUE_OFF),
+        ("torque_off = 0x21\nfaults = { 0x21 = 'STO active', 7 = 'safe torque off' }", 7, FaultKind.OTHER),
+        ("torque_off = -1", 7, FaultKind.OTHER),
+        ("faults = { 2 = 'over-current' }", 7, FaultKind.OTHER),
+    ],
+)
+def test_torque_off_is_told_by_its_code_whatever_it_is_called(
+    tmp_path: Path, text: str, code: int, kind: FaultKind
+) -> None:
+    file = tmp_path / "lab.toml"
+    file.write_text(f'extends = "emulated"\n[rails.map]\n{text}\n')
+    assert RegisterMap(load_rig(str(file)).value.rails.map).fault_kind(code) is kind
+
+
+def test_a_drive_without_torque_off_reports_another_fault(tmp_path: Path) -> None:
+    file = tmp_path / "lab.toml"
+    file.write_text('extends = "emulated"\n[rails.map]\ntorque_off = -1\nfaults = { 3 = "hot" }\n')
+    register_map = RegisterMap(load_rig(str(file)).value.rails.map)
+    assert [register_map.code_of(kind) for kind in (FaultKind.TORQUE_OFF, FaultKind.OTHER)] == [3, 3]
+    assert [SHIPPED.code_of(kind) for kind in (FaultKind.TORQUE_OFF, FaultKind.OTHER)] == [0x5441, 0x2310]

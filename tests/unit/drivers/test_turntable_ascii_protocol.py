@@ -9,6 +9,7 @@ import pytest
 from hil.config.load import load_protocol
 from hil.drivers.turntable.ascii.frames import BrokenLine, crc16_ccitt, sum8, xor8
 from hil.drivers.turntable.ascii.protocol import DEVICE, Dialect, Refused
+from hil.errors import FaultKind
 
 HIL = Dialect(load_protocol("hil-ascii").value)
 ACU = Dialect(load_protocol("acu").value)
@@ -131,6 +132,22 @@ def test_fault_flags_and_codes_are_named():
     assert HIL.fault_text(0x8000) == "unknown flags 0x8000"
     assert ACU.fault_text(4) == "following error"
     assert ACU.fault_text(99) == "unknown fault 99"
+
+
+@pytest.mark.parametrize(
+    ("dialect", "number", "kind"),
+    [
+        (HIL, 0x0100, FaultKind.TORQUE_OFF),
+        (HIL, 0x0180, FaultKind.TORQUE_OFF),  # a command time-out besides
+        (HIL, 0x0080, FaultKind.OTHER),
+        (HIL, 0, FaultKind.OTHER),
+        (ACU, 6, FaultKind.TORQUE_OFF),
+        (ACU, 7, FaultKind.OTHER),  # codes are no flags
+        (ACU, 2, FaultKind.OTHER),
+    ],
+)
+def test_torque_off_is_a_flag_or_a_code(dialect, number, kind):
+    assert dialect.fault_kind(number) is kind
 
 
 def test_checksums_are_those_of_the_catalogue():

@@ -11,6 +11,7 @@ from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.codec import DriveState
 from hil.drivers.turntable.cia402.drive import EmulatedDrive
 from hil.drivers.turntable.cia402.serial_can import SerialFrames, encode_serial
+from hil.errors import FaultKind
 
 COUNTS_PER_TURN = 10_000_000
 
@@ -213,6 +214,8 @@ def test_torque_that_the_safety_chain_takes_is_a_fault_by_name():
     (frame,) = drive.advance(0.0)
     assert frame == (0x81, bytes.fromhex("41 54 01 00 00 00 00 00"))
     assert codec.fault_text(codec.decode_emergency(frame[1])) == "fault 0x5441 (safe torque off)"
+    assert codec.fault_kind(codec.decode_emergency(frame[1])) is FaultKind.TORQUE_OFF
+    assert codec.fault_kind(0x5442) is FaultKind.OTHER
 
 
 def test_string_longer_than_a_frame_comes_in_segments():

@@ -8,7 +8,7 @@ from hil.config.load import configs_folder, load_protocol, load_rig, shipped
 from hil.core.clock import WallClock
 from hil.drivers.turntable.ascii.driver import AsciiTurntable
 from hil.drivers.turntable.ascii.protocol import DEVICE, Dialect
-from hil.errors import BadInput
+from hil.errors import BadInput, FaultKind
 
 
 def altered(tmp_path, old, new, base="hil-ascii"):
@@ -51,6 +51,11 @@ def test_shipped_protocols_are_found_by_name():
         ("homing = 0x10", "", r"requests\.home: needs status\.homing"),
         ("enabled = 0x01", "", r"status\.enabled: is missing"),
         ("0x0001 = ", '"x1" = ', r"faults\.names: .*must be whole numbers"),
+        (
+            "torque_off = 0x0100",
+            "torque_off = 0x0200",
+            r"faults\.torque_off: 512: allowed are the numbers in \[faults\.names\]: 0x0001, 0x0002, .*0x0100$",
+        ),
         ("digits = 2", "digit = 2", r"sequence\.digit: unknown key: did you mean digits"),
     ],
 )
@@ -83,6 +88,11 @@ def test_counts_and_another_checksum_need_no_code(tmp_path):
     values = {("position", 2): 0.017453292519943295, ("rate", 2): 0.0}
     body = "PA3=10000;VA3=0;"
     assert dialect.request(0, dialect.lines["set"][0], 2, values) == f"{body}^{sum(body.encode()) % 256:02X}\r".encode()
+
+
+def test_controller_without_torque_off_has_no_such_fault(tmp_path):
+    path = altered(tmp_path, "torque_off = 0x0100", "")
+    assert Dialect(load_protocol(path).value).fault_kind(0x0100) is FaultKind.OTHER
 
 
 def test_rig_file_names_a_protocol_file_beside_it(tmp_path):

@@ -213,7 +213,7 @@ class AsciiLink:
         for axis, name in enumerate(self.axis_names):
             fault = int(told.get(("fault", axis), 0))
             if self._has(told, axis, "fault") or fault:
-                raise DriveFault(name, self._dialect.fault_text(fault))
+                raise DriveFault(name, self._dialect.fault_text(fault), self._dialect.fault_kind(fault))
             if not self._stopped and not self._has(told, axis, "enabled"):
                 raise DriveFault(name, f"was disabled by the controller, status 0x{int(told['status', axis]):02X}")
 

@@ -43,6 +43,7 @@ class AsciiTurntableEmulator:
         self._clock = clock
         self._bits = protocol.status
         self._words = protocol.emulator
+        self._torque_off = protocol.faults.torque_off or self._words.drive_fault
         self._has_flags = protocol.faults.kind == "flags"
         self.dialect = Dialect(protocol)
         self.gimbals = EmulatedAxes("turntable", config, clock, board, chain_closed=chain_closed, seed=seed)
@@ -149,7 +150,7 @@ class AsciiTurntableEmulator:
                 self.gimbals.overdue[axis] = False
                 self._fail(axis, self._words.command_timeout)
             if self.gimbals.torque_off and self._enabled[axis]:
-                self._fail(axis, self._words.torque_off)
+                self._fail(axis, self._torque_off)
 
     def _fail(self, axis: int, number: int) -> None:
         self.fault[axis] = self.fault[axis] | number if self._has_flags else self.fault[axis] or number

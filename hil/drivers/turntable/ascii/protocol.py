@@ -13,6 +13,7 @@ from typing import Final
 
 from hil.config.protocol import AXIS_NAMES, OF_AXIS, Protocol, Step, Whole, numbers, template_places
 from hil.drivers.turntable.ascii.frames import BrokenLine, Framing
+from hil.errors import FaultKind
 
 DEVICE: Final = -1
 Value = float | int | str
@@ -199,6 +200,14 @@ class Dialect:
         if unknown:
             names.append(f"unknown flags 0x{unknown:04X}")
         return ", ".join(names) or "no fault flag"
+
+    def fault_kind(self, number: int) -> FaultKind:
+        """Return what a fault number means to the bench."""
+        faults = self.protocol.faults
+        if faults.torque_off is None:
+            return FaultKind.OTHER
+        is_off = bool(number & faults.torque_off) if faults.kind == "flags" else number == faults.torque_off
+        return FaultKind.TORQUE_OFF if is_off else FaultKind.OTHER
 
 
 def _key(name: str, axis: int) -> Key:

@@ -13,6 +13,7 @@ from enum import Enum
 from typing import Final
 
 from hil.core.messages import Homing
+from hil.errors import FaultKind
 
 NMT_ID: Final = 0x000
 SYNC_ID: Final = 0x080
@@ -252,6 +253,11 @@ FAULT_NAMES: Final = {
     0x8611: "following error",
     0x8612: "reference limit",
 }
+
+
+def fault_kind(code: int) -> FaultKind:
+    """Return what an error code means to the bench."""
+    return FaultKind.TORQUE_OFF if code == TORQUE_OFF else FaultKind.OTHER
 
 
 def fault_text(code: int) -> str:

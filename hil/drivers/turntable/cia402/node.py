@@ -197,7 +197,8 @@ class Node:
         state = codec.state_of(self._asked.statusword())
         found = self._asked.fault_code()
         if state in codec.FAULT_STATES or found != 0:
-            raise DriveFault(self.name, codec.fault_text(found or code))
+            code = found or code
+            raise DriveFault(self.name, codec.fault_text(code), codec.fault_kind(code))
         if self._is_bad(state):
             title = state.title if state else "an undefined state"
             raise DriveFault(self.name, f"left operation enabled by itself, is in {title}")

@@ -191,7 +191,7 @@ class DriveSetup:
         end_s = time.monotonic() + _RESET_WALL_S
         while self._state() is DriveState.FAULT:
             if time.monotonic() > end_s:
-                raise DriveFault(self.axis, f"{codec.fault_text(code)} stays after a reset")
+                raise DriveFault(self.axis, f"{codec.fault_text(code)} stays after a reset", codec.fault_kind(code))
             time.sleep(_POLL_WALL_S)
 
     def fault_code(self) -> int:

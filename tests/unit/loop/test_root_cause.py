@@ -1,0 +1,69 @@
+"""What lies behind a fault: how long is waited for it goes by the fault's kind, never by its text."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, LinkTimeout, SafetyTrip
+from hil.loop.root_cause import cause_behind
+
+OPEN_INTERLOCK = SafetyTrip("io", "interlock", "open", "closed")
+
+
+class SteppedRate:
+    """A rate whose time goes on by 10 ms whenever it is asked for."""
+
+    on_the_wall = True
+
+    def __init__(self) -> None:
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        self._now_s += 0.01
+        return self._now_s
+
+
+def cause_found(fault: BenchError, after_s: float, cause: BenchError = OPEN_INTERLOCK) -> BenchError:
+    """Return what is found behind ``fault`` when ``cause`` shows ``after_s`` later."""
+
+    def look(now_s: float) -> None:
+        if now_s > after_s:
+            raise cause
+
+    loop: Any = SimpleNamespace(
+        lines=SimpleNamespace(look=look),
+        bench=SimpleNamespace(
+            look_at_emergency_input=lambda now_s: None,
+            supervisor=SimpleNamespace(refuse_open=lambda now_s: None),
+        ),
+    )
+    rate: Any = SteppedRate()
+    return cause_behind(fault, loop, rate)
+
+
+@pytest.mark.parametrize("text", ["safe torque off", "STO active", ""])
+def test_a_drive_without_torque_has_the_time_of_a_dead_coupler_whatever_its_fault_is_called(text: str) -> None:
+    fault = DriveFault("rails.x", text, FaultKind.TORQUE_OFF)
+    assert cause_found(fault, after_s=0.5) is OPEN_INTERLOCK
+    assert cause_found(fault, after_s=0.7) is fault
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        DriveFault("rails.x", "not safe torque off"),
+        LinkTimeout("rails.x", "safe torque off"),
+        SafetyTrip("rails.x", "safe torque off", "1", "0"),
+    ],
+)
+def test_any_other_fault_has_the_time_of_the_emergency_stop_alone(fault: BenchError) -> None:
+    assert cause_found(fault, after_s=0.03) is OPEN_INTERLOCK
+    assert cause_found(fault, after_s=0.1) is fault
+
+
+def test_a_wire_that_is_gone_is_a_cause_itself() -> None:
+    lost = LinkLost("rails.x", "connection closed")
+    assert cause_found(lost, after_s=0.0) is lost
