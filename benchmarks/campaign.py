@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.campaign.batch import Spec, run_batch
-from hil.campaign.case_runner import Flight
+from hil.campaign.case_runner import CaseRunner
 from hil.campaign.engines import LocalEngine
 from hil.config.load import load_rig, load_scenario
 
@@ -36,7 +36,7 @@ def spec(scheme: str = "scheme-1") -> Spec:
 def loop_speed(scheme: str, repeats: int = 15) -> float:
     """Return the best simulated seconds a second of one run without dispersions, its set-up included."""
     scenario = load_scenario(scheme).value
-    flight = Flight(scenario, load_rig("mock").value, scenario.duration_s)
+    flight = CaseRunner(scenario, load_rig("mock").value, scenario.duration_s)
     taken = []
     for seed in range(repeats + 1):
         begun = time.perf_counter()

@@ -29,7 +29,7 @@ from hil.config.load import shipped
 from hil.console.app import make_app
 from hil.console.client import Client
 from hil.console.columns import INDEX
-from hil.console.service import Desk
+from hil.console.service import ConsoleService
 from hil.console.session import Choice
 from hil.loop.overrun_monitor import lateness_percentiles_us
 
@@ -79,7 +79,7 @@ class Console:
 
     def __init__(self, rig: str, duration_s: float) -> None:
         choice = Choice(scenario="scheme-1", rig=rig, duration_s=duration_s, settings=PATIENT, on_loss="continue")
-        self.desk = Desk(choice, shipped("scenarios"), [rig], time.monotonic)
+        self.desk = ConsoleService(choice, shipped("scenarios"), [rig], time.monotonic)
         self.desk.warm_up()
         listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{listener.getsockname()[1]}"

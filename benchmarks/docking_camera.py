@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from hil.config.load import load_scene
-from hil.monitor.render import Conditions, Glare, Renderer
+from hil.monitor.render import Conditions, Glare, TargetRenderer
 
 PICTURES = int(sys.argv[1]) if len(sys.argv) > 1 else 100
 
@@ -27,7 +27,7 @@ def main() -> None:
         scene = load_scene(name).value
         for range_m in (1.5, 5.0, 10.0, 30.0):
             d = np.array([0.05, -0.03, 1.0]) * range_m
-            plain, shining = Renderer(scene), Renderer(scene, conditions=glare)
+            plain, shining = TargetRenderer(scene), TargetRenderer(scene, conditions=glare)
             rng = np.random.default_rng(0)
             draw = _median_ms(lambda plain=plain, d=d: plain.draw(d, phi))
             whole = _median_ms(lambda plain=plain, d=d, rng=rng: plain.picture(d, phi, 0.0, rng))

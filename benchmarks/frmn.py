@@ -73,7 +73,7 @@ def ping(rate_hz: float, count: int, send: Callable[[int], None], receive: Calla
     """Send at the rate, take answers until the next deadline; ``receive`` gives the number of an answer, or None."""
     sent_ns, back_ns, late = np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count)
     period_ns = round(1e9 / rate_hz)
-    with RealTime() as real_time, no_garbage_collection(), real_time.at_the_front():
+    with RealTime() as real_time, no_garbage_collection(), real_time.realtime_priority():
         rate = WallRate(WallClock(), 1.0 / rate_hz)
         rate.restart()
         for k in range(count):
@@ -98,7 +98,7 @@ def ping_link(hosts: Hosts, rate_hz: float, count: int, to: Trips) -> None:
     link = Link(Role.DSS, "ping", ("gnc.setup", "gnc.input"), ("gnc.output",), (hosts.here, PORTS["link"]))
     with far_side("link", hosts):
         while not link.joined:
-            link.tend()
+            link.service()
             link.poll()
             time.sleep(0.01)
         link.send("gnc.setup", np.zeros(1, GNC_SETUP))
@@ -200,7 +200,7 @@ NAMES = {
 
 def answer(line: str, here: str, there: str) -> None:
     """Be the far side of ``line`` until nothing has come for a while."""
-    with RealTime() as real_time, real_time.at_the_front():
+    with RealTime() as real_time, real_time.realtime_priority():
         _answers(line, here, there)
 
 
@@ -211,7 +211,7 @@ def _answers(line: str, here: str, there: str) -> None:
         heard_s = time.monotonic() + 10.0
         while time.monotonic() - heard_s < SILENCE_S:
             link.wait(0.05)
-            link.tend()
+            link.service()
             for arrival in link.poll():
                 heard_s = time.monotonic()
                 if arrival.name == "gnc.input":

@@ -92,7 +92,7 @@ def bare_block(cycles: int, rate_hz: float, ring: Ring, tally: Tally) -> None:
     late_s, put_ns = np.zeros(cycles), np.zeros(cycles)
     row = np.zeros(1, CYCLE)
     now_ns = time.perf_counter_ns
-    with RealTime() as real_time, no_garbage_collection(), real_time.at_the_front():
+    with RealTime() as real_time, no_garbage_collection(), real_time.realtime_priority():
         rate = WallRate(WallClock(), 1.0 / rate_hz)
         rate.restart()
         for k in range(cycles):
@@ -250,7 +250,7 @@ def main() -> None:
         lines.remove("cyclictest")
     if not options.without_cycle:
         build.warm_up(build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0, 1.0))
-    with RealTime() as real_time, real_time.at_the_front():
+    with RealTime() as real_time, real_time.realtime_priority():
         print("; ".join(map(str, real_time.grants)))
     print(f"{options.rate_hz:g} Hz, {options.rounds} rounds of {options.seconds:g} s a line, in turn; us p50 p99 p99.9")
     print(f"goals, of cyclictest's: {GOAL}; missed periods at most its own + {GOAL_MISSED_PPM} ppm")

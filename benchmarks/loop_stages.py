@@ -16,7 +16,7 @@ import numpy as np
 
 from hil.bench import guard as guards
 from hil.campaign import loop_kernel as loop
-from hil.campaign.case_runner import Flight
+from hil.campaign.case_runner import CaseRunner
 from hil.campaign.tally_kernel import count_cycle
 from hil.config.load import load_rig, load_scenario
 from hil.core.jit import kernel
@@ -111,7 +111,7 @@ def follow(params, state, n):
         loop._follow(params, state, state.rails.t_s)
 
 
-def best_ns(flight: Flight, work: Callable[[int], object]) -> float:
+def best_ns(flight: CaseRunner, work: Callable[[int], object]) -> float:
     """Return the least time of one call, ns, each measurement from the same state."""
     kept = flight._state_block.copy(), flight._memory.copy()
     work(1)
@@ -129,14 +129,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scheme", default="scheme-1")
     scenario = load_scenario(parser.parse_args().scheme).value
-    whole = Flight(scenario, load_rig("mock").value, scenario.duration_s)
+    whole = CaseRunner(scenario, load_rig("mock").value, scenario.duration_s)
     whole.fly(scenario, 0)
     took = []
     for seed in range(FLIGHTS):
         begun = time.thread_time()
         whole.fly(scenario, seed)
         took.append(time.thread_time() - begun)
-    flight = Flight(scenario, load_rig("mock").value, 0.5 * scenario.duration_s)
+    flight = CaseRunner(scenario, load_rig("mock").value, 0.5 * scenario.duration_s)
     flight.fly(scenario, 0)
     p, s, memory, poses = flight._params, flight._state, flight._memory, flight._poses
     frames, tally = flight._frames, flight._tally

@@ -16,15 +16,15 @@ import numpy as np
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
 from hil.monitor.monitor import Monitor
-from hil.monitor.render import Conditions, Renderer, film
-from hil.monitor.sources import Frame
+from hil.monitor.render import Conditions, TargetRenderer, film
+from hil.monitor.sources import VideoFrame
 
 RANGES_M = (1.4, 2.0, 4.0, 8.0, 14.0, 20.0, 35.0)
 
 
-def frames_at(scene: Scene, d3: float, count: int) -> list[Frame]:
+def frames_at(scene: Scene, d3: float, count: int) -> list[VideoFrame]:
     """Return the frames of a slow approach about ``d3``, m."""
-    renderer = Renderer(scene, conditions=Conditions(noise=PixelNoise(read=3.0)))
+    renderer = TargetRenderer(scene, conditions=Conditions(noise=PixelNoise(read=3.0)))
     rng = np.random.default_rng(1)
     return list(
         film(

@@ -22,7 +22,7 @@ import numpy as np
 from hil.core.camera_images import PICTURE, SLOTS, Encoding, encode, picture_row
 from hil.frmn.ring import Ring
 from hil.recording.images import pictures
-from hil.recording.writer import Header, RunFile
+from hil.recording.writer import RecordingHeader, RunFile
 
 RENDERED = ("vmu.source=rendered", "monitor.source=rendered")
 WAYS = {
@@ -67,7 +67,7 @@ def one_picture(path: Path, camera: str) -> None:
         encoding_ms = median_ms(lambda e=encoding: encode(image, e))
         putting_ms = median_ms(lambda r=row: ring.put(r))
         with tempfile.TemporaryDirectory() as folder:
-            file = RunFile(Path(folder) / "run.mcap", Header({"schema_version": "1"}, {}, 0))
+            file = RunFile(Path(folder) / "run.mcap", RecordingHeader({"schema_version": "1"}, {}, 0))
             start = time.perf_counter()
             for _ in range(REPEATS):
                 file.pictures(row)

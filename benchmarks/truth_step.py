@@ -21,7 +21,7 @@ from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import moon_gravity
 from hil.dynamics import truth as kernels
-from hil.dynamics.held_gravity import HELD
+from hil.dynamics.held_gravity import CACHED_GRAVITY
 from hil.maths import quat
 from hil.params import gnc as gnc_params
 
@@ -75,7 +75,7 @@ def main() -> None:
     ):
         scenario = load_scenario("scheme-2", settings).value
         params, field, truth = gnc_params.dss(scenario), gnc_params.field(scenario), gnc_params.initial_truth(scenario)
-        span = new(HELD)
+        span = new(CACHED_GRAVITY)
         n = round(span_s / params.dt_s)
         steps(params, field, span, truth, quiet, 1)
         taken = best_s(lambda: steps(params, field, span, truth, quiet, n))  # noqa: B023

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array
 from hil.vmu.geometry import camera_pair, led_positions
-from hil.vmu.render import Extras, Light, Look, Renderer, projections
+from hil.vmu.render import Extras, Light, RingAppearance, RingRenderer, projections
 from hil.vmu.unit import VisionUnit
 
 REPEATS = 7
@@ -89,7 +89,7 @@ def main(count: int) -> None:
     cv2.setNumThreads(1)
     chosen, rng = geometry(), np.random.default_rng(0)
     pair, leds = camera_pair(chosen), led_positions(chosen)
-    renderer, unit, opencv = Renderer(pair, leds, Look()), VisionUnit(chosen), OpenCv(chosen)
+    renderer, unit, opencv = RingRenderer(pair, leds, RingAppearance()), VisionUnit(chosen), OpenCv(chosen)
     unit.warm_up()
     print(
         "range, m | tracked, ms  full frame, ms  OpenCV, ms | RMS error of position, mm: here, OpenCV | found by OpenCV"

@@ -15,13 +15,13 @@ import numpy as np
 from hil.core.messages import Array
 from hil.vmu.detect import Detector
 from hil.vmu.kernels.lens import LENS, CameraPair
-from hil.vmu.render import Extras, HotPixel, Light, Look, Renderer, projections
+from hil.vmu.render import Extras, HotPixel, Light, RingAppearance, RingRenderer, projections
 
 SIZE, IMAGES, REPEATS = 1024, 12, 7
 RING = [(0.12 * np.cos(a), 0.12 * np.sin(a), 0.0) for a in np.arange(6) * np.pi / 3.0]
 LEDS = np.array(RING) - np.array([[0.0, 0.0, 0.06]] + [[0.0] * 3] * 5)
 STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
-LOOK = Look(hot_pixels=tuple(HotPixel(0, u, 37 + 2 * u % 900) for u in (50, 333, 600, 801, 990)))
+LOOK = RingAppearance(hot_pixels=tuple(HotPixel(0, u, 37 + 2 * u % 900) for u in (50, 333, 600, 801, 990)))
 
 
 def cameras() -> CameraPair:
@@ -73,7 +73,7 @@ def missed_and_error(found: list[Array], places: list[Array]) -> tuple[int, int,
 def measure(range_m: float) -> None:
     rng = np.random.default_rng(1)
     pair, detector, blobs = cameras(), Detector((SIZE, SIZE)), blob_detector()
-    renderer = Renderer(pair, LEDS, LOOK)
+    renderer = RingRenderer(pair, LEDS, LOOK)
     images, places, windows = [], [], []
     for _ in range(IMAGES):
         t_v = np.array([0.1, 0.0, range_m]) + rng.uniform(-0.01, 0.01, 3)

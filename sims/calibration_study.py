@@ -23,8 +23,8 @@ from hil.core.messages import Array
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.drift import check
 from hil.vmu.calibration.files import Calibrated, Label
-from hil.vmu.calibration.model import PARTS, Setup, Turntable
-from hil.vmu.calibration.refine import Fit, Problem, belief, layout_basis
+from hil.vmu.calibration.model import PARTS, Setup, TurntableModel
+from hil.vmu.calibration.refine import RefinementFit, RefinementProblem, belief, layout_basis
 from hil.vmu.calibration.solve import robust
 from hil.vmu.calibration.synthetic import plan, shifted, sight
 from hil.vmu.geometry import geometry_of_rig
@@ -85,14 +85,14 @@ def main(words: list[str]) -> int:
 def one_set(kind: Kind, seed: int) -> tuple[Array, dict[str, tuple[bool, str, float]]]:
     """Return errors over sigmas, and for each drift: found or not, the part that moved, and the shift in pixels."""
     rig = load_rig("mock").value
-    turntable = Turntable.of(rig.bench)
+    turntable = TurntableModel.of(rig.bench)
     rng = np.random.default_rng(seed)
     paper = Setup.of(geometry_of_rig(rig), rig.bench, None if kind.on_leds else BOARD.points())
     truth = made(paper, kind, rng)
     axes = plan(truth, turntable, kind.views, kind.range_m, 20.0, rng, 0.25)
     seen = sight(truth, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
     held = belief(paper, (), AXIS_SIGMA, 1e-3 if kind.on_leds else 0.0, 0.0 if kind.on_leds else 1e-3)
-    fit = Problem(seen, turntable, held, paper.points).solve(robust(seen, paper, turntable, held))
+    fit = RefinementProblem(seen, turntable, held, paper.points).solve(robust(seen, paper, turntable, held))
     label = Label("study", "", "leds" if kind.on_leds else "board")
     known = Calibrated(label, fit.setup, turntable, fit.covariance, fit.noise, AXIS_SIGMA)
     checks = {name: checked(known, truth, kind, change, rng) for name, change in DRIFTS.items()}
@@ -112,7 +112,7 @@ def made(paper: Setup, kind: Kind, rng: np.random.Generator) -> Setup:
     return paper.moved(spread * rng.standard_normal(COMMON), layout)
 
 
-def in_sigmas(fit: Fit, truth: Setup, kind: Kind) -> Array:
+def in_sigmas(fit: RefinementFit, truth: Setup, kind: Kind) -> Array:
     """Return the errors of all numbers that were found over their sigmas."""
     error = fit.setup.theta - truth.theta
     for part, mine, other in (

@@ -12,7 +12,7 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-from hil.commission.fault_matrix import TIGHT, Finding, clear_faults, matrix, rehearse
+from hil.commission.fault_matrix import TIGHT, FaultFinding, clear_faults, matrix, rehearse
 from hil.config.load import load_rig, load_scenario
 from hil.core.modes import Mode
 from hil.session.build import Job, check, warm_up, wired_bench
@@ -25,7 +25,7 @@ def main(words: list[str]) -> int:
     check(job)
     warm_up(job)
     console = Console()
-    findings: list[Finding] = []
+    findings: list[FaultFinding] = []
     with wired_bench(job) as bench:
         clear_faults(bench)
         for case in matrix(modes):
@@ -33,7 +33,7 @@ def main(words: list[str]) -> int:
                 finding = rehearse(bench, case)
             except RuntimeError as error:
                 console.print(f"NOT DONE {case.name}: {error}", highlight=False, soft_wrap=True)
-                findings.append(Finding(case, Mode.OFF, str(error), None, None))
+                findings.append(FaultFinding(case, Mode.OFF, str(error), None, None))
                 continue
             findings.append(finding)
             word = "ok  " if finding.as_expected else "MISSED"
@@ -45,7 +45,7 @@ def main(words: list[str]) -> int:
     return 1 if missed else 0
 
 
-def _table(findings: list[Finding], mode: Mode) -> Table:
+def _table(findings: list[FaultFinding], mode: Mode) -> Table:
     """Return fault by device: detected and standing after so many milliseconds."""
     here = {(f.case.device, f.case.line.removeprefix("on ")): f for f in findings if f.case.mode is mode}
     devices = list(dict.fromkeys(device for device, _ in here))
@@ -55,7 +55,7 @@ def _table(findings: list[Finding], mode: Mode) -> Table:
     return table
 
 
-def _cell(finding: Finding) -> str:
+def _cell(finding: FaultFinding) -> str:
     if finding.detected_s is None:
         return "goes on" if finding.as_expected else "MISSED"
     standing = "moving" if finding.standing_s is None else f"{1e3 * finding.standing_s:.0f}"

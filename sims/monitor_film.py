@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise
 from hil.monitor.kernels.derived import quantities
-from hil.monitor.render import Conditions, Renderer
+from hil.monitor.render import Conditions, TargetRenderer
 from hil.monitor.results import QUANTITIES
 
 Floats = NDArray[np.float64]
@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     scene = load_scene(given.scene).value
-    renderer = Renderer(scene, conditions=Conditions(noise=PixelNoise(read=given.noise)))
+    renderer = TargetRenderer(scene, conditions=Conditions(noise=PixelNoise(read=given.noise)))
     rng = np.random.default_rng(given.seed)
     size = (scene.camera.width, scene.camera.height)
     writer = cv2.VideoWriter(given.video, cv2.VideoWriter.fourcc(*"FFV1"), scene.fps, size, isColor=False)

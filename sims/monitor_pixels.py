@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
 from hil.monitor.monitor import Monitor
-from hil.monitor.render import Conditions, Renderer
-from hil.monitor.settings import Settings
-from hil.monitor.sources import Frame
+from hil.monitor.render import Conditions, TargetRenderer
+from hil.monitor.settings import MonitorSettings
+from hil.monitor.sources import VideoFrame
 
 Floats = NDArray[np.float64]
 BLUR_PX = 0.8
@@ -86,7 +86,7 @@ def by_opencv(image: NDArray[np.uint8], truth: Floats) -> tuple[Floats | None, F
 
 def study(scene: Scene, d3: float, noise: float, pictures: int) -> dict[str, Floats]:
     """Return the errors (n, 5) or (n, 3) of each method, px."""
-    renderer = Renderer(scene, conditions=Conditions(blur_px=BLUR_PX, noise=PixelNoise(read=noise)))
+    renderer = TargetRenderer(scene, conditions=Conditions(blur_px=BLUR_PX, noise=PixelNoise(read=noise)))
     errors: dict[str, list[Floats]] = {
         "one feature alone": [],
         "all features": [],
@@ -104,8 +104,8 @@ def study(scene: Scene, d3: float, noise: float, pictures: int) -> dict[str, Flo
         axis = np.array([scene.camera.cx, scene.camera.cy])
         turn = np.array([[c, -s], [s, c]])
         true[:2], true[3:] = axis + turn @ (true[:2] - axis), axis + turn @ (true[3:] - axis)
-        monitor = Monitor(scene, Settings(calculation="paper"))
-        monitor.feed(Frame(0, 0.0, image))
+        monitor = Monitor(scene, MonitorSettings(calculation="paper"))
+        monitor.feed(VideoFrame(0, 0.0, image))
         look = monitor.last
         if look is not None and look.paper is not None and look.seen.disc is not None and look.seen.cross is not None:
             v = look.paper.values

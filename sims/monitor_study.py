@@ -21,9 +21,9 @@ from hil.config.scene import PixelNoise, Scene
 from hil.monitor.frame_result import Result
 from hil.monitor.kernels.derived import quantities
 from hil.monitor.monitor import Monitor
-from hil.monitor.render import Conditions, Renderer, film
+from hil.monitor.render import Conditions, TargetRenderer, film
 from hil.monitor.results import QUANTITIES
-from hil.monitor.settings import Settings
+from hil.monitor.settings import MonitorSettings
 
 Floats = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class Flight:
         return out
 
 
-def draw_flight(rng: np.random.Generator, settings: Settings, ranges: tuple[float, float] = RANGES_M) -> Flight:
+def draw_flight(rng: np.random.Generator, settings: MonitorSettings, ranges: tuple[float, float] = RANGES_M) -> Flight:
     """Return a flight with the target in the picture: closing or departing, up to 3 deg of passive angles and roll."""
     d3 = float(np.exp(rng.uniform(*np.log(ranges))))
     passive = rng.uniform(-0.05, 0.05, 2)
@@ -76,10 +76,10 @@ def draw_conditions(rng: np.random.Generator) -> Conditions:
     )  # fmt: skip
 
 
-def one_portion(scene: Scene, rng: np.random.Generator, settings: Settings) -> tuple[Flight, Result]:
+def one_portion(scene: Scene, rng: np.random.Generator, settings: MonitorSettings) -> tuple[Flight, Result]:
     """Return a flight and what a fresh monitor says after its first portion."""
     flight = draw_flight(rng, settings)
-    renderer = Renderer(scene, conditions=draw_conditions(rng))
+    renderer = TargetRenderer(scene, conditions=draw_conditions(rng))
     monitor = Monitor(scene, settings)
     pictures = settings.portion_frames if scene.fields == "whole" else settings.portion_frames // 2
     for frame in film(renderer, flight, pictures, rng):
@@ -131,7 +131,7 @@ class Coverage:
 
 def independent(scene: Scene, portions: int, seed: int, worst: int) -> Coverage:
     """Return the coverage over ``portions`` portions with a monitor of their own each."""
-    settings = Settings()
+    settings = MonitorSettings()
     coverage = Coverage()
     listed: list[tuple[float, str]] = []
     for number in range(portions):
@@ -151,14 +151,14 @@ def independent(scene: Scene, portions: int, seed: int, worst: int) -> Coverage:
 
 def continuous(scene: Scene, portions: int, seed: int) -> Coverage:
     """Return the coverage of sequences of 20 portions, approach and departure in turn, under changing motion."""
-    settings = Settings()
+    settings = MonitorSettings()
     coverage = Coverage()
     length = 20
     for number in range(-(-portions // length)):
         rng = np.random.default_rng([seed, 7, number])
         flight = Sway(draw_flight(rng, settings, (1.6, 36.0)), rng, settings)
         monitor = Monitor(scene, settings)
-        renderer = Renderer(scene, conditions=draw_conditions(rng))
+        renderer = TargetRenderer(scene, conditions=draw_conditions(rng))
         pictures = length * settings.portion_frames // (1 if scene.fields == "whole" else 2)
         for frame in film(renderer, flight, pictures, rng):
             for portion in monitor.feed(frame):
@@ -169,7 +169,7 @@ def continuous(scene: Scene, portions: int, seed: int) -> Coverage:
 class Sway:
     """A flight at an even rate with a slow sway in all six, whose accelerations are of the size that is allowed for."""
 
-    def __init__(self, mean: Flight, rng: np.random.Generator, settings: Settings) -> None:
+    def __init__(self, mean: Flight, rng: np.random.Generator, settings: MonitorSettings) -> None:
         self._mean = replace(mean, acceleration=np.zeros(6))
         self._omega = 2.0 * np.pi / rng.uniform(8.0, 25.0, 6)
         self._phase = rng.uniform(0.0, 2.0 * np.pi, 6)

@@ -19,13 +19,13 @@ from hil.core.messages import Array
 from hil.vmu.detect import Detector
 from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.kernels.shape import add_disc
-from hil.vmu.render import Extras, Look, Reflection, Renderer, projections
+from hil.vmu.render import Extras, Reflection, RingAppearance, RingRenderer, projections
 
 SIZE, FOCAL, PATCH = 320, 1200.0, 57
 GRID = np.stack(np.meshgrid([60.0, 160.0, 260.0], [60.0, 160.0, 260.0]), axis=-1).reshape(-1, 2)
 RANGES_M = (0.4, 0.6, 0.9, 1.3, 2.0, 3.0, 6.0, 9.0, 12.0)
 AWAY, STRAIGHT = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 0.0, 1.0])
-PLAIN = Look()
+PLAIN = RingAppearance()
 LOOKS = {
     "plain": PLAIN,
     "sharp": replace(PLAIN, psf_sigma_px=0.7),
@@ -69,7 +69,7 @@ def target(range_m: float, rng: np.random.Generator) -> tuple[Array, Array, Arra
     return turn.inv().apply(rays * range_m - t_v), t_v, turn.inv().as_quat()
 
 
-def bound(look: Look, spot: Array, flux: float) -> tuple[Array, float]:
+def bound(look: RingAppearance, spot: Array, flux: float) -> tuple[Array, float]:
     """Return the covariance (2, 2), px^2, of a centre's bound and the SNR of the flux."""
     corner = np.rint(spot[:2]) - PATCH // 2
     place, box, images = spot[:2] - corner, np.zeros(4, dtype=np.int64), []
@@ -86,14 +86,14 @@ def bound(look: Look, spot: Array, flux: float) -> tuple[Array, float]:
     return np.linalg.inv(information), float(np.sqrt((weight * light * light).sum()))
 
 
-def study(look: Look, range_m: float, images: int, seed: int) -> Row:
+def study(look: RingAppearance, range_m: float, images: int, seed: int) -> Row:
     """Return what ``images`` images of nine LEDs at a range gave."""
     rng = np.random.default_rng(seed)
     pair, detector = camera(), Detector((SIZE, SIZE))
     errors, expected, squares, snrs, found, extra, within = [], [], [], [], 0, 0, []
     for _ in range(images):
         leds, t_v, q_vt = target(range_m, rng)
-        renderer = Renderer(pair, leds, look)
+        renderer = RingRenderer(pair, leds, look)
         image = renderer.image(0, t_v, q_vt, None, rng)
         spots = detector.spots(image)
         places = projections(pair, leds, t_v, q_vt)[0]
@@ -130,10 +130,10 @@ def study(look: Look, range_m: float, images: int, seed: int) -> Row:
     )
 
 
-def faint(snr: float, images: int, seed: int, look: Look = PLAIN) -> tuple[float, float]:
+def faint(snr: float, images: int, seed: int, look: RingAppearance = PLAIN) -> tuple[float, float]:
     """Return the share of lights of ``snr`` (flux over its sigma, the shape known) found, and false spots an image."""
     rng = np.random.default_rng(seed)
-    renderer, detector = Renderer(camera(), np.zeros((1, 3)), look), Detector((SIZE, SIZE))
+    renderer, detector = RingRenderer(camera(), np.zeros((1, 3)), look), Detector((SIZE, SIZE))
     variance = look.read_noise_levels**2 + look.background_levels / look.electrons_per_level + 1.0 / 12.0
     flux = snr * np.sqrt(4.0 * np.pi * variance * (look.psf_sigma_px**2 + 1.0 / 12.0))
     found = extra = 0

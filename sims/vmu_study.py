@@ -29,7 +29,7 @@ from hil.vmu.kernels.lens import in_image, project
 from hil.vmu.kernels.records import FIT, MAX_LEDS
 from hil.vmu.kernels.refine import refine
 from hil.vmu.pose import Prediction, matrix_of
-from hil.vmu.render import Extras, Light, Look, Reflection, Renderer
+from hil.vmu.render import Extras, Light, Reflection, RingAppearance, RingRenderer
 from hil.vmu.spots import SPOT
 from hil.vmu.unit import Solution, VisionUnit
 
@@ -208,8 +208,8 @@ def report(title: str, normalised: list[Array], ratios: list[Array], nees: list[
 def images(poses: int, seed: int, raised_m: float) -> None:
     from vmu_spots import bound as spot_bound
 
-    stage, rng, look = Stage(geometry(raised_m)), np.random.default_rng(seed), Look()
-    renderer = Renderer(stage.pair, stage.leds, look)
+    stage, rng, look = Stage(geometry(raised_m)), np.random.default_rng(seed), RingAppearance()
+    renderer = RingRenderer(stage.pair, stage.leds, look)
     print(f"rendered images, raised {raised_m} m, {poses} poses a line; columns as for coverage")
     every: tuple[list[Array], list[Array], list[float], Counter[str]] = ([], [], [], Counter())
     for range_m in RANGES_M:
@@ -243,7 +243,7 @@ def images(poses: int, seed: int, raised_m: float) -> None:
 def drops(poses: int, seed: int, raised_m: float) -> None:
     """Fly from 9 m to 0.9 m in ``poses`` frames of rendered images."""
     stage, rng = Stage(geometry(raised_m)), np.random.default_rng(seed)
-    renderer, statuses, worst = Renderer(stage.pair, stage.leds, Look()), Counter[str](), 0.0
+    renderer, statuses, worst = RingRenderer(stage.pair, stage.leds, RingAppearance()), Counter[str](), 0.0
     for k in range(poses):
         share = k / max(poses - 1, 1)
         z = 9.0 + share * (0.9 - 9.0)

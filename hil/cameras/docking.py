@@ -14,9 +14,9 @@ from hil.core.messages import POSE, Array, new
 from hil.maths import quat
 from hil.maths.random_streams import stream
 from hil.models import docking_view
-from hil.models.mounting import STATIONS, camera_pose, chaser_pose
-from hil.monitor.render import Conditions, Renderer
-from hil.monitor.sources import Frame, exposure
+from hil.models.mounting import MOUNTING, camera_pose, chaser_pose
+from hil.monitor.render import Conditions, TargetRenderer
+from hil.monitor.sources import VideoFrame, exposure
 from hil.params import gnc as gnc_params
 
 _KEPT_S = 2.0  # of samples before the one that was asked for last: an encoder may be that late
@@ -24,7 +24,7 @@ _KEPT_S = 2.0  # of samples before the one that was asked for last: an encoder m
 
 def stations(config: DockingMonitor) -> np.record:
     """Return STATIONS of the television camera and the docking target; their axes are those of v and t."""
-    params, axes = new(STATIONS), BenchGeometry(lever_arm_m=(0.0, 0.0, 0.0))
+    params, axes = new(MOUNTING), BenchGeometry(lever_arm_m=(0.0, 0.0, 0.0))
     params.camera_station = config.camera_station_m
     params.q_vc = quat.from_matrix(np.array(axes.camera_axes))
     params.ring_station = config.target_station_m
@@ -95,11 +95,11 @@ class RenderedCamera:
 
     def __init__(self, scene: Scene, config: DockingMonitor, rig: Rig, step_s: float, seed: int) -> None:
         self.track = EncoderTrack(gnc_params.bench(rig, step_s), stations(config))
-        self._renderer = Renderer(scene, scene.chosen(config.target), Conditions(blur_px=config.blur_px))
+        self._renderer = TargetRenderer(scene, scene.chosen(config.target), Conditions(blur_px=config.blur_px))
         self._rng = stream(seed, "monitor")
         self._next = 0
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self) -> Iterator[VideoFrame]:
         """Yield the frames, in order, of which the encoders have told by now."""
         while self.track.covers(t_s := exposure(self._renderer.scene, self._next)[0]):
             yield self._renderer.frame(self._next, self.track, self._rng)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.cameras.pose_model import Eye, Looks
+from hil.cameras.pose_model import PoseModel, PoseSensor
 from hil.config.load import load_file
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -14,14 +14,14 @@ from hil.params import gnc as gnc_params
 from hil.vmu.geometry import geometry_of_rig
 
 
-def make_eye(scenario: Scenario, rig: Rig, seed: int, shown: MakesPictures | None = None) -> Looks:
+def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: MakesPictures | None = None) -> PoseSensor:
     """Return what sees the target for the vision unit of ``rig``, as ``vmu.source`` says.
 
     shown: takes the pictures, where there are any.
     """
     bench, stations = gnc_params.bench(rig, scenario.step_s), gnc_params.stations(rig)
     if scenario.vmu.source == "model":
-        return Eye(bench, stations, gnc_params.vision(scenario), seed)
+        return PoseModel(bench, stations, gnc_params.vision(scenario), seed)
     from hil.cameras.rendered import RenderedEye
 
     return RenderedEye(

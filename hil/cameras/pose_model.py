@@ -14,7 +14,7 @@ from hil.dynamics.vision import VISION_NOISE, see
 from hil.maths.random_streams import NormalRows, stream
 
 
-class Looks(Protocol):
+class PoseSensor(Protocol):
     """Whatever turns the bench's encoders into what the vision unit would report."""
 
     def look(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
@@ -24,7 +24,7 @@ class Looks(Protocol):
         """
 
 
-class Eye:
+class PoseModel:
     """Turns axis positions into the pose frame that the vision unit would report."""
 
     def __init__(self, bench: np.record, stations: np.record, vision: np.record, seed: int) -> None:

@@ -10,13 +10,13 @@ import numpy as np
 from hil.bench.kinematics import pose_of_axes
 from hil.config.scenario import Pictures
 from hil.config.vmu_geometry import VmuGeometry
-from hil.core.camera_images import LEFT, RIGHT, MakesPictures, View
+from hil.core.camera_images import LEFT, RIGHT, CameraImage, MakesPictures
 from hil.core.messages import Array, PoseFrame
 from hil.maths import quat
 from hil.maths.random_streams import stream
 from hil.models.mounting import camera_pose
 from hil.vmu.geometry import camera_pair, led_positions
-from hil.vmu.render import Extras, Light, Look, Renderer
+from hil.vmu.render import Extras, Light, RingAppearance, RingRenderer
 from hil.vmu.shapes import shapes
 from hil.vmu.unit import Solution, VisionUnit
 
@@ -44,7 +44,7 @@ class RenderedEye:
     ) -> None:
         self._bench = bench
         self._stations = stations
-        look = Look(
+        look = RingAppearance(
             psf_sigma_px=pictures.psf_sigma_px,
             led_diameter_m=pictures.led_diameter_m,
             flux_1m_levels=pictures.led_flux_1m_levels,
@@ -52,7 +52,7 @@ class RenderedEye:
             electrons_per_level=pictures.electrons_per_level,
             read_noise_levels=pictures.read_noise_levels,
         )
-        self._renderer = Renderer(camera_pair(scene), led_positions(scene), look)
+        self._renderer = RingRenderer(camera_pair(scene), led_positions(scene), look)
         self._unit = VisionUnit(geometry)
         self._rng = stream(seed, "pictures")
         self._decoys = _decoys(self._rng, pictures.decoy_lights)
@@ -78,7 +78,7 @@ class RenderedEye:
         if not shown.due(solution.t_s):
             return
         views = (
-            View(
+            CameraImage(
                 name,
                 image,
                 bench_s=solution.t_s,

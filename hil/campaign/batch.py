@@ -7,7 +7,7 @@ import threading
 from dataclasses import dataclass
 from typing import Any
 
-from hil.campaign.case_runner import Flight
+from hil.campaign.case_runner import CaseRunner
 from hil.campaign.dispersions import Design, case_seed
 from hil.campaign.outcome import failed_row, row_of
 from hil.config.load import Loaded, check_table
@@ -42,7 +42,7 @@ class Case:
         self._rig = check_table(json.loads(spec.rig), Rig, "campaign").value
         self._spec = spec
         self._design = Design(scenario, spec.seed)
-        self._flight = Flight(scenario.value, self._rig, spec.duration_s)
+        self._flight = CaseRunner(scenario.value, self._rig, spec.duration_s)
 
     def row(self, case: int) -> dict[str, Any]:
         """Fly ``case``; return its row: dispersions and outcome. A case that cannot be flown says why."""

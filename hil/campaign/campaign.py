@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.campaign.batch import Spec
-from hil.campaign.case_runner import Flight
+from hil.campaign.case_runner import CaseRunner
 from hil.campaign.dispersions import Design
 from hil.campaign.engines import Engine
 from hil.campaign.statistics import compare, mean_interval, summarise, wilson
@@ -95,7 +95,7 @@ class Campaign:
     def warm_up(self) -> None:
         """Compile the loop where it is not yet."""
         value = self.scenario.value
-        Flight(value, self._rig.value, 2.0 * value.step_s).fly(value, 0)
+        CaseRunner(value, self._rig.value, 2.0 * value.step_s).fly(value, 0)
 
     def fly(self, store: Store, runs: int, engine: Engine, watch: Watch) -> dict[str, Any]:
         """Fly what is missing of ``runs`` cases; return the summary, which the folder has as well."""

@@ -13,7 +13,7 @@ from hil.bench import guard as guards
 from hil.bench.kinematics import write_axes
 from hil.campaign import loop_kernel
 from hil.campaign.loop_kernel import FRAME, LOOP_PARAMS, LOOP_STATE, SERVO, run_loop
-from hil.campaign.tally_kernel import TALLY, start_tally
+from hil.campaign.tally_kernel import RUN_STATS, start_tally
 from hil.config.rig import Rails, Rig, Turntable
 from hil.config.scenario import Scenario
 from hil.core.messages import AXES, CYCLE, MAX_POSES, POSE, Array, new
@@ -33,7 +33,7 @@ from hil.models.camera_timing import TRAVEL_DRAWS
 from hil.params import gnc as gnc_params
 from hil.report.summary import SETTLED_S
 from hil.report.verdict import ready_params
-from hil.safety.limits import Limits, limits_of
+from hil.safety.limits import SafetyLimits, limits_of
 from hil.safety.monitor import breach_alarm
 from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built
 from hil.setup.gnc_setup import gnc_setup
@@ -42,7 +42,7 @@ _SPARE_FRAMES: Final = 4
 _AXES: Final = (*full_names("rails", RAIL_NAMES), *full_names("turntable", GIMBAL_NAMES))
 
 
-class Flight:
+class CaseRunner:
     """Flies cases of one scenario on one mock rig; all room that a run needs is taken once.
 
     scenario: as the GNC has it. duration_s: of each run.
@@ -55,7 +55,9 @@ class Flight:
         exposures = math.floor(duration_s * rig.vmu.rate_hz) + 2
         self._sets, self._strength = gnc_params.allocation(scenario.chaser)
         self._params = self._fixed_params()
-        self._state_block, self._tally_block = (np.zeros(1, dtype).view(np.recarray) for dtype in (LOOP_STATE, TALLY))
+        self._state_block, self._tally_block = (
+            np.zeros(1, dtype).view(np.recarray) for dtype in (LOOP_STATE, RUN_STATS)
+        )
         self._state, self._tally = self._state_block[0], self._tally_block[0]
         self._memory = np.zeros(MEMORY, STEP)
         self._poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
@@ -80,7 +82,7 @@ class Flight:
         params.stations = gnc_params.stations(rig)
         params.camera = gnc_params.camera(rig)[0]
         params.bench = gnc_params.bench(rig, scenario.step_s)
-        self._limits: Limits = limits_of(rig, params.bench)
+        self._limits: SafetyLimits = limits_of(rig, params.bench)
         params.guard = self._limits.guard
         params.navigation = gnc_params.navigation(scenario)
         params.guidance = gnc_params.guidance(scenario)

@@ -37,7 +37,7 @@ def case_seed(campaign_seed: int, case: int) -> int:
 
 
 @dataclass(frozen=True)
-class Component:
+class DispersedComponent:
     """One number that is drawn: of the key at ``path``, its component ``index``, None for the key as a whole."""
 
     path: tuple[str, ...]
@@ -75,7 +75,7 @@ class Design:
         self._settings = scenario.value.dispersions
         self._seed = seed
         problems: list[Problem] = []
-        self.components: list[Component] = []
+        self.components: list[DispersedComponent] = []
         for name in TABLES:
             for path, raw in _leaves(getattr(self._settings, name), self._table[name], (name,), scenario, problems):
                 self._add(path, raw, scenario, problems)
@@ -188,7 +188,7 @@ def _leaves(
             yield here, inner
 
 
-def _components(path: tuple[str, ...], nominal: Any, spread: Spread) -> list[Component]:
+def _components(path: tuple[str, ...], nominal: Any, spread: Spread) -> list[DispersedComponent]:
     """Return what is drawn for one key; raise ValueError where its value cannot be spread like that."""
     matrix = isinstance(nominal, (tuple, list)) and any(isinstance(row, (tuple, list)) for row in nominal)
     if matrix:
@@ -202,7 +202,7 @@ def _components(path: tuple[str, ...], nominal: Any, spread: Spread) -> list[Com
 
 def _component(
     path: tuple[str, ...], index: int | None, nominal: Any, spread: Spread, i: int, n: int, factor: bool = False
-) -> Component:
+) -> DispersedComponent:
     is_number = isinstance(nominal, float)
     if not is_number and nominal is not None:
         raise ValueError(f"{nominal!r}: only keys with decimal numbers can be spread")
@@ -216,7 +216,7 @@ def _component(
             math.inf if spread.high is None else scale * _pick(spread.high, i, n, 0.0),
         )
     )
-    return Component(
+    return DispersedComponent(
         path,
         index,
         spread.kind,
@@ -238,7 +238,7 @@ def _pick(value: Number | None, i: int, n: int, otherwise: Any = None) -> Any:
     return value[i]
 
 
-def _put(table: Any, component: Component, value: float) -> None:
+def _put(table: Any, component: DispersedComponent, value: float) -> None:
     *parents, last = component.path
     place = _at(table, tuple(parents))
     if component.factor:

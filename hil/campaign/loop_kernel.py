@@ -20,7 +20,7 @@ from hil.core.jit import kernel
 from hil.core.messages import AXES, CYCLE, MAX_POSES
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
-from hil.dynamics.held_gravity import HELD
+from hil.dynamics.held_gravity import CACHED_GRAVITY
 from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.truth import DSS_PARAMS
 from hil.dynamics.vision import VISION_PARAMS, see
@@ -35,7 +35,7 @@ from hil.maths.arrays import copy_into, copy_matrix, fill
 from hil.maths.limits import cut_to_range, has_held
 from hil.models.camera import CAMERA
 from hil.models.camera_timing import TIME_SLACK_S, TRAVEL, delays, exposure_time, first_exposure
-from hil.models.mounting import STATIONS, chaser_pose
+from hil.models.mounting import MOUNTING, chaser_pose
 from hil.models.servo import servo_step, servo_step_of_two
 
 COMPLETED, FOLLOWING, TRAVEL_LEFT, VISION_SILENT, NOT_FINITE, GNC_FAILED, GNC_HOLDS = range(7)
@@ -72,7 +72,7 @@ LOOP_PARAMS = np.dtype(
         ("imu", IMU_PARAMS),
         ("vision", VISION_PARAMS),
         ("travel", TRAVEL),
-        ("stations", STATIONS),
+        ("stations", MOUNTING),
         ("camera", CAMERA),
         ("bench", BENCH_PARAMS),
         ("guard", GUARD),
@@ -89,7 +89,7 @@ LOOP_PARAMS = np.dtype(
 LOOP_STATE = np.dtype(
     [
         ("now", CYCLE),
-        ("harmonics", HELD),
+        ("harmonics", CACHED_GRAVITY),
         ("rails", SERVO),
         ("turntable", SERVO),
         ("motion", MOTION),

@@ -16,7 +16,7 @@ from hil.maths.arrays import copy_into
 from hil.models.camera import view_margin
 from hil.models.mounting import camera_pose
 
-TALLY = np.dtype(
+RUN_STATS = np.dtype(
     [
         ("cycles", "i8"),
         ("limited_cycles", "i8"),

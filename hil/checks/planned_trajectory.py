@@ -25,7 +25,7 @@ _THRUST_ALLOWANCE = 1.25  # thrusters stronger than named, a chaser lighter than
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class PlanSample:
     """One moment of the plan: where the chaser is and how it stands, and which keys of the scenario say so.
 
     abort_s: begin of the abort that it belongs to, None on the approach. r_CT_H: m, v_CT_H: m/s, turn: rotation
@@ -44,7 +44,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Liberty:
+class ControlBounds:
     """What the controller may add to the plan, each (3,), in c: m/s, rad/s, m/s^2, rad/s^2."""
 
     speed: Array
@@ -53,7 +53,7 @@ class Liberty:
     turning: Array
 
 
-def liberty(scenario: Scenario) -> Liberty:
+def control_bounds(scenario: Scenario) -> ControlBounds:
     """Return the bounds of what control does about the plan.
 
     A position error is worked off at ``correction_rate_mps``, which one burn of a period may pass; an attitude
@@ -69,7 +69,7 @@ def liberty(scenario: Scenario) -> Liberty:
     wrench = np.hstack([force, np.cross(dss.thruster_position[:n], force)])
     most = _THRUST_ALLOWANCE * np.maximum(np.maximum(wrench, 0.0).sum(axis=0), np.maximum(-wrench, 0.0).sum(axis=0))
     inverse = dss.mode.inertia_inverse if dss.flexible_array and scenario.chaser.solar_array else dss.inertia_inverse
-    return Liberty(
+    return ControlBounds(
         speed=control.correction_rate[:3] + burn[:3],
         rate=slew + burn[3:],
         acceleration=most[:3] / scenario.chaser.mass_kg,
@@ -77,7 +77,7 @@ def liberty(scenario: Scenario) -> Liberty:
     )
 
 
-def moments(scenario: Scenario) -> list[Moment]:
+def moments(scenario: Scenario) -> list[PlanSample]:
     """Return the plan: every phase of the list, whatever the duration of the run, and an abort at each moment of it.
 
     Orders to go on are taken to come at once. Raises ValueError where the layout cannot move an axis.
@@ -101,7 +101,7 @@ class _Slew:
         return left
 
 
-def _drift(scenario: Scenario) -> list[Moment]:
+def _drift(scenario: Scenario) -> list[PlanSample]:
     """Return how far a start in motion carries the chaser before it is stopped: the switching function at no error."""
     initial = scenario.initial
     if not any((*initial.velocity_mps, *initial.rate_degps)):
@@ -116,12 +116,12 @@ def _drift(scenario: Scenario) -> list[Moment]:
     key = "initial.velocity_mps"
     turn_key = "initial.rate_degps" if way[3:].any() else "initial.attitude_deg"
     return [
-        Moment(0.0, None, start, np.array(initial.velocity_mps), turn, 0.0, "initial.position_m", key),
-        Moment(t_s, None, *moved, 0.0, key if way[:3].any() else "initial.position_m", key, turn_key),
+        PlanSample(0.0, None, start, np.array(initial.velocity_mps), turn, 0.0, "initial.position_m", key),
+        PlanSample(t_s, None, *moved, 0.0, key if way[:3].any() else "initial.position_m", key, turn_key),
     ]
 
 
-def _approach(params: np.record, scenario: Scenario, slew: _Slew) -> list[Moment]:
+def _approach(params: np.record, scenario: Scenario, slew: _Slew) -> list[PlanSample]:
     settings = scenario.gnc.guidance
     state, reference = new(GUIDANCE_STATE), new(REFERENCE)
     guidance.start(params, state)
@@ -141,7 +141,7 @@ def _approach(params: np.record, scenario: Scenario, slew: _Slew) -> list[Moment
             guidance.reference(params, state, t_s, reference)
             r, v = reference.r_CT_H.copy(), reference.v_CT_H.copy()
             key = from_key if _distance(r, state.from_H) < _distance(r, state.to_H) else to_key
-            found.append(Moment(t_s, None, r, v, slew.at(t_s), float(np.linalg.norm(r)), key, speed_key))
+            found.append(PlanSample(t_s, None, r, v, slew.at(t_s), float(np.linalg.norm(r)), key, speed_key))
         if last:
             return found
         from_key = to_key
@@ -169,7 +169,7 @@ def _times(begin: float, end: float, last: bool, moves: bool, slew: _Slew) -> li
     return [float(t) for t in np.unique(np.concatenate([even, chosen]))]
 
 
-def _abort(params: np.record, start: Moment, slew: _Slew) -> list[Moment]:
+def _abort(params: np.record, start: PlanSample, slew: _Slew) -> list[PlanSample]:
     """Return the end of the brake, and middle and end of the retreat, of an abort at ``start``."""
     state, reference = new(GUIDANCE_STATE), new(REFERENCE)
     guidance.start_abort(params, state, start.t_s, start.r_CT_H, start.v_CT_H)
@@ -184,7 +184,9 @@ def _abort(params: np.record, start: Moment, slew: _Slew) -> list[Moment]:
             guidance.reference(params, state, t_s, reference)
             found.append((t_s, reference.r_CT_H.copy(), reference.v_CT_H.copy(), "gnc.abort.hold_distance_m"))
     return [
-        Moment(t, start.t_s, r, v, slew.at(t), max(start.far_m, float(np.linalg.norm(r))), key, "gnc.abort.speed_mps")
+        PlanSample(
+            t, start.t_s, r, v, slew.at(t), max(start.far_m, float(np.linalg.norm(r))), key, "gnc.abort.speed_mps"
+        )
         for t, r, v, key in found
     ]
 

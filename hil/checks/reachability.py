@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.bench import reachability
-from hil.checks.planned_trajectory import Moment, liberty, moments
+from hil.checks.planned_trajectory import PlanSample, control_bounds, moments
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
@@ -28,20 +28,20 @@ _DEGREES = math.degrees(1.0)
 class Demands:
     """What a scenario asks of a bench: the n moments of its plan, and for each of them the bench and its axes."""
 
-    plan: list[Moment]
+    plan: list[PlanSample]
     attitudes: list[reachability.Attitude]
     margin_m: Array
     axes: reachability.Envelope
 
 
-def demands(scenario: Scenario, rig: Rig) -> Demands:
+def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
     """Return what the plan with its dispersion asks of the axes.
 
     Raises ValueError where the thruster layout cannot move an axis.
     """
     bench = gnc_params.bench(rig, scenario.step_s)
     plan = moments(scenario)
-    free = liberty(scenario)
+    free = control_bounds(scenario)
     band = math.radians(scenario.reach.attitude_margin_deg)
     known = {turn: reachability.attitude(bench, np.array(turn), band) for turn in {tuple(m.turn) for m in plan}}
     attitudes = [known[tuple(m.turn)] for m in plan]
@@ -57,7 +57,7 @@ def reach_problems(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> li
     The cameras are looked at only where the axes can go. Raises ValueError where the thruster layout cannot
     move an axis.
     """
-    asked = demands(scenario_file.value, rig_file.value)
+    asked = axis_demands(scenario_file.value, rig_file.value)
     found = _Findings(scenario_file, rig_file.value, asked)
     found.travel(asked.axes)
     found.speed(asked.axes)

@@ -81,7 +81,7 @@ def _calibrate(options: Options) -> int:
     views = read_views(Path(options.views))
     sigma = np.array([1e-3 * options.rail_sigma_mm] * 3 + [math.radians(options.gimbal_sigma_deg)] * 3)
     given = job.Given(board, options.keep, sigma, 1e-3 * options.led_sigma_mm, 0.01 * options.square_sigma_percent)
-    limits = job.Limits(
+    limits = job.CalibrationLimits(
         options.max_rms_px,
         options.max_error_mm,
         options.range_m,

@@ -6,7 +6,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from hil.vmu.calibration.job import Checked, Outcome
+from hil.vmu.calibration.job import CalibrationOutcome, Checked
 from hil.vmu.calibration.model import Parameter, parameters
 from hil.vmu.calibration.report import found_numbers
 from hil.vmu.kernels.chain import COMMON
@@ -25,7 +25,7 @@ def _shown(value: float, sigma: float) -> tuple[str, str]:
     return f"{value:.{digits}f}", f"{sigma:.{digits}f}"
 
 
-def print_outcome(outcome: Outcome, console: Console) -> None:
+def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
     """Print a calibration."""
     solved, fit = outcome.solved, outcome.solved.fit
     numbers = _table("What was found", "", "value", "sigma", "on paper", "unit")

@@ -15,7 +15,7 @@ from rich.console import Console
 from hil.checks.compatibility import flight_problems
 from hil.cli.identify import AXES
 from hil.cli.output import base_of, check_rig_path
-from hil.cli.warm_up import warm_up_with_a_word
+from hil.cli.warm_up import compile_kernels_with_notice
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.errors import BadInput, Problem
@@ -42,9 +42,9 @@ def commission_command(
     scenario, rig = load_scenario(scenario_name, settings), load_rig(rig_name, settings)
     _check_rig(rig, unattended)
 
-    from hil.commission.emulated import EmulatedTechnician
+    from hil.commission.emulated import AutoOperator
     from hil.commission.file import as_toml, signed_before
-    from hil.commission.prompt import Dialogue, Scripted, StepFailed
+    from hil.commission.prompt import OperatorPrompt, Scripted, StepFailed
     from hil.commission.steps import Commissioning
     from hil.session import build
 
@@ -54,8 +54,8 @@ def commission_command(
         build.check_rig(job)
         if problems := flight_problems(scenario, rig):
             raise BadInput(problems)
-    warm_up_with_a_word(job, console)
-    dialogue: Dialogue = Scripted(show=_show(Console())) if unattended else Terminal(Console())
+    compile_kernels_with_notice(job, console)
+    dialogue: OperatorPrompt = Scripted(show=_show(Console())) if unattended else Terminal(Console())
     before = signed_before(rig.value)
     chosen = [k for k, name in enumerate(AXES) if name in axes or not axes]
     others = [k for k, name in enumerate(AXES) if name in before]
@@ -67,7 +67,7 @@ def commission_command(
     with build.wired_bench(
         job, lambda text: console.print(text, style="dim", highlight=False, soft_wrap=True)
     ) as bench:
-        emulated = EmulatedTechnician(bench.board, bench.addresses) if bench.board is not None else None
+        emulated = AutoOperator(bench.board, bench.addresses) if bench.board is not None else None
         button = emulated if emulated is not None and rig.value.has_io else None
         witness = emulated.place if emulated is not None else None
         steps = Commissioning(bench.runner(), rig.value, dialogue, chosen, others, ends, button, witness)

@@ -12,7 +12,7 @@ from hil.cli.output import check_json_path, write_json
 from hil.config.load import load_scenario
 from hil.errors import BadInput, Problem
 from hil.gnc_check.check import Report, check_gnc
-from hil.gnc_check.gnc_under_test import LibraryPartner, LinkPartner, Partner, check_link
+from hil.gnc_check.gnc_under_test import GncUnderTest, LibraryPartner, LinkPartner, check_link
 
 _PASSED, _FAILED = 0, 1
 
@@ -41,7 +41,7 @@ def gnc_check_command(
     return _PASSED if report.passed else _FAILED
 
 
-def _partner(gnc: str, dial: bool, wait_s: float, console: Console) -> Partner:
+def _partner(gnc: str, dial: bool, wait_s: float, console: Console) -> GncUnderTest:
     from hil.frmn.udp import parse_address, shown
     from hil.frmn.wire import PORT
 

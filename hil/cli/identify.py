@@ -13,7 +13,7 @@ from rich.table import Table
 
 from hil.cli.output import base_of, check_json_path, check_rig_path, write_json
 from hil.cli.progress import Bar
-from hil.cli.warm_up import warm_up_with_a_word
+from hil.cli.warm_up import compile_kernels_with_notice
 from hil.commission.identification import AxisResult, Identification
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
@@ -46,7 +46,7 @@ def identify_command(
     job = build.Job(scenario, rig, 0, scenario.value.step_s, speed)
     build.check_rig(job)
     console = Console(stderr=True)
-    warm_up_with_a_word(job, console)
+    compile_kernels_with_notice(job, console)
 
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True)

@@ -21,7 +21,7 @@ from hil.config.scene import Scene
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
-    from hil.monitor.frame_result import Look
+    from hil.monitor.frame_result import FrameResult
     from hil.monitor.preprocess import Region
     from hil.monitor.results import Portion
 
@@ -54,16 +54,16 @@ def monitor_command(
         raise BadInput.single(loaded.source, "reserve", "is missing: --target reserve needs it")
     region = _region(roi, scene)
     from hil.monitor.monitor import Monitor, watch
-    from hil.monitor.settings import Settings
+    from hil.monitor.settings import MonitorSettings
     from hil.monitor.sources import open_source
 
     source = open_source(video, loaded)
     monitor = Monitor(
-        scene, Settings(region=region, target=target, calculation=calculation, motion=motion, q=q, q_attitude=q)
+        scene, MonitorSettings(region=region, target=target, calculation=calculation, motion=motion, q=q, q_attitude=q)
     )
     console = Console(stderr=True)
     portions: list[Portion] = []
-    looks: list[Look] = []
+    looks: list[FrameResult] = []
     with ExitStack() as stack:
         table = stack.enter_context(_Rows(out, _columns()))
         each = stack.enter_context(_Rows(frames_path, _FRAME_COLUMNS)) if frames_path is not None else None
@@ -132,7 +132,7 @@ _FRAME_COLUMNS = ("frame", "t_s", "status", "reason", "tracked", "points", "d1_m
                   "phi2_rad", "phi3_rad", "growth_px", "blur_px", "noise")  # fmt: skip
 
 
-def _frame_row(look: Look) -> list[str]:
+def _frame_row(look: FrameResult) -> list[str]:
     return [
         str(look.seen.number), f"{look.seen.t_s:.6f}", look.status, look.reason, str(int(look.tracked)),
         str(len(look.seen.edges)), *(_number(value) for value in (*look.pose, look.blur_px, look.noise)),
@@ -198,7 +198,7 @@ def _painter(path: str, scene: Scene, title: str) -> Any:
     return Painter()
 
 
-def _summary(portions: list[Any], looks: list[Look]) -> dict[str, Any]:
+def _summary(portions: list[Any], looks: list[FrameResult]) -> dict[str, Any]:
     from hil.monitor.results import QUANTITIES
 
     last = next((p for p in reversed(portions) if p.frames > 0), None)

@@ -15,7 +15,7 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.errors import BadInput, Problem
 from hil.monitor.results import QUANTITIES
 from hil.recording.read import Recorded, load
-from hil.recording.replay_images import Component, PicturesReplayed, replay_monitor, replay_vision_unit
+from hil.recording.replay_images import ImageComponent, PicturesReplayed, replay_monitor, replay_vision_unit
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
 
 _SAME, _DIFFERS = 0, 1
@@ -140,7 +140,7 @@ def _tables(replayed: PicturesReplayed, what: str) -> list[str]:
     return lines
 
 
-def _row(d: Component) -> tuple[str, ...]:
+def _row(d: ImageComponent) -> tuple[str, ...]:
     unit, factor = _SHOWN.get(d.unit, (d.unit, 1.0))
     largest = None if d.largest is None else factor * d.largest
     size = _number(largest) if d.unit else "-"

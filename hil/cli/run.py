@@ -15,7 +15,7 @@ from rich.console import Console
 
 from hil.cli.output import check_json_path, write_json
 from hil.cli.progress import Bar
-from hil.cli.warm_up import warm_up_with_a_word
+from hil.cli.warm_up import compile_kernels_with_notice
 from hil.config.load import load_rig, load_scenario
 from hil.core.modes import Mode
 from hil.core.operator_commands import Operator
@@ -52,7 +52,7 @@ def run_command(
         job = _dispersed(job, case)
     with console.status("checking that the rig can follow the scenario"):
         build.check(job)
-    warm_up_with_a_word(job, console)
+    compile_kernels_with_notice(job, console)
     return fly(job, rig_name, console, json_path, record, {} if case is None else {"campaign_seed": seed, "case": case})
 
 

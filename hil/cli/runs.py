@@ -10,7 +10,7 @@ from typing import Any
 from hil.cli.output import check_json_path, write_json
 from hil.cli.text_table import columns
 from hil.errors import BadInput, Problem
-from hil.recording.catalogue import NAME, Catalogue, Wanted
+from hil.recording.catalogue import NAME, Catalogue, RecordingFilter
 from hil.recording.utc import utc_text
 
 _FOLDER = "recordings"
@@ -25,7 +25,7 @@ def runs_command(
         problems.append(Problem("--failed", "", "does not go together with --passed"))
     if problems:
         raise BadInput(problems)
-    wanted = Wanted(failed, passed, scenario, _begin(since))
+    wanted = RecordingFilter(failed, passed, scenario, _begin(since))
     catalogue = Catalogue(_folder(folder))
     try:
         entries = catalogue.runs(wanted)

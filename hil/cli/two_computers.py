@@ -11,7 +11,7 @@ from rich.console import Console
 
 from hil.cli.output import check_json_path, write_json
 from hil.cli.run import check_options, fly
-from hil.cli.warm_up import warm_up_with_a_word
+from hil.cli.warm_up import compile_kernels_with_notice
 from hil.config.load import load_rig, load_scenario
 from hil.core.operator_commands import Resuming
 from hil.errors import BadInput, Problem
@@ -61,7 +61,7 @@ def dss_command(
     try:
         with console.status("checking that the rig can follow the scenario"):
             build.check(job)
-        warm_up_with_a_word(job, console)
+        compile_kernels_with_notice(job, console)
         on_the_wall = paced or rig.value.kind != "mock"
         period_s = scenario.value.step_s / speed if on_the_wall else None
         seat = remote_gnc(scenario.value, link, rig.value.gnc_link, lock_step, period_s)
@@ -105,7 +105,7 @@ def gnc_command(
     console = Console(stderr=True)
 
     from hil.core.realtime import RealTime, no_garbage_collection
-    from hil.processes.gnc_server import GncComputer, gnc_side
+    from hil.processes.gnc_server import GncServer, gnc_side
 
     def tell(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True, markup=False)
@@ -113,9 +113,9 @@ def gnc_command(
     link = gnc_side(f"hil gnc {scenario.value.name}", bind, peer)
     try:
         with console.status("compiling the kernels, where this computer has not yet"):
-            computer = GncComputer(scenario.value, link, tell)
+            computer = GncServer(scenario.value, link, tell)
         tell(f"ready on {shown(link.address)}" + (f", the bench is at {shown(peer)}" if peer else ""))
-        with RealTime() as realtime, no_garbage_collection(), realtime.at_the_front():
+        with RealTime() as realtime, no_garbage_collection(), realtime.realtime_priority():
             flight = computer.serve(wait_s)
     finally:
         link.close("the GNC has ended")

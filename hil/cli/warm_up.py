@@ -25,7 +25,7 @@ _OTHER_HALF_S = 120.0
 _SAFE_STOPPED = 3
 
 
-def warm_up_with_a_word(job: Job, console: Console) -> None:
+def compile_kernels_with_notice(job: Job, console: Console) -> None:
     """Call every kernel of the loop once; the first time after a change of the sources that compiles them."""
     with left_at_once_on_ctrl_c():
         _warm_up(job, console)
@@ -82,4 +82,4 @@ def _compile_on_two_cores(job: Job) -> None:
 
 if __name__ == "__main__":
     loaded = load_scenario("scheme-1")
-    warm_up_with_a_word(Job(loaded, load_rig("mock"), 0, 1.0, 1.0), Console(stderr=True))
+    compile_kernels_with_notice(Job(loaded, load_rig("mock"), 0, 1.0, 1.0), Console(stderr=True))

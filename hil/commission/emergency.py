@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from hil.commission.prompt import Dialogue, StepFailed, ask_meanwhile
+from hil.commission.prompt import OperatorPrompt, StepFailed, ask_meanwhile
 from hil.core.messages import IoInputs
 from hil.errors import SafetyTrip
 from hil.loop.rate_keeper import Rate
@@ -31,7 +31,7 @@ class EmergencyStopTrial:
     button: presses it; None: the technician does. Raises StepFailed, BenchError; all lines are off afterwards.
     """
 
-    def __init__(self, lines: SafetyLines, rate: Rate, dialogue: Dialogue, button: Button | None) -> None:
+    def __init__(self, lines: SafetyLines, rate: Rate, dialogue: OperatorPrompt, button: Button | None) -> None:
         self._lines = lines
         self._rate = rate
         self._dialogue = dialogue

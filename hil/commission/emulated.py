@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from hil.drivers.fault_injection import FaultControl
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 
 
-class EmulatedTechnician:
+class AutoOperator:
     """Hand and eye of a technician at an emulated bench: the emergency stop's control port, and the axis board."""
 
-    def __init__(self, board: AxisBoard, addresses: dict[str, str]) -> None:
+    def __init__(self, board: SharedAxisState, addresses: dict[str, str]) -> None:
         self._board = board
         self._addresses = addresses
 

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.modes import Mode
-from hil.core.operator_commands import Operator, Order
+from hil.core.operator_commands import Operator, OperatorCommand
 from hil.drivers.fault_injection import AXIS, WIRE, FaultControl
 from hil.loop.runner import Runner
 from hil.session.build import WiredBench
@@ -23,10 +23,10 @@ from hil.session.build import WiredBench
 TRIPS, GOES_ON = "trips", "goes on"
 STANDSTILL: Final = 2e-3  # m/s or rad/s
 _PLANS: Final = {
-    Mode.STANDBY: (Order.HOME,),
-    Mode.ARMED: (Order.HOME, Order.ARM),
-    Mode.RUNNING: (Order.HOME, Order.ARM, Order.START),
-    Mode.HOLD: (Order.HOME, Order.ARM, Order.START),
+    Mode.STANDBY: (OperatorCommand.HOME,),
+    Mode.ARMED: (OperatorCommand.HOME, OperatorCommand.ARM),
+    Mode.RUNNING: (OperatorCommand.HOME, OperatorCommand.ARM, OperatorCommand.START),
+    Mode.HOLD: (OperatorCommand.HOME, OperatorCommand.ARM, OperatorCommand.START),
 }
 _REACH_WALL_S: Final = 30.0
 _IN_MODE_WALL_S: Final = 0.4  # before the fault is switched on
@@ -35,7 +35,7 @@ _LOOK_WALL_S: Final = 0.001
 
 
 @dataclass(frozen=True)
-class Case:
+class FaultCase:
     """One fault. line: what is said to the control port of ``device``. watched_s: how long to wait for the alarm."""
 
     device: str
@@ -50,10 +50,10 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Finding:
+class FaultFinding:
     """What happened. detected_s, standing_s: bench time from the fault to the alarm, and until the last axis stood."""
 
-    case: Case
+    case: FaultCase
     reached: Mode
     alarm: str
     detected_s: float | None
@@ -66,14 +66,14 @@ class Finding:
         return self.reached is Mode.SAFE_STOP and self.detected_s is not None and self.standing_s is not None
 
 
-def rehearse(bench: WiredBench, case: Case) -> Finding:
+def rehearse(bench: WiredBench, case: FaultCase) -> FaultFinding:
     """Run a session at ``bench`` up to ``case.mode``, switch the fault on, and look; all faults are off afterwards.
 
     Raises RuntimeError where the mode was not reached.
     """
     operator = Operator(_PLANS[case.mode], attended=True)
     runner = bench.runner(operator=operator)
-    findings: list[Finding] = []
+    findings: list[FaultFinding] = []
     failures: list[RuntimeError] = []
 
     def play() -> None:
@@ -82,7 +82,7 @@ def rehearse(bench: WiredBench, case: Case) -> Finding:
         except RuntimeError as failure:
             failures.append(failure)
         finally:
-            operator.order(Order.STOP)
+            operator.order(OperatorCommand.STOP)
 
     player = threading.Thread(target=play, name="rehearsal")
     player.start()
@@ -100,12 +100,12 @@ def clear_faults(bench: WiredBench) -> None:
             _say(address, "clear")
 
 
-def _play(bench: WiredBench, runner: Runner, operator: Operator, case: Case) -> Finding:
+def _play(bench: WiredBench, runner: Runner, operator: Operator, case: FaultCase) -> FaultFinding:
     modes, now_s = runner.supervisor.modes, runner.now_s
     if case.mode is Mode.HOLD:
         _await(runner, Mode.RUNNING)
         time.sleep(_IN_MODE_WALL_S)
-        operator.order(Order.HOLD)
+        operator.order(OperatorCommand.HOLD)
     _await(runner, case.mode)
     time.sleep(_IN_MODE_WALL_S)
     begun_s = now_s()
@@ -117,8 +117,8 @@ def _play(bench: WiredBench, runner: Runner, operator: Operator, case: Case) -> 
         alarms = runner.supervisor.alarms.all()
         standing_s = _standing_s(bench, runner, begun_s) if reached is Mode.SAFE_STOP else None
         if not alarms:
-            return Finding(case, reached, "", None, None)
-        return Finding(case, reached, alarms[0].text, alarms[0].t_s - begun_s, standing_s)
+            return FaultFinding(case, reached, "", None, None)
+        return FaultFinding(case, reached, alarms[0].text, alarms[0].t_s - begun_s, standing_s)
     finally:
         clear_faults(bench)
         if " delay " in case.line:  # what is under way arrives yet
@@ -160,29 +160,29 @@ _STILL: Final = (Mode.STANDBY, Mode.ARMED, Mode.HOLD)
 _WIRE: Final = ("on drop 1", "on corrupt 1", "on delay 0.7", "on link_down")
 
 
-def matrix(modes: Sequence[Mode] = (Mode.RUNNING, *_STILL)) -> list[Case]:
+def matrix(modes: Sequence[Mode] = (Mode.RUNNING, *_STILL)) -> list[FaultCase]:
     """Return every fault of every device in every one of ``modes`` that can have it; motion faults where axes move."""
     cases = []
     for mode in modes:
         for device, axes in _AXES.items():
-            cases += [Case(device, line, mode) for line in _WIRE]
-            cases += [Case(device, f"on drive_fault {axis}", mode) for axis in axes]
-            cases += [Case(device, line, mode, GOES_ON, 1.5) for line in ("on duplicate 1", "on drop 0.02")]
+            cases += [FaultCase(device, line, mode) for line in _WIRE]
+            cases += [FaultCase(device, f"on drive_fault {axis}", mode) for axis in axes]
+            cases += [FaultCase(device, line, mode, GOES_ON, 1.5) for line in ("on duplicate 1", "on drop 0.02")]
             if mode is Mode.RUNNING:
-                cases += [Case(device, "on freeze", mode)]
-                cases += [Case(device, f"on stuck {axis}", mode, TRIPS, 6.0) for axis in axes]
-                cases += [Case(device, f"on reversed {axis}", mode, TRIPS, 6.0) for axis in axes]
+                cases += [FaultCase(device, "on freeze", mode)]
+                cases += [FaultCase(device, f"on stuck {axis}", mode, TRIPS, 6.0) for axis in axes]
+                cases += [FaultCase(device, f"on reversed {axis}", mode, TRIPS, 6.0) for axis in axes]
             if mode is not Mode.STANDBY:
                 size = "0.05" if device == "rails" else "3"
-                cases += [Case(device, f"on jump {axis} {size}", mode) for axis in axes]
-        cases += [Case("vmu", line, mode) for line in (*_WIRE, "on freeze")]
-        cases += [Case("vmu", line, mode, GOES_ON, 1.5) for line in ("on duplicate 1", "on delay 0.1")]
-        cases += [Case("io", line, mode) for line in (*_WIRE, "on estop")]
-        cases += [Case("io", "on duplicate 1", mode, GOES_ON, 1.5)]
+                cases += [FaultCase(device, f"on jump {axis} {size}", mode) for axis in axes]
+        cases += [FaultCase("vmu", line, mode) for line in (*_WIRE, "on freeze")]
+        cases += [FaultCase("vmu", line, mode, GOES_ON, 1.5) for line in ("on duplicate 1", "on delay 0.1")]
+        cases += [FaultCase("io", line, mode) for line in (*_WIRE, "on estop")]
+        cases += [FaultCase("io", "on duplicate 1", mode, GOES_ON, 1.5)]
     return cases
 
 
-def representatives() -> list[Case]:
+def representatives() -> list[FaultCase]:
     """Return one case for each fault and class of device, in running: axes, eye, lines.
 
     The turntable stands for what any wire can do to single packets and for the axes' wire, the rails' y axis for what
@@ -190,7 +190,7 @@ def representatives() -> list[Case]:
     """
     of_any_wire = ("corrupt", "duplicate")
 
-    def stands_for_others(case: Case) -> bool:
+    def stands_for_others(case: FaultCase) -> bool:
         kind, _, rest = case.line.removeprefix("on ").partition(" ")
         if case.device == "rails":
             return kind in AXIS and rest.startswith("y")

@@ -19,7 +19,7 @@ from hil.core.messages import AXES, Array, new
 from hil.core.modes import Mode
 from hil.errors import SafetyTrip
 from hil.loop.bench_stage import Move
-from hil.loop.motion_sequences import Handling
+from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.rate_keeper import Tick
 
 FREQUENCIES_HZ: Final = (0.5, 0.8, 1.25, 2.0, 3.15, 5.0, 8.0)
@@ -96,7 +96,7 @@ class _Sine:
 class Identification:
     """Measures axes of an open bench in standby. Raises BenchError; whoever opened the bench stops it then."""
 
-    def __init__(self, handling: Handling, tell: Tell) -> None:
+    def __init__(self, handling: MotionSequencer, tell: Tell) -> None:
         self._handling = handling
         self._bench = handling.loop.bench
         self._now = handling.loop.now

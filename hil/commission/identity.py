@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from hil.commission.prompt import Dialogue
+from hil.commission.prompt import OperatorPrompt
 from hil.config.rig import Rig
 from hil.errors import LinkTimeout
-from hil.loop.motion_sequences import Handling
+from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.runner import Runner
 
 _FIRST_FRAME_S: Final = 5.0
@@ -33,7 +33,7 @@ def _turntable(rig: Rig) -> str:
     return _as_asked(asked)
 
 
-def see_vision_unit(runner: Runner, handling: Handling, rig: Rig, dialogue: Dialogue) -> None:
+def see_vision_unit(runner: Runner, handling: MotionSequencer, rig: Rig, dialogue: OperatorPrompt) -> None:
     """Open the vision unit beside axes that stand, and wait for a frame; it is closed with the bench.
 
     Raises DeviceError; LinkTimeout where no frame comes.

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 
-class Dialogue(Protocol):
+class OperatorPrompt(Protocol):
     """Somebody who looks at the bench and says what they see."""
 
     def tell(self, text: str) -> None:
@@ -43,7 +43,7 @@ class Scripted:
         return answer
 
 
-def ask_meanwhile(dialogue: Dialogue, question: str, meanwhile: Callable[[], None]) -> bool:
+def ask_meanwhile(dialogue: OperatorPrompt, question: str, meanwhile: Callable[[], None]) -> bool:
     """Ask in a thread of its own and do ``meanwhile`` over and over until the answer is there.
 
     The caller's thread hears Ctrl-C all the time.

@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from hil.commission.prompt import Dialogue, StepFailed, ask_meanwhile
+from hil.commission.prompt import OperatorPrompt, StepFailed, ask_meanwhile
 from hil.core.messages import AXES, Array, new
 from hil.core.modes import Mode
 from hil.errors import SafetyTrip
 from hil.loop.bench_stage import Move
-from hil.loop.motion_sequences import Handling
+from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.rate_keeper import Tick
 
 CRAWL_MPS: Final = 0.02
@@ -27,7 +27,7 @@ _REST_S: Final = 0.2
 
 
 @dataclass(frozen=True)
-class Followed:
+class MoveResult:
     """How the axes (6,) followed a move: m and m/s, rad and rad/s.
 
     error_max, error_rms: setpoint against encoder. rate_max: by the encoders. went: from start to end.
@@ -49,10 +49,10 @@ def size(axis: int, value: float) -> str:
     return shown(axis, value).removeprefix("+")
 
 
-class Crawler:
+class SlowMover:
     """Moves the axes of an open, homed bench. Raises BenchError, StepFailed; whoever opened the bench stops it then."""
 
-    def __init__(self, handling: Handling, dialogue: Dialogue) -> None:
+    def __init__(self, handling: MotionSequencer, dialogue: OperatorPrompt) -> None:
         self._handling = handling
         self._bench = handling.loop.bench
         self._now = handling.loop.now
@@ -90,17 +90,17 @@ class Crawler:
         """Ask, and keep the axes where they are until the answer comes; Ctrl-C is heard meanwhile."""
         return ask_meanwhile(self._dialogue, question, self._step)
 
-    def crawl(self, axis: int, target: Array) -> Followed:
+    def crawl(self, axis: int, target: Array) -> MoveResult:
         """Move at a crawl; StepFailed as soon as ``axis`` (0..2 rails, 3..5 gimbals) does not follow."""
         rates = CRAWL_SHARE * self._bench.params.rate_max
         rates = np.minimum(rates, [CRAWL_MPS] * 3 + [CRAWL_RADPS] * 3)
         return self._go(target, rates, axis)
 
-    def slowly(self, target: Array) -> Followed:
+    def slowly(self, target: Array) -> MoveResult:
         """Move at a quarter of the speed limits."""
         return self._go(target, QUARTER * self._bench.params.rate_max, None)
 
-    def _go(self, target: Array, rates: Array, watched: int | None) -> Followed:
+    def _go(self, target: Array, rates: Array, watched: int | None) -> MoveResult:
         start, begun = self.stands_at(), self.encoders()
         move = self._move(start, target, rates)
         errors, fastest, begun_s = [], np.zeros(6), self._tick.now_s
@@ -116,7 +116,7 @@ class Crawler:
                 self._insist_on_following(watched, start, begun)
         deviations = np.array(errors)
         self._rest()
-        return Followed(
+        return MoveResult(
             np.abs(deviations).max(axis=0),
             np.sqrt(np.mean(deviations**2, axis=0)),
             fastest,

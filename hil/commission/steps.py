@@ -11,12 +11,12 @@ import numpy as np
 
 from hil.commission.emergency import Button, EmergencyStopTrial
 from hil.commission.identity import expected_identity, see_vision_unit
-from hil.commission.prompt import Dialogue, StepFailed
-from hil.commission.slow_mover import Crawler, Followed, shown, size
+from hil.commission.prompt import OperatorPrompt, StepFailed
+from hil.commission.slow_mover import MoveResult, SlowMover, shown, size
 from hil.config.rig import Rig
 from hil.core.messages import AXES, Array, new
 from hil.errors import SafetyTrip
-from hil.loop.motion_sequences import Handling
+from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.runner import Runner
 
 SCALE_ERROR_MAX: Final = 0.02
@@ -60,7 +60,7 @@ class Commissioning:
         self,
         runner: Runner,
         rig: Rig,
-        dialogue: Dialogue,
+        dialogue: OperatorPrompt,
         axes: Sequence[int],
         others: Sequence[int] = (),
         ends: bool = False,
@@ -97,8 +97,8 @@ class Commissioning:
             crawler.end()
         return found
 
-    def _under_command(self, handling: Handling) -> Crawler:
-        crawler = Crawler(handling, self._dialogue)
+    def _under_command(self, handling: MotionSequencer) -> SlowMover:
+        crawler = SlowMover(handling, self._dialogue)
         homing = [state.name.lower().replace("_", " ") for group in self._bench.seen for state in group.homing]
         needed = [name for name, state in zip(self._bench.axis_names, homing, strict=True) if state != "done"]
         if needed:
@@ -116,7 +116,7 @@ class Commissioning:
             )
         return crawler
 
-    def _sign_and_scale(self, crawler: Crawler, axis: int) -> AxisFound:
+    def _sign_and_scale(self, crawler: SlowMover, axis: int) -> AxisFound:
         name = self._bench.axis_names[axis]
         self._title(f"{name}: sign and scale")
         stood_at = crawler.stands_at()
@@ -143,11 +143,11 @@ class Commissioning:
         way = min(_WAY_M if axis < 3 else _WAY_RAD, _SHARE_OF_TRAVEL * (high - low))
         return way if place + way <= high else -way
 
-    def _truly(self, crawler: Crawler, axis: int) -> float:
+    def _truly(self, crawler: SlowMover, axis: int) -> float:
         """Return where the axis is seen to be, nan where only the technician can see it."""
         return math.nan if self._witness is None else self._witness(axis, crawler.now_s())
 
-    def _scale_error(self, axis: int, way: float, followed: Followed, truly: float) -> float:
+    def _scale_error(self, axis: int, way: float, followed: MoveResult, truly: float) -> float:
         """Return by which share the encoder went too far; StepFailed where it, or the axis itself, went wrong."""
         name = self._bench.axis_names[axis]
         error = float(followed.went[axis]) / way - 1.0
@@ -164,7 +164,7 @@ class Commissioning:
             raise StepFailed(f"{name}: scale", allowed, found, "set the counts a turn, or the scale in the rig file")
         return error
 
-    def _limits(self, crawler: Crawler) -> None:
+    def _limits(self, crawler: SlowMover) -> None:
         self._title("limits")
         switches = [switch for group in self._bench.seen for switch in group.limit]
         for axis in self._axes:
@@ -182,7 +182,7 @@ class Commissioning:
         for axis in self._axes if self._ends else ():
             self._approach_ends(crawler, axis)
 
-    def _approach_ends(self, crawler: Crawler, axis: int) -> None:
+    def _approach_ends(self, crawler: SlowMover, axis: int) -> None:
         name, stood_at = self._bench.axis_names[axis], crawler.stands_at()
         short, last = (_SHORT_OF_END_M, _LAST_M) if axis < 3 else (_SHORT_OF_END_RAD, _LAST_RAD)
         for end, inwards in ((float(self._params.low[axis]), 1.0), (float(self._params.high[axis]), -1.0)):
@@ -194,7 +194,7 @@ class Commissioning:
             self._insist(crawler, name, "limits", question, "its travel in the rig file, or the switch")
         crawler.slowly(stood_at)
 
-    def _dry_run(self, crawler: Crawler) -> Array:
+    def _dry_run(self, crawler: SlowMover) -> Array:
         """Move to the start pose and a short straight piece on, at a quarter of the speed limits."""
         self._title("dry run")
         question = "The bench will go to the scenario's start pose at a quarter of its speed. Is its way clear?"
@@ -229,10 +229,10 @@ class Commissioning:
                 raise SafetyTrip(name, "dry run", shown(axis, float(found[axis])), allowed)
         return found
 
-    def _place(self, crawler: Crawler, axis: int) -> str:
+    def _place(self, crawler: SlowMover, axis: int) -> str:
         return f"{self._bench.axis_names[axis]} at {shown(axis, float(crawler.encoders()[axis]))}"
 
-    def _insist(self, crawler: Crawler, what: str, step: str, question: str, advice: str) -> None:
+    def _insist(self, crawler: SlowMover, what: str, step: str, question: str, advice: str) -> None:
         """Ask the technician; StepFailed at a no."""
         if not crawler.ask(question):
             raise StepFailed(f"{what}: {step}", f'"{question}" yes', "no by the technician", f"look at {advice}")

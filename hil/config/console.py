@@ -6,12 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from hil.config.model import Strict
+from hil.config.model import ConfigModel
 
 OnLoss = Literal["hold", "continue", "stop"]
 
 
-class ConsoleTable(Strict):
+class ConsoleTable(ConfigModel):
     """The rig's word on its console."""
 
     on_loss: OnLoss = "hold"  # of the operator's page, the network or the console, while the bench moves

@@ -6,12 +6,12 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import Strict
+from hil.config.model import ConfigModel
 
 Number = float | tuple[float, ...]
 
 
-class Spread(Strict):
+class Spread(ConfigModel):
     """The distribution of one key. A list has one number for each component of the key, one number counts for all.
 
     normal: about ``mean``, or the scenario's own value, with ``sigma``, cut off below ``low`` and above ``high`` where
@@ -53,7 +53,7 @@ def _each(value: Number | None) -> tuple[float, ...]:
 Table = dict[str, Any]
 
 
-class Dispersions(Strict):
+class Dispersions(ConfigModel):
     """Spreads under the names of the scenario's own tables; each leaf is a ``Spread`` (docs/campaign.md).
 
     What stands under ``gnc`` changes what the GNC is told; all else is truth that it is not told of.

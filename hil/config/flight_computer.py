@@ -6,10 +6,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import Positive, Strict
+from hil.config.model import ConfigModel, Positive
 
 
-class WordsCan(Strict):
+class WordsCan(ConfigModel):
     """The CAN bus of the words."""
 
     interface: str = "socketcan"  # a python-can interface
@@ -19,14 +19,14 @@ class WordsCan(Strict):
     identifier: Annotated[int, Field(ge=1, le=0x7FF)] = 0x120
 
 
-class WordsLine(Strict):
+class WordsLine(ConfigModel):
     """A serial port."""
 
     port: str | None = None
     baud: Annotated[int, Field(gt=0)] = 115_200
 
 
-class FlightComputer(Strict):
+class FlightComputer(ConfigModel):
     """Who opens the thrusters. words: the wire of the commands; none: the GNC of the scenario flies.
 
     timeout_s: a word that is older opens nothing. lost_s: after so long without one the bench does as on_loss says.

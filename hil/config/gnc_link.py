@@ -6,10 +6,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import Positive, Strict
+from hil.config.model import ConfigModel, Positive
 
 
-class GncLink(Strict):
+class GncLink(ConfigModel):
     """What the bench does when the GNC's answers come late or not at all."""
 
     coast_cycles: Annotated[int, Field(ge=0, le=50)] = 1  # for which the last command stands; then thrusters are closed

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from hil.config.load import Loaded, apply_setting, check_table, lay_over, load_scenario, read_with_bases, shipped
-from hil.config.scenario import Gnc, Scenario
+from hil.config.load import Loaded, apply_setting, check_table, load_scenario, merge_tables, read_with_bases, shipped
+from hil.config.scenario import GncConfig, Scenario
 from hil.errors import BadInput, Problem
 
 _TABLES: Final = ("gnc", "requirements")
@@ -25,7 +25,7 @@ def with_other_gnc(flown: Scenario, source: str, file: str | None, settings: Seq
     origin: dict[str, str] = {}
     if file is not None:
         for name, content in _tables_of(file).items():
-            lay_over(table[name], content, file, origin, f"{name}.")
+            merge_tables(table[name], content, file, origin, f"{name}.")
     foreign = [text for text in settings if text.split("=")[0].split(".")[0].strip() not in _TABLES]
     if foreign:
         text = f"cannot be changed in a replay: allowed are keys of {' and '.join(_TABLES)}, as gnc.pkf...=..."
@@ -47,7 +47,7 @@ def _tables_of(file: str) -> dict[str, Any]:
     own = read_with_bases(path, "scenarios", origin, chain=())
     if any(source != str(path) for source in origin.values()):  # it extends another file
         return _of_scenario(file)
-    if own and set(own) <= set(Gnc.model_fields):
+    if own and set(own) <= set(GncConfig.model_fields):
         return {"gnc": own}
     foreign = sorted(set(own) - {*_TABLES, "name"})
     if foreign:

@@ -6,12 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from hil.config.model import Positive, Strict
+from hil.config.model import ConfigModel, Positive
 
 LateCycle = Literal["log", "hold", "safe_stop"]
 
 
-class Host(Strict):
+class HostConfig(ConfigModel):
     """What the loop asks of its computer, and what happens when it does not keep up."""
 
     fifo: bool = True  # ask for SCHED_FIFO, for the loop's thread alone

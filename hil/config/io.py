@@ -6,14 +6,14 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import Positive, Strict
+from hil.config.model import ConfigModel, Positive
 
 MAX_THRUSTER_LINES = 24
 
 BitAddress = Annotated[int, Field(ge=0, le=65535)]
 
 
-class IoCoils(Strict):
+class IoCoils(ConfigModel):
     """Addresses of the outputs; the thrusters' lines follow each other."""
 
     charge_pump: BitAddress = 0
@@ -21,14 +21,14 @@ class IoCoils(Strict):
     thrusters_first: BitAddress = 2
 
 
-class IoInputs(Strict):
+class InputLines(ConfigModel):
     """Addresses of the inputs, each 1 while its contact is closed."""
 
     estop_closed: BitAddress = 0
     chain_closed: BitAddress = 1
 
 
-class IoIdentity(Strict):
+class IoIdentity(ConfigModel):
     """What the coupler must say it is (Modbus device identification); what is left away is not asked for."""
 
     vendor: str | None = None
@@ -36,7 +36,7 @@ class IoIdentity(Strict):
     revision: str | None = None
 
 
-class Io(Strict):
+class Io(ConfigModel):
     """A coupler of digital lines. ``driver = "none"`` says outright that the bench has none."""
 
     driver: Literal["mock", "modbus", "none"]
@@ -45,7 +45,7 @@ class Io(Strict):
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     device_id: Annotated[int, Field(ge=1, le=247)] = 1
     coils: IoCoils = IoCoils()
-    inputs: IoInputs = IoInputs()
+    inputs: InputLines = InputLines()
     interlocks: dict[str, BitAddress] = Field(default_factory=dict)  # name -> input, 1 while closed
     thruster_lines: Annotated[int, Field(ge=0, le=MAX_THRUSTER_LINES)] = MAX_THRUSTER_LINES  # 0: not mirrored
     pump_period_s: Positive = 0.01  # shortest time between two edges of the charge pump

@@ -10,7 +10,7 @@ from typing import Any, Final
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel, field_validator
 
-from hil.config.model import Strict
+from hil.config.model import ConfigModel
 
 _CONTROL: Final = (
     "deadband_m",
@@ -35,7 +35,7 @@ _CORRIDOR: Final = (
 )
 _VISION_ONLY: Final = ("position_lag_s", "velocity_lag_s", "attitude_lag_s", "rate_lag_s")
 
-SOUND: Final = (
+LIVE_TUNABLE: Final = (
     *(f"gnc.control.{name}" for name in _CONTROL),
     *(f"gnc.corridor.{name}" for name in _CORRIDOR),
     "gnc.navigation.gate_sigma",
@@ -49,7 +49,7 @@ SOUND: Final = (
 start), or what the run is judged by (requirements): they stand for the whole run."""
 
 
-class InFlight(Strict):
+class InFlight(ConfigModel):
     """What a scenario lets the operator change at the console while it is flown."""
 
     adjustable: tuple[str, ...] = ()
@@ -58,10 +58,11 @@ class InFlight(Strict):
     @classmethod
     def _each_is_sound(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         for key in value:
-            if key not in SOUND:
-                close = difflib.get_close_matches(key, SOUND, n=1, cutoff=0.8)
+            if key not in LIVE_TUNABLE:
+                close = difflib.get_close_matches(key, LIVE_TUNABLE, n=1, cutoff=0.8)
                 hint = f"did you mean {close[0]}? " if close else ""
-                raise ValueError(f"{json.dumps(key)}: cannot be changed in flight: {hint}allowed: {', '.join(SOUND)}")
+                allowed = ", ".join(LIVE_TUNABLE)
+                raise ValueError(f"{json.dumps(key)}: cannot be changed in flight: {hint}allowed: {allowed}")
             if value.count(key) > 1:
                 raise ValueError(f"{json.dumps(key)}: stands here twice")
         return value

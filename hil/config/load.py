@@ -13,14 +13,14 @@ from typing import Any, Generic, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from hil.config.model import Strict
+from hil.config.model import ConfigModel
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
 from hil.errors import BadInput, Problem
 
-Model = TypeVar("Model", bound=Strict)
+Model = TypeVar("Model", bound=ConfigModel)
 Table = dict[str, Any]
 
 _SUFFIXES = {"targets": (".json", ".toml")}  # a scene may come from another program, as JSON
@@ -150,7 +150,7 @@ def read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple[
         if base_path.resolve() in chain or base_path.resolve() == path.resolve():
             raise BadInput.single(str(path), "extends", f"{base_name!r}: the files extend each other in a ring")
         base = read_with_bases(base_path, kind, origin, (*chain, path.resolve()))
-    lay_over(base, table, str(path), origin, "")
+    merge_tables(base, table, str(path), origin, "")
     return base
 
 
@@ -178,13 +178,13 @@ def _find_files_beside(table: Table, folder: Path) -> None:
             table[key] = str(folder / value)
 
 
-def lay_over(base: Table, table: Table, source: str, origin: dict[str, str], prefix: str = "") -> None:
+def merge_tables(base: Table, table: Table, source: str, origin: dict[str, str], prefix: str = "") -> None:
     """Put the keys of ``table`` over those of ``base``, table by table."""
     for key, value in table.items():
         dotted = f"{prefix}{key}"
         if isinstance(value, dict) and isinstance(base.get(key), dict):
             origin[dotted] = source  # what does not go together in a table is told of the last file that touched it
-            lay_over(base[key], value, source, origin, f"{dotted}.")
+            merge_tables(base[key], value, source, origin, f"{dotted}.")
         else:
             base[key] = value
             for stale in [known for known in origin if known.startswith(f"{dotted}.")]:

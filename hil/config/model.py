@@ -16,7 +16,7 @@ Triple = tuple[float, float, float]
 Matrix3 = tuple[Triple, Triple, Triple]
 
 
-class Strict(BaseModel):
+class ConfigModel(BaseModel):
     """Base of every table of a file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)

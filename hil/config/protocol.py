@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from hil.config.model import Strict
+from hil.config.model import ConfigModel
 
 AXIS_NAMES: Final = ("roll", "pitch", "yaw")
 OF_AXIS: Final = ("position", "rate", "status", "fault")
@@ -33,7 +33,7 @@ def template_places(template: str) -> list[tuple[str, str]]:
     return [(text, name or "") for text, name, _, _ in parts]
 
 
-class Line(Strict):
+class LineFraming(ConfigModel):
     """What a line begins and ends with. Requests go to the controller, replies come from it."""
 
     request_start: Printable = ""
@@ -43,14 +43,14 @@ class Line(Strict):
     longest_bytes: Annotated[int, Field(ge=16, le=4096)] = 256
 
 
-class SequenceNumber(Strict):
+class SequenceNumber(ConfigModel):
     """Hexadecimal number in front of the body that the reply repeats."""
 
     digits: Annotated[int, Field(ge=1, le=4)] = 2
     separator: Printable = " "
 
 
-class Checksum(Strict):
+class Checksum(ConfigModel):
     """Hexadecimal, behind the body; over sequence number and body, and what is said to be covered besides."""
 
     kind: Literal["none", "sum8", "xor8", "crc16-ccitt"] = "none"
@@ -59,36 +59,36 @@ class Checksum(Strict):
     covers_separator: bool = False
 
 
-class Angle(Strict):
+class Angle(ConfigModel):
     """How a position is written."""
 
     unit: Literal["deg", "mdeg", "arcsec", "counts"]
     decimals: Annotated[int, Field(ge=0, le=9)] = 0
 
 
-class AngularRate(Strict):
+class AngularRate(ConfigModel):
     """How a rate is written."""
 
     unit: Literal["degps", "mdegps", "arcsecps", "countsps"]
     decimals: Annotated[int, Field(ge=0, le=9)] = 0
 
 
-class Whole(Strict):
+class NonNegativeInt(ConfigModel):
     """How a whole number is written. digits: exactly so many, with leading zeros; None: as many as it takes."""
 
     base: Literal[10, 16] = 10
     digits: Digits | None = None
 
 
-class Fields(Strict):
+class Fields(ConfigModel):
     position: Angle
     rate: AngularRate
-    status: Whole = Whole()
-    fault: Whole = Whole()
-    error: Whole = Whole()
+    status: NonNegativeInt = NonNegativeInt()
+    fault: NonNegativeInt = NonNegativeInt()
+    error: NonNegativeInt = NonNegativeInt()
 
 
-class Step(Strict):
+class Step(ConfigModel):
     """One line out and one line in. each_axis: once for every axis, ``{axis}`` being its name on the wire."""
 
     send: str
@@ -106,7 +106,7 @@ Steps = tuple[Step, ...]
 SomeSteps = Annotated[Steps, Field(min_length=1)]
 
 
-class Requests(Strict):
+class RequestSteps(ConfigModel):
     """What each action sends. An action of several lines sends them in this order."""
 
     identify: Steps = ()
@@ -119,14 +119,14 @@ class Requests(Strict):
     home: Steps = ()
 
 
-class ErrorReply(Strict):
+class ErrorReply(ConfigModel):
     """How the controller refuses; ``{error}`` is the number that ``names`` explain."""
 
     reply: str
     names: Names = Field(default_factory=dict)
 
 
-class StatusBits(Strict):
+class AxisStatusBits(ConfigModel):
     """Which bit of an axis' status says what. A bit that the controller does not have is left away."""
 
     enabled: Bit
@@ -141,7 +141,7 @@ class StatusBits(Strict):
     limit_high: Bit | None = None
 
 
-class FaultNames(Strict):
+class FaultNames(ConfigModel):
     """What an axis' fault number means. flags: each bit is a fault; code: the number is one.
 
     torque_off: the one of ``names`` that says that the safety chain has taken the torque; None: there is none.
@@ -152,7 +152,7 @@ class FaultNames(Strict):
     names: Names = Field(default_factory=dict)
 
 
-class EmulatorWords(Strict):
+class EmulatorWords(ConfigModel):
     """What the emulated controller says where a real one has its own words."""
 
     model: str = "EMULATED-3AX"
@@ -165,20 +165,20 @@ class EmulatorWords(Strict):
     refused: int = 3
 
 
-class Protocol(Strict):
+class Protocol(ConfigModel):
     """One command set."""
 
     name: str
     axes: tuple[str, str, str] = ("1", "2", "3")  # names of roll, pitch, yaw where a line has {axis}
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] | None = None
-    line: Line = Line()
+    line: LineFraming = LineFraming()
     sequence: SequenceNumber | None = None
     checksum: Checksum = Checksum()
     fields: Fields
-    requests: Requests
+    requests: RequestSteps
     replies: Names
     errors: ErrorReply | None = None
-    status: StatusBits
+    status: AxisStatusBits
     faults: FaultNames = FaultNames()
     emulator: EmulatorWords = EmulatorWords()
 

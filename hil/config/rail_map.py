@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from hil.config.model import Positive, Strict
+from hil.config.model import ConfigModel, Positive
 
 NumberType = Literal["u16", "i16", "u32", "i32", "f32", "f64"]
 Unit = Literal["m", "mm", "um", "m/s", "mm/s", "um/s"]
@@ -26,7 +26,7 @@ Bit = Annotated[int, Field(ge=-1, le=31)]  # -1: the drive has no such bit
 FaultCode = Annotated[str, StringConstraints(pattern=r"^(0x[0-9a-fA-F]{1,8}|[0-9]{1,10})$")]
 
 
-class WordRegister(Strict):
+class WordRegister(ConfigModel):
     """A word of bits, a code or a counter."""
 
     address: Address
@@ -39,7 +39,7 @@ class CounterRegister(WordRegister):
     type: Literal["u16"] = "u16"
 
 
-class PositionRegister(Strict):
+class PositionRegister(ConfigModel):
     """A length: ``scale`` units to one count."""
 
     address: Address
@@ -48,7 +48,7 @@ class PositionRegister(Strict):
     scale: Positive = 1.0
 
 
-class RateRegister(Strict):
+class RateRegister(ConfigModel):
     """A speed: ``scale`` units to one count."""
 
     address: Address
@@ -67,7 +67,7 @@ def counts_per_si(register: AnyRegister) -> float:
     return _PER_SI[register.unit.removesuffix("/s")] / register.scale
 
 
-class _Block(Strict):
+class _Block(ConfigModel):
     """Registers that travel in one transaction."""
 
     def registers(self) -> dict[str, AnyRegister]:
@@ -101,7 +101,7 @@ class IdentityBlock(_Block):
     version: WordRegister = WordRegister(address=34)
 
 
-class ControlBits(Strict):
+class ControlBits(ConfigModel):
     """Bits of the control word."""
 
     enable: Bit = 0
@@ -110,7 +110,7 @@ class ControlBits(Strict):
     fault_reset: Bit = 7
 
 
-class StatusBits(Strict):
+class RailStatusBits(ConfigModel):
     """Bits of the status word."""
 
     ready: Bit = 0
@@ -136,7 +136,7 @@ FAULT_TEXTS: Final = {
 }
 
 
-class RailMap(Strict):
+class RailMap(ConfigModel):
     """Where a rail drive keeps its numbers, and which drive it is.
 
     word_order: of a number in several registers, "big" has the high word first. numbered: whether the drive
@@ -152,7 +152,7 @@ class RailMap(Strict):
     state: StateBlock = StateBlock()
     identity: IdentityBlock = IdentityBlock()
     control_bits: ControlBits = ControlBits()
-    status_bits: StatusBits = StatusBits()
+    status_bits: RailStatusBits = RailStatusBits()
     faults: Mapping[FaultCode, str] = FAULT_TEXTS
     torque_off: Annotated[int, Field(ge=-1, le=0xFFFF_FFFF)] = 7
 
@@ -226,7 +226,7 @@ def _take(taken: dict[int, str], register: AnyRegister, key: str) -> None:
         taken[word] = key
 
 
-def _check_bits(table: str, bits: Strict, word: WordRegister, needed: tuple[str, ...]) -> None:
+def _check_bits(table: str, bits: ConfigModel, word: WordRegister, needed: tuple[str, ...]) -> None:
     taken: dict[int, str] = {}
     highest = 16 * WORDS[word.type] - 1
     for name in type(bits).model_fields:

@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import Strict
+from hil.config.model import ConfigModel
 from hil.config.rail_map import RailMap, reach, span
 
 DeviceId = Annotated[int, Field(ge=1, le=247)]
@@ -15,7 +15,7 @@ _EXCHANGE_BYTES: Final = 18  # of function 23 on a serial line, request and answ
 _EXCHANGES_IN_TIMEOUT: Final = 10.0  # three drives, one of them asked twice, and as much again for their own time
 
 
-class ModbusRtu(Strict):
+class ModbusRtu(ConfigModel):
     """Three drives on one serial line; they take turns."""
 
     port: str | None = None

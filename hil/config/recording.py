@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from hil.config.model import Strict
+from hil.config.model import ConfigModel
 
 
-class RecordingTable(Strict):
+class RecordingTable(ConfigModel):
     """pictures: how those of rendered cameras are kept; only png, and each of them, replays to the very same poses."""
 
     pictures: Literal["none", "jpeg", "png"] = "jpeg"

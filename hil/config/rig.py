@@ -10,9 +10,9 @@ from pydantic import Field, model_validator
 from hil.config.console import ConsoleTable
 from hil.config.flight_computer import FlightComputer
 from hil.config.gnc_link import GncLink
-from hil.config.host import Host, LateCycle
+from hil.config.host import HostConfig, LateCycle
 from hil.config.io import Io
-from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
+from hil.config.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
 from hil.config.rail_map import RailMap
 from hil.config.rail_wires import ModbusRtu, check_axis, check_line
 from hil.config.recording import RecordingTable
@@ -29,7 +29,7 @@ Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be ho
 Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 
 
-class BenchGeometry(Strict):
+class BenchGeometry(ConfigModel):
     """Where things are mounted (frames: docs/frames.md)."""
 
     lever_arm_m: Triple  # in c: turntable's rotation centre to the chaser's reference point
@@ -55,14 +55,14 @@ class BenchGeometry(Strict):
         return self
 
 
-class Servo(Strict):
+class Servo(ConfigModel):
     """How an axis follows its setpoint: mock and emulator move by this."""
 
     gain_per_s: Positive
     lag_s: Positive
 
 
-class RailAxis(Strict):
+class RailAxis(ConfigModel):
     """One rail. An incremental encoder must find its home switch before the axis knows its place."""
 
     travel_m: tuple[float, float]
@@ -88,7 +88,7 @@ class RailAxis(Strict):
         return self
 
 
-class GimbalAxis(Strict):
+class GimbalAxis(ConfigModel):
     """One axis of the turntable. An incremental encoder must find its home switch before the axis knows its place."""
 
     travel_deg: tuple[float, float]
@@ -121,7 +121,7 @@ def _check_travel(travel_key: str, travel: tuple[float, float], park_key: str, p
         raise ValueError(f"{park_key} must lie within {travel_key}")
 
 
-class ModbusAxis(Strict):
+class ModbusAxis(ConfigModel):
     """Where one rail's drive listens."""
 
     host: str = "127.0.0.1"
@@ -129,7 +129,7 @@ class ModbusAxis(Strict):
     device_id: Annotated[int, Field(ge=1, le=247)] = 1
 
 
-class Modbus(Strict):
+class Modbus(ConfigModel):
     """Three drives on Modbus TCP."""
 
     x: ModbusAxis = ModbusAxis()
@@ -137,7 +137,7 @@ class Modbus(Strict):
     z: ModbusAxis = ModbusAxis()
 
 
-class Cia402(Strict):
+class Cia402(ConfigModel):
     """Three CiA 402 drives on one CAN bus, roll, pitch, yaw."""
 
     interface: str = "serial"  # a python-can interface
@@ -161,7 +161,7 @@ class Cia402(Strict):
         return self
 
 
-class SerialLine(Strict):
+class SerialLine(ConfigModel):
     """A serial port."""
 
     port: str | None = None
@@ -175,7 +175,7 @@ class AsciiTurntableLine(SerialLine):
     identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)  # what it must say
 
 
-class Rails(Strict):
+class Rails(ConfigModel):
     driver: Literal["mock", "modbus", "modbus_rtu"]
     timeout_s: Positive = 0.4
     following_error_max_m: Positive = 0.05  # at rest
@@ -230,7 +230,7 @@ class TargetManipulator(Rails):
         return self
 
 
-class Turntable(Strict):
+class Turntable(ConfigModel):
     driver: Literal["mock", "cia402", "ascii"]
     timeout_s: Positive = 0.4
     following_error_max_deg: Positive = 2.0  # at rest
@@ -250,7 +250,7 @@ class Turntable(Strict):
         return self.encoder_sigma_deg
 
 
-class Camera(Strict):
+class RigCamera(ConfigModel):
     """Both cameras of the vision unit."""
 
     focal_px: Positive = 1200.0
@@ -266,7 +266,7 @@ def _ring(radius_m: float, raised_m: float) -> tuple[Triple, ...]:
     return (radius_m, 0.0, -raised_m), *flat[1:]
 
 
-class VmuIdentity(Strict):
+class VmuIdentity(ConfigModel):
     """What the unit must say it is; what is left away is not asked for."""
 
     vendor: str | None = None
@@ -274,7 +274,7 @@ class VmuIdentity(Strict):
     firmware: str | None = None  # "1.4"
 
 
-class Vmu(Strict):
+class Vmu(ConfigModel):
     driver: Literal["mock", "rs422"]
     timeout_s: Positive = 0.4
     rate_hz: Positive = 6.25
@@ -282,7 +282,7 @@ class Vmu(Strict):
     lost_packets_forget_s: Positive | None = None  # left away: the time of two frames
     processing_s: NotNegative = 0.0  # from exposure to the first byte
     clock: Literal["shared", "own"] = "shared"  # time stamps are bench time, or of a clock of the unit's own
-    camera: Camera = Camera()
+    camera: RigCamera = RigCamera()
     leds_m: Annotated[tuple[Triple, ...], Field(min_length=1)] = _ring(0.12, 0.06)  # in t
     geometry_file: str | None = None  # what the unit takes its cameras and LEDs for; left away: camera and leds_m
     bench_sigma_m: NotNegative = 0.0  # what bench and calibration add to the error that the unit reports, per axis
@@ -291,14 +291,14 @@ class Vmu(Strict):
     rs422: SerialLine | None = None
 
 
-class Safety(Strict):
+class Safety(ConfigModel):
     """What the supervisor allows, beside the limits of each device."""
 
     command_age_max_s: Positive = 0.5  # since the last setpoint, while axes are under command
     homing_timeout_s: Positive = 120.0  # for all axes together
 
 
-class Rig(Strict):
+class Rig(ConfigModel):
     """One bench."""
 
     name: str
@@ -308,7 +308,7 @@ class Rig(Strict):
     turntable: Turntable
     vmu: Vmu
     safety: Safety = Safety()
-    host: Host = Host()
+    host: HostConfig = HostConfig()
     console: ConsoleTable = ConsoleTable()
     recording: RecordingTable = RecordingTable()
     gnc_link: GncLink = GncLink()

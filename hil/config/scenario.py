@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitor
 from hil.config.live_tunable import InFlight
-from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
+from hil.config.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
 from hil.config.truth import Orbit, SolarArray, Truth
 from hil.core.messages import MAX_PHASES, MAX_THRUSTERS
 
@@ -26,7 +26,7 @@ Delay = Annotated[float, Field(ge=0.0, le=1.0)]
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 
 
-class Thrusters(Strict):
+class Thrusters(ConfigModel):
     """On/off thrusters, in c; positions from the reference point, directions of the force on the vehicle."""
 
     force_n: Positive
@@ -45,7 +45,7 @@ class Thrusters(Strict):
         return self
 
 
-class Chaser(Strict):
+class Chaser(ConfigModel):
     mass_kg: Positive
     inertia_kg_m2: Matrix3
     thrusters: Thrusters
@@ -69,7 +69,7 @@ class Chaser(Strict):
         return value
 
 
-class Initial(Strict):
+class Initial(ConfigModel):
     """Where the chaser starts, relative to the target: 3-2-1 angles theta1 (roll), theta2, theta3."""
 
     position_m: Triple
@@ -78,7 +78,7 @@ class Initial(Strict):
     rate_degps: Triple = (0.0, 0.0, 0.0)
 
 
-class Imu(Strict):
+class Imu(ConfigModel):
     """Sensor grade of the virtual IMU (bench paper Table I); *_initial_sigma_*: how the true values spread."""
 
     gyro_drift_degps: Triple
@@ -91,7 +91,7 @@ class Imu(Strict):
     accelerometer_noise_mps2: NotNegative
 
 
-class Pictures(Strict):
+class Pictures(ConfigModel):
     """What the rendered cameras are like, and what else than LEDs they see."""
 
     psf_sigma_px: Positive = 1.0
@@ -103,7 +103,7 @@ class Pictures(Strict):
     decoy_lights: Annotated[int, Field(ge=0, le=20)] = 0  # other lights on the target
 
 
-class VisionNoise(Strict):
+class VisionNoise(ConfigModel):
     """Noise of the vision unit, Table I up to ``reference_range_m`` and growing in proportion beyond, and
     how its poses travel: they belong to their exposure, however late they come."""
 
@@ -119,12 +119,12 @@ class VisionNoise(Strict):
     pictures: Pictures = Pictures()
 
 
-class Navigation(Strict):
+class Navigation(ConfigModel):
     sensors: Literal["vision_imu", "vision"]
     gate_sigma: Positive  # innovations that are rarer than this many sigma are not let in
 
 
-class AttitudeFilter(Strict):
+class AttitudeFilter(ConfigModel):
     """What the AKF believes of the gyro, and how it takes the attitude's error."""
 
     form: Literal["multiplicative", "as_printed"]
@@ -134,7 +134,7 @@ class AttitudeFilter(Strict):
     initial_drift_sigma_degps: Positive
 
 
-class PositionFilter(Strict):
+class PositionFilter(ConfigModel):
     """What the PKF believes of the accelerometer and of the start."""
 
     accelerometer_noise_mps2: Positive
@@ -144,7 +144,7 @@ class PositionFilter(Strict):
     initial_velocity_sigma_mps: Positive
 
 
-class VisionOnly(Strict):
+class VisionOnly(ConfigModel):
     """Time constants of the low-passes of vision-only navigation."""
 
     position_lag_s: NotNegative
@@ -153,7 +153,7 @@ class VisionOnly(Strict):
     rate_lag_s: NotNegative
 
 
-class Shadow(Strict):
+class Shadow(ConfigModel):
     """filterpy's filters beside the compiled ones, with an alarm when the two part."""
 
     enabled: bool
@@ -161,7 +161,7 @@ class Shadow(Strict):
     attitude_limit_deg: Positive
 
 
-class Phase(Strict):
+class Phase(ConfigModel):
     """One phase of the approach; what is left away comes from the guidance table."""
 
     kind: Literal["approach", "hold", "wait", "final", "retreat"]
@@ -187,7 +187,7 @@ class Phase(Strict):
         return self
 
 
-class Guidance(Strict):
+class Guidance(ConfigModel):
     """The approach as a list of phases from the start on, and the abort that leaves it."""
 
     ready_point_m: Triple
@@ -206,7 +206,7 @@ class Guidance(Strict):
         return self
 
 
-class Corridor(Strict):
+class Corridor(ConfigModel):
     """Where the chaser may be about the line of its phase, and how fast it may close in."""
 
     axis: Triple = (1.0, 0.0, 0.0)
@@ -225,7 +225,7 @@ class Corridor(Strict):
         return self
 
 
-class Abort(Strict):
+class Abort(ConfigModel):
     """Brake, retreat along the corridor's axis, hold; ``at_s`` rehearses it."""
 
     brake_mps2: Positive
@@ -235,7 +235,7 @@ class Abort(Strict):
     at_s: NotNegative | None = None
 
 
-class Control(Strict):
+class Control(ConfigModel):
     """Phase planes of position and attitude; an axis decides once a period."""
 
     deadband_m: Positive
@@ -250,7 +250,7 @@ class Control(Strict):
     slew_rate_degps: Positive = 0.6
 
 
-class Gnc(Strict):
+class GncConfig(ConfigModel):
     """How the chaser is flown. library: a shared library that flies in place of navigation and control here."""
 
     library: str | None = None
@@ -265,7 +265,7 @@ class Gnc(Strict):
     control: Control
 
 
-class Requirements(Strict):
+class Requirements(ConfigModel):
     """What the ready phase must keep (bench paper Table III), each axis alone, and what the run may spend."""
 
     axial_distance_m: Positive
@@ -279,7 +279,7 @@ class Requirements(Strict):
     propellant_factor: Positive = 3.0  # propellant of the run over the impulsive least of its reference and slews
 
 
-class Reach(Strict):
+class Reach(ConfigModel):
     """How far the chaser may get off its plan, for the check that the bench can follow it (docs/reach.md)."""
 
     corridor_share: NotNegative = 0.5  # of the corridor's half angle, beside Table III
@@ -287,7 +287,7 @@ class Reach(Strict):
     catch_up_s: NotNegative = 0.2
 
 
-class Scenario(Strict):
+class Scenario(ConfigModel):
     """One closed-loop run, whatever the rig."""
 
     name: str
@@ -299,7 +299,7 @@ class Scenario(Strict):
     initial: Initial
     imu: Imu
     vmu: VisionNoise
-    gnc: Gnc
+    gnc: GncConfig
     requirements: Requirements
     reach: Reach = Reach()
     monitor: DockingMonitor = DockingMonitor()

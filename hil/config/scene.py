@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import Positive, Strict
+from hil.config.model import ConfigModel, Positive
 
 LONGEST_M: Final = 100.0  # a longer part is one given in millimetres
 LABELS_AT_MOST: Final = 16
@@ -25,14 +25,14 @@ Size = Annotated[int, Field(ge=32, le=8192)]
 Point = tuple[Place, Place]
 
 
-class PixelNoise(Strict):
+class PixelNoise(ConfigModel):
     """Noise of a pixel of ``level`` grey values: its variance is ``read**2 + k * level``."""
 
     read: Annotated[float, Field(ge=0.0, le=64.0)] = 2.0
     k: Annotated[float, Field(ge=0.0, le=16.0)] = 0.0
 
 
-class Camera(Strict):
+class SceneCamera(ConfigModel):
     """A pinhole: ``u = cx + f x1/x3``, ``v = cy - f x2/x3``, px; pixel centres at whole numbers."""
 
     f: Positive
@@ -59,14 +59,14 @@ class Camera(Strict):
         return self
 
 
-class Disc(Strict):
+class Disc(ConfigModel):
     """The target's circle, centred at the origin, in the plane y3 = 0."""
 
     radius_m: Length
     level: Level = 205.0
 
 
-class Plate(Strict):
+class Plate(ConfigModel):
     """The rectangle behind the disc, centred at the origin."""
 
     width_m: Length
@@ -74,7 +74,7 @@ class Plate(Strict):
     level: Level = 70.0
 
 
-class Cross(Strict):
+class Cross(ConfigModel):
     """Two bars along y1 and y2, ``offset_m`` in front of the disc; ``arm_length_m`` counts from the centre."""
 
     offset_m: Length
@@ -91,7 +91,7 @@ class Cross(Strict):
         return self
 
 
-class Labels(Strict):
+class Labels(ConfigModel):
     """Round dots on the disc."""
 
     radius_m: Length
@@ -109,7 +109,7 @@ class Labels(Strict):
         return self
 
 
-class Box(Strict):
+class Box(ConfigModel):
     """A rectangle beside the target, parallel to the disc, ``offset_m`` along y3 from it."""
 
     x_m: Place
@@ -127,7 +127,7 @@ class Box(Strict):
         return math.hypot(across, up)
 
 
-class Outline(Strict):
+class Outline(ConfigModel):
     """The ship's circle as the camera sees it against the sky; ``offset_m`` along y3, negative behind the disc."""
 
     radius_m: Length
@@ -136,7 +136,7 @@ class Outline(Strict):
     level: Level = 120.0
 
 
-class Target(Strict):
+class Target(ConfigModel):
     """What the camera looks at: disc and cross (near), outline (far), or all of them; the rest confirms."""
 
     disc: Disc | None = None
@@ -197,7 +197,7 @@ class Target(Strict):
                 )
 
 
-class Scene(Strict):
+class Scene(ConfigModel):
     """One camera, one ship.
 
     fps: pictures a second. fields: "whole" when every line of a picture is of one time; otherwise a picture holds two
@@ -205,7 +205,7 @@ class Scene(Strict):
     """
 
     name: str = ""
-    camera: Camera
+    camera: SceneCamera
     fps: Annotated[float, Field(gt=0.0, le=1000.0)]
     fields: Literal["whole", "upper_first", "lower_first"] = "whole"
     target: Target

@@ -6,14 +6,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from hil.config.model import NotNegative, Strict
+from hil.config.model import ConfigModel, NotNegative
 
 AxisName = Literal["rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw"]
 Day = Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$")]
 Digest = Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$")]
 
 
-class AxisSignOff(Strict):
+class AxisSignOff(ConfigModel):
     """One axis that was found in order."""
 
     date: Day
@@ -24,7 +24,7 @@ class AxisSignOff(Strict):
     following_error_max_deg: NotNegative | None = None  # turntable, at a crawl
 
 
-class SignOff(Strict):
+class SignOff(ConfigModel):
     """Written by ``hil commission``; ``digest`` stands there once all axes and the dry run have passed."""
 
     waived: bool = False  # hardware runs without a valid sign-off; each run's report says so

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import Positive, Strict, Triple
+from hil.config.model import ConfigModel, Positive, Triple
 
 HIGHEST_DEGREE = 360  # beyond it the Legendre functions of Pines' form leave the range of a double at the poles
 
@@ -20,7 +20,7 @@ def _check_direction(name: str, vector: Triple) -> None:
         raise ValueError(f"{name} = {list(vector)} must be a unit vector")
 
 
-class Orbit(Strict):
+class Orbit(ConfigModel):
     """The target's orbit about the Moon, inertial axes along the Moon's equator; ``altitude_m``: mean, that of the
     semi-major axis above 1738 km."""
 
@@ -33,7 +33,7 @@ class Orbit(Strict):
     moon_rotation_deg: Turn = 0.0
 
 
-class SolarArray(Strict):
+class SolarArray(ConfigModel):
     """A flat plate fixed to the hub, in c, with one bending mode that turns the hub."""
 
     area_m2: Positive
@@ -53,7 +53,7 @@ class SolarArray(Strict):
         return self
 
 
-class Truth(Strict):
+class Truth(ConfigModel):
     """The model of relative motion, and a switch or a size for each effect."""
 
     relative_motion: Literal["hill", "nonlinear"] = "nonlinear"

@@ -6,10 +6,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import Matrix3, NotNegative, Positive, Strict, Triple
+from hil.config.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
 
 
-class Calibration(Strict):
+class Calibration(ConfigModel):
     """The ``[calibration]`` table of a geometry file, as ``hil calibrate`` writes it."""
 
     id: str

@@ -6,14 +6,14 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hil.config.model import NotNegative, Positive, Strict, Triple
+from hil.config.model import ConfigModel, NotNegative, Positive, Triple
 from hil.config.vmu_calibration import Calibration
 
 Pixels = Annotated[int, Field(ge=16, le=16384)]
 Distortion = Annotated[tuple[float, float, float, float, float], Field()]
 
 
-class Camera(Strict):
+class VmuCamera(ConfigModel):
     """One camera: pinhole and Brown-Conrady distortion; pixel centres at whole numbers."""
 
     fx: Positive
@@ -27,20 +27,20 @@ class Camera(Strict):
     """k1 k2 p1 p2 k3, as OpenCV has them"""
 
 
-class Sensor(Strict):
+class Sensor(ConfigModel):
     """What a grey level is worth; without it the detector estimates the noise from the image."""
 
     electrons_per_level: Positive
     read_noise_levels: NotNegative
 
 
-class VmuGeometry(Strict):
+class VmuGeometry(ConfigModel):
     """Target and cameras of a vision unit."""
 
     leds_m: Annotated[tuple[Triple, ...], Field(min_length=3, max_length=8)]
     """positions in the target's frame t"""
-    left: Camera
-    right: Camera
+    left: VmuCamera
+    right: VmuCamera
     baseline_m: Triple
     """position of the right camera in the left camera's frame"""
     right_rotation_rad: Triple = (0.0, 0.0, 0.0)

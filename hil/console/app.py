@@ -19,7 +19,7 @@ from starlette.requests import HTTPConnection
 
 from hil.console.client import Client
 from hil.console.message import pack
-from hil.console.service import Desk
+from hil.console.service import ConsoleService
 
 PAGE: Final = Path(__file__).parent / "page"
 TICK_S: Final = 0.05
@@ -35,7 +35,7 @@ _HEADERS: Final = {
 }
 
 
-def make_app(desk: Desk, token: str | None, hosts: frozenset[str] | None) -> FastAPI:
+def make_app(desk: ConsoleService, token: str | None, hosts: frozenset[str] | None) -> FastAPI:
     """Return the application. token: what a page must know, None for no token. hosts: names that a browser may call
     this console by, None for any: on loopback they keep other people's pages from reaching it through a name."""
 
@@ -74,7 +74,7 @@ def make_app(desk: Desk, token: str | None, hosts: frozenset[str] | None) -> Fas
     return app
 
 
-async def _keep_ticking(desk: Desk, news: asyncio.Condition) -> None:
+async def _keep_ticking(desk: ConsoleService, news: asyncio.Condition) -> None:
     while True:
         desk.tick()
         async with news:
@@ -90,7 +90,7 @@ def _end_with_a_defect(ticking: asyncio.Task[None]) -> None:
 
 
 async def _serve_page(
-    socket: WebSocket, desk: Desk, token: str | None, hosts: frozenset[str] | None, news: asyncio.Condition
+    socket: WebSocket, desk: ConsoleService, token: str | None, hosts: frozenset[str] | None, news: asyncio.Condition
 ) -> None:
     """Let one page in, or tell it why not; then feed it and do what it asks for until it goes."""
     await socket.accept()
@@ -140,7 +140,7 @@ async def _turn_away(socket: WebSocket, why: str) -> None:
         await socket.close(_REFUSED, why)
 
 
-async def _feed(socket: WebSocket, desk: Desk, client: Client, news: asyncio.Condition) -> None:
+async def _feed(socket: WebSocket, desk: ConsoleService, client: Client, news: asyncio.Condition) -> None:
     """Send the newest state whenever there is news; a page that reads slowly gets fewer messages, none that is old."""
     while True:
         async with news:
@@ -150,7 +150,7 @@ async def _feed(socket: WebSocket, desk: Desk, client: Client, news: asyncio.Con
             await socket.send_bytes(pack(*desk.news_for(client)))
 
 
-async def _listen(socket: WebSocket, desk: Desk, client: Client) -> None:
+async def _listen(socket: WebSocket, desk: ConsoleService, client: Client) -> None:
     while True:
         text = await socket.receive_text()
         try:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from hil.console.remote_operator import RemoteOperator
-from hil.core.camera_images import PICTURE, MakerBeside
+from hil.core.camera_images import PICTURE, ThreadedImageSink
 from hil.core.clock import WallClock
 from hil.core.messages import CYCLE
 from hil.core.realtime import RealTime
@@ -18,15 +18,15 @@ from hil.loop.rate_keeper import WallRate
 from hil.loop.runner import Runner
 from hil.monitor.results import PORTION
 from hil.recording.session import SLOTS, fed_by
-from hil.recording.taps import Notes, Taps
+from hil.recording.taps import EventRecorder, RecordingSinks
 from hil.session import build, with_docking_monitor
 
 RINGS: Final = {"pictures": PICTURE, "monitor_pictures": PICTURE, "portions": PORTION}
-"""What the console reads beside the cycles, by its name in ``Taps``."""
+"""What the console reads beside the cycles, by its name in ``RecordingSinks``."""
 
 
 @dataclass
-class Bench:
+class ConsoleBench:
     """A runner, and the way to what it does. The mock rig keeps the time of the wall here, so that one can watch.
 
     notes: where to put down what the operator does. watched: asked for what the docking monitor saw, after the run.
@@ -34,7 +34,7 @@ class Bench:
 
     runner: Runner
     telemetry: Ring
-    notes: Notes | None
+    notes: EventRecorder | None
     watched: with_docking_monitor.Look
     addresses: dict[str, str] = field(default_factory=dict)
     rings: dict[str, Ring] = field(default_factory=dict)
@@ -42,8 +42,8 @@ class Bench:
 
 @contextmanager
 def opened(
-    job: build.Job, operator: RemoteOperator, announce: Callable[[str], None], recorder: Taps | None = None
-) -> Iterator[Bench]:
+    job: build.Job, operator: RemoteOperator, announce: Callable[[str], None], recorder: RecordingSinks | None = None
+) -> Iterator[ConsoleBench]:
     """Give the bench of ``job``; its processes are ended after. recorder: who records it."""
     with ExitStack() as stack:
         taps = recorder or stack.enter_context(_taps_of_our_own(job))
@@ -53,22 +53,22 @@ def opened(
             bench = stack.enter_context(build.wired_bench(job, announce, taps))
             watched = stack.enter_context(with_docking_monitor.beside(job, bench.telemetry, announce, taps))
             runner = bench.runner(operator.watch, operator)
-            yield Bench(runner, bench.telemetry, bench.notes, watched, bench.addresses, rings)
+            yield ConsoleBench(runner, bench.telemetry, bench.notes, watched, bench.addresses, rings)
             return
         watched = stack.enter_context(with_docking_monitor.beside(job, taps.cycles, announce, taps))
         host = job.rig.value.host
         realtime = stack.enter_context(RealTime(host.fifo, host.cpu))
         rate = WallRate(WallClock(speed=job.speed), job.scenario.value.step_s)
         maker = taps.maker(job.rig.value) if job.scenario.value.vmu.source == "rendered" else None
-        pictures = MakerBeside(maker) if maker else None
+        pictures = ThreadedImageSink(maker) if maker else None
         if pictures:
             stack.callback(pictures.close)
         runner = build.in_memory(job, rate, operator.watch, realtime, taps.cycles, operator, pictures)
-        yield Bench(runner, taps.cycles, taps.attach(runner), watched, {}, rings)
+        yield ConsoleBench(runner, taps.cycles, taps.attach(runner), watched, {}, rings)
 
 
 @contextmanager
-def _taps_of_our_own(job: build.Job) -> Iterator[Taps]:
+def _taps_of_our_own(job: build.Job) -> Iterator[RecordingSinks]:
     """Give taps of a session that nobody records: the console alone reads them."""
     fed = fed_by(job)
     rings = {"cycles": Ring.create(CYCLE, build.TELEMETRY_ROWS)}
@@ -76,7 +76,7 @@ def _taps_of_our_own(job: build.Job) -> Iterator[Taps]:
     run_time = RunTime.create()
     takers: dict[str, Telemetry] = {name: rings.get(name, NoTelemetry()) for name in ("cycles", *RINGS)}
     try:
-        yield Taps(**takers, run_time=run_time)
+        yield RecordingSinks(**takers, run_time=run_time)
     finally:
         run_time.close()
         for ring in rings.values():

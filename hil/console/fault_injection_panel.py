@@ -6,7 +6,7 @@ import asyncio
 import json
 from typing import Any, Final
 
-from hil.console.lease import Refused
+from hil.console.lease import LeaseRefused
 from hil.drivers.fault_injection import FaultControl
 
 _SUFFIX: Final = ".faults"
@@ -14,7 +14,7 @@ _VERBS: Final = ("on", "off", "clear")
 _ANSWER_WALL_S: Final = 1.0
 
 
-class FaultBoard:
+class FaultInjectionPanel:
     """What can go wrong in which device, and what is switched on. The ports answer in threads: none is waited for."""
 
     def __init__(self) -> None:
@@ -35,9 +35,11 @@ class FaultBoard:
     async def switch(self, device: str, line: str) -> None:
         """Say ``line`` (on FAULT, off FAULT, clear) to ``device``; Refused, with its words, where it will not."""
         if device not in self._ports:
-            raise Refused(f"{device}: no emulated device with fault switches; here: {', '.join(self._ports) or 'none'}")
+            raise LeaseRefused(
+                f"{device}: no emulated device with fault switches; here: {', '.join(self._ports) or 'none'}"
+            )
         if line.split(" ")[0] not in _VERBS or "\n" in line:
-            raise Refused(f"{line!r}: allowed: on FAULT, off FAULT, clear")
+            raise LeaseRefused(f"{line!r}: allowed: on FAULT, off FAULT, clear")
         await self._say(device, line)
         self.on[device] = await self._say(device, "list")
 
@@ -53,6 +55,6 @@ def _say(address: str, line: str) -> str:
         finally:
             control.close()
     except ValueError as refusal:
-        raise Refused(str(refusal)) from refusal
+        raise LeaseRefused(str(refusal)) from refusal
     except OSError as cause:
-        raise Refused(f"{address}: the device's control port does not answer: {cause}") from cause
+        raise LeaseRefused(f"{address}: the device's control port does not answer: {cause}") from cause

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 
-class Refused(Exception):
+class LeaseRefused(Exception):
     """What was asked for is not done; the text says why, to the one who asked."""
 
 
@@ -33,7 +33,7 @@ class Lease:
     def take(self, key: str, name: str, now_s: float) -> None:
         """Take a lease that is free, or go on with one's own; Refused where another one holds it."""
         if self.held and self.key != key:
-            raise Refused(f"{self.name} has the command: watch, or take it over")
+            raise LeaseRefused(f"{self.name} has the command: watch, or take it over")
         self.key, self.name, self.heard_s = key, name, now_s
 
     def take_over(self, key: str, name: str, now_s: float) -> str:
@@ -65,4 +65,4 @@ class Lease:
         if self.key == key and self.held:
             return
         who = f"{self.name} has the command" if self.held else "nobody has the command"
-        raise Refused(f"{who}: take it before you order anything")
+        raise LeaseRefused(f"{who}: take it before you order anything")

@@ -14,7 +14,7 @@ import numpy as np
 from hil.cameras.docking import chaser_position, stations
 from hil.console.client import Client
 from hil.console.columns import console_rows
-from hil.console.message import Picture
+from hil.console.message import ImageMessage
 from hil.console.rows import RowStore
 from hil.console.session_process import SessionProcess
 from hil.console.status import status_of
@@ -27,13 +27,13 @@ from hil.setup.assembly import Job
 _PORTIONS: Final = 3000  # as many as the docking monitor has in an hour
 
 
-class Shown:
+class LiveView:
     """Rows, pictures and portions since the session began."""
 
     def __init__(self) -> None:
         self.rows = RowStore()
         self.portions: list[dict[str, Any]] = []
-        self._pictures: dict[str, tuple[int, Picture]] = {}
+        self._pictures: dict[str, tuple[int, ImageMessage]] = {}
         self._number = 0
         self._bench: np.record | None = None
         self._places: np.record | None = None
@@ -58,7 +58,7 @@ class Shown:
             if len(self.portions) < _PORTIONS:
                 self.portions.append(self._told(portion_of(row)))
 
-    def show(self, picture: Picture) -> None:
+    def show(self, picture: ImageMessage) -> None:
         """Show ``picture`` from now on instead of the one of its camera before."""
         self._number += 1
         self._pictures[picture.name] = (self._number, picture)
@@ -68,7 +68,7 @@ class Shown:
         """Those with pictures, the known ones first."""
         return sorted(self._pictures, key=lambda name: (CAMERAS.index(name) if name in CAMERAS else len(CAMERAS), name))
 
-    def picture_for(self, client: Client) -> Picture | None:
+    def picture_for(self, client: Client) -> ImageMessage | None:
         """Return the newest picture of the camera that ``client`` watches, None where it has it."""
         camera = client.camera if client.camera in self._pictures else next(iter(self.cameras), "")
         number, picture = self._pictures.get(camera, (0, None))
@@ -102,13 +102,13 @@ class Shown:
         }
 
 
-def picture_of(row: np.void, status: np.ndarray, now_s: float) -> Picture:
+def picture_of(row: np.void, status: np.ndarray, now_s: float) -> ImageMessage:
     """Return ``row``, of PICTURE, for the pages, with how old it is by the bench's time, or else by the run's."""
     bench = status_of(status)
     late_s = float(bench.bench_s - row["bench_s"])
     if not math.isfinite(late_s):
         late_s = float(bench.run_s - row["t_s"])
-    return Picture(
+    return ImageMessage(
         row["camera"].decode(errors="replace"),
         float(row["t_s"]),
         int(row["width_px"]),

@@ -26,7 +26,7 @@ _LENGTH: Final = struct.Struct("<I")
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class ImageMessage:
     """A camera's picture and what is drawn over it, as of ``hil.core.camera_images``.
 
     t_s: time of the run at which it was exposed. data: empty where there is nothing but the overlay. status: what its
@@ -64,7 +64,7 @@ def pack(
     page: dict[str, Any] | None,
     rows: np.ndarray[Any, Any],
     first: int,
-    picture: Picture | None = None,
+    picture: ImageMessage | None = None,
     portions: dict[str, Any] | None = None,
 ) -> bytes:
     """Return the message; rows: (n, m) of 32-bit floats."""

@@ -6,7 +6,7 @@ a JSON object in one packet of a socket pair.
 to the loop    {"order": "hold", "by": "ann", "id": 7}   {"acknowledge": true, "by": "ann", "id": 8}
                {"adjust": {"key": "gnc.control.deadband_m", "value": 0.0004, "records": "..."}, "by": "ann", "id": 9}
                {"jog": ["rails.x", 1]}   {"present": true}   {"note": ["operator", "ann", "has the command"]}
-to the console {"answer": 7, "text": ""}    {"alarms": [...]}    {"events": [...]}   and what ``Words`` says
+to the console {"answer": 7, "text": ""}    {"alarms": [...]}    {"events": [...]}   and what ``OutgoingMessages`` says
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from hil.config.console import OnLoss
 from hil.console.status import StatusWriter
 from hil.core.messages import Event
 from hil.core.modes import Mode
-from hil.core.operator_commands import OBEYED_IN, Operator, Order
+from hil.core.operator_commands import OBEYED_IN, Operator, OperatorCommand
 from hil.errors import SafetyTrip
-from hil.frmn.mailbox import Cell
+from hil.frmn.mailbox import Mailbox
 from hil.loop.runner import Runner
-from hil.loop.stages import Gnc
-from hil.recording.taps import Notes
+from hil.loop.stages import BuiltinGnc
+from hil.recording.taps import EventRecorder
 from hil.setup.live_tuning import unpacked
 
 STATUS_EACH_WALL_S: Final = 0.05
@@ -39,7 +39,7 @@ _HELD: Final = frozenset({Mode.PLACING, Mode.RUNNING})
 _AT_REST: Final = frozenset({Mode.STANDBY, Mode.ARMED, Mode.HOLD, Mode.SAFE_STOP})
 
 
-class Words:
+class OutgoingMessages:
     """The way to the console: packets leave in their order, none is ever waited for.
 
     While the console does not read they are kept; beyond ``_KEPT_WORDS`` the oldest are dropped.
@@ -77,8 +77,8 @@ class RemoteOperator(Operator):
 
     def __init__(
         self,
-        words: Words,
-        status: Cell,
+        words: OutgoingMessages,
+        status: Mailbox,
         on_loss: OnLoss,
         lease_s: float,
         wall_s: Callable[[], float] = time.monotonic,
@@ -97,10 +97,10 @@ class RemoteOperator(Operator):
         self._told: tuple[object, ...] = ()
         self._runner: Runner
         self._writer: StatusWriter
-        self._notes: Notes | None = None
+        self._notes: EventRecorder | None = None
         self._adjustable: tuple[str, ...] = ()
 
-    def attach(self, runner: Runner, notes: Notes | None = None, adjustable: tuple[str, ...] = ()) -> None:
+    def attach(self, runner: Runner, notes: EventRecorder | None = None, adjustable: tuple[str, ...] = ()) -> None:
         """Say whose bench it is, before the first cycle.
 
         notes: where a recording puts down who ordered what. adjustable: settings that may be changed.
@@ -170,7 +170,7 @@ class RemoteOperator(Operator):
         elif "adjust" in message:
             self._words.say(answer=message["id"], text=self._adjust(message["adjust"], message.get("by", "")))
         elif "order" in message:
-            order, mode = Order(message["order"]), self._runner.supervisor.modes.mode
+            order, mode = OperatorCommand(message["order"]), self._runner.supervisor.modes.mode
             refusal = "" if mode in OBEYED_IN[order] else f"bench: cannot {order.value} in {mode.value}"
             if not refusal:
                 self.order(order)
@@ -190,7 +190,7 @@ class RemoteOperator(Operator):
         except ValueError as error:
             return f"{key}: {error}"
         gnc = self._runner.loop.gnc
-        if not isinstance(gnc, Gnc):
+        if not isinstance(gnc, BuiltinGnc):
             return f"{key}: a setting of the built-in GNC, which is not the one that flies"
         cycle = gnc.adjust(*records)
         text = f"{key}={value!r}"
@@ -229,5 +229,5 @@ class RemoteOperator(Operator):
             if self._on_loss == "hold" and mode in _HELD:
                 self._reacted = True
                 supervisor.ask_for_hold(f"console: {who} {value}, allowed {self._lease_s:g} s")
-        if self._gone and mode in _AT_REST and Order.STOP not in self.waiting:
-            self.order(Order.STOP)
+        if self._gone and mode in _AT_REST and OperatorCommand.STOP not in self.waiting:
+            self.order(OperatorCommand.STOP)

@@ -66,11 +66,11 @@ def serve(choice: Choice, listener: socket.socket, host: str, token: str | None,
     import uvicorn
 
     from hil.console.app import make_app
-    from hil.console.service import Desk
+    from hil.console.service import ConsoleService
 
     scenarios = [*dict.fromkeys([choice.scenario, *shipped("scenarios")])]
     rigs = [*dict.fromkeys([choice.rig, *shipped("rigs")])]
-    desk = Desk(choice, scenarios, rigs, time.monotonic, log)
+    desk = ConsoleService(choice, scenarios, rigs, time.monotonic, log)
     desk.warm_up()
     hosts = frozenset({host, *_LOOPBACK_NAMES}) if is_loopback(host) else None
     config = uvicorn.Config(

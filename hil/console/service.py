@@ -8,18 +8,18 @@ import numpy as np
 
 from hil.console.client import Client
 from hil.console.columns import COLUMNS, NAMES
-from hil.console.confirmations import HAZARDS
-from hil.console.lease import Refused
-from hil.console.message import Picture
-from hil.console.session_manager import Keeper
+from hil.console.confirmations import CONFIRMATIONS
+from hil.console.lease import LeaseRefused
+from hil.console.message import ImageMessage
+from hil.console.session_manager import SessionManager
 from hil.core.modes import Mode
-from hil.core.operator_commands import OBEYED_IN, Order
+from hil.core.operator_commands import OBEYED_IN, OperatorCommand
 from hil.errors import BadInput
 
 _BENCH_AT_REST: Final = frozenset({Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.HOLD, Mode.SAFE_STOP})
 
 
-class Desk(Keeper):
+class ConsoleService(SessionManager):
     """The keeper of the session behind its counter."""
 
     # what the pages ask for
@@ -28,7 +28,7 @@ class Desk(Keeper):
         """Do what a page asks for; return its answer: ok, text, and ``ask`` where it has to be confirmed first."""
         try:
             return await self._obey(client, command)
-        except Refused as refusal:
+        except LeaseRefused as refusal:
             return {"ok": False, "text": str(refusal)}
         except BadInput as error:
             return {"ok": False, "text": str(error)}
@@ -65,7 +65,7 @@ class Desk(Keeper):
                 self.note(f"{client.name} switched a fault: {command['device']} {command['line']}")
                 self.put_down("fault", client.name, f"{command['device']}: {command['line']}")
             case other:
-                raise Refused(f"{other!r}: unknown request")
+                raise LeaseRefused(f"{other!r}: unknown request")
         return {"ok": True, "text": ""}
 
     def _take_over(self, client: Client, confirmed: bool) -> dict[str, Any]:
@@ -78,39 +78,39 @@ class Desk(Keeper):
     def _release(self, client: Client) -> None:
         self.lease.require(client.key)
         if self.mode not in _BENCH_AT_REST:
-            raise Refused(f"the bench is {self.mode.value}: hold or stop it first, or let somebody take over")
+            raise LeaseRefused(f"the bench is {self.mode.value}: hold or stop it first, or let somebody take over")
         self.lease.release(client.key)
         self.note(f"{client.name} gave the command back")
 
     async def _open(self, command: dict[str, Any]) -> None:
         if self.session is not None:
-            raise Refused("a session is open: stop it first")
+            raise LeaseRefused("a session is open: stop it first")
         if self.account.unseen:
-            raise Refused("an alarm has not been acknowledged: read it, acknowledge it, then open the bench")
+            raise LeaseRefused("an alarm has not been acknowledged: read it, acknowledge it, then open the bench")
         changes: dict[str, Any] = {name: command[name] for name in ("scenario", "rig", "seed") if name in command}
         for name, allowed in (("scenario", self.scenarios), ("rig", self.rigs)):
             if changes.get(name, allowed[0]) not in allowed:
-                raise Refused(f"{name} {changes[name]!r}: allowed {', '.join(allowed)}")
+                raise LeaseRefused(f"{name} {changes[name]!r}: allowed {', '.join(allowed)}")
         seed = changes.get("seed", 0)
         if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-            raise Refused(f"seed {seed!r}: allowed a whole number from 0 on")
+            raise LeaseRefused(f"seed {seed!r}: allowed a whole number from 0 on")
         self.begin(self.choice.model_copy(update=changes))
 
     async def _order(self, client: Client, word: str, confirmed: bool) -> dict[str, Any]:
-        if word not in [order.value for order in Order if order is not Order.JOG]:
-            raise Refused(f"{word!r}: unknown order")
-        order = Order(word)
+        if word not in [order.value for order in OperatorCommand if order is not OperatorCommand.JOG]:
+            raise LeaseRefused(f"{word!r}: unknown order")
+        order = OperatorCommand(word)
         if self.session is None:
-            if order is Order.RESET:
+            if order is OperatorCommand.RESET:
                 return self._let_go_of_alarms()
-            raise Refused(f"bench: cannot {word}, no session is open")
+            raise LeaseRefused(f"bench: cannot {word}, no session is open")
         if not self.session.ready:
-            if order is not Order.STOP:
-                raise Refused(f"bench: cannot {word}, it is being opened")
+            if order is not OperatorCommand.STOP:
+                raise LeaseRefused(f"bench: cannot {word}, it is being opened")
             self.session.interrupt()
             return {"ok": True, "text": ""}
-        if order in HAZARDS and self.mode in OBEYED_IN[order] and not confirmed:
-            return {"ok": False, "ask": HAZARDS[order]}
+        if order in CONFIRMATIONS and self.mode in OBEYED_IN[order] and not confirmed:
+            return {"ok": False, "ask": CONFIRMATIONS[order]}
         self.say_who_is_there(self.session, self.wall_s())  # whoever orders has the command by then
         text = await self.session.ask(order=word, by=client.name)
         self.note(f"{client.name}: {word}{f' refused: {text}' if text else ''}")
@@ -118,25 +118,25 @@ class Desk(Keeper):
 
     def _let_go_of_alarms(self) -> dict[str, Any]:
         if self.account.unseen:
-            raise Refused("an alarm has not been acknowledged: read it, acknowledge it, then reset")
+            raise LeaseRefused("an alarm has not been acknowledged: read it, acknowledge it, then reset")
         self.account.let_go()
         self.changed()
         return {"ok": True, "text": ""}
 
     def _jog(self, axis: str, direction: object) -> None:
         if self.session is None or not self.session.ready:
-            raise Refused("bench: cannot jog, no session is open")
+            raise LeaseRefused("bench: cannot jog, no session is open")
         if axis not in self.account.bench["axes"] or direction not in (-1, 1):
-            raise Refused(f"bench: cannot jog {axis} by {direction}")
+            raise LeaseRefused(f"bench: cannot jog {axis} by {direction}")
         if self.mode in (Mode.STANDBY, Mode.JOGGING):
             self.session.send(jog=[axis, direction])
         else:
-            raise Refused(f"bench: cannot jog in {self.mode.value}")
+            raise LeaseRefused(f"bench: cannot jog in {self.mode.value}")
 
     async def _adjust(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
         """Let the loop have another value of one of its settings."""
         if self.session is None or not self.session.ready or self.tuner is None:
-            raise Refused("bench: cannot change a setting, no session is open")
+            raise LeaseRefused("bench: cannot change a setting, no session is open")
         async with self.tuning:
             change = self.tuner.change(command.get("key"), command.get("value"))
             if not command.get("confirmed"):
@@ -153,7 +153,7 @@ class Desk(Keeper):
         if self.session is not None and self.session.ready:
             text = await self.session.ask(acknowledge=True, by=client.name)
             if text:
-                raise Refused(text)
+                raise LeaseRefused(text)
         self.account.acknowledge()
         self.note(f"{client.name} acknowledged the alarms")
 
@@ -161,7 +161,9 @@ class Desk(Keeper):
 
     def news_for(
         self, client: Client
-    ) -> tuple[dict[str, Any], dict[str, Any] | None, np.ndarray[Any, Any], int, Picture | None, dict[str, Any] | None]:
+    ) -> tuple[
+        dict[str, Any], dict[str, Any] | None, np.ndarray[Any, Any], int, ImageMessage | None, dict[str, Any] | None
+    ]:
         """Return the arguments of ``message.pack`` for ``client``, of all that it has not seen."""
         page = None
         if client.page_seen != self.page_version:

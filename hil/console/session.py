@@ -21,13 +21,13 @@ from typing import Any, Final
 
 from hil.config.console import OnLoss
 from hil.config.load import load_rig, load_scenario
-from hil.config.model import Strict
-from hil.console.bench import Bench, opened
-from hil.console.remote_operator import RemoteOperator, Words
+from hil.config.model import ConfigModel
+from hil.console.bench import ConsoleBench, opened
+from hil.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.console.status import CELLS
 from hil.core.jit import kernels_are_cached, mark_kernels_cached, prepare_kernel_cache
 from hil.errors import BadInput, BenchError
-from hil.frmn.mailbox import Block
+from hil.frmn.mailbox import MailboxBlock
 from hil.loop.runner import Outcome
 from hil.processes.docking_monitor import Watched
 from hil.recording.session import Recording, recording
@@ -38,7 +38,7 @@ from hil.session import build
 _LAST_WORDS_WALL_S: Final = 2.0
 
 
-class Choice(Strict):
+class Choice(ConfigModel):
     """What is to be run, as the operator chose it."""
 
     scenario: str
@@ -62,8 +62,8 @@ class Choice(Strict):
 
 def run_session(choice: Choice, channel: socket.socket) -> None:
     """Open the bench, run it as it is ordered, say how it ended."""
-    words = Words(channel)
-    status = Block.create(CELLS, "console")
+    words = OutgoingMessages(channel)
+    status = MailboxBlock.create(CELLS, "console")
     try:
         job = choice.job()
         _prepare(job, words)
@@ -94,7 +94,7 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
         status.close()
 
 
-def _prepare(job: build.Job, words: Words) -> None:
+def _prepare(job: build.Job, words: OutgoingMessages) -> None:
     """Check that rig and scenario suit each other, and compile what has not been compiled before anything moves."""
     words.say(word="checking that the rig can follow the scenario")
     if job.rig.value.kind == "mock" and job.speed != 1.0:
@@ -118,7 +118,7 @@ def _recorded(choice: Choice, job: build.Job, announce: Callable[[str], None]) -
         yield taken
 
 
-def _say_hello(channel: socket.socket, bench: Bench, status: Block, taken: Recording | None) -> None:
+def _say_hello(channel: socket.socket, bench: ConsoleBench, status: MailboxBlock, taken: Recording | None) -> None:
     """Tell the console that the bench is up, and hand it what is shared with it: descriptors in the order of names."""
     rings = {"telemetry": bench.telemetry, **bench.rings}
     shared = {"status": status.descriptor, **{name: ring.descriptor for name, ring in rings.items()}}

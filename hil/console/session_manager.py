@@ -15,13 +15,13 @@ import numpy as np
 from hil.config.load import load_rig
 from hil.console.client import Client
 from hil.console.columns import console_rows
-from hil.console.fault_injection_panel import FaultBoard
-from hil.console.lease import Lease, Refused
-from hil.console.live_view import Shown
+from hil.console.fault_injection_panel import FaultInjectionPanel
+from hil.console.lease import Lease, LeaseRefused
+from hil.console.live_view import LiveView
 from hil.console.recording_watch import RecordingWatch
 from hil.console.session import Choice
 from hil.console.session_process import SessionProcess
-from hil.console.session_state import Account, described
+from hil.console.session_state import SessionState, described
 from hil.console.tuner import Tuner
 from hil.core.messages import CYCLE
 from hil.core.modes import Mode
@@ -31,7 +31,7 @@ PRESENT_EACH_S: Final = 0.2
 _KEPT_LOG: Final = 200
 
 
-class Keeper:
+class SessionManager:
     """Holds session and lease. Every method that takes ``now_s`` wants wall time.
 
     first: what is offered to begin with. scenarios, rigs: what may be chosen. log: told each line of the console's
@@ -50,14 +50,14 @@ class Keeper:
         self.scenarios, self.rigs = tuple(scenarios), tuple(rigs)
         self.lease = Lease(load_rig(first.rig, first.settings).value.console.lease_s)
         self.session: SessionProcess | None = None
-        self.faults = FaultBoard()
-        self.shown = Shown()
+        self.faults = FaultInjectionPanel()
+        self.shown = LiveView()
         self.page_version = 0
         self.clients: list[Client] = []
         self.log: deque[dict[str, Any]] = deque(maxlen=_KEPT_LOG)
         self._say = log
         self.wall_s = wall_s
-        self.account = Account({}, "no session is open")
+        self.account = SessionState({}, "no session is open")
         self.tuner: Tuner | None = None
         self.tuning = asyncio.Lock()  # each change is built on the one before
         self._present_said: tuple[str, float] = ("", -math.inf)
@@ -68,7 +68,7 @@ class Keeper:
         job = choice.job()
         self.choice = choice
         self.tuner = Tuner(job)
-        self.account = Account(described(job.rig.value, job.scenario.value), "starting")
+        self.account = SessionState(described(job.rig.value, job.scenario.value), "starting")
         self.lease.lasts_s = job.rig.value.console.lease_s
         self.shown.begin(job)
         self.session = SessionProcess(choice, self._hear)
@@ -136,7 +136,7 @@ class Keeper:
         self.changed()
 
     async def _connect_faults(self, addresses: dict[str, str]) -> None:
-        with suppress(Refused):  # a device that does not answer has no switches
+        with suppress(LeaseRefused):  # a device that does not answer has no switches
             await self.faults.connect(addresses)
         self.changed()
 

@@ -21,7 +21,7 @@ from hil.console.bench import RINGS
 from hil.console.session import Choice
 from hil.console.status import CELLS, empty_status
 from hil.core.messages import CYCLE
-from hil.frmn.mailbox import Block
+from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Reader, Ring
 from hil.monitor.results import PORTION
 from hil.recording import recorder
@@ -51,8 +51,8 @@ class SessionProcess:
         self._numbers = itertools.count(1)
         self._rings: dict[str, Ring] = {}
         self._readers: dict[str, Reader] = {}
-        self._block: Block | None = None
-        self._recording: Block | None = None
+        self._block: MailboxBlock | None = None
+        self._recording: MailboxBlock | None = None
         self.file = ""
         """That the session is recorded into; "" where it is not."""
         self._status = empty_status()
@@ -212,9 +212,9 @@ class SessionProcess:
         shared = dict(zip(hello["shared"], descriptors, strict=True))
         self._rings = {name: Ring(shared[name], _DTYPES[name], slots, name) for name, slots in hello["slots"].items()}
         self._readers = {name: ring.reader() for name, ring in self._rings.items()}
-        self._block = Block(shared["status"], CELLS, "console")
+        self._block = MailboxBlock(shared["status"], CELLS, "console")
         if "recording" in shared:
-            self._recording = Block(shared["recording"], recorder.CELLS, "recorder")
+            self._recording = MailboxBlock(shared["recording"], recorder.CELLS, "recorder")
             self.file = hello["file"]
         self.ready = True
 

@@ -20,7 +20,7 @@ _NIS_TAIL: Final = 0.0027  # what lies beyond three sigma of a normal number
 _SHOWN_EVENTS: Final = 20
 
 
-class Account:
+class SessionState:
     """Alarms, events, status and last words of one session; of the last one, after it has ended.
 
     bench: what a page has to know of bench and run to draw them.

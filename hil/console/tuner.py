@@ -9,7 +9,7 @@ from typing import Any, Final
 from hil.config.live_tunable import range_of, value_of
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
-from hil.console.lease import Refused
+from hil.console.lease import LeaseRefused
 from hil.setup.assembly import Job
 from hil.setup.live_tuning import Tuning, check_in_flight, packed, tuning, with_setting
 
@@ -78,14 +78,14 @@ class Tuner:
         scenario = self._scenario.value
         allowed = scenario.console.adjustable
         if key not in allowed or not isinstance(key, str):
-            raise Refused(
+            raise LeaseRefused(
                 f"{key!r}: this scenario lets nobody change it in flight; it allows {', '.join(allowed) or '-'}"
             )
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise Refused(f"{key}: {value!r} is no number")
+            raise LeaseRefused(f"{key}: {value!r} is no number")
         before, limits = value_of(scenario, key), range_of(Scenario, key)
         if float(value) not in limits:
-            raise Refused(f"{key}: {value:g}: allowed is {limits}")
+            raise LeaseRefused(f"{key}: {value:g}: allowed is {limits}")
         changed = with_setting(scenario, f"{key}={float(value)!r}", self._scenario.source)
         check_in_flight(changed, self._rig)
         return Change(key, before, float(value), changed, tuning(changed.value))

@@ -74,7 +74,7 @@ class RunsTime(Protocol):
 
 
 @dataclass(frozen=True)
-class Wanted:
+class ImagePolicy:
     """Which pictures are taken. encoding: "none" for none. each_s: shortest time between two of a camera, 0: all."""
 
     encoding: Literal["none", "jpeg", "png"] = "none"
@@ -82,7 +82,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class View:
+class CameraImage:
     """A picture before it is encoded. image: (h, w) or (h, w, 3), uint8, grey or BGR. Times as of PICTURE."""
 
     camera: str
@@ -177,13 +177,13 @@ def encode(image: np.ndarray, encoding: Encoding, quality: int = JPEG_QUALITY) -
     return bytes(code.tobytes())
 
 
-class PictureMaker:
+class ImageEncoder:
     """Puts a maker's pictures, encoded, where ``out`` takes them; ``wanted`` says which.
 
     Not for two threads at once. A picture that has no room is counted, and its row has no data.
     """
 
-    def __init__(self, out: Takes, wanted: Wanted, run: RunsTime | None = None) -> None:
+    def __init__(self, out: Takes, wanted: ImagePolicy, run: RunsTime | None = None) -> None:
         self._out = out
         self._wanted = wanted
         self._run = run
@@ -205,19 +205,19 @@ class PictureMaker:
         self._last_s = exposed_s
         return True
 
-    def put(self, *views: View) -> None:
+    def put(self, *views: CameraImage) -> None:
         """Encode the ``views`` of an exposure and hand them over; a run's time that they do not have is looked up."""
         for view in self.timed(*views):
             self._put(view)
 
-    def timed(self, *views: View) -> tuple[View, ...]:
+    def timed(self, *views: CameraImage) -> tuple[CameraImage, ...]:
         """Return ``views`` with the run's time as it is now, where they have none."""
         run = self._run
         if run is None:
             return views
         return tuple(replace(view, t_s=run.of(view.bench_s)) if math.isnan(view.t_s) else view for view in views)
 
-    def _put(self, view: View) -> None:
+    def _put(self, view: CameraImage) -> None:
         assert self._wanted.encoding != "none"
         data = encode(view.image, self._wanted.encoding)
         if len(data) > PICTURE_BYTES:
@@ -231,23 +231,23 @@ class PictureMaker:
         )  # fmt: skip
         self._out.put(row)
 
-    def leave_out(self, *views: View) -> None:
+    def leave_out(self, *views: CameraImage) -> None:
         """Count ``views`` that do not come."""
         for view in views:
             self._left_out[view.camera] = self._left_out.get(view.camera, 0) + 1
 
 
 class MakesPictures(Protocol):
-    """What a source of pictures asks and tells; ``PictureMaker`` does it at once, ``MakerBeside`` in a thread."""
+    """What a source of pictures asks and tells; ``ImageEncoder`` does it at once, ``ThreadedImageSink`` in a thread."""
 
     def due(self, exposed_s: float) -> bool:
         """Return whether pictures exposed at ``exposed_s`` are wanted; to be asked once an exposure."""
 
-    def put(self, *views: View) -> None:
+    def put(self, *views: CameraImage) -> None:
         """Take the pictures of an exposure; their images are not changed any more."""
 
 
-class MakerBeside:
+class ThreadedImageSink:
     """A PictureMaker in a thread of its own, for a source that keeps time: ``put`` never waits.
 
     The thread gives way to whoever keeps time, at no real-time priority. An exposure that comes while WAITING_MOST
@@ -256,16 +256,16 @@ class MakerBeside:
 
     WAITING_MOST: Final = 32  # 64 MB of a pair of 1024 x 1024
 
-    def __init__(self, maker: PictureMaker) -> None:
+    def __init__(self, maker: ImageEncoder) -> None:
         self._maker = maker
-        self._waiting: queue.Queue[tuple[View, ...] | None] = queue.Queue(self.WAITING_MOST)
+        self._waiting: queue.Queue[tuple[CameraImage, ...] | None] = queue.Queue(self.WAITING_MOST)
         self._thread: threading.Thread | None = None
 
     def due(self, exposed_s: float) -> bool:
         """Return whether pictures exposed at ``exposed_s`` are wanted; to be asked once an exposure."""
         return self._maker.due(exposed_s)
 
-    def put(self, *views: View) -> None:
+    def put(self, *views: CameraImage) -> None:
         """Take the pictures of an exposure; their images are not changed any more."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="pictures", daemon=True)
@@ -284,12 +284,12 @@ class MakerBeside:
         self._thread = None
 
     def _work(self) -> None:
-        _give_way()
+        drop_priority()
         while (views := self._waiting.get()) is not None:
             self._maker.put(*views)
 
 
-def _give_way() -> None:
+def drop_priority() -> None:
     """Take this thread out of real time, whatever the thread that started it runs at; its niceness stays."""
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import Enum
 
-from hil.core.observable import Told
+from hil.core.observable import ObservableList
 from hil.errors import BenchError
 
 
@@ -53,7 +53,7 @@ class ModeMachine:
 
     def __init__(self) -> None:
         self.mode = Mode.OFF
-        self.history: Told[Mode] = Told([Mode.OFF])
+        self.history: ObservableList[Mode] = ObservableList([Mode.OFF])
         """All modes so far, the present one last."""
         self.held_from: Mode | None = None
 

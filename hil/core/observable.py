@@ -8,7 +8,7 @@ from typing import TypeVar
 Item = TypeVar("Item")
 
 
-class Told(list[Item]):
+class ObservableList(list[Item]):
     """A list whose ``append`` also tells ``listener``, where there is one."""
 
     def __init__(self, items: Iterable[Item] = ()) -> None:

@@ -12,7 +12,7 @@ from typing import Final
 from hil.core.modes import Mode
 
 
-class Order(Enum):
+class OperatorCommand(Enum):
     """HOME: let the axes find their places. ARM: place the bench, then wait for poses. START: close the loop.
 
     GO: let the approach go on from its wait. HOLD: bring all axes to a stand, the run's time stands.
@@ -35,19 +35,19 @@ class Order(Enum):
     RESET = "reset"
 
 
-OBEYED_IN: Final[dict[Order, frozenset[Mode]]] = {
-    Order.HOME: frozenset({Mode.STANDBY}),
-    Order.ARM: frozenset({Mode.STANDBY}),
-    Order.START: frozenset({Mode.ARMED}),
-    Order.GO: frozenset({Mode.RUNNING}),
-    Order.HOLD: frozenset({Mode.PLACING, Mode.RUNNING, Mode.HOLD}),
-    Order.RESUME: frozenset({Mode.HOLD}),
-    Order.ABORT: frozenset({Mode.RUNNING}),
-    Order.DISARM: frozenset({Mode.ARMED}),
-    Order.PARK: frozenset({Mode.STANDBY}),
-    Order.JOG: frozenset({Mode.STANDBY}),
-    Order.STOP: frozenset(set(Mode) - {Mode.OFF}),
-    Order.RESET: frozenset({Mode.SAFE_STOP}),
+OBEYED_IN: Final[dict[OperatorCommand, frozenset[Mode]]] = {
+    OperatorCommand.HOME: frozenset({Mode.STANDBY}),
+    OperatorCommand.ARM: frozenset({Mode.STANDBY}),
+    OperatorCommand.START: frozenset({Mode.ARMED}),
+    OperatorCommand.GO: frozenset({Mode.RUNNING}),
+    OperatorCommand.HOLD: frozenset({Mode.PLACING, Mode.RUNNING, Mode.HOLD}),
+    OperatorCommand.RESUME: frozenset({Mode.HOLD}),
+    OperatorCommand.ABORT: frozenset({Mode.RUNNING}),
+    OperatorCommand.DISARM: frozenset({Mode.ARMED}),
+    OperatorCommand.PARK: frozenset({Mode.STANDBY}),
+    OperatorCommand.JOG: frozenset({Mode.STANDBY}),
+    OperatorCommand.STOP: frozenset(set(Mode) - {Mode.OFF}),
+    OperatorCommand.RESET: frozenset({Mode.SAFE_STOP}),
 }
 """Modes in which an order is obeyed; in every other one it is refused, and the operator is told."""
 
@@ -57,7 +57,7 @@ class OrderedToStop(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class JogWish:
+class JogRequest:
     """Axis by its full name, ``rails.x``; direction 1 or -1."""
 
     axis: str
@@ -74,15 +74,19 @@ class Operator:
 
     _KEPT: Final = 64
 
-    def __init__(self, plan: tuple[Order, ...] = (Order.HOME, Order.ARM, Order.START), attended: bool = False) -> None:
+    def __init__(
+        self,
+        plan: tuple[OperatorCommand, ...] = (OperatorCommand.HOME, OperatorCommand.ARM, OperatorCommand.START),
+        attended: bool = False,
+    ) -> None:
         self.attended = attended
         self._plan = deque(plan)
-        self.waiting: deque[Order] = deque()
+        self.waiting: deque[OperatorCommand] = deque()
         """Read by the loop in each cycle: true while an order waits."""
         self.answers: deque[str] = deque(maxlen=self._KEPT)
         """What was refused, and why; newest last."""
         self._lock = threading.Lock()
-        self._jog: JogWish | None = None
+        self._jog: JogRequest | None = None
         self._refreshed = False
 
     @property
@@ -97,10 +101,10 @@ class Operator:
         stop.
         """
 
-    def order(self, order: Order) -> None:
+    def order(self, order: OperatorCommand) -> None:
         """Let ``order`` wait for the loop; STOP goes before all others."""
         with self._lock:
-            if order is Order.STOP:
+            if order is OperatorCommand.STOP:
                 self.waiting.appendleft(order)
             elif len(self.waiting) < self._KEPT:
                 self.waiting.append(order)
@@ -108,13 +112,13 @@ class Operator:
     def jog(self, axis: str, direction: int) -> None:
         """Press, or keep pressed, the jog key: to be called again well within 0.2 s, or the axis stops."""
         with self._lock:
-            wish = JogWish(axis, direction)
+            wish = JogRequest(axis, direction)
             begins = self._jog is None
             self._jog, self._refreshed = wish, True
-            if begins and Order.JOG not in self.waiting:
-                self.waiting.append(Order.JOG)
+            if begins and OperatorCommand.JOG not in self.waiting:
+                self.waiting.append(OperatorCommand.JOG)
 
-    def jog_wish(self) -> JogWish | None:
+    def jog_request(self) -> JogRequest | None:
         """Return what the key asks for where it was refreshed since the last call, None otherwise."""
         with self._lock:
             wish = self._jog if self._refreshed else None
@@ -126,18 +130,18 @@ class Operator:
         with self._lock:
             self._jog, self._refreshed = None, False
 
-    def next(self, mode: Mode) -> Order | None:
+    def next(self, mode: Mode) -> OperatorCommand | None:
         """Return what to do next while nothing is under way: an order, or else what the plan has for ``mode``."""
         order = self.take(mode)
         if order is None and self._plan and mode in OBEYED_IN[self._plan[0]]:
             return self._plan.popleft()
         return order
 
-    def drop_plan(self) -> None:
+    def cancel_auto_sequence(self) -> None:
         """Give no further order by itself: after a safe stop somebody has to."""
         self._plan.clear()
 
-    def take(self, mode: Mode) -> Order | None:
+    def take(self, mode: Mode) -> OperatorCommand | None:
         """Return the next order that may be obeyed in ``mode``, None if there is none; refuse what comes before it."""
         with self._lock:
             while self.waiting:
@@ -145,7 +149,7 @@ class Operator:
                 if mode in OBEYED_IN[order]:
                     return order
                 self.answers.append(f"bench: cannot {order.value} in {mode.value}")
-                if order is Order.JOG:
+                if order is OperatorCommand.JOG:
                     self._jog, self._refreshed = None, False
             return None
 
@@ -168,4 +172,4 @@ class Resuming(Operator):
     def listen(self, now_s: float) -> None:
         """Order RESUME in a hold."""
         if self.mode() is Mode.HOLD and not self.waiting:
-            self.order(Order.RESUME)
+            self.order(OperatorCommand.RESUME)

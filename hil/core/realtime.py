@@ -59,12 +59,12 @@ class Grant:
         return f"{self.name} refused: {self.detail}" + (f"; would help: {self.hint}" if self.hint else "")
 
 
-class Precedence(Protocol):
+class SchedulingPolicy(Protocol):
     """What the loop was given, and the place at the front that its thread takes while cycles have deadlines."""
 
     grants: list[Grant]
 
-    def at_the_front(self) -> AbstractContextManager[None]:
+    def realtime_priority(self) -> AbstractContextManager[None]:
         """Let the calling thread be the loop's for as long as this lasts. Raises BenchError when that fails."""
 
 
@@ -74,7 +74,7 @@ class NoPrecedence:
     def __init__(self) -> None:
         self.grants: list[Grant] = []
 
-    def at_the_front(self) -> AbstractContextManager[None]:
+    def realtime_priority(self) -> AbstractContextManager[None]:
         return nullcontext()
 
 
@@ -83,7 +83,7 @@ class RealTime:
 
     Entering locks the memory (some 0.5 s: do it before a drive is enabled) and raises the niceness of this
     process, of the threads and processes that it starts, and finds out whether SCHED_FIFO is allowed.
-    ``at_the_front`` gives the loop's thread alone its real-time priority. Others do not get it: together they
+    ``realtime_priority`` gives the loop's thread alone its real-time priority. Others do not get it: together they
     can fill a core, and the kernel then takes 50 ms of each second away from all of them.
 
     fifo: whether to ask for SCHED_FIFO at all. cpu: that the loop's thread is to stay on, None for any.
@@ -117,7 +117,7 @@ class RealTime:
         return any(grant.granted for grant in self.grants if grant.name == name)
 
     @contextmanager
-    def at_the_front(self) -> Iterator[None]:
+    def realtime_priority(self) -> Iterator[None]:
         """Give the calling thread its CPU, timer slack and policy; threads that it starts do not inherit the policy."""
         outside, self._undo = self._undo, []
         try:

@@ -14,7 +14,7 @@ from hil.core.clock import WallClock
 from hil.core.messages import Array, Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.fault_injection import AXIS, WIRE, Faults, kinds
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 from hil.maths.random_streams import stream
 
 STEP_S: Final = 0.004  # longest bench time between two looks at the axes; the board is due every 5 ms
@@ -41,7 +41,7 @@ class EmulatedAxes:
         device: str,
         config: Rails | Turntable,
         clock: WallClock,
-        board: AxisBoard,
+        board: SharedAxisState,
         faults: Faults | None = None,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,

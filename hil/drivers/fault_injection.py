@@ -25,7 +25,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Kind:
+class InjectableFault:
     """One kind of fault. of_axis: it hits one axis. value: what its number means, "" when it has none.
 
     once: it happens when it is switched on, and is over then.
@@ -40,20 +40,22 @@ class Kind:
 
 
 WIRE: Final = {
-    "drop": Kind("packets are lost", value="share", high=1.0),
-    "corrupt": Kind("bits of packets are flipped", value="share", high=1.0),
-    "delay": Kind("packets come late", value="s", default=0.2, high=10.0),
-    "duplicate": Kind("packets come twice", value="share", high=1.0),
-    "freeze": Kind("the device sends its last values for ever"),
-    "link_down": Kind("the wire is dead"),
+    "drop": InjectableFault("packets are lost", value="share", high=1.0),
+    "corrupt": InjectableFault("bits of packets are flipped", value="share", high=1.0),
+    "delay": InjectableFault("packets come late", value="s", default=0.2, high=10.0),
+    "duplicate": InjectableFault("packets come twice", value="share", high=1.0),
+    "freeze": InjectableFault("the device sends its last values for ever"),
+    "link_down": InjectableFault("the wire is dead"),
 }
 AXIS: Final = {
-    "stuck": Kind("the axis stands still, whatever it is told", of_axis=True),
-    "jump": Kind("the encoder jumps", of_axis=True, value="m or deg", default=0.1, once=True),
-    "reversed": Kind("the encoder counts the wrong way", of_axis=True),
-    "mirrored": Kind("motor and encoder are both the wrong way round", of_axis=True),
-    "scaled": Kind("the drive counts so many times the way that the axis goes", of_axis=True, value="factor"),
-    "drive_fault": Kind("the drive reports a fault", of_axis=True, value="code", default=0.0, once=True),
+    "stuck": InjectableFault("the axis stands still, whatever it is told", of_axis=True),
+    "jump": InjectableFault("the encoder jumps", of_axis=True, value="m or deg", default=0.1, once=True),
+    "reversed": InjectableFault("the encoder counts the wrong way", of_axis=True),
+    "mirrored": InjectableFault("motor and encoder are both the wrong way round", of_axis=True),
+    "scaled": InjectableFault(
+        "the drive counts so many times the way that the axis goes", of_axis=True, value="factor"
+    ),
+    "drive_fault": InjectableFault("the drive reports a fault", of_axis=True, value="code", default=0.0, once=True),
 }
 
 
@@ -63,7 +65,7 @@ class Faults:
     kinds: name -> Kind of what this device can have. axes: short names of its axes.
     """
 
-    def __init__(self, device: str, kinds: dict[str, Kind], axes: Sequence[str] = ()) -> None:
+    def __init__(self, device: str, kinds: dict[str, InjectableFault], axes: Sequence[str] = ()) -> None:
         self.device = device
         self.kinds = kinds
         self.axes = tuple(axes)
@@ -132,11 +134,11 @@ class Faults:
             return json.dumps({"axes": self.axes, "kinds": {name: asdict(kind) for name, kind in self._finite_kinds()}})
         return f"error: allowed: on FAULT, off FAULT, clear, list; faults: {self._menu()}"
 
-    def _finite_kinds(self) -> list[tuple[str, Kind]]:
+    def _finite_kinds(self) -> list[tuple[str, InjectableFault]]:
         """Return the kinds with a number for an end that is not there: JSON has no infinity."""
         return [(name, replace(kind, high=min(kind.high, sys.float_info.max))) for name, kind in self.kinds.items()]
 
-    def _kind(self, kind: str, axis: str) -> Kind:
+    def _kind(self, kind: str, axis: str) -> InjectableFault:
         known = self.kinds.get(kind)
         if known is None:
             raise ValueError(f"unknown fault {kind!r}, {self.device} has: {self._menu()}")
@@ -145,7 +147,7 @@ class Faults:
         return known
 
     def _menu(self) -> str:
-        def entry(name: str, kind: Kind) -> str:
+        def entry(name: str, kind: InjectableFault) -> str:
             axis = f" {'|'.join(self.axes)}" if kind.of_axis else ""
             return f"{name}{axis}" + (f" [{kind.value}]" if kind.value else "")
 
@@ -236,6 +238,6 @@ class FaultControl:
         self._socket.close()
 
 
-def kinds(*groups: dict[str, Kind], without: Iterable[str] = ()) -> dict[str, Kind]:
+def kinds(*groups: dict[str, InjectableFault], without: Iterable[str] = ()) -> dict[str, InjectableFault]:
     """Return the union of groups of faults."""
     return {name: kind for group in groups for name, kind in group.items() if name not in set(without)}

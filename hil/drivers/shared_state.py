@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.core.clock import WallClock
 from hil.core.messages import Array
-from hil.frmn.mailbox import Block
+from hil.frmn.mailbox import MailboxBlock
 
 _AXES: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3)])
 _CHAIN: Final = np.dtype([("closed", "i8")])
@@ -16,20 +16,20 @@ _CELLS: Final = {"rails": _AXES, "turntable": _AXES, "target": _AXES, "chain": _
 _CHAIN_AGE_WALL_S: Final = 0.25  # a coupler that is silent for longer is dead, and its outputs are off
 
 
-class AxisBoard:
+class SharedAxisState:
     """Positions (3,) and rates (3,) of rails (m) and turntable (rad) at a moment, s of bench time.
 
     Each device writes its own cell; a device that was killed leaves the last thing it wrote.
     """
 
     def __init__(self, descriptor: int) -> None:
-        self._block = Block(descriptor, _CELLS, "axis-board")
+        self._block = MailboxBlock(descriptor, _CELLS, "axis-board")
 
     @classmethod
-    def create(cls) -> AxisBoard:
+    def create(cls) -> SharedAxisState:
         """Make a new board; hand ``descriptor`` to other processes (``pass_fds``)."""
         board = cls.__new__(cls)
-        board._block = Block.create(_CELLS, "axis-board")
+        board._block = MailboxBlock.create(_CELLS, "axis-board")
         return board
 
     @property

@@ -18,7 +18,7 @@ from hil.maths.arrays import fill_matrix
 
 HOLD_S = 0.4  # span over which the harmonics are held; one step where that is longer
 
-HELD = np.dtype(
+CACHED_GRAVITY = np.dtype(
     [
         ("steps", "i8"),  # of the span, 0 before the first
         ("step", "i8"),  # number of the next one

@@ -11,7 +11,7 @@ _WHOLE: Final = 1 << 32
 
 
 @dataclass(slots=True)
-class Tally:
+class DatagramStats:
     """Counts by sequence numbers, modulo 2^32. received == newest values + reordered; duplicates apart.
 
     lost: numbers that have not come, so far: one that comes late after all is ``reordered`` and lost no more.

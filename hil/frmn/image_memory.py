@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from hil.config.rig import Rig
-from hil.core.camera_images import PICTURE, PictureMaker, Wanted
+from hil.core.camera_images import PICTURE, ImageEncoder, ImagePolicy
 from hil.frmn.ring import Ring
 from hil.frmn.run_time import RunTime
 
@@ -22,14 +22,14 @@ class PictureMemory(NamedTuple):
         """What the other process must be given."""
         return self.ring, self.run_time
 
-    def maker(self, rig: Rig) -> PictureMaker | None:
+    def maker(self, rig: Rig) -> ImageEncoder | None:
         """Return, in the other process, what takes pictures as ``rig`` wants them; None where it wants none."""
         wanted = wanted_pictures(rig)
         if wanted.encoding == "none":
             return None
-        return PictureMaker(Ring(self.ring, PICTURE, self.slots, "pictures"), wanted, RunTime(self.run_time))
+        return ImageEncoder(Ring(self.ring, PICTURE, self.slots, "pictures"), wanted, RunTime(self.run_time))
 
 
-def wanted_pictures(rig: Rig) -> Wanted:
+def wanted_pictures(rig: Rig) -> ImagePolicy:
     """Return which pictures ``rig`` wants."""
-    return Wanted(rig.recording.pictures, rig.recording.picture_each_s)
+    return ImagePolicy(rig.recording.pictures, rig.recording.picture_each_s)

@@ -16,13 +16,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from hil.core.observable import Told
+from hil.core.observable import ObservableList
 from hil.frmn import wire
 from hil.frmn.clock_offset import ClockOffset
-from hil.frmn.datagram_stats import Tally
-from hil.frmn.mailboxes import CELLS, Role
+from hil.frmn.datagram_stats import DatagramStats
+from hil.frmn.mailboxes import MAILBOXES, Role
 from hil.frmn.udp import Address, UdpSocket, address_towards, shown
-from hil.frmn.wire import Fault, Header, Kind, Refusal
+from hil.frmn.wire import DatagramHeader, DatagramKind, Fault, Refusal
 
 _EVERY_S: Final = 0.1  # heartbeats, and hellos as long as nobody answers
 _AT_ONCE: Final = 64
@@ -84,10 +84,10 @@ class Link:
         """How many other sides have been taken so far."""
         self.refusal: tuple[int, str] | None = None
         """What the other side refused last: Refusal and its words."""
-        self.complaints: Told[str] = Told()
+        self.complaints: ObservableList[str] = ObservableList()
         """What was refused here, and why; each cause and sender once."""
         self.clock = ClockOffset()
-        self.tallies = {cell: Tally() for cell in wants}
+        self.tallies = {cell: DatagramStats() for cell in wants}
         self._offers, self._wants = tuple(offers), tuple(wants)
         self._only = peer
         self._hello = wire.hello_payload(role, name, offers, wants)
@@ -130,16 +130,16 @@ class Link:
         """Wait until something has come, at most ``timeout_s``; return whether it has."""
         return self._socket.wait(timeout_s)
 
-    def tend(self) -> None:
+    def service(self) -> None:
         """Say what is due by itself: a heartbeat, or hello while there is nobody; call it often."""
         now_s = time.monotonic()
         if now_s - self._beaten_s < _EVERY_S:
             return
         self._beaten_s = now_s
         if self.alive(now_s) or (self.peer is not None and self._only is None):
-            self._say(Kind.HEARTBEAT, wire.heartbeat_payload(*self._heartbeat))
+            self._say(DatagramKind.HEARTBEAT, wire.heartbeat_payload(*self._heartbeat))
         elif self._only is not None:
-            self._say(Kind.HELLO, self._hello, self._only)
+            self._say(DatagramKind.HELLO, self._hello, self._only)
 
     def send(self, cell: str, record: np.ndarray | np.void) -> bool:
         """Send ``record`` to the other side, or to where it is expected; False where there is none or no room."""
@@ -148,7 +148,7 @@ class Link:
             return False
         self._sequences[cell] += 1
         datagram = wire.pack(
-            Kind.CELL, record.tobytes(), self._writer, self._sequences[cell], time.monotonic(), CELLS[cell]
+            DatagramKind.CELL, record.tobytes(), self._writer, self._sequences[cell], time.monotonic(), MAILBOXES[cell]
         )
         return self._put(datagram, to)
 
@@ -160,7 +160,7 @@ class Link:
         """Say goodbye and let go of the socket; idempotent."""
         if self.peer is not None and self.peer.gone is None:
             for _ in range(2):  # nobody answers it
-                self._say(Kind.GOODBYE, wire.word_payload(0, text))
+                self._say(DatagramKind.GOODBYE, wire.word_payload(0, text))
         self.peer = None
         self._socket.close()
 
@@ -184,7 +184,7 @@ class Link:
             self._count("unknown_sender", sender, f"is not {shown(self._only)}, with whom this side speaks")
             self._refuse(sender, Refusal.SENDER, "another address is expected here")
             return None
-        if found.kind is Kind.REFUSED:
+        if found.kind is DatagramKind.REFUSED:
             self._hear_refusal(datagram, sender)
             return None
         if not self._is_peer(found, datagram, sender, received_s):
@@ -192,15 +192,15 @@ class Link:
         assert self.peer is not None
         self.peer.heard_s = received_s
         payload = datagram[wire.HEADER.size :]
-        if found.kind is Kind.CELL:
+        if found.kind is DatagramKind.CELL:
             return self._take_cell(found, payload, sender, received_s)
-        if found.kind is Kind.HEARTBEAT:
+        if found.kind is DatagramKind.HEARTBEAT:
             self._take_heartbeat(found.time_s, payload, received_s)
-        elif found.kind is Kind.GOODBYE:
+        elif found.kind is DatagramKind.GOODBYE:
             self.peer.gone = wire.read_word(payload)[1] or "goodbye"
         return None
 
-    def _take_cell(self, header: Header, payload: bytes, sender: Address, received_s: float) -> Arrival | None:
+    def _take_cell(self, header: DatagramHeader, payload: bytes, sender: Address, received_s: float) -> Arrival | None:
         assert header.cell is not None
         name = header.cell.name
         tally = self.tallies.get(name)
@@ -218,11 +218,11 @@ class Link:
             self.clock.add(sent_s, there_s, time_s, received_s)
         self._heartbeat = (time_s, received_s)
 
-    def _is_peer(self, header: Header, datagram: bytes, sender: Address, received_s: float) -> bool:
+    def _is_peer(self, header: DatagramHeader, datagram: bytes, sender: Address, received_s: float) -> bool:
         """Return whether this is from the other side; take a new one where there is none alive."""
         peer = self.peer
         known = peer is not None and header.writer == peer.writer and sender == peer.address
-        if header.kind is Kind.HELLO:
+        if header.kind is DatagramKind.HELLO:
             return self._hear_hello(header, datagram, sender, received_s, known)
         if known:
             return True
@@ -243,7 +243,9 @@ class Link:
             return False
         return cell == "gnc.setup" if self.role is Role.GNC else self._only is not None
 
-    def _hear_hello(self, header: Header, datagram: bytes, sender: Address, received_s: float, known: bool) -> bool:
+    def _hear_hello(
+        self, header: DatagramHeader, datagram: bytes, sender: Address, received_s: float, known: bool
+    ) -> bool:
         hello = wire.read_hello(datagram[wire.HEADER.size :])
         if isinstance(hello, str):
             return self._refuse_hello(Fault.SIZE, sender, hello)
@@ -284,14 +286,14 @@ class Link:
             return
         self._count(fault.value, sender, words[fault])
         if fault in (Fault.SIZE, Fault.LAYOUT, Fault.CELL):
-            self._refuse(sender, Refusal.CELLS, words[fault].replace("sends", "you send"))
+            self._refuse(sender, Refusal.MAILBOXES, words[fault].replace("sends", "you send"))
 
     def _refuse_hello(self, fault: Fault, sender: Address, why: str) -> bool:
         self._count(fault.value, sender, why)
-        self._refuse(sender, Refusal.CELLS, why)
+        self._refuse(sender, Refusal.MAILBOXES, why)
         return False
 
-    def _refuse_second(self, header: Header, sender: Address, peer: Peer) -> None:
+    def _refuse_second(self, header: DatagramHeader, sender: Address, peer: Peer) -> None:
         what = header.cell.name if header.cell is not None else f"the cells of the {_NAMES[self.there]}"
         self._count("second_writer", sender, f"is a second writer of {what}: {shown(peer.address)} is alive")
         self._refuse(sender, Refusal.WRITER, f"another {_NAMES[self.there]}, {shown(peer.address)}, is alive")
@@ -316,9 +318,9 @@ class Link:
         if len(self._refused_s) >= _REFUSED_ADDRESSES:
             self._refused_s.clear()
         self._refused_s[to] = now_s
-        self._say(Kind.REFUSED, wire.word_payload(code, text), to)
+        self._say(DatagramKind.REFUSED, wire.word_payload(code, text), to)
 
-    def _say(self, kind: Kind, payload: bytes, to: Address | None = None) -> None:
+    def _say(self, kind: DatagramKind, payload: bytes, to: Address | None = None) -> None:
         to = to or (self.peer.address if self.peer is not None else None)
         if to is not None:
             self._sequences[kind.name] += 1

@@ -38,7 +38,7 @@ NOTHING: Final = Stamp(0, 0.0, 0)
 """Of a cell that was never written."""
 
 
-class Cell:
+class Mailbox:
     """One value of ``dtype`` with its writer, the time at which that wrote it, and a checksum.
 
     The newest whole value can be read at any time, also while the next one is being written and after a
@@ -114,7 +114,7 @@ class Cell:
         self._slots.release()
 
 
-class Block:
+class MailboxBlock:
     """Cells by name in one stretch of shared memory; every process must name the same ones in the same order.
 
     ``block["rails"].write(...)``. ``descriptor`` belongs to the block from now on. Raises ProtocolError when the
@@ -123,15 +123,15 @@ class Block:
 
     def __init__(self, descriptor: int, cells: Mapping[str, np.dtype], name: str = "frmn") -> None:
         self._memory = Memory(descriptor, name, _layout(cells), _room(cells))
-        self._cells: dict[str, Cell] = {}
+        self._cells: dict[str, Mailbox] = {}
         start = 0
         for cell, dtype in cells.items():
-            end = start + Cell.room(dtype)
-            self._cells[cell] = Cell(f"{name}.{cell}", dtype, self._memory.content[start:end])
+            end = start + Mailbox.room(dtype)
+            self._cells[cell] = Mailbox(f"{name}.{cell}", dtype, self._memory.content[start:end])
             start = end
 
     @classmethod
-    def create(cls, cells: Mapping[str, np.dtype], name: str = "frmn") -> Block:
+    def create(cls, cells: Mapping[str, np.dtype], name: str = "frmn") -> MailboxBlock:
         """Make a new block; hand ``descriptor`` to other processes (``pass_fds``)."""
         return cls(Memory.create(name, _layout(cells), _room(cells)), cells, name)
 
@@ -139,7 +139,7 @@ class Block:
     def descriptor(self) -> int:
         return self._memory.descriptor
 
-    def __getitem__(self, cell: str) -> Cell:
+    def __getitem__(self, cell: str) -> Mailbox:
         return self._cells[cell]
 
     def close(self) -> None:
@@ -164,4 +164,4 @@ def _layout(cells: Mapping[str, np.dtype]) -> str:
 
 
 def _room(cells: Mapping[str, np.dtype]) -> int:
-    return sum(Cell.room(dtype) for dtype in cells.values())
+    return sum(Mailbox.room(dtype) for dtype in cells.values())

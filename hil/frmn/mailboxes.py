@@ -54,7 +54,7 @@ GNC_FILTERS: Final = np.dtype(
 
 
 @dataclass(frozen=True)
-class CellKind:
+class MailboxSpec:
     """A cell as both sides know it. number: on the wire. layout: two bytes of the digest of its fields, never 0."""
 
     number: int
@@ -86,8 +86,8 @@ def _lines(dtype: np.dtype, start: int) -> list[str]:
     return lines
 
 
-def _kind(number: int, name: str, dtype: np.dtype, writer: Role) -> CellKind:
-    return CellKind(number, name, dtype, writer, layout_of(dtype))
+def _kind(number: int, name: str, dtype: np.dtype, writer: Role) -> MailboxSpec:
+    return MailboxSpec(number, name, dtype, writer, layout_of(dtype))
 
 
 _ALL: Final = (
@@ -104,5 +104,5 @@ _ALL: Final = (
     _kind(21, "feedback", AXES, Role.DSS),
     _kind(22, "health", HEALTH, Role.DSS),
 )
-CELLS: Final[dict[str, CellKind]] = {kind.name: kind for kind in _ALL}
-BY_NUMBER: Final[dict[int, CellKind]] = {kind.number: kind for kind in _ALL}
+MAILBOXES: Final[dict[str, MailboxSpec]] = {kind.name: kind for kind in _ALL}
+BY_NUMBER: Final[dict[int, MailboxSpec]] = {kind.number: kind for kind in _ALL}

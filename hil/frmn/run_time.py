@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.frmn.mailbox import Block
+from hil.frmn.mailbox import MailboxBlock
 
 _ZERO: Final = np.dtype([("zero_s", "f8")])
 _CELLS: Final = {"run": _ZERO}
@@ -18,14 +18,14 @@ class RunTime:
 
     def __init__(self, descriptor: int) -> None:
         """Join the memory behind ``descriptor``, which belongs to this object from now on."""
-        self._block = Block(descriptor, _CELLS, "run-time")
+        self._block = MailboxBlock(descriptor, _CELLS, "run-time")
         self._row = np.full(1, math.nan, _ZERO)
 
     @classmethod
     def create(cls) -> RunTime:
         """Make a new one; hand ``descriptor`` to other processes (``pass_fds``)."""
         made = cls.__new__(cls)
-        made._block = Block.create(_CELLS, "run-time")
+        made._block = MailboxBlock.create(_CELLS, "run-time")
         made._row = np.full(1, math.nan, _ZERO)
         return made
 

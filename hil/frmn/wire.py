@@ -27,7 +27,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from hil.frmn.mailboxes import BY_NUMBER, CELLS, CellKind, Role
+from hil.frmn.mailboxes import BY_NUMBER, MAILBOXES, MailboxSpec, Role
 
 MAGIC: Final = b"FRMN"
 VERSION: Final = 1
@@ -41,7 +41,7 @@ _PROTECTED: Final = 8  # the checksum is over what follows it
 _MAX_CELLS: Final = 16
 
 
-class Kind(IntEnum):
+class DatagramKind(IntEnum):
     """What a datagram is."""
 
     HELLO = 1
@@ -89,16 +89,16 @@ class Refusal(IntEnum):
     """Why a side will not speak with the other."""
 
     VERSION = 1
-    CELLS = 2  # size or layout of a cell, or one that is needed is not offered
+    MAILBOXES = 2  # size or layout of a cell, or one that is needed is not offered
     WRITER = 3  # somebody else writes these cells; ask again when it has gone
     SENDER = 4  # another address was expected
 
 
-class Header(NamedTuple):
+class DatagramHeader(NamedTuple):
     """What a good datagram's header says; ``cell`` is None in other kinds than CELL."""
 
-    kind: Kind
-    cell: CellKind | None
+    kind: DatagramKind
+    cell: MailboxSpec | None
     writer: int
     sequence: int
     time_s: float
@@ -115,15 +115,20 @@ class Hello:
 
 
 _SIZES: Final = {
-    Kind.HELLO: HELLO.itemsize,
-    Kind.HEARTBEAT: HEARTBEAT.itemsize,
-    Kind.GOODBYE: WORD.itemsize,
-    Kind.REFUSED: WORD.itemsize,
+    DatagramKind.HELLO: HELLO.itemsize,
+    DatagramKind.HEARTBEAT: HEARTBEAT.itemsize,
+    DatagramKind.GOODBYE: WORD.itemsize,
+    DatagramKind.REFUSED: WORD.itemsize,
 }
 
 
 def pack(
-    kind: Kind, payload: bytes | memoryview, writer: int, sequence: int, time_s: float, cell: CellKind | None = None
+    kind: DatagramKind,
+    payload: bytes | memoryview,
+    writer: int,
+    sequence: int,
+    time_s: float,
+    cell: MailboxSpec | None = None,
 ) -> bytes:
     """Return the datagram; sequence is taken modulo 2^32."""
     number, layout = (cell.number, cell.layout) if cell is not None else (0, 0)
@@ -136,7 +141,7 @@ def pack(
     return bytes(datagram)
 
 
-def unpack(datagram: bytes) -> Header | Fault:
+def unpack(datagram: bytes) -> DatagramHeader | Fault:
     """Return the header of a datagram whose payload has the size that its kind or cell needs, else what is wrong.
 
     The payload is ``datagram[HEADER.size:]``. Any bytes may be given.
@@ -148,7 +153,7 @@ def unpack(datagram: bytes) -> Header | Fault:
         return Fault.VERSION  # its checksum may be another one
     if zlib.crc32(memoryview(datagram)[_PROTECTED:]) != crc:
         return Fault.CORRUPT
-    if kind_number == Kind.CELL:
+    if kind_number == DatagramKind.CELL:
         cell = BY_NUMBER.get(number)
         if cell is None:
             return Fault.CELL
@@ -156,14 +161,14 @@ def unpack(datagram: bytes) -> Header | Fault:
             return Fault.SIZE
         if layout not in (0, cell.layout):
             return Fault.LAYOUT
-        return Header(Kind.CELL, cell, writer, sequence, time_s)
+        return DatagramHeader(DatagramKind.CELL, cell, writer, sequence, time_s)
     try:
-        kind = Kind(kind_number)
+        kind = DatagramKind(kind_number)
     except ValueError:
         return Fault.KIND
     if size != _SIZES[kind] or len(datagram) != HEADER.size + size:
         return Fault.SIZE
-    return Header(kind, None, writer, sequence, time_s)
+    return DatagramHeader(kind, None, writer, sequence, time_s)
 
 
 def hello_payload(role: Role, name: str, offers: Iterable[str], wants: Iterable[str]) -> bytes:
@@ -172,7 +177,7 @@ def hello_payload(role: Role, name: str, offers: Iterable[str], wants: Iterable[
     entries = [(cell, OFFERS) for cell in offers] + [(cell, WANTS) for cell in wants]
     record["role"], record["count"], record["name"] = role, len(entries), name.encode()[:32]
     for i, (cell, use) in enumerate(entries):
-        kind = CELLS[cell]
+        kind = MAILBOXES[cell]
         record["cells"][0, i] = (kind.number, kind.dtype.itemsize, kind.layout, use)
     return record.tobytes()
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import gammainccinv, gammaincinv
 
 from hil.core.messages import Event
-from hil.core.observable import Told
+from hil.core.observable import ObservableList
 
 WINDOWS = (64, 512)  # updates that a mean is taken over: quick, and fine
 _TAIL = 1e-6  # of that mean, on either side: what chance may do in a long campaign
@@ -59,14 +59,14 @@ class NisMonitor:
         )
 
 
-class FilterWatch:
+class FilterMonitor:
     """NIS monitors, and the shadow filter where it is wanted.
 
     navigation: NAVIGATION_PARAMS. shadow_limits: largest parting in m and rad, None for no shadow.
     """
 
     def __init__(self, navigation: np.record, shadow_limits: tuple[float, float] | None) -> None:
-        self.events: Told[Event] = Told()
+        self.events: ObservableList[Event] = ObservableList()
         self.largest_parting = (0.0, 0.0)  # m, rad
         self._dt = float(navigation.fusion.pkf.dt_s)
         self._position = [NisMonitor("pkf", window) for window in WINDOWS]

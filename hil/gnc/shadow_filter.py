@@ -28,7 +28,7 @@ class _Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Parting:
+class Divergence:
     """How far the shadow is from the compiled filters at a moment: position, m, and angle, rad."""
 
     position: float
@@ -55,7 +55,7 @@ class ShadowFilter:
         self._position: KalmanFilter | None = None
         self._attitude: ExtendedKalmanFilter | None = None
 
-    def step(self, cycle: int, imu: np.record, poses: np.ndarray, memory: np.ndarray) -> Parting | None:
+    def step(self, cycle: int, imu: np.record, poses: np.ndarray, memory: np.ndarray) -> Divergence | None:
         """Take what came in ``cycle``; return the parting at the moment ``LAG`` steps ago, None before the start.
 
         poses: array of POSE, new ones alone. memory: of fusion.STEP, the compiled filters'.
@@ -71,7 +71,7 @@ class ShadowFilter:
             return None
         return self._go_on(self._moments[0], memory[(cycle - LAG) % len(memory)])
 
-    def _go_on(self, moment: _Moment, compiled: np.void) -> Parting | None:
+    def _go_on(self, moment: _Moment, compiled: np.void) -> Divergence | None:
         parting = None
         if self._position is None or self._attitude is None:
             if moment.poses:
@@ -151,13 +151,13 @@ class ShadowFilter:
         h = np.hstack([-to_c, np.zeros((3, 6))])
         self._position.update(pose.z_TC_C, R=pose.covariance_position + arm @ turn @ arm.T, H=h)
 
-    def _compare(self, compiled: np.void) -> Parting:
+    def _compare(self, compiled: np.void) -> Divergence:
         assert self._attitude is not None
         assert self._position is not None
         filters = compiled["predicted"]
         position = np.linalg.norm(self._position.x[:3] - filters["pkf"]["x"][:3])
         mine, theirs = Rotation.from_quat(self._attitude.x[:4]), Rotation.from_quat(filters["akf"]["x"][:4])
-        return Parting(float(position), float((mine.inv() * theirs).magnitude()))
+        return Divergence(float(position), float((mine.inv() * theirs).magnitude()))
 
 
 _HILL_TURN = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]], dtype=float)

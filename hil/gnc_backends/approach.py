@@ -8,10 +8,10 @@ import numpy as np
 
 from hil.core.gnc_records import GncMode
 from hil.core.messages import Event, new
-from hil.core.observable import Told
+from hil.core.observable import ObservableList
 from hil.gnc import approach_monitor, guidance
 from hil.gnc.guidance import GUIDANCE_STATE
-from hil.gnc_backends.approach_events import ApproachDiary
+from hil.gnc_backends.approach_events import ApproachEventLog
 
 
 def _nobody(_reason: str) -> None:
@@ -21,7 +21,7 @@ def _nobody(_reason: str) -> None:
 class Approach:
     """Guidance, supervision, the operator's orders, and the diary of it all: the half of a seat that all share."""
 
-    def __init__(self, guidance_params: np.record, supervision_params: np.record, diary: ApproachDiary) -> None:
+    def __init__(self, guidance_params: np.record, supervision_params: np.record, diary: ApproachEventLog) -> None:
         self._guidance = guidance_params
         self._supervision = supervision_params
         self.diary = diary
@@ -30,7 +30,7 @@ class Approach:
         self._go = self._abort = 0
         self.cycle = -1
         """Number of the last cycle, -1 before the first."""
-        self.orders: Told[tuple[int, str]] = Told()
+        self.orders: ObservableList[tuple[int, str]] = ObservableList()
         """Each order with the number of the cycle from which on it acts."""
         self.ask_for_hold: Callable[[str], None] = _nobody
 
@@ -40,7 +40,7 @@ class Approach:
         return ""
 
     @property
-    def logs(self) -> tuple[Told[Event], ...]:
+    def logs(self) -> tuple[ObservableList[Event], ...]:
         """What happened, as it happens."""
         return (self.diary.events,)
 

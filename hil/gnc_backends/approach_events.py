@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.core.messages import Event
-from hil.core.observable import Told
+from hil.core.observable import ObservableList
 from hil.maths.limits import has_held
 
 ABORT_CAUSES = ("", "the corridor was left", "the closing rate was too high", "ordered")
 _AFTER_THE_LIST = ("abort: brake", "abort: retreat", "abort: hold")
 
 
-class ApproachDiary:
+class ApproachEventLog:
     """Names phases and writes events.
 
     names: phases in their order. dwell_s: for how long the ready state must have held, on the
@@ -27,7 +27,7 @@ class ApproachDiary:
         self._aborted = False
         self._was_ready = False
         self.decided = False
-        self.events: Told[Event] = Told()
+        self.events: ObservableList[Event] = ObservableList()
         self._add(0.0, "guidance", f"phase {self._names[0]} begins")
 
     def _add(self, t_s: float, source: str, text: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.core.gnc_records import GncMode
 from hil.core.messages import Array, Event
-from hil.core.observable import Told
+from hil.core.observable import ObservableList
 
 
 class Poses(Protocol):
@@ -29,7 +29,7 @@ class Records(Protocol):
     command: np.record
 
 
-class Seat(Protocol):
+class GncBackend(Protocol):
     """Who flies: from the IMU's sample and the poses of a cycle to thrusters on or off.
 
     ``open`` and ``close`` enclose a session; in between ``stand`` is called in each cycle in which the loop is
@@ -38,7 +38,7 @@ class Seat(Protocol):
 
     cycle: int
     """Number of the last cycle, -1 before the first."""
-    orders: Told[tuple[int, str]]
+    orders: ObservableList[tuple[int, str]]
     """Each order with the number of the cycle from which on it acts."""
     ask_for_hold: Callable[[str], None]
     """To be called with a reason where the bench is to be brought to a stand; set by whoever puts the loop together."""
@@ -48,7 +48,7 @@ class Seat(Protocol):
         """Why a run that is held cannot go on yet, "" where it can."""
 
     @property
-    def logs(self) -> Sequence[Told[Event]]:
+    def logs(self) -> Sequence[ObservableList[Event]]:
         """What happened, as it happens."""
 
     def open(self, bench_s: float) -> None:

@@ -9,16 +9,16 @@ import numpy as np
 from hil.config.flight_computer import FlightComputer
 from hil.core.messages import MAX_THRUSTERS
 from hil.drivers.command_words.poses import PoseForwarder
-from hil.drivers.command_words.receiver import NAME, WordReceiver
+from hil.drivers.command_words.receiver import NAME, CommandWordReceiver
 from hil.errors import LinkTimeout
 from hil.gnc_backends import external_records
 from hil.gnc_backends.base import Records
-from hil.gnc_backends.external import Briefing, ForeignGnc
+from hil.gnc_backends.external import BackendSetup, ExternalGnc
 
 _BITS = 1 << np.arange(MAX_THRUSTERS)
 
 
-class WordsGnc(ForeignGnc):
+class CommandWordGnc(ExternalGnc):
     """Flies as the newest word says; a word that is too old opens nothing, and none for longer holds or stops.
 
     bench_now_s: bench time, by which words have their age.
@@ -27,10 +27,10 @@ class WordsGnc(ForeignGnc):
     def __init__(
         self,
         config: FlightComputer,
-        receiver: WordReceiver,
+        receiver: CommandWordReceiver,
         forwarder: PoseForwarder | None,
         bench_now_s: Callable[[], float],
-        briefing: Briefing,
+        briefing: BackendSetup,
     ) -> None:
         super().__init__(NAME, briefing)
         self._config = config

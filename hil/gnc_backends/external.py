@@ -8,11 +8,11 @@ import numpy as np
 
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode, GncOrder, GncState
 from hil.core.messages import COMMAND, IMU, MAX_POSES, NAVIGATION, POSE, REFERENCE, SUPERVISION, Array, Event, new
-from hil.core.observable import Told
+from hil.core.observable import ObservableList
 from hil.errors import DeviceError, ProtocolError
 from hil.gnc_backends import external_records
 from hil.gnc_backends.approach import Approach
-from hil.gnc_backends.approach_events import ApproachDiary
+from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.gnc_backends.base import Poses, Records
 
 _AXES: Final = "xyz"
@@ -20,7 +20,7 @@ _WORDS: Final = 200  # that are put down in a run: a text that changes in each c
 _NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
 
 
-class Briefing(NamedTuple):
+class BackendSetup(NamedTuple):
     """What the seat of a foreign GNC is made from, see ``hil.setup.gnc_setup.briefing``.
 
     setup: GNC_SETUP. guidance, supervision: GUIDANCE_PARAMS, SUPERVISION_PARAMS. sets: int64 (allocation.ROWS, 2,
@@ -31,22 +31,22 @@ class Briefing(NamedTuple):
     guidance: np.record
     supervision: np.record
     sets: np.ndarray
-    diary: ApproachDiary
+    diary: ApproachEventLog
 
 
-class ForeignGnc(Approach):
+class ExternalGnc(Approach):
     """Flies with whatever ``exchange`` asks; guidance, supervision and the diary of the approach stay ours.
 
     name: of the GNC, in what is said of it.
     ``input`` and ``output`` are GNC_INPUT and GNC_OUTPUT of the present cycle.
     """
 
-    def __init__(self, name: str, briefing: Briefing) -> None:
+    def __init__(self, name: str, briefing: BackendSetup) -> None:
         super().__init__(briefing.guidance, briefing.supervision, briefing.diary)
         self.name = name
         self.setup = briefing.setup
         self.input, self.output = new(GNC_INPUT), new(GNC_OUTPUT)
-        self.words: Told[Event] = Told()
+        self.words: ObservableList[Event] = ObservableList()
         """What the GNC says."""
         self._sets = briefing.sets
         self._n = int(briefing.setup.n_thrusters)
@@ -56,7 +56,7 @@ class ForeignGnc(Approach):
         self._compile()
 
     @property
-    def logs(self) -> tuple[Told[Event], ...]:
+    def logs(self) -> tuple[ObservableList[Event], ...]:
         """What happened, of the approach and of the GNC."""
         return (self.diary.events, self.words)
 
@@ -66,7 +66,7 @@ class ForeignGnc(Approach):
 
     def miss(self, now: Records) -> None:
         """Write NAVIGATION and COMMAND of a cycle without an answer: nothing is known, all thrusters are closed."""
-        external_records.show_nothing(now.navigation)
+        external_records.mark_invalid(now.navigation)
         external_records.rest(now.command)
 
     def act(self, t_s: float, now: Records, vision: Poses) -> None:
@@ -97,7 +97,7 @@ class ForeignGnc(Approach):
             if text and len(self.words) < _WORDS:
                 self.words.append(Event(t_s, self.name, printable(text)))
         if out.state >= external_records.ASKS_FOR_HOLD:
-            self._hear_state(out)
+            self._on_state(out)
         external_records.take_output(out, self._sets, self._n, now.reference.boost, now.navigation, now.command)
 
     def supervise(self, t_s: float, estimate: np.record, reference: np.record, out: np.record) -> None:
@@ -128,7 +128,7 @@ class ForeignGnc(Approach):
             self.cycle, t_s, int(mode), int(orders), imu, reference, poses, arrived, self.input
         )
 
-    def _hear_state(self, out: np.record) -> None:
+    def _on_state(self, out: np.record) -> None:
         if out.state == GncState.FAULT:
             raise reported_fault(self.name, out)
         self.ask_for_hold(hold_reason(self.name, out))
@@ -145,7 +145,7 @@ class ForeignGnc(Approach):
         external_records.clear_output(output, 0)
         external_records.fault_of(output, 0, self._n)
         external_records.take_output(output, self._sets, self._n, new(REFERENCE).boost, navigation, command)
-        external_records.show_nothing(navigation)
+        external_records.mark_invalid(navigation)
         external_records.rest(command)
         external_records.abort_unseen(
             self._supervision, self._guidance, self._flown, -1.0, new(REFERENCE), 0, new(SUPERVISION)

@@ -137,7 +137,7 @@ def take_output(out, sets, n_thrusters, boost, navigation, command):
     sets: int64 (allocation.ROWS, 2, MAX_THRUSTERS). boost: as the reference has it.
     """
     if out.state == STARTING or out.state == FAULT:
-        show_nothing(navigation)
+        mark_invalid(navigation)
         rest(command)
         return
     take_estimate(out, navigation)
@@ -157,7 +157,7 @@ def take_output(out, sets, n_thrusters, boost, navigation, command):
 @kernel
 def take_estimate(out, navigation):
     """Write NAVIGATION from the estimate of ``out`` (GNC_OUTPUT): without covariance; not valid where there is none."""
-    show_nothing(navigation)
+    mark_invalid(navigation)
     if out.estimate == 0:
         return
     navigation.valid = 1
@@ -168,7 +168,7 @@ def take_estimate(out, navigation):
 
 
 @kernel
-def show_nothing(navigation):
+def mark_invalid(navigation):
     """Write NAVIGATION of somebody who does not say where the chaser is."""
     navigation.valid = 0
     fill(navigation.r_CT_H, np.nan)

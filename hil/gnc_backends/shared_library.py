@@ -7,14 +7,14 @@ import numpy as np
 from hil.core.gnc_records import GncMode, GncState
 from hil.errors import DeviceError
 from hil.gnc_backends import library_call
-from hil.gnc_backends.external import Briefing, ForeignGnc, printable
+from hil.gnc_backends.external import BackendSetup, ExternalGnc, printable
 from hil.gnc_backends.library_file import Instance, Library
 
 
-class LibraryGnc(ForeignGnc):
+class SharedLibraryGnc(ExternalGnc):
     """Flies with ``library``; a session has an instance of it. It is asked in the cycles of a run and of a hold."""
 
-    def __init__(self, library: Library, briefing: Briefing) -> None:
+    def __init__(self, library: Library, briefing: BackendSetup) -> None:
         super().__init__(gnc_name(library), briefing)
         self._library = library
         self._instance: Instance | None = None
@@ -39,7 +39,7 @@ class LibraryGnc(ForeignGnc):
         self.input.mode, self.input.orders, self.input.n_poses = int(mode), 0, 0
         self.exchange()
         if self.output.state == GncState.FAULT:
-            self._hear_state(self.output)
+            self._on_state(self.output)
 
     def exchange(self) -> bool:
         """Call the library. Raises DeviceError where it says that it failed."""

@@ -17,21 +17,21 @@ import numpy as np
 from hil.config.gnc_link import GncLink
 from hil.core.gnc_records import GncMode, GncOrder, GncState
 from hil.core.messages import IMU, MAX_POSES, POSE, REFERENCE, TRUTH, Array, Event, new
-from hil.core.observable import Told
+from hil.core.observable import ObservableList
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 from hil.frmn.link import Link
 from hil.frmn.mailboxes import Role
 from hil.frmn.mirror import MIRRORED
 from hil.frmn.udp import Address, shown
 from hil.gnc import navigation
-from hil.gnc.filter_monitor import FilterWatch
+from hil.gnc.filter_monitor import FilterMonitor
 from hil.gnc_backends import external_records, udp_records
 from hil.gnc_backends.approach import Approach
 from hil.gnc_backends.base import Poses, Records
-from hil.gnc_backends.external import Briefing, ForeignGnc
-from hil.gnc_backends.udp_receiver import REMEMBERED, Inbox, Past
-from hil.gnc_backends.udp_replies import Answers
-from hil.gnc_backends.udp_stats import LinkAccount
+from hil.gnc_backends.external import BackendSetup, ExternalGnc
+from hil.gnc_backends.udp_receiver import REMEMBERED, Past, ReceiveBuffers
+from hil.gnc_backends.udp_replies import ReplyReceiver
+from hil.gnc_backends.udp_stats import LinkStats
 
 NAME: Final = "gnc"
 _OFFERS: Final = ("gnc.setup", "gnc.input", *MIRRORED)
@@ -52,7 +52,7 @@ def gnc_link(name: str, bind: Address | None, peer: Address | None) -> Link:
     return Link(Role.DSS, name, _OFFERS, _WANTS, bind, peer, _SILENT_S)
 
 
-class RemoteGnc(ForeignGnc):
+class UdpGnc(ExternalGnc):
     """Flies with the GNC at the other end of ``link``.
 
     period_s: wall time of a cycle; None in simulated time, where lock-step waits as long as it takes.
@@ -65,20 +65,20 @@ class RemoteGnc(ForeignGnc):
         config: GncLink,
         lock_step: bool,
         period_s: float | None,
-        watch: FilterWatch,
-        briefing: Briefing,
+        watch: FilterMonitor,
+        briefing: BackendSetup,
     ) -> None:
-        self._inbox = Inbox()
+        self._inbox = ReceiveBuffers()
         super().__init__(NAME, briefing)
         self.output = self._inbox.output
         self.link = link
-        self.account = LinkAccount(link, "lock-step" if lock_step else "free-running")
+        self.account = LinkStats(link, "lock-step" if lock_step else "free-running")
         self.watch = watch
         self._config = config
         self._lock_step = lock_step
         self._period_s = period_s
         patience_s = None if period_s is None else config.answer_share * period_s
-        self._answers = Answers(NAME, link, self._inbox, self.account, briefing.setup, lock_step, patience_s)
+        self._answers = ReplyReceiver(NAME, link, self._inbox, self.account, briefing.setup, lock_step, patience_s)
         self._missed = 0  # cycles on end
         self._held_since_s: float | None = None
         self._stood_s = self._judged_from_s = -math.inf
@@ -88,7 +88,7 @@ class RemoteGnc(ForeignGnc):
         link.complaints.tell(self._say)
 
     @property
-    def logs(self) -> tuple[Told[Event], ...]:
+    def logs(self) -> tuple[ObservableList[Event], ...]:
         """What happened, of the approach, of the GNC and of the filters that it reports."""
         return (*super().logs, self.watch.events)
 
@@ -115,13 +115,13 @@ class RemoteGnc(ForeignGnc):
                 refusal = f"; refused: {self.link.refusal[1]}" if self.link.refusal else ""
                 where = shown(self.link.address)
                 raise LinkTimeout(self.name, f"none has answered {where} within {patience_s:g} s{refusal}")
-            self._answers.keep_up(self.cycle)
+            self._answers.poll(self.cycle)
             self.link.wait(_IDLE_S)
         return self._peer_name()
 
     def stand(self, mode: GncMode, bench_s: float) -> None:
         """Keep the GNC informed while the loop is open, take in one that has come back, and judge silence."""
-        self._answers.keep_up(self.cycle)
+        self._answers.poll(self.cycle)
         if self._answers.is_set_up:
             self._tell(mode)
         now_s = time.monotonic()
@@ -162,7 +162,7 @@ class RemoteGnc(ForeignGnc):
 
         reference: where this cycle's input goes out a second time, the other REFERENCE that it has now.
         """
-        self.link.tend()
+        self.link.service()
         if self._lock_step:
             self._send()
             self._answers.wait(self.cycle, self.input, reference)
@@ -206,7 +206,7 @@ class RemoteGnc(ForeignGnc):
             return
         self.account.closed += 1
         external_records.rest(now.command)
-        external_records.show_nothing(now.navigation)
+        external_records.mark_invalid(now.navigation)
         if why:
             self._lose(why)
 

@@ -17,7 +17,7 @@ REMEMBERED: Final = 16
 """Cycles whose truth is kept for filters that come late."""
 
 
-class Inbox:
+class ReceiveBuffers:
     """What came last, as records for the kernels."""
 
     def __init__(self) -> None:

@@ -12,8 +12,8 @@ from hil.core.gnc_records import GncState
 from hil.errors import DeviceError
 from hil.frmn.link import Arrival, Link
 from hil.gnc_backends.external import printable
-from hil.gnc_backends.udp_receiver import Inbox
-from hil.gnc_backends.udp_stats import LinkAccount
+from hil.gnc_backends.udp_receiver import ReceiveBuffers
+from hil.gnc_backends.udp_stats import LinkStats
 
 _IN_A_CYCLE: Final = 64  # datagrams that are looked at: a flood must not keep the loop
 _STATES: Final = frozenset(state.value for state in GncState)
@@ -23,7 +23,7 @@ _RESEND_S: Final = 0.05  # wall time after which an input of lock-step in simula
 _PATIENCE_S: Final = 10.0  # wall time that lock-step in simulated time waits for an answer
 
 
-class Answers:
+class ReplyReceiver:
     """Hears the GNC called ``name``. lock_step: only the answer to the present input counts, not the newest one.
 
     setup: GNC_SETUP, which is sent until it is answered. patience_s: wall time that lock-step waits for an answer;
@@ -34,8 +34,8 @@ class Answers:
         self,
         name: str,
         link: Link,
-        inbox: Inbox,
-        account: LinkAccount,
+        inbox: ReceiveBuffers,
+        account: LinkStats,
         setup: np.record,
         lock_step: bool,
         patience_s: float | None,
@@ -61,9 +61,9 @@ class Answers:
         """Whether who sits at the other end has answered the setup."""
         return self._link.joined > 0 and self._set_up_for == self._link.joined
 
-    def keep_up(self, cycle: int) -> None:
+    def poll(self, cycle: int) -> None:
         """Say what is due, hear what has come while the loop was open, and set up a GNC that is new."""
-        self._link.tend()
+        self._link.service()
         self.hear(cycle, at_most=_BACKLOG)
         self._newest = None
         now_s = time.monotonic()

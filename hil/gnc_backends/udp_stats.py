@@ -13,7 +13,7 @@ from hil.frmn.link import Link
 _SENT: Final = 1024  # inputs of which it is known when they went
 
 
-class LinkAccount:
+class LinkStats:
     """Counts what becomes of each input. mode: "lock-step" or "free-running"."""
 
     def __init__(self, link: Link, mode: str) -> None:

@@ -13,10 +13,10 @@ from hil.config.scenario import Scenario
 from hil.core.gnc_records import GncMode
 from hil.core.messages import Array
 from hil.gnc_check import test_cases
-from hil.gnc_check.estimate import judge_estimate
-from hil.gnc_check.gnc_under_test import Partner
+from hil.gnc_check.estimate import check_estimate
+from hil.gnc_check.gnc_under_test import GncUnderTest
 from hil.gnc_check.session import Played, play, pushes
-from hil.gnc_check.test_cases import Case, Change, Player, along
+from hil.gnc_check.test_cases import Change, CheckCase, Player, along
 from hil.setup.gnc_setup import gnc_setup
 
 _OFFSET_M: Final = 0.15
@@ -69,13 +69,13 @@ class Report:
         return {"gnc": self.partner, "passed": self.passed, **{k: v for k, v in asdict(self).items() if k != "partner"}}
 
 
-def check_gnc(partner: Partner, scenario: Scenario, watch: Callable[[str], None] = lambda _: None) -> Report:
+def check_gnc(partner: GncUnderTest, scenario: Scenario, watch: Callable[[str], None] = lambda _: None) -> Report:
     """Play everything to ``partner`` and return what was found. watch: is told what is being played."""
     return _Check(partner, scenario, watch).run()
 
 
 class _Check:
-    def __init__(self, partner: Partner, scenario: Scenario, watch: Callable[[str], None]) -> None:
+    def __init__(self, partner: GncUnderTest, scenario: Scenario, watch: Callable[[str], None]) -> None:
         self.setup = gnc_setup(scenario)
         self._partner = partner
         self._player = Player(self.setup)
@@ -88,7 +88,7 @@ class _Check:
         self.report = Report(partner.name)
 
     def run(self) -> Report:
-        rest = self._play(Case("at rest on the reference", 12.0, before=self._partner.modes))
+        rest = self._play(CheckCase("at rest on the reference", 12.0, before=self._partner.modes))
         in_time = len(rest.took_s) > 0 and float(np.median(rest.took_s)) <= float(self.setup.step_s)
         if in_time:  # else it would take for ever, and there is enough to mend
             self._look_at_rest(rest)
@@ -105,14 +105,14 @@ class _Check:
         self._look_at_answers()
         return self.report
 
-    def _play(self, case: Case, change: Change | None = None, keep: bool = True) -> Played:
+    def _play(self, case: CheckCase, change: Change | None = None, keep: bool = True) -> Played:
         self._watch(case.name)
         played = play(self._partner, self._player, self.setup, case, change)
         if keep:
             self._played.append(played)
         return played
 
-    def _pushes(self, case: Case, change: Change | None = None, keep: bool = True) -> Array:
+    def _pushes(self, case: CheckCase, change: Change | None = None, keep: bool = True) -> Array:
         return self._play(case, change, keep).pushes(self.setup, _FROM_S)
 
     # -- what is looked at ---------------------------------------------------------------------------------------
@@ -148,7 +148,9 @@ class _Check:
         self._say_quiet(rest)
 
     def _look_at_hold(self) -> None:
-        self._say_quiet(self._play(Case("held while it is off its reference", 6.0, along(1, _OFFSET_M), hold_s=5.0)))
+        self._say_quiet(
+            self._play(CheckCase("held while it is off its reference", 6.0, along(1, _OFFSET_M), hold_s=5.0))
+        )
 
     def _say_quiet(self, played: Played) -> None:
         for mode in sorted(set(played.modes.tolist()) - {GncMode.RUNNING}):
@@ -175,7 +177,7 @@ class _Check:
         for side in (1.0, -1.0):
             error = along(axis, side * size)
             where: dict[str, Any] = {"turn_rad": error} if kind else {"offset_m": error}
-            answers.append(self._pushes(Case(f"{what}, {shown}", **where), change, kept)[3 * kind : 3 * kind + 3])
+            answers.append(self._pushes(CheckCase(f"{what}, {shown}", **where), change, kept)[3 * kind : 3 * kind + 3])
         plus, minus = answers
         against = 0.5 * (minus - plus)  # the part that follows the error
         fine = f"{name} opposes a {what} ({shown})" if kind else f"{name} opposes an {what} ({shown})"
@@ -210,32 +212,32 @@ class _Check:
             about, beside = f"about {_AXES[axis]}", f"along {_AXES[axis]}"
             limit = math.radians(wanted.angle_deg)
             small, large = 0.8 * limit / _A_DEGREE, 2.0 * limit
-            if self._reacts(Case(f"small turn {about}", turn_rad=along(axis, small)), 3 + axis):
+            if self._reacts(CheckCase(f"small turn {about}", turn_rad=along(axis, small)), 3 + axis):
                 faults.append(
                     f"answers a turn of {math.degrees(small):.2g} deg {about}, where {wanted.angle_deg:g} deg are "
                     "allowed: are radians taken for degrees somewhere (57 times too much)?"
                 )
-            elif self._ignores(Case(f"turn {about}", turn_rad=along(axis, large)), 1, axis):
-                far = self._reacts(Case(f"large turn {about}", turn_rad=along(axis, 0.5)), 3 + axis)
+            elif self._ignores(CheckCase(f"turn {about}", turn_rad=along(axis, large)), 1, axis):
+                far = self._reacts(CheckCase(f"large turn {about}", turn_rad=along(axis, 0.5)), 3 + axis)
                 hint = ", but one of 29 deg: are degrees taken for radians (57 times too little)?" if far else ""
                 faults.append(f"does not answer a turn of {math.degrees(large):g} deg {about}{hint}")
             limit = wanted.radial_distance_m
             small, large = 2e-3 * limit, 3.0 * limit
-            if self._reacts(Case(f"small offset {beside}", offset_m=along(axis, small)), axis):
+            if self._reacts(CheckCase(f"small offset {beside}", offset_m=along(axis, small)), axis):
                 faults.append(
                     f"answers an offset of {1e3 * small:.2g} mm {beside}, where {1e3 * limit:g} mm are allowed: "
                     "are metres taken for millimetres somewhere?"
                 )
-            elif self._ignores(Case(f"offset {beside}", offset_m=along(axis, large)), 0, axis):
+            elif self._ignores(CheckCase(f"offset {beside}", offset_m=along(axis, large)), 0, axis):
                 faults.append(f"does not answer an offset of {1e3 * large:g} mm {beside}")
         text = f"quiet at small errors, not at {2.0 * wanted.angle_deg:g} deg and {3e3 * wanted.radial_distance_m:g} mm"
         self.report.say("size", faults, text)
 
-    def _reacts(self, case: Case, place: int) -> bool:
+    def _reacts(self, case: CheckCase, place: int) -> bool:
         """Return whether an axis pushes otherwise than at rest."""
         return bool(abs(self._pushes(case)[place] - self._at_rest[place]) > _ANSWERS)
 
-    def _ignores(self, case: Case, kind: int, axis: int) -> bool:
+    def _ignores(self, case: CheckCase, kind: int, axis: int) -> bool:
         """Return whether an axis that does not go astray does nothing about the case's error."""
         if (kind, axis) in self._astray - self._silent:
             return False
@@ -245,10 +247,10 @@ class _Check:
         """Drifts and rates from the reference on: damped."""
         faults = []
         for axis in range(3):
-            drift = self._pushes(Case(f"drift along {_AXES[axis]}", drift_mps=along(axis, _DRIFT_MPS)))
+            drift = self._pushes(CheckCase(f"drift along {_AXES[axis]}", drift_mps=along(axis, _DRIFT_MPS)))
             if drift[axis] > -_ANSWERS:
                 faults.append(f"force does not oppose a drift of {1e3 * _DRIFT_MPS:g} mm/s along {_AXES[axis]}")
-            rate = self._pushes(Case(f"rate about {_AXES[axis]}", rate_radps=along(axis, _RATE_RADPS)))
+            rate = self._pushes(CheckCase(f"rate about {_AXES[axis]}", rate_radps=along(axis, _RATE_RADPS)))
             if rate[3 + axis] > -_ANSWERS:
                 faults.append(
                     f"torque does not oppose a rate of {math.degrees(_RATE_RADPS):g} deg/s about {_AXES[axis]}"
@@ -259,8 +261,8 @@ class _Check:
         """Poses that come late, and none any more: the force still opposes what there is."""
         faults = []
         cases_ = (
-            Case("poses 0.5 s late", 10.0, along(1, _OFFSET_M), late_s=0.5),
-            Case("no pose after 4 s", 10.0, along(1, _OFFSET_M), blind_s=4.0),
+            CheckCase("poses 0.5 s late", 10.0, along(1, _OFFSET_M), late_s=0.5),
+            CheckCase("no pose after 4 s", 10.0, along(1, _OFFSET_M), blind_s=4.0),
         )
         for case in cases_:
             played = self._play(case)
@@ -269,13 +271,13 @@ class _Check:
         self.report.say("poses", faults, "goes on with poses that are 0.5 s late, and for 6 s without any")
 
     def _look_at_abort(self) -> None:
-        played = self._play(Case("an abort: the reference retreats along x", 12.0, abort_s=4.0))
+        played = self._play(CheckCase("an abort: the reference retreats along x", 12.0, abort_s=4.0))
         push = played.pushes(self.setup, 6.0)[0]
         text = "after an abort it does not follow the reference, which retreats along +x"
         self.report.say("abort", [text] if push < _ANSWERS and not played.ended else [], "follows an abort's retreat")
 
     def _look_at_estimate(self) -> None:
-        case = Case(
+        case = CheckCase(
             "off on all axes and drifting",
             20.0,
             (0.12, -0.08, 0.1),
@@ -290,7 +292,7 @@ class _Check:
         if not len(known) or known[-1] < len(played.outputs) - 1:
             self.report.say("estimate", [], "gives no estimate: nothing can be supervised, docking is never a go")
             return
-        faults, self.report.estimate = judge_estimate(
+        faults, self.report.estimate = check_estimate(
             played.outputs[known[-1]], self._player.truth(case, float(played.t_s[known[-1]]))
         )
         errors = self.report.estimate

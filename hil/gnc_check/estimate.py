@@ -9,14 +9,14 @@ from typing import Final
 import numpy as np
 
 from hil.core.messages import Array
-from hil.gnc_check.test_cases import Truth
+from hil.gnc_check.test_cases import TrueMotion
 from hil.maths import quat
 
 NEAR_M, NEAR_MPS, NEAR_RAD, NEAR_RADPS = 0.03, 0.01, math.radians(0.3), math.radians(0.05)
 """How far an estimate may be from the truth: poses here have no noise."""
 _SHARE: Final = 0.1  # of a wrong value's size, by which an estimate may differ from it to be known again
 
-_Wrong = dict[str, Callable[[Truth], Array]]
+_Wrong = dict[str, Callable[[TrueMotion], Array]]
 
 _VECTORS: Final[_Wrong] = {
     "in millimetres": lambda now: 1000.0 * now.r,
@@ -47,7 +47,7 @@ _ATTITUDES: Final[_Wrong] = {
 }
 
 
-def judge_estimate(estimate: np.void, now: Truth) -> tuple[list[str], dict[str, float]]:
+def check_estimate(estimate: np.void, now: TrueMotion) -> tuple[list[str], dict[str, float]]:
     """Return what is wrong with ``estimate`` (GNC_OUTPUT), in words, and its errors."""
     r, v, q, w = (np.array(estimate[name]) for name in ("r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"))
     angle = _angle(q, now.q)
@@ -72,7 +72,7 @@ def judge_estimate(estimate: np.void, now: Truth) -> tuple[list[str], dict[str, 
     return faults, errors
 
 
-def _named(value: Array, now: Truth, wrongs: _Wrong) -> str:
+def _named(value: Array, now: TrueMotion, wrongs: _Wrong) -> str:
     for name, wrong in wrongs.items():
         expected = wrong(now)
         if np.linalg.norm(value - expected) <= _SHARE * np.linalg.norm(expected):
@@ -80,7 +80,7 @@ def _named(value: Array, now: Truth, wrongs: _Wrong) -> str:
     return "is off"
 
 
-def _misread(now: Truth, q: Array) -> Array:
+def _misread(now: TrueMotion, q: Array) -> Array:
     """Return the position that somebody finds who turns the pose, seen in c, back to H by ``q``."""
     found: Array = quat.to_matrix(q).T @ (quat.to_matrix(now.q) @ now.r)
     return found

@@ -20,7 +20,7 @@ _PATIENCE_S: Final = 2.0  # for an answer; a datagram may be lost: it is sent ag
 _RESEND_S: Final = 0.5
 
 
-class Partner(Protocol):
+class GncUnderTest(Protocol):
     """Who is checked."""
 
     name: str
@@ -86,7 +86,7 @@ class LinkPartner:
         """Send ``setup`` until the GNC acknowledges it and works. Raises LinkTimeout that says where it waited."""
         give_up_s, sent_s = time.monotonic() + self._wait_s, -_AGAIN_S
         while True:
-            self._link.tend()
+            self._link.service()
             now_s = time.monotonic()
             there = self._link.peer is not None or self._link.expects
             if there and now_s - sent_s >= _AGAIN_S:
@@ -102,7 +102,7 @@ class LinkPartner:
 
     def ask(self, told: np.record) -> tuple[np.record, float]:
         """Send ``told`` and wait for the next output. Raises LinkTimeout."""
-        self._link.tend()
+        self._link.service()
         list(self._outputs())  # what came late belongs to nothing any more
         begun_s = resend_s = time.perf_counter()
         self._link.send("gnc.input", told)

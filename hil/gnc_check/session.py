@@ -11,8 +11,8 @@ from hil.core.messages import Array
 from hil.errors import BenchError
 from hil.gnc_backends import external_records
 from hil.gnc_backends.external import complaint
-from hil.gnc_check.gnc_under_test import Partner
-from hil.gnc_check.test_cases import Case, Change, Player
+from hil.gnc_check.gnc_under_test import GncUnderTest
+from hil.gnc_check.test_cases import Change, CheckCase, Player
 
 
 @dataclass
@@ -22,7 +22,7 @@ class Played:
     faults: by its kind, what was wrong with answers first, and in which cycle. ended: why it was cut short.
     """
 
-    case: Case
+    case: CheckCase
     outputs: np.ndarray
     modes: np.ndarray
     t_s: Array
@@ -51,7 +51,9 @@ def pushes(outputs: np.ndarray, setup: np.record) -> Array:
     return found
 
 
-def play(partner: Partner, player: Player, setup: np.record, case: Case, change: Change | None = None) -> Played:
+def play(
+    partner: GncUnderTest, player: Player, setup: np.record, case: CheckCase, change: Change | None = None
+) -> Played:
     """Play ``case`` from a new setup on; change: made to each input before it is told."""
     outputs, modes, t_s, took_s = [], [], [], []
     faults: dict[int, tuple[str, int]] = {}

@@ -30,7 +30,7 @@ Change = Callable[[np.record], None]
 
 
 @dataclass(frozen=True)
-class Case:
+class CheckCase:
     """One session. offset_m, drift_mps: from the reference, in H; turn_rad, rate_radps: of c against it, in c.
 
     late_s: from exposure to input. blind_s: after this time no pose comes. hold_s: from this time on the bench is
@@ -57,7 +57,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Truth:
+class TrueMotion:
     """Where the chaser is: r_CT_H, v_CT_H, q_CH, w_CH_C; orbit: rate of H against inertial space, in c."""
 
     r: Array
@@ -75,15 +75,15 @@ class Player:
         self._n = float(setup.mean_motion_radps)
         self._anchor = np.array(setup.start_r_CT_H_m)
 
-    def truth(self, case: Case, t_s: float) -> Truth:
+    def truth(self, case: CheckCase, t_s: float) -> TrueMotion:
         """Return the truth at ``t_s`` of the case."""
         v, w = np.array(case.drift_mps), np.array(case.rate_radps)
         r = self._anchor + np.array(case.offset_m) + v * t_s
         phi = np.array(case.turn_rad) + w * t_s  # one axis, or slow: c turns about axes fixed in it
         q = quat.from_rotation_vector(phi)
-        return Truth(r, v, q, w, quat.to_matrix(q) @ np.array([0.0, -self._n, 0.0]))
+        return TrueMotion(r, v, q, w, quat.to_matrix(q) @ np.array([0.0, -self._n, 0.0]))
 
-    def inputs(self, case: Case, change: Change | None = None) -> Iterator[np.record]:
+    def inputs(self, case: CheckCase, change: Change | None = None) -> Iterator[np.record]:
         """Give the inputs, one record that is filled anew each time."""
         told = new(GNC_INPUT)
         for mode in case.before:
@@ -99,7 +99,7 @@ class Player:
                 change(told)
             yield told
 
-    def _fill(self, told: np.record, case: Case, cycle: int, mode: GncMode, orders: int) -> None:
+    def _fill(self, told: np.record, case: CheckCase, cycle: int, mode: GncMode, orders: int) -> None:
         t_s = max(0, cycle) * self._dt
         running = mode is GncMode.RUNNING
         told.cycle, told.t_s, told.mode, told.orders = cycle, t_s, int(mode), int(orders)
@@ -119,7 +119,7 @@ class Player:
             self._see(told.poses[0], self.truth(case, seen_s), seen_s)
 
     @staticmethod
-    def _see(pose: np.record, then: Truth, t_s: float) -> None:
+    def _see(pose: np.record, then: TrueMotion, t_s: float) -> None:
         sigma_m = _SIGMA_M * max(1.0, float(np.linalg.norm(then.r)) / _REFERENCE_RANGE_M)
         pose["t_s"] = t_s
         pose["r_TC_C_m"] = -quat.to_matrix(then.q) @ then.r

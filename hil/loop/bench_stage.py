@@ -12,10 +12,10 @@ from hil.core.messages import AXES, Array, AxisFeedback, new
 from hil.drivers.base import AxisGroup, Jogs, Parks
 from hil.errors import DeviceError
 from hil.models.profile import along_line, duration
-from hil.safety.monitor import Supervisor
+from hil.safety.monitor import SafetyMonitor
 
 
-class Bench:
+class BenchStage:
     """Rails and turntable as one machine that carries the chaser's pose.
 
     emergency_input: gives, at a bench time, whether the emergency stop is pressed (None: unknown) and
@@ -27,7 +27,7 @@ class Bench:
         rails: AxisGroup,
         turntable: AxisGroup,
         params: np.record,
-        supervisor: Supervisor,
+        supervisor: SafetyMonitor,
         emergency_input: Callable[[float], tuple[bool | None, bool]] | None = None,
     ) -> None:
         self.rails = rails
@@ -50,7 +50,7 @@ class Bench:
     def open(self, now_s: float) -> None:
         """Open both devices; they hold where they stand. Raises SafetyTrip while the emergency stop holds."""
         self.look_at_emergency_input(now_s)
-        alarm = self.supervisor.refuse_open(now_s)
+        alarm = self.supervisor.interlock_open(now_s)
         if alarm is not None:
             raise alarm.trip()
         self.rails.open(now_s)
@@ -94,7 +94,7 @@ class Bench:
 
         Raises SafetyTrip where an axis moves. Whatever sets the bench in motion begins with this.
         """
-        alarm = self.supervisor.refuse_seed(now_s, feedback)
+        alarm = self.supervisor.interlock_seed(now_s, feedback)
         if alarm is not None:
             raise alarm.trip()
         rest = np.zeros(3)
@@ -104,7 +104,7 @@ class Bench:
 
     def seed_for_run(self, now_s: float, feedback: np.record) -> None:
         """``seed``, where the axes are homed, within their travel and off their switches; SafetyTrip otherwise."""
-        alarm = self.supervisor.refuse_motion(now_s, *self.seen, feedback)
+        alarm = self.supervisor.interlock_motion(now_s, *self.seen, feedback)
         if alarm is not None:
             raise alarm.trip()
         self.seed(now_s, feedback)
@@ -144,7 +144,7 @@ class Bench:
 
     def stands(self, now_s: float, feedback: np.record) -> bool:
         """Return whether all axes stand, by their encoders."""
-        return self.supervisor.refuse_seed(now_s, feedback) is None
+        return self.supervisor.interlock_seed(now_s, feedback) is None
 
     def home(self, now_s: float) -> None:
         """Let each axis that does not know its place look for its switch."""

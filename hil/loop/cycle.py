@@ -12,14 +12,14 @@ import numpy as np
 
 from hil.core.messages import CYCLE
 from hil.frmn.ring import NoTelemetry, Telemetry
-from hil.gnc_backends.base import Seat
-from hil.loop.bench_stage import Bench
+from hil.gnc_backends.base import GncBackend
+from hil.loop.bench_stage import BenchStage
 from hil.loop.safety_io_stage import NoLines, SafetyLines
-from hil.loop.stages import Dss, Vision
-from hil.loop.target_stage import FixedTarget, Target
+from hil.loop.stages import DssStage, VisionStage
+from hil.loop.target_stage import FixedTarget, TargetStage
 
 
-class Blackboard:
+class CycleData:
     """The records of the present cycle: views into one row of CYCLE, which is what gets recorded."""
 
     def __init__(self) -> None:
@@ -53,17 +53,17 @@ class Blackboard:
 class Loop:
     """The stages, the records between them, and where each cycle is written to: history and telemetry."""
 
-    dss: Dss
-    bench: Bench
-    vision: Vision
-    gnc: Seat
+    dss: DssStage
+    bench: BenchStage
+    vision: VisionStage
+    gnc: GncBackend
     history: np.ndarray
     bench_now_s: Callable[[], float]
     """Bench time, for the stamp of the thrusters' command."""
     telemetry: Telemetry = field(default_factory=NoTelemetry)
     lines: SafetyLines = field(default_factory=NoLines)
-    target: Target = field(default_factory=FixedTarget)
-    now: Blackboard = field(default_factory=Blackboard)
+    target: TargetStage = field(default_factory=FixedTarget)
+    now: CycleData = field(default_factory=CycleData)
     _row: memoryview = field(init=False)
     _pages: memoryview = field(init=False)
 

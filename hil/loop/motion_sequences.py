@@ -12,7 +12,7 @@ from hil.bench.jog import Jog
 from hil.core.gnc_records import GncMode
 from hil.core.messages import AXES, HOMED, Homing, new
 from hil.core.modes import Mode
-from hil.core.operator_commands import JogWish, Operator, Order, OrderedToStop
+from hil.core.operator_commands import JogRequest, Operator, OperatorCommand, OrderedToStop
 from hil.errors import SafetyTrip
 from hil.loop.bench_stage import Move
 from hil.loop.cycle import Loop
@@ -35,7 +35,7 @@ Watch = Callable[[Mode, float], None]
 """Told now and then what the bench is doing and how far along it is, 0..1."""
 
 
-class Handling:
+class MotionSequencer:
     """Does what an operator orders while the loop is open. Each method returns with the axes at rest."""
 
     def __init__(
@@ -93,7 +93,7 @@ class Handling:
         while not all(group.homing == HOMED for group in bench.seen):
             tick = self.tick()
             self._stop_if_ordered(Mode.HOMING)
-            if alarm := self.supervisor.homing_took_too_long(tick.now_s, since_s, *bench.seen):
+            if alarm := self.supervisor.homing_timeout(tick.now_s, since_s, *bench.seen):
                 raise alarm.trip()
             if self.ticks % WATCH_CYCLES == 0:
                 done = sum(state is Homing.DONE for group in bench.seen for state in group.homing)
@@ -111,7 +111,7 @@ class Handling:
         feedback = self.loop.now.feedback
         begun_s = now_s = self._newest.now_s
         moved_s = -math.inf
-        while (moving := self.supervisor.refuse_seed(now_s, feedback)) or now_s - moved_s < _STAND_S:
+        while (moving := self.supervisor.interlock_seed(now_s, feedback)) or now_s - moved_s < _STAND_S:
             if moving:
                 moved_s = now_s
                 if now_s - begun_s > _SETTLE_S:
@@ -192,7 +192,7 @@ class Handling:
             raise SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone")
         if reason:
             return True
-        return self._stop_if_ordered(mode) is Order.HOLD
+        return self._stop_if_ordered(mode) is OperatorCommand.HOLD
 
     def hold(self, tick: Tick) -> Tick:
         """Brake all axes to a stand and keep them there until RESUME; return the tick of the resumption.
@@ -207,12 +207,12 @@ class Handling:
         while True:
             moving = bench.brake(tick.now_s, now.setpoint)
             order = self._stop_if_ordered(Mode.HOLD)
-            resume = order is Order.RESUME or (resume and order is not Order.HOLD)
+            resume = order is OperatorCommand.RESUME or (resume and order is not OperatorCommand.HOLD)
             if resume and not (moving or self.loop.gnc.not_ready) and bench.stands(tick.now_s, now.feedback):
                 break
             tick = self.tick()
             if back is Mode.RUNNING:
-                self.loop.vision.look_away(tick.now_s)
+                self.loop.vision.discard_pending(tick.now_s)
             if self.ticks % WATCH_CYCLES == 0:
                 self._watch(Mode.HOLD, 0.0)
         bench.seed_for_run(tick.now_s, now.feedback)
@@ -223,7 +223,7 @@ class Handling:
 
     def jog(self) -> None:
         """Jog the axis that the operator's key asks for, until the key is let go and the axis stands."""
-        wish = self._operator.jog_wish()
+        wish = self._operator.jog_request()
         if wish is None:
             return
         bench, now = self.loop.bench, self.loop.now
@@ -243,7 +243,7 @@ class Handling:
             self.supervisor.restore_travel()
         self.modes.go(Mode.STANDBY)
 
-    def _begin_jog(self, wish: JogWish, tick: Tick) -> Jog | None:
+    def _begin_jog(self, wish: JogRequest, tick: Tick) -> Jog | None:
         """Seed the references and go to JOGGING; None, with an answer, where this axis cannot be jogged."""
         bench = self.loop.bench
         axis = bench.axis_names.index(wish.axis) if wish.axis in bench.axis_names else -1
@@ -254,7 +254,7 @@ class Handling:
         bench.seed(tick.now_s, self.loop.now.feedback)
         jog = Jog(bench.params, axis, wish.direction, homing[axis] is Homing.DONE, bench.motion.position)
         if not bench.set_jogging(True):
-            refusal = self.supervisor.refuse_motion(tick.now_s, *bench.seen, self.loop.now.feedback)
+            refusal = self.supervisor.interlock_motion(tick.now_s, *bench.seen, self.loop.now.feedback)
             if refusal is not None:  # these devices take setpoints on the bench alone
                 self._operator.answers.append(refusal.text)
                 return None
@@ -267,8 +267,8 @@ class Handling:
         """Send the next setpoint of a jog; return whether it goes on."""
         bench, now = self.loop.bench, self.loop.now
         self._stop_if_ordered(Mode.JOGGING)
-        wish = self._operator.jog_wish()
-        if wish == JogWish(bench.axis_names[jog.axis], jog.direction):
+        wish = self._operator.jog_request()
+        if wish == JogRequest(bench.axis_names[jog.axis], jog.direction):
             jog.key.refresh(tick.now_s)
         switch = (*bench.seen[0].limit, *bench.seen[1].limit)[jog.axis]
         if not jog.may_move(tick.now_s, switch):
@@ -278,11 +278,11 @@ class Handling:
         bench.command(wanted, tick.now_s, now.setpoint, jog.params)
         return True
 
-    def _stop_if_ordered(self, mode: Mode) -> Order | None:
+    def _stop_if_ordered(self, mode: Mode) -> OperatorCommand | None:
         """Return the next order for ``mode``, if one waits; raises OrderedToStop for STOP."""
         if not self._operator.waiting:
             return None
         order = self._operator.take(mode)
-        if order is Order.STOP:
+        if order is OperatorCommand.STOP:
             raise OrderedToStop
         return order

@@ -15,7 +15,7 @@ _CHAIN_COMES_S: Final = 0.6  # until a coupler that is dead is found so
 _PAUSE_WALL_S: Final = 0.001
 
 
-def cause_behind(fault: BenchError, loop: Loop, rate: Rate) -> BenchError:
+def root_cause(fault: BenchError, loop: Loop, rate: Rate) -> BenchError:
     """Return what lies behind ``fault``, or ``fault``; asked once the axes have been told to stop.
 
     An emergency stop, an opened interlock or a dead coupler takes the torque from the drives, which may
@@ -28,7 +28,7 @@ def cause_behind(fault: BenchError, loop: Loop, rate: Rate) -> BenchError:
     while now_s - begun_s < (_CHAIN_COMES_S if torque_is_off else _ESTOP_COMES_S):
         try:
             loop.bench.look_at_emergency_input(now_s)
-            if (alarm := loop.bench.supervisor.refuse_open(now_s)) is not None:
+            if (alarm := loop.bench.supervisor.interlock_open(now_s)) is not None:
                 return alarm.trip()
             loop.lines.look(now_s)
         except BenchError as behind:

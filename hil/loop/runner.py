@@ -14,16 +14,16 @@ import numpy as np
 
 from hil.core.messages import Event
 from hil.core.modes import Mode
-from hil.core.observable import Told
-from hil.core.operator_commands import Operator, Order, OrderedToStop
-from hil.core.realtime import Grant, Precedence, no_garbage_collection
+from hil.core.observable import ObservableList
+from hil.core.operator_commands import Operator, OperatorCommand, OrderedToStop
+from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, SafetyTrip
 from hil.loop.cycle import Loop, run_cycle
-from hil.loop.motion_sequences import WATCH_CYCLES, Handling, Watch
+from hil.loop.motion_sequences import WATCH_CYCLES, MotionSequencer, Watch
 from hil.loop.overrun_monitor import LateCycles
 from hil.loop.rate_keeper import Rate
-from hil.loop.root_cause import cause_behind
+from hil.loop.root_cause import root_cause
 from hil.safety.alarms import Alarm, alarm_of
 
 COMPLETED = "completed"
@@ -63,7 +63,7 @@ class Runner:
         self,
         loop: Loop,
         rate: Rate,
-        precedence: Precedence,
+        precedence: SchedulingPolicy,
         late_cycles: LateCycles,
         step_s: float,
         cycles: int,
@@ -84,9 +84,9 @@ class Runner:
         self._frames_to_arm = frames_to_arm
         self._watch = watch
         self._modes = self.supervisor.modes
-        self._handling = Handling(loop, rate, late_cycles, step_s, self.operator, watch)
+        self._handling = MotionSequencer(loop, rate, late_cycles, step_s, self.operator, watch)
         self._faults: list[str] = []
-        self.events: Told[Event] = Told()
+        self.events: ObservableList[Event] = ObservableList()
         """What the bench did beside the approach: holds."""
         self._done = 0
         self._parking = parking
@@ -131,7 +131,7 @@ class Runner:
         )
 
     @contextmanager
-    def axes_alone(self) -> Iterator[Handling]:
+    def axes_alone(self) -> Iterator[MotionSequencer]:
         """Open the axes without the vision unit, give what moves them; at the end they are stopped first."""
         with no_garbage_collection(freeze=self._rate.on_the_wall):
             try:
@@ -139,7 +139,7 @@ class Runner:
                 self.loop.bench.open(self._rate.now_s())
                 self.supervisor.opened()
                 self._modes.go(Mode.STANDBY)
-                with self._precedence.at_the_front():  # after the drivers have started their threads
+                with self._precedence.realtime_priority():  # after the drivers have started their threads
                     yield self._handling
             finally:
                 self._shut_down()
@@ -158,7 +158,7 @@ class Runner:
         """Go from opening the devices to the end of the run; after a fault return whether to begin anew."""
         try:
             self._open()
-            with self._precedence.at_the_front():  # after the drivers have started their threads
+            with self._precedence.realtime_priority():  # after the drivers have started their threads
                 while (order := self._next_order()) is not None:
                     self._obey(order)
                 if self._park_after_run and self._done == self._cycles:
@@ -179,7 +179,7 @@ class Runner:
         self.supervisor.opened()
         self._modes.go(Mode.STANDBY)
 
-    def _next_order(self) -> Order | None:
+    def _next_order(self) -> OperatorCommand | None:
         """Return the next order; None when the run is over or the bench parked, or when nobody is there to give one."""
         while not (self._done or self._parked):
             order = self.operator.next(self._modes.mode)
@@ -191,27 +191,27 @@ class Runner:
     def _stand_by(self) -> None:
         """Let one supervised cycle pass in which nothing moves."""
         tick = self._handling.tick()
-        self.loop.vision.look_away(tick.now_s)
+        self.loop.vision.discard_pending(tick.now_s)
         if self._handling.ticks % self.WATCH_CYCLES == 0:
             self._watch(self._modes.mode, 0.0)
 
-    def _obey(self, order: Order) -> None:
+    def _obey(self, order: OperatorCommand) -> None:
         match order:
-            case Order.HOME:
+            case OperatorCommand.HOME:
                 self._handling.home()
-            case Order.JOG:
+            case OperatorCommand.JOG:
                 self._handling.jog()
-            case Order.ARM:
+            case OperatorCommand.ARM:
                 self.loop.target.place(self._rate, self._handling.look)
                 self._handling.place()
                 self._arm()
-            case Order.START:
+            case OperatorCommand.START:
                 self._close_the_loop()
-            case Order.DISARM:
+            case OperatorCommand.DISARM:
                 self._modes.go(Mode.STANDBY)
-            case Order.PARK:
+            case OperatorCommand.PARK:
                 self._park()
-            case Order.STOP:
+            case OperatorCommand.STOP:
                 raise OrderedToStop
 
     def _park(self) -> None:
@@ -227,7 +227,7 @@ class Runner:
         while frames < self._frames_to_arm:
             tick = self._handling.tick()
             self.loop.target.look(tick.now_s)
-            frames += self.loop.vision.look_away(tick.now_s)
+            frames += self.loop.vision.discard_pending(tick.now_s)
             self._watch(Mode.ARMED, 0.0)
 
     def _close_the_loop(self) -> None:
@@ -252,13 +252,13 @@ class Runner:
     def _obey_while_running(self, t_s: float) -> float:
         """Do what is ordered between two cycles; return for how long, s, the run's time stood."""
         order = None if self.supervisor.hold_reason else self.operator.take(Mode.RUNNING)
-        if order is Order.STOP:
+        if order is OperatorCommand.STOP:
             raise OrderedToStop
-        if order is Order.GO:
+        if order is OperatorCommand.GO:
             self.loop.gnc.order_go()
-        if order is Order.ABORT:
+        if order is OperatorCommand.ABORT:
             self.loop.gnc.order_abort()
-        if not (self.supervisor.hold_reason or order is Order.HOLD):
+        if not (self.supervisor.hold_reason or order is OperatorCommand.HOLD):
             return 0.0
         return self._hold(t_s)
 
@@ -278,13 +278,13 @@ class Runner:
         with _ctrl_c_held_back():
             now_s = self._rate.now_s()
             self.loop.bench.stop(now_s)
-            cause = cause_behind(fault, self.loop, self._rate)
+            cause = root_cause(fault, self.loop, self._rate)
             self.supervisor.alarms.enter(alarm_of(cause, now_s))
             if cause is not fault:
                 self.supervisor.alarms.enter(alarm_of(fault, now_s))
             self._faults.append(str(cause))
             self._modes.go(Mode.SAFE_STOP)
-            self.operator.drop_plan()
+            self.operator.cancel_auto_sequence()
 
     def _wait_for_reset(self) -> bool:
         """Wait until the operator resets with the cause gone, then close everything; False once a run has begun.
@@ -299,9 +299,9 @@ class Runner:
                 self.loop.bench.look_at_emergency_input(tick.now_s)
             self.operator.listen(tick.now_s)
             order = self.operator.take(Mode.SAFE_STOP)
-            if order is Order.STOP:
+            if order is OperatorCommand.STOP:
                 raise OrderedToStop
-            if order is Order.RESET:
+            if order is OperatorCommand.RESET:
                 refusal = self.supervisor.reset(tick.now_s)
                 if refusal is None:
                     break

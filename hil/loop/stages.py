@@ -11,19 +11,19 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.core.messages import MAX_POSES, POSE, Array, Event, PoseFrame, new
-from hil.core.observable import Told
+from hil.core.observable import ObservableList
 from hil.drivers.base import PoseSource
 from hil.drivers.remote.io_layout import ARRIVAL, write_frame
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
-from hil.dynamics.held_gravity import HELD
+from hil.dynamics.held_gravity import CACHED_GRAVITY
 from hil.frmn.ring import Telemetry
 from hil.gnc import allocation, control, navigation
-from hil.gnc.filter_monitor import FilterWatch
+from hil.gnc.filter_monitor import FilterMonitor
 from hil.gnc.fusion import MEMORY, STEP
 from hil.gnc.navigation import NAVIGATION_STATE
 from hil.gnc_backends.approach import Approach
-from hil.gnc_backends.approach_events import ApproachDiary
+from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.gnc_backends.base import Poses, Records
 from hil.maths.random_streams import NormalRows
 from hil.models.mounting import chaser_pose
@@ -31,13 +31,13 @@ from hil.models.mounting import chaser_pose
 _NO_POSE = new(POSE)
 
 
-class Dss:
+class DssStage:
     """Dynamics simulation: the truth and the virtual IMU."""
 
     def __init__(self, params: np.record, field: Array, imu_params: np.record, imu_noise: NormalRows) -> None:
         self.params = params
         self._field = field
-        self._harmonics = new(HELD)
+        self._harmonics = new(CACHED_GRAVITY)
         self._imu_params = imu_params
         self._noise = imu_noise
         self._rate = np.empty(3)
@@ -56,7 +56,7 @@ class Dss:
         return self._rate
 
 
-class Vision:
+class VisionStage:
     """The poses of the vision unit, brought from the camera to the chaser."""
 
     def __init__(self, source: PoseSource, stations: np.record) -> None:
@@ -114,7 +114,7 @@ class Vision:
         if self.on_run_zero is not None:
             self.on_run_zero(math.nan if run_zero_s is None else run_zero_s)
 
-    def look_away(self, bench_s: float) -> int:
+    def discard_pending(self, bench_s: float) -> int:
         """Take the frames that came since the last cycle and use none; return how many."""
         if self._run_zero_s is not None:
             self._tell_run_zero(None)
@@ -136,7 +136,7 @@ class Vision:
         self.tap.put(self._row)
 
 
-class Gnc(Approach):
+class BuiltinGnc(Approach):
     """Navigation, guidance, supervision, control and allocation: the GNC that is built in."""
 
     def __init__(
@@ -147,8 +147,8 @@ class Gnc(Approach):
         control_params: np.record,
         sets: np.ndarray,
         n_thrusters: int,
-        diary: ApproachDiary,
-        watch: FilterWatch,
+        diary: ApproachEventLog,
+        watch: FilterMonitor,
     ) -> None:
         super().__init__(guidance_params, supervision_params, diary)
         self.watch = watch
@@ -163,7 +163,7 @@ class Gnc(Approach):
         self._fuses_now = False
 
     @property
-    def logs(self) -> tuple[Told[Event], ...]:
+    def logs(self) -> tuple[ObservableList[Event], ...]:
         """What happened, of the approach and of the filters."""
         return (self.diary.events, self.watch.events)
 

@@ -20,7 +20,7 @@ _SETTLE_S: Final = 3.0  # after the move, until the axes stand where they should
 _SETTLED_M: Final = 0.001
 
 
-class Target(Protocol):
+class TargetStage(Protocol):
     """What the cycle and the runner know of whatever carries the target."""
 
     def open(self, now_s: float) -> None:

@@ -13,7 +13,7 @@ from hil.core.jit import kernel
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
 
-STATIONS = np.dtype(
+MOUNTING = np.dtype(
     [
         ("camera_station", "f8", 3),  # m, in c
         ("q_vc", "f8", 4),

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.monitor.features import Parts
-from hil.monitor.kernels.circle_detection import Round, find_rounds
+from hil.monitor.kernels.circle_detection import CircleCandidate, find_rounds
 from hil.monitor.kernels.patterns import LARGEST_ROLL, Pattern, best_pattern, boxes_pattern, cross_pattern
 from hil.monitor.preprocess import Prepared, Region
 
@@ -35,7 +35,7 @@ class Hypothesis:
     score: float
 
 
-class Recogniser:
+class Detector:
     """Finds first poses of one target before one camera."""
 
     def __init__(self, parts: Parts) -> None:
@@ -62,7 +62,7 @@ class Recogniser:
         return sorted(found, key=lambda one: one.score, reverse=True)
 
     def _as_disc(
-        self, circle: Round, prepared: Prepared, left: float, top: float, line_step: float
+        self, circle: CircleCandidate, prepared: Prepared, left: float, top: float, line_step: float
     ) -> Hypothesis | None:
         """Return the pose by the monitor paper 3.1 if there is a cross on the circle."""
         target = self._parts.target
@@ -95,7 +95,7 @@ class Recogniser:
         return Hypothesis(self._pose(circle, d1, d2, d3, 0.0, float(out[2])), True, abs(score) * circle.share**0.25)
 
     def _as_ship(
-        self, circle: Round, prepared: Prepared, left: float, top: float, line_step: float
+        self, circle: CircleCandidate, prepared: Prepared, left: float, top: float, line_step: float
     ) -> Hypothesis | None:
         """Return the pose along the target's axis if the circle can be the ship's outline with its boxes."""
         target = self._parts.target
@@ -123,7 +123,7 @@ class Recogniser:
         return Hypothesis(pose, False, score * circle.share**0.25)
 
     def _pose(
-        self, circle: Round, d1: float, d2: float, d3: float, offset: float, roll: float,
+        self, circle: CircleCandidate, d1: float, d2: float, d3: float, offset: float, roll: float,
         centre: tuple[float, float] = (0.0, 0.0),
     ) -> Floats:  # fmt: skip
         """Return the pose at d, of that roll, that puts the point ``centre``, ``offset`` at the circle's centre."""

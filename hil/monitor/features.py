@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.config.scene import Camera, Target
+from hil.config.scene import SceneCamera, Target
 
 Floats = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class Parts:
     target: Target
 
 
-def parts_of(camera: Camera, target: Target) -> Parts:
+def parts_of(camera: SceneCamera, target: Target) -> Parts:
     """Return the measurable parts of ``target`` before ``camera``."""
     circles: list[tuple[float, ...]] = []
     lines: list[tuple[float, ...]] = []

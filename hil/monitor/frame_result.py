@@ -29,7 +29,7 @@ class PaperFrame:
 
 
 @dataclass(frozen=True)
-class Look:
+class FrameResult:
     """One frame. seen: for the screen; its status is "near", "far", "no_target" or "rejected_<why>".
 
     reason: why not used, in words. pose: (7,), d, m, phi, rad, growth, px. normal: (7, 7), of the edges alone;

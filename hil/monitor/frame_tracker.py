@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from hil.config.scene import Scene
 from hil.models import docking_view
 from hil.monitor import validation
-from hil.monitor.detector import Recogniser
+from hil.monitor.detector import Detector
 from hil.monitor.features import ACROSS, LABEL, UPRIGHT, parts_of
-from hil.monitor.frame_result import FAR, NEAR, NO_TARGET, Look
+from hil.monitor.frame_result import FAR, NEAR, NO_TARGET, FrameResult
 from hil.monitor.kernels import measure
-from hil.monitor.kernels.edge_samples import CELL
+from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
 from hil.monitor.kernels.pose import UNKNOWNS
 from hil.monitor.motion import Motion
 from hil.monitor.paper.paper import paper_frame
 from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
 from hil.monitor.results import Seen
-from hil.monitor.settings import Settings
-from hil.monitor.sources import Frame
+from hil.monitor.settings import MonitorSettings
+from hil.monitor.sources import VideoFrame
 
 Floats = NDArray[np.float64]
 
@@ -35,16 +35,16 @@ _TRIED: Final = 5  # hypotheses a frame
 _MARGIN_PX: Final = 24.0
 
 
-class Observer:
+class FrameTracker:
     """Looks at frame after frame of one target; remembers where it was and what the camera's noise is like."""
 
-    def __init__(self, scene: Scene, settings: Settings) -> None:
+    def __init__(self, scene: Scene, settings: MonitorSettings) -> None:
         self._settings = settings
         self._camera = scene.camera
         self._parts = parts_of(scene.camera, scene.chosen(settings.target))
-        self._recogniser = Recogniser(self._parts)
+        self._recogniser = Detector(self._parts)
         self._tuning = settings.tuning()
-        self._cells = np.zeros(_MOST_CELLS, CELL)
+        self._cells = np.zeros(_MOST_CELLS, EDGE_SAMPLE)
         self._left, self._normal, self._sums = np.zeros(_MOST_CELLS), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(4)
         self._state = _fresh_camera()
         self._last: tuple[float, Floats] | None = None
@@ -58,7 +58,7 @@ class Observer:
         """Let the next frames be looked for along ``motion``."""
         self._motion = motion
 
-    def look(self, frame: Frame) -> Look:
+    def look(self, frame: VideoFrame) -> FrameResult:
         """Return what ``frame`` shows."""
         image = frame.image
         patch = image[:: max(image.shape[0] // 64, 1), :: max(image.shape[1] // 64, 1)]
@@ -75,7 +75,7 @@ class Observer:
                 return candidate
         return self._nothing(frame, NO_TARGET, "not found")
 
-    def _follow(self, frame: Frame) -> Look | None:
+    def _follow(self, frame: VideoFrame) -> FrameResult | None:
         """Look where the target should be by the last frames (task 1b)."""
         if self._last is None or frame.t_s - self._last[0] > self._settings.lost_s:
             return None
@@ -87,9 +87,9 @@ class Observer:
             return None
         return self._measure(frame, x, tracked=True)
 
-    def _find(self, frame: Frame) -> Look | None:
+    def _find(self, frame: VideoFrame) -> FrameResult | None:
         """Look in the operator's region, then in the whole picture (task 1a)."""
-        best: Look | None = None
+        best: FrameResult | None = None
         regions = [self._settings.region] if self._settings.region is not None and self._last is None else []
         for region in [*regions, self._whole]:
             for look in self._find_in(frame, region):
@@ -98,7 +98,7 @@ class Observer:
                 best = best or look
         return best
 
-    def _find_in(self, frame: Frame, region: Region) -> list[Look]:
+    def _find_in(self, frame: VideoFrame, region: Region) -> list[FrameResult]:
         first = math.ceil((region.top - frame.first_line) / frame.line_step)
         last = math.ceil((region.bottom - frame.first_line) / frame.line_step)
         patch = np.ascontiguousarray(frame.image[max(first, 0) : last, region.left : region.right])
@@ -106,7 +106,7 @@ class Observer:
         if prepared.contrast < LEAST_CONTRAST:
             return []
         shifted = Region(region.left, max(first, 0), region.right, last)
-        looks: list[Look] = []
+        looks: list[FrameResult] = []
         guesses = self._recogniser.hypotheses(prepared, shifted, float(frame.first_line), float(frame.line_step))
         for guess in guesses[:_TRIED]:
             self._state = _fresh_camera()
@@ -119,7 +119,7 @@ class Observer:
                 break
         return looks
 
-    def _seek(self, frame: Frame, x: Floats, reaches: tuple[float, ...]) -> bool:
+    def _seek(self, frame: VideoFrame, x: Floats, reaches: tuple[float, ...]) -> bool:
         """Move x (7,) onto the edges, within the first of ``reaches``, px, in which most edges agree; else the best."""
         noise = math.sqrt(self._state["noise_0"] + 100.0 * self._state["noise_1"])
         parts, start, best, found = self._parts, x.copy(), 0, x.copy()
@@ -142,9 +142,9 @@ class Observer:
         depth = x[2] - offset
         return float(self._parts.lens[0] * width / depth) if width > 0.0 and depth > 0.05 else 0.0
 
-    def _measure(self, frame: Frame, x: Floats, tracked: bool) -> Look:
+    def _measure(self, frame: VideoFrame, x: Floats, tracked: bool) -> FrameResult:
         """Measure with the near features if the cross is large enough and holds, else with the far ones."""
-        first: Look | None = None
+        first: FrameResult | None = None
         if self._bar_px(x) >= self._settings.near_bar_px:
             first = self._measure_with(frame, x.copy(), NEAR, tracked)
             if first.used:
@@ -152,7 +152,7 @@ class Observer:
         second = self._measure_with(frame, x.copy(), FAR, tracked)
         return second if second.used or first is None else first
 
-    def _measure_with(self, frame: Frame, x: Floats, mode: str, tracked: bool) -> Look:
+    def _measure_with(self, frame: VideoFrame, x: Floats, mode: str, tracked: bool) -> FrameResult:
         parts, state = self._parts, self._state.copy()
         status, count = measure.measure(
             frame.image, float(frame.first_line), float(frame.line_step), parts.lens, parts.circles, parts.lines,
@@ -165,7 +165,7 @@ class Observer:
             return self._nothing(frame, "rejected_pose", "pose out of bounds")
         cells = self._cells[:count]
         noise = math.sqrt(float(state["noise_0"] + 100.0 * state["noise_1"]))
-        verdict = validation.Verdict(parts, cells, self._left[:count], noise)
+        verdict = validation.Validation(parts, cells, self._left[:count], noise)
         if mode == NEAR:
             labels = np.empty(len(parts.circles))
             measure.label_contrasts(
@@ -180,7 +180,7 @@ class Observer:
         self._last = (frame.t_s, x.copy())
         return self._seen(frame, x, mode, tracked, cells, noise)
 
-    def _seen(self, frame: Frame, x: Floats, mode: str, tracked: bool, cells: Any, noise: float) -> Look:
+    def _seen(self, frame: VideoFrame, x: Floats, mode: str, tracked: bool, cells: Any, noise: float) -> FrameResult:
         used = cells["good"] == 1
         places = np.column_stack((cells["u"] + cells["shift"] * cells["nu"], cells["v"] + cells["shift"] * cells["nv"]))
         prior = np.zeros(UNKNOWNS)
@@ -191,7 +191,7 @@ class Observer:
             frame.number, frame.t_s, mode, (low[0], low[1], high[0] - low[0], high[1] - low[1]), places[used],
             self._cross_at(x) if mode == NEAR else None, self._circle_at(x, near=True), self._circle_at(x, near=False),
         )  # fmt: skip
-        return Look(
+        return FrameResult(
             seen, "", x, self._normal.copy(), prior, self._sums.copy(), tracked, float(self._state["blur"]), noise,
             cells["feature"].copy(), used,
             paper_frame(self._parts.lens, cells) if self._settings.calculation == "paper" and mode == NEAR else None,
@@ -219,8 +219,8 @@ class Observer:
         u, v, depth = self._point_at(x, centre)
         return u, v, float(self._parts.lens[0] * part.radius_m / depth)
 
-    def _nothing(self, frame: Frame, status: str, reason: str) -> Look:
-        return Look(
+    def _nothing(self, frame: VideoFrame, status: str, reason: str) -> FrameResult:
+        return FrameResult(
             Seen(frame.number, frame.t_s, status), reason, np.full(UNKNOWNS, np.nan), np.zeros((UNKNOWNS, UNKNOWNS)),
             np.zeros(UNKNOWNS), np.zeros(4), False,
         )  # fmt: skip

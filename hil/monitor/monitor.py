@@ -9,14 +9,14 @@ from typing import Final
 import numpy as np
 
 from hil.config.scene import Scene
-from hil.monitor.frame_result import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, Look, Result
-from hil.monitor.frame_tracker import Observer
+from hil.monitor.frame_result import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, FrameResult, Result
+from hil.monitor.frame_tracker import FrameTracker
 from hil.monitor.kernels.derived import derive
-from hil.monitor.motion import Fit, MotionFit
+from hil.monitor.motion import MotionFit, MotionSolution
 from hil.monitor.paper.motion import PaperMotionFit
 from hil.monitor.results import QUANTITIES
-from hil.monitor.settings import Settings
-from hil.monitor.sources import Frame
+from hil.monitor.settings import MonitorSettings
+from hil.monitor.sources import VideoFrame
 
 _NAN: Final = np.full(len(QUANTITIES), np.nan)
 
@@ -28,17 +28,17 @@ class Monitor:
     ``finish`` closes the portion that the end of a recording cuts short.
     """
 
-    def __init__(self, scene: Scene, settings: Settings | None = None) -> None:
+    def __init__(self, scene: Scene, settings: MonitorSettings | None = None) -> None:
         self.scene = scene
-        self.settings = settings or Settings()
-        self._observer = Observer(scene, self.settings)
+        self.settings = settings or MonitorSettings()
+        self._observer = FrameTracker(scene, self.settings)
         self._motion = MotionFit(self.settings)
         self._paper = _paper_fit(scene, self.settings)
-        self._looks: list[Look] = []
+        self._looks: list[FrameResult] = []
         self._used_s = -np.inf
-        self.last: Look | None = None
+        self.last: FrameResult | None = None
 
-    def feed(self, frame: Frame) -> list[Result]:
+    def feed(self, frame: VideoFrame) -> list[Result]:
         """Take the next frame; return the portions that are complete by now."""
         done: list[Result] = []
         if self._looks and frame.t_s - self._looks[0].seen.t_s >= self.settings.portion_s - 1e-9:
@@ -77,18 +77,18 @@ class Monitor:
         return _result(looks, fit, status)
 
 
-def _paper_fit(scene: Scene, settings: Settings) -> PaperMotionFit | None:
+def _paper_fit(scene: Scene, settings: MonitorSettings) -> PaperMotionFit | None:
     target = scene.chosen(settings.target)
     if settings.calculation != "paper" or target.disc is None or target.cross is None:
         return None
     return PaperMotionFit(settings, scene.camera.f, target.cross.offset_m, target.disc.radius_m)
 
 
-def _reasons(looks: list[Look]) -> tuple[tuple[str, int], ...]:
+def _reasons(looks: list[FrameResult]) -> tuple[tuple[str, int], ...]:
     return tuple(Counter(look.reason for look in looks if not look.used).most_common())
 
 
-def _nothing(looks: list[Look], t_s: float, status: str | None = None) -> Result:
+def _nothing(looks: list[FrameResult], t_s: float, status: str | None = None) -> Result:
     """Return the row of a portion without numbers: "rejected_<why>" if most of its frames showed something."""
     if status is None:
         status = Counter(look.status for look in looks).most_common(1)[0][0]
@@ -97,7 +97,7 @@ def _nothing(looks: list[Look], t_s: float, status: str | None = None) -> Result
     return Result(t_s, 0, status, _NAN, _NAN, reasons=_reasons(looks))
 
 
-def _result(looks: list[Look], fit: Fit, status: str) -> Result:
+def _result(looks: list[FrameResult], fit: MotionSolution, status: str) -> Result:
     values, sigmas = derive(fit.motion.w, fit.motion.covariance)
     if status == FAR:
         # two angles that are hardly known turn the picture by half their product, which no first-order sigma holds
@@ -112,9 +112,9 @@ def _result(looks: list[Look], fit: Fit, status: str) -> Result:
     )  # fmt: skip
 
 
-def watch(monitor: Monitor, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Look, list[Result]]]:
+def watch(monitor: Monitor, frames: Iterable[VideoFrame]) -> Iterator[tuple[VideoFrame, FrameResult, list[Result]]]:
     """Yield each frame with what was seen in it and the portions it completes, the cut last one with the last frame."""
-    before: tuple[Frame, Look, list[Result]] | None = None
+    before: tuple[VideoFrame, FrameResult, list[Result]] | None = None
     for frame in frames:
         if before is not None:
             yield before

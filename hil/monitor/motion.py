@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.monitor.frame_result import Look
-from hil.monitor.settings import Settings
+from hil.monitor.frame_result import FrameResult
+from hil.monitor.settings import MonitorSettings
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Fit:
+class MotionSolution:
     """A portion's motion, how many frames it rests on, and its three square sums (see Result)."""
 
     motion: Motion
@@ -85,7 +85,7 @@ def _inverse(matrix: Floats) -> Floats:
 class MotionFit:
     """Fits portion after portion; what it carries from one to the next is ``before``."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: MonitorSettings) -> None:
         self._settings = settings
         self._accelerations = np.diag(
             [settings.acceleration_mps2**2] * 3 + [settings.angular_acceleration_radps2**2] * 3
@@ -96,7 +96,7 @@ class MotionFit:
         """Start anew with the next portion."""
         self.before = None
 
-    def fit(self, looks: Sequence[Look], t_s: float) -> Fit | None:
+    def fit(self, looks: Sequence[FrameResult], t_s: float) -> MotionSolution | None:
         """Return the motion at ``t_s`` by the used frames ``looks``; None where it is not determined."""
         kept = list(looks)
         while True:
@@ -111,7 +111,7 @@ class MotionFit:
         self.before = fit.motion
         return fit
 
-    def _solve(self, looks: Sequence[Look], t_s: float) -> tuple[Fit, Floats] | None:
+    def _solve(self, looks: Sequence[FrameResult], t_s: float) -> tuple[MotionSolution, Floats] | None:
         assumed, true, mean = self._prior(t_s)
         matter, right = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
         designs = [_design(look.seen.t_s - t_s) for look in looks]
@@ -144,13 +144,13 @@ class MotionFit:
         if self._settings.motion == "printed":  # 3.2 as it stands: sigma^2 B^-1 with the divisor of K frames alone
             covariance = max(float(np.nan_to_num(motion2, nan=edges)), 1e-6) * inverse
         consistent = edges < 2.0 and excess == 0.0 and widened == 1.0
-        fit = Fit(
+        fit = MotionSolution(
             Motion(t_s, theta[:12].copy(), normal, covariance[:12, :12].copy()),
             len(looks), edges, common, motion2, consistent,
         )  # fmt: skip
         return fit, squares
 
-    def _held(self, looks: Sequence[Look]) -> Floats:
+    def _held(self, looks: Sequence[FrameResult]) -> Floats:
         """Return the information (19, 19) of small passive angles, where no cross tells them."""
         matrix = np.zeros((_UNKNOWNS, _UNKNOWNS))
         d3 = float(looks[-1].pose[2])
@@ -183,7 +183,7 @@ class MotionFit:
         return assumed, true, mean
 
 
-def _edge_squares(looks: Sequence[Look]) -> tuple[float, float, float]:
+def _edge_squares(looks: Sequence[FrameResult]) -> tuple[float, float, float]:
     """Return sigma^2 of the points, of what the points of an edge share, and how far they are above noise.
 
     What is above noise does not average out over the frames of a portion: it is the same in all of them.
@@ -200,7 +200,7 @@ def _edge_squares(looks: Sequence[Look]) -> tuple[float, float, float]:
     return points, common, largest - 1.0 if any(too_large) else 0.0
 
 
-def _square(look: Look, at: Floats) -> float:
+def _square(look: FrameResult, at: Floats) -> float:
     """Return the square of the frame's six about the motion, in its own sigmas, the growth left open."""
     gap = look.pose - at
     full = look.normal + np.diag(look.prior)

@@ -1,6 +1,7 @@
 """Renders what the docking camera sees of a target, with the faults of a television picture.
 
-A ``Renderer`` draws one scene under one set of conditions; ``film`` lets it fly past. Time and chance are arguments.
+A ``TargetRenderer`` draws one scene under one set of conditions; ``film`` moves it past. Time and randomness are
+arguments.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from hil.config.scene import PixelNoise, Scene, Target
 from hil.models import docking_view
 from hil.monitor.kernels.coverage import NEAREST_M, draw_parts, expose
-from hil.monitor.sources import WHOLE, Frame, exposure, lines_of
+from hil.monitor.sources import WHOLE, VideoFrame, exposure, lines_of
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -123,7 +124,7 @@ def parts_of(target: Target) -> list[Part]:
     return found
 
 
-class Renderer:
+class TargetRenderer:
     """Draws ``target`` of ``scene`` (the basic one when not given) as its camera sees it."""
 
     def __init__(self, scene: Scene, target: Target | None = None, conditions: Conditions | None = None) -> None:
@@ -165,13 +166,13 @@ class Renderer:
         """Return the picture (h, w) of the pose d (3,), m, phi (3,), rad, at ``t_s``."""
         return self.expose(self.draw(d_m, phi_rad), d_m, phi_rad, t_s, rng)
 
-    def frame(self, number: int, flight: Flight, rng: np.random.Generator, start_s: float = 0.0) -> Frame:
+    def frame(self, number: int, flight: Flight, rng: np.random.Generator, start_s: float = 0.0) -> VideoFrame:
         """Return frame ``number`` of a flight, of the picture or half frame that is exposed then."""
         t_s, field = exposure(self.scene, number)
         image = self.picture(*flight(start_s + t_s), start_s + t_s, rng)
         if field != WHOLE:
             image = np.ascontiguousarray(image[lines_of(field)])
-        return Frame(number, start_s + t_s, image, field)
+        return VideoFrame(number, start_s + t_s, image, field)
 
     def _spots(self, d: Floats, phi: Floats) -> Floats:
         a = docking_view.attitude(phi)
@@ -195,8 +196,8 @@ def blurred(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
 
 
 def film(
-    renderer: Renderer, flight: Flight, pictures: int, rng: np.random.Generator, start_s: float = 0.0
-) -> Iterator[Frame]:
+    renderer: TargetRenderer, flight: Flight, pictures: int, rng: np.random.Generator, start_s: float = 0.0
+) -> Iterator[VideoFrame]:
     """Yield the frames of ``pictures`` pictures of a flight at the scene's rate; two half frames each if interlaced."""
     halves = 1 if renderer.scene.fields == "whole" else 2
     for number in range(halves * pictures):

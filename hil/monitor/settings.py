@@ -12,7 +12,7 @@ from hil.monitor.preprocess import Region
 
 
 @dataclass(frozen=True)
-class Settings:
+class MonitorSettings:
     """Choices of a run.
 
     region: where to look first, px; the whole picture once that fails. target: of the scene's two. calculation:

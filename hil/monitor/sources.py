@@ -37,7 +37,7 @@ _LONGEST_COUNT: Final = 1e8  # more pictures than this is a container's way of s
 
 
 @dataclass(frozen=True)
-class Frame:
+class VideoFrame:
     """One exposure: a whole picture, or the lines of one half frame.
 
     number counts the frames from 0; t_s, s, from the first one. image: (h, w), or (h/2, w) for a half frame, whose
@@ -82,12 +82,12 @@ class Source:
         self._pictures = pictures
         self._first: Picture | None = next(pictures)  # whoever opens a source hears at once that it is none
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[VideoFrame]:
         if self._first is None:
             raise ValueError(f"{self.name}: a source is read once")
         first, self._first = self._first, None
         for number, frame in enumerate(self._frames(first)):
-            yield Frame(number, *frame)
+            yield VideoFrame(number, *frame)
 
     def _frames(self, first: Picture) -> Iterator[tuple[float, Image, int]]:
         halves = 1 if self._scene.fields == "whole" else 2

@@ -23,7 +23,7 @@ _FARTHEST_M: Final = 500.0
 _LEAST_STEP: Final = 4.0  # noise sigmas of a step's height
 
 
-class Verdict:
+class Validation:
     """Counts of one measured frame, by feature."""
 
     def __init__(self, parts: Parts, cells: NDArray[np.void], left: Floats, noise: float) -> None:
@@ -62,7 +62,7 @@ def wrong_pose(x: Floats) -> bool:
     )
 
 
-def why_not_near(parts: Parts, verdict: Verdict, labels: Floats, noise: float) -> str:
+def why_not_near(parts: Parts, verdict: Validation, labels: Floats, noise: float) -> str:
     """Return why the near features do not confirm the target; empty where they do. labels: contrasts, grey values."""
     supported, laid, good = verdict.supported, verdict.laid, verdict.good
     for bar in (ACROSS, UPRIGHT):
@@ -87,7 +87,7 @@ def why_not_near(parts: Parts, verdict: Verdict, labels: Floats, noise: float) -
     return "" if confirmed else "unconfirmed"
 
 
-def why_not_far(parts: Parts, verdict: Verdict) -> str:
+def why_not_far(parts: Parts, verdict: Validation) -> str:
     """Return why outline and boxes do not confirm the target; empty where they do."""
     supported, laid = verdict.supported, verdict.laid
     boxes = supported[BOX:]

@@ -23,7 +23,7 @@ from hil.gnc.guidance import APPROACH, FINAL, GUIDANCE_PARAMS, HOLD, RETREAT, WA
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.maths import euler, quat
 from hil.models.camera import CAMERA
-from hil.models.mounting import STATIONS
+from hil.models.mounting import MOUNTING
 from hil.params.dynamics import YAW_PITCH_ROLL as YAW_PITCH_ROLL
 from hil.params.dynamics import dss as dss
 from hil.params.dynamics import field as field
@@ -62,7 +62,7 @@ def vision(scenario: Scenario) -> np.record:
 
 def stations(rig: Rig) -> np.record:
     """Return STATIONS."""
-    params = new(STATIONS)
+    params = new(MOUNTING)
     params.camera_station = rig.bench.camera_station_m
     params.q_vc = quat.from_matrix(np.array(rig.bench.camera_axes))
     params.ring_station = rig.bench.ring_station_m

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class PreflightCheck:
     """One line of the table. passed: None for something worth knowing that fails nobody.
 
     value: what was found, with its unit. advice: what to do about it, "" where nothing needs to be done.
@@ -18,6 +18,6 @@ class Check:
     advice: str = ""
 
 
-def all_passed(checks: list[Check]) -> bool:
+def all_passed(checks: list[PreflightCheck]) -> bool:
     """Return whether no check failed; notes do not count."""
     return all(check.passed is not False for check in checks)

@@ -14,7 +14,7 @@ from hil.drivers.base import AxisGroup, PoseSource
 from hil.errors import BenchError, DeviceError, LinkTimeout
 from hil.loop.rate_keeper import WallRate
 from hil.loop.safety_io_stage import IoStage, chain_kept_closed
-from hil.preflight.check import Check
+from hil.preflight.check import PreflightCheck
 from hil.preflight.ports import port_checks
 from hil.processes.emulators import EmulatedDevices
 from hil.processes.io_server import drivers
@@ -23,14 +23,14 @@ _FIRST_SAMPLE_S = 5.0
 _POLL_S = 0.01
 
 
-def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[Check]:
+def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[PreflightCheck]:
     """Return the checks of the rig's wires and devices; an emulated rig gets its emulators for that long.
 
     Rails and turntable of a hardware rig are opened only with ``enable_drives``: opening enables their drives,
     which then hold where they stand.
     """
     if rig.kind == "mock":
-        return [Check("devices", None, "in memory: no wires, no devices")]
+        return [PreflightCheck("devices", None, "in memory: no wires, no devices")]
     clock = WallClock()
     if rig.kind == "hardware":
         return [*port_checks(rig), *_devices(rig, scenario, clock, enable_drives)]
@@ -39,17 +39,17 @@ def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[Check]
             wired, _ = emulated.wait_ready()
             return [*port_checks(wired), *_devices(wired, scenario, clock, enable_drives=True)]
     except DeviceError as error:
-        return [Check("emulators", False, str(error), "hil emulate shows what the emulators themselves say")]
+        return [PreflightCheck("emulators", False, str(error), "hil emulate shows what the emulators themselves say")]
 
 
-def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool) -> list[Check]:
+def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
     """Return the checks of the devices, with the safety chain closed for those that are enabled."""
     rails, turntable, source, _ = drivers(rig, clock)
     if rig.io is None or not rig.has_io:
         return device_checks(rails, turntable, source, clock, enable_drives)
     if not enable_drives:
         advice = "--devices opens it, which closes the safety chain"
-        skipped = Check("device io", None, "skipped", advice)
+        skipped = PreflightCheck("device io", None, "skipped", advice)
         return [skipped, *device_checks(rails, turntable, source, clock, enable_drives)]
     from hil.drivers.io.driver import ModbusIo
 
@@ -58,11 +58,11 @@ def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool
     try:
         lines.open(rate)
         with chain_kept_closed(lines, rate):
-            fine = Check("device io", True, "identified, emergency stop released, safety chain closes")
+            fine = PreflightCheck("device io", True, "identified, emergency stop released, safety chain closes")
             return [fine, *device_checks(rails, turntable, source, clock, enable_drives)]
     except BenchError as error:
         advice = "release the emergency stop, close the interlocks, check the coupler's wire (docs/safety.md)"
-        return [Check("device io", False, str(error), advice)]
+        return [PreflightCheck("device io", False, str(error), advice)]
     finally:
         lines.stop(clock.now_s())
         lines.close()
@@ -70,7 +70,7 @@ def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool
 
 def device_checks(
     rails: AxisGroup, turntable: AxisGroup, source: PoseSource, clock: WallClock, enable_drives: bool
-) -> list[Check]:
+) -> list[PreflightCheck]:
     """Return a check for each of the three devices."""
     checks = []
     for group, unit in ((rails, "m"), (turntable, "deg")):
@@ -78,12 +78,12 @@ def device_checks(
             checks.append(_axes(group, unit, clock))
         else:
             advice = "--devices opens it, which enables its drives: they hold where they stand"
-            checks.append(Check(f"device {group.name}", None, "skipped", advice))
+            checks.append(PreflightCheck(f"device {group.name}", None, "skipped", advice))
     checks.append(_source(source, clock))
     return checks
 
 
-def _axes(group: AxisGroup, unit: str, clock: WallClock) -> Check:
+def _axes(group: AxisGroup, unit: str, clock: WallClock) -> PreflightCheck:
     def sample() -> str:
         feedback = group.read(clock.now_s())
         places = np.degrees(feedback.position) if unit == "deg" else feedback.position
@@ -98,7 +98,7 @@ def _axes(group: AxisGroup, unit: str, clock: WallClock) -> Check:
     return _tried(group.name, lambda: group.open(clock.now_s()), sample, let_go)
 
 
-def _source(source: PoseSource, clock: WallClock) -> Check:
+def _source(source: PoseSource, clock: WallClock) -> PreflightCheck:
     def sample() -> str:
         frames = source.poll(clock.now_s())
         if not frames:
@@ -108,14 +108,16 @@ def _source(source: PoseSource, clock: WallClock) -> Check:
     return _tried(source.name, lambda: source.open(clock.now_s()), sample, source.close)
 
 
-def _tried(name: str, start: Callable[[], None], sample: Callable[[], str], let_go: Callable[[], None]) -> Check:
+def _tried(
+    name: str, start: Callable[[], None], sample: Callable[[], str], let_go: Callable[[], None]
+) -> PreflightCheck:
     """Open a device, wait for its first sample, and let go of it whatever happened."""
     try:
         start()
-        return Check(f"device {name}", True, _first(sample))
+        return PreflightCheck(f"device {name}", True, _first(sample))
     except BenchError as error:
         advice = "is it switched on, and is this its wire (docs/rig.md)? hil emulate shows a device that answers"
-        return Check(f"device {name}", False, str(error), advice)
+        return PreflightCheck(f"device {name}", False, str(error), advice)
     finally:
         let_go()
 

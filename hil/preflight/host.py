@@ -12,7 +12,7 @@ from pathlib import Path
 from hil.core.jit import kernels_are_cached
 from hil.core.messages import CYCLE
 from hil.core.realtime import FIFO_PRIORITY
-from hil.preflight.check import Check
+from hil.preflight.check import PreflightCheck
 from hil.preflight.privileges import Privileges, probe_privileges
 
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
@@ -64,7 +64,7 @@ def _text(path: Path) -> str:
         return ""
 
 
-def host_checks(facts: HostFacts, cycles: int, on_hardware: bool) -> list[Check]:
+def host_checks(facts: HostFacts, cycles: int, on_hardware: bool) -> list[PreflightCheck]:
     """Return what ``facts`` mean for runs of ``cycles`` cycles.
 
     Only with hardware behind the wires a refused privilege or a sleepy processor fails; elsewhere it is a note.
@@ -82,72 +82,76 @@ def host_checks(facts: HostFacts, cycles: int, on_hardware: bool) -> list[Check]
     ]
 
 
-def _clock(facts: HostFacts) -> Check:
+def _clock(facts: HostFacts) -> PreflightCheck:
     fine = facts.clock_resolution_s <= _COARSEST_CLOCK_S
     advice = "" if fine else "use a kernel with high-resolution timers (CONFIG_HIGH_RES_TIMERS)"
-    return Check("clock resolution", fine, f"{facts.clock_resolution_s * 1e9:g} ns, allowed up to 1 us", advice)
+    return PreflightCheck(
+        "clock resolution", fine, f"{facts.clock_resolution_s * 1e9:g} ns, allowed up to 1 us", advice
+    )
 
 
-def _clock_source(facts: HostFacts) -> Check:
+def _clock_source(facts: HostFacts) -> PreflightCheck:
     if not facts.clock_source:
-        return Check("clock source", None, "not exposed")
+        return PreflightCheck("clock source", None, "not exposed")
     fine = facts.clock_source in _GOOD_CLOCK_SOURCES
     advice = "" if fine else "slow to read: boot with clocksource=tsc if the processor's counter is stable"
-    return Check("clock source", fine, facts.clock_source, advice)
+    return PreflightCheck("clock source", fine, facts.clock_source, advice)
 
 
-def _scheduling(facts: HostFacts, on_hardware: bool) -> Check:
+def _scheduling(facts: HostFacts, on_hardware: bool) -> PreflightCheck:
     refused = facts.privileges.fifo_refused
     advice = (
         f"grant CAP_SYS_NICE, or 'rtprio {FIFO_PRIORITY}' in /etc/security/limits.conf (container: --cap-add=SYS_NICE)"
     )
     if not refused:
-        return Check("scheduling", True, f"SCHED_FIFO, priority {FIFO_PRIORITY}")
-    return Check("scheduling", _fails(on_hardware), f"SCHED_FIFO, priority {FIFO_PRIORITY}: {refused}", advice)
+        return PreflightCheck("scheduling", True, f"SCHED_FIFO, priority {FIFO_PRIORITY}")
+    return PreflightCheck("scheduling", _fails(on_hardware), f"SCHED_FIFO, priority {FIFO_PRIORITY}: {refused}", advice)
 
 
-def _memory_lock(facts: HostFacts, on_hardware: bool) -> Check:
+def _memory_lock(facts: HostFacts, on_hardware: bool) -> PreflightCheck:
     refused = facts.privileges.memory_lock_refused
     advice = "grant CAP_IPC_LOCK, or 'memlock unlimited' in /etc/security/limits.conf (container: --ulimit memlock=-1)"
     if not refused:
-        return Check("memory lock", True, "all pages")
-    return Check("memory lock", _fails(on_hardware), refused, advice)
+        return PreflightCheck("memory lock", True, "all pages")
+    return PreflightCheck("memory lock", _fails(on_hardware), refused, advice)
 
 
-def _governor(facts: HostFacts, on_hardware: bool) -> Check:
+def _governor(facts: HostFacts, on_hardware: bool) -> PreflightCheck:
     if not facts.governors:
-        return Check("CPU governor", None, "not exposed (virtual machine)")
+        return PreflightCheck("CPU governor", None, "not exposed (virtual machine)")
     slow = sorted(set(facts.governors) - {"performance"})
     if not slow:
-        return Check("CPU governor", True, "performance")
-    return Check("CPU governor", _fails(on_hardware), ", ".join(slow), "cpupower frequency-set -g performance")
+        return PreflightCheck("CPU governor", True, "performance")
+    return PreflightCheck("CPU governor", _fails(on_hardware), ", ".join(slow), "cpupower frequency-set -g performance")
 
 
-def _processors(facts: HostFacts) -> Check:
+def _processors(facts: HostFacts) -> PreflightCheck:
     fine = facts.processors >= 2
     advice = "" if fine else "give it a second one: the loop needs one for itself while it waits for its deadline"
-    return Check("processors", fine, f"{facts.processors}, wanted 2 or more", advice)
+    return PreflightCheck("processors", fine, f"{facts.processors}, wanted 2 or more", advice)
 
 
-def _disk(facts: HostFacts, cycles: int) -> Check:
+def _disk(facts: HostFacts, cycles: int) -> PreflightCheck:
     wanted = max(_LEAST_FREE_BYTES, float(_RUNS_THAT_MUST_FIT * cycles * CYCLE.itemsize))
     fine = facts.free_bytes >= wanted
     advice = "" if fine else "make room, or run from a folder on another disk"
     value = f"{facts.free_bytes / 1e9:.1f} GB free, wanted {wanted / 1e9:.1f} GB ({_RUNS_THAT_MUST_FIT} runs)"
-    return Check("disk", fine, value, advice)
+    return PreflightCheck("disk", fine, value, advice)
 
 
-def _kernel(facts: HostFacts) -> Check:
+def _kernel(facts: HostFacts) -> PreflightCheck:
     if facts.kernel_is_realtime:
-        return Check("kernel", True, f"{facts.kernel} (PREEMPT_RT)")
+        return PreflightCheck("kernel", True, f"{facts.kernel} (PREEMPT_RT)")
     advice = "a PREEMPT_RT kernel bounds the lateness; without one, judge by what was measured"
-    return Check("kernel", None, f"{facts.kernel} (not PREEMPT_RT)", advice)
+    return PreflightCheck("kernel", None, f"{facts.kernel} (not PREEMPT_RT)", advice)
 
 
-def _kernel_cache(facts: HostFacts) -> Check:
+def _kernel_cache(facts: HostFacts) -> PreflightCheck:
     if facts.kernels_cached:
-        return Check("compiled kernels", True, "in the cache")
-    return Check("compiled kernels", None, "not in the cache", "the first run compiles them before anything moves")
+        return PreflightCheck("compiled kernels", True, "in the cache")
+    return PreflightCheck(
+        "compiled kernels", None, "not in the cache", "the first run compiles them before anything moves"
+    )
 
 
 def _fails(on_hardware: bool) -> bool | None:

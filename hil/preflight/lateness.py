@@ -17,7 +17,7 @@ from hil.core.messages import Array
 from hil.core.realtime import FIFO, FIFO_PRIORITY, RealTime, no_garbage_collection
 from hil.loop.overrun_monitor import lateness_percentiles_us
 from hil.loop.rate_keeper import WallRate
-from hil.preflight.check import Check
+from hil.preflight.check import PreflightCheck
 
 DURATION_S = 5.0
 SHARE_OF_PERIOD = 0.1
@@ -70,7 +70,7 @@ def _histogram(lateness_s: Array) -> tuple[tuple[float, int], ...]:
     return tuple(bins)
 
 
-def lateness_check(found: Lateness) -> Check:
+def lateness_check(found: Lateness) -> PreflightCheck:
     """Return whether the loop can keep its rate on this host."""
     p = found.percentiles_us
     allowed_us = SHARE_OF_PERIOD * found.period_s * 1e6
@@ -81,7 +81,7 @@ def lateness_check(found: Lateness) -> Check:
         f"p99.9 allowed below {allowed_us:.0f} us ({SHARE_OF_PERIOD:.0%} of the period)"
     )
     advice = "" if fine else "end what else runs here, see scheduling and governor, or take a host of your own"
-    return Check("lateness", fine, value, advice)
+    return PreflightCheck("lateness", fine, value, advice)
 
 
 def picture(found: Lateness) -> list[str]:
@@ -98,7 +98,7 @@ def _run(period_s: float, duration_s: float) -> dict[str, object]:
     """Keep the rate for ``duration_s``; a lost period counts as lateness of the cycle after it."""
     rate = WallRate(WallClock(), period_s)
     lateness_s = []
-    with RealTime() as realtime, realtime.at_the_front(), no_garbage_collection():
+    with RealTime() as realtime, realtime.realtime_priority(), no_garbage_collection():
         scheduling = f"SCHED_FIFO {FIFO_PRIORITY}" if realtime.granted(FIFO) else "SCHED_OTHER"
         rate.restart()
         for _ in range(max(1, round(duration_s / period_s))):

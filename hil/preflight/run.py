@@ -12,7 +12,7 @@ from hil.checks.truth import truth_problems
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.preflight.check import Check, all_passed
+from hil.preflight.check import PreflightCheck, all_passed
 from hil.preflight.devices import rig_checks
 from hil.preflight.host import HostFacts, host_checks, probe_host
 from hil.preflight.lateness import Lateness, lateness_check, measure
@@ -25,7 +25,7 @@ Meter = Callable[[float], Lateness]
 class Preflight:
     """What was found; ``lateness`` is None where it could not be measured."""
 
-    checks: list[Check]
+    checks: list[PreflightCheck]
     lateness: Lateness | None
     rate_hz: float
 
@@ -71,15 +71,17 @@ def preflight(
     try:
         late = meter(flown.step_s)
     except RuntimeError as error:
-        return Preflight([*checks, Check("lateness", False, str(error))], None, 1.0 / flown.step_s)
+        return Preflight([*checks, PreflightCheck("lateness", False, str(error))], None, 1.0 / flown.step_s)
     return Preflight([*checks, lateness_check(late)], late, 1.0 / flown.step_s)
 
 
-def reach_check(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> Check:
+def reach_check(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> PreflightCheck:
     """Return whether the rig can follow the plan of the scenario."""
     problems = truth_problems(scenario) or [*flight_problems(scenario, rig), *approach_problems(scenario)]
     name = f"reach of {scenario.value.name}"
     if not problems:
-        return Check(name, True, "travel, speed, acceleration, gimbals and view suit the plan with its dispersion")
+        return PreflightCheck(
+            name, True, "travel, speed, acceleration, gimbals and view suit the plan with its dispersion"
+        )
     told = "; ".join(str(problem) for problem in problems)
-    return Check(name, False, told, "change the scenario's key or the rig's limit that is named")
+    return PreflightCheck(name, False, told, "change the scenario's key or the rig's limit that is named")

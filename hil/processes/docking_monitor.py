@@ -26,7 +26,7 @@ from hil.cameras.docking import RenderedCamera
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
-from hil.core.camera_images import MONITOR, PICTURE, MakesPictures, PictureMaker, View
+from hil.core.camera_images import MONITOR, PICTURE, CameraImage, ImageEncoder, MakesPictures
 from hil.core.messages import CYCLE
 from hil.drivers.emulator_process import die_with_parent
 from hil.errors import LinkLost, LinkTimeout
@@ -35,8 +35,8 @@ from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.monitor.monitor import Monitor
 from hil.monitor.results import PORTION, Portion, portion_row
 from hil.monitor.screen.overlay import with_words
-from hil.monitor.settings import Settings
-from hil.monitor.sources import WHOLE, Frame
+from hil.monitor.settings import MonitorSettings
+from hil.monitor.sources import WHOLE, VideoFrame
 
 NAME: Final = "docking monitor"
 _NICE: Final = 10  # it may come late; whoever moves the bench may not
@@ -108,7 +108,7 @@ class Watch:
             self.watched.portions.append(portion)
             self._told.put(portion_row(portion))
 
-    def _show(self, frame: Frame) -> None:
+    def _show(self, frame: VideoFrame) -> None:
         """Hand over the frame with what was found in it, where it is wanted; a half frame with each line twice."""
         look = self._monitor.last
         if self._shown is None or look is None or not self._shown.due(frame.t_s):
@@ -116,7 +116,9 @@ class Watch:
         image = frame.image if frame.field == WHOLE else np.repeat(frame.image, 2, axis=0)
         newest = self.watched.portions[-1] if self.watched.portions else None
         shapes = with_words(look.seen, newest)
-        self._shown.put(View(MONITOR, image, t_s=frame.t_s, number=frame.number, status=look.status, shapes=shapes))
+        self._shown.put(
+            CameraImage(MONITOR, image, t_s=frame.t_s, number=frame.number, status=look.status, shapes=shapes)
+        )
 
     def finish(self) -> Watched:
         """Return what was seen, the frames of an unfinished portion included."""
@@ -124,11 +126,11 @@ class Watch:
         return self.watched
 
 
-def settings_of(scenario: Scenario) -> Settings:
+def settings_of(scenario: Scenario) -> MonitorSettings:
     """Return the settings of the monitor beside a run of ``scenario``."""
     guidance = scenario.gnc.guidance  # how fast a rate may change is known here
     acceleration = max(guidance.acceleration_mps2, guidance.deceleration_mps2)
-    return Settings(target=scenario.monitor.target, acceleration_mps2=acceleration)
+    return MonitorSettings(target=scenario.monitor.target, acceleration_mps2=acceleration)
 
 
 def watch_recorded(
@@ -241,7 +243,7 @@ def _outlets(told: dict[str, Any], rig: Rig) -> tuple[MakesPictures | None, Tele
     wanted = wanted_pictures(rig)
     shown, portions = None, None
     if told["pictures"] is not None and wanted.encoding != "none":
-        shown = PictureMaker(Ring(told["pictures"][0], PICTURE, told["pictures"][1], "pictures"), wanted)
+        shown = ImageEncoder(Ring(told["pictures"][0], PICTURE, told["pictures"][1], "pictures"), wanted)
     if told["portions"] is not None:
         portions = Ring(told["portions"][0], PORTION, told["portions"][1], "portions")
     return shown, portions

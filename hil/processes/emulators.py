@@ -9,18 +9,18 @@ import sys
 from collections.abc import Sequence
 from typing import Any, Literal, Self
 
-from hil.cameras.factory import make_eye
+from hil.cameras.factory import make_pose_sensor
 from hil.cameras.pose_model import transport
-from hil.config.model import Strict
+from hil.config.model import ConfigModel
 from hil.config.rail_wires import ModbusRtu
 from hil.config.rig import RAIL_NAMES, AsciiTurntableLine, Cia402, Modbus, ModbusAxis, Rails, Rig, SerialLine
 from hil.config.scenario import Scenario
-from hil.core.camera_images import MakerBeside
+from hil.core.camera_images import ThreadedImageSink
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
 from hil.core.realtime import take_fifo
 from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 from hil.frmn.image_memory import PictureMemory
 from hil.setup.assembly import start_axes
 
@@ -42,7 +42,7 @@ class EmulatedDevices:
     def __init__(
         self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int, pictures: PictureMemory | None = None
     ) -> None:
-        self.board = AxisBoard.create()
+        self.board = SharedAxisState.create()
         self._rig = rig
         configuration = {
             "scenario": scenario.model_dump(mode="json"),
@@ -116,7 +116,7 @@ def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
     vmu = rig.vmu.model_copy(
         update={"rs422": (rig.vmu.rs422 or SerialLine()).model_copy(update={"port": addresses["vmu"]})}
     )
-    wired: dict[str, Strict] = {"rails": rails, "turntable": turntable, "vmu": vmu}
+    wired: dict[str, ConfigModel] = {"rails": rails, "turntable": turntable, "vmu": vmu}
     if rig.io is not None and rig.has_io:
         host, _, port = addresses["io"].rpartition(":")
         wired["io"] = rig.io.model_copy(update={"host": host, "port": int(port)})
@@ -145,7 +145,7 @@ def make_emulator(
     scenario = Scenario.model_validate(configuration["scenario"], strict=False)
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
-    board = AxisBoard(configuration["board"])
+    board = SharedAxisState(configuration["board"])
     if device == "io" and rig.io is not None:
         from hil.drivers.io.emulator import IoEmulator
 
@@ -167,8 +167,10 @@ def make_emulator(
     from hil.drivers.vmu.emulator import VmuEmulator
 
     shown = _pictures(configuration["pictures"], rig)
-    eye = make_eye(scenario, rig, configuration["seed"], shown)
-    rehearsed = make_eye(scenario, rig, configuration["seed"])  # compiles, and leaves the noise of the other one alone
+    eye = make_pose_sensor(scenario, rig, configuration["seed"], shown)
+    rehearsed = make_pose_sensor(
+        scenario, rig, configuration["seed"]
+    )  # compiles, and leaves the noise of the other one alone
     start = start_axes(scenario, rig)
     for k in range(3):  # the search in whole pictures, then windows
         rehearsed.look(start.rail_m, start.gimbal_rad, k / rig.vmu.rate_hz)
@@ -183,10 +185,10 @@ def make_emulator(
     return VmuEmulator(rig.vmu, clock, pose_at, transport(scenario.vmu, seed), seed, at_end)
 
 
-def _pictures(memory: Sequence[int] | None, rig: Rig) -> MakerBeside | None:
+def _pictures(memory: Sequence[int] | None, rig: Rig) -> ThreadedImageSink | None:
     """Return what takes a rendered unit's pictures: in a thread of its own, for the unit keeps time."""
     maker = PictureMemory(*memory).maker(rig) if memory else None
-    return MakerBeside(maker) if maker else None
+    return ThreadedImageSink(maker) if maker else None
 
 
 def _keep_time(device: str, speed: float) -> None:

@@ -44,7 +44,7 @@ def gnc_side(name: str, bind: Address | None, peer: Address | None) -> Link:
 
 
 @dataclass
-class Flight:
+class GncServerStats:
     """What a GNC did: why it ended and what was counted."""
 
     end: str = ""
@@ -82,7 +82,7 @@ class Flight:
         }
 
 
-class GncComputer:
+class GncServer:
     """Serves the bench at the other end of ``link`` with the GNC of ``scenario``.
 
     tell: told in a line what happens.
@@ -90,7 +90,7 @@ class GncComputer:
 
     def __init__(self, scenario: Scenario, link: Link, tell: Callable[[str], None] = lambda _: None) -> None:
         self.link = link
-        self.flight = Flight()
+        self.flight = GncServerStats()
         self._scenario = scenario
         self._tell = tell
         self._expected = gnc_setup(scenario)
@@ -115,7 +115,7 @@ class GncComputer:
         self._begin()
         self._warm_up()
 
-    def serve(self, patience_s: float) -> Flight:
+    def serve(self, patience_s: float) -> GncServerStats:
         """Answer until the bench says goodbye; return what was done.
 
         patience_s: wall time without a bench after which LinkTimeout is raised, or LinkLost where there was one.
@@ -126,7 +126,7 @@ class GncComputer:
         while True:
             left_s = heard_s + knows_after_s - time.monotonic()
             self.link.wait(min(_SLICE_S, left_s) if left_s > 0.0 else _SLICE_S)
-            self.link.tend()
+            self.link.service()
             arrivals = self.link.poll()
             for arrival in arrivals:
                 self._take(arrival)
@@ -153,7 +153,7 @@ class GncComputer:
 
     def _judge_silence(self, silent_s: float, patience_s: float) -> None:
         refusal = self.link.refusal
-        if refusal is not None and refusal[0] in (Refusal.VERSION, Refusal.CELLS):
+        if refusal is not None and refusal[0] in (Refusal.VERSION, Refusal.MAILBOXES):
             raise LinkLost("dss", f"refuses: {refusal[1]}")
         if silent_s <= patience_s:
             return

@@ -12,8 +12,8 @@ from hil.drivers.base import DiscreteIo
 from hil.drivers.emulator_process import EmulatorProcess
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemoteIo, RemotePoses, RemoteTurntable
-from hil.drivers.remote.io_layout import Exchange
-from hil.drivers.remote.requests import Requests
+from hil.drivers.remote.io_layout import IoSharedMemory
+from hil.drivers.remote.requests import IoRequests
 
 _READY_WALL_S: Final = 60.0
 _PROGRAMS: Final = {io_layout.HOST: "hil.processes.io_server", io_layout.GUARD: "hil.processes.watchdog"}
@@ -23,7 +23,7 @@ TITLES: Final = {io_layout.HOST: "I/O process", io_layout.GUARD: "watchdog proce
 class _Child:
     """One such process and the way to ask it for something."""
 
-    def __init__(self, name: str, rig: Rig, clock: WallClock, exchange: Exchange) -> None:
+    def __init__(self, name: str, rig: Rig, clock: WallClock, exchange: IoSharedMemory) -> None:
         here, there = socket.socketpair()
         configuration = {
             "rig": rig.model_dump(mode="json"),
@@ -37,7 +37,7 @@ class _Child:
             self.process = EmulatorProcess(name, program, configuration, (*exchange.descriptors, there.fileno()))
         finally:
             there.close()
-        self.requests = Requests(here)
+        self.requests = IoRequests(here)
         self.link = IoLink(name, exchange, self.requests, clock, self.process.ended)
 
 
@@ -46,7 +46,7 @@ class HostProcesses:
 
     def __init__(self, rig: Rig, clock: WallClock) -> None:
         self._rig = rig
-        self._exchange = Exchange.create()
+        self._exchange = IoSharedMemory.create()
         self._children: dict[str, _Child] = {}
         try:
             for name in (io_layout.HOST, *((io_layout.GUARD,) if rig.has_io else ())):

@@ -18,8 +18,8 @@ from hil.core.messages import AxisFeedback
 from hil.drivers.base import AxisGroup, Jogs, Parks, PoseSource
 from hil.drivers.emulator_process import serve
 from hil.drivers.remote import io_layout
-from hil.drivers.remote.host import LOOP_SILENCE_MAX_S, Host, go_first
-from hil.drivers.remote.io_layout import Exchange
+from hil.drivers.remote.host import LOOP_SILENCE_MAX_S, DeviceServer, raise_priority
+from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.errors import BenchError, LinkLost
 
 
@@ -41,14 +41,14 @@ def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSourc
     return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock), target
 
 
-class DeviceHost(Host):
+class DeviceHost(DeviceServer):
     """Rails, turntable and vision unit, served for the loop; the axes are stopped when the loop falls silent."""
 
     def __init__(
         self,
         axes: dict[str, AxisGroup],
         poses: PoseSource,
-        exchange: Exchange,
+        exchange: IoSharedMemory,
         requests: socket.socket,
         clock: WallClock,
     ) -> None:
@@ -145,12 +145,12 @@ class DeviceHost(Host):
 
 def make_host(configuration: dict[str, Any]) -> DeviceHost:
     """Return the host for the configuration that the parent sent; threads of this process get its priority."""
-    go_first()
+    raise_priority()
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     rails, turntable, poses, target = drivers(rig, clock)
     axes = {"rails": rails, "turntable": turntable} | ({"target": target} if target is not None else {})
-    exchange = Exchange.attach(tuple(configuration["descriptors"]))
+    exchange = IoSharedMemory.attach(tuple(configuration["descriptors"]))
     requests = socket.socket(fileno=configuration["requests"])
     return DeviceHost(axes, poses, exchange, requests, clock)
 

@@ -19,18 +19,18 @@ from hil.drivers.base import DiscreteIo
 from hil.drivers.emulator_process import serve
 from hil.drivers.io import NAME
 from hil.drivers.remote import io_layout
-from hil.drivers.remote.host import LOOP_SILENCE_MAX_S, Host, go_first
-from hil.drivers.remote.io_layout import Exchange
+from hil.drivers.remote.host import LOOP_SILENCE_MAX_S, DeviceServer, raise_priority
+from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.errors import BenchError, LinkLost
 
 _PERIOD_WALL_S = 0.004  # a tenth of the shortest silence that it has to notice, less than a pulse's period
 _WATCHED = {io_layout.LOOP: "the loop", io_layout.HOST: "the I/O process"}
 
 
-class Watchdog(Host):
+class Watchdog(DeviceServer):
     """Serves the digital lines for the loop."""
 
-    def __init__(self, lines: DiscreteIo, exchange: Exchange, requests: socket.socket, clock: WallClock) -> None:
+    def __init__(self, lines: DiscreteIo, exchange: IoSharedMemory, requests: socket.socket, clock: WallClock) -> None:
         super().__init__({NAME: lines}, exchange, requests, clock, io_layout.GUARD, _PERIOD_WALL_S)
         self._lines = lines
         self._outputs = np.zeros(1, io_layout.OUTPUTS)
@@ -87,11 +87,11 @@ def make_watchdog(configuration: dict[str, Any]) -> Watchdog:
     """Return the watchdog for the configuration that the parent sent; threads of this process get its priority."""
     from hil.drivers.io.driver import ModbusIo
 
-    go_first()
+    raise_priority()
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     assert rig.io is not None
-    exchange = Exchange.attach(tuple(configuration["descriptors"]))
+    exchange = IoSharedMemory.attach(tuple(configuration["descriptors"]))
     return Watchdog(ModbusIo(rig.io, clock), exchange, socket.socket(fileno=configuration["requests"]), clock)
 
 

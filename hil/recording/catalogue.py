@@ -73,7 +73,7 @@ COLUMNS: Final = (
 
 
 @dataclass(frozen=True)
-class Wanted:
+class RecordingFilter:
     """Which runs are asked for. failed: verdict fail, safe-stopped or broken off; since: begin of an ISO time, UTC."""
 
     failed: bool = False
@@ -147,7 +147,7 @@ class Catalogue:
         with self._connection() as connection:
             connection.execute(f"UPDATE runs SET {changes} WHERE run = :run", found)
 
-    def runs(self, wanted: Wanted = Wanted()) -> list[dict[str, Any]]:
+    def runs(self, wanted: RecordingFilter = RecordingFilter()) -> list[dict[str, Any]]:
         """Return the entries asked for, oldest first, by ``COLUMNS``; the file's path is as it is from here."""
         if not self.path.is_file():
             raise BadInput.single(str(self.path), "", "no such catalogue: hil run ... --record FOLDER makes one")
@@ -198,7 +198,7 @@ def _key_numbers(summary: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _fits(entry: dict[str, Any], wanted: Wanted) -> bool:
+def _fits(entry: dict[str, Any], wanted: RecordingFilter) -> bool:
     failed = entry["passed"] is False or entry["state"] == BROKEN_OFF
     return (
         (not wanted.failed or failed)

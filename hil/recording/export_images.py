@@ -16,7 +16,7 @@ from hil.config.scene import Scene
 from hil.core.camera_images import CAMERAS, LEFT, MONITOR, RIGHT
 from hil.errors import BadInput
 from hil.monitor.sources import WHOLE, exposure, lines_of
-from hil.recording.images import Picture, pictures
+from hil.recording.images import RecordedImage, pictures
 from hil.recording.read import Recorded
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
 
@@ -78,7 +78,7 @@ class _Times:
     def __enter__(self) -> _Times:
         return self
 
-    def write(self, picture: Picture, file: Path) -> None:
+    def write(self, picture: RecordedImage, file: Path) -> None:
         self._rows.append(
             (file, picture.camera, picture.t_s, picture.bench_s, picture.number, picture.status, picture.encoding)
         )
@@ -91,7 +91,7 @@ class _Times:
                 writer.writerows(self._rows)
 
 
-def _files(recorded: Recorded) -> Iterator[tuple[Picture, str, np.ndarray | None]]:
+def _files(recorded: Recorded) -> Iterator[tuple[RecordedImage, str, np.ndarray | None]]:
     """Yield each picture that becomes a file, its name, and its image; None where the recorded bytes are it."""
     rate_hz = recorded.rig.vmu.rate_hz
     for picture in pictures(recorded.path, LEFT, RIGHT):
@@ -107,16 +107,16 @@ def _number(bench_s: float, rate_hz: float) -> int:
     return round(bench_s * rate_hz) if math.isfinite(bench_s) else 0
 
 
-def _whole_pictures(recorded: Recorded) -> Iterator[tuple[Picture, str, np.ndarray | None]]:
+def _whole_pictures(recorded: Recorded) -> Iterator[tuple[RecordedImage, str, np.ndarray | None]]:
     for picture in pictures(recorded.path, MONITOR):
         image = None if picture.encoding == "png" else picture.image(recorded.path)
         yield picture, f"{picture.number:06d}.png", image
 
 
-def _woven_pictures(recorded: Recorded, scene: Scene) -> Iterator[tuple[Picture, str, np.ndarray | None]]:
+def _woven_pictures(recorded: Recorded, scene: Scene) -> Iterator[tuple[RecordedImage, str, np.ndarray | None]]:
     """Yield pictures of two half frames; where one was not recorded, the lines of the other stand for it."""
     slot, whole = -1, np.empty(0, np.uint8)
-    last: Picture | None = None
+    last: RecordedImage | None = None
     for picture in pictures(recorded.path, MONITOR):
         half = exposure(scene, picture.number)[1]
         image = picture.image(recorded.path)

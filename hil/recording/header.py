@@ -14,11 +14,11 @@ from hil.config.load import load_scene
 from hil.config.motion_digest import motion_digest
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, VERSION
 from hil.recording.utc import utc_text
-from hil.recording.writer import Header
+from hil.recording.writer import RecordingHeader
 from hil.setup.assembly import Job
 
 
-def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> Header:
+def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> RecordingHeader:
     """Return the header of a recording of ``job`` by the name ``run``. Raises BadInput where a file of it is none."""
     scenario, rig = job.scenario.value, job.rig.value
     versions = {name: importlib.metadata.version(name) for name in ("numpy", "numba", "scipy", "mcap")}
@@ -45,7 +45,7 @@ def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> Header:
         **file_digests({"scenario": scenario.model_dump(mode="json"), "rig": rig.model_dump(mode="json")}),
     }
     files = {"scenario.json": scenario.model_dump_json(), "rig.json": rig.model_dump_json(), **_calibrations(job)}
-    return Header(facts, files, started_ns)
+    return RecordingHeader(facts, files, started_ns)
 
 
 def _calibrations(job: Job) -> dict[str, str]:

@@ -20,7 +20,7 @@ from hil.recording.read import Scan, directory
 
 
 @dataclass(frozen=True)
-class Picture:
+class RecordedImage:
     """A recorded picture; times, number and status as of ``hil.core.camera_images.PICTURE``."""
 
     camera: str
@@ -42,7 +42,7 @@ class Picture:
         return np.asarray(found)
 
 
-def pictures(path: Path, *cameras: str) -> Iterator[Picture]:
+def pictures(path: Path, *cameras: str) -> Iterator[RecordedImage]:
     """Yield the pictures of ``cameras`` in the order of recording. Raises BadInput for a file that is no recording.
 
     Damaged blocks are left out, and what comes after a cut.
@@ -54,10 +54,10 @@ def pictures(path: Path, *cameras: str) -> Iterator[Picture]:
             yield _picture(path, record)
 
 
-def _picture(path: Path, message: Message) -> Picture:
+def _picture(path: Path, message: Message) -> RecordedImage:
     try:
         told = json.loads(message.data)
-        return Picture(
+        return RecordedImage(
             told["frame_id"],
             _time(told["t_s"]),
             _time(told["bench_s"]),
@@ -74,9 +74,9 @@ def _time(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def pairs(path: Path) -> Iterator[tuple[Picture, Picture]]:
+def pairs(path: Path) -> Iterator[tuple[RecordedImage, RecordedImage]]:
     """Yield left and right picture of each exposure of the vision unit of which both were recorded."""
-    left: Picture | None = None
+    left: RecordedImage | None = None
     for picture in pictures(path, LEFT, RIGHT):
         if picture.camera == LEFT:
             left = picture

@@ -19,14 +19,14 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Messag
 from mcap.stream_reader import StreamReader, breakup_chunk
 from pydantic import ValidationError
 
-from hil.config.model import Strict
+from hil.config.model import ConfigModel
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import CYCLE
 from hil.errors import BadInput
 from hil.recording import schema, show, writer
 
-_Model = TypeVar("_Model", bound=Strict)
+_Model = TypeVar("_Model", bound=ConfigModel)
 
 _BROKEN: Final = (
     McapError,

@@ -25,13 +25,13 @@ from hil.core.camera_images import PICTURE
 from hil.core.messages import CYCLE
 from hil.drivers.remote.io_layout import ARRIVAL
 from hil.errors import BadInput
-from hil.frmn.mailbox import Block, Cell
+from hil.frmn.mailbox import Mailbox, MailboxBlock
 from hil.frmn.ring import Reader, Ring
 from hil.monitor.results import PORTION
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
 from hil.recording.schema import NOTE
 from hil.recording.utc import utc_text
-from hil.recording.writer import FLUSH_S, Account, Header, RunFile
+from hil.recording.writer import FLUSH_S, RecordingHeader, RecordingStats, RunFile
 
 _LOOK_WALL_S: Final = 0.02
 _AT_MOST: Final = 512  # rows at once, so that no look lasts long
@@ -60,7 +60,7 @@ class Recorder:
     state: STATE, where it tells how the recording stands.
     """
 
-    def __init__(self, file: RunFile, rings: dict[str, Ring], state: Cell) -> None:
+    def __init__(self, file: RunFile, rings: dict[str, Ring], state: Mailbox) -> None:
         self._file = file
         self._state = state
         self._told = np.zeros(1, STATE)
@@ -119,12 +119,12 @@ def record(configuration: dict[str, Any]) -> None:
     }
     path = Path(configuration["file"])
     try:
-        file = RunFile(path, Header(**configuration["header"]))
+        file = RunFile(path, RecordingHeader(**configuration["header"]))
     except OSError as error:
         parent.sendall(f"{error.strerror}\n".encode())
         return
     parent.sendall(READY)
-    block = Block(configuration["state"], CELLS, "recorder")
+    block = MailboxBlock(configuration["state"], CELLS, "recorder")
     recorder = Recorder(file, rings, block["state"])
     said = record_until_told(recorder, parent)
     if said is None:
@@ -138,7 +138,7 @@ def record(configuration: dict[str, Any]) -> None:
     _answer(parent, account)
 
 
-def _answer(parent: socket.socket, account: Account) -> None:
+def _answer(parent: socket.socket, account: RecordingStats) -> None:
     with suppress(OSError):
         parent.sendall(json.dumps(asdict(account)).encode() + b"\n")
 

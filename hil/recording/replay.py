@@ -18,12 +18,12 @@ from hil.config.live_tunable import value_of
 from hil.config.scenario import Scenario
 from hil.core.messages import CYCLE, MAX_POSES, POSE
 from hil.errors import BadInput, BenchError
-from hil.gnc_backends.base import Seat
-from hil.loop.cycle import Blackboard
-from hil.loop.stages import Gnc
+from hil.gnc_backends.base import GncBackend
+from hil.loop.cycle import CycleData
+from hil.loop.stages import BuiltinGnc
 from hil.recording.read import Recorded
 from hil.recording.schema import flat_fields
-from hil.setup.assembly import make_seat
+from hil.setup.assembly import make_backend
 from hil.setup.live_tuning import tuning, with_setting
 
 COMPARED: Final = ("navigation", "nees_position", "nees_attitude", "reference", "supervision", "command")
@@ -92,10 +92,10 @@ def replay(recorded: Recorded, scenario: Scenario) -> Replayed:
     """
     if not len(recorded.cycles):
         raise BadInput.single(str(recorded.path), "", "no cycle is recorded: there is nothing to replay")
-    gnc, poses, orders = make_seat(scenario), _Poses(recorded.arrivals), _orders(recorded)
+    gnc, poses, orders = make_backend(scenario), _Poses(recorded.arrivals), _orders(recorded)
     settings = _Settings(recorded, scenario)
     rows = recorded.cycles.copy()
-    now = Blackboard()
+    now = CycleData()
     done, ended = 0, ""
     with _seated(gnc):
         for k, row in enumerate(recorded.cycles):
@@ -118,7 +118,7 @@ def replay(recorded: Recorded, scenario: Scenario) -> Replayed:
 
 
 @contextmanager
-def _seated(gnc: Seat) -> Iterator[None]:
+def _seated(gnc: GncBackend) -> Iterator[None]:
     gnc.open(0.0)
     try:
         yield
@@ -126,7 +126,7 @@ def _seated(gnc: Seat) -> Iterator[None]:
         gnc.close()
 
 
-def _cycle(gnc: Seat, poses: _Poses, row: np.void, now: Blackboard) -> str:
+def _cycle(gnc: GncBackend, poses: _Poses, row: np.void, now: CycleData) -> str:
     """Run the lines of ``run_cycle`` that are the GNC's, from recorded inputs; return why it cannot go on."""
     now.row["truth"], now.row["imu"] = row["truth"], row["imu"]
     try:
@@ -156,7 +156,7 @@ def _orders(recorded: Recorded) -> dict[int, list[str]]:
     return found
 
 
-def _give_orders(gnc: Seat, orders: list[str] | tuple[()]) -> None:
+def _give_orders(gnc: GncBackend, orders: list[str] | tuple[()]) -> None:
     for order in orders:
         if order == "go":
             gnc.order_go()
@@ -181,9 +181,9 @@ class _Settings:
             if note["kind"] == "setting" and follows(recorded, scenario, note["message"]):
                 self._by_cycle[note["cycle"]].append(note["message"])
 
-    def give(self, gnc: Seat, cycle: int) -> None:
+    def give(self, gnc: GncBackend, cycle: int) -> None:
         """Change in ``gnc`` what was changed before ``cycle``; one of the user's own has none of our settings."""
-        if not isinstance(gnc, Gnc):
+        if not isinstance(gnc, BuiltinGnc):
             return
         for setting in self._by_cycle.get(cycle, ()):
             self._scenario = with_setting(self._scenario, setting, self._source).value
@@ -236,7 +236,7 @@ def _finite(value: float) -> float | None:
 
 
 def _events(
-    recorded: Recorded, gnc: Seat, done: int
+    recorded: Recorded, gnc: GncBackend, done: int
 ) -> tuple[list[tuple[float, str, str]], list[tuple[float, str, str]]]:
     """Return the events of approach and filters that are in the recording alone, and those of now alone."""
     last_s = float(recorded.cycles["t_s"][done - 1]) if done else 0.0

@@ -18,12 +18,12 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import MONITOR
 from hil.core.messages import PoseFrame
 from hil.drivers.remote.io_layout import read_frame
-from hil.drivers.vmu.codec import Decoder, encode
+from hil.drivers.vmu.codec import PoseDecoder, encode
 from hil.errors import BadInput
 from hil.maths import quat
 from hil.monitor.monitor import Monitor
 from hil.monitor.results import PORTION, QUANTITIES, Portion, portion_of, portion_row
-from hil.monitor.sources import WHOLE, Frame, exposure
+from hil.monitor.sources import WHOLE, VideoFrame, exposure
 from hil.processes.docking_monitor import settings_of
 from hil.recording import images
 from hil.recording.read import Recorded
@@ -35,7 +35,7 @@ _PERIOD_SHARE: Final = 0.25  # of a frame period: as far as the time of a frame 
 
 
 @dataclass(frozen=True)
-class Component:
+class ImageComponent:
     """One number of the results. count: in how many it differs; first_s: time of the run of the first such; largest:
     of |difference|, in unit and in the recorded sigmas; None where only one of both is a number."""
 
@@ -63,7 +63,7 @@ class PicturesReplayed:
     missing: int = 0
     new: int = 0
     statuses: Counter[tuple[str, str]] = field(default_factory=Counter)
-    differences: list[Component] = field(default_factory=list)
+    differences: list[ImageComponent] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
     @property
@@ -87,7 +87,7 @@ class _Compared:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def components(self) -> Iterator[Component]:
+    def components(self) -> Iterator[ImageComponent]:
         if not self._rows:
             return
         t_s = np.array([row[0] for row in self._rows])
@@ -100,7 +100,7 @@ class _Compared:
             known = np.isfinite(sizes)
             worst = int(np.argmax(np.where(known, sizes, -1.0)))
             shares = sizes / sigmas[where, i]
-            yield Component(
+            yield ImageComponent(
                 name,
                 unit,
                 len(where),
@@ -120,7 +120,7 @@ class _Pictures:
         self._last = -1
         self._left_out = 0
 
-    def note(self, picture: images.Picture) -> None:
+    def note(self, picture: images.RecordedImage) -> None:
         self.count += 1
         self._encodings.add(picture.encoding)
         self._left_out += max(0, picture.number - self._last - 1)
@@ -203,7 +203,7 @@ def _apart(before: PoseFrame, now: PoseFrame) -> tuple[np.ndarray, np.ndarray, n
 
 def _off_the_wire(frame: PoseFrame) -> PoseFrame:
     """Return ``frame`` with the numbers that its bytes hold."""
-    (decoded,) = Decoder().feed(encode(frame), 0.0)
+    (decoded,) = PoseDecoder().feed(encode(frame), 0.0)
     assert decoded.pose is not None
     return decoded.pose
 
@@ -229,7 +229,7 @@ def replay_monitor(recorded: Recorded, scene: Scene) -> PicturesReplayed:
     return found
 
 
-def _frame(recorded: Recorded, scene: Scene, picture: images.Picture) -> Frame:
+def _frame(recorded: Recorded, scene: Scene, picture: images.RecordedImage) -> VideoFrame:
     image = picture.image(recorded.path)
     size = (scene.camera.width, scene.camera.height)
     if image.shape[::-1] != size:
@@ -238,7 +238,7 @@ def _frame(recorded: Recorded, scene: Scene, picture: images.Picture) -> Frame:
     half = exposure(scene, picture.number)[1]
     if half != WHOLE:
         image = np.ascontiguousarray(image[::2])  # each line stands in it twice
-    return Frame(picture.number, picture.t_s, image, half)
+    return VideoFrame(picture.number, picture.t_s, image, half)
 
 
 def _compare_portions(found: PicturesReplayed, before: np.ndarray, now: Sequence[Portion], whole: bool) -> None:

@@ -22,15 +22,15 @@ from hil import __version__
 from hil.core import camera_images
 from hil.errors import BadInput
 from hil.frmn.image_memory import wanted_pictures
-from hil.frmn.mailbox import Block
+from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
 from hil.frmn.run_time import RunTime
 from hil.recording import recorder
 from hil.recording.catalogue import BROKEN_OFF, DONE, Catalogue
 from hil.recording.header import header_of
-from hil.recording.taps import Taps
+from hil.recording.taps import RecordingSinks
 from hil.recording.utc import utc_ns, utc_text
-from hil.recording.writer import Account, Header, RunFile
+from hil.recording.writer import RecordingHeader, RecordingStats, RunFile
 from hil.setup.assembly import Job
 
 _RING_S: Final = 5.0  # of cycles: how long the recorder may stand still before anything is lost
@@ -49,10 +49,10 @@ _EXIT_WALL_S: Final = 1.0
 
 
 class _Recorder(Protocol):
-    taps: Taps
-    state: Block | None
+    taps: RecordingSinks
+    state: MailboxBlock | None
 
-    def finish(self, end: dict[str, str], summary: str) -> Account:
+    def finish(self, end: dict[str, str], summary: str) -> RecordingStats:
         """Close the file."""
 
 
@@ -67,19 +67,19 @@ class Recording:
         self.path = path
         self.taps = recorder.taps
         self.state = recorder.state
-        self.account: Account | None = None
+        self.account: RecordingStats | None = None
         self._catalogue = catalogue
         self._recorder = recorder
 
-    def finish(self, summary: dict[str, Any]) -> Account:
+    def finish(self, summary: dict[str, Any]) -> RecordingStats:
         """Close the recording with the run's numbers (as of ``hil run --json``); enter them into the catalogue."""
         return self._finish(DONE, summary["stop"], summary)
 
-    def break_off(self, reason: str) -> Account:
+    def break_off(self, reason: str) -> RecordingStats:
         """Close the recording of a run that came to no verdict."""
         return self._finish(BROKEN_OFF, reason, {})
 
-    def _finish(self, state: str, stop: str, summary: dict[str, Any]) -> Account:
+    def _finish(self, state: str, stop: str, summary: dict[str, Any]) -> RecordingStats:
         ended = utc_text()
         end = {"stop": stop, "ended_utc": ended}
         account = self._recorder.finish(end, json.dumps(summary, allow_nan=False) if summary else "")
@@ -87,7 +87,7 @@ class Recording:
             self._catalogue.end(self.run, ended, state, account.cycles, account.dropped, summary)
         except (sqlite3.Error, BadInput) as error:
             trouble = f"{self._catalogue.path}: the run's end is not entered: {error}"
-            account = Account(account.cycles, account.dropped, account.size_bytes, account.problem or trouble)
+            account = RecordingStats(account.cycles, account.dropped, account.size_bytes, account.problem or trouble)
         self.account = account
         return account
 
@@ -155,7 +155,7 @@ def _plain(name: str) -> str:
 
 
 def fed_by(job: Job) -> set[str]:
-    """Return the names in ``Taps`` that a run of ``job`` feeds: rings of pictures are large."""
+    """Return the names in ``RecordingSinks`` that a run of ``job`` feeds: rings of pictures are large."""
     scenario, wanted = job.scenario.value, wanted_pictures(job.rig.value).encoding != "none"
     fed = {"cycles", "arrivals", "notes"}
     if scenario.vmu.source == "rendered" and wanted:
@@ -178,13 +178,15 @@ class _Direct:
 class _InMemory:
     """Records a run in simulated time, which waits for its recorder: nothing is lost."""
 
-    def __init__(self, path: Path, header: Header) -> None:
+    def __init__(self, path: Path, header: RecordingHeader) -> None:
         self._file = RunFile(path, header)
         self._run_time = RunTime.create()
-        self.state: Block | None = None
-        self.taps = Taps(**{name: _Direct(write) for name, write in self._file.takers.items()}, run_time=self._run_time)
+        self.state: MailboxBlock | None = None
+        self.taps = RecordingSinks(
+            **{name: _Direct(write) for name, write in self._file.takers.items()}, run_time=self._run_time
+        )
 
-    def finish(self, end: dict[str, str], summary: str) -> Account:
+    def finish(self, end: dict[str, str], summary: str) -> RecordingStats:
         self._run_time.close()
         return self._file.finish(end, summary)
 
@@ -192,7 +194,7 @@ class _InMemory:
 class _Process:
     """The recorder process and the rings that lead to it. Started in the thread that lives as long as the run."""
 
-    def __init__(self, job: Job, path: Path, run: str, header: Header) -> None:
+    def __init__(self, job: Job, path: Path, run: str, header: RecordingHeader) -> None:
         self._path = path
         rows = max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s))
         slots = {"cycles": rows, **SLOTS}
@@ -201,8 +203,8 @@ class _Process:
             name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items() if name in fed
         }
         self._run_time = RunTime.create()
-        self.taps = Taps(**self._rings, run_time=self._run_time)
-        self.state: Block | None = Block.create(recorder.CELLS, "recorder")
+        self.taps = RecordingSinks(**self._rings, run_time=self._run_time)
+        self.state: MailboxBlock | None = MailboxBlock.create(recorder.CELLS, "recorder")
         self._socket, there = socket.socketpair()
         configuration = {
             "file": str(path),
@@ -230,18 +232,18 @@ class _Process:
     def pid(self) -> int:
         return self._child.pid
 
-    def finish(self, end: dict[str, str], summary: str) -> Account:
+    def finish(self, end: dict[str, str], summary: str) -> RecordingStats:
         """Let the recorder close the file; tell what became of it, also where the recorder has died."""
         with suppress(OSError):
             self._socket.sendall(json.dumps({"end": end, "summary": summary}).encode() + b"\n")
         said = self._hear(_FINISH_WALL_S)
         code = self._close()
         if said.endswith(b"\n"):
-            return Account(**json.loads(said))
+            return RecordingStats(**json.loads(said))
         how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
         size = self._path.stat().st_size if self._path.exists() else 0
         text = f"{self._path}: the recorder process {how}; make what it wrote whole with hil recover"
-        return Account(None, 0, size, text)
+        return RecordingStats(None, 0, size, text)
 
     def _hear(self, within_s: float) -> bytes:
         """Return the line that the recorder says within ``within_s`` of wall time, what came of it otherwise."""

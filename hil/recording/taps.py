@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from hil.config.rig import Rig
-from hil.core.camera_images import PictureMaker
+from hil.core.camera_images import ImageEncoder
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.frmn.image_memory import PictureMemory, wanted_pictures
@@ -22,7 +22,7 @@ from hil.safety.alarms import Alarm
 _Put = TypeVar("_Put", bound=Telemetry)
 
 
-class Notes:
+class EventRecorder:
     """Puts down events, alarms, modes, orders and settings as they happen, with the cycle that they belong to.
 
     ``note`` may be called from the loop's thread alone. Texts are cut to the room they have.
@@ -69,7 +69,7 @@ class Notes:
 
 
 @dataclass
-class Taps:
+class RecordingSinks:
     """Takers of CYCLE, ARRIVAL, NOTE, PICTURE and PORTION rows; each keeps a copy of what it is given and never waits.
 
     pictures: of the vision unit; monitor_pictures, portions: of the docking monitor. Each has one writer. run_time:
@@ -84,9 +84,9 @@ class Taps:
     portions: Telemetry = field(default_factory=NoTelemetry)
     run_time: RunTime | None = None
 
-    def attach(self, runner: Runner) -> Notes:
+    def attach(self, runner: Runner) -> EventRecorder:
         """Tap ``runner``, which has not begun: all but its cycles, which go where its loop's telemetry is."""
-        notes = Notes(self.notes, runner)
+        notes = EventRecorder(self.notes, runner)
         loop = runner.loop
         loop.vision.tap = self.arrivals
         if self.run_time is not None:
@@ -98,19 +98,19 @@ class Taps:
         runner.supervisor.modes.history.tell(notes.mode)
         return notes
 
-    def maker(self, rig: Rig) -> PictureMaker | None:
+    def maker(self, rig: Rig) -> ImageEncoder | None:
         """Return what takes the pictures of a vision unit in this process, as ``rig`` wants them; None for nobody."""
         wanted = wanted_pictures(rig)
         if wanted.encoding == "none" or isinstance(self.pictures, NoTelemetry):
             return None
-        return PictureMaker(self.pictures, wanted, self.run_time)
+        return ImageEncoder(self.pictures, wanted, self.run_time)
 
-    def monitor_maker(self, rig: Rig) -> PictureMaker | None:
+    def monitor_maker(self, rig: Rig) -> ImageEncoder | None:
         """Return what takes the pictures of a docking monitor in this process; None for nobody."""
         wanted = wanted_pictures(rig)
         if wanted.encoding == "none" or isinstance(self.monitor_pictures, NoTelemetry):
             return None
-        return PictureMaker(self.monitor_pictures, wanted)
+        return ImageEncoder(self.monitor_pictures, wanted)
 
     def picture_memory(self) -> PictureMemory | None:
         """Return where a vision unit in another process puts its pictures; None where they go into no ring."""

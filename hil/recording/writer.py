@@ -29,7 +29,7 @@ _WAITING_MOST: Final = 8 * 1024 * 1024  # bytes of pictures that come while no c
 
 
 @dataclass(frozen=True)
-class Header:
+class RecordingHeader:
     """What is known before a run. run: names, versions, calibration. files: name of an attachment -> its text."""
 
     run: Mapping[str, str]
@@ -39,7 +39,7 @@ class Header:
 
 
 @dataclass(frozen=True)
-class Account:
+class RecordingStats:
     """What became of a recording.
 
     cycles: in the file, None where that is not known. dropped: messages that are not in the file; problem: why, ""
@@ -55,7 +55,7 @@ class Account:
 class RunFile:
     """A recording under way. Raises OSError where the file cannot be made; later trouble is counted, not raised."""
 
-    def __init__(self, path: Path, header: Header) -> None:
+    def __init__(self, path: Path, header: RecordingHeader) -> None:
         self.path = path
         self._sink = Sink(path)
         self._started_ns = header.started_ns
@@ -166,9 +166,9 @@ class RunFile:
         """Why the disk takes nothing any more; "" while it does."""
         return self._sink.problem
 
-    def account(self) -> Account:
+    def account(self) -> RecordingStats:
         """Return how the recording stands."""
-        return Account(self._cycles, self._dropped, self._sink.size, self._problem())
+        return RecordingStats(self._cycles, self._dropped, self._sink.size, self._problem())
 
     def lost(self, messages: int) -> None:
         """Count messages that never came here."""
@@ -183,7 +183,7 @@ class RunFile:
                 self._dropped += self._unflushed
         self._unflushed = 0
 
-    def finish(self, end: Mapping[str, str], summary: str = "") -> Account:
+    def finish(self, end: Mapping[str, str], summary: str = "") -> RecordingStats:
         """Write how it ended, the summary (JSON) and the index; close the file."""
         self.flush()
         if not self._sink.problem:

@@ -23,7 +23,7 @@ _QUANTITIES: Final = (
 
 
 @dataclass(frozen=True)
-class Parting:
+class RunDivergence:
     """How far two runs' truths are apart in one axis.
 
     largest: |difference| in ``unit``, at ``at_s``. sigmas: largest by the standard deviations of both runs together,
@@ -41,7 +41,7 @@ class Parting:
     of_tolerance: float
 
 
-def part(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[Parting]:
+def part(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[RunDivergence]:
     """Return the partings of two runs of ``scenario``, histories of CYCLE, over the time that both have flown."""
     n = min(len(a), len(b))
     a, b = a[:n], b[:n]
@@ -58,7 +58,7 @@ def part(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[Parting]:
             content = _parting(
                 f"{name} {axis}", unit, scale, apart[:, i], spread[:, i], known, a["t_s"], scenario.step_s
             )
-            found.append(Parting(**content, of_tolerance=float(apart[:, i].max() / allowed[row][i])))
+            found.append(RunDivergence(**content, of_tolerance=float(apart[:, i].max() / allowed[row][i])))
     return found
 
 

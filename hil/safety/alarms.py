@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from hil.core.observable import Told
+from hil.core.observable import ObservableList
 from hil.errors import BenchError, DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 
 _KINDS: dict[type[DeviceError], tuple[str, str]] = {
@@ -60,7 +60,7 @@ class AlarmBook:
 
     def __init__(self) -> None:
         self._alarms: list[Alarm] = []
-        self.entered: Told[Alarm] = Told()
+        self.entered: ObservableList[Alarm] = ObservableList()
         """Each alarm as it came, whatever became of it."""
 
     def enter(self, alarm: Alarm) -> Alarm:

@@ -18,7 +18,7 @@ _SLACK_RAD = 0.001
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class SafetyLimits:
     """guard: GUARD. feedback_age_max_s: of rails and turntable. slack (6,): how far beyond its travel an axis may
     stand when it is armed, m and rad. stand_mps, stand_radps: slower than that counts as standing."""
 
@@ -31,14 +31,14 @@ class Limits:
     stand_radps: float = _STAND_RADPS
 
 
-def limits_of(rig: Rig, params: np.record) -> Limits:
+def limits_of(rig: Rig, params: np.record) -> SafetyLimits:
     """Return the limits of ``rig``; params: its BENCH_PARAMS."""
     guard = new(GUARD)
     rails, turntable = rig.rails, rig.turntable
     guard.following_max = [rails.following_error_max_m] * 3 + [math.radians(turntable.following_error_max_deg)] * 3
     guard.following_per_speed = [rails.following_error_per_speed_s] * 3 + [turntable.following_error_per_speed_s] * 3
     guard.low, guard.high = params.low, params.high
-    return Limits(
+    return SafetyLimits(
         guard=guard,
         feedback_age_max_s=(rails.timeout_s, turntable.timeout_s),
         command_age_max_s=rig.safety.command_age_max_s,

@@ -18,7 +18,7 @@ from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing, new
 from hil.core.modes import Mode, ModeMachine
 from hil.safety.alarms import Alarm, AlarmBook
 from hil.safety.estop import EmergencyStop
-from hil.safety.limits import Limits
+from hil.safety.limits import SafetyLimits
 from hil.safety.packet_loss import LinkWatch
 
 _SWITCHES: Final = {-1: "low", 1: "high"}
@@ -54,13 +54,13 @@ CHECKS: Final[dict[Mode, Checks]] = {
 }
 
 
-class Supervisor:
+class SafetyMonitor:
     """Decides, in each cycle, between going on and a safe stop; keeps what asks for a hold.
 
     axis_names: rails x y z, turntable roll pitch yaw, full. links: the buckets of lost packets.
     """
 
-    def __init__(self, limits: Limits, axis_names: Sequence[str], links: Sequence[LinkWatch] = ()) -> None:
+    def __init__(self, limits: SafetyLimits, axis_names: Sequence[str], links: Sequence[LinkWatch] = ()) -> None:
         self.modes = ModeMachine()
         self.alarms = AlarmBook()
         self.estop = EmergencyStop()
@@ -115,11 +115,11 @@ class Supervisor:
                 return breach_alarm(now_s, self._axis_names, breach, self._breach)
         return None
 
-    def refuse_open(self, now_s: float) -> Alarm | None:
+    def interlock_open(self, now_s: float) -> Alarm | None:
         """Return why no drive may be enabled, None where they may."""
         return self._emergency_stop(now_s) if self.estop.latched else None
 
-    def refuse_motion(
+    def interlock_motion(
         self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback, feedback: np.record
     ) -> Alarm | None:
         """Return why no setpoint may be given yet, None where one may: asked before placing, arming and resuming."""
@@ -132,9 +132,9 @@ class Supervisor:
         breach = guards.first_beyond_travel(self._guard, feedback, self.limits.slack, self._breach)
         if breach != guards.NOTHING:
             return breach_alarm(now_s, self._axis_names, breach, self._breach)
-        return self.refuse_seed(now_s, feedback)
+        return self.interlock_seed(now_s, feedback)
 
-    def refuse_seed(self, now_s: float, feedback: np.record) -> Alarm | None:
+    def interlock_seed(self, now_s: float, feedback: np.record) -> Alarm | None:
         """Return an alarm where an axis moves: references are seeded from axes that stand."""
         moving = guards.first_moving(feedback, self.limits.stand_mps, self.limits.stand_radps)
         if moving < 0:
@@ -184,7 +184,7 @@ class Supervisor:
                 return Alarm(now_s, self._axis_names[axis], "homing", "failed", "every axis finds its switch")
         return None
 
-    def homing_took_too_long(
+    def homing_timeout(
         self, now_s: float, since_s: float, rails: AxisFeedback, turntable: AxisFeedback
     ) -> Alarm | None:
         """Return an alarm that names the first axis without a place once homing has used up its time."""

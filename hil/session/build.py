@@ -28,7 +28,7 @@ from hil.core.clock import SimulatedClock, WallClock
 from hil.core.messages import AXES, CYCLE, new
 from hil.core.modes import Mode
 from hil.core.operator_commands import Operator
-from hil.core.realtime import REAL_TIME, Precedence, RealTime
+from hil.core.realtime import REAL_TIME, RealTime, SchedulingPolicy
 from hil.errors import BadInput, Problem
 from hil.frmn.ring import Ring, Telemetry
 from hil.loop.bench_stage import Move
@@ -38,7 +38,7 @@ from hil.loop.runner import Runner
 from hil.params import gnc as gnc_params
 from hil.processes.emulators import EmulatedDevices
 from hil.processes.io_client import TITLES, HostProcesses
-from hil.recording.taps import Notes, Taps
+from hil.recording.taps import EventRecorder, RecordingSinks
 from hil.setup.assembly import Job as Job
 from hil.setup.assembly import assemble, library_problems, make_gnc, mocks, start_axes
 
@@ -88,7 +88,7 @@ def runner(
     watch: Watch,
     announce: Callable[[str], None],
     operator: Operator | None = None,
-    taps: Taps | None = None,
+    taps: RecordingSinks | None = None,
 ) -> Iterator[Runner]:
     """Give a Runner for ``job``; emulators that it needs are started before and ended after.
 
@@ -130,7 +130,7 @@ class WiredBench:
         realtime: RealTime,
         hosts: HostProcesses,
         telemetry: Ring,
-        taps: Taps | None,
+        taps: RecordingSinks | None,
         emulated: EmulatedDevices | None,
         addresses: dict[str, str],
     ) -> None:
@@ -144,7 +144,7 @@ class WiredBench:
         self._devices = hosts.devices()
         self.telemetry = telemetry
         self._taps = taps
-        self.notes: Notes | None = None
+        self.notes: EventRecorder | None = None
         """Where to put down what an operator changes, while a run is recorded."""
 
     def runner(self, watch: Watch = lambda *_: None, operator: Operator | None = None) -> Runner:
@@ -160,7 +160,7 @@ class WiredBench:
 
 @contextmanager
 def wired_bench(
-    job: Job, announce: Callable[[str], None] = lambda _: None, taps: Taps | None = None
+    job: Job, announce: Callable[[str], None] = lambda _: None, taps: RecordingSinks | None = None
 ) -> Iterator[WiredBench]:
     """Give the bench of ``job``'s rig, which is not a mock; its processes are ended after.
 
@@ -202,7 +202,7 @@ def _insist_on_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
 
 
 @contextmanager
-def telemetry_ring(taps: Taps | None) -> Iterator[Ring]:
+def telemetry_ring(taps: RecordingSinks | None) -> Iterator[Ring]:
     """Give the ring that each cycle's row is put into, for other processes to read; a recorder brings its own."""
     if taps:
         if not isinstance(taps.cycles, Ring):
@@ -220,7 +220,7 @@ def in_memory(
     job: Job,
     rate: Rate,
     watch: Watch = lambda *_: None,
-    precedence: Precedence | None = None,
+    precedence: SchedulingPolicy | None = None,
     telemetry: Telemetry | None = None,
     operator: Operator | None = None,
     pictures: MakesPictures | None = None,
@@ -235,7 +235,7 @@ def in_memory(
 
 @contextmanager
 def _emulated(
-    job: Job, clock: WallClock, announce: Callable[[str], None], taps: Taps | None
+    job: Job, clock: WallClock, announce: Callable[[str], None], taps: RecordingSinks | None
 ) -> Iterator[tuple[Rig, EmulatedDevices | None, dict[str, str]]]:
     """Give the rig with all its wires; an emulated one gets its emulators for as long as this lasts."""
     rig = job.rig.value

@@ -12,7 +12,7 @@ from hil.frmn.ring import Ring
 from hil.loop.motion_sequences import Watch
 from hil.loop.runner import Outcome, Runner
 from hil.processes.docking_monitor import MonitorProcess, Watched, watch_recorded
-from hil.recording.taps import Taps
+from hil.recording.taps import RecordingSinks
 from hil.session import build
 
 Look = Callable[[Outcome], Watched | None]
@@ -21,7 +21,7 @@ Look = Callable[[Outcome], Watched | None]
 
 @contextmanager
 def beside(
-    job: build.Job, telemetry: Ring, announce: Callable[[str], None], taps: Taps | None = None
+    job: build.Job, telemetry: Ring, announce: Callable[[str], None], taps: RecordingSinks | None = None
 ) -> Iterator[Look]:
     """Let the docking monitor watch the cycles in ``telemetry`` from a process of its own, where the scenario wants it.
 
@@ -44,7 +44,7 @@ def runner(
     job: build.Job,
     watch: Watch,
     announce: Callable[[str], None],
-    taps: Taps | None = None,
+    taps: RecordingSinks | None = None,
     operator: Operator | None = None,
 ) -> Iterator[tuple[Runner, Look]]:
     """Give a Runner for ``job`` as ``build.runner`` does, and what to ask for the monitor afterwards.
@@ -69,7 +69,7 @@ def runner(
         yield bench.runner(watch, operator), look
 
 
-def _rings(taps: Taps | None) -> tuple[Ring | None, Ring | None]:
+def _rings(taps: RecordingSinks | None) -> tuple[Ring | None, Ring | None]:
     """Return the rings for the monitor's pictures and portions, where a recorder reads some."""
     if taps is None:
         return None, None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.cameras.factory import make_eye
+from hil.cameras.factory import make_pose_sensor
 from hil.cameras.pose_model import transport
 from hil.checks.compatibility import axes_at
 from hil.config.load import Loaded
@@ -17,35 +17,35 @@ from hil.config.scenario import Scenario
 from hil.core.camera_images import MakesPictures
 from hil.core.messages import AXES, CYCLE, PoseFrame, new
 from hil.core.operator_commands import Operator
-from hil.core.realtime import NoPrecedence, Precedence
+from hil.core.realtime import NoPrecedence, SchedulingPolicy
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
 from hil.drivers.command_words.poses import PoseForwarder
-from hil.drivers.command_words.receiver import WordReceiver
+from hil.drivers.command_words.receiver import CommandWordReceiver
 from hil.dynamics.imu import IMU_NOISE
 from hil.errors import BadInput, Problem
 from hil.frmn.ring import NoTelemetry, Telemetry
-from hil.gnc.filter_monitor import FilterWatch
-from hil.gnc_backends.approach_events import ApproachDiary
-from hil.gnc_backends.base import Seat
-from hil.gnc_backends.command_words import WordsGnc
+from hil.gnc.filter_monitor import FilterMonitor
+from hil.gnc_backends.approach_events import ApproachEventLog
+from hil.gnc_backends.base import GncBackend
+from hil.gnc_backends.command_words import CommandWordGnc
 from hil.gnc_backends.library_file import KEY as LIBRARY_KEY
 from hil.gnc_backends.library_file import Library
-from hil.gnc_backends.shared_library import LibraryGnc
-from hil.loop.bench_stage import Bench
+from hil.gnc_backends.shared_library import SharedLibraryGnc
+from hil.loop.bench_stage import BenchStage
 from hil.loop.cycle import Loop
 from hil.loop.motion_sequences import Watch
 from hil.loop.overrun_monitor import LateCycles
 from hil.loop.rate_keeper import Rate
 from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import IoStage
-from hil.loop.stages import Dss, Gnc, Vision
+from hil.loop.stages import BuiltinGnc, DssStage, VisionStage
 from hil.loop.target_stage import PlacedTarget
 from hil.maths.random_streams import NormalRows, stream
 from hil.params import gnc as gnc_params
 from hil.safety.limits import limits_of
-from hil.safety.monitor import Supervisor
+from hil.safety.monitor import SafetyMonitor
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
-from hil.setup.gnc_setup import briefing, gnc_setup
+from hil.setup.gnc_setup import backend_setup, gnc_setup
 
 _FRAMES_TO_FORGET = 2.0  # in their time one lost frame is forgiven, where the rig file says nothing else
 
@@ -69,7 +69,7 @@ class Job:
     duration_s: float
     speed: float
     dispersed: Scenario | None = None
-    seat: Callable[[Scenario], Seat] | None = None
+    seat: Callable[[Scenario], GncBackend] | None = None
     paced: bool = False
 
     @property
@@ -95,7 +95,7 @@ def assemble(
     frames_to_arm: int,
     watch: Watch,
     operator: Operator | None = None,
-    precedence: Precedence | None = None,
+    precedence: SchedulingPolicy | None = None,
     telemetry: Telemetry | None = None,
 ) -> Runner:
     """Return a Runner of ``job`` on these devices, kept in time by ``rate``.
@@ -105,11 +105,11 @@ def assemble(
     scenario = job.scenario.value
     bench = gnc_params.bench(rig, scenario.step_s)
     axis_names = (*rails.axis_names, *turntable.axis_names)
-    supervisor = Supervisor(limits_of(rig, bench), axis_names, _links(rig, rails, turntable, source))
+    supervisor = SafetyMonitor(limits_of(rig, bench), axis_names, _links(rig, rails, turntable, source))
     loop = Loop(
         dss=_dss(job.truth, job.seed),
-        bench=Bench(rails, turntable, bench, supervisor),
-        vision=Vision(source, gnc_params.stations(rig)),
+        bench=BenchStage(rails, turntable, bench, supervisor),
+        vision=VisionStage(source, gnc_params.stations(rig)),
         gnc=_seat(job, rig, rate),
         history=np.zeros(job.cycles, CYCLE),
         telemetry=telemetry or NoTelemetry(),
@@ -119,7 +119,7 @@ def assemble(
         lines = IoStage(io, loop.now.command.on[: rig.io.thruster_lines])
         loop.lines = lines
         loop.bench.emergency_input = lines.emergency_input
-    if isinstance(loop.gnc, WordsGnc) and loop.gnc.forwarder is not None:
+    if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
         loop.vision.forward = loop.gnc.forwarder.put
     if target is not None and rig.moved_target is not None:
         loop.target = PlacedTarget(target, rig.moved_target)
@@ -143,43 +143,43 @@ def assemble(
     )
 
 
-def _seat(job: Job, rig: Rig, rate: Rate) -> Seat:
+def _seat(job: Job, rig: Rig, rate: Rate) -> GncBackend:
     """Return who flies: whom the job names, a flight computer where the rig has one, or whom the scenario names."""
     scenario, computer = job.scenario.value, rig.flight_computer
     if job.seat is not None:
         return job.seat(scenario)
     if computer.words == "none":
-        return make_seat(scenario)
-    return WordsGnc(
+        return make_backend(scenario)
+    return CommandWordGnc(
         computer,
-        WordReceiver(computer, rate.now_s),
+        CommandWordReceiver(computer, rate.now_s),
         PoseForwarder(computer.poses) if computer.poses.port is not None else None,
         rate.now_s,
-        briefing(scenario),
+        backend_setup(scenario),
     )
 
 
-def make_gnc(scenario: Scenario) -> Gnc:
+def make_gnc(scenario: Scenario) -> BuiltinGnc:
     """Return navigation, guidance, supervision and control of ``scenario``, before their first cycle."""
     sets, strength = gnc_params.allocation(scenario.chaser)
     navigation = gnc_params.navigation(scenario)
-    return Gnc(
+    return BuiltinGnc(
         navigation,
         gnc_params.guidance(scenario),
         gnc_params.supervision(scenario),
         gnc_params.control(scenario, strength),
         sets,
         len(scenario.chaser.thrusters.position_m),
-        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
-        FilterWatch(navigation, _shadow_limits(scenario)),
+        ApproachEventLog(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+        FilterMonitor(navigation, _shadow_limits(scenario)),
     )
 
 
-def make_seat(scenario: Scenario) -> Seat:
+def make_backend(scenario: Scenario) -> GncBackend:
     """Return who flies ``scenario``: the GNC here, or the library that it names. Raises BadInput where that is none."""
     if scenario.gnc.library is None:
         return make_gnc(scenario)
-    return LibraryGnc(Library(scenario.gnc.library), briefing(scenario))
+    return SharedLibraryGnc(Library(scenario.gnc.library), backend_setup(scenario))
 
 
 def library_problems(scenario: Loaded[Scenario]) -> list[Problem]:
@@ -224,9 +224,9 @@ def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
     return (shadow.position_limit_m, math.radians(shadow.attitude_limit_deg)) if shadow.enabled else None
 
 
-def _dss(scenario: Scenario, seed: int) -> Dss:
+def _dss(scenario: Scenario, seed: int) -> DssStage:
     """Return the simulation with thrusters as chance has built them."""
-    return Dss(
+    return DssStage(
         dss_as_built(scenario, seed),
         gnc_params.field(scenario),
         gnc_params.imu(scenario),
@@ -261,7 +261,7 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, pictures: MakesPictures | Non
     rails_config, turntable_config = axes_at_start(scenario, rig)
     rails = MockAxes("rails", RAIL_NAMES, rails_config)
     turntable = MockAxes("turntable", GIMBAL_NAMES, turntable_config)
-    eye = make_eye(scenario, rig, seed, pictures)
+    eye = make_pose_sensor(scenario, rig, seed, pictures)
 
     def pose_at(t_s: float) -> PoseFrame | None:
         return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)

@@ -7,8 +7,8 @@ import numpy as np
 from hil.config.scenario import Scenario
 from hil.core.gnc_records import GNC_SETUP
 from hil.core.messages import new
-from hil.gnc_backends.approach_events import ApproachDiary
-from hil.gnc_backends.external import Briefing
+from hil.gnc_backends.approach_events import ApproachEventLog
+from hil.gnc_backends.external import BackendSetup
 from hil.maths import euler
 from hil.params import gnc as gnc_params
 
@@ -38,12 +38,12 @@ def gnc_setup(scenario: Scenario) -> np.record:
     return setup
 
 
-def briefing(scenario: Scenario) -> Briefing:
+def backend_setup(scenario: Scenario) -> BackendSetup:
     """Return what the seat of whoever flies ``scenario`` in place of our GNC is made from."""
-    return Briefing(
+    return BackendSetup(
         gnc_setup(scenario),
         gnc_params.guidance(scenario),
         gnc_params.supervision(scenario),
         gnc_params.allocation(scenario.chaser)[0],
-        ApproachDiary(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
+        ApproachEventLog(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
     )

@@ -6,22 +6,22 @@ from hil.config.gnc_link import GncLink
 from hil.config.scenario import Scenario
 from hil.frmn.link import Link
 from hil.frmn.mirror import Mirror
-from hil.gnc.filter_monitor import FilterWatch
-from hil.gnc_backends.udp import RemoteGnc
+from hil.gnc.filter_monitor import FilterMonitor
+from hil.gnc_backends.udp import UdpGnc
 from hil.loop.runner import Runner
 from hil.params import gnc as gnc_params
-from hil.setup.gnc_setup import briefing
+from hil.setup.gnc_setup import backend_setup
 
 
-def remote_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None) -> RemoteGnc:
+def remote_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None) -> UdpGnc:
     """Return the seat of whoever flies ``scenario`` over ``link``. period_s: wall time of a cycle, None without one."""
-    return RemoteGnc(
+    return UdpGnc(
         link,
         config,
         lock_step,
         period_s,
-        FilterWatch(gnc_params.navigation(scenario), None),
-        briefing(scenario),
+        FilterMonitor(gnc_params.navigation(scenario), None),
+        backend_setup(scenario),
     )
 
 

@@ -6,12 +6,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.config.rig import Rig
-from hil.config.vmu_geometry import Camera, VmuGeometry
+from hil.config.vmu_geometry import VmuCamera, VmuGeometry
 from hil.core.messages import Array
 from hil.vmu.kernels.lens import LENS, CameraPair
 
 
-def lenses(*cameras: Camera) -> np.ndarray:
+def lenses(*cameras: VmuCamera) -> np.ndarray:
     """Return ``cameras`` as an array of LENS."""
     found = np.zeros(len(cameras), LENS)
     for record, camera in zip(found, cameras, strict=True):
@@ -41,7 +41,7 @@ def led_positions(geometry: VmuGeometry) -> Array:
 def geometry_of_rig(rig: Rig) -> VmuGeometry:
     """Return the cameras and LEDs that a rig file has on paper: principal points in the middle, no distortion."""
     on_paper = rig.vmu.camera
-    camera = Camera(
+    camera = VmuCamera(
         fx=on_paper.focal_px,
         fy=on_paper.focal_px,
         cx=0.5 * (on_paper.width_px - 1),

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.records import View
-from hil.vmu.pose import Prediction, Settings, Solver, attitude_sigma_deg, is_flat, matrix_of
+from hil.vmu.pose import Prediction, Solver, SolverSettings, attitude_sigma_deg, is_flat, matrix_of
 
 OK: Final = "ok"
 AMBIGUOUS: Final = "ambiguous"
@@ -28,7 +28,7 @@ _BRIGHTER = 1.3
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Identification:
     """What became of one view. fit: FIT when the status is ``ok``. candidates: all poses that the spots allow.
 
     followed: the candidates of an ``ambiguous`` one all continue the track, whose identity stands; what is
@@ -46,10 +46,10 @@ class Identifier:
 
     def __init__(self, solver: Solver, marked_led: int | None) -> None:
         self._solver = solver
-        self._settings: Settings = solver.settings
+        self._settings: SolverSettings = solver.settings
         self._marked = marked_led
 
-    def tracked(self, view: View, prediction: Prediction) -> Verdict | None:
+    def tracked(self, view: View, prediction: Prediction) -> Identification | None:
         """Return the verdict by the prediction's gates alone, None where a search has to tell."""
         r = matrix_of(prediction.q_vt)
         spots, contested = self._solver.expected(view, r, prediction.t_v, prediction.covariance, _TRACK_REACH_PX)
@@ -80,49 +80,49 @@ class Identifier:
         away = np.hypot(sights["u"] - sights["u"][used].mean(), sights["v"] - sights["v"][used].mean())
         return int((away <= 1.5 * away[used].max()).sum()) > len(used)
 
-    def search(self, view: View, prediction: Prediction | None) -> Verdict:
+    def search(self, view: View, prediction: Prediction | None) -> Identification:
         """Return the verdict over every hypothesis; the prediction counts only where the spots leave a choice."""
         if max(view.counts) < 3:
-            return Verdict(TOO_FEW)
+            return Identification(TOO_FEW)
         fits, all_kept = self._solver.hypotheses(view, prediction)
         if not len(fits):
-            return Verdict(NO_MATCH if max(view.counts) > 3 else TOO_FEW)
+            return Identification(NO_MATCH if max(view.counts) > 3 else TOO_FEW)
         fits = fits[[self._possible(fit) for fit in fits]]
         if not len(fits):
-            return Verdict(GEOMETRY)
-        alone = self._by_spots(view, fits) if all_kept else Verdict(AMBIGUOUS, candidates=list(fits))
+            return Identification(GEOMETRY)
+        alone = self._by_spots(view, fits) if all_kept else Identification(AMBIGUOUS, candidates=list(fits))
         if alone.status == OK or prediction is None:
             return alone
         tracked = self._by_track(view, fits, prediction)
         return tracked if tracked.status == OK or tracked.followed else alone
 
-    def _by_spots(self, view: View, fits: np.ndarray) -> Verdict:
+    def _by_spots(self, view: View, fits: np.ndarray) -> Identification:
         scores = np.array([fit["score"] - self._marked_cost(view, fit) for fit in fits])
         order = np.argsort(scores)[::-1]
         best = fits[order[0]]
         rivals = [fits[k] for k in order[1:] if scores[k] > scores[order[0]] - self._settings.decisive]
         candidates = [best, *rivals]
         if any(not covers(best, rival) for rival in rivals) or not self._certain(view, best):
-            return Verdict(AMBIGUOUS, candidates=candidates)
+            return Identification(AMBIGUOUS, candidates=candidates)
         if self._log_false_alarms(view, best, None) > math.log(self._settings.false_alarms):
-            return Verdict(TOO_FEW, candidates=candidates)
-        return Verdict(OK, best, candidates)
+            return Identification(TOO_FEW, candidates=candidates)
+        return Identification(OK, best, candidates)
 
-    def _by_track(self, view: View, fits: np.ndarray, prediction: Prediction) -> Verdict:
+    def _by_track(self, view: View, fits: np.ndarray, prediction: Prediction) -> Identification:
         squares = np.array([distance_square(fit, prediction) for fit in fits])
         inside = [k for k in range(len(fits)) if squares[k] < _GATE_6 and self._possible(fits[k])]
         if not inside:
-            return Verdict(NO_MATCH)
+            return Identification(NO_MATCH)
         scores = {k: fits[k]["score"] - self._marked_cost(view, fits[k]) - 0.5 * squares[k] for k in inside}
         order = sorted(inside, key=lambda k: -scores[k])
         best = fits[order[0]]
         rivals = [fits[k] for k in order[1:] if scores[k] > scores[order[0]] - self._settings.decisive]
         candidates = [best, *rivals]
         if any(not covers(best, rival) for rival in rivals) or not self._certain(view, best):
-            return Verdict(AMBIGUOUS, candidates=candidates, followed=True)
+            return Identification(AMBIGUOUS, candidates=candidates, followed=True)
         if self._log_false_alarms(view, best, prediction) > math.log(self._settings.false_alarms):
-            return Verdict(TOO_FEW, candidates=candidates)
-        return Verdict(OK, best, candidates)
+            return Identification(TOO_FEW, candidates=candidates)
+        return Identification(OK, best, candidates)
 
     def _possible(self, fit: np.void) -> bool:
         """Return whether the target is in range, in front, shows its face, and fits well for so few spots."""

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from hil.core.camera_images import Shape
-from hil.vmu.kernels.records import Scene
+from hil.vmu.kernels.records import RingScene
 from hil.vmu.shapes import IDENTITY, LED, LINE_PX, NOTE, STATUS, VALUE, lines, shapes
 from hil.vmu.unit import Solution
 
@@ -23,7 +23,9 @@ _SHIFT: Final = 4  # drawing in sixteenths of a pixel
 _GAMMA: Final = 0.5  # faint spots are to be seen
 
 
-def draw(scene: Scene, left: np.ndarray | None, right: np.ndarray | None, solution: Solution, title: str) -> np.ndarray:
+def draw(
+    scene: RingScene, left: np.ndarray | None, right: np.ndarray | None, solution: Solution, title: str
+) -> np.ndarray:
     """Return both images (h, w), uint8, side by side with the solution drawn over them: (h, w, 3), uint8, BGR."""
     panels: list[np.ndarray] = [_panel(scene, image, solution, c) for c, image in enumerate((left, right))]
     height = max(panel.shape[0] for panel in panels)
@@ -36,7 +38,7 @@ def draw(scene: Scene, left: np.ndarray | None, right: np.ndarray | None, soluti
     return picture
 
 
-def _panel(scene: Scene, image: np.ndarray | None, solution: Solution, camera: int) -> np.ndarray:
+def _panel(scene: RingScene, image: np.ndarray | None, solution: Solution, camera: int) -> np.ndarray:
     lens = scene.lens[camera]
     shape = (int(lens["height"]), int(lens["width"]))
     if image is None or image.shape != shape:

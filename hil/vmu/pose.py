@@ -15,7 +15,7 @@ from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.kernels.hypotheses import bend
 from hil.vmu.kernels.match import assign, judge, sight_of
 from hil.vmu.kernels.pose_search import SEARCH, STATE_FITS, STATE_FULL, add_settled, search
-from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, Scene, View
+from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, RingScene, View
 from hil.vmu.kernels.starts import side_of
 
 _REMEMBERED, _FITS = 256, 64
@@ -27,7 +27,7 @@ _STRAY_FACTOR = 10.0  # stray lights crowd where the target is: their density th
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class SolverSettings:
     """What identification and pose go by.
 
     near_m, far_m: range of the target. steepest_deg: largest angle between the target's axis -z_t and the line of
@@ -62,7 +62,7 @@ class Prediction:
 class Solver:
     """Holds the scene and the scratch memory of one vision unit."""
 
-    def __init__(self, geometry: VmuGeometry, settings: Settings) -> None:
+    def __init__(self, geometry: VmuGeometry, settings: SolverSettings) -> None:
         self.settings = settings
         self.scene = scene_of(geometry, settings)
         self.normal_t = thin_axis(self.scene.leds)
@@ -152,7 +152,7 @@ class Solver:
         return True
 
 
-def scene_of(geometry: VmuGeometry, settings: Settings) -> Scene:
+def scene_of(geometry: VmuGeometry, settings: SolverSettings) -> RingScene:
     """Return what the kernels take of ``geometry``."""
     pair, leds = camera_pair(geometry), led_positions(geometry)
     squares = ((leds[:, None, :] - leds[None, :, :]) ** 2).sum(axis=2)
@@ -161,7 +161,7 @@ def scene_of(geometry: VmuGeometry, settings: Settings) -> Scene:
     sides = np.array(
         [[[side_of(leds, p, q, s, least_facing) for s in range(n)] for q in range(n)] for p in range(n)], np.int64
     )
-    return Scene(pair.lens, pair.rotation, pair.translation, leds, squares, sides)
+    return RingScene(pair.lens, pair.rotation, pair.translation, leds, squares, sides)
 
 
 def thin_axis(leds: Array) -> Array:

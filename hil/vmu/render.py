@@ -37,7 +37,7 @@ class HotPixel:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class RingAppearance:
     """What the LEDs and the cameras are like, the same in every frame; levels are grey levels."""
 
     psf_sigma_px: float = 1.0
@@ -137,13 +137,13 @@ class _Sheet:
             self.boxes.append(box)
 
 
-class Renderer:
+class RingRenderer:
     """Draws the stereo pair for a pose. Not for two threads at once: it keeps its sheets.
 
     leds_m: (n, 3), in t; the LEDs shine along -z_t, towards the cameras.
     """
 
-    def __init__(self, pair: CameraPair, leds_m: Array, look: Look) -> None:
+    def __init__(self, pair: CameraPair, leds_m: Array, look: RingAppearance) -> None:
         self._pair = pair
         self._leds = np.ascontiguousarray(leds_m, dtype=float)
         self._look = look

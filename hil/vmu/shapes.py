@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.core.camera_images import Shape
 from hil.vmu.kernels.lens import project
-from hil.vmu.kernels.records import Scene
+from hil.vmu.kernels.records import RingScene
 from hil.vmu.kernels.refine import place
 from hil.vmu.pose import matrix_of
 from hil.vmu.unit import PREDICTED, Solution
@@ -25,7 +25,7 @@ _LEFT_PX: Final = 12
 _FARTHEST_PX: Final = 1e5
 
 
-def shapes(scene: Scene, solution: Solution, camera: int, title: str = "") -> list[Shape]:
+def shapes(scene: RingScene, solution: Solution, camera: int, title: str = "") -> list[Shape]:
     """Return what is drawn over the picture of ``camera``, 0 left, 1 right; what matters most comes first.
 
     scene: of the unit's solver. A spot is good where it was taken for an LED, a pose where it was measured.
@@ -59,7 +59,7 @@ def _words(solution: Solution, title: str) -> list[Shape]:
     ]
 
 
-def _leds(scene: Scene, solution: Solution, camera: int) -> list[Shape]:
+def _leds(scene: RingScene, solution: Solution, camera: int) -> list[Shape]:
     if solution.pose is None:
         return []
     r, arm, point = matrix_of(solution.pose.q_vt), np.empty(3), np.empty(3)

@@ -12,12 +12,12 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array, PoseFrame
 from hil.maths import quat
 from hil.vmu.detect import Detector
-from hil.vmu.identify import AMBIGUOUS, OK, TOO_FEW, Identifier, Verdict
+from hil.vmu.identify import AMBIGUOUS, OK, TOO_FEW, Identification, Identifier
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import View
 from hil.vmu.kernels.refine import place
-from hil.vmu.pose import Prediction, Settings, Solver, matrix_of
+from hil.vmu.pose import Prediction, Solver, SolverSettings, matrix_of
 from hil.vmu.spots import SPOT
 from hil.vmu.track import Track, TrackSettings
 from hil.vmu.windows import windows
@@ -89,11 +89,11 @@ class VisionUnit:
     def __init__(
         self,
         geometry: VmuGeometry,
-        settings: Settings | None = None,
+        settings: SolverSettings | None = None,
         track: TrackSettings | None = None,
     ) -> None:
         self.geometry = geometry
-        self.solver = Solver(geometry, settings or Settings())
+        self.solver = Solver(geometry, settings or SolverSettings())
         self.track = Track(track or TrackSettings())
         self._identifier = Identifier(self.solver, geometry.marked_led)
         self._shapes = tuple((camera.height, camera.width) for camera in (geometry.left, geometry.right))
@@ -203,7 +203,7 @@ class VisionUnit:
         return self.track.poses > 0 and self.track.poses % every == 0
 
     def _conclude(
-        self, verdict: Verdict, view: View, spots: tuple[np.ndarray, np.ndarray], t_s: float, full_frame: bool
+        self, verdict: Identification, view: View, spots: tuple[np.ndarray, np.ndarray], t_s: float, full_frame: bool
     ) -> Solution:
         kept = view.order
         if verdict.fit is None:

@@ -6,10 +6,10 @@ import numpy as np
 
 from hil.core.messages import Array
 from hil.vmu.kernels.led_windows import led_windows
-from hil.vmu.kernels.records import Scene
+from hil.vmu.kernels.records import RingScene
 
 
-def windows(scene: Scene, r: Array, t: Array, covariance: Array) -> tuple[Array, Array]:
+def windows(scene: RingScene, r: Array, t: Array, covariance: Array) -> tuple[Array, Array]:
     """Return for each camera the windows (k, 4), px, of the LEDs: u and v of the first pixel and past the last."""
     out, counts = np.empty((2, len(scene.leds), 4)), np.zeros(2, np.int64)
     led_windows(scene, r, t, covariance, out, counts)

@@ -13,11 +13,11 @@ import pytest
 
 from hil.config.console import OnLoss
 from hil.config.load import load_rig, load_scenario
-from hil.console.remote_operator import RemoteOperator, Words
+from hil.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.console.status import CELLS, MODES, empty_status, status_of
 from hil.core.clock import SimulatedClock
 from hil.core.modes import Mode
-from hil.frmn.mailbox import Block
+from hil.frmn.mailbox import MailboxBlock
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
 from hil.session import build
@@ -83,9 +83,9 @@ def converse(script: Script, on_loss: OnLoss = "hold", duration_s: float = 2.0) 
     job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, duration_s, 1.0)
     here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     here.setblocking(False)
-    block = Block.create(CELLS, "console")
+    block = MailboxBlock.create(CELLS, "console")
     rate = SimulatedRate(SimulatedClock(), job.scenario.value.step_s)
-    operator = RemoteOperator(Words(there), block["status"], on_loss, LEASE_S, rate.now_s)
+    operator = RemoteOperator(OutgoingMessages(there), block["status"], on_loss, LEASE_S, rate.now_s)
     runner = build.in_memory(job, rate, operator.watch, operator=operator)
     operator.attach(runner, adjustable=(DEADBAND,))
     talk = Talk(here, runner, block["status"])

@@ -25,8 +25,8 @@ from hil.drivers.base import accepted_setpoint
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses, RemoteTurntable
 from hil.drivers.remote.host import LOOP_SILENCE_MAX_S
-from hil.drivers.remote.io_layout import HOST, SETPOINT, Exchange
-from hil.drivers.remote.requests import Requests
+from hil.drivers.remote.io_layout import HOST, SETPOINT, IoSharedMemory
+from hil.drivers.remote.requests import IoRequests
 from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError
 from hil.processes.io_client import HostProcesses
 from hil.processes.io_server import DeviceHost
@@ -122,7 +122,7 @@ def sides() -> Iterator[Sides]:
     accepted_setpoint(("", "", ""), np.zeros(3), np.zeros(3), np.zeros(3))
     clock, stop = WallClock(), threading.Event()
     here, there = socket.socketpair()
-    memory = Exchange.create()
+    memory = IoSharedMemory.create()
     axes = {
         "rails": StoppableAxes("rails", RAIL_NAMES, RIG.rails),
         "turntable": StoppableAxes("turntable", GIMBAL_NAMES, RIG.turntable),
@@ -132,7 +132,7 @@ def sides() -> Iterator[Sides]:
     host.start()
     thread = threading.Thread(target=host.run, args=(stop,))
     thread.start()
-    requests, ended = Requests(here), list[str]()
+    requests, ended = IoRequests(here), list[str]()
     link = IoLink(HOST, memory, requests, clock, lambda: ended[0] if ended else "")
     rails, turntable = RemoteAxes("rails", RIG.rails, link), RemoteTurntable("turntable", RIG.turntable, link)
     made = Sides(clock, axes, unit, rails, turntable, RemotePoses(RIG.vmu, link), ended)

@@ -11,7 +11,7 @@ import pytest
 
 from hil.config.load import load_rig, load_scenario
 from hil.drivers.command_words.codec import Word, encode
-from hil.drivers.vmu.codec import Decoder
+from hil.drivers.vmu.codec import PoseDecoder
 from hil.session import build
 from tests.support.run_settings import UNHURRIED
 
@@ -31,7 +31,7 @@ def test_words_over_a_serial_port_fly_the_bench_and_their_end_stops_it() -> None
     )
     job = build.Job(load_scenario("scheme-1"), load_rig("emulated", settings), 0, 20.0, 1.0)
     build.check(job)
-    heard, decoder, silent = [], Decoder(), threading.Event()
+    heard, decoder, silent = [], PoseDecoder(), threading.Event()
 
     def compute() -> None:
         counter = 0

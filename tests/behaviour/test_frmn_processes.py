@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from hil.frmn.mailbox import Block
+from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
 
 WORDS = 64
@@ -71,7 +71,7 @@ def test_reader_of_a_flooded_ring_gets_whole_records_in_order_and_counts_the_res
 
 
 def test_reader_of_a_flooded_cell_gets_whole_values_that_never_go_back_also_after_the_writer_is_killed() -> None:
-    block = Block.create({"cell": VALUE})
+    block = MailboxBlock.create({"cell": VALUE})
     cell, into, before, read = block["cell"], np.zeros(1, VALUE), 0, 0
     give_up_s = time.monotonic() + 60.0
     with writer("cell", block.descriptor, 1_000_000_000) as process:

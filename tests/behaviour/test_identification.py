@@ -15,7 +15,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.core.messages import AXES, new
 from hil.core.modes import Mode
 from hil.errors import BenchError, LinkLost, SafetyTrip
-from hil.loop.motion_sequences import Handling
+from hil.loop.motion_sequences import MotionSequencer
 from hil.session import build
 
 STEP_S = 0.02
@@ -23,7 +23,7 @@ X, YAW = 0, 5
 
 
 @contextmanager
-def standing(*settings: str) -> Iterator[Handling]:
+def standing(*settings: str) -> Iterator[MotionSequencer]:
     job = build.Job(load_scenario("scheme-1"), load_rig("mock", settings), 0, STEP_S, 1.0)
     with build.runner(job, lambda *_: None, lambda _: None) as runner, runner.axes_alone() as handling:
         yield handling
@@ -127,7 +127,7 @@ def test_no_axis_but_the_one_under_test_moves_and_none_goes_far() -> None:
     assert math.radians(0.1) < way[YAW] <= math.radians(0.7)
 
 
-def _in_the_middle(act: Callable[[Handling], Any]) -> tuple[BaseException, list[str]]:
+def _in_the_middle(act: Callable[[MotionSequencer], Any]) -> tuple[BaseException, list[str]]:
     """Let ``act`` happen while an axis is measured; return what came of it and the order of stop and close."""
     job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, STEP_S, 1.0)
     calls: list[str] = []
@@ -137,7 +137,7 @@ def _in_the_middle(act: Callable[[Handling], Any]) -> tuple[BaseException, list[
         bench.stop = lambda now_s: (calls.append("stop"), stop(now_s))[1]  # type: ignore[method-assign,func-returns-value]
         bench.close = lambda: (calls.append("close"), close())[1]  # type: ignore[method-assign,func-returns-value]
 
-        def tell_with(handling: Handling) -> Callable[[str, float], None]:
+        def tell_with(handling: MotionSequencer) -> Callable[[str, float], None]:
             return lambda _title, share: act(handling) if share > 0.3 else None
 
         def work() -> None:
@@ -149,7 +149,7 @@ def _in_the_middle(act: Callable[[Handling], Any]) -> tuple[BaseException, list[
     return raised.value, calls
 
 
-def _interrupt(_: Handling) -> None:
+def _interrupt(_: MotionSequencer) -> None:
     raise KeyboardInterrupt
 
 

@@ -12,7 +12,7 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import AxisFeedback
 from hil.core.modes import Mode
-from hil.core.operator_commands import Order
+from hil.core.operator_commands import OperatorCommand
 from hil.errors import LinkLost
 from hil.params import gnc as gnc_params
 from hil.report.summary import summarise
@@ -81,7 +81,7 @@ def test_home_is_lost_when_the_drive_was_off() -> None:
 
 def test_axis_that_is_not_homed_cannot_be_armed() -> None:
     settings = 'rig.rails.x.encoder="incremental"'
-    outcome, _ = operate(idle, settings, plan=(Order.ARM, Order.START), attended=False)
+    outcome, _ = operate(idle, settings, plan=(OperatorCommand.ARM, OperatorCommand.START), attended=False)
     assert outcome.stop == "rails.x: homing not homed, allowed done"
 
 
@@ -89,11 +89,11 @@ def hold_once(mode: Mode, condition: Callable[[Session], bool], length_s: float,
     """Hold for ``length_s`` when ``condition`` comes in ``mode``; from 2 s on keep the encoders' rates."""
 
     def script(session: Session) -> None:
-        session.order_once(Order.HOLD, session.mode is mode and condition(session))
+        session.order_once(OperatorCommand.HOLD, session.mode is mode and condition(session))
         session.once("held", session.mode is Mode.HOLD)
         if session.mode is Mode.HOLD and session.since_s("held") > 2.0:
             rates.append(session.rates())
-        session.order_once(Order.RESUME, session.since_s("held") > length_s)
+        session.order_once(OperatorCommand.RESUME, session.since_s("held") > length_s)
 
     return script
 
@@ -148,14 +148,14 @@ def test_emergency_stop_leads_to_standby_after_its_reset_and_never_back_to_runni
         if session.once("press", session.mode is Mode.STANDBY and session.now_s > 0.5):
             session.button = True
         if session.mode is Mode.SAFE_STOP and session.once("reset too early"):
-            session.operator.order(Order.RESET)
+            session.operator.order(OperatorCommand.RESET)
         elif session.mode is Mode.SAFE_STOP and session.operator.answers and session.once("release"):
             session.button = False
-            session.operator.order(Order.ARM)  # refused here
-            session.operator.order(Order.RESET)
+            session.operator.order(OperatorCommand.ARM)  # refused here
+            session.operator.order(OperatorCommand.RESET)
         if "release" in session.marks and session.mode is Mode.STANDBY:
-            session.order_once(Order.ARM)
-        session.order_once(Order.START, session.mode is Mode.ARMED)
+            session.order_once(OperatorCommand.ARM)
+        session.order_once(OperatorCommand.START, session.mode is Mode.ARMED)
 
     outcome, session = operate(script, plan=())
     assert session.seen_modes == [
@@ -211,7 +211,7 @@ def jog_script(axis: str, direction: int, press_s: float, end_s: float) -> Scrip
     def script(session: Session) -> None:
         if session.now_s < press_s:
             session.operator.jog(axis, direction)
-        session.order_once(Order.STOP, session.now_s > end_s)
+        session.order_once(OperatorCommand.STOP, session.now_s > end_s)
 
     return script
 
@@ -237,7 +237,7 @@ def test_axis_that_is_not_homed_may_be_jogged_slowly_and_stops_at_its_switch() -
         session.operator.jog("rails.y", 1)
         if session.once("switch", session.now_s > 2.0):
             session.rails.set_limit_switch(1, 1)
-        session.order_once(Order.STOP, session.now_s > 4.0)
+        session.order_once(OperatorCommand.STOP, session.now_s > 4.0)
 
     _, session = operate(script, 'rig.rails.y.encoder="incremental"', plan=())
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.JOGGING]
@@ -257,11 +257,11 @@ def test_link_that_fails_while_armed_leads_to_standby_by_a_reset_and_can_be_arme
     def script(session: Session) -> None:
         if session.once("lose", session.mode is Mode.ARMED):
             session.rails.fail(LinkLost("rails.x", "connection closed"))
-        session.order_once(Order.RESET, session.mode is Mode.SAFE_STOP)
+        session.order_once(OperatorCommand.RESET, session.mode is Mode.SAFE_STOP)
         if "reset" in session.marks and session.mode is Mode.STANDBY:
-            session.order_once(Order.STOP, session.now_s > 1.0)
+            session.order_once(OperatorCommand.STOP, session.now_s > 1.0)
 
-    outcome, session = operate(script, plan=(Order.ARM,))
+    outcome, session = operate(script, plan=(OperatorCommand.ARM,))
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.SAFE_STOP, Mode.OFF, Mode.STANDBY]
     assert [alarm.text for alarm in outcome.alarms] == ["rails.x: connection closed"]
     assert outcome.stop == "stopped by the operator"
@@ -269,7 +269,7 @@ def test_link_that_fails_while_armed_leads_to_standby_by_a_reset_and_can_be_arme
 
 def test_orders_reach_the_approach() -> None:
     def script(session: Session) -> None:
-        session.order_once(Order.ABORT, session.mode is Mode.RUNNING and session.now_s > 1.0)
+        session.order_once(OperatorCommand.ABORT, session.mode is Mode.RUNNING and session.now_s > 1.0)
 
     outcome, _ = operate(script, duration_s=4.0)
     assert outcome.history["supervision"]["aborted"][-1] != 0
@@ -316,7 +316,7 @@ def test_burst_of_lost_frames_stops_a_run_and_single_ones_do_not() -> None:
 
 
 def test_plan_that_ends_before_the_run_leaves_the_bench_in_standby() -> None:
-    for plan in ((), (Order.HOME,), (Order.HOME, Order.ARM)):
+    for plan in ((), (OperatorCommand.HOME,), (OperatorCommand.HOME, OperatorCommand.ARM)):
         outcome, _ = operate(idle, plan=plan, attended=False)
         assert outcome.mode is Mode.STANDBY
         assert not outcome.faults
@@ -330,8 +330,8 @@ def test_homing_that_never_ends_stops_the_bench() -> None:
 
 def test_resume_ordered_while_the_axes_still_brake_waits_until_they_stand() -> None:
     def script(session: Session) -> None:
-        session.order_once(Order.HOLD, session.mode is Mode.RUNNING and session.now_s > 30.0)
-        session.order_once(Order.RESUME, session.mode is Mode.HOLD)
+        session.order_once(OperatorCommand.HOLD, session.mode is Mode.RUNNING and session.now_s > 30.0)
+        session.order_once(OperatorCommand.RESUME, session.mode is Mode.HOLD)
 
     outcome, session = operate(script, duration_s=40.0)
     assert outcome.stop == "completed"
@@ -358,10 +358,10 @@ def test_references_are_seeded_from_the_encoders_on_every_path_into_motion() -> 
         if session.now_s < 0.5:
             session.operator.jog("rails.y", 1)
         elif session.mode is Mode.STANDBY:
-            session.order_once(Order.ARM)
-        session.order_once(Order.START, session.mode is Mode.ARMED)
-        session.order_once(Order.HOLD, session.mode is Mode.RUNNING and session.now_s > 5.0)
-        session.order_once(Order.RESUME, session.mode is Mode.HOLD)
+            session.order_once(OperatorCommand.ARM)
+        session.order_once(OperatorCommand.START, session.mode is Mode.ARMED)
+        session.order_once(OperatorCommand.HOLD, session.mode is Mode.RUNNING and session.now_s > 5.0)
+        session.order_once(OperatorCommand.RESUME, session.mode is Mode.HOLD)
 
     outcome, _ = operate(script, plan=(), duration_s=10.0, prepare=prepare)
     assert outcome.stop == "completed"
@@ -385,10 +385,10 @@ def test_axis_that_still_creeps_is_waited_for_and_then_named(mode: Mode, creeps_
         session.rails.read = creeping  # type: ignore[method-assign]
 
     def script(session: Session) -> None:
-        session.order_once(Order.START, session.mode is Mode.ARMED and session.now_s > 0.1)
-        session.order_once(Order.STOP, session.mode is Mode.SAFE_STOP)
+        session.order_once(OperatorCommand.START, session.mode is Mode.ARMED and session.now_s > 0.1)
+        session.order_once(OperatorCommand.STOP, session.mode is Mode.SAFE_STOP)
 
-    outcome, session = operate(script, plan=(Order.HOME, Order.ARM), prepare=prepare)
+    outcome, session = operate(script, plan=(OperatorCommand.HOME, OperatorCommand.ARM), prepare=prepare)
     if creeps_s == math.inf:
         assert outcome.alarms[0].text == "rails.z: speed at arming 0.0107 m/s, allowed 0.01 m/s"
         assert not session.rails.sent
@@ -400,8 +400,8 @@ def test_axis_that_still_creeps_is_waited_for_and_then_named(mode: Mode, creeps_
 def test_plan_does_not_go_on_by_itself_after_a_reset() -> None:
     def script(session: Session) -> None:
         session.button = session.once("press", session.mode is Mode.STANDBY)
-        session.order_once(Order.RESET, session.mode is Mode.SAFE_STOP)
-        session.order_once(Order.STOP, session.mode is Mode.STANDBY and session.since_s("press") > 1.0)
+        session.order_once(OperatorCommand.RESET, session.mode is Mode.SAFE_STOP)
+        session.order_once(OperatorCommand.STOP, session.mode is Mode.STANDBY and session.since_s("press") > 1.0)
 
     _, session = operate(script)
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.SAFE_STOP, Mode.OFF, Mode.STANDBY]
@@ -436,7 +436,7 @@ def test_bench_parks_after_a_whole_run_where_its_rig_says() -> None:
 
 def test_an_order_to_park_ends_the_session() -> None:
     def script(session: Session) -> None:
-        session.order_once(Order.PARK, session.mode is Mode.STANDBY)
+        session.order_once(OperatorCommand.PARK, session.mode is Mode.STANDBY)
 
     _, session = operate(script, plan=())
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.PARKING]

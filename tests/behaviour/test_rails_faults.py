@@ -17,10 +17,10 @@ from hil.config.rig import Modbus, ModbusAxis, Rails
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import WATCHDOG_S
-from hil.drivers.rails.codec import Command, Control, RegisterMap, Status
+from hil.drivers.rails.codec import Command, ControlFlags, RegisterMap, Status
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 from hil.errors import DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 
 RIGS = ("emulated", "emulated-rtu")
@@ -96,7 +96,7 @@ class Bench:
 
 @contextmanager
 def bench_of(rig: str, **changes: object) -> Iterator[Bench]:
-    clock, board, stop, chain = WallClock(), AxisBoard.create(), threading.Event(), [True]
+    clock, board, stop, chain = WallClock(), SharedAxisState.create(), threading.Event(), [True]
     config = Rails.model_validate(load_rig(rig).value.rails.model_dump() | {"timeout_s": TIMEOUT_S} | changes)
     make = RtuRailsEmulator if rig == "emulated-rtu" else RailsEmulator
     emulator = make(config, clock, board, chain_closed=lambda: chain[0], seed=3)
@@ -300,11 +300,11 @@ def test_a_search_that_is_stopped_has_failed_and_the_axis_stands() -> None:
 def test_a_search_whose_controller_falls_silent_is_ended_by_the_drive() -> None:
     axes = load_rig("emulated").value.rails
     config = axes.model_copy(update={"x": axes.x.model_copy(update=INCREMENTAL)})
-    board = AxisBoard.create()
+    board = SharedAxisState.create()
     emulator = RailsEmulator(config, WallClock(), board)
     drive = emulator.drives[0]
     start_s = 100.0  # in a future that the clock will not reach
-    drive.command(Command(Control.ENABLE | Control.HOME, 1, 0.0, 0.0), start_s)
+    drive.command(Command(ControlFlags.ENABLE | ControlFlags.HOME, 1, 0.0, 0.0), start_s)
     searching = drive.state(start_s + 0.9 * WATCHDOG_S).status
     assert Status.MOVING in searching
     assert Status.HOMING_FAILED not in searching

@@ -22,10 +22,10 @@ from hil.config.rig import Rails
 from hil.core.clock import WallClock
 from hil.drivers.base import AxisGroup
 from hil.drivers.emulated_axes import WATCHDOG_S
-from hil.drivers.rails.codec import Command, Control, State, Status
+from hil.drivers.rails.codec import Command, ControlFlags, State, Status
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 from hil.errors import BadInput, BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 
 TIMEOUT_S = 0.2
@@ -65,7 +65,7 @@ class Bench:
     clock: WallClock
     emulator: RailsEmulator
     addresses: dict[str, str]
-    board: AxisBoard
+    board: SharedAxisState
 
     def port(self, axis: str) -> int:
         return int(self.addresses[f"rails.{axis}"].split(":")[1])
@@ -78,7 +78,7 @@ class Bench:
 @contextmanager
 def emulated(speed: float = 1.0) -> Iterator[Bench]:
     clock = WallClock(speed=speed)
-    board = AxisBoard.create()
+    board = SharedAxisState.create()
     emulator = RailsEmulator(config(), clock, board)
     addresses = emulator.start()
     stop = threading.Event()
@@ -386,17 +386,17 @@ def test_wire_carries_the_documented_bytes(bench: Bench) -> None:
 
 
 def test_drive_stops_by_itself_when_commands_cease() -> None:
-    board = AxisBoard.create()
+    board = SharedAxisState.create()
     emulator = RailsEmulator(config(), WallClock(), board)
     drive = emulator.drives[0]
-    drive.command(Command(Control.ENABLE, 1, 3.0, 0.0), 0.1)
+    drive.command(Command(ControlFlags.ENABLE, 1, 3.0, 0.0), 0.1)
     moving = drive.state(0.5)
     assert Status.MOVING in moving.status
     assert Status.QUICK_STOP not in drive.state(0.09 + WATCHDOG_S).status
     stopped = drive.state(2.0)
     assert stopped.status == Status.READY | Status.ENABLED | Status.QUICK_STOP | Status.HOMED
     assert stopped.position_m < 2.9
-    drive.command(Command(Control.ENABLE, 2, 3.0, 0.0), 2.1)
+    drive.command(Command(ControlFlags.ENABLE, 2, 3.0, 0.0), 2.1)
     assert drive.state(2.3).position_m == pytest.approx(stopped.position_m, abs=1e-4)
     emulator.close()
     board.close()

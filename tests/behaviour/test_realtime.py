@@ -93,7 +93,7 @@ def test_everything_is_taken_back_at_the_end_whatever_was_granted() -> None:
         with RealTime(cpu=cpu) as real_time:
             outside = state()
             assert outside["policy"] == before["policy"]
-            with real_time.at_the_front():
+            with real_time.realtime_priority():
                 inside = state()
                 assert inside["cpus"] == {cpu}
                 assert (inside["policy"] & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO) == real_time.granted(FIFO)
@@ -109,7 +109,7 @@ def test_threads_and_processes_of_the_loop_do_not_inherit_its_policy() -> None:
     found: list[int] = []
 
     def body() -> None:
-        with RealTime() as real_time, real_time.at_the_front():
+        with RealTime() as real_time, real_time.realtime_priority():
             child = threading.Thread(target=lambda: found.append(os.sched_getscheduler(0)))
             child.start()
             child.join()
@@ -126,7 +126,7 @@ def test_refusals_are_told_with_their_reason_and_what_would_help_and_the_body_ru
 
     def body() -> None:
         before = state()
-        with RealTime() as real_time, real_time.at_the_front():
+        with RealTime() as real_time, real_time.realtime_priority():
             told.update({grant.name: str(grant) for grant in real_time.refused()})
             assert real_time.granted(SLACK)
             if real_time.granted(SLICE):
@@ -141,7 +141,7 @@ def test_refusals_are_told_with_their_reason_and_what_would_help_and_the_body_ru
 
 def test_fifo_that_is_switched_off_is_not_taken_and_says_so() -> None:
     def body() -> None:
-        with RealTime(fifo=False) as real_time, real_time.at_the_front():
+        with RealTime(fifo=False) as real_time, real_time.realtime_priority():
             assert os.sched_getscheduler(0) == os.SCHED_OTHER
             assert "sched_fifo refused: switched off by host.fifo" in map(str, real_time.refused())
 

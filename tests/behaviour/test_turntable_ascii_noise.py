@@ -9,7 +9,7 @@ import threading
 import tty
 
 from hil.core.clock import WallClock
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.ascii.driver import AsciiTurntable
 from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
 from hil.errors import ProtocolError
@@ -25,7 +25,7 @@ class NoisyLine:
         self.path = os.ttyname(self._far)
         self._spoil = spoil
         self._stop = threading.Event()
-        self._emulator = AsciiTurntableEmulator(turntable("ascii"), WallClock(), AxisBoard.create())
+        self._emulator = AsciiTurntableEmulator(turntable("ascii"), WallClock(), SharedAxisState.create())
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 

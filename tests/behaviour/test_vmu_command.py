@@ -15,7 +15,7 @@ from hil.cli.main import BAD_INPUT, FAILED, PASSED, execute
 from hil.cli.vmu import COLUMNS
 from hil.config.vmu_geometry import VmuGeometry
 from hil.vmu.geometry import camera_pair, led_positions
-from hil.vmu.render import Extras, Look, Reflection, Renderer
+from hil.vmu.render import Extras, Reflection, RingAppearance, RingRenderer
 from tests.support.vmu_scene import Truth, ring
 
 FRAMES = 6
@@ -28,7 +28,7 @@ def truth(k: int) -> Truth:
 @pytest.fixture(scope="module")
 def shots() -> list[tuple[np.ndarray, np.ndarray]]:
     rng, geometry = np.random.default_rng(3), ring()
-    renderer = Renderer(camera_pair(geometry), led_positions(geometry), Look())
+    renderer = RingRenderer(camera_pair(geometry), led_positions(geometry), RingAppearance())
     strays = Extras(reflections=[Reflection(0, 200.0, 300.0), Reflection(1, 700.0, 800.0)])
     return [renderer.pair(truth(k).t, truth(k).q, None, rng, strays) for k in range(FRAMES)]
 

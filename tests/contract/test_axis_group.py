@@ -20,9 +20,9 @@ from hil.drivers.mock_axes import MockAxes
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
 from hil.drivers.remote.devices import IoLink, RemoteAxes
-from hil.drivers.remote.io_layout import HOST, Exchange
-from hil.drivers.remote.requests import Requests
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.remote.io_layout import HOST, IoSharedMemory
+from hil.drivers.remote.requests import IoRequests
+from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.ascii.driver import AsciiTurntable
 from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
 from hil.drivers.turntable.cia402.driver import Cia402Turntable
@@ -86,7 +86,7 @@ def _on_wires(
     wire: Callable[[dict[str, str]], Rails | Turntable],
     make_driver: Callable[..., AxisGroup],
 ) -> Iterator[Backend]:
-    clock, board, stop = WallClock(speed=SPEED), AxisBoard.create(), threading.Event()
+    clock, board, stop = WallClock(speed=SPEED), SharedAxisState.create(), threading.Event()
     emulator = make_emulator(config, clock, board)
     wired = wire(emulator.start())
     thread = threading.Thread(target=emulator.run, args=(stop,))
@@ -107,7 +107,7 @@ def _behind_the_io_process(config: Rails | Turntable) -> Iterator[Backend]:
     """The loop's side over shared memory; the host's work is done in a thread, the drives are mocks."""
     clock, stop = WallClock(speed=SPEED), threading.Event()
     here, there = socket.socketpair()
-    memory = Exchange.create()
+    memory = IoSharedMemory.create()
     axes: dict[str, AxisGroup] = {
         "rails": MockAxes("rails", RAIL_NAMES, RIG.rails),
         "turntable": MockAxes("turntable", GIMBAL_NAMES, RIG.turntable),
@@ -116,7 +116,7 @@ def _behind_the_io_process(config: Rails | Turntable) -> Iterator[Backend]:
     host.start()
     thread = threading.Thread(target=host.run, args=(stop,))
     thread.start()
-    requests = Requests(here)
+    requests = IoRequests(here)
     link = IoLink(HOST, memory, requests, clock, lambda: "")
     device = RemoteAxes("rails" if isinstance(config, Rails) else "turntable", config, link)
     try:

@@ -16,7 +16,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import moon_gravity
 from hil.dynamics import truth as kernels
-from hil.dynamics.held_gravity import HELD
+from hil.dynamics.held_gravity import CACHED_GRAVITY
 from hil.maths import quat
 from hil.params import gnc as gnc_params
 from tests.support.basilisk_pair import Pair, gravity_model, write_field
@@ -70,7 +70,7 @@ def test_gravity_agrees_to_rounding(drift: Scenario, field_file: Path, rng: np.r
 @pytest.mark.parametrize(("span_s", "tolerance_m"), [(400.0, 1e-6), (7655.0, 1e-3)], ids=["400 s", "an orbit"])
 def test_relative_position_agrees(drift: Scenario, field_file: Path, span_s: float, tolerance_m: float) -> None:
     params, field, truth = gnc_params.dss(drift), gnc_params.field(drift), gnc_params.initial_truth(drift)
-    span = new(HELD)
+    span = new(CACHED_GRAVITY)
     assert 2.0 * math.pi / params.orbit_rate == pytest.approx(7655.0, abs=60.0)
     theirs = Pair(params, inertial_states(truth), field_file, step_s=0.5).run_to(span_s)
     for _ in range(round(span_s / params.dt_s)):

@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.vmu.calibration.board import Board
-from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable
+from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel
 from hil.vmu.calibration.refine import layout_basis
 from hil.vmu.calibration.synthetic import plan, sight
 from hil.vmu.geometry import geometry_of_rig
@@ -37,13 +37,13 @@ def as_made(paper: Setup, rng: np.random.Generator, on_leds: bool) -> Setup:
     return paper.moved(change, (basis @ (basis.T @ rng.normal(0.0, 5e-4, paper.points.size))).reshape(-1, 3))
 
 
-def leds_seen(truth: Setup, turntable: Turntable, rng: np.random.Generator, views: int = 24) -> Sightings:
+def leds_seen(truth: Setup, turntable: TurntableModel, rng: np.random.Generator, views: int = 24) -> Sightings:
     """Return sightings of the LEDs from all over the bench."""
     axes = plan(truth, turntable, views, (0.6, 4.0), 20.0, rng, 0.25)
     return sight(truth, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
 
 
-def board_seen(truth: Setup, turntable: Turntable, rng: np.random.Generator, views: int = 20) -> Sightings:
+def board_seen(truth: Setup, turntable: TurntableModel, rng: np.random.Generator, views: int = 20) -> Sightings:
     """Return sightings of the board from near, those that show it whole."""
     axes = plan(truth, turntable, views, (0.9, 1.6), 20.0, rng, 0.15)
     seen = sight(truth, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.modes import Mode
-from hil.core.operator_commands import Operator, Order
+from hil.core.operator_commands import Operator, OperatorCommand
 from hil.loop.runner import Outcome, Runner
 from hil.session import build
 
@@ -66,7 +66,7 @@ class Session:
         """Return how long ago ``step`` came; before it, -inf."""
         return self.now_s - self.marks.get(step, float("inf"))
 
-    def order_once(self, order: Order, condition: bool = True) -> None:
+    def order_once(self, order: OperatorCommand, condition: bool = True) -> None:
         if self.once(order.value, condition):
             self.operator.order(order)
 
@@ -91,7 +91,7 @@ def operate(
     script: Script,
     *settings: str,
     duration_s: float = 2.0,
-    plan: tuple[Order, ...] = (Order.HOME, Order.ARM, Order.START),
+    plan: tuple[OperatorCommand, ...] = (OperatorCommand.HOME, OperatorCommand.ARM, OperatorCommand.START),
     attended: bool = True,
     prepare: Callable[[Session], None] = lambda _: None,
 ) -> tuple[Outcome, Session]:

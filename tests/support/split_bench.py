@@ -16,10 +16,10 @@ from hil.errors import DeviceError
 from hil.frmn.link import Link
 from hil.frmn.ring import Telemetry
 from hil.frmn.udp import LOOPBACK, Address
-from hil.gnc_backends.udp import RemoteGnc, gnc_link
+from hil.gnc_backends.udp import UdpGnc, gnc_link
 from hil.loop.cycle import Loop
 from hil.loop.runner import Outcome
-from hil.processes.gnc_server import GncComputer, gnc_side
+from hil.processes.gnc_server import GncServer, gnc_side
 from hil.session import build
 from hil.setup.udp_backend import mirror_of, remote_gnc
 
@@ -29,10 +29,10 @@ LOCAL: Address = (LOOPBACK, 0)
 @contextmanager
 def gnc_thread(
     scenario_name: str, bench: Address, settings: Sequence[str] = (), patience_s: float = 20.0
-) -> Iterator[GncComputer]:
+) -> Iterator[GncServer]:
     """Give our GNC, which serves the bench at ``bench`` in a thread until that says goodbye or falls silent."""
     link = gnc_side("test gnc", None, bench)
-    computer = GncComputer(load_scenario(scenario_name, settings).value, link)
+    computer = GncServer(load_scenario(scenario_name, settings).value, link)
 
     def serve() -> None:
         with suppress(DeviceError):  # told by the bench's side as well
@@ -65,7 +65,7 @@ class Split:
     """A bench whose GNC is elsewhere."""
 
     job: build.Job
-    seat: RemoteGnc
+    seat: UdpGnc
     link: Link
     operator: Resuming | None = None
     loop: Loop | None = None

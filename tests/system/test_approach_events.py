@@ -7,33 +7,33 @@ import pytest
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import SUPERVISION, new
-from hil.gnc_backends.approach_events import ApproachDiary
+from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.session import build
 
 
 @pytest.fixture
-def diary() -> ApproachDiary:
+def diary() -> ApproachEventLog:
     """Return the diary of an approach of two phases, ready after 5 s."""
-    return ApproachDiary(("approach", "ready"), 5.0)
+    return ApproachEventLog(("approach", "ready"), 5.0)
 
 
-def texts(diary: ApproachDiary) -> list[str]:
+def texts(diary: ApproachEventLog) -> list[str]:
     return [event.text for event in diary.events]
 
 
-def test_docking_is_go_after_the_dwell_and_not_before(diary: ApproachDiary) -> None:
+def test_docking_is_go_after_the_dwell_and_not_before(diary: ApproachEventLog) -> None:
     assert not diary.docking_is_go(100.0, np.nan)
     assert not diary.docking_is_go(14.9, 10.0)
     assert diary.docking_is_go(15.0, 10.0)
 
 
-def test_readiness_is_noted_when_it_comes_and_when_it_goes(diary: ApproachDiary) -> None:
+def test_readiness_is_noted_when_it_comes_and_when_it_goes(diary: ApproachEventLog) -> None:
     for t_s, since_s in ((10.0, 10.0), (15.0, 10.0), (16.0, 10.0), (17.0, np.nan), (30.0, 18.0)):
         diary.look(t_s, since_s)
     assert [text.partition(":")[0] for text in texts(diary)[1:]] == ["ready", "no longer ready", "ready"]
 
 
-def test_decision_after_an_abort_is_no_go(diary: ApproachDiary) -> None:
+def test_decision_after_an_abort_is_no_go(diary: ApproachEventLog) -> None:
     watch = new(SUPERVISION)
     watch.aborted, watch.corridor_margin_m = 1, -0.02
     diary.abort_began(50.0, watch)

@@ -15,7 +15,7 @@ from hil.cli.main import execute
 from hil.config.load import load_file, load_rig
 from hil.config.vmu_geometry import VmuGeometry
 from hil.vmu.calibration.board import Board
-from hil.vmu.calibration.model import Setup, Turntable
+from hil.vmu.calibration.model import Setup, TurntableModel
 from hil.vmu.calibration.synthetic import plan, shifted
 from hil.vmu.calibration.synthetic_images import board_pair, led_pair, led_renderer, write_views
 from hil.vmu.geometry import geometry_of_rig
@@ -33,16 +33,18 @@ AXIS_SIGMA = np.array([5e-5] * 3 + [np.radians(0.005)] * 3)
 LOOSE = ["--max-error-mm", "300", "--max-mounting-mm", "5", "--max-mounting-deg", "0.3"]
 
 
-def truth_of(leds: bool) -> tuple[Setup, Turntable]:
+def truth_of(leds: bool) -> tuple[Setup, TurntableModel]:
     rig = load_rig("mock", SMALL).value
     paper = Setup.of(geometry_of_rig(rig), rig.bench, None if leds else BOARD.points())
     made = shifted(
         paper, LEFT=[4.0, -3.0, 5.0, -4.0, -0.06], RIGHT=[-4.0, 3.0, -5.0, 2.0, -0.05], BASELINE=[1e-3, 0, 0]
     )
-    return shifted(made, CAMERA_TURN=[0.006, -0.008, 0.01], TARGET_STATION=[0.0, 4e-3, -3e-3]), Turntable.of(rig.bench)
+    return shifted(made, CAMERA_TURN=[0.006, -0.008, 0.01], TARGET_STATION=[0.0, 4e-3, -3e-3]), TurntableModel.of(
+        rig.bench
+    )
 
 
-def made_views(folder: Path, truth: Setup, turntable: Turntable, leds: bool, views: int, seed: int) -> Path:
+def made_views(folder: Path, truth: Setup, turntable: TurntableModel, leds: bool, views: int, seed: int) -> Path:
     rng = np.random.default_rng(seed)
     axes = plan(truth, turntable, views, (0.6, 2.0) if leds else (0.9, 1.3), 20.0, rng, 0.22 if leds else 0.06)
     renderer = led_renderer(truth) if leds else None

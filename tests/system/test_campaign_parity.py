@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.campaign.case_runner import Flight
+from hil.campaign.case_runner import CaseRunner
 from hil.campaign.dispersions import Design, case_seed
 from hil.campaign.outcome import row_of
 from hil.config.load import load_rig, load_scenario
@@ -39,7 +39,7 @@ def both(
     job = build.Job(scenario, rig, seed, duration_s, 1.0, truth)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         outcome = runner.run()
-    flight = Flight(told, rig.value, duration_s)
+    flight = CaseRunner(told, rig.value, duration_s)
     flight.fly(truth, seed + 1)  # what was flown before leaves no trace
     history = np.zeros(flight.cycles, CYCLE)
     tally, stop = flight.fly(truth, seed, history)

@@ -14,7 +14,7 @@ import pytest
 
 from hil.checks.compatibility import sign_off_gap
 from hil.cli.main import execute
-from hil.commission.emulated import EmulatedTechnician
+from hil.commission.emulated import AutoOperator
 from hil.commission.prompt import Scripted, StepFailed
 from hil.commission.steps import Commissioning
 from hil.config.load import load_rig, load_scenario
@@ -62,7 +62,7 @@ def bench(rig_file: Path) -> Iterator[WiredBench]:
 def commission(bench: WiredBench, axis: int) -> tuple[StepFailed, Runner]:
     """Commission one axis, which does not pass; return why, and the session."""
     assert bench.board is not None
-    technician = EmulatedTechnician(bench.board, bench.addresses)
+    technician = AutoOperator(bench.board, bench.addresses)
     rig = load_rig("emulated").value
     for _ in range(_ATTEMPTS):
         time.sleep(_BETWEEN_SESSIONS_S)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hil.commission.fault_matrix import GOES_ON, TIGHT, Case, matrix, rehearse, representatives
+from hil.commission.fault_matrix import GOES_ON, TIGHT, FaultCase, matrix, rehearse, representatives
 from hil.config.load import load_rig, load_scenario
 from hil.core.modes import Mode
 from hil.session.build import Job, WiredBench, check, warm_up, wired_bench
@@ -24,7 +24,7 @@ def bench() -> Iterator[WiredBench]:
         yield made
 
 
-def _rehearse(bench: WiredBench, case: Case) -> None:
+def _rehearse(bench: WiredBench, case: FaultCase) -> None:
     finding = rehearse(bench, case)
     assert finding.as_expected, finding
     if case.expected == GOES_ON:
@@ -36,7 +36,7 @@ def _rehearse(bench: WiredBench, case: Case) -> None:
 
 
 @pytest.mark.parametrize("case", representatives(), ids=lambda case: case.name)
-def test_a_fault_is_found_and_named_and_the_axes_stand(bench: WiredBench, case: Case) -> None:
+def test_a_fault_is_found_and_named_and_the_axes_stand(bench: WiredBench, case: FaultCase) -> None:
     _rehearse(bench, case)
 
 
@@ -44,7 +44,7 @@ def test_a_fault_is_found_and_named_and_the_axes_stand(bench: WiredBench, case: 
 @pytest.mark.parametrize(
     "case", matrix((Mode.RUNNING, Mode.STANDBY, Mode.ARMED, Mode.HOLD)), ids=lambda case: case.name
 )
-def test_every_fault_in_every_mode_that_can_have_it(bench: WiredBench, case: Case) -> None:
+def test_every_fault_in_every_mode_that_can_have_it(bench: WiredBench, case: FaultCase) -> None:
     _rehearse(bench, case)
 
 

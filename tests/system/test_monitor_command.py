@@ -14,7 +14,7 @@ from hil.cli.main import execute
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise
 from hil.monitor.monitor import Monitor
-from hil.monitor.render import Conditions, Renderer, film
+from hil.monitor.render import Conditions, TargetRenderer, film
 from hil.monitor.results import QUANTITIES
 
 COLUMNS = [
@@ -30,7 +30,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[np.n
     path = tmp_path_factory.mktemp("monitor") / "approach.mkv"
     size = (scene.camera.width, scene.camera.height)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), scene.fps, size, isColor=False)
-    renderer = Renderer(scene, conditions=Conditions(noise=PixelNoise(read=3.0)))
+    renderer = TargetRenderer(scene, conditions=Conditions(noise=PixelNoise(read=3.0)))
     monitor, rows = Monitor(scene), []
     rng = np.random.default_rng(4)
     for frame in film(renderer, lambda t: (np.array([0.1, -0.1, 8.0 - 0.1 * t]), np.array([0.0, 0.0, 0.02])), 14, rng):

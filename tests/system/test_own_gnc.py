@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.campaign.case_runner import Flight
+from hil.campaign.case_runner import CaseRunner
 from hil.campaign.outcome import row_of
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.core.gnc_records import GncState
 from hil.core.messages import CYCLE
 from hil.core.modes import Mode
-from hil.core.operator_commands import Operator, Order
+from hil.core.operator_commands import Operator, OperatorCommand
 from hil.loop.runner import COMPLETED, Outcome
 from hil.recording.read import load
 from hil.recording.replay import replay
@@ -55,7 +55,7 @@ def flown(library: Path, duration_s: float, *settings: str, operator: Operator |
 def compiled(library: Path, duration_s: float, *settings: str) -> tuple[np.ndarray, np.record, str]:
     chosen = (f"gnc.library={library}", *settings)
     scenario, rig = load_scenario("scheme-1", chosen).value, load_rig("mock", chosen).value
-    flight = Flight(scenario, rig, duration_s)
+    flight = CaseRunner(scenario, rig, duration_s)
     flight.fly(scenario, 4)  # what was flown before leaves no trace
     history = np.zeros(flight.cycles, CYCLE)
     tally, stop = flight.fly(scenario, 3, history)
@@ -72,7 +72,7 @@ def assert_same_bits(one: np.ndarray, other: np.ndarray, name: str = "") -> None
 
 def test_c_example_flies_scheme_1_through_table_iii(library: Path) -> None:
     scenario = load_scenario("scheme-1", [f"gnc.library={library}"]).value
-    tally, stop = Flight(scenario, load_rig("mock").value, scenario.duration_s).fly(scenario, 0)
+    tally, stop = CaseRunner(scenario, load_rig("mock").value, scenario.duration_s).fly(scenario, 0)
     row = row_of(tally, stop, scenario, scenario)
     assert row["passed"]
     assert row["ready_time_s"] < 170.0
@@ -146,15 +146,15 @@ class _Holding(Operator):
         super().__init__(attended=True)
         self._cycles = -1
 
-    def next(self, mode: Mode) -> Order | None:
+    def next(self, mode: Mode) -> OperatorCommand | None:
         order = super().next(mode)
-        self._cycles = 0 if order is Order.START else self._cycles
+        self._cycles = 0 if order is OperatorCommand.START else self._cycles
         return order
 
     def listen(self, now_s: float) -> None:
         self._cycles += self._cycles >= 0
         if self._cycles in (100, 120):
-            self.order(Order.HOLD if self._cycles == 100 else Order.RESUME)
+            self.order(OperatorCommand.HOLD if self._cycles == 100 else OperatorCommand.RESUME)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.checks.reachability import demands, reach_problems
+from hil.checks.reachability import axis_demands, reach_problems
 from hil.cli.main import execute
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
@@ -168,9 +168,9 @@ def _barely_enough(scenario: str, settings: tuple[str, ...]) -> Loaded[Rig]:
     """Return a mock rig whose every limit is what the check asks for, and no more."""
     loaded = load_rig("mock", settings)
     flown = load_scenario(scenario, settings).value
-    hardest = demands(flown, loaded.value).axes.acceleration.max(axis=0) * (1.0 + 1e-6)
+    hardest = axis_demands(flown, loaded.value).axes.acceleration.max(axis=0) * (1.0 + 1e-6)
     rig = _limited(loaded.value, {}, hardest)
-    asked = demands(flown, rig).axes  # the room to brake depends on the acceleration
+    asked = axis_demands(flown, rig).axes  # the room to brake depends on the acceleration
     travel = np.stack([asked.low.min(axis=0), asked.high.max(axis=0)]) + np.array([[-1e-6], [1e-6]])
     rig = _limited(rig, {"travel": travel, "rate_max": asked.rate.max(axis=0) * (1.0 + 1e-6)}, hardest)
     return Loaded(rig, loaded.source, loaded.origin)

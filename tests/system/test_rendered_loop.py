@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.cameras.factory import make_eye
+from hil.cameras.factory import make_pose_sensor
 from hil.checks.compatibility import axes_at
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
@@ -29,7 +29,7 @@ TILTED = (2.0, 1.0, -2.0)  # deg
 def seen(*settings: str, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[list[PoseFrame], Any, Any]:
     """Return 20 poses of axes that stand half-way, and the pose t -> v that is true without ``shift_m``."""
     scenario, rig = load_scenario("scheme-1", (RENDERED, *settings)).value, load_rig("mock", settings).value
-    eye = make_eye(scenario, rig, seed=3)
+    eye = make_pose_sensor(scenario, rig, seed=3)
     axes = axes_at(scenario, rig, HALF_WAY, TILTED)
     rails = axes.rail_m + np.array(shift_m)
     poses = [eye.look(rails, axes.gimbal_rad, 0.16 * k) for k in range(20)]

@@ -15,10 +15,10 @@ import pytest
 
 from hil.cli.main import execute
 from hil.config.load import load_rig
-from hil.drivers.vmu.codec import Decoded, Decoder
+from hil.drivers.vmu.codec import Decoded, PoseDecoder
 from hil.maths import quat
 from hil.vmu.geometry import camera_pair, geometry_of_rig, led_positions
-from hil.vmu.render import Look, Renderer
+from hil.vmu.render import RingAppearance, RingRenderer
 
 FRAMES = 6
 
@@ -30,7 +30,7 @@ def streams(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
     geometry = geometry_of_rig(load_rig("mock").value)
     path = folder / "geometry.json"
     path.write_text(json.dumps(geometry.model_dump(mode="json")))
-    renderer = Renderer(camera_pair(geometry), led_positions(geometry), Look())
+    renderer = RingRenderer(camera_pair(geometry), led_positions(geometry), RingAppearance())
     rng = np.random.default_rng(4)
     names = [str(folder / f"{side}.mkv") for side in ("left", "right")]
     size = (geometry.left.width, geometry.left.height)
@@ -47,7 +47,7 @@ def streams(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
     return ",".join(names), str(path)
 
 
-def listen(master: int, decoder: Decoder, found: list[Decoded], wanted: int, done: threading.Event) -> None:
+def listen(master: int, decoder: PoseDecoder, found: list[Decoded], wanted: int, done: threading.Event) -> None:
     while len(found) < wanted:
         found += decoder.feed(os.read(master, 4096), 0.0)
     done.set()
@@ -57,7 +57,7 @@ def test_poses_of_videos_go_into_the_file_and_onto_the_line(streams: tuple[str, 
     source, geometry = streams
     master, slave = os.openpty()
     tty.setraw(slave)
-    decoder, found, done = Decoder(), list[Decoded](), threading.Event()
+    decoder, found, done = PoseDecoder(), list[Decoded](), threading.Event()
     threading.Thread(target=listen, args=(master, decoder, found, FRAMES, done), daemon=True).start()
     out = tmp_path / "poses.csv"
     arguments = ["vmu", source, "--geometry", geometry, "--out", str(out), "--rs422", os.ttyname(slave), "--fast"]

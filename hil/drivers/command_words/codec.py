@@ -57,7 +57,7 @@ def decode_can(data: bytes) -> Word | None:
     return Word(data[1], int.from_bytes(data[2:5], "little"))
 
 
-class Decoder:
+class CommandWordDecoder:
     """Finds words in a stream of bytes, however it is cut or damaged; never raises on any bytes."""
 
     def __init__(self) -> None:

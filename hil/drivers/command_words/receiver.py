@@ -10,7 +10,7 @@ from typing import Final, Protocol
 import serial
 
 from hil.config.flight_computer import FlightComputer
-from hil.drivers.command_words.codec import Decoder, Word, decode_can
+from hil.drivers.command_words.codec import CommandWordDecoder, Word, decode_can
 from hil.drivers.latest import Latest
 from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.errors import LinkLost
@@ -42,7 +42,7 @@ class SerialWords:
             self._port.reset_input_buffer()
         except Exception as cause:  # pyserial: OSError, ValueError (baud), termios.error
             raise LinkLost(NAME, f"cannot open {port}: {cause}") from cause
-        self._decoder = Decoder()
+        self._decoder = CommandWordDecoder()
 
     @property
     def refused(self) -> int:
@@ -84,7 +84,7 @@ class CanWords:
         self._port.close()
 
 
-class WordReceiver:
+class CommandWordReceiver:
     """The newest word of a flight computer, and when it came. now_s: tells bench time, from any thread."""
 
     def __init__(self, config: FlightComputer, now_s: Callable[[], float]) -> None:

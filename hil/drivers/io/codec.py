@@ -38,7 +38,7 @@ class Function(IntEnum):
     ENCAPSULATED = 43
 
 
-class Refusal(IntEnum):
+class ModbusException(IntEnum):
     """Modbus exception codes."""
 
     FUNCTION = 1
@@ -84,7 +84,7 @@ class Image:
 
 
 class _RefusedError(Exception):
-    def __init__(self, code: Refusal) -> None:
+    def __init__(self, code: ModbusException) -> None:
         super().__init__(code.name)
         self.code = code
 
@@ -99,7 +99,7 @@ def answer(image: Image, request: bytes) -> bytes:
     except _RefusedError as refused:
         return bytes((request[0] | 0x80, refused.code))
     except struct.error:
-        return bytes((request[0] | 0x80, Refusal.VALUE))
+        return bytes((request[0] | 0x80, ModbusException.VALUE))
 
 
 def _done(image: Image, function: int, body: bytes) -> bytes:
@@ -112,7 +112,7 @@ def _done(image: Image, function: int, body: bytes) -> bytes:
     if function == Function.WRITE_COIL:
         first, value = struct.unpack(">HH", body)
         if value not in (0x0000, 0xFF00):
-            raise _RefusedError(Refusal.VALUE)
+            raise _RefusedError(ModbusException.VALUE)
         for address in _known(image.coils, first, 1, 1):
             image.coils[address] = value != 0
         return body
@@ -120,20 +120,20 @@ def _done(image: Image, function: int, body: bytes) -> bytes:
         first, count, size = struct.unpack_from(">HHB", body)
         addresses = _known(image.coils, first, count, MAX_WRITE)
         if size != (count + 7) // 8 or len(body) != 5 + size:
-            raise _RefusedError(Refusal.VALUE)
+            raise _RefusedError(ModbusException.VALUE)
         image.coils.update(zip(addresses, unpack_bits(body[5:], count), strict=True))
         return body[:4]
     if function == Function.ENCAPSULATED:
         return _identification(image, body)
-    raise _RefusedError(Refusal.FUNCTION)
+    raise _RefusedError(ModbusException.FUNCTION)
 
 
 def _known(memory: dict[int, bool], first: int, count: int, most: int) -> range:
     if not 1 <= count <= most:
-        raise _RefusedError(Refusal.VALUE)
+        raise _RefusedError(ModbusException.VALUE)
     addresses = range(first, first + count)
     if any(address not in memory for address in addresses):
-        raise _RefusedError(Refusal.ADDRESS)
+        raise _RefusedError(ModbusException.ADDRESS)
     return addresses
 
 
@@ -141,9 +141,9 @@ def _identification(image: Image, body: bytes) -> bytes:
     """Answer function 43/14, basic identification as a stream: vendor, product code, revision."""
     kind, code, first = struct.unpack(">BBB", body)
     if kind != 14:
-        raise _RefusedError(Refusal.FUNCTION)
+        raise _RefusedError(ModbusException.FUNCTION)
     if code != 1 or first > 2:
-        raise _RefusedError(Refusal.ADDRESS)
+        raise _RefusedError(ModbusException.ADDRESS)
     objects = [(number, text.encode("ascii", "replace")[:80]) for number, text in enumerate(image.identity)][first:]
     head = bytes((14, 1, 1, 0, 0, len(objects)))
     return head + b"".join(bytes((number, len(text))) + text for number, text in objects)

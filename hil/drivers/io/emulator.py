@@ -10,7 +10,7 @@ from typing import Final
 
 from hil.config.io import Io
 from hil.core.clock import WallClock
-from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, Kind, kinds
+from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, InjectableFault, kinds
 from hil.drivers.io import NAME
 from hil.drivers.io.codec import Image, LineMap, answer
 from hil.drivers.io.relay import SafetyRelay
@@ -19,8 +19,8 @@ from hil.maths.random_streams import stream
 STEP_S: Final = 0.004  # of bench time, between two looks at the relay
 IDENTITY: Final = ("hil", "io-coupler", "1.0")
 BUTTONS: Final = {
-    "estop": Kind("the emergency stop is pressed"),
-    "interlock": Kind("an interlock's contact is open", of_axis=True),
+    "estop": InjectableFault("the emergency stop is pressed"),
+    "interlock": InjectableFault("an interlock's contact is open", of_axis=True),
 }
 _HEADER: Final = struct.Struct(">HHHB")  # transaction, protocol 0, bytes from here on with the unit, unit
 _UNIT_BYTES: Final = 1

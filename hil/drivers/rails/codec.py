@@ -44,7 +44,7 @@ _STRUCT_CODES: Final[dict[NumberType, str]] = {"u16": "H", "i16": "h", "u32": "I
 _FLOATS: Final = ("f32", "f64")
 
 
-class Control(IntFlag):
+class ControlFlags(IntFlag):
     """What the controller asks for. The bits on the wire are the map's."""
 
     ENABLE = 1 << 0
@@ -77,7 +77,7 @@ class Number:
     counts_per_unit: float = 1.0
 
 
-class Block:
+class RegisterBlock:
     """Numbers that travel in one transaction; registers between them are spare. little: low word first."""
 
     def __init__(self, *numbers: Number, little: bool = False) -> None:
@@ -127,7 +127,7 @@ class Block:
 class Command:
     """What the controller writes: control word, exchange number, position (m) and its rate (m/s)."""
 
-    control: Control
+    control: ControlFlags
     number: int
     position_m: float
     rate_mps: float
@@ -145,7 +145,7 @@ class State:
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class DriveIdentity:
     """What the drive is."""
 
     vendor: int
@@ -169,7 +169,7 @@ class RegisterMap:
         extent = span(blocks["state"].values())
         self.echo_at = config.state.echo.address - extent.start if config.numbered else None
         self.numbers = 1 << 16
-        self._control_bits = _bits(Control, config.control_bits.model_dump())
+        self._control_bits = _bits(ControlFlags, config.control_bits.model_dump())
         self._status_bits = _bits(Status, config.status_bits.model_dump())
         self._faults = {int(code, 0): text for code, text in config.faults.items()}
 
@@ -181,7 +181,7 @@ class RegisterMap:
     def decode_command(self, registers: Sequence[int]) -> Command:
         control, *number, position, rate = self.command.decode(registers)
         return Command(
-            Control(_from_wire(int(control), self._control_bits)), int(number[0]) if number else 0, position, rate
+            ControlFlags(_from_wire(int(control), self._control_bits)), int(number[0]) if number else 0, position, rate
         )
 
     def encode_state(self, state: State) -> list[int]:
@@ -199,15 +199,15 @@ class RegisterMap:
             rate,
         )
 
-    def encode_identity(self, identity: Identity) -> list[int]:
+    def encode_identity(self, identity: DriveIdentity) -> list[int]:
         major, minor = identity.firmware
         return self.identity.encode((identity.vendor, major << 8 | minor))
 
-    def decode_identity(self, registers: Sequence[int]) -> Identity:
+    def decode_identity(self, registers: Sequence[int]) -> DriveIdentity:
         vendor, version = (int(value) for value in self.identity.decode(registers))
-        return Identity(vendor, (version >> 8, version & 0xFF))
+        return DriveIdentity(vendor, (version >> 8, version & 0xFF))
 
-    def identity_problem(self, identity: Identity) -> str | None:
+    def identity_problem(self, identity: DriveIdentity) -> str | None:
         """Return what is wrong with the drive's identity, None if nothing."""
         vendor, least = self.config.vendor, self.config.firmware_min
         if identity.vendor != vendor:
@@ -231,12 +231,12 @@ class RegisterMap:
         """Return the first code of that kind in the list; of another kind, or 1, where the list has none."""
         return next((code for code in self._faults if self.fault_kind(code) is kind), next(iter(self._faults), 1))
 
-    def _block(self, registers: dict[str, AnyRegister]) -> Block:
+    def _block(self, registers: dict[str, AnyRegister]) -> RegisterBlock:
         numbers = (Number(each.address, each.type, counts_per_si(each)) for each in registers.values())
-        return Block(*numbers, little=self.config.word_order == "little")
+        return RegisterBlock(*numbers, little=self.config.word_order == "little")
 
 
-def _bits(flags: type[Control] | type[Status], table: dict[str, int]) -> list[tuple[int, int]]:
+def _bits(flags: type[ControlFlags] | type[Status], table: dict[str, int]) -> list[tuple[int, int]]:
     """Return (flag, bit on the wire) of every flag that the drive has."""
     return [(int(flags[name.upper()]), 1 << bit) for name, bit in table.items() if bit >= 0]
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from hil.core.clock import WallClock
-from hil.drivers.rails.codec import Block, Command, Control, RegisterMap, State, Status
-from hil.drivers.rails.modbus_bus import Line
+from hil.drivers.rails.codec import Command, ControlFlags, RegisterBlock, RegisterMap, State, Status
+from hil.drivers.rails.modbus_bus import ModbusBus
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
 
 CONNECT_TIMEOUT_S: Final = 1.0
 ENABLE_TIMEOUT_S: Final = 2.0  # a holding brake takes some tenths of a second to open
-STOP: Final = Control.ENABLE | Control.QUICK_STOP
+STOP: Final = ControlFlags.ENABLE | ControlFlags.QUICK_STOP
 ATTEMPTS: Final = 2
 _ENABLE_POLL_S: Final = 0.005
 _RATE_MARGIN: Final = 1.5  # an axis may overshoot its highest rate by so much
@@ -24,10 +24,10 @@ _Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True)
-class Wire:
+class ModbusDevice:
     """Where a drive is: its line, and who it is there. attempt_s: bench time for one answer."""
 
-    line: Line
+    line: ModbusBus
     device_id: int
     attempt_s: float
 
@@ -35,7 +35,9 @@ class Wire:
 class Drive:
     """One drive. Must be made and used inside a running event loop. rate_max_mps: highest rate of its axis."""
 
-    def __init__(self, name: str, wire: Wire, register_map: RegisterMap, rate_max_mps: float, clock: WallClock) -> None:
+    def __init__(
+        self, name: str, wire: ModbusDevice, register_map: RegisterMap, rate_max_mps: float, clock: WallClock
+    ) -> None:
         self.name = name
         self.failed = False
         self.moment_s = 0.0  # of the newest state, bench time
@@ -62,11 +64,11 @@ class Drive:
         """Clear what an earlier run left, then switch on; return the position that is held, m."""
         first = await self._twice(self._look)
         self._last = self._clock.now_s(), first.position_m
-        state = await self.exchange(Control.FAULT_RESET, first.position_m)
+        state = await self.exchange(ControlFlags.FAULT_RESET, first.position_m)
         deadline_s = self._clock.now_s() + ENABLE_TIMEOUT_S
         while True:
             held_m = state.position_m
-            state = await self.exchange(Control.ENABLE, held_m)
+            state = await self.exchange(ControlFlags.ENABLE, held_m)
             if state.status & Status.FAULT:
                 raise self._fault(state.fault)
             if state.status & Status.ENABLED:
@@ -77,7 +79,7 @@ class Drive:
 
     async def exchange(
         self,
-        control: Control,
+        control: ControlFlags,
         position_m: float,
         rate_mps: float = 0.0,
         problem: Callable[[State], DriveFault | None] = lambda _: None,
@@ -131,7 +133,7 @@ class Drive:
     def _fault(self, code: int) -> DriveFault:
         return DriveFault(self.name, self._map.fault_text(code), self._map.fault_kind(code))
 
-    def _next(self, control: Control, position_m: float, rate_mps: float) -> Command:
+    def _next(self, control: ControlFlags, position_m: float, rate_mps: float) -> Command:
         self._number = (self._number + 1) % self._map.numbers
         return Command(control, self._number, position_m, rate_mps)
 
@@ -151,7 +153,7 @@ class Drive:
         registers = await self._read(self._map.state)
         return self._decoded(lambda: self._map.decode_state(registers))
 
-    async def _read(self, block: Block) -> list[int]:
+    async def _read(self, block: RegisterBlock) -> list[int]:
         return await self._line.read(self.name, self._device_id, block.address, block.count, self._attempt_s)
 
     async def _twice(self, attempt: Callable[[], Awaitable[_Result]]) -> _Result:

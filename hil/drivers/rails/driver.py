@@ -24,7 +24,7 @@ from hil.drivers.axes import ServoAxes
 from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, RAIL_NAMES, accepted_setpoint, full_names
 from hil.drivers.latest import Latest
 from hil.drivers.loop_thread import LoopThread
-from hil.drivers.rails.codec import Control, RegisterMap, State
+from hil.drivers.rails.codec import ControlFlags, RegisterMap, State
 from hil.drivers.rails.drive import CONNECT_TIMEOUT_S, ENABLE_TIMEOUT_S, STOP, Drive
 from hil.drivers.rails.frames import new_counters
 from hil.drivers.rails.homing import HomingWatch, limit_switch
@@ -196,7 +196,7 @@ class ModbusRails(LoopThread):
         stopping = self._stopping
         position_m, rate_mps = self._wanted(index)
         seeking = not stopping and self._homing.seeks(index)
-        control = STOP if stopping else Control.ENABLE | Control.HOME if seeking else Control.ENABLE
+        control = STOP if stopping else ControlFlags.ENABLE | ControlFlags.HOME if seeking else ControlFlags.ENABLE
         if seeking:
             drive.forget_place()
 

@@ -15,10 +15,10 @@ from hil.drivers.base import RAIL_NAMES, full_names
 from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
 from hil.drivers.fault_injection import FaultyWire
 from hil.drivers.pty_line import PtyLine
-from hil.drivers.rails.codec import Identity, RegisterMap
-from hil.drivers.rails.modbus_server import EmulatedDrive, Slave
+from hil.drivers.rails.codec import DriveIdentity, RegisterMap
+from hil.drivers.rails.modbus_server import EmulatedRailDrive, ModbusServer
 from hil.drivers.rails.wiring import tcp_axes
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 from hil.errors import FaultKind
 from hil.maths.random_streams import stream
 
@@ -35,7 +35,7 @@ class _Rails:
         self,
         config: Rails,
         clock: WallClock,
-        board: AxisBoard,
+        board: SharedAxisState,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
         name: str = "rails",
@@ -43,12 +43,12 @@ class _Rails:
         self._config = config
         self._clock = clock
         self._map = RegisterMap(config.map)
-        self._identity = Identity(config.map.vendor, max(FIRMWARE, config.map.firmware_min))
+        self._identity = DriveIdentity(config.map.vendor, max(FIRMWARE, config.map.firmware_min))
         self._axes = EmulatedAxes(name, config, clock, board, chain_closed=chain_closed, seed=seed)
         self.faults = self._axes.faults
         self._wire = FaultyWire(self.faults, stream(seed, "wire"))
         torque_off = self._map.code_of(FaultKind.TORQUE_OFF)
-        self.drives = [EmulatedDrive(self._axes, index, torque_off) for index in range(len(RAIL_NAMES))]
+        self.drives = [EmulatedRailDrive(self._axes, index, torque_off) for index in range(len(RAIL_NAMES))]
 
     def _advance(self) -> None:
         """Bring axes and drives to now."""
@@ -71,7 +71,7 @@ class RailsEmulator(_Rails):
         self,
         config: Rails,
         clock: WallClock,
-        board: AxisBoard,
+        board: SharedAxisState,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
         name: str = "rails",
@@ -90,7 +90,9 @@ class RailsEmulator(_Rails):
         addresses: dict[str, str] = {}
         for group in groups.values():
             drives = {axes[index].device_id: self.drives[index] for index in group}
-            port = _TcpPort(Slave(drives, self._map, self._identity, self._clock, tcp=True), self._wire, self._clock)
+            port = _TcpPort(
+                ModbusServer(drives, self._map, self._identity, self._clock, tcp=True), self._wire, self._clock
+            )
             self._loop.run_until_complete(port.listen())
             self._ports.append(port)
             addresses |= {names[index]: f"127.0.0.1:{port.number}" for index in group}
@@ -125,7 +127,7 @@ class RailsEmulator(_Rails):
 class _TcpPort:
     """A listening port and its connections; each answer passes the faulty wire."""
 
-    def __init__(self, slave: Slave, wire: FaultyWire, clock: WallClock) -> None:
+    def __init__(self, slave: ModbusServer, wire: FaultyWire, clock: WallClock) -> None:
         self.number = 0
         self._slave = slave
         self._wire = wire
@@ -181,7 +183,7 @@ class RtuRailsEmulator(_Rails):
         self,
         config: Rails,
         clock: WallClock,
-        board: AxisBoard,
+        board: SharedAxisState,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
         name: str = "rails",
@@ -189,7 +191,7 @@ class RtuRailsEmulator(_Rails):
         super().__init__(config, clock, board, chain_closed, seed, name)
         self._rtu = config.rtu or ModbusRtu()
         drives = dict(zip(self._rtu.device_ids, self.drives, strict=True))
-        self._slave = Slave(drives, self._map, self._identity, clock, tcp=False)
+        self._slave = ModbusServer(drives, self._map, self._identity, clock, tcp=False)
         self._line: PtyLine | None = None
         self._on_the_way: list[tuple[float, int, bytes]] = []  # a heap by time of sending
         self._sent = 0

@@ -37,7 +37,7 @@ class Expected:
     transaction: int = 0  # TCP only
     echo: tuple[int, int] | None = None
 
-    def is_answered_by(self, frame: Frame) -> bool:
+    def is_answered_by(self, frame: ModbusFrame) -> bool:
         if (frame.device_id, frame.transaction) != (self.device_id, self.transaction):
             return False
         if frame.function == self.function | _ERROR:
@@ -48,7 +48,7 @@ class Expected:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class ModbusFrame:
     """One sound answer. registers: of a reading function; exception: code of an error answer, else 0."""
 
     device_id: int
@@ -123,18 +123,18 @@ def split(data: bytes, measure: Measure) -> tuple[int, list[bytes], int]:
     return done, frames, done - sound
 
 
-def parse(frame: bytes, tcp: bool) -> Frame:
+def parse(frame: bytes, tcp: bool) -> ModbusFrame:
     """Return what stands in a sound answer."""
     transaction = int.from_bytes(frame[:2], "big") if tcp else 0
     body = frame[_MBAP - 1 :] if tcp else frame[:-_CRC]
     if body[1] & _ERROR:
-        return Frame(body[0], body[1], (), body[2], transaction)
+        return ModbusFrame(body[0], body[1], (), body[2], transaction)
     words = tuple(int.from_bytes(body[at : at + 2], "big") for at in range(3, len(body), 2))
-    return Frame(body[0], body[1], words, 0, transaction)
+    return ModbusFrame(body[0], body[1], words, 0, transaction)
 
 
 @dataclass(slots=True)
-class Sieve:
+class ResponseMatcher:
     """Lets through the one answer that is awaited, and counts everything else.
 
     expect is set with each request and is None between them. damaged: what was wrong with the bytes that came
@@ -145,14 +145,14 @@ class Sieve:
     counters: Counters
     expect: Expected | None = None
     damaged: str = ""
-    _last: Frame | None = field(default=None)
+    _last: ModbusFrame | None = field(default=None)
 
     def await_(self, expected: Expected | None) -> None:
         """Begin with a request; None: it needs no answer."""
         self.expect = expected
         self.damaged = ""
 
-    def feed(self, data: bytes) -> tuple[int, Frame | None]:
+    def feed(self, data: bytes) -> tuple[int, ModbusFrame | None]:
         """Return how many bytes are done with, and the awaited answer if it is among them."""
         used, frames, skipped = split(data, measure_tcp if self.tcp else measure_rtu)
         if skipped:
@@ -168,7 +168,7 @@ class Sieve:
                 self._count_stray(frame)
         return used, answer
 
-    def _count_stray(self, frame: Frame) -> None:
+    def _count_stray(self, frame: ModbusFrame) -> None:
         last = self._last
         if last is not None and (frame.device_id, frame.function) == (last.device_id, last.function) and frame == last:
             self.counters["duplicates"] += 1

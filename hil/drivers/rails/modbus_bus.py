@@ -1,6 +1,6 @@
 """One wire with rail drives on it: pymodbus carries the bytes, the sieve says which answer counts.
 
-Drives on the same serial line, or behind the same TCP gateway, share a ``Line`` and take turns.
+Drives on the same serial line, or behind the same TCP gateway, share a ``ModbusBus`` and take turns.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from hil.config.rail_wires import ModbusRtu
 from hil.core.clock import WallClock
-from hil.drivers.rails.frames import READ, READ_WRITE, Counters, Expected, Frame, Sieve
+from hil.drivers.rails.frames import READ, READ_WRITE, Counters, Expected, ModbusFrame, ResponseMatcher
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 _PARITY: Final = {"none": "N", "even": "E", "odd": "O"}
@@ -37,7 +37,7 @@ Client = AsyncModbusTcpClient | AsyncModbusSerialClient
 class _SieveFramer(FramerBase):
     """What pymodbus asks for the answers in the bytes that came; ``inner`` builds the requests."""
 
-    def __init__(self, inner: FramerBase, sieve: Sieve, on_damage: Callable[[], None]) -> None:
+    def __init__(self, inner: FramerBase, sieve: ResponseMatcher, on_damage: Callable[[], None]) -> None:
         super().__init__(inner.decoder)
         self._inner = inner
         self._sieve = sieve
@@ -63,7 +63,7 @@ class _SieveFramer(FramerBase):
         return used, None
 
 
-def _answer(frame: Frame) -> ModbusPDU:
+def _answer(frame: ModbusFrame) -> ModbusPDU:
     pdu: ModbusPDU
     if frame.exception:
         pdu = ExceptionResponse(frame.function & 0x7F, frame.exception)
@@ -74,7 +74,7 @@ def _answer(frame: Frame) -> ModbusPDU:
     return pdu
 
 
-class Line:
+class ModbusBus:
     """A connection that drives use in turn. Must be made and used inside a running event loop.
 
     label: the wire as people know it, for texts. exchange_s: how long one exchange keeps the line busy, gap_s:
@@ -92,14 +92,14 @@ class Line:
         self._exchange_s = exchange_s
         self._gap_s = gap_s
         self._free_at_s = 0.0
-        self._sieve = Sieve(tcp, counters)
+        self._sieve = ResponseMatcher(tcp, counters)
         self._turn = asyncio.Lock()
         self._waits: set[asyncio.Timeout] = set()  # the request under way
         self._client: Client
         self._connecting: asyncio.Task[bool] | None = None
 
     @classmethod
-    def to_host(cls, host: str, port: int, counters: Counters, clock: WallClock) -> Line:
+    def to_host(cls, host: str, port: int, counters: Counters, clock: WallClock) -> ModbusBus:
         """Return a line over TCP."""
         line = cls(f"{host}:{port}", True, counters, clock)
         line._client = AsyncModbusTcpClient(
@@ -114,7 +114,9 @@ class Line:
         return line
 
     @classmethod
-    def on_port(cls, port: str, config: ModbusRtu, exchange_s: float, counters: Counters, clock: WallClock) -> Line:
+    def on_port(
+        cls, port: str, config: ModbusRtu, exchange_s: float, counters: Counters, clock: WallClock
+    ) -> ModbusBus:
         """Return a line over a serial port."""
         line = cls(port, False, counters, clock, exchange_s, config.gap_s)
         line._client = AsyncModbusSerialClient(

@@ -19,12 +19,12 @@ from pymodbus.simulator.simcore import SimCore
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import WATCHDOG_S, EmulatedAxes
-from hil.drivers.rails.codec import Block, Command, Control, Identity, RegisterMap, State, Status
+from hil.drivers.rails.codec import Command, ControlFlags, DriveIdentity, RegisterBlock, RegisterMap, State, Status
 
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a controller that hangs up is no error here
 
 
-class EmulatedDrive:
+class EmulatedRailDrive:
     """One axis: what the drive's firmware does with commands. No I/O; time is handed in.
 
     torque_off_code: fault that it reports while the safety chain is open.
@@ -55,15 +55,15 @@ class EmulatedDrive:
         """Take what the controller wrote."""
         self._axes.advance(now_s)
         self._echo = command.number
-        self._enabled = bool(command.control & Control.ENABLE)
+        self._enabled = bool(command.control & ControlFlags.ENABLE)
         if not self._enabled:
             self._quick_stop = False
-            if command.control & Control.FAULT_RESET:
+            if command.control & ControlFlags.FAULT_RESET:
                 self._fault = 0
-        if command.control & Control.QUICK_STOP:
+        if command.control & ControlFlags.QUICK_STOP:
             self._quick_stop = True
         self._supervise_chain()
-        sought, self._seeking = self._seeking, bool(command.control & Control.HOME) and not self.held
+        sought, self._seeking = self._seeking, bool(command.control & ControlFlags.HOME) and not self.held
         self._silent_from_s = now_s + WATCHDOG_S
         if self.held or (sought and not self._seeking and self._under_way):
             self._axes.brake(self._index)
@@ -111,7 +111,7 @@ class EmulatedDrive:
             self.trip(self._torque_off_code)
 
 
-class Slave:
+class ModbusServer:
     """The drives on one wire. Answers what pymodbus, as a server, would answer; silent to foreign device ids.
 
     drives: by device id.
@@ -119,9 +119,9 @@ class Slave:
 
     def __init__(
         self,
-        drives: dict[int, EmulatedDrive],
+        drives: dict[int, EmulatedRailDrive],
         register_map: RegisterMap,
-        identity: Identity,
+        identity: DriveIdentity,
         clock: WallClock,
         tcp: bool,
     ) -> None:
@@ -167,11 +167,11 @@ def _finished(step: Coroutine[Any, Any, ModbusPDU]) -> ModbusPDU:
 
 
 def _device(
-    drive: EmulatedDrive, device_id: int, register_map: RegisterMap, identity: Identity, clock: WallClock
+    drive: EmulatedRailDrive, device_id: int, register_map: RegisterMap, identity: DriveIdentity, clock: WallClock
 ) -> SimDevice:
     """Return the register file of one drive; every access ends in ``drive``."""
 
-    def registers(block: Block, values: list[int], readonly: bool) -> SimData:
+    def registers(block: RegisterBlock, values: list[int], readonly: bool) -> SimData:
         return SimData(block.address, values=values, datatype=DataType.REGISTERS, readonly=readonly)
 
     blocks = [
@@ -184,7 +184,7 @@ def _device(
 
 
 async def _access(
-    drive: EmulatedDrive,
+    drive: EmulatedRailDrive,
     register_map: RegisterMap,
     clock: WallClock,
     function: int,

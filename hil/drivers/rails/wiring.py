@@ -7,9 +7,9 @@ from typing import Final
 from hil.config.rail_wires import ModbusRtu
 from hil.config.rig import RAIL_NAMES, Modbus, ModbusAxis, Rails
 from hil.core.clock import WallClock
-from hil.drivers.rails.drive import ATTEMPTS, Wire
+from hil.drivers.rails.drive import ATTEMPTS, ModbusDevice
 from hil.drivers.rails.frames import Counters
-from hil.drivers.rails.modbus_bus import Line
+from hil.drivers.rails.modbus_bus import ModbusBus
 from hil.errors import BadInput
 
 # An exchange that waits for one drive keeps the others without a command: their watchdogs must not notice.
@@ -28,21 +28,21 @@ def check_wires(config: Rails) -> None:
             raise BadInput.single("rig", f"rails.modbus.{name}.port", _MISSING)
 
 
-def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: WallClock) -> list[Wire]:
+def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: WallClock) -> list[ModbusDevice]:
     """Return the wires of x, y, z, not connected yet. Inside a running event loop, after ``check_wires``.
 
     timeout_s: after which a dead wire is told at the latest.
     """
     if config.driver == "modbus_rtu":
         rtu = config.rtu or ModbusRtu()
-        line = Line.on_port(rtu.port or "", rtu, config.exchange_s(), counters, clock)
+        line = ModbusBus.on_port(rtu.port or "", rtu, config.exchange_s(), counters, clock)
         attempt_s = _attempt_s(timeout_s, len(rtu.device_ids))
-        return [Wire(line, device_id, attempt_s) for device_id in rtu.device_ids]
+        return [ModbusDevice(line, device_id, attempt_s) for device_id in rtu.device_ids]
     axes = tcp_axes(config)
     hosts = [(axis.host, axis.port or 0) for axis in axes]
-    lines = {host: Line.to_host(*host, counters, clock) for host in dict.fromkeys(hosts)}
+    lines = {host: ModbusBus.to_host(*host, counters, clock) for host in dict.fromkeys(hosts)}
     return [
-        Wire(lines[host], axis.device_id, _attempt_s(timeout_s, hosts.count(host)))
+        ModbusDevice(lines[host], axis.device_id, _attempt_s(timeout_s, hosts.count(host)))
         for host, axis in zip(hosts, axes, strict=True)
     ]
 

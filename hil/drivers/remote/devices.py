@@ -14,8 +14,8 @@ from hil.core.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFram
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, accepted_setpoint, full_names
 from hil.drivers.remote import io_layout
-from hil.drivers.remote.io_layout import Exchange
-from hil.drivers.remote.requests import Requests
+from hil.drivers.remote.io_layout import IoSharedMemory
+from hil.drivers.remote.requests import IoRequests
 from hil.errors import DeviceError, LinkLost, LinkTimeout
 
 SILENCE_MAX_S = 0.1
@@ -34,7 +34,7 @@ class IoLink:
     """
 
     def __init__(
-        self, name: str, exchange: Exchange, requests: Requests, clock: Clock, ended: Callable[[], str]
+        self, name: str, exchange: IoSharedMemory, requests: IoRequests, clock: Clock, ended: Callable[[], str]
     ) -> None:
         self.exchange = exchange
         self.requests = requests
@@ -58,9 +58,9 @@ class IoLink:
         if age_s > SILENCE_MAX_S:
             raise LinkLost(device, f"{self._process} has been silent for {age_s:.3f} s, allowed {SILENCE_MAX_S:g} s")
 
-    def rouse(self) -> None:
+    def wake(self) -> None:
         """Let the process look at once."""
-        self.exchange.rouse(self._name)
+        self.exchange.wake(self._name)
 
 
 class _RemoteDevice:
@@ -159,7 +159,7 @@ class RemoteAxes(_RemoteDevice):
     def _hand_over(self, position: Array, rate: Array, now_s: float) -> None:
         self._setpoint["position"], self._setpoint["rate"], self._setpoint["kind"] = position, rate, self._kind
         self._block[f"{self.name}.setpoint"].write(self._setpoint, now_s)
-        self._link.rouse()
+        self._link.wake()
 
     def set_jogging(self, on: bool) -> None:
         """While on, take setpoints of axes that are not homed, and cut none to the travel."""
@@ -186,7 +186,7 @@ class RemoteAxes(_RemoteDevice):
         self._link.beat(now_s, watched=False)
         self._stop["number"] += 1
         self._block[f"{self.name}.stop"].write(self._stop, now_s)
-        self._link.rouse()
+        self._link.wake()
 
 
 class RemoteTurntable(RemoteAxes):
@@ -243,7 +243,7 @@ class RemoteIo(_RemoteDevice):
         """Hand over the outputs. Raises DeviceError once the link failed."""
         self._check(now_s)
         self._block["io.outputs"].write(io_layout.outputs_record(outputs), now_s)
-        self._link.rouse()
+        self._link.wake()
 
     def read(self, now_s: float) -> IoInputs:
         """Return the newest inputs. Raises LinkTimeout when they are too old, DeviceError on failure."""
@@ -260,4 +260,4 @@ class RemoteIo(_RemoteDevice):
         if self._is_open:
             self._stop["number"] += 1
             self._block["io.stop"].write(self._stop, now_s)
-            self._link.rouse()
+            self._link.wake()

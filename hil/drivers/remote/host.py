@@ -18,7 +18,7 @@ from hil.core.clock import WallClock
 from hil.core.realtime import SWITCH_INTERVAL_S, take_fifo
 from hil.drivers.base import accepted_setpoint
 from hil.drivers.remote import io_layout
-from hil.drivers.remote.io_layout import Exchange
+from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.errors import BenchError
 
 LOOP_SILENCE_MAX_S: Final = 0.05
@@ -28,7 +28,7 @@ FIFO_PRIORITY: Final = 60
 _COUNTERS_EVERY: Final = 50  # periods
 
 
-def go_first() -> None:
+def raise_priority() -> None:
     """Put this thread, and those it starts, before everything but the loop, where the system allows it.
 
     Kernels are loaded now: later that would keep the interpreter from every other thread for a tenth of a second.
@@ -53,7 +53,7 @@ class Stoppable(Protocol):
     def stop(self, now_s: float) -> None: ...
 
 
-class Host:
+class DeviceServer:
     """Serves ``devices`` by name from ``run`` until it is told to stop; then all are closed.
 
     name: HOST or GUARD, the cell of this process' heartbeat. period_wall_s: longest time between two looks at
@@ -65,7 +65,7 @@ class Host:
     def __init__(
         self,
         devices: Mapping[str, Device],
-        exchange: Exchange,
+        exchange: IoSharedMemory,
         requests: socket.socket,
         clock: WallClock,
         name: str,

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.core.messages import MAX_THRUSTERS, POSE, AxisFeedback, Homing, IoInputs, IoOutputs, PoseFrame
 from hil.errors import BenchError, DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError
-from hil.frmn.mailbox import Block
+from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
 
 AXIS_DEVICES: Final = ("rails", "turntable", "target")
@@ -69,31 +69,31 @@ LAYOUT: Final = {
 }
 
 
-class Exchange:
+class IoSharedMemory:
     """All sides' view of the shared memory. wakes: descriptors of the eventfds that rouse HOST and GUARD."""
 
-    def __init__(self, block: Block, frames: Ring, wakes: dict[str, int]) -> None:
+    def __init__(self, block: MailboxBlock, frames: Ring, wakes: dict[str, int]) -> None:
         self.block = block
         self.frames = frames
         self.wakes = wakes
 
     @classmethod
-    def create(cls) -> Exchange:
+    def create(cls) -> IoSharedMemory:
         """Make new memory; hand ``descriptors`` to the other processes (``pass_fds``)."""
         wakes = {name: os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC) for name in (HOST, GUARD)}
-        return cls(Block.create(LAYOUT, "io"), Ring.create(FRAME, _FRAMES, "poses"), wakes)
+        return cls(MailboxBlock.create(LAYOUT, "io"), Ring.create(FRAME, _FRAMES, "poses"), wakes)
 
     @classmethod
-    def attach(cls, descriptors: tuple[int, int, int, int]) -> Exchange:
+    def attach(cls, descriptors: tuple[int, int, int, int]) -> IoSharedMemory:
         """Join the memory that another process made."""
         block, frames, host, guard = descriptors
-        return cls(Block(block, LAYOUT, "io"), Ring(frames, FRAME, _FRAMES, "poses"), {HOST: host, GUARD: guard})
+        return cls(MailboxBlock(block, LAYOUT, "io"), Ring(frames, FRAME, _FRAMES, "poses"), {HOST: host, GUARD: guard})
 
     @property
     def descriptors(self) -> tuple[int, int, int, int]:
         return self.block.descriptor, self.frames.descriptor, self.wakes[HOST], self.wakes[GUARD]
 
-    def rouse(self, name: str) -> None:
+    def wake(self, name: str) -> None:
         """Let HOST or GUARD look at once; never waits."""
         os.eventfd_write(self.wakes[name], 1)
 

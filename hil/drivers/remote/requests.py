@@ -12,7 +12,7 @@ from hil.errors import LinkLost, LinkTimeout
 ANSWER_WALL_S: Final = 30.0
 
 
-class Requests:
+class IoRequests:
     """The loop's end: asks the I/O process and waits for its answer."""
 
     def __init__(self, end: socket.socket) -> None:

@@ -18,7 +18,7 @@ from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, GIMBAL_NAMES, accepted_setpoint, full_names
 from hil.drivers.latest import Latest
-from hil.drivers.turntable.profiled_move import Glide, compile_glide
+from hil.drivers.turntable.profiled_move import ProfiledMove, compile_glide
 from hil.errors import DeviceError, LinkLost
 
 PERIOD_S = 0.02  # bench time between exchanges when no setpoints come
@@ -27,7 +27,7 @@ _RATE_HOLD_S = 0.1  # a setpoint older than this has lost its sender: keep its p
 _STOP_WALL_S = 0.08  # longest wait of stop and close for the thread
 
 
-class Link(Protocol):
+class ExchangeLink(Protocol):
     """One wire to three drives; every call may wait, but only for a bounded time. Errors are DeviceErrors."""
 
     profiles: bool
@@ -61,15 +61,15 @@ class Link(Protocol):
         """Return what was counted since ``open``."""
 
 
-class ExchangedTurntable:
-    """A turntable behind a ``Link``; keeps the promises of ``AxisGroup``.
+class CyclicTurntable:
+    """A turntable behind a ``ExchangeLink``; keeps the promises of ``AxisGroup``.
 
     Angles rad, rates rad/s, order roll, pitch, yaw. After ``stop``, and after a homing that failed, the
     axes stand until the next ``open``: ``send`` then returns where they stand. It does so as well while
     an axis does not know its place, and after ``move_to``.
     """
 
-    def __init__(self, config: Turntable, clock: Clock, link: Link, name: str = "turntable") -> None:
+    def __init__(self, config: Turntable, clock: Clock, link: ExchangeLink, name: str = "turntable") -> None:
         self.name = name
         self.axis_names = full_names(name, GIMBAL_NAMES)
         axes = ServoAxes(config)
@@ -88,7 +88,7 @@ class ExchangedTurntable:
         self._homing_asked = threading.Event()
         self._jogging = False
         self._goal: tuple[Array, Array] | None = None
-        self._glide: Glide | None = None
+        self._glide: ProfiledMove | None = None
         self._setpoint: tuple[Array, Array, float] = (np.zeros(3), np.zeros(3), 0.0)
 
     def open(self, now_s: float) -> None:
@@ -226,7 +226,7 @@ class ExchangedTurntable:
         position, rate, sent_s = self._setpoint
         if self._goal is not None and not self._stopped.is_set():
             if self._glide is None:
-                self._glide = Glide(position, *self._goal, self._acceleration_max, now_s)
+                self._glide = ProfiledMove(position, *self._goal, self._acceleration_max, now_s)
                 if self._link.profiles:
                     self._link.move_to(*self._goal)
             return self._glide.at(now_s)

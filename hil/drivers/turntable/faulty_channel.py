@@ -10,7 +10,7 @@ import numpy as np
 from hil.drivers.fault_injection import Faults, FaultyWire
 
 
-class FaultyLane:
+class FaultyChannel:
     """Packets that are under way. Time is bench time, s, and handed in; packets of one moment keep their order."""
 
     def __init__(self, faults: Faults, generator: np.random.Generator) -> None:

@@ -8,7 +8,7 @@ from hil.core.messages import Array
 from hil.models.profile import along_line
 
 
-class Glide:
+class ProfiledMove:
     """From ``start`` to ``goal``, at most at ``rate`` and ``acceleration``, all (n,); begins at ``start_s``."""
 
     def __init__(self, start: Array, goal: Array, rate: Array, acceleration: Array, start_s: float) -> None:
@@ -35,4 +35,4 @@ class Glide:
 def compile_glide() -> None:
     """Compile the kernel of a glide before anyone waits for one."""
     one = np.ones(1)
-    Glide(np.zeros(1), one, one, one, 0.0).at(0.5)
+    ProfiledMove(np.zeros(1), one, one, one, 0.0).at(0.5)

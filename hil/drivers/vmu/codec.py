@@ -80,7 +80,7 @@ class Decoded:
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class VmuIdentity:
     """What a unit says it is; vendor and serial number up to 16 ASCII characters."""
 
     vendor: str
@@ -105,7 +105,7 @@ def encode_status(counter: int, t_s: float, status: int) -> bytes:
     return _frame(counter, t_s, _VOID, 0, 0, status)
 
 
-def encode_identity(identity: Identity) -> bytes:
+def encode_identity(identity: VmuIdentity) -> bytes:
     """Return the bytes of the frame in which a unit says what it is."""
     major, minor = (int(part) for part in identity.firmware.split("."))
     frame = IDENTITY_HEADER + _IDENTITY_BODY.pack(identity.vendor.encode(), identity.serial.encode(), major, minor)
@@ -117,7 +117,7 @@ def _frame(counter: int, t_s: float, numbers: tuple[float, ...], left: int, righ
     return frame + _CRC.pack(crc16(frame[len(_SYNC) :]))
 
 
-class Decoder:
+class PoseDecoder:
     """Finds frames in a stream of bytes, however it is cut or damaged; never raises on any bytes.
 
     Whatever fails its CRC is searched again from the byte after its sync, so neither a truncated
@@ -129,7 +129,7 @@ class Decoder:
         self.skipped_bytes = 0
         self.invalid = 0  # right CRC, impossible content
         self.wrong_length = 0  # sync and a known type, but not the length that this type has
-        self.identity: Identity | None = None  # the newest one that came
+        self.identity: VmuIdentity | None = None  # the newest one that came
         self._buffer = bytearray()
 
     def feed(self, data: bytes, received_s: float) -> list[Decoded]:
@@ -174,9 +174,9 @@ class Decoder:
         return found
 
 
-def _decode_identity(raw: bytes) -> Identity:
+def _decode_identity(raw: bytes) -> VmuIdentity:
     vendor, serial, major, minor = _IDENTITY_BODY.unpack_from(raw, len(IDENTITY_HEADER))
-    return Identity(_text(vendor), _text(serial), f"{major}.{minor}")
+    return VmuIdentity(_text(vendor), _text(serial), f"{major}.{minor}")
 
 
 def _text(padded: bytes) -> str:

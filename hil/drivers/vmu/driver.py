@@ -15,7 +15,7 @@ from hil.core.clock import Clock
 from hil.core.messages import PoseFrame
 from hil.drivers.latest import Latest
 from hil.drivers.vmu import COUNTERS, NAME
-from hil.drivers.vmu.codec import FRAME_BYTES, STATUS_NO_POSE, Decoded, Decoder
+from hil.drivers.vmu.codec import FRAME_BYTES, STATUS_NO_POSE, Decoded, PoseDecoder
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 
 _LOOK_WALL_S: Final = 0.01
@@ -61,7 +61,7 @@ class Rs422Vmu:
         self._newest: int | None = None  # frame counter
         self._seen: deque[int] = deque(maxlen=_REMEMBERED)  # counters handed on
         self._offsets: deque[float] = deque(maxlen=_REMEMBERED)  # reception less time stamp
-        self._decoder = Decoder()
+        self._decoder = PoseDecoder()
         self._frames: deque[PoseFrame] = deque()
         self._counts = dict.fromkeys(COUNTERS, 0)
 

@@ -25,7 +25,7 @@ _LEAST_RADIUS_PX: Final = 9.0
 
 
 @dataclass(frozen=True)
-class Round:
+class CircleCandidate:
     """A circle in the picture, px; ``share`` of it is seen, ``clean`` is the share of its border's points on it."""
 
     u: float
@@ -139,12 +139,12 @@ def seen_share(points, circle, near):
     return seen.sum() / 72.0
 
 
-def find_rounds(prepared: Prepared, left: float, top: float, line_step: float) -> list[Round]:
+def find_rounds(prepared: Prepared, left: float, top: float, line_step: float) -> list[CircleCandidate]:
     """Return the circles of a region, the most convincing first.
 
     left, top: px, the region's first pixel in the picture; line_step: px from one line of the region to the next.
     """
-    found: list[Round] = []
+    found: list[CircleCandidate] = []
     for level in prepared.thresholds:
         _, binary = cv2.threshold(prepared.image, level, 255, cv2.THRESH_BINARY)
         contours: Any = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
@@ -157,7 +157,9 @@ def find_rounds(prepared: Prepared, left: float, top: float, line_step: float) -
     return _distinct(found)
 
 
-def _round_of(contour: Any, shape: tuple[int, ...], left: float, top: float, line_step: float) -> Round | None:
+def _round_of(
+    contour: Any, shape: tuple[int, ...], left: float, top: float, line_step: float
+) -> CircleCandidate | None:
     points = contour.reshape(-1, 2).astype(float)
     inner = (points[:, 0] > 1) & (points[:, 0] < shape[1] - 2) & (points[:, 1] > 1) & (points[:, 1] < shape[0] - 2)
     points = points[inner]
@@ -175,11 +177,11 @@ def _round_of(contour: Any, shape: tuple[int, ...], left: float, top: float, lin
     share = seen_share(points, circle, near)
     if share < 0.22:
         return None
-    return Round(float(circle[0]), float(circle[1]), float(circle[2]), share, clean)
+    return CircleCandidate(float(circle[0]), float(circle[1]), float(circle[2]), share, clean)
 
 
-def _distinct(found: list[Round]) -> list[Round]:
-    kept: list[Round] = []
+def _distinct(found: list[CircleCandidate]) -> list[CircleCandidate]:
+    kept: list[CircleCandidate] = []
     for one in found:
         reach = 0.04 * one.radius + 2.0
         if all(

@@ -15,7 +15,7 @@ from hil.models import docking_view
 
 STEP, BAR = 0, 1
 
-CELL = np.dtype(
+EDGE_SAMPLE = np.dtype(
     [
         ("u", "f8"), ("v", "f8"),  # px, the point of the edge (of the bar's centre line) under the assumed pose
         ("nu", "f8"), ("nv", "f8"),  # the edge's normal in the picture, outwards
@@ -231,7 +231,7 @@ def _lay_line(
 
 
 @kernel
-def lay_cells(lens, a, d, circles, lines, borders, blur, length, most, wide_bar, wanted, cells):
+def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, wide_bar, wanted, cells):
     """Write the cells of all parts under the pose a (3, 3), d (3,), m; return how many.
 
     blur: px, 1 sigma of an edge. length: px along the edge; most: cells at most of one edge. wide_bar: px,

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.models import docking_view
-from hil.monitor.kernels.edge_samples import ARCS, BAR, SIDES, lay_cells
+from hil.monitor.kernels.edge_samples import ARCS, BAR, SIDES, place_edge_samples
 from hil.monitor.kernels.edges import fit_cells
 from hil.monitor.kernels.pose import UNKNOWNS, fit_pose, residuals
 from hil.monitor.kernels.search import search_cells
@@ -48,7 +48,7 @@ def seek(image, first_line, line_step, lens, circles, lines, borders, x, camera,
     for turn in range(2 if reach <= 4.0 else 3):
         width = max(reach / (1.0 + 1.5 * turn), 2.0)
         a = docking_view.attitude(x[3:6])
-        count = lay_cells(lens, a, x[:3], circles, lines, borders, camera.blur, 8.0, 16, 1e9, 3.0, cells)
+        count = place_edge_samples(lens, a, x[:3], circles, lines, borders, camera.blur, 8.0, 16, 1e9, 3.0, cells)
         search_cells(image, first_line, line_step, cells, count, width, least)
         for robust in (width, max(0.5 * width, 1.5), max(0.25 * width, 1.0)):
             if not fit_pose(lens, cells, count, x, robust, prior, 2, normal):
@@ -175,7 +175,7 @@ def measure(
     count = 0
     for _ in range(tuning.rounds):
         a = docking_view.attitude(x[3:6])
-        count = lay_cells(lens, a, x[:3], circles, lines, borders, camera.blur, tuning.length, tuning.most,
+        count = place_edge_samples(lens, a, x[:3], circles, lines, borders, camera.blur, tuning.length, tuning.most,
                           tuning.wide_bar * camera.blur, tuning.wanted, cells)  # fmt: skip
         noise[0], noise[1] = camera.noise_0, camera.noise_1
         fit_cells(image, first_line, line_step, cells, count, camera.blur, noise, 1, blur_sums)

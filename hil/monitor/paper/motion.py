@@ -15,9 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.monitor.frame_result import Look, PaperFrame
-from hil.monitor.motion import Fit, Motion
-from hil.monitor.settings import Settings
+from hil.monitor.frame_result import FrameResult, PaperFrame
+from hil.monitor.motion import Motion, MotionSolution
+from hil.monitor.settings import MonitorSettings
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def pair(t: float) -> Floats:
 class PaperMotionFit:
     """Fits portion after portion of the paper's six quantities a frame."""
 
-    def __init__(self, settings: Settings, focal: float, offset: float, radius: float) -> None:
+    def __init__(self, settings: MonitorSettings, focal: float, offset: float, radius: float) -> None:
         self._settings = settings
         self._f, self._b, self._r = focal, offset, radius
         self._printed = settings.motion == "printed"
@@ -56,7 +56,7 @@ class PaperMotionFit:
         """Start anew with the next portion."""
         self.before = None
 
-    def fit(self, looks: Sequence[Look], t_s: float) -> Fit | None:
+    def fit(self, looks: Sequence[FrameResult], t_s: float) -> MotionSolution | None:
         """Return the motion at ``t_s`` by the used frames ``looks``; None where it is not determined."""
         frames = [(look.seen.t_s, look.paper) for look in looks if look.paper is not None]
         if len(frames) < 3:
@@ -179,7 +179,7 @@ class PaperMotionFit:
             normal[at, at] = total
         return v, normal, covariance
 
-    def _as_fit(self, state: PaperState, frames: int, square: float, t_s: float) -> Fit:
+    def _as_fit(self, state: PaperState, frames: int, square: float, t_s: float) -> MotionSolution:
         carry = pair(t_s - state.origin_s)
         z, v = carry @ state.z, carry @ state.v
         pz, pv = carry @ state.z_covariance @ carry.T, carry @ state.v_covariance @ carry.T
@@ -196,4 +196,4 @@ class PaperMotionFit:
             covariance[:6, 6:] = covariance[6:, :6].T
             covariance[6:, 6:] += share @ pz @ share.T
         motion = Motion(t_s, np.concatenate((z, v)), np.zeros((12, 12)), covariance)
-        return Fit(motion, frames, square, float("nan"), square, square < 2.0)
+        return MotionSolution(motion, frames, square, float("nan"), square, square < 2.0)

@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.config.scene import Camera
+from hil.config.scene import SceneCamera
 from hil.errors import BadInput
 from hil.monitor.results import Portion, Seen
 from hil.monitor.screen import drawing, plots
 from hil.monitor.screen.drawing import Canvas
 from hil.monitor.screen.overlay import CIRCLE, CROSS, NUMBERS, REGION, is_bad, shapes, words
-from hil.monitor.sources import WHOLE, Frame
+from hil.monitor.sources import WHOLE, VideoFrame
 
 WIDTH: Final = 1600
 HEIGHT: Final = 900
@@ -33,7 +33,7 @@ _COLOURS: Final = {REGION: drawing.YELLOW, CIRCLE: drawing.SKY, CROSS: drawing.P
 class Screen:
     """Paints one canvas (HEIGHT, WIDTH, 3), blue green red, which each message changes in its own part."""
 
-    def __init__(self, camera: Camera, title: str) -> None:
+    def __init__(self, camera: SceneCamera, title: str) -> None:
         self.canvas: Canvas = np.full((HEIGHT, WIDTH, 3), drawing.PAPER, np.uint8)
         self._title = title
         self._scale = min(_PICTURE[0] / camera.width, _PICTURE[1] / camera.height)
@@ -42,7 +42,7 @@ class Screen:
         self._draw_numbers(None)
         self._draw_plots()
 
-    def show_frame(self, frame: Frame, seen: Seen) -> None:
+    def show_frame(self, frame: VideoFrame, seen: Seen) -> None:
         """Show a frame and what was seen in it."""
         image = frame.image
         if frame.field != WHOLE:

@@ -13,7 +13,7 @@ from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.maths import euler, quat
 from hil.vmu.calibration.hand_eye import hand_eye
-from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, Turntable
+from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, TurntableModel
 from hil.vmu.calibration.views import Views, read_pair
 from hil.vmu.kernels.chain import BASELINE, CAMERA_STATION, CAMERA_TURN, SCALE, TARGET_STATION, TARGET_TURN, TURN
 
@@ -155,7 +155,7 @@ def _stereo(seen: Sightings, points: Array, left: Array, right: Array, size: Arr
 
 
 def start(
-    seen: Sightings, board: Board, nominal: Setup, turntable: Turntable, keep: tuple[str, ...], guess: bool
+    seen: Sightings, board: Board, nominal: Setup, turntable: TurntableModel, keep: tuple[str, ...], guess: bool
 ) -> tuple[Setup, Sightings, tuple[str, ...]]:
     """Return cameras, mounting and board as OpenCV and the hand-eye start have them.
 

@@ -15,7 +15,7 @@ from scipy.stats import f
 
 from hil.core.messages import Array
 from hil.vmu.calibration.files import MOST_LEDS, Calibrated
-from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
+from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel, see
 from hil.vmu.calibration.refine import information, layout_basis
 from hil.vmu.kernels.chain import COMMON
 
@@ -148,7 +148,7 @@ def _directions(setup: Setup, size: int) -> dict[str, Array]:
     return found
 
 
-def _shift_px(seen: Sightings, setup: Setup, turntable: Turntable, change: Array) -> float:
+def _shift_px(seen: Sightings, setup: Setup, turntable: TurntableModel, change: Array) -> float:
     """Return the RMS of what ``change`` does to the coordinates of all pixels that were seen."""
     moves = []
     for axes, here in zip(seen.axes, seen.seen, strict=True):

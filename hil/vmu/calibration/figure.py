@@ -8,13 +8,13 @@ import matplotlib as mpl
 import numpy as np
 
 from hil.vmu.calibration import quality
-from hil.vmu.calibration.job import Outcome
+from hil.vmu.calibration.job import CalibrationOutcome
 from hil.vmu.calibration.model import SIDES
 
 _BLUE, _ORANGE, _GREEN, _GREY = "#0072b2", "#d55e00", "#009e73", "0.6"  # told apart by the colour-blind
 
 
-def draw(outcome: Outcome, path: str) -> None:
+def draw(outcome: CalibrationOutcome, path: str) -> None:
     """Draw ``outcome`` into ``path`` (PNG, PDF or SVG)."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt
@@ -30,7 +30,7 @@ def draw(outcome: Outcome, path: str) -> None:
     plt.close(figure)
 
 
-def _residuals(outcome: Outcome, side: int, plot: Any) -> None:
+def _residuals(outcome: CalibrationOutcome, side: int, plot: Any) -> None:
     seen, fit = outcome.solved.sightings, outcome.solved.fit
     mask = seen.seen[:, side]
     at, off = seen.pixels[:, side][mask], fit.residuals[:, side][mask]
@@ -47,7 +47,7 @@ def _residuals(outcome: Outcome, side: int, plot: Any) -> None:
     plot.set_ylabel("v, px")
 
 
-def _views(outcome: Outcome, plot: Any) -> None:
+def _views(outcome: CalibrationOutcome, plot: Any) -> None:
     fit, names = outcome.solved.fit, outcome.solved.sightings.names
     rms = np.sqrt(np.nanmean(np.square(fit.residuals), axis=(1, 2, 3)))
     plot.bar(np.arange(len(names)), rms, color=_BLUE)
@@ -60,7 +60,7 @@ def _views(outcome: Outcome, plot: Any) -> None:
     plot.set_ylabel("px")
 
 
-def _ranges(outcome: Outcome, plot: Any) -> None:
+def _ranges(outcome: CalibrationOutcome, plot: Any) -> None:
     setup, covariance = outcome.solved.fit.setup, outcome.solved.fit.covariance
     reach = np.geomspace(0.4, 12.0, 25)
     found = [f for r in reach if (f := quality.at_range(setup, covariance, outcome.sigma_px, float(r))) is not None]

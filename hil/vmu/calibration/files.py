@@ -13,8 +13,8 @@ import numpy as np
 from hil.config.vmu_geometry import Sensor, VmuGeometry
 from hil.core.messages import Array
 from hil.errors import BadInput
-from hil.vmu.calibration.model import SIDES, Setup, Turntable, camera_of, lens_numbers, parameters
-from hil.vmu.calibration.refine import Fit
+from hil.vmu.calibration.model import SIDES, Setup, TurntableModel, camera_of, lens_numbers, parameters
+from hil.vmu.calibration.refine import RefinementFit
 from hil.vmu.kernels.chain import (
     BASELINE,
     CAMERA_STATION,
@@ -41,7 +41,7 @@ class Label:
 
 
 def geometry_table(
-    label: Label, fit: Fit, turntable: Turntable, axis_sigma: Array, nominal: VmuGeometry, views: int
+    label: Label, fit: RefinementFit, turntable: TurntableModel, axis_sigma: Array, nominal: VmuGeometry, views: int
 ) -> dict[str, Any]:
     """Return the keys of the geometry file, ``[calibration]`` and all."""
     setup = fit.setup
@@ -138,7 +138,7 @@ class Calibrated:
 
     label: Label
     setup: Setup
-    turntable: Turntable
+    turntable: TurntableModel
     covariance: Array
     noise: float
     axis_sigma: Array
@@ -169,6 +169,6 @@ def read_back(geometry: VmuGeometry, source: str) -> Calibrated:
     setup = Setup(theta, np.array(found.camera_axes), target_axes, np.array(geometry.leds_m), sizes)
     order = np.array([_ORDER.index(axis) for axis in found.gimbal_order])
     sigma = np.array([found.rail_sigma_m] * 3 + [math.radians(found.gimbal_sigma_deg)] * 3)
-    turntable = Turntable(np.array(found.lever_arm_m, dtype=float), order)
+    turntable = TurntableModel(np.array(found.lever_arm_m, dtype=float), order)
     label = Label(found.id, found.date, found.target)
     return Calibrated(label, setup, turntable, covariance, found.noise, sigma, geometry.sensor)

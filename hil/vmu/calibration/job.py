@@ -16,7 +16,7 @@ from hil.vmu.calibration import drift, quality
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.files import Calibrated, Label
 from hil.vmu.calibration.leds import SpotViews, identify
-from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, Turntable
+from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, TurntableModel
 from hil.vmu.calibration.refine import Belief, belief
 from hil.vmu.calibration.solve import Solved, robust, solve, solve_leds
 from hil.vmu.calibration.spot_images import spot_views
@@ -40,7 +40,7 @@ class Given:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class CalibrationLimits:
     """What a calibration must keep."""
 
     rms_px: float
@@ -52,7 +52,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class CalibrationCheck:
     """One line of the verdict."""
 
     name: str
@@ -66,19 +66,19 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class CalibrationOutcome:
     """A calibration with what it is worth."""
 
     label: Label
     solved: Solved
-    turntable: Turntable
+    turntable: TurntableModel
     held: Belief
     nominal: Setup
     sigma_px: float
     at_ranges: list[quality.AtRange]
     shares: list[float]
     warnings: list[str]
-    checks: list[Check] = field(default_factory=list)
+    checks: list[CalibrationCheck] = field(default_factory=list)
 
     @property
     def passed(self) -> bool:
@@ -91,13 +91,20 @@ def target_name(board: Board | None) -> str:
 
 
 def calibrate(
-    views: Views, rig: Rig, geometry: VmuGeometry, given: Given, limits: Limits, label: Label, guess: bool, tell: Tell
-) -> Outcome:
+    views: Views,
+    rig: Rig,
+    geometry: VmuGeometry,
+    given: Given,
+    limits: CalibrationLimits,
+    label: Label,
+    guess: bool,
+    tell: Tell,
+) -> CalibrationOutcome:
     """Return the calibration of ``views``. guess: ``geometry`` has numbers of the cameras that are about right.
 
     Raises BadInput where the views do not carry one.
     """
-    turntable = Turntable.of(rig.bench)
+    turntable = TurntableModel.of(rig.bench)
     if given.board is None:
         nominal = Setup.of(geometry, rig.bench)
         layout = 0.0 if "leds" in given.keep else given.led_sigma
@@ -128,8 +135,14 @@ def _sizes_differ(found: Array, told: Array) -> str:
 
 
 def _judged(
-    label: Label, solved: Solved, turntable: Turntable, held: Belief, nominal: Setup, limits: Limits, rigid: bool
-) -> Outcome:
+    label: Label,
+    solved: Solved,
+    turntable: TurntableModel,
+    held: Belief,
+    nominal: Setup,
+    limits: CalibrationLimits,
+    rigid: bool,
+) -> CalibrationOutcome:
     fit, seen = solved.fit, solved.sightings
     sigma = quality.sigma_px(fit, seen)
     at_ranges = [
@@ -140,19 +153,23 @@ def _judged(
     here = next((found for found in at_ranges if found.range_m == limits.range_m), None)
     error = float("inf") if here is None else float(np.hypot(here.calibration_across_mm, here.calibration_depth_mm))
     checks = [
-        Check("reprojection, RMS", fit.rms_px, limits.rms_px, "px"),
-        Check(f"place of a point at {limits.range_m:g} m, 1 sigma", error, limits.error_mm, "mm"),
+        CalibrationCheck("reprojection, RMS", fit.rms_px, limits.rms_px, "px"),
+        CalibrationCheck(f"place of a point at {limits.range_m:g} m, 1 sigma", error, limits.error_mm, "mm"),
     ]
     if held.free[PARTS["mounting"]].any():
         turn, station = np.split(fit.sigma[PARTS["mounting"]], 2)
-        checks.append(Check("camera's station, 1 sigma", 1e3 * float(station.max()), limits.mounting_mm, "mm"))
-        checks.append(Check("camera's axes, 1 sigma", float(np.degrees(turn.max())), limits.mounting_deg, "deg"))
+        checks.append(
+            CalibrationCheck("camera's station, 1 sigma", 1e3 * float(station.max()), limits.mounting_mm, "mm")
+        )
+        checks.append(
+            CalibrationCheck("camera's axes, 1 sigma", float(np.degrees(turn.max())), limits.mounting_deg, "deg")
+        )
     if rigid and held.free[SCALE]:
         off = 100.0 * abs(float(fit.setup.theta[SCALE]) - 1.0)
-        checks.append(Check("board's size against the rails", off, limits.square_percent, "%"))
+        checks.append(CalibrationCheck("board's size against the rails", off, limits.square_percent, "%"))
     shares = quality.coverage(seen, fit.setup.sizes)
     warnings = quality.warnings_of(fit, seen, held, shares, rigid)
-    return Outcome(label, solved, turntable, held, nominal, sigma, at_ranges, shares, warnings, checks)
+    return CalibrationOutcome(label, solved, turntable, held, nominal, sigma, at_ranges, shares, warnings, checks)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from hil.core.messages import Array
-from hil.vmu.calibration.model import Setup, Sightings, Turntable, see
+from hil.vmu.calibration.model import Setup, Sightings, TurntableModel, see
 
 LEAST_VIEWS = 4
 _SEARCH_PX = 150.0
@@ -33,7 +33,7 @@ class SpotViews:
     spots: tuple[tuple[Spots, Spots], ...]
 
 
-def identify(views: SpotViews, setup: Setup, turntable: Turntable, gate_px: float | None = None) -> Sightings:
+def identify(views: SpotViews, setup: Setup, turntable: TurntableModel, gate_px: float | None = None) -> Sightings:
     """Return which spots are the LEDs.
 
     gate_px: how far a spot may be from where ``setup`` expects it. Left away, the layout may be shifted as a whole

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.rig import BenchGeometry
-from hil.config.vmu_geometry import Camera, VmuGeometry
+from hil.config.vmu_geometry import VmuCamera, VmuGeometry
 from hil.core.messages import Array
 from hil.vmu.kernels import chain
 from hil.vmu.kernels.chain import (
@@ -65,14 +65,14 @@ def parameters(points: int = 0) -> list[Parameter]:
 
 
 @dataclass(frozen=True, slots=True)
-class Turntable:
+class TurntableModel:
     """The part of the bench's kinematics that the cameras ride on. lever_arm: (3,), m. order: (3,), outer to inner."""
 
     lever_arm: Array
     order: Array
 
     @classmethod
-    def of(cls, bench: BenchGeometry) -> Turntable:
+    def of(cls, bench: BenchGeometry) -> TurntableModel:
         """Return that of a rig file."""
         return cls(
             np.array(bench.lever_arm_m, dtype=float), np.array(["xyz".index(axis) for axis in bench.gimbal_order])
@@ -165,7 +165,7 @@ class Slopes:
     by_axes: Array
 
 
-def see(setup: Setup, turntable: Turntable, axes: Array) -> Slopes:
+def see(setup: Setup, turntable: TurntableModel, axes: Array) -> Slopes:
     """Return what both cameras see with the bench's axes at ``axes`` (6,)."""
     m = len(setup.points)
     out = (np.empty((2, m, 2)), np.empty((2, m, 2, COMMON)), np.empty((2, m, 2, 3)), np.empty((2, m, 2, 6)))
@@ -174,7 +174,7 @@ def see(setup: Setup, turntable: Turntable, axes: Array) -> Slopes:
     return Slopes(*out)
 
 
-def lens_numbers(camera: Camera) -> Array:
+def lens_numbers(camera: VmuCamera) -> Array:
     """Return the nine numbers of a camera in the order of COMMON."""
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
 

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from hil.core.messages import Array
-from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, Turntable, parameters, see
-from hil.vmu.calibration.refine import Belief, Fit
+from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, TurntableModel, parameters, see
+from hil.vmu.calibration.refine import Belief, RefinementFit
 from hil.vmu.kernels.chain import COMMON, SCALE
 
 RANGES_M: Final = (0.6, 1.0, 2.0, 5.0, 10.0)
@@ -32,7 +32,7 @@ class AtRange:
 
 def _both_cameras(setup: Setup, p_v: Array) -> tuple[Array, Array, Array]:
     """Return pixels (4,), slopes by all shared numbers (4, COMMON) and by the place in v (4, 3), m, of ``p_v``."""
-    still = Turntable(np.zeros(3), np.array([2, 1, 0]))
+    still = TurntableModel(np.zeros(3), np.array([2, 1, 0]))
     theta = setup.theta.copy()
     theta[PARTS["mounting"]] = 0.0
     theta[PARTS["target"]] = 0.0
@@ -99,13 +99,13 @@ def coverage(seen: Sightings, sizes: Array) -> list[float]:
     return shares
 
 
-def sigma_px(fit: Fit, seen: Sightings) -> float:
+def sigma_px(fit: RefinementFit, seen: Sightings) -> float:
     """Return the standard deviation of one coordinate of a spot or corner, px, as the fit found it."""
     variances = np.einsum("...ii->...", seen.covariance)[seen.seen] / 2.0
     return fit.noise * float(np.sqrt(np.median(variances)))
 
 
-def warnings_of(fit: Fit, seen: Sightings, held: Belief, shares: list[float], rigid: bool) -> list[str]:
+def warnings_of(fit: RefinementFit, seen: Sightings, held: Belief, shares: list[float], rigid: bool) -> list[str]:
     """Return what the views leave to be desired, a sentence each. rigid: the target is a board of known size."""
     found = []
     if len(seen.names) < 10:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.core.messages import Array
-from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
+from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel, see
 from hil.vmu.kernels.chain import COMMON, SCALE
 
 _STEPS = 60
@@ -55,7 +55,7 @@ def belief(setup: Setup, keep: tuple[str, ...], axis_sigma: Array, layout_sigma:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class RefinementFit:
     """What was found.
 
     covariance: (COMMON, COMMON), 3 m more where the layout of the LEDs is found too; zero where held.
@@ -109,7 +109,7 @@ def whiteners(covariance: Array, seen: Array) -> Array:
 class _System:
     """The normal equations of one linearisation, the views' own unknowns eliminated."""
 
-    def __init__(self, problem: Problem, setup: Setup, offsets: Array, noise: float) -> None:
+    def __init__(self, problem: RefinementProblem, setup: Setup, offsets: Array, noise: float) -> None:
         held, sightings = problem.belief, problem.sightings
         n = len(sightings.names)
         shared = problem.shared
@@ -182,11 +182,11 @@ class _System:
         return 0.5 * (out + out.T)
 
 
-class Problem:
+class RefinementProblem:
     """The sightings of one set of views, and what is believed before; solved by ``solve``."""
 
     def __init__(
-        self, sightings: Sightings, turntable: Turntable, held: Belief, nominal: Array, basis: Array | None = None
+        self, sightings: Sightings, turntable: TurntableModel, held: Belief, nominal: Array, basis: Array | None = None
     ) -> None:
         self.sightings = sightings
         self.turntable = turntable
@@ -198,7 +198,7 @@ class Problem:
         self.basis = layout_basis(nominal) if basis is None and held.layout_sigma > 0.0 else basis
         self.shared = len(self.columns) + (0 if self.basis is None else self.basis.shape[1])
 
-    def solve(self, start: Setup) -> Fit:
+    def solve(self, start: Setup) -> RefinementFit:
         """Return the fit from ``start``; the pixels' noise is found along with it."""
         noise, offsets, setup = 1.0, np.zeros(self.sightings.axes.shape), start.folded()
         for _ in range(4):
@@ -233,7 +233,7 @@ class Problem:
             return setup.moved(common)
         return setup.moved(common, (self.basis @ change[len(self.columns) :]).reshape(-1, 3))
 
-    def _fit(self, setup: Setup, offsets: Array, system: _System, noise: float) -> Fit:
+    def _fit(self, setup: Setup, offsets: Array, system: _System, noise: float) -> RefinementFit:
         shared = system.covariance()
         n = len(offsets)
         axis_freedom = np.empty((n, 6))
@@ -256,7 +256,7 @@ class Problem:
         spread[self.columns, : len(self.columns)] = np.eye(len(self.columns))
         if self.basis is not None:
             spread[COMMON:, len(self.columns) :] = self.basis
-        return Fit(
+        return RefinementFit(
             setup,
             spread @ shared @ spread.T,
             offsets,
@@ -285,14 +285,14 @@ class Information:
 
 
 def information(
-    sightings: Sightings, setup: Setup, turntable: Turntable, axis_sigma: Array, noise: float, with_points: bool
+    sightings: Sightings, setup: Setup, turntable: TurntableModel, axis_sigma: Array, noise: float, with_points: bool
 ) -> Information:
     """Return what ``sightings`` say about changes of ``setup``, and of its points where ``with_points``."""
     flat = Belief(np.ones(COMMON, dtype=bool), setup.theta, np.full(COMMON, np.inf), axis_sigma, 0.0)
-    problem = Problem(sightings, turntable, flat, setup.points)
+    problem = RefinementProblem(sightings, turntable, flat, setup.points)
     if with_points:
         flat = replace(flat, layout_sigma=np.inf)
-        problem = Problem(sightings, turntable, flat, setup.points, basis=np.eye(setup.points.size))
+        problem = RefinementProblem(sightings, turntable, flat, setup.points, basis=np.eye(setup.points.size))
     system = _System(problem, setup, np.zeros(sightings.axes.shape), noise)
     square = system.cost - sum(float(right @ np.linalg.solve(own, right)) for own, right, _ in system.blocks)
     rows = 2 * int(problem.seen.sum())

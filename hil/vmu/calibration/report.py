@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.core.messages import Array
-from hil.vmu.calibration.job import Checked, Outcome
+from hil.vmu.calibration.job import CalibrationOutcome, Checked
 from hil.vmu.calibration.model import PARTS, Parameter, Setup, parameters
 from hil.vmu.calibration.quality import AtRange
 from hil.vmu.kernels.chain import COMMON, SCALE
@@ -26,7 +26,7 @@ def values(setup: Setup, paper: Setup, leds: bool) -> Array:
     return np.concatenate([theta, setup.points.ravel()]) if leds else theta
 
 
-def found_numbers(outcome: Outcome) -> list[tuple[Parameter, float, float, float]]:
+def found_numbers(outcome: CalibrationOutcome) -> list[tuple[Parameter, float, float, float]]:
     """Return each number that was found: what it is, its value, its standard deviation and its value on paper."""
     fit = outcome.solved.fit
     leds = len(fit.covariance) > COMMON
@@ -36,7 +36,7 @@ def found_numbers(outcome: Outcome) -> list[tuple[Parameter, float, float, float
     return [(p, float(v * p.shown), float(s * p.shown), float(b * p.shown)) for p, v, s, b in rows if s > 0.0]
 
 
-def as_json(outcome: Outcome) -> dict[str, Any]:
+def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
     """Return the numbers of ``hil calibrate --json``."""
     solved, fit = outcome.solved, outcome.solved.fit
     seen = solved.sightings

@@ -13,8 +13,8 @@ from scipy.stats import chi2
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.vmu.calibration.leds import LEAST_VIEWS, SpotViews, identify
-from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable, see
-from hil.vmu.calibration.refine import Belief, Fit, Problem, layout_basis, whiteners
+from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel, see
+from hil.vmu.calibration.refine import Belief, RefinementFit, RefinementProblem, layout_basis, whiteners
 from hil.vmu.kernels.chain import COMMON
 
 _FAR = 4.0  # times the usual residual of a view
@@ -28,13 +28,15 @@ Tell = Callable[[str, float], None]
 class Solved:
     """A fit, the sightings that it rests on, the views left out with the reason, and how many spots were left out."""
 
-    fit: Fit
+    fit: RefinementFit
     sightings: Sightings
     left_out: dict[str, str]
     spots_left_out: int
 
 
-def solve(seen: Sightings, setup: Setup, turntable: Turntable, held: Belief, doubtful: tuple[str, ...] = ()) -> Solved:
+def solve(
+    seen: Sightings, setup: Setup, turntable: TurntableModel, held: Belief, doubtful: tuple[str, ...] = ()
+) -> Solved:
     """Return the calibration from ``setup`` on.
 
     Views that do not belong to the rest are left out: those in ``doubtful``, those whose residuals stand out of
@@ -56,7 +58,7 @@ def solve(seen: Sightings, setup: Setup, turntable: Turntable, held: Belief, dou
         seen = seen.only(np.flatnonzero(~far))
     allowed = min(len(seen.names) // 4, len(seen.names) - LEAST_VIEWS)
     while True:
-        fit = Problem(seen, turntable, held, nominal).solve(setup)
+        fit = RefinementProblem(seen, turntable, held, nominal).solve(setup)
         setup = fit.setup
         ratio = fit.view_square / np.maximum(fit.view_freedom, 1.0)
         scaled = fit.view_square / max(float(np.median(ratio)), 1e-12)
@@ -70,7 +72,7 @@ def solve(seen: Sightings, setup: Setup, turntable: Turntable, held: Belief, dou
         seen = seen.only([k for k in range(len(seen.names)) if k != worst])
 
 
-def solve_leds(views: SpotViews, setup: Setup, turntable: Turntable, held: Belief, tell: Tell) -> Solved:
+def solve_leds(views: SpotViews, setup: Setup, turntable: TurntableModel, held: Belief, tell: Tell) -> Solved:
     """Return the calibration from spots of light, identified by the setup on paper first and by the fit then."""
     tell("identifying the LEDs", 0.0)
     seen = _enough(identify(views, setup, turntable))
@@ -116,13 +118,13 @@ def _only(free: Array, part: str) -> np.ndarray:
     return np.asarray(free & mask)
 
 
-def _view_rms(seen: Sightings, setup: Setup, turntable: Turntable) -> Array:
+def _view_rms(seen: Sightings, setup: Setup, turntable: TurntableModel) -> Array:
     gaps = np.array([see(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
     out: Array = np.sqrt(np.nanmean(np.square(gaps), axis=(1, 2, 3)))
     return out
 
 
-def _strays(seen: Sightings, setup: Setup, turntable: Turntable) -> np.ndarray:
+def _strays(seen: Sightings, setup: Setup, turntable: TurntableModel) -> np.ndarray:
     """Return which points, (n, 2, m), are far from where they should be, beside the rest of their view."""
     gaps = np.array([see(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
     with warnings.catch_warnings():
@@ -133,7 +135,7 @@ def _strays(seen: Sightings, setup: Setup, turntable: Turntable) -> np.ndarray:
     return np.asarray(np.nan_to_num(size) > max(6.0 * usual, 0.3))
 
 
-def robust(seen: Sightings, setup: Setup, turntable: Turntable, held: Belief) -> Setup:
+def robust(seen: Sightings, setup: Setup, turntable: TurntableModel, held: Belief) -> Setup:
     """Return the setup that most of the pixels agree about, the encoders taken as they are (Cauchy loss)."""
     columns = np.flatnonzero(held.free)
     mask = seen.seen

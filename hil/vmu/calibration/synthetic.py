@@ -8,13 +8,13 @@ import numpy as np
 
 from hil.core.messages import Array
 from hil.maths import euler, quat
-from hil.vmu.calibration.model import Setup, Sightings, Turntable, see
+from hil.vmu.calibration.model import Setup, Sightings, TurntableModel, see
 from hil.vmu.kernels.chain import CAMERA_STATION, TARGET_STATION
 
 
 def plan(
     setup: Setup,
-    turntable: Turntable,
+    turntable: TurntableModel,
     count: int,
     range_m: tuple[float, float],
     turn_deg: float,
@@ -39,7 +39,7 @@ def plan(
 
 def sight(
     setup: Setup,
-    turntable: Turntable,
+    turntable: TurntableModel,
     axes: Array,
     axis_sigma: Array,
     pixel_sigma: float,

@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from hil.core.messages import Array
 from hil.maths import euler, quat
 from hil.vmu.calibration.board import Board
-from hil.vmu.calibration.model import Setup, Turntable
+from hil.vmu.calibration.model import Setup, TurntableModel
 from hil.vmu.calibration.views import COLUMNS
 from hil.vmu.kernels import chain
 from hil.vmu.kernels.chain import BASELINE, CAMERA_STATION, CAMERA_TURN, TARGET_STATION, TURN
 from hil.vmu.kernels.lens import LENS, CameraPair
-from hil.vmu.render import Extras, Look, Renderer
+from hil.vmu.render import Extras, RingAppearance, RingRenderer
 
 _LIGHT, _DARK, _AROUND = 200.0, 30.0, 90.0
 _FINE = 3  # rays along each side of a pixel
@@ -35,7 +35,7 @@ def camera_pair_of(setup: Setup) -> CameraPair:
     return CameraPair(lenses, rotation, translation)
 
 
-def pose(setup: Setup, turntable: Turntable, axes: Array) -> tuple[Array, Array]:
+def pose(setup: Setup, turntable: TurntableModel, axes: Array) -> tuple[Array, Array]:
     """Return R (3, 3) and t_v (3,), m, of ``p_v = R p_t + t_v`` with the bench's axes at ``axes`` (6,)."""
     a_ch = quat.to_matrix(euler.to_quaternion(np.ascontiguousarray(axes[3:]), turntable.order))
     arm = turntable.lever_arm + setup.theta[CAMERA_STATION : CAMERA_STATION + 3]
@@ -45,7 +45,12 @@ def pose(setup: Setup, turntable: Turntable, axes: Array) -> tuple[Array, Array]
 
 
 def board_pair(
-    setup: Setup, turntable: Turntable, axes: Array, board: Board, noise_levels: float, generator: np.random.Generator
+    setup: Setup,
+    turntable: TurntableModel,
+    axes: Array,
+    board: Board,
+    noise_levels: float,
+    generator: np.random.Generator,
 ) -> list[np.ndarray]:
     """Return left and right image of the board, 8 bit: each pixel is the mean of 3 x 3 rays, blurred by 0.7 px."""
     turn, t_v = pose(setup, turntable, axes)
@@ -106,16 +111,21 @@ def _box(numbers: Array, turn: Array, place: Array, board: Board, width: int, he
 
 
 def led_pair(
-    renderer: Renderer, setup: Setup, turntable: Turntable, axes: Array, extras: Extras, generator: np.random.Generator
+    renderer: RingRenderer,
+    setup: Setup,
+    turntable: TurntableModel,
+    axes: Array,
+    extras: Extras,
+    generator: np.random.Generator,
 ) -> list[np.ndarray]:
     """Return left and right image of the LEDs."""
     turn, t_v = pose(setup, turntable, axes)
     return list(renderer.pair(t_v, quat.from_matrix(np.ascontiguousarray(turn)), None, generator, extras))
 
 
-def led_renderer(setup: Setup) -> Renderer:
+def led_renderer(setup: Setup) -> RingRenderer:
     """Return the renderer of the LEDs of ``setup``."""
-    return Renderer(camera_pair_of(setup), setup.points, Look())
+    return RingRenderer(camera_pair_of(setup), setup.points, RingAppearance())
 
 
 def write_views(folder: Path, told: Array, pairs: list[list[np.ndarray]]) -> None:

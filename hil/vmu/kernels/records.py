@@ -48,7 +48,7 @@ FIT = np.dtype(
 """One hypothesis: which spot is which LED, and the pose that follows."""
 
 
-class Scene(NamedTuple):
+class RingScene(NamedTuple):
     """What is known before any image is taken.
 
     lens: (2,) of LENS. rotation: (2, 3, 3) and translation: (2, 3), m, from v to each camera's axes. leds: (n, 3),

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hil.bench import reachability
-from hil.checks.planned_trajectory import Moment, liberty, moments
-from hil.checks.reachability import demands
+from hil.checks.planned_trajectory import PlanSample, control_bounds, moments
+from hil.checks.reachability import axis_demands
 from hil.config.load import load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -19,11 +19,11 @@ from hil.gnc.guidance import GUIDANCE_STATE
 from hil.params import gnc as gnc_params
 
 
-def _plan(*settings: str, scheme: str = "scheme-1") -> list[Moment]:
+def _plan(*settings: str, scheme: str = "scheme-1") -> list[PlanSample]:
     return moments(load_scenario(scheme, settings).value)
 
 
-def _approach(plan: list[Moment]) -> list[Moment]:
+def _approach(plan: list[PlanSample]) -> list[PlanSample]:
     return [moment for moment in plan if moment.abort_s is None]
 
 
@@ -111,7 +111,7 @@ def test_every_moment_of_the_approach_has_an_abort() -> None:
 def test_band_is_table_iii_at_the_ready_point_and_a_share_of_the_corridor_farther_out(
     scheme_1: Scenario, mock_rig: Rig
 ) -> None:
-    asked = demands(scheme_1, mock_rig)
+    asked = axis_demands(scheme_1, mock_rig)
     nearest = int(np.argmin([moment.far_m for moment in asked.plan]))
     np.testing.assert_allclose(asked.margin_m[nearest], [0.03, 0.02, 0.02], atol=1e-9)
     start = asked.plan[0]
@@ -145,7 +145,7 @@ def test_travel_includes_the_room_to_brake(mock_rig: Rig) -> None:
 
 
 def test_liberty_bounds_what_the_control_can_do(scheme_1: Scenario) -> None:
-    free = liberty(scheme_1)
+    free = control_bounds(scheme_1)
     # 0.006 m/s of correction and one burn of 0.2 s with 10 N on 1000 kg; four thrusters of 5 N push along x
     np.testing.assert_allclose(free.speed, 0.006 + 0.2 * 0.01)
     assert free.acceleration[0] == pytest.approx(1.25 * 4 * 5.0 / 1000.0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hil.console.columns import COLUMNS, INDEX, thinned
-from hil.console.message import Picture, pack, unpack
+from hil.console.message import ImageMessage, pack, unpack
 from hil.console.rows import AT_MOST, BACKLOG, Cursor, RowStore
 
 
@@ -24,7 +24,9 @@ def rows(n: int, start: int = 0) -> np.ndarray:
 def test_message_carries_state_rows_and_picture_unchanged(rng: np.random.Generator) -> None:
     numbers = rng.standard_normal((5, COLUMNS)).astype("<f4")
     numbers[2, 3] = np.nan
-    picture = Picture("left", 1.25, 640, 480, b"\xff\xd8jpeg\xff\xd9", ({"kind": "cross", "at": [1, 2], "good": True},))
+    picture = ImageMessage(
+        "left", 1.25, 640, 480, b"\xff\xd8jpeg\xff\xd9", ({"kind": "cross", "at": [1, 2], "good": True},)
+    )
     picture = replace(picture, encoding="png", status="ok", exposed_s=99.5)
     portions = {"first": 3, "list": [{"t_s": 1.0}]}
     now = {"mode": "running", "wall_s": 100.0}

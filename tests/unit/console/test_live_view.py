@@ -11,8 +11,8 @@ import pytest
 from hil.cameras.docking import chaser_position, stations, view
 from hil.config.load import load_rig, load_scenario
 from hil.console.client import Client
-from hil.console.live_view import Shown, picture_of
-from hil.console.message import Picture, pack, unpack
+from hil.console.live_view import LiveView, picture_of
+from hil.console.message import ImageMessage, pack, unpack
 from hil.console.session_process import SessionProcess
 from hil.console.status import empty_status
 from hil.core.camera_images import PICTURE, picture_row
@@ -49,15 +49,15 @@ def status(bench_s: float, run_s: float) -> np.ndarray:
     return found
 
 
-def take(shown: Shown, **what: Any) -> None:
+def take(shown: LiveView, **what: Any) -> None:
     session = Session()
     vars(session).update(what)
     shown.take(cast(SessionProcess, session), status(12.0, 2.0), 100.0)
 
 
 @pytest.fixture
-def shown() -> Shown:
-    made = Shown()
+def shown() -> LiveView:
+    made = LiveView()
     made.begin(JOB)
     return made
 
@@ -66,7 +66,7 @@ def page(**more: Any) -> Client:
     return Client("k" * 16, "ann", **more)
 
 
-def test_each_page_gets_the_newest_picture_of_its_camera_once(shown: Shown) -> None:
+def test_each_page_gets_the_newest_picture_of_its_camera_once(shown: LiveView) -> None:
     pair = [picture_row(camera, 1.5, b"l" + camera.encode(), "png", (8, 6)) for camera in ("vmu.left", "vmu.right")]
     take(shown, pictures=[np.concatenate(pair), picture_row("monitor", 1.0, b"tv")])
     anyone, watcher, lost = page(), page(camera="monitor"), page(camera="no such camera")
@@ -100,10 +100,10 @@ def test_age_of_a_picture_counts_from_its_exposure(t_s: float, bench_s: float, a
 
 
 def test_picture_that_nobody_dates_is_new() -> None:
-    assert Picture("left", 0.0, 1, 1).header(5.0)["age_s"] == 0.0
+    assert ImageMessage("left", 0.0, 1, 1).header(5.0)["age_s"] == 0.0
 
 
-def test_portions_come_once_and_all_of_them_to_a_page_that_comes_late(shown: Shown) -> None:
+def test_portions_come_once_and_all_of_them_to_a_page_that_comes_late(shown: LiveView) -> None:
     places = stations(JOB.scenario.value.monitor)
     r, q = np.array([1.2, 0.03, -0.02]), euler.to_quaternion(np.array([0.02, -0.03, 0.01]), YAW_PITCH_ROLL)
     near = np.full(12, 0.1)

@@ -20,10 +20,10 @@ from hil.core.camera_images import (
     PICTURE,
     RIGHT,
     SLOTS,
-    MakerBeside,
-    PictureMaker,
-    View,
-    Wanted,
+    CameraImage,
+    ImageEncoder,
+    ImagePolicy,
+    ThreadedImageSink,
     data_of,
     encode,
     packed,
@@ -34,13 +34,13 @@ from hil.core.messages import CYCLE, PoseFrame
 from hil.frmn.image_memory import PictureMemory
 from hil.frmn.ring import Ring
 from hil.frmn.run_time import RunTime
-from hil.loop.stages import Vision
+from hil.loop.stages import VisionStage
 from hil.params import gnc as gnc_params
 from hil.recording.read import contents
-from hil.recording.writer import Header, RunFile
+from hil.recording.writer import RecordingHeader, RunFile
 
 CROSS = {"kind": "cross", "at": [1.5, 2.25], "good": True, "part": "led"}
-PNG = Wanted("png")
+PNG = ImagePolicy("png")
 
 
 class Kept:
@@ -100,7 +100,7 @@ def test_what_is_no_image_is_refused(image: np.ndarray) -> None:
 
 def test_pictures_are_taken_as_often_as_they_are_wanted() -> None:
     def taken(each_s: float, times: list[float]) -> list[float]:
-        maker = PictureMaker(Kept(), Wanted("jpeg", each_s))
+        maker = ImageEncoder(Kept(), ImagePolicy("jpeg", each_s))
         return [t for t in times if maker.due(t)]
 
     beats = [k / 6.25 for k in range(10)]
@@ -108,14 +108,14 @@ def test_pictures_are_taken_as_often_as_they_are_wanted() -> None:
     assert taken(0.5, beats) == [beats[k] for k in (0, 4, 8)]
     assert taken(0.48, beats) == [beats[k] for k in (0, 3, 6, 9)]
     assert taken(1.0, [5.0, 0.2, 0.3]) == [5.0, 0.2]  # a clock that was set back
-    assert not PictureMaker(Kept(), Wanted("none")).due(0.0)
+    assert not ImageEncoder(Kept(), ImagePolicy("none")).due(0.0)
 
 
 def test_a_picture_too_large_is_counted_and_comes_without_data(rng: np.random.Generator, tmp_path: Path) -> None:
     kept = Kept()
-    maker = PictureMaker(kept, PNG)
-    maker.put(View(MONITOR, noise(rng, 1100, 700, 3), shapes=[CROSS]), View(LEFT, noise(rng, 8, 8)))
-    maker.put(View(MONITOR, noise(rng, 8, 8), number=1))
+    maker = ImageEncoder(kept, PNG)
+    maker.put(CameraImage(MONITOR, noise(rng, 1100, 700, 3), shapes=[CROSS]), CameraImage(LEFT, noise(rng, 8, 8)))
+    maker.put(CameraImage(MONITOR, noise(rng, 8, 8), number=1))
     assert [(row[0]["camera"], row[0]["left_out"]) for row in kept.rows] == [
         (b"monitor", 1),
         (b"vmu.left", 0),
@@ -124,7 +124,7 @@ def test_a_picture_too_large_is_counted_and_comes_without_data(rng: np.random.Ge
     assert [row[0]["size"] > 0 for row in kept.rows] == [False, True, True]
     assert shapes_of(kept.rows[0][0]) == (CROSS,)
     path = tmp_path / "run.mcap"
-    file = RunFile(path, Header({"schema_version": "1"}, {}, 0))
+    file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 0))
     for row in kept.rows:
         file.pictures(row)
     account = file.finish({})
@@ -152,12 +152,12 @@ def test_a_picture_has_the_run_s_time_of_when_it_was_taken_though_it_waits() -> 
             super().put(row)
 
     slow, clock = Slow(), Clock()
-    beside = MakerBeside(PictureMaker(slow, PNG, clock))
+    beside = ThreadedImageSink(ImageEncoder(slow, PNG, clock))
     image = np.zeros((4, 4), np.uint8)
-    beside.put(View(LEFT, image, bench_s=1.5))
-    beside.put(View(LEFT, image, bench_s=1.75))
+    beside.put(CameraImage(LEFT, image, bench_s=1.5))
+    beside.put(CameraImage(LEFT, image, bench_s=1.75))
     clock.zero_s = math.nan
-    beside.put(View(LEFT, image, bench_s=2.0))
+    beside.put(CameraImage(LEFT, image, bench_s=2.0))
     slow.go.set()
     beside.close()
     np.testing.assert_array_equal([row[0]["t_s"] for row in slow.rows], [0.5, 0.75, math.nan])
@@ -170,9 +170,9 @@ def test_a_maker_whose_outlet_fails_can_be_closed(monkeypatch: pytest.MonkeyPatc
 
     told = threading.Event()
     monkeypatch.setattr(threading, "excepthook", lambda _: told.set())
-    beside = MakerBeside(PictureMaker(Broken(), PNG))
-    for number in range(MakerBeside.WAITING_MOST + 5):
-        beside.put(View(LEFT, np.zeros((4, 4), np.uint8), number=number))
+    beside = ThreadedImageSink(ImageEncoder(Broken(), PNG))
+    for number in range(ThreadedImageSink.WAITING_MOST + 5):
+        beside.put(CameraImage(LEFT, np.zeros((4, 4), np.uint8), number=number))
     assert told.wait(30.0)
     beside.close()
 
@@ -191,17 +191,17 @@ def test_a_maker_beside_never_waits_and_counts_what_it_leaves_out() -> None:
             super().put(row)
 
     slow = Slow()
-    beside = MakerBeside(PictureMaker(slow, PNG))
+    beside = ThreadedImageSink(ImageEncoder(slow, PNG))
     image = np.zeros((4, 4), np.uint8)
-    beside.put(View(LEFT, image), View(RIGHT, image))
+    beside.put(CameraImage(LEFT, image), CameraImage(RIGHT, image))
     assert slow.begun.wait(30.0)
-    for number in range(1, MakerBeside.WAITING_MOST + 4):  # three more than there is room for
-        beside.put(View(LEFT, image, number=number), View(RIGHT, image, number=number))
+    for number in range(1, ThreadedImageSink.WAITING_MOST + 4):  # three more than there is room for
+        beside.put(CameraImage(LEFT, image, number=number), CameraImage(RIGHT, image, number=number))
     slow.go.set()
     beside.close()
     beside.close()
-    assert len(slow.rows) == 2 * (MakerBeside.WAITING_MOST + 1)
-    assert [row[0]["number"] for row in slow.rows[::2]] == list(range(MakerBeside.WAITING_MOST + 1))
+    assert len(slow.rows) == 2 * (ThreadedImageSink.WAITING_MOST + 1)
+    assert [row[0]["number"] for row in slow.rows[::2]] == list(range(ThreadedImageSink.WAITING_MOST + 1))
     assert [int(row[0]["left_out"]) for row in slow.rows[-2:]] == [3, 3]
 
 
@@ -221,16 +221,16 @@ def test_vision_tells_the_run_s_time_when_it_begins_changes_and_stands() -> None
         def poll(self, now_s: float) -> list[PoseFrame]:
             return []
 
-    vision = Vision(Silent(), gnc_params.stations(load_rig("mock").value))  # type: ignore[arg-type]
+    vision = VisionStage(Silent(), gnc_params.stations(load_rig("mock").value))  # type: ignore[arg-type]
     told: list[float] = []
     vision.on_run_zero = told.append
     row = np.zeros(1, CYCLE)[0]
-    vision.look_away(0.5)
+    vision.discard_pending(0.5)
     assert told == []
     for bench_s, zero_s in ((1.0, 1.0), (1.02, 1.0), (1.06, 1.02)):  # a period was lost
         vision.take(bench_s, zero_s, row)
-    vision.look_away(1.08)
-    vision.look_away(1.1)
+    vision.discard_pending(1.08)
+    vision.discard_pending(1.1)
     vision.take(1.12, 1.06, row)
     np.testing.assert_array_equal(told, [1.0, 1.02, math.nan, 1.06])
 
@@ -247,7 +247,7 @@ def test_another_process_gets_ring_and_time_by_their_descriptors(png_rig: Rig) -
     maker = PictureMemory(*memory).maker(png_rig)
     assert maker is not None
     assert maker.due(12.5)
-    maker.put(View(RIGHT, np.zeros((4, 6), np.uint8), bench_s=12.5, number=7, shapes=[CROSS]))
+    maker.put(CameraImage(RIGHT, np.zeros((4, 6), np.uint8), bench_s=12.5, number=7, shapes=[CROSS]))
     (row,) = ring.reader().take()
     assert (row["t_s"], row["bench_s"], row["number"]) == (2.5, 12.5, 7)
     assert (row["width_px"], row["height_px"]) == (6, 4)
@@ -258,7 +258,7 @@ def test_another_process_gets_ring_and_time_by_their_descriptors(png_rig: Rig) -
 
 
 def test_what_makers_left_out_is_counted_as_dropped(tmp_path: Path) -> None:
-    file = RunFile(tmp_path / "run.mcap", Header({"schema_version": "1"}, {}, 0))
+    file = RunFile(tmp_path / "run.mcap", RecordingHeader({"schema_version": "1"}, {}, 0))
     for left_out in (1, 1, 4):
         file.pictures(picture_row(LEFT, 0.0, b"x", left_out=left_out))
     file.pictures(picture_row(RIGHT, 0.0, b"x", left_out=2))
@@ -269,7 +269,7 @@ def test_what_makers_left_out_is_counted_as_dropped(tmp_path: Path) -> None:
 
 def test_a_picture_outside_the_run_s_time_stands_where_the_run_does(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    file = RunFile(path, Header({"schema_version": "1"}, {}, 1_000_000_000))
+    file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 1_000_000_000))
     file.pictures(picture_row(LEFT, math.nan, b"x", bench_s=3.5))
     rows = np.zeros(1, CYCLE)
     rows["t_s"] = 4.0
@@ -291,7 +291,7 @@ def test_shapes_are_recorded_as_foxglove_draws_them(tmp_path: Path) -> None:
         {"kind": "line", "from": [0.0, 0.0], "to": [3.0, 4.0], "good": True},
         {"kind": "text", "at": [7.0, 8.0], "text": "ok", "good": True},
     ]
-    file = RunFile(path, Header({"schema_version": "1"}, {}, 0))
+    file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 0))
     file.pictures(picture_row(LEFT, 2.0, b"x", shapes=shapes))
     file.finish({})
     (found,) = contents(path).lines["/pictures/vmu.left/annotations"]
@@ -312,7 +312,7 @@ def test_shapes_are_recorded_as_foxglove_draws_them(tmp_path: Path) -> None:
 
 def test_pictures_without_cycles_reach_the_disk_by_and_by(tmp_path: Path, rng: np.random.Generator) -> None:
     path = tmp_path / "run.mcap"
-    file = RunFile(path, Header({"schema_version": "1"}, {}, 0))
+    file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 0))
     row = picture_row(MONITOR, 1.0, noise(rng, 1_000_000).tobytes())
     sizes = []
     for _ in range(20):

@@ -7,11 +7,11 @@ from itertools import product
 import pytest
 
 from hil.core.modes import Mode
-from hil.core.operator_commands import OBEYED_IN, JogWish, Operator, Order
+from hil.core.operator_commands import OBEYED_IN, JogRequest, Operator, OperatorCommand
 
 
-@pytest.mark.parametrize(("order", "mode"), list(product(Order, Mode)))
-def test_an_order_is_obeyed_in_its_modes_and_refused_in_words_elsewhere(order: Order, mode: Mode) -> None:
+@pytest.mark.parametrize(("order", "mode"), list(product(OperatorCommand, Mode)))
+def test_an_order_is_obeyed_in_its_modes_and_refused_in_words_elsewhere(order: OperatorCommand, mode: Mode) -> None:
     operator = Operator((), attended=True)
     operator.order(order)
     if mode in OBEYED_IN[order]:
@@ -27,25 +27,25 @@ def test_plan_waits_for_its_modes_and_does_not_count_as_an_order_that_waits() ->
     operator = Operator()
     assert not operator.waiting
     assert operator.next(Mode.RUNNING) is None
-    assert operator.next(Mode.STANDBY) is Order.HOME
-    assert operator.next(Mode.STANDBY) is Order.ARM
+    assert operator.next(Mode.STANDBY) is OperatorCommand.HOME
+    assert operator.next(Mode.STANDBY) is OperatorCommand.ARM
     assert operator.next(Mode.STANDBY) is None
-    assert operator.next(Mode.ARMED) is Order.START
+    assert operator.next(Mode.ARMED) is OperatorCommand.START
     assert operator.next(Mode.ARMED) is None
 
 
 def test_dropped_plan_gives_no_orders() -> None:
     operator = Operator()
-    operator.drop_plan()
+    operator.cancel_auto_sequence()
     assert operator.next(Mode.STANDBY) is None
 
 
 def test_stop_goes_before_all_others_and_is_never_dropped() -> None:
     operator = Operator((), attended=True)
     for _ in range(200):
-        operator.order(Order.HOLD)
-    operator.order(Order.STOP)
-    assert operator.take(Mode.RUNNING) is Order.STOP
+        operator.order(OperatorCommand.HOLD)
+    operator.order(OperatorCommand.STOP)
+    assert operator.take(Mode.RUNNING) is OperatorCommand.STOP
     assert len(operator.waiting) == 64
 
 
@@ -53,21 +53,21 @@ def test_jog_key_orders_one_jog_and_counts_each_refresh_once() -> None:
     operator = Operator((), attended=True)
     operator.jog("rails.x", 1)
     operator.jog("rails.x", 1)
-    assert operator.take(Mode.STANDBY) is Order.JOG
+    assert operator.take(Mode.STANDBY) is OperatorCommand.JOG
     assert operator.take(Mode.STANDBY) is None
-    assert operator.jog_wish() == JogWish("rails.x", 1)
-    assert operator.jog_wish() is None
+    assert operator.jog_request() == JogRequest("rails.x", 1)
+    assert operator.jog_request() is None
     operator.jog("rails.x", 1)
-    assert operator.jog_wish() == JogWish("rails.x", 1)
+    assert operator.jog_request() == JogRequest("rails.x", 1)
     operator.jog_ended()
     operator.jog("rails.y", -1)
-    assert operator.take(Mode.STANDBY) is Order.JOG
+    assert operator.take(Mode.STANDBY) is OperatorCommand.JOG
 
 
 def test_refused_jog_leaves_no_key_pressed() -> None:
     operator = Operator((), attended=True)
     operator.jog("rails.x", 1)
     assert operator.take(Mode.RUNNING) is None
-    assert operator.jog_wish() is None
+    assert operator.jog_request() is None
     operator.jog("rails.x", 1)
-    assert operator.take(Mode.STANDBY) is Order.JOG
+    assert operator.take(Mode.STANDBY) is OperatorCommand.JOG

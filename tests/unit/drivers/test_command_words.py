@@ -19,14 +19,14 @@ from hil.config.flight_computer import FlightComputer, WordsCan, WordsLine
 from hil.config.load import load_rig
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_POSES, POSE, PoseFrame
-from hil.drivers.command_words.codec import Decoder, Word, decode_can, encode, encode_can
+from hil.drivers.command_words.codec import CommandWordDecoder, Word, decode_can, encode, encode_can
 from hil.drivers.command_words.poses import PoseForwarder
-from hil.drivers.command_words.receiver import WordReceiver
-from hil.drivers.vmu.codec import Decoder as PoseDecoder
+from hil.drivers.command_words.receiver import CommandWordReceiver
+from hil.drivers.vmu.codec import PoseDecoder
 from hil.errors import BadInput, LinkLost, LinkTimeout
-from hil.gnc_backends.command_words import WordsGnc
-from hil.loop.cycle import Blackboard
-from hil.setup.gnc_setup import briefing
+from hil.gnc_backends.command_words import CommandWordGnc
+from hil.loop.cycle import CycleData
+from hil.setup.gnc_setup import backend_setup
 
 
 def test_bytes_of_a_word() -> None:
@@ -38,7 +38,7 @@ def test_word_is_found_behind_any_rubbish_however_it_is_cut(
     counter: int, thrusters: int, rubbish: bytes, cut: int
 ) -> None:
     word = Word(counter, thrusters)
-    data, decoder, found = rubbish + b"\0" * 9 + encode(word), Decoder(), []
+    data, decoder, found = rubbish + b"\0" * 9 + encode(word), CommandWordDecoder(), []
     for i in range(0, len(data), cut):
         found += decoder.feed(data[i : i + cut])
     assert found[-1] == word
@@ -70,7 +70,7 @@ def until(condition: Callable[[], object]) -> None:
 
 def test_newest_word_comes_over_a_serial_port_and_losses_are_counted(wire: tuple[int, str]) -> None:
     here, path = wire
-    receiver = WordReceiver(FlightComputer(words="serial", serial=WordsLine(port=path)), lambda: 12.5)
+    receiver = CommandWordReceiver(FlightComputer(words="serial", serial=WordsLine(port=path)), lambda: 12.5)
     receiver.open()
     try:
         spoilt = bytearray(encode(Word(2, 1)))
@@ -85,7 +85,7 @@ def test_newest_word_comes_over_a_serial_port_and_losses_are_counted(wire: tuple
 
 def test_newest_word_comes_over_can_from_its_identifier_alone() -> None:
     config = FlightComputer(words="can", can=WordsCan(interface="virtual", channel="words", identifier=0x120))
-    receiver = WordReceiver(config, lambda: 1.0)
+    receiver = CommandWordReceiver(config, lambda: 1.0)
     receiver.open()
     try:
         with can.Bus(interface="virtual", channel="words") as bus:
@@ -99,7 +99,9 @@ def test_newest_word_comes_over_can_from_its_identifier_alone() -> None:
 
 def test_newest_word_comes_over_a_serial_can_adapter(wire: tuple[int, str]) -> None:
     here, path = wire
-    receiver = WordReceiver(FlightComputer(words="can", can=WordsCan(interface="serial", channel=path)), lambda: 1.0)
+    receiver = CommandWordReceiver(
+        FlightComputer(words="can", can=WordsCan(interface="serial", channel=path)), lambda: 1.0
+    )
     receiver.open()
     try:
         head = b"\xaa" + bytes(4) + bytes([7]) + (0x120).to_bytes(4, "little")  # as python-can frames it
@@ -111,7 +113,7 @@ def test_newest_word_comes_over_a_serial_can_adapter(wire: tuple[int, str]) -> N
 
 
 def test_port_that_is_not_there_is_named() -> None:
-    receiver = WordReceiver(FlightComputer(words="serial", serial=WordsLine(port="/dev/none")), lambda: 0.0)
+    receiver = CommandWordReceiver(FlightComputer(words="serial", serial=WordsLine(port="/dev/none")), lambda: 0.0)
     with pytest.raises(LinkLost, match="flight computer: cannot open /dev/none"):
         receiver.open()
 
@@ -154,15 +156,15 @@ class Bench:
 
     def __init__(self, scenario: Scenario, **config: object) -> None:
         self.said, self.now_s, self.held = Said(), 0.0, ""
-        self.seat = WordsGnc(
+        self.seat = CommandWordGnc(
             FlightComputer(words="serial", **config),  # type: ignore[arg-type]
             self.said,  # type: ignore[arg-type]
             None,
             lambda: self.now_s,
-            briefing(scenario),
+            backend_setup(scenario),
         )
         self.seat.ask_for_hold = self.hold
-        self.now = Blackboard()
+        self.now = CycleData()
 
     def hold(self, reason: str) -> None:
         self.held = reason

@@ -11,7 +11,7 @@ from hil.config.load import load_rig
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import EmulatedAxes
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 
 Make = Callable[..., EmulatedAxes]
 PERIOD_S = 0.02
@@ -25,14 +25,14 @@ class StoppedClock(WallClock):
 
 
 @pytest.fixture
-def board() -> Iterator[AxisBoard]:
-    board = AxisBoard.create()
+def board() -> Iterator[SharedAxisState]:
+    board = SharedAxisState.create()
     yield board
     board.close()
 
 
 @pytest.fixture
-def make(board: AxisBoard) -> Make:
+def make(board: SharedAxisState) -> Make:
     def rails(*settings: str, chain_closed: Callable[[], bool] = lambda: True) -> EmulatedAxes:
         config = load_rig("emulated", settings).value.rails
         return EmulatedAxes("rails", config, StoppedClock(), board, chain_closed=chain_closed)
@@ -65,7 +65,7 @@ def test_an_axis_that_fails_no_longer_follows(make: Make, fault: str) -> None:
     assert travel(axes, 1, 0.05, 1.0, 3.0) > 0.05
 
 
-def test_a_reversed_encoder_makes_the_axis_run_away(make: Make, board: AxisBoard) -> None:
+def test_a_reversed_encoder_makes_the_axis_run_away(make: Make, board: SharedAxisState) -> None:
     axes = make()
     axes.faults.on("reversed", "y")
     travel(axes, 1, 0.02, 0.0, 4.0)
@@ -83,7 +83,7 @@ def test_a_jump_of_the_encoder_is_seen_at_once_and_happens_once(make: Make) -> N
     assert axes.faults.shown() == "none"
 
 
-def test_frozen_values_stay_while_the_axis_moves_on(make: Make, board: AxisBoard) -> None:
+def test_frozen_values_stay_while_the_axis_moves_on(make: Make, board: SharedAxisState) -> None:
     axes = make()
     axes.faults.on("freeze")
     before = axes.position.copy()
@@ -121,7 +121,7 @@ INCREMENTAL = (
 )
 
 
-def test_an_incremental_encoder_counts_from_nowhere_until_it_has_been_homed(make: Make, board: AxisBoard) -> None:
+def test_an_incremental_encoder_counts_from_nowhere_until_it_has_been_homed(make: Make, board: SharedAxisState) -> None:
     axes = make(INCREMENTAL)
     assert axes.homing == [Homing.DONE, Homing.NEEDED, Homing.DONE]
     assert axes.position[1] == pytest.approx(0.0)  # it stands at 0.3 m

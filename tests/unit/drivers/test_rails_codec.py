@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import pytest
 
-from hil.drivers.rails.codec import DRIVE_MAP, Block, Command, Control, Identity, Number, State, Status
+from hil.drivers.rails.codec import (
+    DRIVE_MAP,
+    Command,
+    ControlFlags,
+    DriveIdentity,
+    Number,
+    RegisterBlock,
+    State,
+    Status,
+)
 
 
 def test_command_fills_its_registers() -> None:
-    command = Command(Control.ENABLE | Control.QUICK_STOP, 0xABCD, 11.999999, -0.25)
+    command = Command(ControlFlags.ENABLE | ControlFlags.QUICK_STOP, 0xABCD, 11.999999, -0.25)
     registers = [0x0003, 0xABCD, 0x00B7, 0x1AFF, 0xFFFC, 0x2F70]
     assert DRIVE_MAP.encode_command(command) == registers
     assert DRIVE_MAP.decode_command(registers) == command
@@ -23,11 +32,11 @@ def test_state_is_read_from_its_registers() -> None:
 
 def test_identity_is_checked() -> None:
     identity = DRIVE_MAP.decode_identity([0x4849, 0x4C52, 0x0102])
-    assert identity == Identity(0x48494C52, (1, 2))
+    assert identity == DriveIdentity(0x48494C52, (1, 2))
     assert DRIVE_MAP.encode_identity(identity) == [0x4849, 0x4C52, 0x0102]
     assert DRIVE_MAP.identity_problem(identity) is None
-    assert DRIVE_MAP.identity_problem(Identity(0x12345678, (1, 2))) == "vendor 0x12345678, expected 0x48494C52"
-    assert DRIVE_MAP.identity_problem(Identity(0x48494C52, (2, 5))) == "firmware 2.5, expected 1.x"
+    assert DRIVE_MAP.identity_problem(DriveIdentity(0x12345678, (1, 2))) == "vendor 0x12345678, expected 0x48494C52"
+    assert DRIVE_MAP.identity_problem(DriveIdentity(0x48494C52, (2, 5))) == "firmware 2.5, expected 1.x"
 
 
 def test_blocks_lie_where_the_manual_says() -> None:
@@ -37,25 +46,25 @@ def test_blocks_lie_where_the_manual_says() -> None:
 
 def test_twelve_metres_are_resolved_to_half_a_micrometre() -> None:
     for position_m in (0.0, 1.2345678, 11.9999996, -3.3333333):
-        words = DRIVE_MAP.encode_command(Command(Control.ENABLE, 0, position_m, 0.0))
+        words = DRIVE_MAP.encode_command(Command(ControlFlags.ENABLE, 0, position_m, 0.0))
         assert DRIVE_MAP.decode_command(words).position_m == pytest.approx(position_m, abs=0.5000001e-6)
 
 
 def test_float_registers_carry_si() -> None:
-    block = Block(Number(100, "f32"), Number(102, "f64"), Number(106, "i16", 1000.0))
+    block = RegisterBlock(Number(100, "f32"), Number(102, "f64"), Number(106, "i16", 1000.0))
     registers = [0x3F80, 0x0000, 0x3FB9, 0x9999, 0x9999, 0x999A, 0xFFFB]
     assert block.encode((1.0, 0.1, -0.005)) == registers
     assert block.decode(registers) == (1.0, 0.1, -0.005)
 
 
 def test_low_word_may_come_first() -> None:
-    block = Block(Number(100, "f32"), Number(102, "i32", 1000.0), Number(104, "u16"), little=True)
+    block = RegisterBlock(Number(100, "f32"), Number(102, "i32", 1000.0), Number(104, "u16"), little=True)
     assert block.encode((1.0, 65.537, 7.0)) == [0x0000, 0x3F80, 0x0001, 0x0001, 7]
     assert block.decode([0x0000, 0x3F80, 0x0001, 0x0002, 7]) == (1.0, 131.073, 7.0)
 
 
 def test_registers_between_the_numbers_are_ignored() -> None:
-    block = Block(Number(20, "u16"), Number(10, "i16"))
+    block = RegisterBlock(Number(20, "u16"), Number(10, "i16"))
     assert (block.address, block.count) == (10, 11)
     assert block.decode([0xFFFF, *[9] * 9, 5]) == (5.0, -1.0)
 
@@ -63,12 +72,12 @@ def test_registers_between_the_numbers_are_ignored() -> None:
 @pytest.mark.parametrize("words", [[0x7F80, 0], [0x7FC0, 1], [0xFF80, 0]])
 def test_number_that_is_not_finite_is_refused(words: list[int]) -> None:
     with pytest.raises(ValueError, match=r"register 100 holds .*, expected a finite number"):
-        Block(Number(100, "f32")).decode(words)
+        RegisterBlock(Number(100, "f32")).decode(words)
 
 
 def test_number_too_large_for_its_registers_is_refused() -> None:
     with pytest.raises(ValueError, match="does not fit registers from 0"):
-        DRIVE_MAP.encode_command(Command(Control.ENABLE, 0, 2500.0, 0.0))
+        DRIVE_MAP.encode_command(Command(ControlFlags.ENABLE, 0, 2500.0, 0.0))
 
 
 def test_fault_code_is_readable() -> None:

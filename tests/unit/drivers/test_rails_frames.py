@@ -10,8 +10,17 @@ import pytest
 from pymodbus.framer import FramerRTU
 
 from hil.config.load import load_rig
-from hil.drivers.rails.codec import DRIVE_MAP, Identity, RegisterMap, State, Status
-from hil.drivers.rails.frames import READ, READ_WRITE, Expected, Frame, Sieve, measure_rtu, new_counters, split
+from hil.drivers.rails.codec import DRIVE_MAP, DriveIdentity, RegisterMap, State, Status
+from hil.drivers.rails.frames import (
+    READ,
+    READ_WRITE,
+    Expected,
+    ModbusFrame,
+    ResponseMatcher,
+    measure_rtu,
+    new_counters,
+    split,
+)
 
 FLOAT_MAP = RegisterMap(load_rig("emulated-rtu").value.rails.map)
 ECHO = 0x2A
@@ -43,8 +52,8 @@ def expected(map_: RegisterMap, transaction: int = 0, echo: int = ECHO) -> Expec
     return Expected(DEVICE, READ_WRITE, map_.state.count, transaction, (map_.echo_at, echo))
 
 
-def sieve(is_tcp: bool, awaited: Expected | None) -> Sieve:
-    made = Sieve(is_tcp, new_counters())
+def sieve(is_tcp: bool, awaited: Expected | None) -> ResponseMatcher:
+    made = ResponseMatcher(is_tcp, new_counters())
     made.await_(awaited)
     return made
 
@@ -53,7 +62,7 @@ def test_serial_answer_of_the_modbus_manual_is_read() -> None:
     data = bytes.fromhex("11 03 06 ae41 5652 4340 49ad")  # three registers of device 0x11
     assert split(data, measure_rtu) == (11, [data], 0)
     found = sieve(False, Expected(0x11, READ, 3)).feed(data)
-    assert found == (11, Frame(0x11, READ, (0xAE41, 0x5652, 0x4340)))
+    assert found == (11, ModbusFrame(0x11, READ, (0xAE41, 0x5652, 0x4340)))
 
 
 @pytest.mark.parametrize("cut", range(1, 11))
@@ -109,7 +118,7 @@ def test_answer_that_comes_twice_is_taken_once() -> None:
 
 def test_refusal_of_the_request_is_its_answer() -> None:
     found = sieve(False, expected(DRIVE_MAP)).feed(with_check_sum(bytes([DEVICE, READ_WRITE | 0x80, 2])))
-    assert found == (5, Frame(DEVICE, READ_WRITE | 0x80, (), 2))
+    assert found == (5, ModbusFrame(DEVICE, READ_WRITE | 0x80, (), 2))
 
 
 def mutations(count: int, seed: int) -> Iterator[tuple[np.random.Generator, int]]:
@@ -136,7 +145,7 @@ def mutated(data: bytes, generator: np.random.Generator, kind: int) -> bytes:
     return generator.bytes(int(generator.integers(1, 40)))
 
 
-def found_again(finder: Sieve, rest: bytes, sound: bytes) -> Frame:
+def found_again(finder: ResponseMatcher, rest: bytes, sound: bytes) -> ModbusFrame:
     """Return the answer that is taken when two sound ones follow ``rest``."""
     for _ in range(2):
         used, frame = finder.feed(rest + sound)
@@ -218,7 +227,7 @@ def test_mutated_tcp_answers_belong_to_the_request_or_are_not_taken() -> None:
 
 def test_words_of_chance_decode_or_are_refused() -> None:
     fuzz_blocks(5_000)
-    assert DRIVE_MAP.identity_problem(Identity(0, (1, 0))) is not None
+    assert DRIVE_MAP.identity_problem(DriveIdentity(0, (1, 0))) is not None
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hil.config.load import load_rig
-from hil.drivers.rails.codec import Command, Control, Identity, RegisterMap, State, Status
+from hil.drivers.rails.codec import Command, ControlFlags, DriveIdentity, RegisterMap, State, Status
 from hil.errors import BadInput, FaultKind
 
 SHIPPED = RegisterMap(load_rig("emulated-rtu").value.rails.map)
@@ -24,7 +24,7 @@ def refusal(tmp_path: Path, text: str) -> str:
 
 
 def test_the_shipped_example_writes_its_numbers_low_word_first() -> None:
-    command = Command(Control.ENABLE | Control.HOME, 7, 1.0, -0.5)  # 1000 mm, -500 mm/s
+    command = Command(ControlFlags.ENABLE | ControlFlags.HOME, 7, 1.0, -0.5)  # 1000 mm, -500 mm/s
     assert (SHIPPED.command.address, SHIPPED.encode_command(command)) == (
         1000,
         [0b11000, 7, 0x0000, 0x447A, 0x0000, 0xC3FA],
@@ -43,8 +43,8 @@ def test_the_shipped_example_reads_its_numbers_low_word_first() -> None:
 
 
 def test_an_older_firmware_is_refused() -> None:
-    assert SHIPPED.identity_problem(Identity(0x0ABC, (2, 3))) is None
-    assert SHIPPED.identity_problem(Identity(0x0ABC, (2, 2))) == "firmware 2.2, expected 2.3 or newer"
+    assert SHIPPED.identity_problem(DriveIdentity(0x0ABC, (2, 3))) is None
+    assert SHIPPED.identity_problem(DriveIdentity(0x0ABC, (2, 2))) == "firmware 2.2, expected 2.3 or newer"
 
 
 def test_a_drive_without_exchange_numbers_needs_no_registers_for_them(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_a_drive_without_exchange_numbers_needs_no_registers_for_them(tmp_path: 
     )
     plain = RegisterMap(load_rig(str(file)).value.rails.map)
     assert plain.echo_at is None
-    assert plain.encode_command(Command(Control.ENABLE, 5, 0.001, 0.0)) == [1, 0, 1000, 0, 0]
+    assert plain.encode_command(Command(ControlFlags.ENABLE, 5, 0.001, 0.0)) == [1, 0, 1000, 0, 0]
     assert plain.decode_state([1, 0, 77, 0, 1000, 0, 0]).position_m == 0.001
 
 

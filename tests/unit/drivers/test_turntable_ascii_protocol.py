@@ -8,11 +8,11 @@ import pytest
 
 from hil.config.load import load_protocol
 from hil.drivers.turntable.ascii.frames import BrokenLine, crc16_ccitt, sum8, xor8
-from hil.drivers.turntable.ascii.protocol import DEVICE, Dialect, Refused
+from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiProtocol, CommandRefused
 from hil.errors import FaultKind
 
-HIL = Dialect(load_protocol("hil-ascii").value)
-ACU = Dialect(load_protocol("acu").value)
+HIL = AsciiProtocol(load_protocol("hil-ascii").value)
+ACU = AsciiProtocol(load_protocol("acu").value)
 SET = b">3A SET 12.345678 -1.000000 0.000000 0.500000 0.000000 0.000000*E630"
 REPORT = b"<3A OK 01 01 81 0000 0000 0008 12.345601 -1.000002 0.000000 0.499873 0.000000 0.000000*A7B9"
 POSITIONS = [math.radians(angle) for angle in (12.345678, -1.0, 0.0)]
@@ -83,7 +83,7 @@ def test_acu_reply_of_another_axis_is_refused():
     [(HIL, HIL.refusal(7, 3)[:-2], r"error 3 \(refused in this state\)"), (ACU, b"?13;^06", r"error 13 \(not now\)")],
 )
 def test_error_reply_is_named(dialect, line, text):
-    with pytest.raises(Refused, match=text):
+    with pytest.raises(CommandRefused, match=text):
         read(dialect, "enable", line)
 
 
@@ -107,7 +107,7 @@ def test_what_is_no_report_is_refused(body):
 @pytest.mark.parametrize("numbers", ["1 1 1 1 1", "1 1 1 1 1 inf", "1 1 1 1 1 one", "1 1 1 1 1 1 1"])
 def test_setpoint_needs_six_finite_numbers(numbers):
     line = HIL.requests.encode(1, f"SET {numbers}")[:-2]
-    with pytest.raises(Refused):
+    with pytest.raises(CommandRefused):
         HIL.take_request(line)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.codec import DriveState
-from hil.drivers.turntable.cia402.drive import EmulatedDrive
+from hil.drivers.turntable.cia402.drive import EmulatedCia402Drive
 from hil.drivers.turntable.cia402.serial_can import SerialFrames, encode_serial
 from hil.errors import FaultKind
 
@@ -111,13 +111,13 @@ def test_fault_without_a_name_keeps_its_number():
     ],
 )
 def test_drive_serves_sdo_as_cia_301_says(request_frame, reply):
-    drive = EmulatedDrive(1, Axis(), 0.5)
+    drive = EmulatedCia402Drive(1, Axis(), 0.5)
     assert drive.on_frame(0x601, bytes.fromhex(request_frame), 0.0) == [(0x581, bytes.fromhex(reply))]
 
 
 def test_drive_is_enabled_step_by_step_and_only_then_follows():
     axis = Axis()
-    drive = EmulatedDrive(1, axis, 0.5)
+    drive = EmulatedCia402Drive(1, axis, 0.5)
     states = []
     drive.on_frame(0x601, bytes.fromhex("2f 60 60 00 08 00 00 00"), 0.0)  # cyclic synchronous position
     for controlword in (0x0F, 0x06, 0x0F, 0x0F, 0x02, 0x0F, 0x00):
@@ -136,7 +136,7 @@ def test_drive_is_enabled_step_by_step_and_only_then_follows():
 
 
 def test_fault_is_told_at_once_and_reset_on_the_rising_bit_only():
-    drive = EmulatedDrive(2, Axis(), 0.5)
+    drive = EmulatedCia402Drive(2, Axis(), 0.5)
     assert drive.fail(0x7305) == [(0x82, bytes.fromhex("05 73 01 00 00 00 00 00"))]
     drive.on_frame(0x602, bytes.fromhex("2b 40 60 00 80 00 00 00"), 0.0)
     assert drive.state is DriveState.SWITCH_ON_DISABLED
@@ -158,18 +158,18 @@ def test_serial_frames_are_found_after_garbage_and_across_reads():
     assert found == [(0x080, b""), (0x201, b"\xaa\xbb")]
 
 
-def homing_drive(known: Homing = Homing.NEEDED) -> tuple[EmulatedDrive, Axis]:
+def homing_drive(known: Homing = Homing.NEEDED) -> tuple[EmulatedCia402Drive, Axis]:
     """Return an enabled drive in homing mode, and its axis."""
     axis = Axis()
     axis.known = known
-    drive = EmulatedDrive(1, axis, 0.5)
+    drive = EmulatedCia402Drive(1, axis, 0.5)
     drive.on_frame(0x601, bytes.fromhex("2f 60 60 00 06 00 00 00"), 0.0)
     for controlword in (0x06, 0x07, 0x0F):
         drive.on_frame(0x601, bytes((0x2B, 0x40, 0x60, 0, controlword, 0, 0, 0)), 0.0)
     return drive, axis
 
 
-def statusword(drive: EmulatedDrive) -> str:
+def statusword(drive: EmulatedCia402Drive) -> str:
     ((_, reply),) = drive.on_frame(0x601, bytes.fromhex("40 41 60 00 00 00 00 00"), 0.0)
     return reply.hex(" ")
 
@@ -197,7 +197,7 @@ def test_statusword_in_homing_mode_is_read(word, found):
 
 
 def test_heartbeat_comes_at_its_producer_time_and_shows_the_nmt_state():
-    drive = EmulatedDrive(3, Axis(), 0.5)
+    drive = EmulatedCia402Drive(3, Axis(), 0.5)
     assert drive.advance(0.0) == []
     drive.on_frame(0x603, bytes.fromhex("2b 17 10 00 32 00 00 00"), 0.0)  # 50 ms
     assert drive.advance(0.0) == [(0x703, b"\x7f")]  # pre-operational
@@ -219,7 +219,7 @@ def test_torque_that_the_safety_chain_takes_is_a_fault_by_name():
 
 
 def test_string_longer_than_a_frame_comes_in_segments():
-    drive = EmulatedDrive(1, Axis(), 0.5)
+    drive = EmulatedCia402Drive(1, Axis(), 0.5)
     requests = [
         "40 0a 10 00 00 00 00 00",
         "60 00 00 00 00 00 00 00",
@@ -235,7 +235,7 @@ def test_string_longer_than_a_frame_comes_in_segments():
 def test_limit_switches_are_bits_of_the_digital_inputs():
     axis = Axis()
     axis.switch = -1
-    drive = EmulatedDrive(1, axis, 0.5)
+    drive = EmulatedCia402Drive(1, axis, 0.5)
     ((_, reply),) = drive.on_frame(0x601, bytes.fromhex("40 fd 60 00 00 00 00 00"), 0.0)
     assert reply.hex(" ") == "43 fd 60 00 01 00 00 00"
     assert [codec.limit_of(bits) for bits in (0, 1, 2, 4)] == [0, -1, 1, 0]

@@ -15,9 +15,9 @@ from hil.config.load import load_protocol, load_rig
 from hil.config.rig import Cia402
 from hil.core.messages import Homing
 from hil.drivers.turntable.ascii.frames import BrokenLine
-from hil.drivers.turntable.ascii.protocol import DEVICE, Dialect, Refused
+from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiProtocol, CommandRefused
 from hil.drivers.turntable.cia402 import codec as codec
-from hil.drivers.turntable.cia402.drive import EmulatedDrive
+from hil.drivers.turntable.cia402.drive import EmulatedCia402Drive
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
 from hil.drivers.turntable.cia402.node import Node
 from hil.drivers.turntable.cia402.serial_can import SerialFrames, encode_serial
@@ -71,7 +71,7 @@ def sample(dice: random.Random) -> dict:
 @pytest.mark.parametrize("direction", ["replies", "requests"])
 @pytest.mark.parametrize("protocol", ["hil-ascii", "acu"])
 def test_mutated_lines(protocol, direction, count):
-    dialect, dice = Dialect(load_protocol(protocol).value), random.Random(7)
+    dialect, dice = AsciiProtocol(load_protocol(protocol).value), random.Random(7)
     line = dialect.lines["set"][0]
     axis = 1 if line.each_axis else DEVICE
     framing = getattr(dialect, direction)
@@ -88,7 +88,7 @@ def test_mutated_lines(protocol, direction, count):
                 dialect.take_reply(framing.decode(text)[1], line, axis)
             else:
                 dialect.take_request(text)
-        except (BrokenLine, Refused):
+        except (BrokenLine, CommandRefused):
             return
         covered, _, checksum = text[len(framing.start) :].rpartition(separator)
         assert checksum == independent_checksum(dialect.protocol.checksum.kind, covered)
@@ -182,7 +182,7 @@ class SpoiltPort:
     """Answers SDO requests as an emulated drive does, but not always as it should."""
 
     def __init__(self, dice: random.Random) -> None:
-        self.drive = EmulatedDrive(1, None, 0.5)
+        self.drive = EmulatedCia402Drive(1, None, 0.5)
         self.drive._refresh = lambda: None
         self.dice = dice
         self.replies: list[bytes] = []

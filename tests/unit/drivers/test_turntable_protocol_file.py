@@ -7,7 +7,7 @@ import pytest
 from hil.config.load import configs_folder, load_protocol, load_rig, shipped
 from hil.core.clock import WallClock
 from hil.drivers.turntable.ascii.driver import AsciiTurntable
-from hil.drivers.turntable.ascii.protocol import DEVICE, Dialect
+from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiProtocol
 from hil.errors import BadInput, FaultKind
 
 
@@ -84,7 +84,7 @@ def test_counts_and_another_checksum_need_no_code(tmp_path):
     ):
         text = text.replace(old, new)
     (tmp_path / "mine.toml").write_text(text)
-    dialect = Dialect(load_protocol(str(tmp_path / "mine.toml")).value)
+    dialect = AsciiProtocol(load_protocol(str(tmp_path / "mine.toml")).value)
     values = {("position", 2): 0.017453292519943295, ("rate", 2): 0.0}
     body = "PA3=10000;VA3=0;"
     assert dialect.request(0, dialect.lines["set"][0], 2, values) == f"{body}^{sum(body.encode()) % 256:02X}\r".encode()
@@ -92,7 +92,7 @@ def test_counts_and_another_checksum_need_no_code(tmp_path):
 
 def test_controller_without_torque_off_has_no_such_fault(tmp_path):
     path = altered(tmp_path, "torque_off = 0x0100", "")
-    assert Dialect(load_protocol(path).value).fault_kind(0x0100) is FaultKind.OTHER
+    assert AsciiProtocol(load_protocol(path).value).fault_kind(0x0100) is FaultKind.OTHER
 
 
 def test_rig_file_names_a_protocol_file_beside_it(tmp_path):
@@ -123,6 +123,6 @@ def test_axis_that_must_home_needs_a_command_for_it(tmp_path):
 
 def test_ignored_field_takes_whatever_stands_there(tmp_path):
     path = altered(tmp_path, '"IDN {model} {serial} 3"', '"IDN {model} {ignore} 3"')
-    dialect = Dialect(load_protocol(path).value)
+    dialect = AsciiProtocol(load_protocol(path).value)
     told = dialect.take_reply("IDN X some words here 3", dialect.lines["identify"][0], DEVICE)
     assert told["model", DEVICE] == "X"

@@ -15,8 +15,8 @@ from hil.drivers.vmu.codec import (
     HEADER,
     STATUS_NO_POSE,
     Decoded,
-    Decoder,
-    Identity,
+    PoseDecoder,
+    VmuIdentity,
     crc16,
     encode,
     encode_identity,
@@ -67,7 +67,7 @@ def test_frame_is_encoded_to_the_transcript() -> None:
 
 
 def test_transcript_is_decoded_to_its_numbers() -> None:
-    (decoded,) = Decoder().feed(TRANSCRIPT, 1.25)
+    (decoded,) = PoseDecoder().feed(TRANSCRIPT, 1.25)
     assert decoded.status == 0
     frame = decoded.pose
     assert frame is not None
@@ -80,20 +80,20 @@ def test_transcript_is_decoded_to_its_numbers() -> None:
 
 def test_every_place_of_the_covariance_survives_the_wire() -> None:
     half = np.arange(36.0).reshape(6, 6)
-    (decoded,) = Decoder().feed(encode(pose(covariance=half + half.T)), 0.0)
+    (decoded,) = PoseDecoder().feed(encode(pose(covariance=half + half.T)), 0.0)
     assert decoded.pose is not None
     np.testing.assert_array_equal(decoded.pose.covariance, half + half.T)
 
 
 def test_frame_cut_into_single_bytes_is_received_with_its_last_byte() -> None:
-    decoder = Decoder()
+    decoder = PoseDecoder()
     found = [frame for i in range(FRAME_BYTES) for frame in decoder.feed(TRANSCRIPT[i : i + 1], float(i))]
     assert [frame.pose and frame.pose.received_s for frame in found] == [FRAME_BYTES - 1.0]
     assert decoder.skipped_bytes == 0
 
 
 def test_frame_without_a_pose_is_told_from_a_broken_one() -> None:
-    decoder = Decoder()
+    decoder = PoseDecoder()
     (decoded,) = decoder.feed(encode_status(9, 2.0, STATUS_NO_POSE), 2.1)
     assert decoded == Decoded(9, 2.0, STATUS_NO_POSE, None)
     assert decoder.invalid == 0
@@ -101,7 +101,7 @@ def test_frame_without_a_pose_is_told_from_a_broken_one() -> None:
 
 @pytest.mark.parametrize("cut", [1, 3, 4, 80, FRAME_BYTES - 1])
 def test_truncated_frame_does_not_take_the_next_one_with_it(cut: int) -> None:
-    decoder = Decoder()
+    decoder = PoseDecoder()
     assert counters_of(decoder.feed(TRANSCRIPT[:cut] + encode(pose(8)), 0.0)) == [8]
     assert decoder.skipped_bytes == cut
 
@@ -109,7 +109,7 @@ def test_truncated_frame_does_not_take_the_next_one_with_it(cut: int) -> None:
 def test_false_header_inside_a_broken_frame_does_not_swallow_good_frames() -> None:
     broken = bytearray(TRANSCRIPT)
     broken[20:24] = broken[156:160] = HEADER
-    decoder = Decoder()
+    decoder = PoseDecoder()
     assert counters_of(decoder.feed(bytes(broken) + encode(pose(8)) + encode(pose(9)), 0.0)) == [8, 9]
     assert decoder.crc_errors == 3
 
@@ -117,21 +117,21 @@ def test_false_header_inside_a_broken_frame_does_not_swallow_good_frames() -> No
 def test_corrupted_length_is_not_trusted() -> None:
     broken = bytearray(TRANSCRIPT)
     broken[3] = 0xFF
-    decoder = Decoder()
+    decoder = PoseDecoder()
     assert counters_of(decoder.feed(bytes(broken) + encode(pose(8)), 0.0)) == [8]
     assert decoder.skipped_bytes == FRAME_BYTES
 
 
 def test_sync_pattern_as_content_passes_unharmed() -> None:
     counter = int.from_bytes(HEADER, "little")
-    assert counters_of(Decoder().feed(encode(pose(counter)) * 2, 0.0)) == [counter] * 2
+    assert counters_of(PoseDecoder().feed(encode(pose(counter)) * 2, 0.0)) == [counter] * 2
 
 
 @pytest.mark.parametrize("bit", [0, 7, 100, 8 * 155])
 def test_every_flipped_bit_after_the_header_is_a_crc_error(bit: int) -> None:
     broken = bytearray(TRANSCRIPT)
     broken[4 + bit // 8] ^= 1 << bit % 8
-    decoder = Decoder()
+    decoder = PoseDecoder()
     assert decoder.feed(bytes(broken), 0.0) == []
     assert (decoder.crc_errors, decoder.invalid) == (1, 0)
 
@@ -149,7 +149,7 @@ def test_every_flipped_bit_after_the_header_is_a_crc_error(bit: int) -> None:
     ],
 )
 def test_impossible_content_is_refused(changes: dict[str, object]) -> None:
-    decoder = Decoder()
+    decoder = PoseDecoder()
     assert decoder.feed(encode(pose(**changes)), 0.0) == []
     assert (decoder.invalid, decoder.crc_errors, decoder.skipped_bytes) == (1, 0, 0)
 
@@ -157,7 +157,7 @@ def test_impossible_content_is_refused(changes: dict[str, object]) -> None:
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.one_of(st.binary(max_size=400), st.just(TRANSCRIPT), st.just(HEADER), st.just(TRANSCRIPT[:90]))))
 def test_any_bytes_are_survived_and_accounted_for(chunks: list[bytes]) -> None:
-    decoder, whole = Decoder(), Decoder()
+    decoder, whole = PoseDecoder(), PoseDecoder()
     found = [frame for chunk in chunks for frame in decoder.feed(chunk, 0.0)]
     kept = sum(map(len, chunks)) - decoder.skipped_bytes - FRAME_BYTES * (len(found) + decoder.invalid)
     assert 0 <= kept < FRAME_BYTES
@@ -170,7 +170,7 @@ def test_good_frame_after_garbage_is_found_by_the_second_frame_at_the_latest() -
     rng = random.Random(4)
     for _ in range(200):
         garbage = rng.choice((rng.randbytes(rng.randrange(400)), HEADER * rng.randrange(90), TRANSCRIPT[::-1]))
-        decoder = Decoder()
+        decoder = PoseDecoder()
         assert counters_of(decoder.feed(garbage + encode(pose(1)) + encode(pose(2)), 0.0)) == [1, 2]
 
 
@@ -184,9 +184,9 @@ IDENTITY_TRANSCRIPT = bytes.fromhex(
 
 
 def test_identity_is_encoded_to_the_transcript_and_back() -> None:
-    identity = Identity("acme", "VMU-0007", "1.4")
+    identity = VmuIdentity("acme", "VMU-0007", "1.4")
     assert encode_identity(identity) == IDENTITY_TRANSCRIPT
-    decoder = Decoder()
+    decoder = PoseDecoder()
     assert counters_of(decoder.feed(TRANSCRIPT + IDENTITY_TRANSCRIPT + encode(pose(8)), 0.0)) == [7, 8]
     assert decoder.identity == identity
     assert (decoder.skipped_bytes, decoder.crc_errors) == (0, 0)
@@ -195,7 +195,7 @@ def test_identity_is_encoded_to_the_transcript_and_back() -> None:
 def test_damaged_identity_is_no_identity() -> None:
     damaged = bytearray(IDENTITY_TRANSCRIPT)
     damaged[22] ^= 1
-    decoder = Decoder()
+    decoder = PoseDecoder()
     assert counters_of(decoder.feed(bytes(damaged) + encode(pose(8)), 0.0)) == [8]
     assert (decoder.identity, decoder.crc_errors) == (None, 1)
 
@@ -204,7 +204,7 @@ def test_damaged_identity_is_no_identity() -> None:
 def test_frame_of_a_length_that_its_type_does_not_have_is_counted_as_such(length: int) -> None:
     broken = bytearray(TRANSCRIPT)
     broken[3] = length
-    decoder = Decoder()
+    decoder = PoseDecoder()
     assert counters_of(decoder.feed(bytes(broken) + encode(pose(8)), 0.0)) == [8]
     assert (decoder.wrong_length, decoder.crc_errors, decoder.skipped_bytes) == (1, 0, FRAME_BYTES)
 
@@ -213,7 +213,7 @@ def test_frame_of_a_length_that_its_type_does_not_have_is_counted_as_such(length
 def test_a_million_mutated_frames_hide_no_good_one() -> None:
     """Every thousandth frame is good and comes out at once. Of damaged ones one in 2^16 passes the CRC: about 15."""
     rng = random.Random(22)
-    decoder = Decoder()
+    decoder = PoseDecoder()
     right = (TRANSCRIPT, TRANSCRIPT, TRANSCRIPT, IDENTITY_TRANSCRIPT)
     passed = 0
     for i in range(1_000_000):

@@ -8,7 +8,7 @@ import pytest
 from hil.config.scenario import Scenario
 from hil.core.messages import new
 from hil.dynamics import moon_gravity
-from hil.dynamics.held_gravity import HELD, follow_perturbation
+from hil.dynamics.held_gravity import CACHED_GRAVITY, follow_perturbation
 from hil.params import gnc as gnc_params
 from tests.support import moon_reference as reference
 
@@ -66,7 +66,7 @@ def test_pull_between_two_evaluations_is_that_of_the_place(scheme_2: Scenario, d
     dss, field, truth = gnc_params.dss(scheme_2), gnc_params.field(scheme_2), gnc_params.initial_truth(scheme_2)
     r, v, near = truth.r_T_I.copy(), truth.v_T_I.copy(), np.empty(3)
     rho, rate = np.array([7.0, -5.0, 4.0]), np.array([0.02, 0.03, -0.01])
-    span, step, evaluated = new(HELD), np.empty((4, 3)), 0
+    span, step, evaluated = new(CACHED_GRAVITY), np.empty((4, 3)), 0
     moon_gravity.acceleration(dss.gravity, field, 0.0, r, near)
     for k in range(60):
         t = k * dt

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_THRUSTERS, TRUTH, new
 from hil.dynamics import truth as truth_kernels
-from hil.dynamics.held_gravity import HELD
+from hil.dynamics.held_gravity import CACHED_GRAVITY
 from hil.dynamics.imu import IMU_NOISE, IMU_PARAMS, sample
 from hil.maths.random_streams import NormalRows, stream
 from hil.params import gnc as gnc_params
@@ -74,7 +74,7 @@ def test_gyro_sees_the_mean_rate_of_a_step_and_not_its_end(plain_1: Scenario) ->
     on[:2] = [1, 0]
     on[5] = 1  # +x at +y and -x at -y: a turn about -z
     before = truth.w_CI_C.copy()
-    truth_kernels.step(dss, NO_FIELD, new(HELD), truth, on)
+    truth_kernels.step(dss, NO_FIELD, new(CACHED_GRAVITY), truth, on)
     sample(perfect, truth, np.zeros(12), imu)
     # thrust, and with it the angular acceleration, is constant over the step
     np.testing.assert_allclose(imu.rate_C, 0.5 * (before + truth.w_CI_C), rtol=1e-5)
@@ -85,11 +85,11 @@ def test_accelerometer_feels_thrust_and_not_gravity(plain_1: Scenario) -> None:
     dss, truth, imu = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1), new(IMU)
     dss.minimum_on_s = 0.0
     on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
-    truth_kernels.step(dss, NO_FIELD, new(HELD), truth, on)
+    truth_kernels.step(dss, NO_FIELD, new(CACHED_GRAVITY), truth, on)
     sample(new(IMU_PARAMS), truth, np.zeros(12), imu)
     np.testing.assert_array_equal(imu.force_C, 0.0)
     on[0] = 1
-    truth_kernels.step(dss, NO_FIELD, new(HELD), truth, on)
+    truth_kernels.step(dss, NO_FIELD, new(CACHED_GRAVITY), truth, on)
     sample(new(IMU_PARAMS), truth, np.zeros(12), imu)
     force = plain_1.chaser.thrusters.force_n / plain_1.chaser.mass_kg
     np.testing.assert_allclose(imu.force_C, [force, 0.0, 0.0])

@@ -13,7 +13,7 @@ from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.held_gravity import HELD
+from hil.dynamics.held_gravity import CACHED_GRAVITY
 from hil.maths import quat
 from hil.params import gnc as gnc_params
 from tests.support import moon_reference as reference
@@ -47,7 +47,7 @@ def inertial(truth: np.record) -> tuple[np.ndarray, np.ndarray]:
 def fly(scenario: Scenario, span_s: float, step_s: float, on: np.ndarray = QUIET) -> np.record:
     """Return TRUTH after ``span_s`` in steps of ``step_s``."""
     params, field, truth = gnc_params.dss(scenario), gnc_params.field(scenario), gnc_params.initial_truth(scenario)
-    span = new(HELD)
+    span = new(CACHED_GRAVITY)
     params.dt_s = step_s
     for _ in range(round(span_s / step_s)):
         kernels.step(params, field, span, truth, on)
@@ -88,7 +88,7 @@ def test_halving_the_step_changes_nothing_that_matters(scheme_2: Scenario) -> No
 
 def test_jacobi_constant_holds_about_the_turning_moon(drift: Scenario) -> None:
     params, field, truth = gnc_params.dss(drift), gnc_params.field(drift), gnc_params.initial_truth(drift)
-    span = new(HELD)
+    span = new(CACHED_GRAVITY)
     params.gravity.rate = 1e-4  # a Moon that turns visibly
     spin = np.array([0.0, 0.0, params.gravity.rate])
 
@@ -111,7 +111,7 @@ def test_jacobi_constant_holds_about_the_turning_moon(drift: Scenario) -> None:
 
 def test_recorded_rate_of_hill_is_that_of_the_recorded_frame(drift: Scenario) -> None:
     params, field, truth = gnc_params.dss(drift), gnc_params.field(drift), gnc_params.initial_truth(drift)
-    span = new(HELD)
+    span = new(CACHED_GRAVITY)
     frames, rates = [], []
     for _ in range(101):
         frames.append(quat.to_matrix(truth.q_HI))
@@ -140,7 +140,7 @@ def test_near_the_target_on_a_circle_the_motion_is_hills(plain_2: Scenario) -> N
 
 def test_plain_hill_keeps_its_numbers_to_the_last_bit(plain_2: Scenario) -> None:
     params, field, truth = gnc_params.dss(plain_2), gnc_params.field(plain_2), gnc_params.initial_truth(plain_2)
-    span = new(HELD)
+    span = new(CACHED_GRAVITY)
     for i in range(500):
         on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
         if i % 7 < 3:
@@ -172,7 +172,7 @@ def test_attitude_against_hill_follows_from_the_inertial_one(scheme_2: Scenario)
 
 def test_attitude_keeps_its_sign_along_a_whole_orbit(scheme_2: Scenario) -> None:
     params, field, truth = gnc_params.dss(scheme_2), gnc_params.field(scheme_2), gnc_params.initial_truth(scheme_2)
-    span = new(HELD)
+    span = new(CACHED_GRAVITY)
     params.dt_s = 1.0
     before = truth.q_CH.copy(), truth.q_HI.copy()
     for _ in range(round(ORBIT_S)):

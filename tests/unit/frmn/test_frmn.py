@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hil.errors import ProtocolError
-from hil.frmn.mailbox import NOTHING, Block
+from hil.frmn.mailbox import NOTHING, MailboxBlock
 from hil.frmn.ring import Ring
 from hil.frmn.slots import Slots
 
@@ -28,8 +28,8 @@ def value(n: int) -> np.ndarray:
 
 
 @pytest.fixture
-def block() -> Iterator[Block]:
-    block = Block.create(CELLS)
+def block() -> Iterator[MailboxBlock]:
+    block = MailboxBlock.create(CELLS)
     yield block
     block.close()
 
@@ -62,7 +62,7 @@ def during_copies(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], Non
     return set_up
 
 
-def test_reader_gets_the_newest_value_its_number_and_the_writers_time(block: Block) -> None:
+def test_reader_gets_the_newest_value_its_number_and_the_writers_time(block: MailboxBlock) -> None:
     into = value(99)
     assert block["rails"].read(into) == (0, 0.0)
     assert into == value(99)
@@ -72,7 +72,7 @@ def test_reader_gets_the_newest_value_its_number_and_the_writers_time(block: Blo
         assert into == value(n)
 
 
-def test_cells_of_a_block_are_apart(block: Block) -> None:
+def test_cells_of_a_block_are_apart(block: MailboxBlock) -> None:
     block["rails"].write(value(1), 1.0)
     block["turntable"].write(np.array([7.0]), 2.0)
     turntable, rails = np.zeros(1), value(0)
@@ -81,14 +81,14 @@ def test_cells_of_a_block_are_apart(block: Block) -> None:
     assert (turntable[0], rails["n"][0]) == (7.0, 1)
 
 
-def test_record_of_another_size_is_refused(block: Block) -> None:
+def test_record_of_another_size_is_refused(block: MailboxBlock) -> None:
     with pytest.raises(ValueError, match="memoryview assignment"):
         block["rails"].write(np.zeros(1), 0.0)
 
 
 def test_second_user_of_the_descriptor_sees_what_the_first_writes_and_outlives_it() -> None:
-    first = Block.create(CELLS)
-    second = Block(os.dup(first.descriptor), CELLS)
+    first = MailboxBlock.create(CELLS)
+    second = MailboxBlock(os.dup(first.descriptor), CELLS)
     first["rails"].write(value(5), 1.5)
     first.close()
     first.close()
@@ -99,15 +99,15 @@ def test_second_user_of_the_descriptor_sees_what_the_first_writes_and_outlives_i
 
 
 @pytest.mark.parametrize("other", [{"rails": VALUE}, {"turntable": np.dtype("f8"), "rails": VALUE}])
-def test_user_with_another_layout_is_refused(block: Block, other: dict[str, np.dtype]) -> None:
+def test_user_with_another_layout_is_refused(block: MailboxBlock, other: dict[str, np.dtype]) -> None:
     descriptor = os.dup(block.descriptor)
     with pytest.raises(ProtocolError, match=r"frmn: shared memory of .*(another layout|expected)"):
-        Block(descriptor, other)
+        MailboxBlock(descriptor, other)
     os.close(descriptor)
 
 
 def test_reader_overtaken_by_the_writer_tries_again_and_returns_no_torn_value(
-    block: Block, during_copies: Callable[[Callable[[], None]], None]
+    block: MailboxBlock, during_copies: Callable[[Callable[[], None]], None]
 ) -> None:
     cell, left = block["rails"], [3]
 
@@ -126,7 +126,7 @@ def test_reader_overtaken_by_the_writer_tries_again_and_returns_no_torn_value(
 
 
 def test_reader_of_a_writer_that_does_nothing_but_write_gives_up_and_says_so(
-    block: Block, during_copies: Callable[[Callable[[], None]], None]
+    block: MailboxBlock, during_copies: Callable[[Callable[[], None]], None]
 ) -> None:
     cell = block["rails"]
     cell.write(value(1), 1.0)
@@ -135,7 +135,7 @@ def test_reader_of_a_writer_that_does_nothing_but_write_gives_up_and_says_so(
         cell.read(value(0))
 
 
-def test_cell_says_who_wrote_it_and_how_old_it_is(block: Block) -> None:
+def test_cell_says_who_wrote_it_and_how_old_it_is(block: MailboxBlock) -> None:
     into = value(0)
     assert block["rails"].look(into) == NOTHING
     assert block["rails"].look(into).age_s(3.0) == math.inf
@@ -145,7 +145,7 @@ def test_cell_says_who_wrote_it_and_how_old_it_is(block: Block) -> None:
     assert stamp.age_s(3.0) == 1.5
 
 
-def test_value_that_somebody_else_spoilt_is_not_given(block: Block) -> None:
+def test_value_that_somebody_else_spoilt_is_not_given(block: MailboxBlock) -> None:
     cell = block["rails"]
     cell.write(value(1), 1.0)
     cell._slots._bytes[30] ^= 1
@@ -153,7 +153,7 @@ def test_value_that_somebody_else_spoilt_is_not_given(block: Block) -> None:
         cell.read(value(0))
 
 
-def test_second_writer_of_a_cell_is_refused_while_the_first_is_alive(block: Block) -> None:
+def test_second_writer_of_a_cell_is_refused_while_the_first_is_alive(block: MailboxBlock) -> None:
     with subprocess.Popen(["sleep", "60"]) as other:
         block["rails"].write(value(1), 1.0)
         slots = block["rails"]._slots
@@ -170,14 +170,14 @@ def test_second_writer_of_a_cell_is_refused_while_the_first_is_alive(block: Bloc
 
 
 @contextmanager
-def another_user(block: Block) -> Iterator[Block]:
+def another_user(block: MailboxBlock) -> Iterator[MailboxBlock]:
     """Give another user of the same memory."""
-    other = Block(os.dup(block.descriptor), CELLS)
+    other = MailboxBlock(os.dup(block.descriptor), CELLS)
     yield other
     other.close()
 
 
-def test_writer_killed_in_the_middle_of_a_value_leaves_the_whole_one_before_it(block: Block) -> None:
+def test_writer_killed_in_the_middle_of_a_value_leaves_the_whole_one_before_it(block: MailboxBlock) -> None:
     cell = block["rails"]
     cell.write(value(1), 1.0)
     cell.write(value(2), 2.0)

@@ -15,11 +15,11 @@ from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT
 from hil.errors import BadInput
 from hil.frmn import wire
 from hil.frmn.clock_offset import ClockOffset
-from hil.frmn.datagram_stats import Tally
+from hil.frmn.datagram_stats import DatagramStats
 from hil.frmn.link import Arrival, Link
-from hil.frmn.mailboxes import CELLS, Role
+from hil.frmn.mailboxes import MAILBOXES, Role
 from hil.frmn.udp import Address, parse_address
-from hil.frmn.wire import Kind
+from hil.frmn.wire import DatagramKind
 from tests.unit.frmn.test_frmn_wire import good_ones, nonsense
 
 LOCAL: Address = ("127.0.0.1", 0)
@@ -47,25 +47,25 @@ def until(happens: Callable[[], object], *links: Link) -> None:
     while not happens():
         assert time.monotonic() < give_up_s
         for link in links:
-            link.tend()
+            link.service()
             link.poll()
         time.sleep(0.001)
 
 
 def joined(bench: Link, gnc: Link) -> None:
     until(lambda: bench.joined, bench, gnc)
-    bench.send("gnc.setup", np.zeros(1, CELLS["gnc.setup"].dtype))
+    bench.send("gnc.setup", np.zeros(1, MAILBOXES["gnc.setup"].dtype))
     until(lambda: gnc.joined, gnc)
 
 
 def hello(writer: int, offers: tuple[str, ...] = ("gnc.output",), role: Role = Role.GNC) -> bytes:
-    return wire.pack(Kind.HELLO, wire.hello_payload(role, "other", offers, ("gnc.input",)), writer, 1, 0.0)
+    return wire.pack(DatagramKind.HELLO, wire.hello_payload(role, "other", offers, ("gnc.input",)), writer, 1, 0.0)
 
 
 def output(writer: int, sequence: int, cycle: int = 0) -> bytes:
     record = np.zeros(1, GNC_OUTPUT)
     record["cycle"] = cycle
-    return wire.pack(Kind.CELL, record.tobytes(), writer, sequence, 0.0, CELLS["gnc.output"])
+    return wire.pack(DatagramKind.CELL, record.tobytes(), writer, sequence, 0.0, MAILBOXES["gnc.output"])
 
 
 def test_cells_arrive_once_in_order_with_the_writers_time(bench: Link, gnc: Link) -> None:
@@ -110,7 +110,9 @@ def test_bench_without_a_peer_sends_nothing(bench: Link) -> None:
 def test_goodbye_stands_also_where_the_port_is_closed_behind_it(bench: Link, gnc: Link) -> None:
     joined(bench, gnc)
     bench.close("the run is over")
-    gnc.send("gnc.output", np.zeros(1, CELLS["gnc.output"].dtype))  # meets the closed port before the goodbye is read
+    gnc.send(
+        "gnc.output", np.zeros(1, MAILBOXES["gnc.output"].dtype)
+    )  # meets the closed port before the goodbye is read
     time.sleep(0.05)
     gnc.poll()
     gnc.poll()
@@ -197,7 +199,7 @@ def test_sender_from_another_address_than_the_expected_is_unknown() -> None:
 
 def test_cell_that_this_side_writes_is_refused_from_the_other(bench: Link) -> None:
     bench.take(hello(1), THERE, 0.0)
-    datagram = wire.pack(Kind.CELL, bytes(GNC_INPUT.itemsize), 1, 1, 0.0, CELLS["gnc.input"])
+    datagram = wire.pack(DatagramKind.CELL, bytes(GNC_INPUT.itemsize), 1, 1, 0.0, MAILBOXES["gnc.input"])
     assert bench.take(datagram, THERE, 0.0) is None
     assert bench.counters()["second_writer"] == 1
     assert list(bench.complaints) == ["127.0.0.1:5 sends the cell gnc.input, but this side writes it"]
@@ -227,8 +229,8 @@ def test_side_of_another_version_hears_why_it_is_refused(bench: Link) -> None:
         until(lambda: bench.counters()["other_version"], bench)
         datagram = other.recv(2048)
         header = wire.unpack(datagram)
-        assert isinstance(header, wire.Header)
-        assert header.kind is Kind.REFUSED
+        assert isinstance(header, wire.DatagramHeader)
+        assert header.kind is DatagramKind.REFUSED
         assert wire.read_word(datagram[32:]) == (1, "this side speaks version 1 of the protocol")
 
 
@@ -243,7 +245,7 @@ def test_refusal_is_kept_for_whoever_wants_to_know(bench: Link, gnc: Link) -> No
 
 @pytest.mark.parametrize("order", list(itertools.permutations(range(4))))
 def test_numbers_in_any_order_are_counted_right(order: tuple[int, ...]) -> None:
-    tally = Tally()
+    tally = DatagramStats()
     tally.take(0)
     newest = 0
     for number in (1 + n for n in order):
@@ -255,14 +257,14 @@ def test_numbers_in_any_order_are_counted_right(order: tuple[int, ...]) -> None:
 
 
 def test_lost_numbers_are_counted_across_the_end_of_the_counter() -> None:
-    tally = Tally()
+    tally = DatagramStats()
     for number in (2**32 - 2, 2**32 - 1, 1, 2):
         assert tally.take(number)
     assert (tally.received, tally.lost) == (4, 1)
 
 
 def test_number_from_long_ago_is_no_news() -> None:
-    tally = Tally()
+    tally = DatagramStats()
     tally.take(1)
     tally.take(1000)
     assert not tally.take(2)

@@ -8,9 +8,9 @@ import numpy as np
 
 from hil.core.messages import CYCLE
 from hil.frmn.link import Link
-from hil.frmn.mailboxes import CELLS, GNC_FILTERS, Role
+from hil.frmn.mailboxes import GNC_FILTERS, MAILBOXES, Role
 from hil.frmn.mirror import MIRRORED, Mirror
-from hil.gnc_backends.udp_receiver import Inbox
+from hil.gnc_backends.udp_receiver import ReceiveBuffers
 
 
 class Rows:
@@ -29,9 +29,9 @@ def test_cells_that_are_wanted_arrive_with_what_the_cycle_had() -> None:
     mirror = Mirror(inner, bench, lambda: "running", lambda: 3)
     row = np.zeros(1, CYCLE)
     mirror.put(row)  # nobody is there yet
-    viewer.tend()
+    viewer.service()
     viewer_is_there(bench)
-    bench.send("gnc.setup", np.zeros(1, CELLS["gnc.setup"].dtype))
+    bench.send("gnc.setup", np.zeros(1, MAILBOXES["gnc.setup"].dtype))
     row["t_s"], row["lateness_s"], row["truth"]["mass_kg"], row["setpoint"]["rail_m"] = 0.02, 1e-5, 999.0, 3.0
     mirror.put(row)
     time.sleep(0.02)
@@ -53,7 +53,7 @@ def viewer_is_there(bench: Link) -> None:
 
 
 def test_filters_that_are_told_again_do_not_count_in_a_later_cycle() -> None:
-    inbox, told = Inbox(), np.zeros(1, GNC_FILTERS)
+    inbox, told = ReceiveBuffers(), np.zeros(1, GNC_FILTERS)
     told["cycle"] = 7
     inbox.take_filters(told)
     assert inbox.filters_of == 7

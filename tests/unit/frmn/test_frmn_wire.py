@@ -10,16 +10,16 @@ import pytest
 
 from hil.core.gnc_records import GNC_OUTPUT
 from hil.frmn import wire
-from hil.frmn.mailboxes import BY_NUMBER, CELLS, Role, layout_of
-from hil.frmn.wire import Fault, Kind
+from hil.frmn.mailboxes import BY_NUMBER, MAILBOXES, Role, layout_of
+from hil.frmn.wire import DatagramKind, Fault
 
-OUTPUT = CELLS["gnc.output"]
+OUTPUT = MAILBOXES["gnc.output"]
 
 
 def output(cycle: int) -> bytes:
     record = np.zeros(1, GNC_OUTPUT)
     record["cycle"] = cycle
-    return wire.pack(Kind.CELL, record.tobytes(), 7, 1, 2.5, OUTPUT)
+    return wire.pack(DatagramKind.CELL, record.tobytes(), 7, 1, 2.5, OUTPUT)
 
 
 def changed(datagram: bytes, offset: int, replacement: bytes) -> bytes:
@@ -31,7 +31,7 @@ def changed(datagram: bytes, offset: int, replacement: bytes) -> bytes:
 
 
 def test_datagram_is_what_the_page_says() -> None:
-    datagram = wire.pack(Kind.HEARTBEAT, wire.heartbeat_payload(1.0, 2.0), 0x01020304, 5, 0.5)
+    datagram = wire.pack(DatagramKind.HEARTBEAT, wire.heartbeat_payload(1.0, 2.0), 0x01020304, 5, 0.5)
     assert datagram.hex(" ", 4) == (
         "46524d4e dc90bc2b 01030000 10000000 04030201 05000000 00000000 0000e03f 00000000 0000f03f 00000000 00000040"
     )
@@ -41,14 +41,14 @@ def test_datagram_is_what_the_page_says() -> None:
 def test_header_comes_back_and_the_payload_follows_it() -> None:
     datagram = output(42)
     header = wire.unpack(datagram)
-    assert header == wire.Header(Kind.CELL, OUTPUT, 7, 1, 2.5)
+    assert header == wire.DatagramHeader(DatagramKind.CELL, OUTPUT, 7, 1, 2.5)
     assert np.frombuffer(datagram[32:], GNC_OUTPUT)["cycle"][0] == 42
 
 
 def test_every_cell_fits_an_ethernet_frame_and_has_a_number_of_its_own() -> None:
-    assert len(BY_NUMBER) == len(CELLS)
-    assert all(wire.HEADER.size + kind.dtype.itemsize <= wire.LARGEST for kind in CELLS.values())
-    assert max(wire.HEADER.size + kind.dtype.itemsize for kind in CELLS.values()) == wire.LARGEST
+    assert len(BY_NUMBER) == len(MAILBOXES)
+    assert all(wire.HEADER.size + kind.dtype.itemsize <= wire.LARGEST for kind in MAILBOXES.values())
+    assert max(wire.HEADER.size + kind.dtype.itemsize for kind in MAILBOXES.values()) == wire.LARGEST
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_every_cell_fits_an_ethernet_frame_and_has_a_number_of_its_own() -> None
         (changed(output(1), 12, b"\0\0"), Fault.SIZE),
         (changed(output(1) + b"\0" * 8, 12, struct.pack("<H", 248)), Fault.SIZE),
         (changed(output(1), 14, b"\x01\0"), Fault.LAYOUT),
-        (changed(wire.pack(Kind.HELLO, b"", 1, 1, 0.0), 9, b"\x01"), Fault.SIZE),
+        (changed(wire.pack(DatagramKind.HELLO, b"", 1, 1, 0.0), 9, b"\x01"), Fault.SIZE),
     ],
 )
 def test_each_fault_has_its_name(datagram: bytes, fault: Fault) -> None:
@@ -74,7 +74,7 @@ def test_each_fault_has_its_name(datagram: bytes, fault: Fault) -> None:
 
 
 def test_layout_that_is_not_said_is_not_checked() -> None:
-    assert isinstance(wire.unpack(changed(output(1), 14, b"\0\0")), wire.Header)
+    assert isinstance(wire.unpack(changed(output(1), 14, b"\0\0")), wire.DatagramHeader)
 
 
 def test_layout_tells_other_fields_of_the_same_size_and_not_other_names() -> None:
@@ -130,11 +130,11 @@ def good_ones() -> list[bytes]:
     """Return a datagram of each kind and cell."""
     hello = wire.hello_payload(Role.GNC, "mine", ["gnc.output"], ["gnc.input"])
     return [
-        wire.pack(Kind.HELLO, hello, 1, 1, 0.0),
-        wire.pack(Kind.HEARTBEAT, wire.heartbeat_payload(1.0, 2.0), 1, 1, 0.0),
-        wire.pack(Kind.GOODBYE, wire.word_payload(0, "over"), 1, 1, 0.0),
-        wire.pack(Kind.REFUSED, wire.word_payload(1, "no"), 1, 1, 0.0),
-        *(wire.pack(Kind.CELL, bytes(kind.dtype.itemsize), 1, 1, 0.0, kind) for kind in CELLS.values()),
+        wire.pack(DatagramKind.HELLO, hello, 1, 1, 0.0),
+        wire.pack(DatagramKind.HEARTBEAT, wire.heartbeat_payload(1.0, 2.0), 1, 1, 0.0),
+        wire.pack(DatagramKind.GOODBYE, wire.word_payload(0, "over"), 1, 1, 0.0),
+        wire.pack(DatagramKind.REFUSED, wire.word_payload(1, "no"), 1, 1, 0.0),
+        *(wire.pack(DatagramKind.CELL, bytes(kind.dtype.itemsize), 1, 1, 0.0, kind) for kind in MAILBOXES.values()),
     ]
 
 
@@ -144,8 +144,8 @@ def test_nonsense_is_refused_or_read_and_nothing_else(rng: np.random.Generator) 
         datagram = nonsense(rng, good)
         header = wire.unpack(datagram)
         found.add(header if isinstance(header, Fault) else header.kind)
-        if not isinstance(header, Fault) and header.kind is Kind.HELLO:
+        if not isinstance(header, Fault) and header.kind is DatagramKind.HELLO:
             wire.read_hello(datagram[32:])
-        if not isinstance(header, Fault) and header.kind in (Kind.GOODBYE, Kind.REFUSED):
+        if not isinstance(header, Fault) and header.kind in (DatagramKind.GOODBYE, DatagramKind.REFUSED):
             assert wire.read_word(datagram[32:])[1].isprintable()
-    assert found == {*Fault, *Kind}
+    assert found == {*Fault, *DatagramKind}

@@ -6,9 +6,9 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.core.messages import CYCLE, MAX_POSES, PoseFrame
-from hil.core.observable import Told
+from hil.core.observable import ObservableList
 from hil.drivers.remote.io_layout import ARRIVAL
-from hil.loop.stages import Vision
+from hil.loop.stages import VisionStage
 from hil.params import gnc as gnc_params
 
 
@@ -50,7 +50,7 @@ def frame(counter: int, t_s: float) -> PoseFrame:
 
 def test_frames_are_told_with_the_cycle_that_used_them(mock_rig: Rig) -> None:
     source, told, row = Source(), Rows(), np.zeros(1, CYCLE)
-    vision = Vision(source, gnc_params.stations(mock_rig))
+    vision = VisionStage(source, gnc_params.stations(mock_rig))
     vision.tap = told
 
     def cycle(*frames: PoseFrame) -> list[tuple[int, int]]:
@@ -59,7 +59,7 @@ def test_frames_are_told_with_the_cycle_that_used_them(mock_rig: Rig) -> None:
         return [(int(r["frame"]["counter"]), int(r["cycle"])) for r in told.rows]
 
     source.frames = [frame(1, 9.0)]
-    assert vision.look_away(9.5) == 1  # the bench is armed, the loop is open
+    assert vision.discard_pending(9.5) == 1  # the bench is armed, the loop is open
     assert [int(r["cycle"]) for r in told.rows] == [-1]
     assert cycle() == []
     assert cycle(frame(2, 11.0), frame(3, 11.1)) == [(2, 1), (3, 1)]
@@ -73,7 +73,7 @@ def test_frames_are_told_with_the_cycle_that_used_them(mock_rig: Rig) -> None:
 
 
 def test_a_listener_hears_what_was_and_what_comes() -> None:
-    events: Told[int] = Told([1])
+    events: ObservableList[int] = ObservableList([1])
     heard: list[int] = []
     events.append(2)
     events.tell(heard.append)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, LinkTimeout, SafetyTrip
-from hil.loop.root_cause import cause_behind
+from hil.loop.root_cause import root_cause
 
 OPEN_INTERLOCK = SafetyTrip("io", "interlock", "open", "closed")
 
@@ -37,11 +37,11 @@ def cause_found(fault: BenchError, after_s: float, cause: BenchError = OPEN_INTE
         lines=SimpleNamespace(look=look),
         bench=SimpleNamespace(
             look_at_emergency_input=lambda now_s: None,
-            supervisor=SimpleNamespace(refuse_open=lambda now_s: None),
+            supervisor=SimpleNamespace(interlock_open=lambda now_s: None),
         ),
     )
     rate: Any = SteppedRate()
-    return cause_behind(fault, loop, rate)
+    return root_cause(fault, loop, rate)
 
 
 @pytest.mark.parametrize("text", ["safe torque off", "STO active", ""])

@@ -8,7 +8,7 @@ import pytest
 from hil.config.io import Io
 from hil.core.clock import SimulatedClock, WallClock
 from hil.drivers.io.mock import MockIo
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 from hil.errors import LinkTimeout, SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.safety_io_stage import CLOSING_TIME_S, IoStage
@@ -101,7 +101,7 @@ def test_thrusters_are_mirrored_to_their_lines(desk: Desk) -> None:
 
 
 def test_the_board_carries_the_chain_to_the_drives() -> None:
-    board, clock = AxisBoard.create(), WallClock()
+    board, clock = SharedAxisState.create(), WallClock()
     try:
         assert board.chain_closed(clock)  # nobody has such a device
         board.write_chain(False, clock.now_s())

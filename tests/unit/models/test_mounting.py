@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from hil.config.rig import Rig
 from hil.core.messages import POSE, new
 from hil.maths import quat
-from hil.models.mounting import STATIONS, camera_pose, chaser_pose
+from hil.models.mounting import MOUNTING, camera_pose, chaser_pose
 from hil.params import gnc as gnc_params
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
@@ -18,7 +18,7 @@ IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 @pytest.fixture
 def odd_stations(rng: np.random.Generator) -> np.record:
     """Return stations that leave nothing at zero."""
-    stations = new(STATIONS)
+    stations = new(MOUNTING)
     stations.camera_station = [0.6, -0.1, 0.2]
     stations.ring_station = [-0.3, 0.2, 0.15]
     stations.q_vc, stations.q_th = Rotation.random(2, rng=rng).as_quat()

@@ -12,7 +12,7 @@ from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
 from hil.models import docking_view
 from hil.monitor import render
-from hil.monitor.render import Conditions, Glare, Part, Renderer, film
+from hil.monitor.render import Conditions, Glare, Part, TargetRenderer, film
 from hil.monitor.sources import LOWER, UPPER
 
 DATA = Path(__file__).parents[2] / "data" / "docking"
@@ -52,7 +52,7 @@ def test_edges_stand_where_another_renderer_puts_them(atv: Scene, name: str) -> 
     u0, v0, d, phi = SAMPLES[name]
     sample = cv2.imread(str(DATA / f"{name}.png"), cv2.IMREAD_GRAYSCALE).astype(float)
     height, width = sample.shape
-    drawn = Renderer(atv).draw(np.array(d), np.array(phi)).astype(float)
+    drawn = TargetRenderer(atv).draw(np.array(d), np.array(phi)).astype(float)
     clean = drawn[v0 : v0 + height, u0 : u0 + width]
     down, right = np.gradient(drawn)
     down, right = down[v0 : v0 + height, u0 : u0 + width], right[v0 : v0 + height, u0 : u0 + width]
@@ -75,7 +75,7 @@ def test_the_area_of_a_disc_is_exact_at_any_place(atv: Scene, roll: float) -> No
     scene = with_target(atv, disc=atv.target.disc).model_copy(
         update={"camera": atv.camera.model_copy(update={"sky": 0.0})}
     )
-    renderer = Renderer(scene, conditions=Conditions(blur_px=0.0))
+    renderer = TargetRenderer(scene, conditions=Conditions(blur_px=0.0))
     for shift in (0.0, 0.0123, -0.031):
         d = np.array([shift, -0.5 * shift, 11.0])
         image = renderer.draw(d, np.array([0.0, 0.0, roll])) / 205.0
@@ -92,9 +92,9 @@ def test_an_upright_edge_covers_the_share_of_a_pixel_that_it_should(atv: Scene) 
         scene = with_target(atv, outline=None).model_copy(
             update={"camera": atv.camera.model_copy(update={"sky": 0.0, "cx": 383.5})}
         )
-        line = Renderer(scene, conditions=Conditions(blur_px=0.0, extra=(half,))).draw(np.array([0, 0, 10.0]), AHEAD)[
-            287
-        ]
+        line = TargetRenderer(scene, conditions=Conditions(blur_px=0.0, extra=(half,))).draw(
+            np.array([0, 0, 10.0]), AHEAD
+        )[287]
         right = line[384:]  # its pixels end 1, 2, 3 ... px from the middle of the picture
         np.testing.assert_allclose(right.sum() / 100.0, edge_px, atol=1e-4)
         assert right[int(edge_px) + 1] == 0.0
@@ -102,11 +102,11 @@ def test_an_upright_edge_covers_the_share_of_a_pixel_that_it_should(atv: Scene) 
 
 def test_parts_beyond_the_picture_cover_what_is_inside(atv: Scene) -> None:
     scene = with_target(atv, outline=atv.target.outline)
-    close = Renderer(scene).draw(np.array([0.0, 0.0, 1.3]), AHEAD)
+    close = TargetRenderer(scene).draw(np.array([0.0, 0.0, 1.3]), AHEAD)
     np.testing.assert_allclose(close, 120.0, rtol=1e-6)
     for corner in ((2.0, 0.0), (-2.0, 0.0), (0.0, 2.0), (0.0, -2.0), (1.5, 1.5)):
         d = np.array([*corner, 3.0])
-        image = Renderer(scene, conditions=Conditions(blur_px=0.0)).draw(d, AHEAD)
+        image = TargetRenderer(scene, conditions=Conditions(blur_px=0.0)).draw(d, AHEAD)
         lines, columns = np.mgrid[:576, :768]
         # the outline's plane is 3.4 m away and parallel to the picture
         u, v = 383.5 - 1100.0 * corner[0] / 3.4, 287.5 - 1100.0 * corner[1] / 3.4
@@ -116,25 +116,25 @@ def test_parts_beyond_the_picture_cover_what_is_inside(atv: Scene) -> None:
 
 
 def test_what_is_behind_the_camera_is_not_drawn(atv: Scene) -> None:
-    cross = Renderer(with_target(atv, cross=atv.target.cross))
+    cross = TargetRenderer(with_target(atv, cross=atv.target.cross))
     assert cross.draw(np.array([0.0, 0.0, 0.29]), AHEAD).max() == 12.0
-    everything = Renderer(atv).draw(np.array([0.0, 0.0, -5.0]), AHEAD)
+    everything = TargetRenderer(atv).draw(np.array([0.0, 0.0, -5.0]), AHEAD)
     assert np.ptp(everything) == 0.0
-    assert np.isfinite(Renderer(atv).draw(np.array([0.3, 0.2, 0.5]), np.array([1.2, 0.3, 0.1]))).all()
+    assert np.isfinite(TargetRenderer(atv).draw(np.array([0.3, 0.2, 0.5]), np.array([1.2, 0.3, 0.1]))).all()
 
 
 def test_the_cross_moves_before_the_disc_as_the_camera_moves_aside(atv: Scene) -> None:
     d = np.array([0.5, 0.0, 8.0])
     black = atv.camera.model_copy(update={"sky": 0.0})
     scene = with_target(atv, cross=atv.target.cross).model_copy(update={"camera": black})
-    seen = centroid(Renderer(scene).draw(d, AHEAD))
+    seen = centroid(TargetRenderer(scene).draw(d, AHEAD))
     np.testing.assert_allclose(seen, middle_of(atv, d, AHEAD, np.array([0.0, 0.0, 0.3])), atol=5e-3)
     assert seen[0] < middle_of(atv, d, AHEAD, AHEAD)[0] - 2.0
 
 
 def test_noise_is_the_cameras(atv: Scene, rng: np.random.Generator) -> None:
     scene = with_target(atv, outline=atv.target.outline)
-    renderer = Renderer(scene, conditions=Conditions(noise=PixelNoise(read=3.0, k=0.1)))
+    renderer = TargetRenderer(scene, conditions=Conditions(noise=PixelNoise(read=3.0, k=0.1)))
     image = renderer.picture(np.array([0.0, 0.0, 1.3]), AHEAD, 0.0, rng)
     assert image.mean() == pytest.approx(120.0, abs=0.05)
     assert image.var() == pytest.approx(9.0 + 0.1 * 120.0 + 1.0 / 12.0, rel=0.02)
@@ -142,7 +142,7 @@ def test_noise_is_the_cameras(atv: Scene, rng: np.random.Generator) -> None:
 
 def test_a_seed_gives_its_picture_again(atv: Scene) -> None:
     d = np.array([0.1, 0.2, 9.0])
-    one, two = (Renderer(atv).picture(d, AHEAD, 0.0, np.random.default_rng(5)) for _ in range(2))
+    one, two = (TargetRenderer(atv).picture(d, AHEAD, 0.0, np.random.default_rng(5)) for _ in range(2))
     np.testing.assert_array_equal(one, two)
 
 
@@ -151,7 +151,7 @@ def test_light_flicker_glare_black_and_cover_are_what_they_say(atv: Scene, rng: 
     d = np.array([0.0, 0.0, 1.3])
 
     def picture(t_s: float = 0.0, **what: object) -> np.ndarray:
-        return Renderer(scene, conditions=Conditions(noise=QUIET, **what)).picture(d, AHEAD, t_s, rng)  # type: ignore[arg-type]
+        return TargetRenderer(scene, conditions=Conditions(noise=QUIET, **what)).picture(d, AHEAD, t_s, rng)  # type: ignore[arg-type]
 
     sloped = picture(slope_right=0.2, slope_down=-0.1)
     assert (sloped[288, 0], sloped[288, 767]) == (96, 144)
@@ -171,7 +171,7 @@ def test_light_flicker_glare_black_and_cover_are_what_they_say(atv: Scene, rng: 
 
 def test_half_frames_have_their_own_times_and_lines(rng: np.random.Generator) -> None:
     scene = load_scene("bright-cross").value
-    renderer = Renderer(scene, conditions=Conditions(noise=QUIET))
+    renderer = TargetRenderer(scene, conditions=Conditions(noise=QUIET))
 
     def flight(t_s: float) -> tuple[np.ndarray, np.ndarray]:
         return np.array([0.0, 0.0, 9.0 - 1.5 * t_s]), AHEAD
@@ -183,5 +183,5 @@ def test_half_frames_have_their_own_times_and_lines(rng: np.random.Generator) ->
     np.testing.assert_array_equal(frames[3].image, whole[1::2])
     assert frames[3].image.flags.c_contiguous
     assert (frames[3].first_line, frames[3].line_step) == (1, 2)
-    lower_first = Renderer(scene.model_copy(update={"fields": "lower_first"}))
+    lower_first = TargetRenderer(scene.model_copy(update={"fields": "lower_first"}))
     assert [frame.field for frame in film(lower_first, flight, 1, rng)] == [LOWER, UPPER]

@@ -15,10 +15,10 @@ from hil.monitor.frame_result import FAR_QUANTITIES, Result
 from hil.monitor.kernels.derived import quantities
 from hil.monitor.monitor import Monitor
 from hil.monitor.preprocess import bimodal_threshold
-from hil.monitor.render import Conditions, Glare, Part, Renderer, film, rectangle
+from hil.monitor.render import Conditions, Glare, Part, TargetRenderer, film, rectangle
 from hil.monitor.results import QUANTITIES
-from hil.monitor.settings import Settings
-from hil.monitor.sources import Frame
+from hil.monitor.settings import MonitorSettings
+from hil.monitor.sources import VideoFrame
 
 PLAIN = Conditions(noise=PixelNoise(read=3.0, k=0.02))
 
@@ -59,7 +59,7 @@ def watched(
 ) -> tuple[list[Result], Monitor]:
     """Return the portions of a flight and the monitor that watched it."""
     monitor, done = Monitor(scene), []
-    for frame in film(Renderer(scene, conditions=conditions), flight_of(w), frames, np.random.default_rng(seed)):
+    for frame in film(TargetRenderer(scene, conditions=conditions), flight_of(w), frames, np.random.default_rng(seed)):
         done += monitor.feed(frame)
     return done + monitor.finish(), monitor
 
@@ -151,11 +151,13 @@ def test_something_else_gives_never_numbers(atv: Scene, bright: Scene) -> None:
     rng = np.random.default_rng(2)
     for d3 in (4.0, 9.0, 25.0):
         at = motion_at(d3)
-        pictures[f"other ship at {d3} m"] = Renderer(ship, conditions=PLAIN).picture(at[0:6:2], at[6::2], 0.0, rng)
+        pictures[f"other ship at {d3} m"] = TargetRenderer(ship, conditions=PLAIN).picture(
+            at[0:6:2], at[6::2], 0.0, rng
+        )
     for name, picture in pictures.items():
         monitor = Monitor(atv)
         for number in range(2):
-            monitor.feed(Frame(number, 0.08 * number, picture))
+            monitor.feed(VideoFrame(number, 0.08 * number, picture))
             assert monitor.last is not None
             assert not monitor.last.used, name
             assert monitor.last.reason, name
@@ -170,7 +172,7 @@ def test_a_cross_at_another_place_than_the_scene_says_shows_in_sigma_squared(atv
     wrong = atv.target.cross.model_copy(update={"offset_m": 0.36})  # type: ignore[union-attr]
     w = motion_at(6.0)
     monitor, done = Monitor(atv), []
-    renderer = Renderer(atv, atv.target.model_copy(update={"cross": wrong}), PLAIN)
+    renderer = TargetRenderer(atv, atv.target.model_copy(update={"cross": wrong}), PLAIN)
     for frame in film(renderer, flight_of(w), 10, np.random.default_rng(1)):
         done += monitor.feed(frame)
     (portion,) = done
@@ -199,8 +201,8 @@ def test_the_paper_form_gives_the_same_motion_within_the_papers_own_error(atv: S
     """Its relations are of first order in small angles and know no growth of edges: some hundredths of a degree."""
     w = np.zeros(12)
     w[0], w[2], w[4], w[5] = 0.1, -0.1, 6.0, -0.05
-    monitor, done = Monitor(atv, Settings(calculation="paper")), []
-    for frame in film(Renderer(atv, conditions=PLAIN), flight_of(w), 10, np.random.default_rng(1)):
+    monitor, done = Monitor(atv, MonitorSettings(calculation="paper")), []
+    for frame in film(TargetRenderer(atv, conditions=PLAIN), flight_of(w), 10, np.random.default_rng(1)):
         done += monitor.feed(frame)
     error = done[0].values - truth_of(w, done[0].t_s)
     assert abs(error[6]) < 0.003 * 6.0
@@ -220,7 +222,7 @@ def test_the_threshold_parts_two_modes() -> None:
 def test_two_sigmas_cover_as_often_as_they_should(atv: Scene) -> None:
     """800 fresh portions at 1.4 to 40 m, with the accelerations that are allowed for: in 93 to 98.5 % 2 sigmas hold."""
     rng = np.random.default_rng(77)
-    settings = Settings()
+    settings = MonitorSettings()
     sizes = np.repeat([settings.acceleration_mps2, settings.angular_acceleration_radps2], 3)
     rows, end_s = [], 9 / atv.fps
     for _ in range(800):
@@ -234,7 +236,7 @@ def test_two_sigmas_cover_as_often_as_they_should(atv: Scene) -> None:
 
         conditions = replace(PLAIN, noise=PixelNoise(read=float(rng.uniform(1.0, 8.0))))
         monitor, done = Monitor(atv), []
-        for frame in film(Renderer(atv, conditions=conditions), flight, 10, rng):
+        for frame in film(TargetRenderer(atv, conditions=conditions), flight, 10, rng):
             done += monitor.feed(frame)
         assert done[0].frames > 0
         rows.append(ratios(done[0], w))

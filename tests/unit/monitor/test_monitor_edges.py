@@ -11,8 +11,8 @@ from hil.models import docking_view
 from hil.monitor import features
 from hil.monitor.features import ACROSS, DISC, UPRIGHT, parts_of
 from hil.monitor.kernels import edge_samples, edges, pose
-from hil.monitor.kernels.edge_samples import CELL
-from hil.monitor.render import Conditions, Renderer
+from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
+from hil.monitor.render import Conditions, TargetRenderer
 
 Floats = np.ndarray
 
@@ -28,9 +28,9 @@ def fitted(
 ) -> np.ndarray:
     """Return the measured cells of ``image`` at the pose ``at`` (6,)."""
     of = parts_of(scene.camera, scene.target)
-    found, sums = np.zeros(1000, CELL), np.zeros(2)
+    found, sums = np.zeros(1000, EDGE_SAMPLE), np.zeros(2)
     a = docking_view.attitude(at[3:])
-    count = edge_samples.lay_cells(
+    count = edge_samples.place_edge_samples(
         of.lens, a, at[:3].copy(), of.circles, of.lines, of.borders, blur, 8.0, 96, wide_bar * blur, 4.5, found
     )
     edges.fit_cells(image, 0.0, 1.0, found, count, blur, noise, 2, sums)
@@ -45,7 +45,7 @@ def test_edges_are_found_where_the_geometry_has_them(atv: Scene, d3: float) -> N
     leaves 0.02 px of ripple on edges along the lines.
     """
     at = np.array([0.031 * d3, -0.024 * d3, d3, -0.02, -0.03, 0.3])
-    renderer = Renderer(atv, conditions=Conditions(blur_px=0.8, noise=PixelNoise(read=0.5)))
+    renderer = TargetRenderer(atv, conditions=Conditions(blur_px=0.8, noise=PixelNoise(read=0.5)))
     rng = np.random.default_rng(3)
     total: dict[int, list[float]] = {}
     for _ in range(4):
@@ -62,7 +62,7 @@ def test_edges_are_found_where_the_geometry_has_them(atv: Scene, d3: float) -> N
 def test_variances_of_edges_are_those_of_their_scatter(atv: Scene, read: float) -> None:
     """The shifts of many noisy pictures scatter as much as each one's own variance says."""
     at = np.array([0.2, -0.1, 7.0, -0.01, -0.01, 0.3])
-    renderer = Renderer(atv, conditions=Conditions(blur_px=0.8, noise=PixelNoise(read=read, k=0.05)))
+    renderer = TargetRenderer(atv, conditions=Conditions(blur_px=0.8, noise=PixelNoise(read=read, k=0.05)))
     clean = renderer.draw(at[:3], at[3:])
     rng = np.random.default_rng(11)
     ratios = []
@@ -76,7 +76,7 @@ def test_variances_of_edges_are_those_of_their_scatter(atv: Scene, read: float) 
 def test_errors_of_neighbouring_cells_are_independent(atv: Scene) -> None:
     """No pixel belongs to two cells of an edge, so their errors do not go together."""
     at = np.array([0.2, -0.1, 4.0, -0.01, -0.01, 0.03])
-    renderer = Renderer(atv, conditions=Conditions(noise=PixelNoise(read=3.0)))
+    renderer = TargetRenderer(atv, conditions=Conditions(noise=PixelNoise(read=3.0)))
     clean = renderer.draw(at[:3], at[3:])
     rng = np.random.default_rng(12)
     rows = []
@@ -92,7 +92,7 @@ def test_errors_of_neighbouring_cells_are_independent(atv: Scene) -> None:
 def test_a_shifted_pose_is_found_again(atv: Scene) -> None:
     """Gauss-Newton with the exact projection brings a pose some tenths of a pixel off back to the truth."""
     at = np.array([0.2, -0.3, 5.0, -0.08, -0.06, 0.1])
-    renderer = Renderer(atv, conditions=Conditions(noise=PixelNoise(read=1.0)))
+    renderer = TargetRenderer(atv, conditions=Conditions(noise=PixelNoise(read=1.0)))
     image = renderer.picture(at[:3], at[3:], 0.0, np.random.default_rng(1))
     start = np.append(at + np.array((1e-3, -1e-3, 3e-3, 1e-4, -1e-4, 5e-4)), 0.0)
     of = parts_of(atv.camera, atv.target)

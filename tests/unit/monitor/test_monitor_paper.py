@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from hil.models import docking_view
-from hil.monitor.frame_result import Look, PaperFrame
+from hil.monitor.frame_result import FrameResult, PaperFrame
 from hil.monitor.kernels.derived import derive, quantities
 from hil.monitor.motion import MotionFit, transition
 from hil.monitor.paper import paper
 from hil.monitor.paper.motion import PaperMotionFit, pair
 from hil.monitor.results import QUANTITIES, Seen
-from hil.monitor.settings import Settings
+from hil.monitor.settings import MonitorSettings
 
 F, B, R = 1100.0, 0.3, 0.3
 SIGMAS = np.array([0.02, 0.02, 2e-4, 0.01, 0.01, 0.008])
@@ -76,7 +76,7 @@ def test_the_circle_of_noisy_points_is_within_its_covariance(rng: np.random.Gene
     assert np.mean(ratios) == pytest.approx(3.0, abs=0.6)
 
 
-def paper_looks(rng: np.random.Generator, start: int, z: np.ndarray = Z, v: np.ndarray = V) -> list[Look]:
+def paper_looks(rng: np.random.Generator, start: int, z: np.ndarray = Z, v: np.ndarray = V) -> list[FrameResult]:
     """Return ten frames by the paper's simplified relations, 0.1 s apart, of even motion with z, v at 0 s."""
     looks = []
     for k in range(start, start + 10):
@@ -90,16 +90,16 @@ def paper_looks(rng: np.random.Generator, start: int, z: np.ndarray = Z, v: np.n
     return looks
 
 
-def _look(t_s: float, **fields: object) -> Look:
+def _look(t_s: float, **fields: object) -> FrameResult:
     zeros = np.zeros((7, 7))
-    plain = Look(Seen(0, t_s, "near"), "", np.zeros(7), zeros, np.zeros(7), np.array([100.0, 107, 10, 17]), True)
+    plain = FrameResult(Seen(0, t_s, "near"), "", np.zeros(7), zeros, np.zeros(7), np.array([100.0, 107, 10, 17]), True)
     return replace(plain, **fields)
 
 
 @pytest.mark.parametrize("q", [0.0, 0.6])
 def test_one_time_origin_and_one_a_portion_give_the_same_motion(rng: np.random.Generator, q: float) -> None:
     """Carrying z, v and their normal matrices to a new origin changes nothing but the conditioning."""
-    settings = Settings(q=q, q_attitude=q)
+    settings = MonitorSettings(q=q, q_attitude=q)
     one = PaperMotionFit(replace(settings, motion="printed"), F, B, R)
     own = PaperMotionFit(settings, F, B, R)
     for portion in range(4):
@@ -116,7 +116,7 @@ def test_the_mended_covariance_is_that_of_the_errors_and_the_printed_one_is_not(
     squares = {"corrected": np.zeros(6), "printed": np.zeros(6)}
     runs = 150
     for _ in range(runs):
-        fits = {name: PaperMotionFit(Settings(q=0.5, motion=name), F, B, R) for name in squares}
+        fits = {name: PaperMotionFit(MonitorSettings(q=0.5, motion=name), F, B, R) for name in squares}
         results = {}
         for portion in range(5):
             looks = paper_looks(rng, 10 * portion)
@@ -130,7 +130,7 @@ def test_the_mended_covariance_is_that_of_the_errors_and_the_printed_one_is_not(
     assert np.all(squares["printed"] < 0.85 * squares["corrected"])
 
 
-def exact_looks(rng: np.random.Generator, start: int, w: np.ndarray, normal: np.ndarray) -> list[Look]:
+def exact_looks(rng: np.random.Generator, start: int, w: np.ndarray, normal: np.ndarray) -> list[FrameResult]:
     """Return ten frames with poses that scatter by ``normal`` (7, 7) about the motion ``w`` (12,) at 0 s."""
     root = np.linalg.cholesky(np.linalg.inv(normal))
     looks = []
@@ -148,7 +148,7 @@ def test_carried_motion_has_the_errors_that_its_covariance_says(rng: np.random.G
     normal = normal @ (np.eye(7) + 0.05 * (spread + spread.T)) @ normal
     w = np.zeros(12)
     w[0:6], w[6:12] = Z, V
-    settings = Settings(acceleration_mps2=1e-9, angular_acceleration_radps2=1e-9)
+    settings = MonitorSettings(acceleration_mps2=1e-9, angular_acceleration_radps2=1e-9)
     squares, runs = np.zeros(12), 150
     for _ in range(runs):
         fit = MotionFit(settings)

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_scene
-from hil.config.scene import Camera
+from hil.config.scene import SceneCamera
 from hil.errors import BadInput
 from hil.monitor.results import QUANTITIES, Portion, Seen, portion_of, portion_row
 from hil.monitor.screen import drawing, plots
 from hil.monitor.screen.overlay import with_words
 from hil.monitor.screen.screen import HEIGHT, WIDTH, Screen, ScreenFile
-from hil.monitor.sources import LOWER, UPPER, Frame
+from hil.monitor.sources import LOWER, UPPER, VideoFrame
 
-GREY_FRAME = Frame(0, 0.0, np.full((576, 768), 90, np.uint8))
+GREY_FRAME = VideoFrame(0, 0.0, np.full((576, 768), 90, np.uint8))
 SCALE = 600 / 576  # picture to screen
 
 
 @pytest.fixture(scope="module")
-def camera() -> Camera:
+def camera() -> SceneCamera:
     return load_scene("atv").value.camera
 
 
@@ -43,7 +43,7 @@ def around(canvas: np.ndarray, u: float, v: float, reach: int = 2) -> np.ndarray
     return canvas[line - reach : line + reach + 1, column - reach : column + reach + 1]
 
 
-def test_what_was_seen_is_drawn_where_it_was_seen(camera: Camera) -> None:
+def test_what_was_seen_is_drawn_where_it_was_seen(camera: SceneCamera) -> None:
     screen = Screen(camera, "test")
     edges = np.array([[500.0, 400.0], [np.nan, 1.0], [9e9, 0.0]])
     seen = Seen(0, 0.0, "near", (200, 150, 300, 250), edges, (350.0, 275.0, 0.0), (350.0, 275.0, 60.0))
@@ -56,14 +56,14 @@ def test_what_was_seen_is_drawn_where_it_was_seen(camera: Camera) -> None:
     np.testing.assert_array_equal(around(screen.canvas, 600, 500), 90)
 
 
-def test_a_turned_cross_is_drawn_turned(camera: Camera) -> None:
+def test_a_turned_cross_is_drawn_turned(camera: SceneCamera) -> None:
     screen = Screen(camera, "test")
     screen.show_frame(GREY_FRAME, Seen(0, 0.0, "near", cross=(350.0, 275.0, 0.5), disc=(350.0, 275.0, 60.0)))
     assert has(around(screen.canvas, 350 + 40 * np.cos(0.5), 275 - 40 * np.sin(0.5)), drawing.PINK)
     assert not has(around(screen.canvas, 390, 275), drawing.PINK)
 
 
-def test_each_frame_wipes_the_marks_of_the_last(camera: Camera) -> None:
+def test_each_frame_wipes_the_marks_of_the_last(camera: SceneCamera) -> None:
     screen = Screen(camera, "test")
     screen.show_frame(GREY_FRAME, Seen(0, 0.0, "far", outline=(350.0, 275.0, 100.0)))
     screen.show_frame(GREY_FRAME, Seen(1, 0.1, "no_target"))
@@ -72,13 +72,13 @@ def test_each_frame_wipes_the_marks_of_the_last(camera: Camera) -> None:
 
 
 @pytest.mark.parametrize("field", [UPPER, LOWER])
-def test_a_half_frame_fills_the_picture(camera: Camera, field: int) -> None:
+def test_a_half_frame_fills_the_picture(camera: SceneCamera, field: int) -> None:
     screen = Screen(camera, "test")
-    screen.show_frame(Frame(0, 0.0, np.full((288, 768), 77, np.uint8), field), Seen(0, 0.0, "near"))
+    screen.show_frame(VideoFrame(0, 0.0, np.full((288, 768), 77, np.uint8), field), Seen(0, 0.0, "near"))
     np.testing.assert_array_equal(screen.canvas[30:600, :800], 77)
 
 
-def test_what_is_not_observable_leaves_a_gap_in_its_plot_and_no_number(camera: Camera) -> None:
+def test_what_is_not_observable_leaves_a_gap_in_its_plot_and_no_number(camera: SceneCamera) -> None:
     def drawn(portions: list[Portion]) -> tuple[np.ndarray, np.ndarray]:
         screen = Screen(camera, "test")
         for each in portions:
@@ -141,7 +141,7 @@ def test_every_plot_draws_any_history() -> None:
 
 
 @pytest.mark.parametrize("name", ["screen.mp4", "screen.mkv", "screen.avi"])
-def test_a_screen_video_has_every_canvas(tmp_path: Path, camera: Camera, name: str) -> None:
+def test_a_screen_video_has_every_canvas(tmp_path: Path, camera: SceneCamera, name: str) -> None:
     path = str(tmp_path / name)
     screen = Screen(camera, "test")
     with ScreenFile(path, 12.5) as file:
@@ -153,7 +153,7 @@ def test_a_screen_video_has_every_canvas(tmp_path: Path, camera: Camera, name: s
     assert video.read()[1].shape == (HEIGHT, WIDTH, 3)
 
 
-def test_a_screen_picture_is_the_last_canvas(tmp_path: Path, camera: Camera) -> None:
+def test_a_screen_picture_is_the_last_canvas(tmp_path: Path, camera: SceneCamera) -> None:
     path = tmp_path / "screen.png"
     screen = Screen(camera, "test")
     with ScreenFile(str(path), 12.5) as file:

@@ -19,7 +19,7 @@ from hil.drivers.mock_axes import MockAxes
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import ProtocolError
 from hil.preflight import devices, ports
-from hil.preflight.check import Check, all_passed
+from hil.preflight.check import PreflightCheck, all_passed
 from hil.preflight.devices import device_checks
 from hil.preflight.host import HostFacts, host_checks, probe_host
 from hil.preflight.lateness import Lateness, lateness_check, picture, summarise
@@ -41,7 +41,7 @@ CYCLES = 20001
 QUIET = summarise(0.02, np.full(250, 5e-6), 0, "SCHED_FIFO 80")
 
 
-def _check(facts: HostFacts, name: str, on_hardware: bool = True) -> Check:
+def _check(facts: HostFacts, name: str, on_hardware: bool = True) -> PreflightCheck:
     return next(check for check in host_checks(facts, CYCLES, on_hardware) if check.name == name)
 
 
@@ -217,7 +217,7 @@ def bench(mock_rig: Rig) -> tuple[Telltale, Telltale, MockVmu]:
     return rails, turntable, MockVmu(mock_rig.vmu, lambda t_s: replace(pose, t_s=t_s))
 
 
-def _passed(checks: Sequence[Check]) -> list[bool | None]:
+def _passed(checks: Sequence[PreflightCheck]) -> list[bool | None]:
     return [check.passed for check in checks]
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from hil.errors import BadInput
-from hil.recording.catalogue import BROKEN_OFF, DONE, NAME, RUNNING, Catalogue, Wanted
+from hil.recording.catalogue import BROKEN_OFF, DONE, NAME, RUNNING, Catalogue, RecordingFilter
 
 SUMMARY: dict[str, Any] = {
     "passed": True,
@@ -48,7 +48,7 @@ def entry(run: str, started: str = "2026-03-01T12:00:00.000Z", scenario: str = "
     }
 
 
-def names(catalogue: Catalogue, wanted: Wanted) -> list[str]:
+def names(catalogue: Catalogue, wanted: RecordingFilter) -> list[str]:
     return [found["run"] for found in catalogue.runs(wanted)]
 
 
@@ -64,11 +64,11 @@ def test_runs_are_found_by_verdict_scenario_and_date(tmp_path: Path) -> None:
     catalogue.begin(entry("d", "2026-03-04T12:00:00.000Z"))
     catalogue.end("d", "2026-03-04T12:00:01.000Z", BROKEN_OFF, 5, 0, {})
     catalogue.begin(entry("e", "2026-03-05T12:00:00.000Z"))
-    assert names(catalogue, Wanted()) == ["a", "b", "c", "d", "e"]
-    assert names(catalogue, Wanted(failed=True)) == ["b", "d"]
-    assert names(catalogue, Wanted(passed=True)) == ["a", "c"]
-    assert names(catalogue, Wanted(scenario="scheme-2")) == ["c"]
-    assert names(catalogue, Wanted(since="2026-03-03T12:00:00.000Z")) == ["c", "d", "e"]
+    assert names(catalogue, RecordingFilter()) == ["a", "b", "c", "d", "e"]
+    assert names(catalogue, RecordingFilter(failed=True)) == ["b", "d"]
+    assert names(catalogue, RecordingFilter(passed=True)) == ["a", "c"]
+    assert names(catalogue, RecordingFilter(scenario="scheme-2")) == ["c"]
+    assert names(catalogue, RecordingFilter(since="2026-03-03T12:00:00.000Z")) == ["c", "d", "e"]
     found = catalogue.runs()[0]
     assert found["file"] == str(tmp_path / "a.mcap")
     assert found["position_rmse_mm"] == pytest.approx(5.0)
@@ -83,7 +83,7 @@ def test_a_run_whose_process_is_gone_counts_as_broken_off(tmp_path: Path) -> Non
         connection.execute("UPDATE runs SET process = '1 0 another boot'")
     connection.close()
     assert catalogue.runs()[0]["state"] == BROKEN_OFF
-    assert names(catalogue, Wanted(failed=True)) == ["gone"]
+    assert names(catalogue, RecordingFilter(failed=True)) == ["gone"]
 
 
 def test_two_writers_at_once_lose_no_entry(tmp_path: Path) -> None:

@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 
 from hil.core.messages import CYCLE
-from hil.frmn.mailbox import Block
+from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
 from hil.recording.header import file_digests
 from hil.recording.read import contents
 from hil.recording.recorder import CELLS, Recorder, record_until_told
-from hil.recording.writer import Header, RunFile
+from hil.recording.writer import RecordingHeader, RunFile
 
 
 @contextmanager
 def recorder_of(path: Path, slots: int, rows: int) -> Iterator[tuple[RunFile, Recorder]]:
     """Give a recorder whose ring of ``slots`` has seen ``rows`` cycles, of which it has fetched none yet."""
     ring = Ring.create(CYCLE, slots, "cycles")
-    file = RunFile(path, Header({"schema_version": "1"}, {}, 0))
-    block = Block.create(CELLS, "recorder")
+    file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 0))
+    block = MailboxBlock.create(CELLS, "recorder")
     recorder = Recorder(file, {"cycles": ring}, block["state"])
     row = np.zeros(1, CYCLE)
     for k in range(rows):

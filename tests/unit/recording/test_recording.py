@@ -22,7 +22,7 @@ from hil.recording.fields import FIELDS
 from hil.recording.read import contents, load
 from hil.recording.recover import recover
 from hil.recording.schema import NOTE
-from hil.recording.writer import Header, RunFile
+from hil.recording.writer import RecordingHeader, RunFile
 
 STEP_S = 0.02
 
@@ -35,7 +35,7 @@ def rows_of(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def run_file(path: Path, version: str = str(schema.VERSION)) -> RunFile:
-    return RunFile(path, Header({"schema_version": version, "hil": "0.0.7", "run": "r"}, {}, 1_000_000_000))
+    return RunFile(path, RecordingHeader({"schema_version": version, "hil": "0.0.7", "run": "r"}, {}, 1_000_000_000))
 
 
 def cycles_in(path: Path) -> int:

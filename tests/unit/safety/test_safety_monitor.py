@@ -15,7 +15,7 @@ from hil.core.modes import Mode
 from hil.params import gnc as gnc_params
 from hil.safety.alarms import Alarm
 from hil.safety.limits import limits_of
-from hil.safety.monitor import CHECKS, Supervisor
+from hil.safety.monitor import CHECKS, SafetyMonitor
 
 NAMES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
 MOVED_BY_SETPOINTS = {Mode.JOGGING, Mode.PLACING, Mode.RUNNING, Mode.PARKING, Mode.HOLD}
@@ -26,7 +26,7 @@ OPEN = set(Mode) - {Mode.OFF, Mode.SAFE_STOP}
 class Scene:
     """What a cycle at t = 10 s knows: all is well, unless a test changes it."""
 
-    supervisor: Supervisor
+    supervisor: SafetyMonitor
     rails: AxisFeedback = field(default_factory=lambda: AxisFeedback(10.0, np.array([3.0, 0.0, 0.0]), np.zeros(3)))
     turntable: AxisFeedback = field(default_factory=lambda: AxisFeedback(10.0, np.zeros(3), np.zeros(3)))
     commanded_s: float = 9.98
@@ -38,7 +38,7 @@ class Scene:
         return self.supervisor.look(10.0, self.rails, self.turntable, self.commanded_s, self.setpoint, self.feedback)
 
     def refusal(self) -> Alarm | None:
-        return self.supervisor.refuse_motion(10.0, self.rails, self.turntable, self.feedback)
+        return self.supervisor.interlock_motion(10.0, self.rails, self.turntable, self.feedback)
 
 
 def _axes_at_3_m() -> np.record:
@@ -49,7 +49,7 @@ def _axes_at_3_m() -> np.record:
 
 @pytest.fixture
 def scene(mock_rig: Rig) -> Scene:
-    return Scene(Supervisor(limits_of(mock_rig, gnc_params.bench(mock_rig, 0.02)), NAMES))
+    return Scene(SafetyMonitor(limits_of(mock_rig, gnc_params.bench(mock_rig, 0.02)), NAMES))
 
 
 def press(scene: Scene) -> None:
@@ -198,8 +198,8 @@ def test_jog_has_its_own_travel_while_it_lasts(scene: Scene) -> None:
 
 def test_homing_has_a_limited_time(scene: Scene) -> None:
     lose_home(scene)
-    assert scene.supervisor.homing_took_too_long(130.0, 10.0, scene.rails, scene.turntable) is None
-    alarm = scene.supervisor.homing_took_too_long(130.1, 10.0, scene.rails, scene.turntable)
+    assert scene.supervisor.homing_timeout(130.0, 10.0, scene.rails, scene.turntable) is None
+    alarm = scene.supervisor.homing_timeout(130.1, 10.0, scene.rails, scene.turntable)
     assert alarm is not None
     assert alarm.text == "turntable.yaw: homing not done after 120.1 s, allowed 120 s"
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from hil.config.gnc_override import with_other_gnc
-from hil.config.live_tunable import SOUND, range_of, value_of
+from hil.config.live_tunable import LIVE_TUNABLE, range_of, value_of
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
-from hil.console.lease import Refused
+from hil.console.lease import LeaseRefused
 from hil.console.tuner import Tuner, unit_of
 from hil.core.operator_commands import Operator
 from hil.errors import BadInput
@@ -21,7 +21,7 @@ from hil.loop.runner import Runner
 from hil.recording.read import Recorded, load
 from hil.recording.replay import replay
 from hil.recording.session import recording
-from hil.recording.taps import Notes
+from hil.recording.taps import EventRecorder
 from hil.report.summary import summarise
 from hil.session import build
 from hil.setup.live_tuning import packed, tuning, unpacked, with_setting
@@ -43,7 +43,7 @@ class Changes(Operator):
         self._scenario = job.scenario.value
         self._changes = dict(changes)
         self.runner: Runner
-        self.notes: Notes
+        self.notes: EventRecorder
 
     def listen(self, now_s: float) -> None:
         gnc = self.runner.loop.gnc
@@ -102,7 +102,7 @@ def test_replay_leaves_out_changes_of_what_it_has_otherwise(tmp_path: Path) -> N
     assert found.rows["navigation"].tobytes() == without.rows["navigation"].tobytes()
 
 
-@pytest.mark.parametrize("key", SOUND)
+@pytest.mark.parametrize("key", LIVE_TUNABLE)
 def test_each_setting_that_is_sound_in_flight_acts_on_the_parameters_and_has_a_range(key: str) -> None:
     name = "scheme-3" if "vision_only" in key else "scheme-1"
     scenario = load_scenario(name).value
@@ -165,7 +165,7 @@ def test_page_is_offered_exactly_what_the_scenario_allows_with_value_unit_and_ra
     ],
 )
 def test_change_that_cannot_be_is_refused_in_words(key: Any, value: Any, words: str) -> None:
-    with pytest.raises((Refused, BadInput)) as refused:
+    with pytest.raises((LeaseRefused, BadInput)) as refused:
         Tuner(scheme()).change(key, value)
     assert words in str(refused.value)
 

@@ -15,8 +15,8 @@ from hil.vmu.calibration.board import start
 from hil.vmu.calibration.drift import Drift, check
 from hil.vmu.calibration.files import Calibrated, Label
 from hil.vmu.calibration.leds import Spots, SpotViews
-from hil.vmu.calibration.model import PARTS, Setup, Sightings, Turntable
-from hil.vmu.calibration.refine import Fit, Problem, belief
+from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel
+from hil.vmu.calibration.refine import RefinementFit, RefinementProblem, belief
 from hil.vmu.calibration.solve import Solved, robust, solve, solve_leds
 from hil.vmu.calibration.synthetic import plan, shifted, sight
 from hil.vmu.kernels.chain import SCALE
@@ -25,7 +25,7 @@ from tests.support.calibration_sets import AXIS_SIGMA, BOARD, PIXEL_SIGMA, as_ma
 LAYOUT_SIGMA, SQUARE_SIGMA = 1e-3, 1e-3
 
 
-def errors_of(fit: Fit, truth: Setup) -> np.ndarray:
+def errors_of(fit: RefinementFit, truth: Setup) -> np.ndarray:
     """Return the errors of all numbers; a board may lie the other way round."""
     error = fit.setup.theta - truth.theta
     target = fit.setup.target_axes
@@ -41,13 +41,13 @@ def errors_of(fit: Fit, truth: Setup) -> np.ndarray:
     return error
 
 
-def in_sigmas(fit: Fit, truth: Setup) -> np.ndarray:
+def in_sigmas(fit: RefinementFit, truth: Setup) -> np.ndarray:
     """Return the errors of all numbers that were found over their sigmas."""
     found = fit.sigma > 0.0
     return errors_of(fit, truth)[found] / fit.sigma[found]
 
 
-def nees(fit: Fit, truth: Setup) -> float:
+def nees(fit: RefinementFit, truth: Setup) -> float:
     """Return the normalised square of all errors together, by its number of degrees of freedom."""
     found = fit.sigma > 0.0
     sigma = fit.sigma[found]
@@ -73,7 +73,7 @@ def spots_of(seen: Sightings, rng: np.random.Generator) -> SpotViews:
 
 def calibrated_by_leds(rig: Rig, seed: int, spoil: float = 0.0) -> tuple[Solved, Setup]:
     rng = np.random.default_rng(seed)
-    paper, turntable = on_paper(rig, True), Turntable.of(rig.bench)
+    paper, turntable = on_paper(rig, True), TurntableModel.of(rig.bench)
     truth = as_made(paper, rng, True)
     seen = leds_seen(truth, turntable, rng)
     seen.axes[5, 1] += spoil
@@ -83,7 +83,7 @@ def calibrated_by_leds(rig: Rig, seed: int, spoil: float = 0.0) -> tuple[Solved,
 
 def calibrated_by_board(rig: Rig, seed: int, told: float = 1.0, spoil: float = 0.0) -> tuple[Solved, Setup]:
     rng = np.random.default_rng(seed)
-    paper, turntable = on_paper(rig, False), Turntable.of(rig.bench)
+    paper, turntable = on_paper(rig, False), TurntableModel.of(rig.bench)
     truth = as_made(paper, rng, False)
     seen = board_seen(truth, turntable, rng)
     seen.axes[5, 1] += spoil
@@ -127,12 +127,12 @@ def test_the_rails_tell_that_the_squares_have_another_size(mock_rig: Rig) -> Non
 
 
 def test_without_tilt_and_travel_the_report_says_what_is_open(mock_rig: Rig) -> None:
-    paper, turntable = on_paper(mock_rig, True), Turntable.of(mock_rig.bench)
+    paper, turntable = on_paper(mock_rig, True), TurntableModel.of(mock_rig.bench)
     rng = np.random.default_rng(1)
     axes = plan(paper, turntable, 8, (1.5, 1.5001), 0.01, rng, 0.001)
     seen = sight(paper, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
     held = belief(paper, (), AXIS_SIGMA, LAYOUT_SIGMA, 0.0)
-    fit = Problem(seen, turntable, held, paper.points).solve(paper)
+    fit = RefinementProblem(seen, turntable, held, paper.points).solve(paper)
     text = " ".join(quality.warnings_of(fit, seen, held, quality.coverage(seen, paper.sizes), False))
     for words in ("few views", "covered to", "no tilt", "nothing fixes the scale", "not determined", "left.k1"):
         assert words in text
@@ -140,18 +140,18 @@ def test_without_tilt_and_travel_the_report_says_what_is_open(mock_rig: Rig) -> 
 
 
 def test_what_is_kept_is_not_touched(mock_rig: Rig) -> None:
-    paper, turntable = on_paper(mock_rig, True), Turntable.of(mock_rig.bench)
+    paper, turntable = on_paper(mock_rig, True), TurntableModel.of(mock_rig.bench)
     rng = np.random.default_rng(4)
     seen = leds_seen(shifted(paper, TARGET_STATION=[0.0, 3e-3, 0.0]), turntable, rng)
     held = belief(paper, ("left", "right", "stereo"), AXIS_SIGMA, LAYOUT_SIGMA, 0.0)
-    fit = Problem(seen, turntable, held, paper.points).solve(paper)
+    fit = RefinementProblem(seen, turntable, held, paper.points).solve(paper)
     assert (fit.setup.theta[:24] == paper.theta[:24]).all()
     assert not fit.sigma[:24].any()
     assert (fit.sigma[24:36] > 0.0).all()
 
 
 def test_spots_that_are_nowhere_near_are_refused(mock_rig: Rig) -> None:
-    paper, turntable = on_paper(mock_rig, True), Turntable.of(mock_rig.bench)
+    paper, turntable = on_paper(mock_rig, True), TurntableModel.of(mock_rig.bench)
     rng = np.random.default_rng(4)
     seen = leds_seen(paper, turntable, rng, 6)
     nothing = Spots(np.empty((0, 2)), np.empty((0, 2, 2)))
@@ -164,11 +164,11 @@ def test_spots_that_are_nowhere_near_are_refused(mock_rig: Rig) -> None:
 def known(mock_rig: Rig) -> tuple[Calibrated, Setup]:
     """Return a calibration by LEDs and the truth."""
     rng = np.random.default_rng(11)
-    paper, turntable = on_paper(mock_rig, True), Turntable.of(mock_rig.bench)
+    paper, turntable = on_paper(mock_rig, True), TurntableModel.of(mock_rig.bench)
     truth = as_made(paper, rng, True)
     seen = leds_seen(truth, turntable, rng, 40)
     held = belief(paper, (), AXIS_SIGMA, LAYOUT_SIGMA, 0.0)
-    fit = Problem(seen, turntable, held, paper.points).solve(robust(seen, paper, turntable, held))
+    fit = RefinementProblem(seen, turntable, held, paper.points).solve(robust(seen, paper, turntable, held))
     return Calibrated(Label("a", "", "leds"), fit.setup, turntable, fit.covariance, fit.noise, AXIS_SIGMA), truth
 
 

@@ -10,8 +10,8 @@ import pytest
 from hil.bench.kinematics import BENCH_PARAMS, pose_of_axes
 from hil.config.rig import Rig
 from hil.maths import quat
-from hil.models.mounting import STATIONS, camera_pose
-from hil.vmu.calibration.model import Setup, Turntable, see
+from hil.models.mounting import MOUNTING, camera_pose
+from hil.vmu.calibration.model import Setup, TurntableModel, see
 from hil.vmu.geometry import camera_pair
 from hil.vmu.kernels import chain
 from hil.vmu.kernels.lens import project
@@ -33,8 +33,8 @@ def made(mock_rig: Rig) -> Setup:
 
 def test_pixels_are_those_of_bench_kinematics_and_stations(mock_rig: Rig) -> None:
     paper = on_paper(mock_rig, True)
-    turntable = Turntable.of(mock_rig.bench)
-    params, stations = np.zeros(1, BENCH_PARAMS)[0], np.zeros(1, STATIONS)[0]
+    turntable = TurntableModel.of(mock_rig.bench)
+    params, stations = np.zeros(1, BENCH_PARAMS)[0], np.zeros(1, MOUNTING)[0]
     params["lever_arm"], params["order"] = turntable.lever_arm, turntable.order
     stations["camera_station"], stations["ring_station"] = (
         mock_rig.bench.camera_station_m,
@@ -56,7 +56,7 @@ def test_pixels_are_those_of_bench_kinematics_and_stations(mock_rig: Rig) -> Non
 
 
 def test_slopes_are_those_of_differences(made: Setup, mock_rig: Rig) -> None:
-    turntable = Turntable.of(mock_rig.bench)
+    turntable = TurntableModel.of(mock_rig.bench)
     slopes, step = see(made, turntable, AXES), 1e-6
 
     def compare(low: Setup, high: Setup, axes: tuple[np.ndarray, np.ndarray], slope: np.ndarray) -> None:
@@ -77,7 +77,7 @@ def test_slopes_are_those_of_differences(made: Setup, mock_rig: Rig) -> None:
 
 
 def test_folding_rotations_into_the_axes_changes_no_pixel(made: Setup, mock_rig: Rig) -> None:
-    turntable = Turntable.of(mock_rig.bench)
+    turntable = TurntableModel.of(mock_rig.bench)
     folded = made.folded()
     assert not folded.theta[chain.CAMERA_TURN : chain.CAMERA_TURN + 3].any()
     assert see(folded, turntable, AXES).pixels == pytest.approx(see(made, turntable, AXES).pixels, abs=1e-9)
@@ -86,6 +86,6 @@ def test_folding_rotations_into_the_axes_changes_no_pixel(made: Setup, mock_rig:
 def test_a_point_behind_a_camera_has_no_pixel(mock_rig: Rig) -> None:
     paper = on_paper(mock_rig, True)
     behind = AXES * np.array([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    slopes = see(paper, Turntable.of(mock_rig.bench), behind)
+    slopes = see(paper, TurntableModel.of(mock_rig.bench), behind)
     assert np.isnan(slopes.pixels).all()
     assert not slopes.by_common.any()

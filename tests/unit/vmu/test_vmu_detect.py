@@ -11,14 +11,14 @@ from hil.config.vmu_geometry import Sensor
 from hil.errors import BadInput
 from hil.vmu.detect import Detector
 from hil.vmu.kernels.lens import LENS, CameraPair
-from hil.vmu.render import Extras, HotPixel, Look, Reflection, Renderer, projections
+from hil.vmu.render import Extras, HotPixel, Reflection, RingAppearance, RingRenderer, projections
 from hil.vmu.spots import AT_BORDER, MERGED, SATURATED
 
 SIZE, FOCAL = 320, 1200.0
 STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 AWAY = np.array([0.0, 0.0, -1.0])  # the target is behind the camera: nothing but what the extras show
 GRID = np.stack(np.meshgrid([60.0, 160.0, 260.0], [60.0, 160.0, 260.0]), axis=-1).reshape(-1, 2)
-LOOK = Look()
+LOOK = RingAppearance()
 
 
 @pytest.fixture(scope="module")
@@ -37,19 +37,21 @@ def nine_leds(range_m: float, rng: np.random.Generator) -> np.ndarray:
 
 
 def shown(
-    pair: CameraPair, look: Look, *lights: Reflection, seed: int = 1, hot: tuple[HotPixel, ...] = ()
+    pair: CameraPair, look: RingAppearance, *lights: Reflection, seed: int = 1, hot: tuple[HotPixel, ...] = ()
 ) -> np.ndarray:
-    renderer = Renderer(pair, np.zeros((1, 3)), replace(look, hot_pixels=hot))
+    renderer = RingRenderer(pair, np.zeros((1, 3)), replace(look, hot_pixels=hot))
     return renderer.image(0, AWAY, STRAIGHT, None, np.random.default_rng(seed), Extras(reflections=lights))
 
 
-def errors(pair: CameraPair, look: Look, range_m: float, images: int, sensor: Sensor | None) -> tuple[list, list, int]:
+def errors(
+    pair: CameraPair, look: RingAppearance, range_m: float, images: int, sensor: Sensor | None
+) -> tuple[list, list, int]:
     """Return normalised squares, errors in px, and how many spots there were besides the LEDs'."""
     rng, detector = np.random.default_rng(7), Detector((SIZE, SIZE), sensor=sensor)
     squares, found, besides = [], [], 0
     for _ in range(images):
         leds = nine_leds(range_m, rng)
-        image = Renderer(pair, leds, look).image(0, np.zeros(3), STRAIGHT, None, rng)
+        image = RingRenderer(pair, leds, look).image(0, np.zeros(3), STRAIGHT, None, rng)
         spots = detector.spots(image)
         besides += len(spots) - 9
         for place in projections(pair, leds, np.zeros(3), STRAIGHT)[0]:
@@ -73,7 +75,7 @@ def errors(pair: CameraPair, look: Look, range_m: float, images: int, sensor: Se
     ],
     ids=["12 m", "3 m", "1 m", "noisy", "gradient", "clipped", "sharp"],
 )
-def test_every_led_is_found_where_its_covariance_says(pair: CameraPair, look: Look, range_m: float) -> None:
+def test_every_led_is_found_where_its_covariance_says(pair: CameraPair, look: RingAppearance, range_m: float) -> None:
     squares, found, besides = errors(pair, look, range_m, 14, None)
     assert besides == 0
     assert np.max(np.abs(found)) < 0.5
@@ -94,7 +96,7 @@ def test_shot_noise_is_learnt_from_the_spots(pair: CameraPair) -> None:
     look, rng, detector = replace(LOOK, electrons_per_level=20.0), np.random.default_rng(3), Detector((SIZE, SIZE))
     for _ in range(12):
         leds = nine_leds(2.0, rng)
-        detector.spots(Renderer(pair, leds, look).image(0, np.zeros(3), STRAIGHT, None, rng))
+        detector.spots(RingRenderer(pair, leds, look).image(0, np.zeros(3), STRAIGHT, None, rng))
     assert detector.variance_per_level == pytest.approx(1.0 / 20.0, rel=0.35)
     known = Detector((SIZE, SIZE), sensor=Sensor(electrons_per_level=20.0, read_noise_levels=1.0))
     assert known.variance_per_level == pytest.approx(0.05)

@@ -13,7 +13,7 @@ from hil.core.camera_images import Shape
 from hil.maths.random_streams import stream
 from hil.vmu.geometry import camera_pair, geometry_of_rig, led_positions
 from hil.vmu.overlay import draw
-from hil.vmu.render import Extras, Light, Look, Renderer, projections
+from hil.vmu.render import Extras, Light, RingAppearance, RingRenderer, projections
 from hil.vmu.shapes import IDENTITY, LED, NOTE, SPOT, STATUS, VALUE, lines, shapes
 from hil.vmu.unit import Solution, VisionUnit
 
@@ -27,7 +27,7 @@ def seen() -> tuple[VisionUnit, np.ndarray, np.ndarray, Solution, np.ndarray]:
     """Return a unit, a pair with a light that is no LED, what the unit says, and where the LEDs truly are."""
     geometry = geometry_of_rig(load_rig("mock").value)
     pair, leds = camera_pair(geometry), led_positions(geometry)
-    renderer, unit = Renderer(pair, leds, Look()), VisionUnit(geometry)
+    renderer, unit = RingRenderer(pair, leds, RingAppearance()), VisionUnit(geometry)
     left, right = renderer.pair(AHEAD, FACING, None, stream(0, "pictures"), Extras(lights=[Light(DECOY)]))
     return unit, left, right, unit.solve(left, right, 0.0), projections(pair, leds, AHEAD, FACING)
 

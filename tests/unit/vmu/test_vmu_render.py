@@ -5,19 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.config.vmu_geometry import Camera, VmuGeometry
+from hil.config.vmu_geometry import VmuCamera, VmuGeometry
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.kernels.lens import CameraPair
 from hil.vmu.kernels.shape import add_disc
-from hil.vmu.render import Extras, HotPixel, Light, Look, Reflection, Renderer, Shade, projections
+from hil.vmu.render import Extras, HotPixel, Light, Reflection, RingAppearance, RingRenderer, Shade, projections
 
 STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
-QUIET = Look(electrons_per_level=1e9, read_noise_levels=0.0, lobe=0.0, auto_peak_levels=None, psf_sigma_px=1.2)
+QUIET = RingAppearance(
+    electrons_per_level=1e9, read_noise_levels=0.0, lobe=0.0, auto_peak_levels=None, psf_sigma_px=1.2
+)
 
 
 @pytest.fixture
 def geometry() -> VmuGeometry:
-    camera = Camera(fx=900.0, fy=900.0, cx=159.5, cy=119.5, width=320, height=240, distortion=(-0.08, 0.02, 0, 0, 0))
+    camera = VmuCamera(fx=900.0, fy=900.0, cx=159.5, cy=119.5, width=320, height=240, distortion=(-0.08, 0.02, 0, 0, 0))
     leds = ((0.1, 0.0, -0.05), (-0.05, 0.09, 0.0), (-0.05, -0.09, 0.0))
     return VmuGeometry(leds_m=leds, left=camera, right=camera, baseline_m=(0.1, 0.0, 0.0))
 
@@ -54,7 +56,7 @@ def test_spot_is_a_blurred_disc_summed_over_pixels(width: float, shear: float, h
 
 def test_spots_stand_where_the_leds_project_to(pair: CameraPair, geometry: VmuGeometry) -> None:
     leds = led_positions(geometry)
-    renderer = Renderer(pair, leds, Look(**{**_quiet(), "led_diameter_m": 0.0, "background_levels": 0.0}))
+    renderer = RingRenderer(pair, leds, RingAppearance(**{**_quiet(), "led_diameter_m": 0.0, "background_levels": 0.0}))
     t_v = np.array([0.05, 0.01, 1.4])
     lit = (False, True, False)
     images = renderer.pair(t_v, STRAIGHT, lit, np.random.default_rng(1))
@@ -67,12 +69,12 @@ def test_spots_stand_where_the_leds_project_to(pair: CameraPair, geometry: VmuGe
 
 
 def _quiet(**changes: object) -> dict[str, object]:
-    return {name: getattr(QUIET, name) for name in Look.__dataclass_fields__} | changes
+    return {name: getattr(QUIET, name) for name in RingAppearance.__dataclass_fields__} | changes
 
 
 def test_light_falls_with_the_square_of_the_range(pair: CameraPair, geometry: VmuGeometry) -> None:
-    look = Look(**_quiet(flux_1m_levels=1500.0, background_levels=0.0))
-    renderer = Renderer(pair, led_positions(geometry)[1:2], look)
+    look = RingAppearance(**_quiet(flux_1m_levels=1500.0, background_levels=0.0))
+    renderer = RingRenderer(pair, led_positions(geometry)[1:2], look)
     found = [
         renderer.image(0, np.array([0.05, -0.09, z]), STRAIGHT, None, np.random.default_rng(1)) for z in (1.0, 2.0)
     ]
@@ -81,16 +83,18 @@ def test_light_falls_with_the_square_of_the_range(pair: CameraPair, geometry: Vm
 
 
 def test_exposure_brings_the_peak_to_its_level(pair: CameraPair, geometry: VmuGeometry) -> None:
-    look = Look(**_quiet(auto_peak_levels=180.0, background_levels=10.0, gain_range=(0.01, 4.0)))
-    renderer = Renderer(pair, led_positions(geometry), look)
+    look = RingAppearance(**_quiet(auto_peak_levels=180.0, background_levels=10.0, gain_range=(0.01, 4.0)))
+    renderer = RingRenderer(pair, led_positions(geometry), look)
     for z in (0.9, 1.2, 2.0):
         image = renderer.image(0, np.array([0.0, 0.0, z]), STRAIGHT, None, np.random.default_rng(1))
         assert image.max() == pytest.approx(190.0, abs=12.0)
 
 
 def test_noise_has_the_variance_it_is_given(pair: CameraPair, geometry: VmuGeometry) -> None:
-    look = Look(electrons_per_level=20.0, read_noise_levels=0.7, background_levels=30.0, gradient_levels=(40.0, 0.0))
-    image = Renderer(pair, led_positions(geometry), look).image(
+    look = RingAppearance(
+        electrons_per_level=20.0, read_noise_levels=0.7, background_levels=30.0, gradient_levels=(40.0, 0.0)
+    )
+    image = RingRenderer(pair, led_positions(geometry), look).image(
         0, np.array([0.0, 0.0, -1.0]), STRAIGHT, None, np.random.default_rng(3)
     )
     for column in (20, 160, 300):
@@ -101,8 +105,8 @@ def test_noise_has_the_variance_it_is_given(pair: CameraPair, geometry: VmuGeome
 
 
 def test_noise_in_a_spot_is_shot_noise(pair: CameraPair, geometry: VmuGeometry) -> None:
-    look = Look(electrons_per_level=10.0, read_noise_levels=1.0, auto_peak_levels=150.0, lobe=0.0)
-    renderer = Renderer(pair, led_positions(geometry), look)
+    look = RingAppearance(electrons_per_level=10.0, read_noise_levels=1.0, auto_peak_levels=150.0, lobe=0.0)
+    renderer = RingRenderer(pair, led_positions(geometry), look)
     rng = np.random.default_rng(5)
     stack = np.stack([renderer.image(0, np.array([0.0, 0.0, 0.8]), STRAIGHT, None, rng) for _ in range(400)])
     v, u = np.unravel_index(stack.mean(axis=0).argmax(), stack.shape[1:])
@@ -111,7 +115,7 @@ def test_noise_in_a_spot_is_shot_noise(pair: CameraPair, geometry: VmuGeometry) 
 
 
 def test_a_light_in_space_is_seen_by_both_and_a_reflection_by_one(pair: CameraPair, geometry: VmuGeometry) -> None:
-    renderer = Renderer(pair, led_positions(geometry), QUIET)
+    renderer = RingRenderer(pair, led_positions(geometry), QUIET)
     extras = Extras(lights=[Light((0.05, 0.02, 1.0), 2000.0, 0.0)], reflections=[Reflection(1, 40.0, 50.0)])
     away = np.array([0.0, 0.0, -1.0])
     left, right = renderer.pair(away, STRAIGHT, None, np.random.default_rng(1), extras)
@@ -123,8 +127,8 @@ def test_a_light_in_space_is_seen_by_both_and_a_reflection_by_one(pair: CameraPa
 
 
 def test_dark_cameras_shades_unlit_leds_and_hot_pixels(pair: CameraPair, geometry: VmuGeometry) -> None:
-    look = Look(**_quiet(hot_pixels=(HotPixel(0, 7, 9, 199),)))
-    renderer = Renderer(pair, led_positions(geometry), look)
+    look = RingAppearance(**_quiet(hot_pixels=(HotPixel(0, 7, 9, 199),)))
+    renderer = RingRenderer(pair, led_positions(geometry), look)
     t_v, rng = np.array([0.0, 0.0, 1.4]), np.random.default_rng(1)
     left, right = renderer.pair(t_v, STRAIGHT, None, rng, Extras(dark=(False, True), shades=[Shade(0, 0, 0, 160, 240)]))
     assert left[9, 7] == 199
@@ -138,8 +142,10 @@ def test_dark_cameras_shades_unlit_leds_and_hot_pixels(pair: CameraPair, geometr
 
 def test_the_generator_alone_decides(pair: CameraPair, geometry: VmuGeometry) -> None:
     t_v = np.array([0.0, 0.0, 1.4])
-    first = Renderer(pair, led_positions(geometry), Look()).pair(t_v, STRAIGHT, None, np.random.default_rng(1))
-    other = Renderer(pair, led_positions(geometry), Look())
+    first = RingRenderer(pair, led_positions(geometry), RingAppearance()).pair(
+        t_v, STRAIGHT, None, np.random.default_rng(1)
+    )
+    other = RingRenderer(pair, led_positions(geometry), RingAppearance())
     other.pair(t_v, STRAIGHT, None, np.random.default_rng(2))
     again = other.pair(t_v, STRAIGHT, None, np.random.default_rng(1))
     assert np.array_equal(first, again)

@@ -14,9 +14,9 @@ from hil.config.rig import AsciiTurntableLine, Turntable
 from hil.core.clock import Clock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.base import GIMBAL_NAMES, full_names
-from hil.drivers.turntable.ascii.link import BURST, REPLY_S, Conversation
-from hil.drivers.turntable.ascii.protocol import DEVICE, Dialect, Key, Line, Refused, Value
-from hil.drivers.turntable.cyclic_exchange import ExchangedTurntable
+from hil.drivers.turntable.ascii.link import BURST, REPLY_S, AsciiTransport
+from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiCommand, AsciiProtocol, CommandRefused, Key, Value
+from hil.drivers.turntable.cyclic_exchange import CyclicTurntable
 from hil.errors import BadInput, BenchError, DeviceError, DriveFault, LinkTimeout, ProtocolError
 
 _SET_UP_WALL_S: Final = 2.0
@@ -41,10 +41,10 @@ class AsciiLink:
         self.axis_names = full_names(device, GIMBAL_NAMES)
         loaded = load_protocol(line.protocol)
         self._protocol: Protocol = loaded.value
-        self._dialect = Dialect(self._protocol)
+        self._dialect = AsciiProtocol(self._protocol)
         self._identity = line.identity
         self._clock = clock
-        self._wire = Conversation(device, str(line.port), line.baud, config.timeout_s, self._dialect, clock)
+        self._wire = AsciiTransport(device, str(line.port), line.baud, config.timeout_s, self._dialect, clock)
         encoders = [getattr(config, name).encoder for name in GIMBAL_NAMES]
         self._needs_home = [encoder == "incremental" for encoder in encoders]
         if any(self._needs_home) and not self._protocol.requests.home:
@@ -95,7 +95,7 @@ class AsciiLink:
         try:
             self._insist("enable")
         except ProtocolError as error:
-            if isinstance(error.__cause__, Refused):
+            if isinstance(error.__cause__, CommandRefused):
                 return error.__cause__.text
             raise
         return None
@@ -129,7 +129,7 @@ class AsciiLink:
                 self._homing[axis] = Homing.UNDER_WAY
                 self._search_begun[axis] = True
 
-    def _insist_on_line(self, line: Line, axis: int) -> None:
+    def _insist_on_line(self, line: AsciiCommand, axis: int) -> None:
         for _ in range(BURST):
             if self._ask(line, axis, {}) is not None:
                 return
@@ -138,10 +138,10 @@ class AsciiLink:
     def _name(self, axis: int) -> str:
         return self.device if axis == DEVICE else self.axis_names[axis]
 
-    def _ask(self, line: Line, axis: int, values: Told, reply_s: float = REPLY_S) -> tuple[float, Told] | None:
+    def _ask(self, line: AsciiCommand, axis: int, values: Told, reply_s: float = REPLY_S) -> tuple[float, Told] | None:
         try:
             return self._wire.ask(line, axis, values, reply_s, patient=line.action != "quick_stop")
-        except Refused as refused:
+        except CommandRefused as refused:
             raise ProtocolError(self._name(axis), f"refuses {line.send.text!r}: {refused.text}") from refused
 
     def move_to(self, position: Array, rate: Array) -> None:
@@ -252,7 +252,7 @@ class AsciiLink:
         return Homing.FAILED if self._search_begun[axis] else Homing.NEEDED
 
 
-class AsciiTurntable(ExchangedTurntable):
+class AsciiTurntable(CyclicTurntable):
     """Turntable on a serial port; ``config.ascii`` names port, baud rate and protocol file. Raises BadInput."""
 
     def __init__(self, config: Turntable, clock: Clock) -> None:

@@ -12,10 +12,10 @@ from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
 from hil.drivers.pty_line import PtyLine
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.ascii.frames import BrokenLine
-from hil.drivers.turntable.ascii.protocol import DEVICE, Dialect, Key, Line, Refused, Value
-from hil.drivers.turntable.faulty_channel import FaultyLane
+from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiCommand, AsciiProtocol, CommandRefused, Key, Value
+from hil.drivers.turntable.faulty_channel import FaultyChannel
 from hil.errors import BadInput
 from hil.maths.random_streams import stream
 
@@ -32,7 +32,7 @@ class AsciiTurntableEmulator:
         self,
         config: Turntable,
         clock: WallClock,
-        board: AxisBoard,
+        board: SharedAxisState,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
     ) -> None:
@@ -45,10 +45,10 @@ class AsciiTurntableEmulator:
         self._words = protocol.emulator
         self._torque_off = protocol.faults.torque_off or self._words.drive_fault
         self._has_flags = protocol.faults.kind == "flags"
-        self.dialect = Dialect(protocol)
+        self.dialect = AsciiProtocol(protocol)
         self.gimbals = EmulatedAxes("turntable", config, clock, board, chain_closed=chain_closed, seed=seed)
         self.faults = self.gimbals.faults
-        self._lane = FaultyLane(self.faults, stream(seed, "wire"))
+        self._lane = FaultyChannel(self.faults, stream(seed, "wire"))
         self.splitter = self.dialect.requests.splitter()
         self._enabled = [False, False, False]
         self._searching = [False, False, False]  # until the axis stands again
@@ -92,7 +92,7 @@ class AsciiTurntableEmulator:
             sequence, line, axis, values = self.dialect.take_request(text)
         except BrokenLine:
             return b""  # whose sequence number could not be trusted: the controller says nothing
-        except Refused as refused:
+        except CommandRefused as refused:
             return self.dialect.refusal(int(str(refused), 16), self._words.unknown)
         if self._refuses(line.action, axis):
             return self.dialect.refusal(sequence, self._words.refused)
@@ -105,7 +105,7 @@ class AsciiTurntableEmulator:
             return any(self.fault[i] or self.gimbals.moving(i) or self.gimbals.torque_off for i in axes)
         return action == "home" and not all(self._enabled[i] for i in axes)
 
-    def _do(self, line: Line, axis: int, values: dict[Key, Value]) -> None:
+    def _do(self, line: AsciiCommand, axis: int, values: dict[Key, Value]) -> None:
         for i in _ALL if axis == DEVICE else (axis,):
             if line.action == "set":
                 position = values.get(("position", i), self.gimbals.position[i])

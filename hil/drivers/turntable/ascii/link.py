@@ -10,7 +10,7 @@ import serial
 
 from hil.core.clock import Clock
 from hil.drivers.turntable.ascii.frames import BrokenLine
-from hil.drivers.turntable.ascii.protocol import Dialect, Key, Line, Value
+from hil.drivers.turntable.ascii.protocol import AsciiCommand, AsciiProtocol, Key, Value
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 BURST: Final = 4  # broken replies in a row that end the link
@@ -22,7 +22,7 @@ _REMEMBERED: Final = 16  # sequence numbers that were answered
 COUNTERS: Final = ("exchanges", "lost", "protocol_errors", "late", "duplicates")
 
 
-class Conversation:
+class AsciiTransport:
     """Requests and their replies over one port. Errors name ``device``.
 
     A reply counts when its checksum is right, its sequence number is that of the request, its form is that
@@ -30,7 +30,9 @@ class Conversation:
     sequence numbers an answer that comes still later than the longer wait for it passes for a new one.
     """
 
-    def __init__(self, device: str, port: str, baud: int, timeout_s: float, dialect: Dialect, clock: Clock) -> None:
+    def __init__(
+        self, device: str, port: str, baud: int, timeout_s: float, dialect: AsciiProtocol, clock: Clock
+    ) -> None:
         self.device = device
         self.dialect = dialect
         self._path = port
@@ -91,7 +93,7 @@ class Conversation:
                 self.device, f"no reply for {silent_s:.3f} s, allowed {self._timeout_s:g} s{self._hint()}"
             )
 
-    def tell(self, line: Line, axis: int, values: Mapping[Key, Value]) -> bytes:
+    def tell(self, line: AsciiCommand, axis: int, values: Mapping[Key, Value]) -> bytes:
         """Send a request without waiting for the reply; return it."""
         self._sequence = (self._sequence + 1) % self.dialect.sequence_range
         request = self.dialect.request(self._sequence, line, axis, values)
@@ -99,7 +101,7 @@ class Conversation:
         return request
 
     def ask(
-        self, line: Line, axis: int, values: Mapping[Key, Value], reply_s: float = REPLY_S, patient: bool = True
+        self, line: AsciiCommand, axis: int, values: Mapping[Key, Value], reply_s: float = REPLY_S, patient: bool = True
     ) -> tuple[float, dict[Key, Value]] | None:
         """Return when the controller had the request, bench s, and what its reply tells; None without a good one.
 
@@ -133,7 +135,7 @@ class Conversation:
         seen = ", ".join(f"{name} {count}" for name, count in self.counts.items() if count)
         return f" (since open: {seen})" if seen else ""
 
-    def _take(self, text: bytes, line: Line, axis: int) -> dict[Key, Value] | None:
+    def _take(self, text: bytes, line: AsciiCommand, axis: int) -> dict[Key, Value] | None:
         """Return what a reply tells, None for one to another request."""
         sequence, body = self.dialect.replies.decode(text)
         if self.dialect.has_sequence and sequence != self._sequence:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from typing import Final
 
-from hil.config.protocol import AXIS_NAMES, OF_AXIS, Protocol, Step, Whole, numbers, template_places
+from hil.config.protocol import AXIS_NAMES, OF_AXIS, NonNegativeInt, Protocol, Step, numbers, template_places
 from hil.drivers.turntable.ascii.frames import BrokenLine, Framing
 from hil.errors import FaultKind
 
@@ -22,7 +22,7 @@ Key = tuple[str, int]
 _DEGREES: Final = {"deg": 1.0, "mdeg": 1e-3, "arcsec": 1.0 / 3600.0}
 
 
-class Refused(Exception):
+class CommandRefused(Exception):
     """The controller answered by an error; ``text`` says which."""
 
     def __init__(self, text: str) -> None:
@@ -30,13 +30,13 @@ class Refused(Exception):
         self.text = text
 
 
-class Form:
+class FieldFormat:
     """How one field is written: text <-> value."""
 
     def __init__(self, protocol: Protocol, name: str) -> None:
         fields = protocol.fields
         self._decimals = 0
-        self._whole: Whole | None = None
+        self._whole: NonNegativeInt | None = None
         self.scale = 1.0
         if name in ("position", "rate"):
             angle = fields.position if name == "position" else fields.rate
@@ -69,14 +69,16 @@ class Form:
         return text
 
 
-class Template:
+class MessageTemplate:
     """One template, as text to write and as pattern to read. ``axes``: what ``{axis}`` is for each."""
 
     def __init__(self, protocol: Protocol, text: str) -> None:
         self.text = text
         self._axes = protocol.axes
         self._parts = template_places(text)
-        self._forms = [Form(protocol, name.partition(".")[0]) for _, name in self._parts if name and name != "axis"]
+        self._forms = [
+            FieldFormat(protocol, name.partition(".")[0]) for _, name in self._parts if name and name != "axis"
+        ]
         pattern = ""
         forms = iter(self._forms)
         for literal, name in self._parts:
@@ -117,14 +119,14 @@ class Template:
         return spoken, {_key(name, spoken): form.read(group) for (name, group), form in pairs}
 
 
-class Line:
+class AsciiCommand:
     """One line that can be sent: the step of an action, compiled."""
 
     def __init__(self, protocol: Protocol, action: str, step: Step) -> None:
         self.action = action
         self.each_axis = step.each_axis
-        self.send = Template(protocol, step.send)
-        self.reply = Template(protocol, protocol.replies[step.reply])
+        self.send = MessageTemplate(protocol, step.send)
+        self.reply = MessageTemplate(protocol, protocol.replies[step.reply])
 
     @property
     def axes(self) -> tuple[int, ...]:
@@ -132,7 +134,7 @@ class Line:
         return (0, 1, 2) if self.each_axis else (DEVICE,)
 
 
-class Dialect:
+class AsciiProtocol:
     """The command set of ``protocol``."""
 
     def __init__(self, protocol: Protocol) -> None:
@@ -141,22 +143,22 @@ class Dialect:
         self.sequence_range = 16**protocol.sequence.digits if protocol.sequence else 1
         self.requests = Framing(protocol, protocol.line.request_start, protocol.line.request_end)
         self.replies = Framing(protocol, protocol.line.reply_start, protocol.line.reply_end)
-        self.lines: dict[str, list[Line]] = {}
+        self.lines: dict[str, list[AsciiCommand]] = {}
         for action, step in protocol.steps():
-            self.lines.setdefault(action, []).append(Line(protocol, action, step))
+            self.lines.setdefault(action, []).append(AsciiCommand(protocol, action, step))
         self._all_lines = [line for lines in self.lines.values() for line in lines]
-        self._error = Template(protocol, protocol.errors.reply) if protocol.errors else None
+        self._error = MessageTemplate(protocol, protocol.errors.reply) if protocol.errors else None
         self._errors = numbers("errors.names", protocol.error_names)
         self._faults = numbers("faults.names", protocol.faults.names)
         self.set_tells_all = {(name, axis) for name in ("position", "status") for axis in AXIS_NAMES} <= protocol.gives(
             "set"
         )
 
-    def request(self, sequence: int, line: Line, axis: int, values: Mapping[Key, Value]) -> bytes:
+    def request(self, sequence: int, line: AsciiCommand, axis: int, values: Mapping[Key, Value]) -> bytes:
         """Return a request."""
         return self.requests.encode(sequence, line.send.write(values, axis))
 
-    def take_request(self, text: bytes) -> tuple[int, Line, int, dict[Key, Value]]:
+    def take_request(self, text: bytes) -> tuple[int, AsciiCommand, int, dict[Key, Value]]:
         """Return sequence number, what is asked, of which axis, and its values.
 
         Raises BrokenLine for a line without meaning, Refused for a good line with an unknown command.
@@ -166,9 +168,9 @@ class Dialect:
             found = line.send.read(body, None if line.each_axis else DEVICE)
             if found is not None:
                 return sequence, line, *found
-        raise Refused(f"{sequence:X}")
+        raise CommandRefused(f"{sequence:X}")
 
-    def reply(self, sequence: int, line: Line, axis: int, values: Mapping[Key, Value]) -> bytes:
+    def reply(self, sequence: int, line: AsciiCommand, axis: int, values: Mapping[Key, Value]) -> bytes:
         """Return the reply to a request."""
         return self.replies.encode(sequence, line.reply.write(values, axis))
 
@@ -180,7 +182,7 @@ class Dialect:
             sequence, self._error.write({("error", DEVICE): number, ("ignore", DEVICE): ""}, DEVICE)
         )
 
-    def take_reply(self, body: str, line: Line, axis: int) -> dict[Key, Value]:
+    def take_reply(self, body: str, line: AsciiCommand, axis: int) -> dict[Key, Value]:
         """Return the values in a reply's body. Raises BrokenLine, or Refused for an error reply."""
         found = line.reply.read(body, axis)
         if found is not None:
@@ -189,7 +191,7 @@ class Dialect:
         if refusal is None:
             raise BrokenLine(f"{body!r} is no reply to {line.send.text!r}")
         number = int(refusal[1]["error", DEVICE]) if ("error", DEVICE) in refusal[1] else 0
-        raise Refused(f"error {number} ({self._errors.get(number, 'not in the protocol file')})")
+        raise CommandRefused(f"error {number} ({self._errors.get(number, 'not in the protocol file')})")
 
     def fault_text(self, number: int) -> str:
         """Return the name of a fault number, or the names of fault flags."""

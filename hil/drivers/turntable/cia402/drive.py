@@ -11,7 +11,7 @@ from typing import Final
 
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.codec import DriveState
-from hil.drivers.turntable.cia402.modes import AxisPort, Motion
+from hil.drivers.turntable.cia402.modes import AxisPort, DriveMotion
 from hil.drivers.turntable.cia402.objects import MappedPdo, ObjectDictionary
 from hil.drivers.turntable.cia402.serial_can import Frame
 
@@ -55,7 +55,7 @@ def asked_for(controlword: int) -> str:
     return "enable" if controlword & 0x08 else "switch on"
 
 
-class EmulatedDrive:
+class EmulatedCia402Drive:
     """A drive on node ``node_id`` that moves ``axis``. ``watchdog_s``: default of object 0x1400:05.
 
     Every method that can cause traffic returns the frames to send.
@@ -67,7 +67,7 @@ class EmulatedDrive:
         self.operational = False
         self.objects = ObjectDictionary(round(watchdog_s * 1000.0))
         self._axis = axis
-        self._motion = Motion(axis, self.objects)
+        self._motion = DriveMotion(axis, self.objects)
         self._nmt_state = codec.PRE_OPERATIONAL
         self._beat_due_s = 0.0
         self._controlword = 0

@@ -20,7 +20,7 @@ from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.drivers.turntable.cia402.eds import Eds
 from hil.drivers.turntable.cia402.node import Node
 from hil.drivers.turntable.cia402.setup import DriveSetup, PortNetwork
-from hil.drivers.turntable.cyclic_exchange import ExchangedTurntable
+from hil.drivers.turntable.cyclic_exchange import CyclicTurntable
 from hil.errors import BadInput, DeviceError, LinkTimeout
 
 _ANSWER_S: Final = 0.04  # bench time within which the answers to one SYNC count
@@ -238,7 +238,7 @@ class Cia402Link:
                 self._listening = True
 
 
-class Cia402Turntable(ExchangedTurntable):
+class Cia402Turntable(CyclicTurntable):
     """Turntable on CAN; ``config.cia402`` names interface, channel, nodes, counts per turn and EDS. Raises BadInput."""
 
     def __init__(self, config: Turntable, clock: Clock) -> None:

@@ -17,7 +17,7 @@ from hil.drivers.pty_line import PtyLine
 from hil.drivers.turntable.ascii.frames import crc16_ccitt
 from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.drivers.turntable.cia402.serial_can import Frame, SerialFrames, encode_serial
-from hil.drivers.turntable.faulty_channel import FaultyLane
+from hil.drivers.turntable.faulty_channel import FaultyChannel
 
 _ALONE_AFTER_S = 1.0
 
@@ -42,7 +42,7 @@ class SerialStation:
 
     def __init__(self, bytes_per_s: float, clock: WallClock, faults: Faults, generator: np.random.Generator) -> None:
         self._faults = faults
-        self._lane = FaultyLane(faults, generator)
+        self._lane = FaultyChannel(faults, generator)
         self._line = PtyLine(round(10.0 * bytes_per_s), clock)
         self.address = self._line.path
         self._frames = SerialFrames()
@@ -74,7 +74,7 @@ class BusStation:
 
     def __init__(self, config: Cia402, clock: WallClock, faults: Faults, generator: np.random.Generator) -> None:
         self._faults = faults
-        self._lane = FaultyLane(faults, generator)
+        self._lane = FaultyChannel(faults, generator)
         self._port = CanPort("turntable", config)
         self.address = str(config.channel)
         self._clock = clock

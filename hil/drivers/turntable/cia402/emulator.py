@@ -8,9 +8,9 @@ from hil.config.rig import GIMBAL_NAMES, Turntable
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import STEP_S, WATCHDOG_S, ChainClosed, EmulatedAxes
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.cia402 import codec as codec
-from hil.drivers.turntable.cia402.drive import EmulatedDrive
+from hil.drivers.turntable.cia402.drive import EmulatedCia402Drive
 from hil.drivers.turntable.cia402.emulated_bus import BusStation, SerialStation, Station
 from hil.drivers.turntable.cia402.serial_can import Frame
 from hil.errors import BadInput
@@ -64,7 +64,7 @@ class Cia402Emulator:
         self,
         config: Turntable,
         clock: WallClock,
-        board: AxisBoard,
+        board: SharedAxisState,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
     ) -> None:
@@ -77,7 +77,7 @@ class Cia402Emulator:
         self.drives = []
         for index, node_id in enumerate(config.cia402.node_ids):
             axis = _Axis(self.gimbals, index, config.cia402.counts_per_turn, clock)
-            self.drives.append(EmulatedDrive(node_id, axis, WATCHDOG_S))
+            self.drives.append(EmulatedCia402Drive(node_id, axis, WATCHDOG_S))
         self._wire_noise = stream(seed, "wire")
         self._station: Station | None = None
 

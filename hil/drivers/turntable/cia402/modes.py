@@ -10,7 +10,7 @@ import numpy as np
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.objects import ObjectDictionary
-from hil.drivers.turntable.profiled_move import Glide, compile_glide
+from hil.drivers.turntable.profiled_move import ProfiledMove, compile_glide
 
 _BIT_4 = 0x10  # of the controlword: start
 _FOLLOWS = 0x1000  # statusword in cyclic synchronous position: the drive follows the target
@@ -51,13 +51,13 @@ class AxisPort(Protocol):
         """Return whether the safety chain takes the torque away."""
 
 
-class Motion:
+class DriveMotion:
     """The enabled drive: follows setpoints, homes or goes by a profile, as object 0x6060 says."""
 
     def __init__(self, axis: AxisPort, objects: ObjectDictionary) -> None:
         self._axis = axis
         self._objects = objects
-        self._glide: Glide | None = None
+        self._glide: ProfiledMove | None = None
         self._goal = 0
         self._taken = False
         compile_glide()
@@ -119,4 +119,4 @@ class Motion:
         speed = np.array([float(self._objects.value(codec.PROFILE_VELOCITY))])
         acceleration = np.array([float(self._objects.value(codec.PROFILE_ACCELERATION))])
         start = np.array([float(self._axis.feedback()[0])])
-        self._glide = Glide(start, np.array([float(self._goal)]), speed, acceleration, now_s)
+        self._glide = ProfiledMove(start, np.array([float(self._goal)]), speed, acceleration, now_s)
