@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from hil.core.messages import Array
-from hil.vmu.detect import Detector
+from hil.vmu.detect import SpotDetector
 from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.render import Extras, HotPixel, Light, RingAppearance, RingRenderer, projections
 
@@ -72,7 +72,7 @@ def missed_and_error(found: list[Array], places: list[Array]) -> tuple[int, int,
 
 def measure(range_m: float) -> None:
     rng = np.random.default_rng(1)
-    pair, detector, blobs = cameras(), Detector((SIZE, SIZE)), blob_detector()
+    pair, detector, blobs = cameras(), SpotDetector((SIZE, SIZE)), blob_detector()
     renderer = RingRenderer(pair, LEDS, LOOK)
     images, places, windows = [], [], []
     for _ in range(IMAGES):

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.core.messages import Array
-from hil.vmu.detect import Detector
+from hil.vmu.detect import SpotDetector
 from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.kernels.shape import add_disc
 from hil.vmu.render import Extras, Reflection, RingAppearance, RingRenderer, projections
@@ -89,7 +89,7 @@ def bound(look: RingAppearance, spot: Array, flux: float) -> tuple[Array, float]
 def study(look: RingAppearance, range_m: float, images: int, seed: int) -> Row:
     """Return what ``images`` images of nine LEDs at a range gave."""
     rng = np.random.default_rng(seed)
-    pair, detector = camera(), Detector((SIZE, SIZE))
+    pair, detector = camera(), SpotDetector((SIZE, SIZE))
     errors, expected, squares, snrs, found, extra, within = [], [], [], [], 0, 0, []
     for _ in range(images):
         leds, t_v, q_vt = target(range_m, rng)
@@ -133,7 +133,7 @@ def study(look: RingAppearance, range_m: float, images: int, seed: int) -> Row:
 def faint(snr: float, images: int, seed: int, look: RingAppearance = PLAIN) -> tuple[float, float]:
     """Return the share of lights of ``snr`` (flux over its sigma, the shape known) found, and false spots an image."""
     rng = np.random.default_rng(seed)
-    renderer, detector = RingRenderer(camera(), np.zeros((1, 3)), look), Detector((SIZE, SIZE))
+    renderer, detector = RingRenderer(camera(), np.zeros((1, 3)), look), SpotDetector((SIZE, SIZE))
     variance = look.read_noise_levels**2 + look.background_levels / look.electrons_per_level + 1.0 / 12.0
     flux = snr * np.sqrt(4.0 * np.pi * variance * (look.psf_sigma_px**2 + 1.0 / 12.0))
     found = extra = 0

@@ -35,7 +35,7 @@ class Hypothesis:
     score: float
 
 
-class Detector:
+class TargetDetector:
     """Finds first poses of one target before one camera."""
 
     def __init__(self, parts: Parts) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hil.config.scene import Scene
 from hil.models import docking_view
 from hil.monitor import validation
-from hil.monitor.detector import Detector
+from hil.monitor.detector import TargetDetector
 from hil.monitor.features import ACROSS, LABEL, UPRIGHT, parts_of
 from hil.monitor.frame_result import FAR, NEAR, NO_TARGET, FrameResult
 from hil.monitor.kernels import measure
@@ -42,7 +42,7 @@ class FrameTracker:
         self._settings = settings
         self._camera = scene.camera
         self._parts = parts_of(scene.camera, scene.chosen(settings.target))
-        self._recogniser = Detector(self._parts)
+        self._recogniser = TargetDetector(self._parts)
         self._tuning = settings.tuning()
         self._cells = np.zeros(_MOST_CELLS, EDGE_SAMPLE)
         self._left, self._normal, self._sums = np.zeros(_MOST_CELLS), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(4)

@@ -44,7 +44,7 @@ class DetectorSettings:
     """of more, the brightest are kept"""
 
 
-class Detector:
+class SpotDetector:
     """The detector of one camera. Not for two threads at once: it keeps its scratch memory.
 
     Without ``sensor`` it also keeps what the spots so far have said about the shot noise.

@@ -28,7 +28,7 @@ _BRIGHTER = 1.3
 
 
 @dataclass(frozen=True, slots=True)
-class Identification:
+class LedIdentification:
     """What became of one view. fit: FIT when the status is ``ok``. candidates: all poses that the spots allow.
 
     followed: the candidates of an ``ambiguous`` one all continue the track, whose identity stands; what is
@@ -49,7 +49,7 @@ class Identifier:
         self._settings: SolverSettings = solver.settings
         self._marked = marked_led
 
-    def tracked(self, view: View, prediction: Prediction) -> Identification | None:
+    def tracked(self, view: View, prediction: Prediction) -> LedIdentification | None:
         """Return the verdict by the prediction's gates alone, None where a search has to tell."""
         r = matrix_of(prediction.q_vt)
         spots, contested = self._solver.expected(view, r, prediction.t_v, prediction.covariance, _TRACK_REACH_PX)
@@ -80,49 +80,49 @@ class Identifier:
         away = np.hypot(sights["u"] - sights["u"][used].mean(), sights["v"] - sights["v"][used].mean())
         return int((away <= 1.5 * away[used].max()).sum()) > len(used)
 
-    def search(self, view: View, prediction: Prediction | None) -> Identification:
+    def search(self, view: View, prediction: Prediction | None) -> LedIdentification:
         """Return the verdict over every hypothesis; the prediction counts only where the spots leave a choice."""
         if max(view.counts) < 3:
-            return Identification(TOO_FEW)
+            return LedIdentification(TOO_FEW)
         fits, all_kept = self._solver.hypotheses(view, prediction)
         if not len(fits):
-            return Identification(NO_MATCH if max(view.counts) > 3 else TOO_FEW)
+            return LedIdentification(NO_MATCH if max(view.counts) > 3 else TOO_FEW)
         fits = fits[[self._possible(fit) for fit in fits]]
         if not len(fits):
-            return Identification(GEOMETRY)
-        alone = self._by_spots(view, fits) if all_kept else Identification(AMBIGUOUS, candidates=list(fits))
+            return LedIdentification(GEOMETRY)
+        alone = self._by_spots(view, fits) if all_kept else LedIdentification(AMBIGUOUS, candidates=list(fits))
         if alone.status == OK or prediction is None:
             return alone
         tracked = self._by_track(view, fits, prediction)
         return tracked if tracked.status == OK or tracked.followed else alone
 
-    def _by_spots(self, view: View, fits: np.ndarray) -> Identification:
+    def _by_spots(self, view: View, fits: np.ndarray) -> LedIdentification:
         scores = np.array([fit["score"] - self._marked_cost(view, fit) for fit in fits])
         order = np.argsort(scores)[::-1]
         best = fits[order[0]]
         rivals = [fits[k] for k in order[1:] if scores[k] > scores[order[0]] - self._settings.decisive]
         candidates = [best, *rivals]
         if any(not covers(best, rival) for rival in rivals) or not self._certain(view, best):
-            return Identification(AMBIGUOUS, candidates=candidates)
+            return LedIdentification(AMBIGUOUS, candidates=candidates)
         if self._log_false_alarms(view, best, None) > math.log(self._settings.false_alarms):
-            return Identification(TOO_FEW, candidates=candidates)
-        return Identification(OK, best, candidates)
+            return LedIdentification(TOO_FEW, candidates=candidates)
+        return LedIdentification(OK, best, candidates)
 
-    def _by_track(self, view: View, fits: np.ndarray, prediction: Prediction) -> Identification:
+    def _by_track(self, view: View, fits: np.ndarray, prediction: Prediction) -> LedIdentification:
         squares = np.array([distance_square(fit, prediction) for fit in fits])
         inside = [k for k in range(len(fits)) if squares[k] < _GATE_6 and self._possible(fits[k])]
         if not inside:
-            return Identification(NO_MATCH)
+            return LedIdentification(NO_MATCH)
         scores = {k: fits[k]["score"] - self._marked_cost(view, fits[k]) - 0.5 * squares[k] for k in inside}
         order = sorted(inside, key=lambda k: -scores[k])
         best = fits[order[0]]
         rivals = [fits[k] for k in order[1:] if scores[k] > scores[order[0]] - self._settings.decisive]
         candidates = [best, *rivals]
         if any(not covers(best, rival) for rival in rivals) or not self._certain(view, best):
-            return Identification(AMBIGUOUS, candidates=candidates, followed=True)
+            return LedIdentification(AMBIGUOUS, candidates=candidates, followed=True)
         if self._log_false_alarms(view, best, prediction) > math.log(self._settings.false_alarms):
-            return Identification(TOO_FEW, candidates=candidates)
-        return Identification(OK, best, candidates)
+            return LedIdentification(TOO_FEW, candidates=candidates)
+        return LedIdentification(OK, best, candidates)
 
     def _possible(self, fit: np.void) -> bool:
         """Return whether the target is in range, in front, shows its face, and fits well for so few spots."""

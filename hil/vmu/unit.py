@@ -11,8 +11,8 @@ import numpy as np
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array, PoseFrame
 from hil.maths import quat
-from hil.vmu.detect import Detector
-from hil.vmu.identify import AMBIGUOUS, OK, TOO_FEW, Identification, Identifier
+from hil.vmu.detect import SpotDetector
+from hil.vmu.identify import AMBIGUOUS, OK, TOO_FEW, Identifier, LedIdentification
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import View
@@ -97,7 +97,7 @@ class VisionUnit:
         self.track = Track(track or TrackSettings())
         self._identifier = Identifier(self.solver, geometry.marked_led)
         self._shapes = tuple((camera.height, camera.width) for camera in (geometry.left, geometry.right))
-        self._detectors = tuple(Detector(shape, sensor=geometry.sensor) for shape in self._shapes)
+        self._detectors = tuple(SpotDetector(shape, sensor=geometry.sensor) for shape in self._shapes)
         self._none = tuple([-1] * len(geometry.leds_m))
 
     def solve(
@@ -203,7 +203,7 @@ class VisionUnit:
         return self.track.poses > 0 and self.track.poses % every == 0
 
     def _conclude(
-        self, verdict: Identification, view: View, spots: tuple[np.ndarray, np.ndarray], t_s: float, full_frame: bool
+        self, verdict: LedIdentification, view: View, spots: tuple[np.ndarray, np.ndarray], t_s: float, full_frame: bool
     ) -> Solution:
         kept = view.order
         if verdict.fit is None:

@@ -80,7 +80,7 @@ class Decoded:
 
 
 @dataclass(frozen=True, slots=True)
-class VmuIdentity:
+class ReportedIdentity:
     """What a unit says it is; vendor and serial number up to 16 ASCII characters."""
 
     vendor: str
@@ -105,7 +105,7 @@ def encode_status(counter: int, t_s: float, status: int) -> bytes:
     return _frame(counter, t_s, _VOID, 0, 0, status)
 
 
-def encode_identity(identity: VmuIdentity) -> bytes:
+def encode_identity(identity: ReportedIdentity) -> bytes:
     """Return the bytes of the frame in which a unit says what it is."""
     major, minor = (int(part) for part in identity.firmware.split("."))
     frame = IDENTITY_HEADER + _IDENTITY_BODY.pack(identity.vendor.encode(), identity.serial.encode(), major, minor)
@@ -129,7 +129,7 @@ class PoseDecoder:
         self.skipped_bytes = 0
         self.invalid = 0  # right CRC, impossible content
         self.wrong_length = 0  # sync and a known type, but not the length that this type has
-        self.identity: VmuIdentity | None = None  # the newest one that came
+        self.identity: ReportedIdentity | None = None  # the newest one that came
         self._buffer = bytearray()
 
     def feed(self, data: bytes, received_s: float) -> list[Decoded]:
@@ -174,9 +174,9 @@ class PoseDecoder:
         return found
 
 
-def _decode_identity(raw: bytes) -> VmuIdentity:
+def _decode_identity(raw: bytes) -> ReportedIdentity:
     vendor, serial, major, minor = _IDENTITY_BODY.unpack_from(raw, len(IDENTITY_HEADER))
-    return VmuIdentity(_text(vendor), _text(serial), f"{major}.{minor}")
+    return ReportedIdentity(_text(vendor), _text(serial), f"{major}.{minor}")
 
 
 def _text(padded: bytes) -> str:

@@ -15,11 +15,11 @@ from hil.core.messages import PoseFrame
 from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, InjectableFault, kinds
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.vmu import NAME
-from hil.drivers.vmu.codec import STATUS_NO_POSE, VmuIdentity, encode, encode_identity, encode_status
+from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity, encode, encode_identity, encode_status
 from hil.drivers.vmu.transport import Transport
 from hil.maths.random_streams import stream
 
-IDENTITY: Final = VmuIdentity("hil", "VMU-0001", "1.4")
+IDENTITY: Final = ReportedIdentity("hil", "VMU-0001", "1.4")
 IDENTITY_PERIOD_S: Final = 1.0
 CLOCK: Final = {"clock_jump": InjectableFault("the unit's clock is off", value="s", default=10.0)}
 _CATCHES_UP = 0.25  # of a frame period: an exposure that is later than this does not take place

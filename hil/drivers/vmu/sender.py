@@ -8,10 +8,10 @@ from typing import Final
 import serial
 
 from hil.core.messages import PoseFrame
-from hil.drivers.vmu.codec import STATUS_NO_POSE, VmuIdentity, encode, encode_identity, encode_status
+from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity, encode, encode_identity, encode_status
 from hil.errors import LinkLost
 
-IDENTITY: Final = VmuIdentity("hil", "VMU-SOFT", "1.0")
+IDENTITY: Final = ReportedIdentity("hil", "VMU-SOFT", "1.0")
 IDENTITY_PERIOD_S: Final = 1.0
 _NAME: Final = "vmu"
 
@@ -19,7 +19,7 @@ _NAME: Final = "vmu"
 class FrameSender:
     """Sends identity and frames, numbered from 0, on the serial port ``port``. Raises LinkLost, in the unit's name."""
 
-    def __init__(self, port: str, baud: int, identity: VmuIdentity = IDENTITY) -> None:
+    def __init__(self, port: str, baud: int, identity: ReportedIdentity = IDENTITY) -> None:
         self._identity = encode_identity(identity)
         self._identified_s = -float("inf")
         self._counter = 0

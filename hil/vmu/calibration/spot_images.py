@@ -10,7 +10,7 @@ from hil.config.vmu_geometry import Sensor
 from hil.core.messages import Array
 from hil.vmu.calibration.leds import Spots, SpotViews
 from hil.vmu.calibration.views import Views, read_pair
-from hil.vmu.detect import Detector
+from hil.vmu.detect import SpotDetector
 from hil.vmu.spots import AT_BORDER, MERGED
 
 FLOOR_PX = 0.01
@@ -22,7 +22,7 @@ def spot_views(views: Views, sizes: Array, sensor: Sensor | None, tell: Callable
 
     sizes: (2, 2), width and height, px. Raises BadInput for images of another size.
     """
-    detectors = [Detector((int(height), int(width)), sensor=sensor) for width, height in sizes]
+    detectors = [SpotDetector((int(height), int(width)), sensor=sensor) for width, height in sizes]
     found = []
     for k, name in enumerate(views.names):
         tell(f"spots of view {name}", k / len(views.names))
@@ -31,7 +31,7 @@ def spot_views(views: Views, sizes: Array, sensor: Sensor | None, tell: Callable
     return SpotViews(views.names, views.axes, tuple((left, right) for left, right in found))
 
 
-def _spots(detector: Detector, image: np.ndarray) -> Spots:
+def _spots(detector: SpotDetector, image: np.ndarray) -> Spots:
     spots = detector.spots(image, None)
     spots = spots[(spots["flags"] & (AT_BORDER | MERGED)) == 0]
     covariance = np.empty((len(spots), 2, 2))

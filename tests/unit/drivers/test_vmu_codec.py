@@ -16,7 +16,7 @@ from hil.drivers.vmu.codec import (
     STATUS_NO_POSE,
     Decoded,
     PoseDecoder,
-    VmuIdentity,
+    ReportedIdentity,
     crc16,
     encode,
     encode_identity,
@@ -184,7 +184,7 @@ IDENTITY_TRANSCRIPT = bytes.fromhex(
 
 
 def test_identity_is_encoded_to_the_transcript_and_back() -> None:
-    identity = VmuIdentity("acme", "VMU-0007", "1.4")
+    identity = ReportedIdentity("acme", "VMU-0007", "1.4")
     assert encode_identity(identity) == IDENTITY_TRANSCRIPT
     decoder = PoseDecoder()
     assert counters_of(decoder.feed(TRANSCRIPT + IDENTITY_TRANSCRIPT + encode(pose(8)), 0.0)) == [7, 8]

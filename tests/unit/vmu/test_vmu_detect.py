@@ -9,7 +9,7 @@ import pytest
 
 from hil.config.vmu_geometry import Sensor
 from hil.errors import BadInput
-from hil.vmu.detect import Detector
+from hil.vmu.detect import SpotDetector
 from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.render import Extras, HotPixel, Reflection, RingAppearance, RingRenderer, projections
 from hil.vmu.spots import AT_BORDER, MERGED, SATURATED
@@ -47,7 +47,7 @@ def errors(
     pair: CameraPair, look: RingAppearance, range_m: float, images: int, sensor: Sensor | None
 ) -> tuple[list, list, int]:
     """Return normalised squares, errors in px, and how many spots there were besides the LEDs'."""
-    rng, detector = np.random.default_rng(7), Detector((SIZE, SIZE), sensor=sensor)
+    rng, detector = np.random.default_rng(7), SpotDetector((SIZE, SIZE), sensor=sensor)
     squares, found, besides = [], [], 0
     for _ in range(images):
         leds = nine_leds(range_m, rng)
@@ -93,26 +93,26 @@ def test_centres_are_near_the_bound_of_a_gaussian_in_white_noise(pair: CameraPai
 
 
 def test_shot_noise_is_learnt_from_the_spots(pair: CameraPair) -> None:
-    look, rng, detector = replace(LOOK, electrons_per_level=20.0), np.random.default_rng(3), Detector((SIZE, SIZE))
+    look, rng, detector = replace(LOOK, electrons_per_level=20.0), np.random.default_rng(3), SpotDetector((SIZE, SIZE))
     for _ in range(12):
         leds = nine_leds(2.0, rng)
         detector.spots(RingRenderer(pair, leds, look).image(0, np.zeros(3), STRAIGHT, None, rng))
     assert detector.variance_per_level == pytest.approx(1.0 / 20.0, rel=0.35)
-    known = Detector((SIZE, SIZE), sensor=Sensor(electrons_per_level=20.0, read_noise_levels=1.0))
+    known = SpotDetector((SIZE, SIZE), sensor=Sensor(electrons_per_level=20.0, read_noise_levels=1.0))
     assert known.variance_per_level == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize("level", [0.0, 12.0, 120.0, 250.0])
 @pytest.mark.parametrize("noise", [0.0, 0.5, 3.0, 8.0])
 def test_nothing_is_found_in_the_dark(pair: CameraPair, level: float, noise: float) -> None:
-    detector = Detector((SIZE, SIZE))
+    detector = SpotDetector((SIZE, SIZE))
     for seed in range(3):
         image = shown(pair, replace(LOOK, background_levels=level, read_noise_levels=noise), seed=seed)
         assert len(detector.spots(image)) == 0
 
 
 def test_black_and_white_images_have_no_spots() -> None:
-    detector = Detector((SIZE, SIZE))
+    detector = SpotDetector((SIZE, SIZE))
     assert len(detector.spots(np.zeros((SIZE, SIZE), dtype=np.uint8))) == 0
     assert len(detector.spots(np.full((SIZE, SIZE), 255, dtype=np.uint8))) == 0
     half = np.zeros((SIZE, SIZE), dtype=np.uint8)
@@ -123,20 +123,22 @@ def test_black_and_white_images_have_no_spots() -> None:
 def test_hot_pixels_are_no_spots_and_do_not_hide_one(pair: CameraPair) -> None:
     hot = (HotPixel(0, 30, 40), HotPixel(0, 200, 100, 255), HotPixel(0, 200, 160, 40), HotPixel(0, 101, 101, 230))
     pair_of_two = (HotPixel(0, 250, 60), HotPixel(0, 251, 60))
-    spots = Detector((SIZE, SIZE)).spots(shown(pair, LOOK, Reflection(0, 103.3, 99.6, 900.0), hot=hot + pair_of_two))
+    spots = SpotDetector((SIZE, SIZE)).spots(
+        shown(pair, LOOK, Reflection(0, 103.3, 99.6, 900.0), hot=hot + pair_of_two)
+    )
     assert len(spots) == 1
     assert spots[0]["u"] == pytest.approx(103.3, abs=0.1)
     assert spots[0]["v"] == pytest.approx(99.6, abs=0.1)
 
 
 def test_clipped_spot_is_flagged(pair: CameraPair) -> None:
-    (spot,) = Detector((SIZE, SIZE)).spots(shown(pair, LOOK, Reflection(0, 150.3, 99.6, 9000.0, 1.5)))
+    (spot,) = SpotDetector((SIZE, SIZE)).spots(shown(pair, LOOK, Reflection(0, 150.3, 99.6, 9000.0, 1.5)))
     assert spot["flags"] == SATURATED
     assert spot["u"] == pytest.approx(150.3, abs=0.05)
 
 
 def test_spot_cut_by_the_edge_is_flagged_and_less_certain_across_it(pair: CameraPair) -> None:
-    (spot,) = Detector((SIZE, SIZE)).spots(shown(pair, LOOK, Reflection(0, 0.4, 99.6, 3000.0, 2.5)))
+    (spot,) = SpotDetector((SIZE, SIZE)).spots(shown(pair, LOOK, Reflection(0, 0.4, 99.6, 3000.0, 2.5)))
     assert spot["flags"] == AT_BORDER
     assert spot["var_u"] > 1.5 * spot["var_v"]
     assert abs(spot["u"] - 0.4) < 4.0 * np.sqrt(spot["var_u"])
@@ -144,7 +146,7 @@ def test_spot_cut_by_the_edge_is_flagged_and_less_certain_across_it(pair: Camera
 
 def test_two_lights_that_run_into_each_other_are_told_apart(pair: CameraPair) -> None:
     lights = Reflection(0, 150.2, 100.0, 1500.0), Reflection(0, 154.9, 101.0, 1100.0)
-    spots = Detector((SIZE, SIZE)).spots(shown(pair, LOOK, *lights))
+    spots = SpotDetector((SIZE, SIZE)).spots(shown(pair, LOOK, *lights))
     assert len(spots) == 2
     for spot, light in zip(spots[np.argsort(spots["u"])], lights, strict=True):
         assert spot["flags"] == MERGED
@@ -154,7 +156,7 @@ def test_two_lights_that_run_into_each_other_are_told_apart(pair: CameraPair) ->
 
 def test_windows_show_what_they_contain_once(pair: CameraPair) -> None:
     lights = [Reflection(0, u, 100.3, 1500.0) for u in (50.2, 150.7, 250.1)]
-    image, detector = shown(pair, LOOK, *lights), Detector((SIZE, SIZE))
+    image, detector = shown(pair, LOOK, *lights), SpotDetector((SIZE, SIZE))
     whole = np.sort(detector.spots(image), order="u")
     assert len(whole) == 3
     inside = detector.spots(image, np.array([[30, 80, 70, 120], [40, 90, 90, 130], [-20, -20, 10, 10]]))
@@ -168,14 +170,14 @@ def test_windows_show_what_they_contain_once(pair: CameraPair) -> None:
 
 def test_one_image_leaves_nothing_behind_for_the_next(pair: CameraPair) -> None:
     sensor = Sensor(electrons_per_level=100.0, read_noise_levels=0.8)
-    detector, image = Detector((SIZE, SIZE), sensor=sensor), shown(pair, LOOK, Reflection(0, 100.2, 100.3))
+    detector, image = SpotDetector((SIZE, SIZE), sensor=sensor), shown(pair, LOOK, Reflection(0, 100.2, 100.3))
     first = detector.spots(image)
     detector.spots(shown(pair, LOOK, Reflection(0, 102.0, 101.0, 5000.0, 4.0), hot=(HotPixel(0, 100, 100),)))
     assert np.array_equal(first, detector.spots(image))
 
 
 def test_images_that_are_not_the_cameras_are_refused() -> None:
-    detector = Detector((240, 320))
+    detector = SpotDetector((240, 320))
     with pytest.raises(BadInput, match=r"image: shape: uint8 \(320, 240\), must be uint8 \(240, 320\)"):
         detector.spots(np.zeros((320, 240), dtype=np.uint8))
     with pytest.raises(BadInput, match="uint16"):
@@ -187,10 +189,10 @@ def test_small_and_oblong_images_are_searched_to_their_edges() -> None:
         image = np.full(shape, 10, dtype=np.uint8)
         v, u = np.indices(shape)
         image += np.rint(150.0 * np.exp(-0.5 * ((u - 8.3) ** 2 + (v - 7.6) ** 2) / 1.3)).astype(np.uint8)
-        (spot,) = Detector(shape).spots(image)
+        (spot,) = SpotDetector(shape).spots(image)
         assert (spot["u"], spot["v"]) == pytest.approx((8.3, 7.6), abs=0.02)
 
 
 def test_noise_that_is_all_lights_is_survived() -> None:
     image = np.random.default_rng(1).choice(np.array([0, 255], dtype=np.uint8), size=(SIZE, SIZE), p=[0.97, 0.03])
-    assert len(Detector((SIZE, SIZE)).spots(image)) <= 64
+    assert len(SpotDetector((SIZE, SIZE)).spots(image)) <= 64
