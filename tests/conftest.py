@@ -17,60 +17,28 @@ from hil.config.scenario import Scenario
 from hil.recording.session import recording
 from hil.report.summary import summarise
 from hil.session import build
+from tests.support.run_settings import make_job
 
 # examples drawn from a fixed seed; no deadline, because a first call may compile a kernel
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
 settings.load_profile("hil")
 
-# modules beside tests/unit that use no wires and hang on no time of the wall: they may run beside each other
-_NO_WIRES = {
-    "test_approach",
-    "test_approach_events",
-    "test_bad_input",
-    "test_calibrate_command",
-    "test_campaign_command",
-    "test_campaign_parity",
-    "test_console_operator",
-    "test_frmn_processes",
-    "test_frmn_torn_reads",
-    "test_fusion_study",
-    "test_gnc_check",
-    "test_monitor_beside",
-    "test_monitor_command",
-    "test_operated_bench",
-    "test_own_gnc",
-    "test_own_gnc_over_udp",
-    "test_reach",
-    "test_record_command",
-    "test_recorder_killed",
-    "test_rendered_loop",
-    "test_rendered_pictures",
-    "test_replay",
-    "test_runs_in_memory",
-    "test_two_computers",
-    "test_vmu_command",
-    "test_vmu_streams",
-}
-_FAMILIES = {
-    "vision unit": ("vmu", "rendered", "calib"),
-    "docking monitor": ("monitor", "docking"),
-    "campaign": ("campaign", "own_gnc"),
-}
+_ONE_WORKER = {"vmu": "vision unit", "monitor": "docking monitor", "campaign": "campaign"}
+"""Packages whose unit tests share fixtures or kernels that are expensive to make, and the name of their group."""
 
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Name the worker's group of each test, so that what is dear is made once.
+    """Assign each test to the group of one worker, so that expensive fixtures are made once.
 
-    Tests on wires and on the wall clock go one after the other; those of the same kernels compile them in one
-    place; any other module keeps its fixtures to itself.
+    Tests marked ``wires`` run one after the other. A module may name its own group by ``xdist_group``; any other
+    module is a group of its own.
     """
     for item in items:
-        name = item.path.stem
-        if "unit" not in item.path.parts and name not in _NO_WIRES:
-            name = "wires"
-        families = (family for family, words in _FAMILIES.items() if any(word in name for word in words))
-        item.add_marker(pytest.mark.xdist_group(next(families, name)))
+        if item.get_closest_marker("wires"):
+            item.add_marker(pytest.mark.xdist_group("wires"))
+        elif not item.get_closest_marker("xdist_group"):
+            item.add_marker(pytest.mark.xdist_group(_ONE_WORKER.get(item.path.parent.name, item.path.stem)))
 
 
 @pytest.fixture
@@ -127,7 +95,7 @@ LATE = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_share=0
 @pytest.fixture(scope="session")
 def recorded_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the recording of 8 s of scheme-1 on the mock rig whose poses come as in LATE; do not change it."""
-    job = build.Job(load_scenario("scheme-1", LATE), load_rig("mock"), 3, 8.0, 1.0)
+    job = make_job(8.0, LATE, seed=3)
     folder = tmp_path_factory.mktemp("recorded")
     with recording(job, "mock", folder, lambda _: None) as taken:
         with build.runner(job, lambda *_: None, lambda _: None, taps=taken.taps) as runner:

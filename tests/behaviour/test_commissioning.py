@@ -13,13 +13,15 @@ import pytest
 
 from hil.commission.prompt import Scripted, StepFailed
 from hil.commission.steps import Commissioning, Found, Witness
-from hil.config.load import load_rig, load_scenario
 from hil.core.modes import Mode
 from hil.drivers.io.mock import MockIo
 from hil.errors import SafetyTrip
 from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import IoStage
 from hil.session import build
+from tests.support.run_settings import make_job
+
+pytestmark = pytest.mark.wires
 
 STEP_S = 0.02
 X, Y, YAW = 0, 1, 5
@@ -67,7 +69,7 @@ def commissioned(
     witness: Witness | None = None,
     ends: bool = False,
 ) -> Trial:
-    job = build.Job(load_scenario("scheme-1"), load_rig("mock", settings), 0, STEP_S, 1.0)
+    job = make_job(STEP_S, settings)
     trial = Trial(Scripted(answer))
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         lines, bench = runner.loop.lines, runner.loop.bench

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hil.config.console import OnLoss
-from hil.config.load import load_rig, load_scenario
+from hil.config.load import load_scenario
 from hil.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.console.status import CELLS, MODES, empty_status, status_of
 from hil.core.clock import SimulatedClock
@@ -22,6 +22,7 @@ from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
 from hil.session import build
 from hil.setup.live_tuning import packed, tuning
+from tests.support.run_settings import make_job
 
 LEASE_S = 1.0
 DEADBAND = "gnc.control.deadband_deg"
@@ -80,7 +81,7 @@ Script = Callable[[Talk], None]
 
 def converse(script: Script, on_loss: OnLoss = "hold", duration_s: float = 2.0) -> tuple[Outcome, Talk]:
     """Run scheme 1 on the mock rig; ``script`` is called before each look at the encoders. It ends by itself."""
-    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, duration_s, 1.0)
+    job = make_job(duration_s)
     here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     here.setblocking(False)
     block = MailboxBlock.create(CELLS, "console")

@@ -31,6 +31,8 @@ from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, LinkTimeout,
 from hil.processes.io_client import HostProcesses
 from hil.processes.io_server import DeviceHost
 
+pytestmark = pytest.mark.wires
+
 WIRES = (
     "rig.turntable.cia402.channel=nowhere",
     "rig.vmu.rs422.port=nowhere",

@@ -16,6 +16,8 @@ from hil.drivers.emulator_process import EmulatorProcess
 from hil.drivers.fault_injection import FaultControl
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
+pytestmark = pytest.mark.wires
+
 CHILD = """
 import sys, time
 from hil.drivers.emulator_process import serve

@@ -9,11 +9,12 @@ import tty
 import numpy as np
 import pytest
 
-from hil.config.load import load_rig, load_scenario
 from hil.drivers.command_words.codec import Word, encode
 from hil.drivers.vmu.codec import PoseDecoder
 from hil.session import build
-from tests.support.run_settings import UNHURRIED
+from tests.support.run_settings import UNHURRIED, make_job
+
+pytestmark = pytest.mark.wires
 
 _THRUSTERS = 0b10_0010  # numbers 2 and 6: against x
 
@@ -29,7 +30,7 @@ def test_words_over_a_serial_port_fly_the_bench_and_their_end_stops_it() -> None
         f"rig.flight_computer.serial.port={words_port}",
         f"rig.flight_computer.poses.port={poses_port}",
     )
-    job = build.Job(load_scenario("scheme-1"), load_rig("emulated", settings), 0, 20.0, 1.0)
+    job = make_job(20.0, settings, rig="emulated")
     build.check(job)
     heard, decoder, silent = [], PoseDecoder(), threading.Event()
 

@@ -20,6 +20,8 @@ from hil.core.modes import Mode
 from hil.core.operator_commands import Resuming
 from tests.support.split_bench import LOCAL, Split, gnc_thread, split_bench
 
+pytestmark = pytest.mark.wires
+
 CYCLES = 3
 
 

@@ -14,6 +14,8 @@ from hil.core.operator_commands import Resuming
 from tests.support.split_bench import Split, gnc_thread, split_bench
 from tests.support.udp_relay import Relay
 
+pytestmark = pytest.mark.wires
+
 STEP_S = 0.02
 PATIENT = ("rig.gnc_link.timeout_cycles=500",)
 """On a busy computer a cycle's answer may be late by more than a network makes it."""

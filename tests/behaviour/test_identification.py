@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from hil.commission.identification import AxisResult, Identification
-from hil.config.load import load_rig, load_scenario
 from hil.core.messages import AXES, new
 from hil.core.modes import Mode
 from hil.errors import BenchError, LinkLost, SafetyTrip
 from hil.loop.motion_sequences import MotionSequencer
 from hil.session import build
+from tests.support.run_settings import make_job
+
+pytestmark = pytest.mark.wires
 
 STEP_S = 0.02
 X, YAW = 0, 5
@@ -24,7 +26,7 @@ X, YAW = 0, 5
 
 @contextmanager
 def standing(*settings: str) -> Iterator[MotionSequencer]:
-    job = build.Job(load_scenario("scheme-1"), load_rig("mock", settings), 0, STEP_S, 1.0)
+    job = make_job(STEP_S, settings)
     with build.runner(job, lambda *_: None, lambda _: None) as runner, runner.axes_alone() as handling:
         yield handling
 
@@ -129,7 +131,7 @@ def test_no_axis_but_the_one_under_test_moves_and_none_goes_far() -> None:
 
 def _in_the_middle(act: Callable[[MotionSequencer], Any]) -> tuple[BaseException, list[str]]:
     """Let ``act`` happen while an axis is measured; return what came of it and the order of stop and close."""
-    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, STEP_S, 1.0)
+    job = make_job(STEP_S)
     calls: list[str] = []
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         bench = runner.loop.bench

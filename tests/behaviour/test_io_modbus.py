@@ -27,6 +27,8 @@ from hil.drivers.io.driver import ModbusIo
 from hil.drivers.io.emulator import IDENTITY, IoEmulator
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 
+pytestmark = pytest.mark.wires
+
 TIMEOUT_S = 0.4
 
 

@@ -21,8 +21,9 @@ from hil.monitor.results import PORTION
 from hil.processes.docking_monitor import MonitorProcess, Watched, watch_recorded
 from hil.report.docking_monitor import judge_monitor, monitor_lines
 from hil.session import build, with_docking_monitor
-from hil.session.build import Job
-from tests.support.run_settings import UNHURRIED, typed
+from tests.support.run_settings import UNHURRIED, make_job, typed
+
+pytestmark = pytest.mark.xdist_group("docking monitor")
 
 SETTINGS = ("monitor.source=rendered",)
 
@@ -40,7 +41,7 @@ def rig() -> Rig:
 @pytest.fixture(scope="module")
 def history() -> np.ndarray:
     """Return six seconds of scheme-1 on mocks."""
-    job = Job(load_scenario("scheme-1"), load_rig("mock"), 0, 6.0, 1.0)
+    job = make_job(6.0)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         return runner.run().history
 
@@ -125,7 +126,7 @@ def test_a_run_that_ended_before_its_first_cycle_has_nothing_to_compare(scenario
 
 
 def test_run_without_monitor_has_none(rig: Rig) -> None:
-    job = Job(load_scenario("scheme-1"), load_rig("mock"), 0, 0.1, 1.0)
+    job = make_job(0.1)
     with with_docking_monitor.runner(job, lambda *_: None, lambda _: None) as (runner, look):
         assert look(runner.run()) is None
 

@@ -23,6 +23,8 @@ from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
 from hil.drivers.shared_state import SharedAxisState
 from hil.errors import DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 
+pytestmark = pytest.mark.wires
+
 RIGS = ("emulated", "emulated-rtu")
 TIMEOUT_S = 1.2  # of bench time; a busy test machine may take some of it
 INCREMENTAL = {"encoder": "incremental", "homing_rate_mps": 0.2}

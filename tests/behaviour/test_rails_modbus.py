@@ -28,6 +28,8 @@ from hil.drivers.rails.emulator import RailsEmulator
 from hil.drivers.shared_state import SharedAxisState
 from hil.errors import BadInput, BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 
+pytestmark = pytest.mark.wires
+
 TIMEOUT_S = 0.2
 CYCLE_S = 0.01
 SLACK_S = 0.25  # wall time that a busy test machine may take away

@@ -19,6 +19,8 @@ from hil.core import realtime
 from hil.core.realtime import CPU, FIFO, MEMORY, NICE, SLACK, SLICE, RealTime
 from hil.session import build
 
+pytestmark = pytest.mark.wires
+
 HARDWARE = """
 extends = "emulated"
 kind = "hardware"

@@ -9,13 +9,14 @@ import sys
 import numpy as np
 import pytest
 
-from hil.config.load import load_rig, load_scenario
 from hil.core.clock import SimulatedClock
 from hil.core.messages import CYCLE
 from hil.frmn.ring import Ring
 from hil.loop.rate_keeper import SimulatedRate
 from hil.session import build
-from tests.support.run_settings import NEAR, UNHURRIED
+from tests.support.run_settings import NEAR, UNHURRIED, make_job
+
+pytestmark = pytest.mark.wires
 
 READER = """
 import json, sys
@@ -32,7 +33,7 @@ WIRES = (*NEAR, *UNHURRIED)
 
 
 def test_reader_gets_the_very_rows_of_the_history() -> None:
-    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 2.0, 1.0)
+    job = make_job(2.0)
     ring = Ring.create(CYCLE, 256)
     reader = ring.reader()
     rate = SimulatedRate(SimulatedClock(), job.scenario.value.step_s)
@@ -44,7 +45,7 @@ def test_reader_gets_the_very_rows_of_the_history() -> None:
 
 @pytest.mark.slow
 def test_another_process_attaches_to_a_run_on_wires_and_accounts_for_every_cycle() -> None:
-    job = build.Job(load_scenario("scheme-1", WIRES), load_rig("emulated", WIRES), 0, 1.0, 1.0)
+    job = make_job(1.0, WIRES, rig="emulated")
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         ring = runner.loop.telemetry
         assert isinstance(ring, Ring)

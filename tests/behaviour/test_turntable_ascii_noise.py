@@ -8,12 +8,16 @@ import select
 import threading
 import tty
 
+import pytest
+
 from hil.core.clock import WallClock
 from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.ascii.driver import AsciiTurntable
 from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
 from hil.errors import ProtocolError
 from tests.behaviour.test_turntable_drivers import error_of, eventually, turntable
+
+pytestmark = pytest.mark.wires
 
 
 class NoisyLine:

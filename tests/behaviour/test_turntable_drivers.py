@@ -25,6 +25,8 @@ from hil.drivers.turntable.cia402.driver import Cia402Turntable
 from hil.drivers.turntable.cia402.emulator import Cia402Emulator
 from hil.errors import DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, SafetyTrip
 
+pytestmark = pytest.mark.wires
+
 DRIVERS = {"cia402": Cia402Turntable, "ascii": AsciiTurntable, "acu": AsciiTurntable}
 EMULATORS = {"cia402": Cia402Emulator, "ascii": AsciiTurntableEmulator, "acu": AsciiTurntableEmulator}
 PARK_DEG = (3.0, -2.0, 0.5)

@@ -10,6 +10,8 @@ import pytest
 from hil.errors import DeviceError, LinkTimeout
 from tests.behaviour.test_turntable_drivers import error_of, eventually, served
 
+pytestmark = pytest.mark.wires
+
 SPEED = 1.0
 PATIENCE_WALL_S = 20.0
 

@@ -14,6 +14,8 @@ from hil.drivers.turntable.cia402 import codec as codec
 from hil.errors import DriveFault, FaultKind, LinkTimeout, ProtocolError
 from tests.behaviour.test_turntable_drivers import DRIVERS, PARK_DEG, emulated, error_of, eventually, served, turntable
 
+pytestmark = pytest.mark.wires
+
 INCREMENTAL = {"encoder": "incremental", "home_deg": 1.0, "homing_rate_degps": 5.0}
 
 

@@ -18,6 +18,8 @@ from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.render import Extras, Reflection, RingAppearance, RingRenderer
 from tests.support.vmu_scene import Truth, ring
 
+pytestmark = pytest.mark.xdist_group("vision unit")
+
 FRAMES = 6
 
 

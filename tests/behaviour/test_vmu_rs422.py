@@ -25,6 +25,8 @@ from hil.drivers.vmu.driver import Rs422Vmu
 from hil.drivers.vmu.emulator import VmuEmulator
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout
 
+pytestmark = pytest.mark.wires
+
 SPEED = 4.0
 POSE = PoseFrame(0, 0.0, 0.0, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6) * 1e-4)
 

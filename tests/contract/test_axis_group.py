@@ -31,6 +31,8 @@ from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, SafetyTrip
 from hil.processes.io_server import DeviceHost
 
+pytestmark = pytest.mark.wires
+
 SPEED = 2.0
 RIG = load_rig("emulated").value
 RTU_RAILS = load_rig("emulated-rtu").value.rails

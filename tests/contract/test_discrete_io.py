@@ -20,6 +20,8 @@ from hil.drivers.io.emulator import IoEmulator
 from hil.drivers.io.mock import MockIo
 from hil.errors import DeviceError, LinkTimeout
 
+pytestmark = pytest.mark.wires
+
 PUMP_TIMEOUT_S = 0.4  # generous: the machine that tests run on does other things too
 THRUSTERS = bytes((1, 0, 0, 1))
 

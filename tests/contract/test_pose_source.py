@@ -20,6 +20,8 @@ from hil.drivers.vmu.emulator import VmuEmulator
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, LinkTimeout
 
+pytestmark = pytest.mark.wires
+
 SPEED = 2.0
 CONFIG = load_rig("emulated").value.vmu
 COVARIANCE = np.diag([1e-6, 2e-6, 3e-6, 4e-7, 5e-7, 6e-7])

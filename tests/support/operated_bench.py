@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.config.load import load_rig, load_scenario
 from hil.core.modes import Mode
 from hil.core.operator_commands import Operator, OperatorCommand
 from hil.loop.runner import Outcome, Runner
 from hil.session import build
+from tests.support.run_settings import make_job
 
 STEP_S = 0.02
 
@@ -97,7 +97,7 @@ def operate(
 ) -> tuple[Outcome, Session]:
     """Run scheme 1 on the mock rig under ``script``; it ends a session that would wait for ever by itself."""
     operator = Operator(plan, attended)
-    job = build.Job(load_scenario("scheme-1", settings), load_rig("mock", settings), 0, duration_s, 1.0)
+    job = make_job(duration_s, settings)
     with build.runner(job, lambda *_: None, lambda _: None, operator) as runner:
         bench = runner.loop.bench
         session = Session(runner, operator, Recorded(bench.rails), Recorded(bench.turntable))

@@ -1,6 +1,11 @@
-"""Settings that many tests run with, and how they are typed."""
+"""Settings and jobs that many tests run with."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hil.config.load import load_rig, load_scenario
+from hil.session.build import Job
 
 NEAR = ("initial.position_m=[0.7, -0.03, 0.03]", "rig.rails.x.park_m=0.6")
 """A start from which the ready point is near, for a run that is short on the wall at the speed of time: faster
@@ -14,3 +19,16 @@ is no fault. The other time-outs are 0.4 s and more as shipped."""
 def typed(*settings: str) -> tuple[str, ...]:
     """Return ``settings`` as they are typed."""
     return tuple(word for setting in settings for word in ("--set", setting))
+
+
+def make_job(
+    duration_s: float,
+    settings: Sequence[str] = (),
+    *,
+    scenario: str = "scheme-1",
+    rig: str = "mock",
+    seed: int = 0,
+    speed: float = 1.0,
+) -> Job:
+    """Return a job of a shipped or written scenario on a rig; ``settings`` are of both."""
+    return Job(load_scenario(scenario, settings), load_rig(rig, settings), seed, duration_s, speed)

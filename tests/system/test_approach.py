@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from hil.cli.main import execute
-from hil.config.load import load_rig, load_scenario
 from hil.loop.runner import Outcome
 from hil.session import build
+from tests.support.run_settings import make_job
 
 
 def _run(scenario: str, seed: int, duration_s: float, *settings: str) -> Outcome:
-    job = build.Job(load_scenario(scenario, settings), load_rig("mock", settings), seed, duration_s, 1.0)
+    job = make_job(duration_s, settings, scenario=scenario, seed=seed)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         return runner.run()
 

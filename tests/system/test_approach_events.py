@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.config.load import load_rig, load_scenario
 from hil.core.messages import SUPERVISION, new
 from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.session import build
+from tests.support.run_settings import make_job
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_decision_after_an_abort_is_no_go(diary: ApproachEventLog) -> None:
 
 def test_order_to_go_on_is_answered_once() -> None:
     settings = ["initial.position_m=[0.4,0.0,0.0]", "initial.attitude_deg=[0.0,0.0,0.0]"]
-    job = build.Job(load_scenario("scheme-1", settings), load_rig("mock"), 0, 20.0, 1.0)
+    job = make_job(20.0, settings)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         gnc = runner.loop.gnc
         gnc.order_go()
@@ -54,7 +54,7 @@ def test_order_to_go_on_is_answered_once() -> None:
 
 
 def test_order_to_abort_is_obeyed_in_the_same_cycle() -> None:
-    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 2.0, 1.0)
+    job = make_job(2.0)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         runner.loop.gnc.order_abort()
         outcome = runner.run()

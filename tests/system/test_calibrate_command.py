@@ -22,6 +22,8 @@ from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.render import NOTHING
 from tests.support.run_settings import typed
 
+pytestmark = pytest.mark.xdist_group("vision unit")
+
 BOARD = Board(7, 5, 0.05)
 SMALL = (
     "rig.vmu.camera.focal_px=500.0",

@@ -20,6 +20,8 @@ from hil.campaign.engines import LocalEngine
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 
+pytestmark = pytest.mark.xdist_group("campaign")
+
 SHORT = ("--duration", "1.0")
 
 

@@ -14,6 +14,8 @@ from hil.loop.runner import COMPLETED, Outcome
 from hil.report.summary import summarise
 from hil.session import build
 
+pytestmark = pytest.mark.xdist_group("campaign")
+
 CLOSE = ("initial.position_m=[0.55, 0.01, -0.01]", "initial.attitude_deg=[0.3, 0.2, -0.2]")
 LATE = (
     "vmu.latency_s=0.07",

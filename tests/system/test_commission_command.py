@@ -26,6 +26,8 @@ from hil.loop.runner import Runner
 from hil.session import build
 from hil.session.build import WiredBench
 
+pytestmark = pytest.mark.wires
+
 X, Y, YAW = 0, 1, 5
 SPEED = 2.0
 _ATTEMPTS = 3  # a computer that is busy with other things trips the watchdogs: not what is tested here

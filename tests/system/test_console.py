@@ -27,6 +27,8 @@ from tests.support.console_client import Console, Page, console
 from tests.support.external_gnc import c_example
 from tests.support.run_settings import NEAR, typed
 
+pytestmark = pytest.mark.wires
+
 TOKEN = "0123456789abcdef-right"
 
 

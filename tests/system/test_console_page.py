@@ -17,7 +17,7 @@ from hil.recording.replay import replay
 from tests.support.console_client import PATIENT, Console, console
 from tests.support.run_settings import NEAR, typed
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.wires, pytest.mark.slow, pytest.mark.timeout(600)]
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 

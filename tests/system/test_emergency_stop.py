@@ -6,15 +6,14 @@ import time
 
 import pytest
 
-from hil.config.load import load_rig, load_scenario
 from hil.core.modes import Mode
 from hil.drivers.fault_injection import FaultControl
-from hil.session.build import Job, check, warm_up
+from hil.session.build import check, warm_up
 from hil.session.build import runner as make_runner
-from tests.support.run_settings import NEAR, UNHURRIED
+from tests.support.run_settings import NEAR, UNHURRIED, make_job
 
 # the fault matrix presses it in the normal run
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.wires, pytest.mark.slow]
 
 WIRES = (*NEAR, *UNHURRIED)
 
@@ -22,7 +21,7 @@ WIRES = (*NEAR, *UNHURRIED)
 def test_emergency_stop_ends_the_run_by_name_and_the_axes_stand() -> None:
     """It is pressed by the control port."""
     announced: list[str] = []
-    job = Job(load_scenario("scheme-1", WIRES), load_rig("emulated", WIRES), 1, 20.0, 1.0)
+    job = make_job(20.0, WIRES, rig="emulated", seed=1)
     check(job)
     warm_up(job)
     pressed_s: list[float] = []

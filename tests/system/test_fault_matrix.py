@@ -7,17 +7,18 @@ from collections.abc import Iterator
 import pytest
 
 from hil.commission.fault_matrix import GOES_ON, TIGHT, FaultCase, matrix, rehearse, representatives
-from hil.config.load import load_rig, load_scenario
 from hil.core.modes import Mode
-from hil.session.build import Job, WiredBench, check, warm_up, wired_bench
-from tests.support.run_settings import UNHURRIED
+from hil.session.build import WiredBench, check, warm_up, wired_bench
+from tests.support.run_settings import UNHURRIED, make_job
+
+pytestmark = pytest.mark.wires
 
 SETTINGS = (*TIGHT, *UNHURRIED)
 
 
 @pytest.fixture(scope="module")
 def bench() -> Iterator[WiredBench]:
-    job = Job(load_scenario("scheme-1", SETTINGS), load_rig("emulated", SETTINGS), 0, 60.0, 1.0)
+    job = make_job(60.0, SETTINGS, rig="emulated")
     check(job)
     warm_up(job)
     with wired_bench(job) as made:

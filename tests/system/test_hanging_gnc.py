@@ -10,6 +10,8 @@ import pytest
 from tests.support.external_gnc import c_example
 from tests.system.test_killed_processes import GENEROUS_S, running
 
+pytestmark = pytest.mark.wires
+
 
 @pytest.mark.slow
 def test_the_axes_stand_after_a_library_has_hung(tmp_path: Path) -> None:

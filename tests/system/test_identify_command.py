@@ -16,6 +16,8 @@ from hil.cli.identify import AXES
 from hil.cli.main import execute
 from hil.config.load import load_rig
 
+pytestmark = pytest.mark.wires
+
 HARDWARE = """
 extends = "emulated"
 name = "lab"

@@ -22,6 +22,8 @@ from hil.core.clock import WallClock
 from hil.processes.emulators import EmulatedDevices
 from tests.support.run_settings import typed
 
+pytestmark = pytest.mark.wires
+
 MOVING = (
     "initial.position_m=[2.0, -0.12, 0.12]",
     "rig.rails.x.park_m=2.0",

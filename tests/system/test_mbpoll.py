@@ -14,6 +14,7 @@ import pytest
 
 MBPOLL = shutil.which("mbpoll")
 pytestmark = [
+    pytest.mark.wires,
     pytest.mark.slow,
     pytest.mark.skipif(MBPOLL is None, reason="mbpoll is not installed (Debian: apt-get install mbpoll)"),
 ]

@@ -17,6 +17,8 @@ from hil.monitor.monitor import Monitor
 from hil.monitor.render import Conditions, TargetRenderer, film
 from hil.monitor.results import QUANTITIES
 
+pytestmark = pytest.mark.xdist_group("docking monitor")
+
 COLUMNS = [
     "t_s", "frames", "status", "d1_m", "d2_m", "d3_m", "phi1_rad", "phi2_rad", "phi3_rad", "range_m", "range_rate_mps",
     "pitch_passive_rad", "yaw_passive_rad", "los_right_rad", "los_up_rad",

@@ -24,7 +24,9 @@ from hil.recording.replay import replay
 from hil.session import build
 from hil.setup.assembly import library_problems
 from tests.support.external_gnc import PYTHON_EXAMPLE, c_example
-from tests.support.run_settings import typed
+from tests.support.run_settings import make_job, typed
+
+pytestmark = pytest.mark.xdist_group("campaign")
 
 OF_THE_CLOCK = ("sampled_s", "received_s", "commanded_s", "on_wire_s", "lateness_s")
 """Stamps of devices, which a loop without devices does not have."""
@@ -46,7 +48,7 @@ def variant(folder: Path, *replacements: str) -> Path:
 
 def flown(library: Path, duration_s: float, *settings: str, operator: Operator | None = None) -> Outcome:
     chosen = (f"gnc.library={library}", *settings)
-    job = build.Job(load_scenario("scheme-1", chosen), load_rig("mock", chosen), 3, duration_s, 1.0)
+    job = make_job(duration_s, chosen, seed=3)
     build.check(job)
     with build.runner(job, lambda *_: None, lambda _: None, operator) as runner:
         return runner.run()

@@ -14,6 +14,8 @@ import pytest
 from hil.cli.main import execute
 from tests.support.external_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
 
+pytestmark = pytest.mark.xdist_group("campaign")
+
 
 def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

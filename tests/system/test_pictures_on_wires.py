@@ -17,6 +17,8 @@ from hil.recording.replay_images import replay_monitor, replay_vision_unit
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
 from tests.support.run_settings import UNHURRIED, typed
 
+pytestmark = pytest.mark.wires
+
 SETTINGS = (
     "vmu.source=rendered",
     "monitor.source=rendered",

@@ -11,6 +11,8 @@ import pytest
 from hil.cli.main import execute
 from tests.support.run_settings import UNHURRIED, typed
 
+pytestmark = pytest.mark.wires
+
 OF_THIS_MACHINE = ("clock", "scheduling", "memory lock", "CPU", "processors", "disk", "kernel", "compiled", "lateness")
 
 

@@ -20,6 +20,9 @@ from hil.models.mounting import camera_pose
 from hil.params import gnc as gnc_params
 from hil.session import build
 from hil.vmu.geometry import geometry_of_rig
+from tests.support.run_settings import make_job
+
+pytestmark = pytest.mark.xdist_group("vision unit")
 
 RENDERED = "vmu.source=rendered"
 HALF_WAY = (2.0, -0.1, 0.1)  # m
@@ -90,7 +93,7 @@ def test_lights_that_are_no_leds_do_not_mislead() -> None:
 
 def test_the_filters_live_on_pictures() -> None:
     settings = (RENDERED, "initial.position_m=[1.2, -0.05, 0.05]")
-    job = build.Job(load_scenario("scheme-1", settings), load_rig("mock", settings), 0, 12.0, 1.0)
+    job = make_job(12.0, settings)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         history = runner.run().history
     late = history[history["t_s"] > 6.0]

@@ -23,6 +23,8 @@ from hil.recording.replay_images import replay_monitor, replay_vision_unit
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
 from tests.support.run_settings import typed
 
+pytestmark = pytest.mark.xdist_group("vision unit")
+
 RENDERED = ("vmu.source=rendered", "monitor.source=rendered", "initial.position_m=[2.0, -0.05, 0.05]")
 ALL_PNG = ("rig.recording.pictures=png", "rig.recording.picture_each_s=0")
 

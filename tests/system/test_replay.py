@@ -11,7 +11,6 @@ import pytest
 
 from hil.cli.main import execute
 from hil.config.gnc_override import with_other_gnc
-from hil.config.load import load_rig, load_scenario
 from hil.core.modes import Mode
 from hil.core.operator_commands import Operator, OperatorCommand
 from hil.errors import BadInput
@@ -20,11 +19,12 @@ from hil.recording.replay import replay
 from hil.recording.session import recording
 from hil.report.summary import summarise
 from hil.session import build
+from tests.support.run_settings import make_job
 
 
 def record(folder: Path, scenario: str, duration_s: float, *settings: str) -> Recorded:
     """Return a recorded run on the mock rig."""
-    job = build.Job(load_scenario(scenario, settings), load_rig("mock", settings), 1, duration_s, 1.0)
+    job = make_job(duration_s, settings, scenario=scenario, seed=1)
     with recording(job, "mock", folder, lambda _: None) as taken:
         with build.runner(job, lambda *_: None, lambda _: None, taps=taken.taps) as runner:
             outcome = runner.run()
@@ -64,7 +64,7 @@ def test_orders_are_given_again_in_their_cycles(tmp_path: Path) -> None:
 
 def record_operated(folder: Path, operator: Operator, watch: Callable[[Mode, float], None]) -> Recorded:
     """Return 4 s of scheme-1, recorded, with somebody who gives orders while being told how far the run is."""
-    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 1, 4.0, 1.0)
+    job = make_job(4.0, seed=1)
     with recording(job, "mock", folder, lambda _: None) as taken:
         with build.runner(job, watch, lambda _: None, operator, taken.taps) as runner:
             assert runner.run().stop == "completed"

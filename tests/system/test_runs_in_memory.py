@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from hil.cli.main import execute
-from hil.config.load import load_rig, load_scenario
+from hil.config.load import load_scenario
 from hil.report.paper import TABLE_V
 from hil.report.verdict import ROW_NAMES
 from hil.session import build
-from tests.support.run_settings import typed
+from tests.support.run_settings import make_job, typed
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, dict[
 
 
 def _history(scenario: str, seed: int, duration_s: float, *settings: str) -> np.ndarray:
-    job = build.Job(load_scenario(scenario, settings), load_rig("mock", settings), seed, duration_s, 1.0)
+    job = make_job(duration_s, settings, scenario=scenario, seed=seed)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         return runner.run().history
 

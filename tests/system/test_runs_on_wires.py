@@ -17,6 +17,8 @@ import pytest
 
 from tests.support.run_settings import NEAR, UNHURRIED, typed
 
+pytestmark = pytest.mark.wires
+
 GENEROUS_EXIT_S = 3.0  # the product's own figure is 0.5 s; this one holds on a machine that does other things too
 
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 
 from hil.cli.main import execute
-from hil.config.load import load_rig, load_scenario
 from hil.errors import DeviceError, LinkTimeout
 from hil.session import build
+from tests.support.run_settings import make_job
 from tests.support.split_bench import gnc_thread, split_bench
 from tests.support.udp_relay import Relay
 
 
 def in_one_process(scenario: str, duration_s: float, settings: tuple[str, ...] = (), seed: int = 0) -> build.Job:
-    return build.Job(load_scenario(scenario, settings), load_rig("mock", settings), seed, duration_s, 1.0)
+    return make_job(duration_s, settings, scenario=scenario, seed=seed)
 
 
 @pytest.mark.parametrize(

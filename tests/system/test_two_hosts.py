@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.wires
+
 BENCH, GNC = "10.77.0.1", "10.77.0.2"
 
 

@@ -20,6 +20,8 @@ from hil.maths import quat
 from hil.vmu.geometry import camera_pair, geometry_of_rig, led_positions
 from hil.vmu.render import RingAppearance, RingRenderer
 
+pytestmark = pytest.mark.xdist_group("vision unit")
+
 FRAMES = 6
 
 

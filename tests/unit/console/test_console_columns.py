@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hil.config.load import load_rig, load_scenario
 from hil.console.columns import COLUMNS, INDEX, console_rows
 from hil.core.clock import SimulatedClock
 from hil.loop.rate_keeper import SimulatedRate
 from hil.params import gnc as gnc_params
 from hil.session import build
+from tests.support.run_settings import make_job
 
 
 @pytest.fixture(scope="module")
 def flown() -> tuple[np.ndarray, np.ndarray]:
     """Return CYCLE rows of four seconds on mocks, and the console's."""
-    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 3, 4.0, 1.0)
+    job = make_job(4.0, seed=3)
     step_s = job.scenario.value.step_s
     history = build.in_memory(job, SimulatedRate(SimulatedClock(), step_s), lambda *_: None).run().history
     return history, console_rows(gnc_params.bench(job.rig.value, step_s), history)
@@ -80,7 +80,7 @@ def test_thrusters_are_bits(flown: tuple[np.ndarray, np.ndarray]) -> None:
 
 
 def test_nothing_is_shown_of_an_estimate_before_there_is_one() -> None:
-    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 0.04, 1.0)
+    job = make_job(0.04)
     step_s = job.scenario.value.step_s
     history = build.in_memory(job, SimulatedRate(SimulatedClock(), step_s), lambda *_: None).run().history
     history["navigation"]["valid"] = 0

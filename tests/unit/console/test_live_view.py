@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from hil.cameras.docking import chaser_position, stations, view
-from hil.config.load import load_rig, load_scenario
 from hil.console.client import Client
 from hil.console.live_view import LiveView, picture_of
 from hil.console.message import ImageMessage, pack, unpack
@@ -21,9 +20,9 @@ from hil.frmn.ring import Ring
 from hil.maths import euler
 from hil.monitor.results import PORTION, Portion, portion_row
 from hil.params.gnc import YAW_PITCH_ROLL
-from hil.session import build
+from tests.support.run_settings import make_job
 
-JOB = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0, 1.0)
+JOB = make_job(1.0)
 
 
 class Session:

@@ -10,11 +10,12 @@ from hil.config.load import load_rig, load_scenario
 from hil.core.messages import Event
 from hil.gnc.filter_monitor import NisMonitor, nis_band
 from hil.session import build
+from tests.support.run_settings import make_job
 
 
 def events_of(*settings: str, duration_s: float = 120.0, scheme: str = "scheme-1") -> list[Event]:
     """Return what the watch told in a run on the mock rig."""
-    job = build.Job(load_scenario(scheme, settings), load_rig("mock"), 0, duration_s, 1.0)
+    job = make_job(duration_s, settings, scenario=scheme)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         runner.run()
         watch = runner.loop.gnc.watch

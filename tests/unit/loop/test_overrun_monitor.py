@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.config.load import load_rig, load_scenario
+from hil.config.load import load_rig
 from hil.config.rig import Rig
 from hil.core.modes import Mode
 from hil.errors import SafetyTrip
 from hil.loop.overrun_monitor import LateCycles, lateness_histogram, lateness_percentiles_us
 from hil.loop.rate_keeper import Tick
 from hil.session import build
+from tests.support.run_settings import make_job
 
 
 def late(now_s: float, skipped: int = 1) -> Tick:
@@ -78,7 +79,7 @@ def test_hardware_stops_unless_told_otherwise(kind: str, action: str) -> None:
 
 
 def test_run_that_loses_too_many_periods_ends_as_a_safe_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 2.0, 1.0)
+    job = make_job(2.0)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         runner.late_cycles = LateCycles("safe_stop", 5, 1.0)
         rate = runner._rate

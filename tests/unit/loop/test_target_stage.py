@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hil.config.load import load_rig, load_scenario
 from hil.config.rig import RAIL_NAMES, TargetManipulator
 from hil.core.clock import SimulatedClock
 from hil.drivers.mock_axes import MockAxes
 from hil.errors import SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.target_stage import SHARE_OF_LIMITS, PlacedTarget
-from hil.session.build import Job
 from hil.session.build import runner as make_runner
+from tests.support.run_settings import make_job
 
 AXIS = {"travel_m": [-0.5, 0.5], "rate_max_mps": 0.2, "acceleration_max_mps2": 0.4}
 TABLE = {
@@ -85,7 +84,7 @@ def test_place_outside_the_travel_is_refused() -> None:
 def test_run_places_the_target_first_and_is_the_same_run_otherwise() -> None:
     found = []
     for settings in ((), (SETTING,)):
-        job = Job(load_scenario("scheme-1"), load_rig("mock", settings), 1, 2.0, 1.0)
+        job = make_job(2.0, settings, seed=1)
         with make_runner(job, lambda *_: None, lambda _: None) as runner:
             outcome = runner.run()
             assert outcome.stop == "completed"
