@@ -1,0 +1,192 @@
+"""Vocabulary check of documentation, docstrings, comments and displayed texts.
+
+`python -m tests.support.vocabulary [PATH...]` prints `file:line: word: text` for each private word in the given
+files and folders (default: ALL), then the counts per word, kind of text and file. Code is not checked: inline code,
+link targets and code blocks of Markdown (except comments in them), and string literals without a space.
+"""
+
+import ast
+import io
+import re
+import sys
+import tokenize
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+
+ALL = ("README.md", "CHANGELOG.md", "docs", "benchmarks/README.md", "configs", "hil")
+
+# name of the word -> pattern; the field's term or plain English replaces it ("if" for "where", "per" for "a")
+WORDS = {
+    "whoever": r"whoever|whomever|somebody|nobody|anybody|everybody",
+    "say": r"say|says|said|saying",
+    "hear": r"hear|hears|heard|hearing",
+    "tell": r"tell|tells|told|telling",
+    "know": r"know|knows|knew|knowing",
+    "believe": r"believe|believes|believed",
+    "anew": r"anew",
+    "left away": r"(?:left|leave|leaves|leaving) (?:\w+ )?away",
+    "fast as time": r"as fast as time|faster than time|slower than time",
+    "wall": r"(?:on|by) the wall|the wall(?! clock)|a wall second|wall seconds?",
+    "lamp": r"lamps?",
+    "a word on": r"an? (?:\w+ )?words? (?:on|with|for|about)|in words|word for word",
+    "picture": r"pictures?|pictured",
+    "share": r"shares? of|(?:the|a|an|its|this|that|same|smaller|larger|smallest|largest|what|given) shares?"
+    r"(?! (?:memory|a|an|the|no|one|its))",
+    "go on": r"(?:goes|go|went|gone|going) on",
+    "where there is": r"where (?:there (?:is|are)|none|nothing|no|one (?:is|was))",
+    "beside": r"besides?",
+    "stations": r"stations?",
+    "seat": r"seats?",
+    "eye": r"(?<!hand-)eyes?",
+    "keeper": r"(?<!rate )keepers?",
+    "desk": r"desks?",
+    "glide": r"glides?|gliding",
+    "liberty": r"liberty|liberties",
+    "sieve": r"sieves?",
+    "dialect": r"dialects?",
+    "blackboard": r"blackboards?",
+    "parting": r"partings?",
+    "slave": r"slaves?",
+    "diary": r"diary|diaries",
+    "fitness": r"fitness",
+    "reach check": r"reach checks?",
+    "supervisor": r"supervisors?",
+    "tally": r"tally|tallies",
+    "rouse": r"rouses?|roused",
+    "obey": r"obey|obeys|obeyed",
+    "wish": r"wish|wishes|wished",
+    "owed": r"owed|owes",
+    "mend": r"mend|mends|mended",
+    "complain": r"complains?|complained",
+    "err": r"errs?|erred",
+    "foreign": r"foreign",
+    "chance": r"what chance|that chance|chance (?:makes|made|has|had|draws|drew|does|did)",
+    "turn": r"(?:small|the|(?<!half )a|this|its|remaining) turns?(?! (?:of|in|out|to|into|around|on|off|it))",
+    "room": r"(?:has|have|is|no|the) (?:much |more |no )?room",
+    "ours": r"ours'?",
+    "nothing but": r"nothing but",
+    "asked back": r"(?:asks?|asked|asking) back",
+    "goodbye": r"good-?bye",
+    "put right": r"(?:put|puts) right",
+    "stands in": r"stands? (?:in|here|there|beside|at) ",
+    "what stands": r"what (?:stands|lies)|lies behind",
+    "dear": r"dear|dearer",
+    "haste": r"haste",
+    "life": r"(?:another|this|its|one) life(?![- ]cycle|time)|says that it lives|lives? on",
+    "a, not per": r"(?:times|cycles|frames|images|pictures|messages|datagrams|samples|rows|bytes|[kKMG]B|updates|runs"
+    r"|cases|once|twice|seconds|steps|words|commands|poses|packets|requests|events|lines?|file|page) an? (?:second"
+    r"|minute|hour|day|cycle|frame|step|case|image|picture|file|run|axis|row|page|core|period|pose|computer|side)",
+}
+Line = tuple[int, str, str]  # number, kind of text, text
+
+PATTERNS = {word: re.compile(rf"(?<![\w-])(?:{pattern})(?![\w-])", re.IGNORECASE) for word, pattern in WORDS.items()}
+
+# legitimate uses of these words, removed from a line before it is checked: terms of the field, titles, physical objects
+ALLOWED = re.compile(r"rate keeper|hand-eye|in other words", re.IGNORECASE)
+
+
+class Finding(NamedTuple):
+    """One private word: file, line number, kind of text, the word's entry in WORDS and the line."""
+
+    path: Path
+    line: int
+    kind: str
+    word: str
+    text: str
+
+    def __str__(self) -> str:
+        """Return the finding as printed, `file:line: word: text`."""
+        return f"{self.path}:{self.line}: {self.word}: {self.text}"
+
+
+def findings(paths: Iterable[Path]) -> list[Finding]:
+    """Return the private words in the given files, and in all files with prose of the given folders."""
+    files = [file for path in paths for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
+    return [finding for file in files if file.suffix in READERS for finding in _check(file)]
+
+
+def _check(path: Path) -> Iterator[Finding]:
+    for number, kind, text in READERS[path.suffix](path):
+        prose = ALLOWED.sub("", text)
+        for word, pattern in PATTERNS.items():
+            if pattern.search(prose):
+                yield Finding(path, number, kind, word, text.strip())
+
+
+def _markdown(path: Path) -> Iterator[Line]:
+    """Yield the prose of a page, and the comments of its code blocks; of a changelog only the unreleased part."""
+    in_code = False
+    releases = 0
+    for number, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        releases += path.name == "CHANGELOG.md" and text.startswith("## ")
+        if releases > 1:
+            return
+        if text.lstrip().startswith("```"):
+            in_code = not in_code
+        elif in_code:
+            yield number, "docs", text.partition("#")[2]
+        else:
+            yield number, "docs", re.sub(r"\]\([^)]*\)|<!--.*?-->", "]", CODE.sub("", text))
+
+
+def _python(path: Path) -> Iterator[Line]:
+    """Yield docstrings, comments and string literals with a space."""
+    source = path.read_text(encoding="utf-8")
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.start[0], "comment", CODE.sub("", token.string)
+    tree = ast.parse(source)
+    # a string that is a statement is a docstring: of a module, class, function or attribute
+    docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
+            kind = "docstring" if id(node) in docstrings else "text"
+            for offset, text in enumerate(node.value.splitlines()):
+                yield node.lineno + offset, kind, CODE.sub("", text)
+
+
+def _toml(path: Path) -> Iterator[Line]:
+    for number, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        yield number, "comment", CODE.sub("", text.partition("#")[2])
+
+
+def _page(path: Path) -> Iterator[Line]:
+    """Yield comments, string literals with a space, and text between tags of the console's page."""
+    for number, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        for comment in re.findall(r"(?:^|\s)//.*|/\*.*?(?:\*/|$)|^\s*\*.*", text):
+            yield number, "comment", CODE.sub("", comment)
+        for shown in re.findall(r'"[^"]*"|`[^`]*`|>[^<>]+<', re.sub(r"(?:^|\s)//.*", "", text)):
+            if " " in shown:
+                yield number, "text", re.sub(r"\$\{[^}]*\}", "", shown)
+
+
+CODE = re.compile(r"(`+)[^`]*\1")
+READERS: dict[str, Callable[[Path], Iterator[Line]]] = {
+    ".md": _markdown,
+    ".py": _python,
+    ".toml": _toml,
+    ".js": _page,
+    ".html": _page,
+}
+
+
+def main(arguments: list[str]) -> int:
+    """Print the findings and their counts; return the exit status."""
+    found = findings([Path(argument).resolve() for argument in arguments] or [ROOT / path for path in ALL])
+    for finding in found:
+        print(finding)
+    for title, counts in (("word", Counter(f.word for f in found)), ("kind", Counter(f.kind for f in found))):
+        print(f"\nper {title}: " + ", ".join(f"{name} {count}" for name, count in counts.most_common()))
+    print("\nper file:")
+    for path, count in sorted(Counter(f.path for f in found).items()):
+        print(f"{count:6} {path}")
+    print(f"{len(found):6} in total")
+    return bool(found)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

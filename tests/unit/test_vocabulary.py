@@ -1,0 +1,37 @@
+"""Documentation, docstrings, comments and displayed texts use the field's terms (tests/support/vocabulary.py)."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.support import vocabulary
+
+# files and folders of vocabulary.ALL that are free of private words
+CHECKED = ("hil/__init__.py", "hil/__main__.py")
+
+
+@pytest.mark.parametrize("path", CHECKED)
+def test_texts_use_the_terms_of_the_field(path: str) -> None:
+    assert not [str(finding) for finding in vocabulary.findings([vocabulary.ROOT / path])]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "found"),
+    [
+        ("page.md", "The bench says so.", ["1: say"]),
+        ("page.md", "`says` is [a link](says.md)\n```sh\nsays # says\n```", ["3: say"]),
+        ("CHANGELOG.md", "## next\nsays\n## 1.0\nsays", ["2: say"]),
+        (
+            "module.py",
+            '"""Module.\n\nIt says so.\n"""\nsays = "says"\ntext = f"it {says} says"  # told',
+            ["3", "6", "6"],
+        ),
+        ("rig.toml", "says = 1 # says", ["1: say"]),
+        ("page.js", 'const says = "says"; // told\nshow(`it says ${1}`);', ["1: tell", "2: say"]),
+    ],
+)
+def test_prose_is_checked_and_code_is_not(tmp_path: Path, name: str, text: str, found: list[str]) -> None:
+    (tmp_path / name).write_text(text)
+    lines = sorted(str(finding).removeprefix(f"{tmp_path / name}:") for finding in vocabulary.findings([tmp_path]))
+    assert len(lines) == len(found)
+    assert all(line.startswith(start) for line, start in zip(lines, found, strict=True))
