@@ -33,7 +33,7 @@ from hil.models.camera_timing import TRAVEL_DRAWS
 from hil.params import gnc as gnc_params
 from hil.report.summary import SETTLED_S
 from hil.report.verdict import ready_params
-from hil.safety.limits import SafetyLimits, limits_of
+from hil.safety.limits import SafetyLimits, safety_limits
 from hil.safety.monitor import breach_alarm
 from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built
 from hil.setup.gnc_setup import gnc_setup
@@ -82,7 +82,7 @@ class CaseRunner:
         params.stations = gnc_params.stations(rig)
         params.camera = gnc_params.camera(rig)[0]
         params.bench = gnc_params.bench(rig, scenario.step_s)
-        self._limits: SafetyLimits = limits_of(rig, params.bench)
+        self._limits: SafetyLimits = safety_limits(rig, params.bench)
         params.guard = self._limits.guard
         params.navigation = gnc_params.navigation(scenario)
         params.guidance = gnc_params.guidance(scenario)

@@ -55,9 +55,9 @@ def identify_command(
     with (
         Bar(console, "opening the axes") as bar,
         build.runner(job, lambda *_: None, announce) as runner,
-        runner.axes_alone() as handling,
+        runner.axes_only() as sequencer,
     ):
-        results = Identification(handling, bar.tell).measure(chosen)
+        results = Identification(sequencer, bar.tell).measure(chosen)
     if json_path is not None:
         write_json(as_json(results, rig_name, scenario.value.step_s), json_path)
     if out_path is not None:

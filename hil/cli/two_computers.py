@@ -13,7 +13,7 @@ from hil.cli.output import check_json_path, write_json
 from hil.cli.run import check_options, fly
 from hil.cli.warm_up import compile_kernels_with_notice
 from hil.config.load import load_rig, load_scenario
-from hil.core.operator_commands import Resuming
+from hil.core.operator_commands import AutoResumeOperator
 from hil.errors import BadInput, Problem
 from hil.frmn.udp import LOOPBACK, Address, parse_address, shown
 from hil.frmn.wire import PORT
@@ -68,12 +68,12 @@ def dss_command(
         where = f"the GNC at {shown(peer)}" if peer else f"a GNC on {shown(link.address)}"
         console.print(f"waiting for {where}", style="dim", highlight=False, soft_wrap=True)
         console.print(f"flown by {seat.connect(wait_s)}", style="dim", highlight=False, soft_wrap=True, markup=False)
-        operator = Resuming() if rig.value.gnc_link.on_loss == "hold" else None
+        operator = AutoResumeOperator() if rig.value.gnc_link.on_loss == "hold" else None
 
         def attach(runner: Runner) -> None:
             runner.loop.telemetry = mirror_of(runner, link)
             if operator is not None:
-                operator.mode = lambda: runner.supervisor.modes.mode
+                operator.mode = lambda: runner.safety.modes.mode
 
         def account() -> dict[str, Any]:
             return {"gnc_link": seat.account.as_json()}

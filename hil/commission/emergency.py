@@ -9,7 +9,7 @@ from hil.commission.prompt import OperatorPrompt, StepFailed, ask_meanwhile
 from hil.core.messages import IoInputs
 from hil.errors import SafetyTrip
 from hil.loop.rate_keeper import Rate
-from hil.loop.safety_io_stage import CLOSING_TIME_S, IoStage, SafetyLines
+from hil.loop.safety_io_stage import CLOSING_TIME_S, SafetyIo, SafetyIoStage
 
 _WHAT: Final = "io: emergency stop"
 _PERSON_S: Final = 120.0  # bench time that somebody may take to press or to release
@@ -31,7 +31,7 @@ class EmergencyStopTrial:
     button: presses it; None: the technician does. Raises StepFailed, BenchError; all lines are off afterwards.
     """
 
-    def __init__(self, lines: SafetyLines, rate: Rate, dialogue: OperatorPrompt, button: Button | None) -> None:
+    def __init__(self, lines: SafetyIo, rate: Rate, dialogue: OperatorPrompt, button: Button | None) -> None:
         self._lines = lines
         self._rate = rate
         self._dialogue = dialogue
@@ -39,7 +39,7 @@ class EmergencyStopTrial:
 
     def run(self) -> None:
         """Go through it."""
-        if not isinstance(self._lines, IoStage):
+        if not isinstance(self._lines, SafetyIoStage):
             self._dialogue.tell("emergency stop: this bench has no digital lines; it cuts the drives by itself")
             self._insist("Press the emergency stop. Have all drives lost their power? Release it after.")
             return
@@ -51,7 +51,7 @@ class EmergencyStopTrial:
             self._lines.stop(self._rate.now_s())
             self._lines.close()
 
-    def _with_lines(self, lines: IoStage) -> None:
+    def _with_lines(self, lines: SafetyIoStage) -> None:
         lines.open(self._rate)
         self._dialogue.tell("io: coupler identified, emergency stop released, safety chain closed")
         if self._button is None:
@@ -81,7 +81,7 @@ class EmergencyStopTrial:
 
     def _wait(
         self,
-        lines: IoStage,
+        lines: SafetyIoStage,
         happened: Callable[[IoInputs], bool],
         limit_s: float,
         expected: str,
@@ -94,7 +94,7 @@ class EmergencyStopTrial:
                 raise StepFailed(_WHAT, expected, f"{found} after {limit_s:g} s", f"look at {advice} (docs/rig.md)")
             now_s = self._rate.wait().now_s
 
-    def _insist_on_staying_open(self, lines: IoStage) -> None:
+    def _insist_on_staying_open(self, lines: SafetyIoStage) -> None:
         begun_s = now_s = self._rate.now_s()
         while now_s - begun_s < _STAYS_OPEN_S:
             if self._look(lines, now_s).chain_closed:
@@ -102,7 +102,7 @@ class EmergencyStopTrial:
                 raise StepFailed(_WHAT, "safety chain stays open after the release", "closed by itself", advice)
             now_s = self._rate.wait().now_s
 
-    def _look(self, lines: IoStage, now_s: float) -> IoInputs:
+    def _look(self, lines: SafetyIoStage, now_s: float) -> IoInputs:
         lines.io.pulse(now_s)
         return lines.io.read(now_s)
 
@@ -112,7 +112,7 @@ class EmergencyStopTrial:
 
         def meanwhile() -> None:
             now_s = self._rate.wait().now_s
-            if isinstance(lines, IoStage):
+            if isinstance(lines, SafetyIoStage):
                 self._look(lines, now_s)
 
         if not ask_meanwhile(self._dialogue, question, meanwhile):

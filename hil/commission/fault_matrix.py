@@ -82,7 +82,7 @@ def rehearse(bench: WiredBench, case: FaultCase) -> FaultFinding:
         except RuntimeError as failure:
             failures.append(failure)
         finally:
-            operator.order(OperatorCommand.STOP)
+            operator.submit(OperatorCommand.STOP)
 
     player = threading.Thread(target=play, name="rehearsal")
     player.start()
@@ -101,11 +101,11 @@ def clear_faults(bench: WiredBench) -> None:
 
 
 def _play(bench: WiredBench, runner: Runner, operator: Operator, case: FaultCase) -> FaultFinding:
-    modes, now_s = runner.supervisor.modes, runner.now_s
+    modes, now_s = runner.safety.modes, runner.now_s
     if case.mode is Mode.HOLD:
         _await(runner, Mode.RUNNING)
         time.sleep(_IN_MODE_WALL_S)
-        operator.order(OperatorCommand.HOLD)
+        operator.submit(OperatorCommand.HOLD)
     _await(runner, case.mode)
     time.sleep(_IN_MODE_WALL_S)
     begun_s = now_s()
@@ -114,7 +114,7 @@ def _play(bench: WiredBench, runner: Runner, operator: Operator, case: FaultCase
         while modes.mode is not Mode.SAFE_STOP and now_s() - begun_s < case.watched_s:
             time.sleep(_LOOK_WALL_S)
         reached = modes.mode
-        alarms = runner.supervisor.alarms.all()
+        alarms = runner.safety.alarms.all()
         standing_s = _standing_s(bench, runner, begun_s) if reached is Mode.SAFE_STOP else None
         if not alarms:
             return FaultFinding(case, reached, "", None, None)
@@ -127,10 +127,10 @@ def _play(bench: WiredBench, runner: Runner, operator: Operator, case: FaultCase
 
 def _await(runner: Runner, mode: Mode) -> None:
     end_s = time.monotonic() + _REACH_WALL_S
-    while runner.supervisor.modes.mode is not mode:
-        alarms = "; ".join(alarm.text for alarm in runner.supervisor.alarms.all())
+    while runner.safety.modes.mode is not mode:
+        alarms = "; ".join(alarm.text for alarm in runner.safety.alarms.all())
         if alarms or time.monotonic() > end_s:
-            raise RuntimeError(f"{mode.value} was not reached: {alarms or runner.supervisor.modes.mode.value}")
+            raise RuntimeError(f"{mode.value} was not reached: {alarms or runner.safety.modes.mode.value}")
         time.sleep(_LOOK_WALL_S)
 
 

@@ -96,10 +96,10 @@ class _Sine:
 class Identification:
     """Measures axes of an open bench in standby. Raises BenchError; whoever opened the bench stops it then."""
 
-    def __init__(self, handling: MotionSequencer, tell: Tell) -> None:
-        self._handling = handling
-        self._bench = handling.loop.bench
-        self._now = handling.loop.now
+    def __init__(self, sequencer: MotionSequencer, tell: Tell) -> None:
+        self._sequencer = sequencer
+        self._bench = sequencer.loop.bench
+        self._now = sequencer.loop.now
         self._params = self._bench.params.copy()
         self._params.lead = 0.0
         self._dt = float(self._params.dt_s)
@@ -111,15 +111,15 @@ class Identification:
     def measure(self, axes: Sequence[int]) -> list[AxisResult]:
         """Move each of ``axes`` (0..2 rails, 3..5 gimbals) to and fro and put it back where it stood."""
         self._all_s = sum(self._axis_s(axis) for axis in axes)
-        self._handling.home()
-        self._handling.begin()
-        tick = self._handling.seed_for_run()
-        self._handling.modes.go(Mode.PLACING)  # every check of the supervisor is on in this mode
+        self._sequencer.home()
+        self._sequencer.begin()
+        tick = self._sequencer.seed_for_run()
+        self._sequencer.modes.go(Mode.PLACING)  # every check of the supervisor is on in this mode
         results = []
         for axis in axes:
             result, tick = self._axis(axis, tick)
             results.append(result)
-        self._handling.modes.go(Mode.STANDBY)
+        self._sequencer.modes.go(Mode.STANDBY)
         return results
 
     def _axis(self, axis: int, tick: Tick) -> tuple[AxisResult, Tick]:
@@ -220,11 +220,11 @@ class Identification:
 
     def _next(self, before: Tick, counts: bool = True) -> Tick:
         """Take the next cycle, supervised as in a run."""
-        tick = self._handling.tick()
-        self._handling.hold_is_due(Mode.PLACING)
+        tick = self._sequencer.tick()
+        self._sequencer.hold_requested(Mode.PLACING)
         if counts:
             self._done_s += tick.now_s - before.now_s
-        if self._handling.ticks % _TELL_EVERY == 0:
+        if self._sequencer.ticks % _TELL_EVERY == 0:
             self._tell(self._title, min(1.0, self._done_s / self._all_s))
         return tick
 

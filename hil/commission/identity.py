@@ -33,18 +33,18 @@ def _turntable(rig: Rig) -> str:
     return _as_asked(asked)
 
 
-def see_vision_unit(runner: Runner, handling: MotionSequencer, rig: Rig, dialogue: OperatorPrompt) -> None:
+def see_vision_unit(runner: Runner, sequencer: MotionSequencer, rig: Rig, dialogue: OperatorPrompt) -> None:
     """Open the vision unit beside axes that stand, and wait for a frame; it is closed with the bench.
 
     Raises DeviceError; LinkTimeout where no frame comes.
     """
     source = runner.source
     source.open(runner.now_s())
-    begun_s = now_s = handling.begin().now_s
+    begun_s = now_s = sequencer.begin().now_s
     while not (frames := source.poll(now_s)):
         if now_s - begun_s > _FIRST_FRAME_S:
             raise LinkTimeout(source.name, f"no pose within {_FIRST_FRAME_S:g} s")
-        now_s = handling.tick().now_s
+        now_s = sequencer.tick().now_s
     asked = rig.vmu.identity.model_dump(exclude_none=True)
     distance_m = float(np.linalg.norm(frames[-1].t_v))
     dialogue.tell(f"vmu: {_as_asked(asked)}, sees the target at {distance_m:.3f} m")

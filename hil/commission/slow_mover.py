@@ -52,10 +52,10 @@ def size(axis: int, value: float) -> str:
 class SlowMover:
     """Moves the axes of an open, homed bench. Raises BenchError, StepFailed; whoever opened the bench stops it then."""
 
-    def __init__(self, handling: MotionSequencer, dialogue: OperatorPrompt) -> None:
-        self._handling = handling
-        self._bench = handling.loop.bench
-        self._now = handling.loop.now
+    def __init__(self, sequencer: MotionSequencer, dialogue: OperatorPrompt) -> None:
+        self._sequencer = sequencer
+        self._bench = sequencer.loop.bench
+        self._now = sequencer.loop.now
         self._dialogue = dialogue
         self._wanted = new(AXES)
         self._before = np.zeros(6)
@@ -64,15 +64,15 @@ class SlowMover:
 
     def begin(self) -> None:
         """Home what needs it, then take the axes under command where they stand."""
-        self._handling.home()
-        self._handling.begin()
-        self._tick = self._handling.seed_for_run()
-        self._handling.modes.go(Mode.PLACING)  # every check of the supervisor is on in this mode
+        self._sequencer.home()
+        self._sequencer.begin()
+        self._tick = self._sequencer.seed_for_run()
+        self._sequencer.modes.go(Mode.PLACING)  # every check of the supervisor is on in this mode
         self._aim_at(self.stands_at())
 
     def end(self) -> None:
         """Go back to standby."""
-        self._handling.modes.go(Mode.STANDBY)
+        self._sequencer.modes.go(Mode.STANDBY)
 
     def stands_at(self) -> Array:
         """Return where the setpoints are, (6,)."""
@@ -132,7 +132,7 @@ class SlowMover:
     def _move(self, start: Array, target: Array, rates: Array) -> Move:
         """Return a move whose axes go no faster than ``rates`` (6,)."""
         params = self._bench.params.copy()
-        params.rate_max = rates / Move.SHARE_OF_LIMITS
+        params.rate_max = rates / Move.FRACTION_OF_LIMITS
         ends = new(AXES), new(AXES)
         for record, place in zip(ends, (start, target), strict=True):
             record.rail_m, record.gimbal_rad = place[:3], place[3:]
@@ -142,8 +142,8 @@ class SlowMover:
         """Send the present wish and take the next cycle, supervised as in a run."""
         self._bench.command(self._wanted, self._tick.now_s, self._now.setpoint)
         self._before = np.concatenate([self._now.setpoint.rail_m, self._now.setpoint.gimbal_rad])
-        self._tick = self._handling.tick()
-        self._handling.hold_is_due(Mode.PLACING)
+        self._tick = self._sequencer.tick()
+        self._sequencer.hold_requested(Mode.PLACING)
 
     def _stands(self) -> bool:
         return self._bench.stands(self._tick.now_s, self._now.feedback)

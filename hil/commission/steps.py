@@ -82,13 +82,13 @@ class Commissioning:
         """Go through all steps. Raises StepFailed, BenchError; the axes are stopped first."""
         found = Found()
         self._title("emergency stop")
-        EmergencyStopTrial(self._runner.loop.lines, self._runner.rate, self._dialogue, self._button).run()
+        EmergencyStopTrial(self._runner.loop.safety_io, self._runner.rate, self._dialogue, self._button).run()
         self._title("identity of the devices")
-        with self._runner.axes_alone() as handling:
-            see_vision_unit(self._runner, handling, self._rig, self._dialogue)
+        with self._runner.axes_only() as sequencer:
+            see_vision_unit(self._runner, sequencer, self._rig, self._dialogue)
             for line in expected_identity(self._rig):
                 self._dialogue.tell(line)
-            crawler = self._under_command(handling)
+            crawler = self._under_command(sequencer)
             for axis in self._axes:
                 found.axes.append(self._sign_and_scale(crawler, axis))
             self._limits(crawler)
@@ -97,8 +97,8 @@ class Commissioning:
             crawler.end()
         return found
 
-    def _under_command(self, handling: MotionSequencer) -> SlowMover:
-        crawler = SlowMover(handling, self._dialogue)
+    def _under_command(self, sequencer: MotionSequencer) -> SlowMover:
+        crawler = SlowMover(sequencer, self._dialogue)
         homing = [state.name.lower().replace("_", " ") for group in self._bench.seen for state in group.homing]
         needed = [name for name, state in zip(self._bench.axis_names, homing, strict=True) if state != "done"]
         if needed:

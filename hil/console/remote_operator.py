@@ -22,7 +22,7 @@ from hil.config.console import OnLoss
 from hil.console.status import StatusWriter
 from hil.core.messages import Event
 from hil.core.modes import Mode
-from hil.core.operator_commands import OBEYED_IN, Operator, OperatorCommand
+from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
 from hil.errors import SafetyTrip
 from hil.frmn.mailbox import Mailbox
 from hil.loop.runner import Runner
@@ -115,7 +115,7 @@ class RemoteOperator(Operator):
         """Note how far along the bench is."""
         self._writer.share = share
 
-    def listen(self, now_s: float) -> None:
+    def poll(self, now_s: float) -> None:
         """Take what has come, tell how things are, and react where the operator is lost. Raises SafetyTrip."""
         self._take_packets()
         wall_s = self._wall_s()
@@ -127,17 +127,17 @@ class RemoteOperator(Operator):
     def tell(self, now_s: float) -> None:
         """Write the status, and say what is new of alarms, events and refused orders."""
         self._status.write(self._writer.fill(now_s), now_s)
-        while self.answers:
-            self._words.say(word=self.answers.popleft())
-        alarms = self._runner.supervisor.alarms.all()
+        while self.rejections:
+            self._words.say(word=self.rejections.popleft())
+        alarms = self._runner.safety.alarms.all()
         events = self._runner.all_events()
-        told = (alarms, len(events), self._runner.supervisor.hold_reason)
+        told = (alarms, len(events), self._runner.safety.hold_reason)
         if told != self._told:
             self._told = told
             self._words.say(
                 alarms=[alarm.as_json() for alarm in alarms],
                 events=[{"t_s": event.t_s, "source": event.source, "text": event.text} for event in events[-50:]],
-                hold_reason=self._runner.supervisor.hold_reason,
+                hold_reason=self._runner.safety.hold_reason,
             )
         self._words.push()
 
@@ -164,16 +164,16 @@ class RemoteOperator(Operator):
         elif "note" in message:
             self._note(*message["note"])
         elif "acknowledge" in message:
-            self._runner.supervisor.alarms.acknowledge()
+            self._runner.safety.alarms.acknowledge()
             self._note("operator", message.get("by", ""), "acknowledged the alarms")
             self._words.say(answer=message["id"], text="")
         elif "adjust" in message:
             self._words.say(answer=message["id"], text=self._adjust(message["adjust"], message.get("by", "")))
         elif "order" in message:
-            order, mode = OperatorCommand(message["order"]), self._runner.supervisor.modes.mode
-            refusal = "" if mode in OBEYED_IN[order] else f"bench: cannot {order.value} in {mode.value}"
+            order, mode = OperatorCommand(message["order"]), self._runner.safety.modes.mode
+            refusal = "" if mode in ALLOWED_IN[order] else f"bench: cannot {order.value} in {mode.value}"
             if not refusal:
-                self.order(order)
+                self.submit(order)
             self._note("operator", message.get("by", ""), f"{order.value}{refusal and f': refused: {refusal}'}")
             self._words.say(answer=message["id"], text=refusal)
 
@@ -219,7 +219,7 @@ class RemoteOperator(Operator):
 
     def _react(self, value: str) -> None:
         """Hold or stop a bench that moves, once; end a session to which nobody can come back, once nothing moves."""
-        supervisor = self._runner.supervisor
+        supervisor = self._runner.safety
         mode = supervisor.modes.mode
         who = "its process" if self._gone else "the operator's page"
         if not self._reacted and mode not in _AT_REST:
@@ -228,6 +228,6 @@ class RemoteOperator(Operator):
                 raise SafetyTrip("console", who, value, "an operator while the bench moves")
             if self._on_loss == "hold" and mode in _HELD:
                 self._reacted = True
-                supervisor.ask_for_hold(f"console: {who} {value}, allowed {self._lease_s:g} s")
-        if self._gone and mode in _AT_REST and OperatorCommand.STOP not in self.waiting:
-            self.order(OperatorCommand.STOP)
+                supervisor.request_hold(f"console: {who} {value}, allowed {self._lease_s:g} s")
+        if self._gone and mode in _AT_REST and OperatorCommand.STOP not in self.pending:
+            self.submit(OperatorCommand.STOP)

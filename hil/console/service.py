@@ -13,7 +13,7 @@ from hil.console.lease import LeaseRefused
 from hil.console.message import ImageMessage
 from hil.console.session_manager import SessionManager
 from hil.core.modes import Mode
-from hil.core.operator_commands import OBEYED_IN, OperatorCommand
+from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
 from hil.errors import BadInput
 
 _BENCH_AT_REST: Final = frozenset({Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.HOLD, Mode.SAFE_STOP})
@@ -109,7 +109,7 @@ class ConsoleService(SessionManager):
                 raise LeaseRefused(f"bench: cannot {word}, it is being opened")
             self.session.interrupt()
             return {"ok": True, "text": ""}
-        if order in CONFIRMATIONS and self.mode in OBEYED_IN[order] and not confirmed:
+        if order in CONFIRMATIONS and self.mode in ALLOWED_IN[order] and not confirmed:
             return {"ok": False, "ask": CONFIRMATIONS[order]}
         self.say_who_is_there(self.session, self.wall_s())  # whoever orders has the command by then
         text = await self.session.ask(order=word, by=client.name)
@@ -193,7 +193,7 @@ class ConsoleService(SessionManager):
             "choice": {"scenario": self.choice.scenario, "rig": self.choice.rig, "seed": self.choice.seed},
             "scenarios": self.scenarios,
             "rigs": self.rigs,
-            "obeyed_in": {order.value: [mode.value for mode in modes] for order, modes in OBEYED_IN.items()},
+            "obeyed_in": {order.value: [mode.value for mode in modes] for order, modes in ALLOWED_IN.items()},
             "log": list(self.log)[-40:],
             "settings": self.tuner.offered() if self.tuner is not None and self.session is not None else [],
             "faults": {"menu": self.faults.menu, "on": self.faults.on},

@@ -12,7 +12,7 @@ from hil.core.messages import AXES
 from hil.core.modes import Mode
 from hil.errors import BenchError
 from hil.loop.runner import Runner
-from hil.loop.safety_io_stage import IoStage
+from hil.loop.safety_io_stage import SafetyIoStage
 
 MODES: Final = tuple(Mode)
 DEVICES: Final = ("rails", "turntable", "vmu", "io")
@@ -55,7 +55,7 @@ class StatusWriter:
         """Return STATUS (1,) as of bench time ``now_s``; the same array each time."""
         runner, out = self._runner, self._view
         loop, bench = runner.loop, runner.loop.bench
-        out.mode = MODES.index(runner.supervisor.modes.mode)
+        out.mode = MODES.index(runner.safety.modes.mode)
         out.bench_s, out.run_s, out.share = now_s, loop.now.t_s[0], self.share
         self.record["feedback"] = loop.now.row["feedback"]
         self.record["setpoint"] = loop.now.row["setpoint"]
@@ -81,8 +81,8 @@ class StatusWriter:
         return now_s - self._frame_s
 
     def _look_at_lines(self, now_s: float) -> None:
-        lines = self._runner.loop.lines
-        if isinstance(lines, IoStage):
+        lines = self._runner.loop.safety_io
+        if isinstance(lines, SafetyIoStage):
             with suppress(BenchError):  # its reader in the cycle makes the alarm
                 inputs = lines.io.read(now_s)
                 self._view.estop = 0 if inputs.estop_closed else 1

@@ -1,4 +1,4 @@
-"""What an operator may order, and the box in which orders wait for the loop."""
+"""Commands of the operator, and the thread-safe queue from which the loop executes them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from hil.core.modes import Mode
 
 
 class OperatorCommand(Enum):
-    """HOME: let the axes find their places. ARM: place the bench, then wait for poses. START: close the loop.
+    """HOME: home the axes. ARM: place the bench, then wait for poses. START: close the loop.
 
-    GO: let the approach go on from its wait. HOLD: bring all axes to a stand, the run's time stands.
-    RESUME: go on. ABORT: let the chaser brake and retreat. DISARM: back to standby. PARK: go to
-    where the rig is left. JOG: see
-    ``Operator.jog``. STOP: end. RESET: after a safe stop, open the devices anew.
+    GO: continue the approach past a waiting point. HOLD: brake all axes, the run's time stops. RESUME: continue
+    the run. ABORT: brake and retreat the chaser. DISARM: return to standby. PARK: move to the park position.
+    JOG: see ``Operator.jog``. STOP: end the session. RESET: after a safe stop, reopen the devices.
     """
 
     HOME = "home"
@@ -35,7 +34,7 @@ class OperatorCommand(Enum):
     RESET = "reset"
 
 
-OBEYED_IN: Final[dict[OperatorCommand, frozenset[Mode]]] = {
+ALLOWED_IN: Final[dict[OperatorCommand, frozenset[Mode]]] = {
     OperatorCommand.HOME: frozenset({Mode.STANDBY}),
     OperatorCommand.ARM: frozenset({Mode.STANDBY}),
     OperatorCommand.START: frozenset({Mode.ARMED}),
@@ -49,11 +48,11 @@ OBEYED_IN: Final[dict[OperatorCommand, frozenset[Mode]]] = {
     OperatorCommand.STOP: frozenset(set(Mode) - {Mode.OFF}),
     OperatorCommand.RESET: frozenset({Mode.SAFE_STOP}),
 }
-"""Modes in which an order is obeyed; in every other one it is refused, and the operator is told."""
+"""Modes in which a command is executed; in every other mode it is rejected with a message to the operator."""
 
 
-class OrderedToStop(Exception):
-    """The operator ordered the run to end."""
+class StopCommanded(Exception):
+    """The operator commanded the end of the run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,14 +64,14 @@ class JogRequest:
 
 
 class Operator:
-    """Takes orders from any thread, gives them to the loop in their sequence.
+    """Queue of commands, submitted from any thread and executed by the loop in order.
 
-    plan: orders that are given by themselves, each as soon as its mode is reached. attended: somebody
-    is there to give further ones; if not, the session ends with its plan, and a safe stop ends it at
-    once. No more than ``_KEPT`` orders wait: what comes beyond that is dropped, STOP never.
+    plan: commands issued automatically, each as soon as its mode is reached. attended: an operator can issue further
+    commands; if not, the session ends with the plan, and a safe stop ends it at once. At most ``_CAPACITY`` commands
+    are pending: further ones are dropped, STOP never.
     """
 
-    _KEPT: Final = 64
+    _CAPACITY: Final = 64
 
     def __init__(
         self,
@@ -81,83 +80,81 @@ class Operator:
     ) -> None:
         self.attended = attended
         self._plan = deque(plan)
-        self.waiting: deque[OperatorCommand] = deque()
-        """Read by the loop in each cycle: true while an order waits."""
-        self.answers: deque[str] = deque(maxlen=self._KEPT)
-        """What was refused, and why; newest last."""
+        self.pending: deque[OperatorCommand] = deque()
+        """Checked by the loop in each cycle: not empty if a command is pending."""
+        self.rejections: deque[str] = deque(maxlen=self._CAPACITY)
+        """Reasons of rejected commands, newest last."""
         self._lock = threading.Lock()
         self._jog: JogRequest | None = None
         self._refreshed = False
 
     @property
-    def grants_holds(self) -> bool:
-        """Whether a hold that was asked for will be ended by an order; if not, it is a safe stop."""
+    def can_resume(self) -> bool:
+        """Whether a requested hold can be ended by a command; if not, it becomes a safe stop."""
         return self.attended
 
-    def listen(self, now_s: float) -> None:
-        """Fetch what has come from outside; called by the loop once a cycle, at bench time ``now_s``.
+    def poll(self, now_s: float) -> None:
+        """Fetch commands from another process; called by the loop once per cycle, at bench time ``now_s``.
 
-        Here nothing has: whoever shares the loop's process calls ``order``. Raises BenchError where the bench must
-        stop.
+        No operation here: callers in the loop's process use ``submit``. Raises BenchError if the bench must stop.
         """
 
-    def order(self, order: OperatorCommand) -> None:
-        """Let ``order`` wait for the loop; STOP goes before all others."""
+    def submit(self, command: OperatorCommand) -> None:
+        """Append ``command`` to the queue; STOP goes to the front."""
         with self._lock:
-            if order is OperatorCommand.STOP:
-                self.waiting.appendleft(order)
-            elif len(self.waiting) < self._KEPT:
-                self.waiting.append(order)
+            if command is OperatorCommand.STOP:
+                self.pending.appendleft(command)
+            elif len(self.pending) < self._CAPACITY:
+                self.pending.append(command)
 
     def jog(self, axis: str, direction: int) -> None:
-        """Press, or keep pressed, the jog key: to be called again well within 0.2 s, or the axis stops."""
+        """Press or refresh the jog key: without a refresh within 0.2 s the axis stops."""
         with self._lock:
-            wish = JogRequest(axis, direction)
             begins = self._jog is None
-            self._jog, self._refreshed = wish, True
-            if begins and OperatorCommand.JOG not in self.waiting:
-                self.waiting.append(OperatorCommand.JOG)
+            self._jog, self._refreshed = JogRequest(axis, direction), True
+            if begins and OperatorCommand.JOG not in self.pending:
+                self.pending.append(OperatorCommand.JOG)
 
     def jog_request(self) -> JogRequest | None:
-        """Return what the key asks for where it was refreshed since the last call, None otherwise."""
+        """Return the requested jog if the key was refreshed since the last call, else None."""
         with self._lock:
-            wish = self._jog if self._refreshed else None
+            request = self._jog if self._refreshed else None
             self._refreshed = False
-            return wish
+            return request
 
-    def jog_ended(self) -> None:
-        """Forget the jog: the next press begins a new one."""
+    def end_jog(self) -> None:
+        """Clear the jog: the next press starts a new one."""
         with self._lock:
             self._jog, self._refreshed = None, False
 
-    def next(self, mode: Mode) -> OperatorCommand | None:
-        """Return what to do next while nothing is under way: an order, or else what the plan has for ``mode``."""
-        order = self.take(mode)
-        if order is None and self._plan and mode in OBEYED_IN[self._plan[0]]:
+    def next_command(self, mode: Mode) -> OperatorCommand | None:
+        """Return the next command while none is in execution: a submitted one, else the plan's for ``mode``."""
+        command = self.pop(mode)
+        if command is None and self._plan and mode in ALLOWED_IN[self._plan[0]]:
             return self._plan.popleft()
-        return order
+        return command
 
     def cancel_auto_sequence(self) -> None:
-        """Give no further order by itself: after a safe stop somebody has to."""
+        """Drop the rest of the plan: after a safe stop only the operator issues commands."""
         self._plan.clear()
 
-    def take(self, mode: Mode) -> OperatorCommand | None:
-        """Return the next order that may be obeyed in ``mode``, None if there is none; refuse what comes before it."""
+    def pop(self, mode: Mode) -> OperatorCommand | None:
+        """Return the next submitted command that is allowed in ``mode``, or None; reject those before it."""
         with self._lock:
-            while self.waiting:
-                order = self.waiting.popleft()
-                if mode in OBEYED_IN[order]:
-                    return order
-                self.answers.append(f"bench: cannot {order.value} in {mode.value}")
-                if order is OperatorCommand.JOG:
+            while self.pending:
+                command = self.pending.popleft()
+                if mode in ALLOWED_IN[command]:
+                    return command
+                self.rejections.append(f"bench: cannot {command.value} in {mode.value}")
+                if command is OperatorCommand.JOG:
                     self._jog, self._refreshed = None, False
             return None
 
 
-class Resuming(Operator):
-    """Nobody is there, and a hold that was asked for ends as soon as everybody is ready to go on.
+class AutoResumeOperator(Operator):
+    """Unattended operator that resumes from every hold; RESUME waits until the GNC is ready.
 
-    mode: gives the bench's mode; it is told by whoever has the bench.
+    mode: returns the bench's mode; set by the owner of the bench.
     """
 
     def __init__(self) -> None:
@@ -165,11 +162,11 @@ class Resuming(Operator):
         self.mode: Callable[[], Mode] = lambda: Mode.OFF
 
     @property
-    def grants_holds(self) -> bool:
-        """A hold is ended by RESUME, which waits for the GNC to be ready."""
+    def can_resume(self) -> bool:
+        """A hold is ended by RESUME."""
         return True
 
-    def listen(self, now_s: float) -> None:
-        """Order RESUME in a hold."""
-        if self.mode() is Mode.HOLD and not self.waiting:
-            self.order(OperatorCommand.RESUME)
+    def poll(self, now_s: float) -> None:
+        """Submit RESUME in a hold."""
+        if self.mode() is Mode.HOLD and not self.pending:
+            self.submit(OperatorCommand.RESUME)

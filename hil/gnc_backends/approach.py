@@ -32,7 +32,7 @@ class Approach:
         """Number of the last cycle, -1 before the first."""
         self.orders: ObservableList[tuple[int, str]] = ObservableList()
         """Each order with the number of the cycle from which on it acts."""
-        self.ask_for_hold: Callable[[str], None] = _nobody
+        self.request_hold: Callable[[str], None] = _nobody
 
     @property
     def not_ready(self) -> str:

@@ -40,7 +40,7 @@ class GncBackend(Protocol):
     """Number of the last cycle, -1 before the first."""
     orders: ObservableList[tuple[int, str]]
     """Each order with the number of the cycle from which on it acts."""
-    ask_for_hold: Callable[[str], None]
+    request_hold: Callable[[str], None]
     """To be called with a reason where the bench is to be brought to a stand; set by whoever puts the loop together."""
 
     @property

@@ -81,7 +81,7 @@ class CommandWordGnc(ExternalGnc):
         text = f"no word for {silent_s:.2f} s, allowed {self._config.lost_s:g} s"
         if self._config.on_loss == "stop":
             raise LinkTimeout(NAME, text)
-        self.ask_for_hold(f"{NAME}: {text}")
+        self.request_hold(f"{NAME}: {text}")
 
     def _age_s(self) -> float:
         newest = self._receiver.newest()

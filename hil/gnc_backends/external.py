@@ -131,7 +131,7 @@ class ExternalGnc(Approach):
     def _on_state(self, out: np.record) -> None:
         if out.state == GncState.FAULT:
             raise reported_fault(self.name, out)
-        self.ask_for_hold(hold_reason(self.name, out))
+        self.request_hold(hold_reason(self.name, out))
 
     def _complaint(self, fault: int, place: int, cycle: int) -> str:
         return complaint(self.output, fault, place, cycle, self._n)

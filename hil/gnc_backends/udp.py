@@ -270,7 +270,7 @@ class UdpGnc(ExternalGnc):
         self._answers.state = GncState.STARTING
         if self._config.on_loss == "stop":
             raise self._lost(why)
-        self.ask_for_hold(f"{self._peer_name()} {why}")
+        self.request_hold(f"{self._peer_name()} {why}")
 
     def _lost(self, why: str) -> LinkLost:
         return LinkLost(self.name, f"{self._peer_name()} {why}")

@@ -27,13 +27,13 @@ class BenchStage:
         rails: AxisGroup,
         turntable: AxisGroup,
         params: np.record,
-        supervisor: SafetyMonitor,
+        safety: SafetyMonitor,
         emergency_input: Callable[[float], tuple[bool | None, bool]] | None = None,
     ) -> None:
         self.rails = rails
         self.turntable = turntable
         self.params = params
-        self.supervisor = supervisor
+        self.safety = safety
         self.axis_names = (*rails.axis_names, *turntable.axis_names)
         self.emergency_input = emergency_input
         self.motion = new(kinematics.MOTION)
@@ -49,8 +49,8 @@ class BenchStage:
 
     def open(self, now_s: float) -> None:
         """Open both devices; they hold where they stand. Raises SafetyTrip while the emergency stop holds."""
-        self.look_at_emergency_input(now_s)
-        alarm = self.supervisor.interlock_open(now_s)
+        self.poll_emergency_input(now_s)
+        alarm = self.safety.interlock_open(now_s)
         if alarm is not None:
             raise alarm.trip()
         self.rails.open(now_s)
@@ -59,7 +59,7 @@ class BenchStage:
     def read(self, now_s: float, feedback: np.record) -> None:
         """Write the encoders' newest values into ``feedback`` (AXES)."""
         if self.emergency_input is not None:
-            self.look_at_emergency_input(now_s)
+            self.poll_emergency_input(now_s)
         rails = self.rails.read(now_s)
         turntable = self.turntable.read(now_s)
         self.seen = rails, turntable
@@ -70,7 +70,7 @@ class BenchStage:
         rails, turntable = self.seen
         return rails.t_s - zero_s, turntable.t_s - zero_s
 
-    def look_at_emergency_input(self, now_s: float) -> None:
+    def poll_emergency_input(self, now_s: float) -> None:
         """Tell the supervisor the levels of the emergency stop and of its reset, where the bench has them.
 
         Raises DeviceError where they cannot be read, which counts as pressed.
@@ -78,14 +78,14 @@ class BenchStage:
         if self.emergency_input is None:
             return
         try:
-            self.supervisor.estop.see(*self.emergency_input(now_s))
+            self.safety.estop.update(*self.emergency_input(now_s))
         except DeviceError:
-            self.supervisor.estop.see(None)
+            self.safety.estop.update(None)
             raise
 
     def check(self, now_s: float, feedback: np.record) -> None:
         """Let the supervisor look at what ``read`` found; raise SafetyTrip where it says stop."""
-        alarm = self.supervisor.look(now_s, *self.seen, self._commanded_s, self._before, feedback)
+        alarm = self.safety.check(now_s, *self.seen, self._commanded_s, self._before, feedback)
         if alarm is not None:
             raise alarm.trip()
 
@@ -94,7 +94,7 @@ class BenchStage:
 
         Raises SafetyTrip where an axis moves. Whatever sets the bench in motion begins with this.
         """
-        alarm = self.supervisor.interlock_seed(now_s, feedback)
+        alarm = self.safety.interlock_seed(now_s, feedback)
         if alarm is not None:
             raise alarm.trip()
         rest = np.zeros(3)
@@ -104,7 +104,7 @@ class BenchStage:
 
     def seed_for_run(self, now_s: float, feedback: np.record) -> None:
         """``seed``, where the axes are homed, within their travel and off their switches; SafetyTrip otherwise."""
-        alarm = self.supervisor.interlock_motion(now_s, *self.seen, feedback)
+        alarm = self.safety.interlock_motion(now_s, *self.seen, feedback)
         if alarm is not None:
             raise alarm.trip()
         self.seed(now_s, feedback)
@@ -144,7 +144,7 @@ class BenchStage:
 
     def stands(self, now_s: float, feedback: np.record) -> bool:
         """Return whether all axes stand, by their encoders."""
-        return self.supervisor.interlock_seed(now_s, feedback) is None
+        return self.safety.interlock_seed(now_s, feedback) is None
 
     def home(self, now_s: float) -> None:
         """Let each axis that does not know its place look for its switch."""
@@ -162,7 +162,7 @@ class BenchStage:
     def park_turntable(self, goal: np.record, now_s: float) -> None:
         """Let the turntable's drives go to ``goal`` (AXES) by their own profiles, where they have such."""
         if isinstance(self.turntable, Parks):
-            self.turntable.move_to(goal.gimbal_rad, Move.SHARE_OF_LIMITS * self.params.rate_max[3:], now_s)
+            self.turntable.move_to(goal.gimbal_rad, Move.FRACTION_OF_LIMITS * self.params.rate_max[3:], now_s)
 
     def stop(self, now_s: float) -> None:
         """Bring all axes to a stand; never raises."""
@@ -178,13 +178,13 @@ class BenchStage:
 class Move:
     """A slow move of all six axes from where they stand to a target, each with a trapezoidal speed."""
 
-    SHARE_OF_LIMITS = 0.5
+    FRACTION_OF_LIMITS = 0.5
 
     def __init__(self, params: np.record, start: np.record, target: np.record) -> None:
         self._start = np.concatenate([start.rail_m, start.gimbal_rad])
         self._way = np.concatenate([target.rail_m, target.gimbal_rad]) - self._start
-        self._speed = self.SHARE_OF_LIMITS * params.rate_max
-        self._acceleration = self.SHARE_OF_LIMITS * params.acceleration_max
+        self._speed = self.FRACTION_OF_LIMITS * params.rate_max
+        self._acceleration = self.FRACTION_OF_LIMITS * params.acceleration_max
         self.duration_s = max(
             duration(abs(way), speed, acceleration, acceleration)
             for way, speed, acceleration in zip(self._way, self._speed, self._acceleration, strict=True)

@@ -14,7 +14,7 @@ from hil.core.messages import CYCLE
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc_backends.base import GncBackend
 from hil.loop.bench_stage import BenchStage
-from hil.loop.safety_io_stage import NoLines, SafetyLines
+from hil.loop.safety_io_stage import NoSafetyIo, SafetyIo
 from hil.loop.stages import DssStage, VisionStage
 from hil.loop.target_stage import FixedTarget, TargetStage
 
@@ -61,7 +61,7 @@ class Loop:
     bench_now_s: Callable[[], float]
     """Bench time, for the stamp of the thrusters' command."""
     telemetry: Telemetry = field(default_factory=NoTelemetry)
-    lines: SafetyLines = field(default_factory=NoLines)
+    safety_io: SafetyIo = field(default_factory=NoSafetyIo)
     target: TargetStage = field(default_factory=FixedTarget)
     now: CycleData = field(default_factory=CycleData)
     _row: memoryview = field(init=False)
@@ -83,15 +83,15 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     run_zero_s: bench time at which the run's time is zero. lateness_s: how late this cycle woke up.
     """
     now = loop.now
-    loop.lines.look(bench_s)  # 0  emergency stop and safety chain
+    loop.safety_io.check(bench_s)  # 0  emergency stop and safety chain
     loop.bench.read(bench_s, now.feedback)  # 1  encoders
     loop.bench.check(bench_s, now.feedback)  # 2  may the bench go on?
-    loop.target.look(bench_s)  # does the target stay where it was placed?
-    loop.vision.take(bench_s, run_zero_s, now.row[0])  # 3  poses of the vision unit
+    loop.target.check(bench_s)  # does the target stay where it was placed?
+    loop.vision.receive(bench_s, run_zero_s, now.row[0])  # 3  poses of the vision unit
     loop.gnc.act(t_s, now, loop.vision)  # 4-7  navigation, guidance, supervision, control: thrusters on or off
-    loop.lines.mirror(bench_s)  # the same on digital lines
+    loop.safety_io.mirror(bench_s)  # the same on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s
-    now.on_wire_s[0] = loop.lines.thrusters_s - run_zero_s
+    now.on_wire_s[0] = loop.safety_io.thrusters_s - run_zero_s
     now.sampled_s[0, 0], now.sampled_s[0, 1] = loop.bench.sampled_s(run_zero_s)
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
     now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)

@@ -12,11 +12,11 @@ from hil.bench.jog import Jog
 from hil.core.gnc_records import GncMode
 from hil.core.messages import AXES, HOMED, Homing, new
 from hil.core.modes import Mode
-from hil.core.operator_commands import JogRequest, Operator, OperatorCommand, OrderedToStop
+from hil.core.operator_commands import JogRequest, Operator, OperatorCommand, StopCommanded
 from hil.errors import SafetyTrip
 from hil.loop.bench_stage import Move
 from hil.loop.cycle import Loop
-from hil.loop.overrun_monitor import LateCycles
+from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate, Tick
 
 WATCH_CYCLES: Final = 50
@@ -31,7 +31,7 @@ _PLACE_NAMES: Final = {Mode.PLACING: "start pose", Mode.PARKING: "parking place"
 _FOR_THE_GNC: Final = {Mode.ARMED: GncMode.ARMED, Mode.HOLD: GncMode.HOLD, Mode.RUNNING: GncMode.HOLD}
 """What a GNC is told of the cycles in which the loop is open; in the first one of a hold the mode is still RUNNING."""
 
-Watch = Callable[[Mode, float], None]
+ProgressCallback = Callable[[Mode, float], None]
 """Told now and then what the bench is doing and how far along it is, 0..1."""
 
 
@@ -39,41 +39,47 @@ class MotionSequencer:
     """Does what an operator orders while the loop is open. Each method returns with the axes at rest."""
 
     def __init__(
-        self, loop: Loop, rate: Rate, late_cycles: LateCycles, step_s: float, operator: Operator, watch: Watch
+        self,
+        loop: Loop,
+        rate: Rate,
+        overrun_monitor: OverrunMonitor,
+        step_s: float,
+        operator: Operator,
+        on_progress: ProgressCallback,
     ) -> None:
         self.loop = loop
         self._rate = rate
-        self._late_cycles = late_cycles
+        self._overrun_monitor = overrun_monitor
         self._step_s = step_s
         self._operator = operator
-        self._watch = watch
-        self.supervisor = loop.bench.supervisor
-        self.modes = self.supervisor.modes
+        self._on_progress = on_progress
+        self.safety = loop.bench.safety
+        self.modes = self.safety.modes
         self.ticks = 0
         self._newest: Tick
-        self.links_each = max(1, round(_LINKS_EVERY_S / step_s))
+        self.link_check_cycles = max(1, round(_LINKS_EVERY_S / step_s))
         """Cycles from one look at the links to the next."""
 
     def tick(self) -> Tick:
         """Wait for the next cycle, read the axes, and let the supervisor look at them and at the links."""
-        self._newest = tick = self._late_cycles.wait(self._rate)
+        self._newest = tick = self._overrun_monitor.wait(self._rate)
         self.ticks += 1
-        self.look(tick.now_s)
-        self._operator.listen(tick.now_s)
+        self.check(tick.now_s)
+        self._operator.poll(tick.now_s)
         self.loop.gnc.stand(_FOR_THE_GNC.get(self.modes.mode, GncMode.STANDBY), tick.now_s)
-        if self.ticks % self.links_each == 0:
-            self.look_at_links(tick.now_s)
+        if self.ticks % self.link_check_cycles == 0:
+            self.check_links(tick.now_s)
         return tick
 
-    def look(self, now_s: float) -> None:
+    def check(self, now_s: float) -> None:
         """Read the axes and let the supervisor look at them; raises BenchError."""
-        self.loop.lines.look(now_s)
+        self.loop.safety_io.check(now_s)
         self.loop.bench.read(now_s, self.loop.now.feedback)
         self.loop.bench.check(now_s, self.loop.now.feedback)
 
-    def look_at_links(self, now_s: float) -> None:
+    def check_links(self, now_s: float) -> None:
         """Raise SafetyTrip where a device has lost too many packets lately."""
-        alarm = self.supervisor.look_at_links(now_s)
+        alarm = self.safety.check_links(now_s)
         if alarm is not None:
             raise alarm.trip()
 
@@ -92,12 +98,12 @@ class MotionSequencer:
         bench.home(since_s)
         while not all(group.homing == HOMED for group in bench.seen):
             tick = self.tick()
-            self._stop_if_ordered(Mode.HOMING)
-            if alarm := self.supervisor.homing_timeout(tick.now_s, since_s, *bench.seen):
+            self._poll_command(Mode.HOMING)
+            if alarm := self.safety.homing_timeout(tick.now_s, since_s, *bench.seen):
                 raise alarm.trip()
             if self.ticks % WATCH_CYCLES == 0:
                 done = sum(state is Homing.DONE for group in bench.seen for state in group.homing)
-                self._watch(Mode.HOMING, done / 6.0)
+                self._on_progress(Mode.HOMING, done / 6.0)
         self.tick()
         self._await_standstill()
         self.modes.go(Mode.STANDBY)
@@ -111,7 +117,7 @@ class MotionSequencer:
         feedback = self.loop.now.feedback
         begun_s = now_s = self._newest.now_s
         moved_s = -math.inf
-        while (moving := self.supervisor.interlock_seed(now_s, feedback)) or now_s - moved_s < _STAND_S:
+        while (moving := self.safety.interlock_seed(now_s, feedback)) or now_s - moved_s < _STAND_S:
             if moving:
                 moved_s = now_s
                 if now_s - begun_s > _SETTLE_S:
@@ -172,11 +178,11 @@ class MotionSequencer:
             move.at(moved_s + self._step_s, wanted)
             bench.command(wanted, tick.now_s, now.setpoint)
             tick = self.tick()
-            if self.hold_is_due(mode):
+            if self.hold_requested(mode):
                 return False
             cycle += 1
             if cycle % WATCH_CYCLES == 0 and move.duration_s > 0.0:
-                self._watch(mode, min(1.0, moved_s / move.duration_s))
+                self._on_progress(mode, min(1.0, moved_s / move.duration_s))
 
     def _is_at(self, target: np.record) -> bool:
         feedback = self.loop.now.feedback
@@ -185,14 +191,14 @@ class MotionSequencer:
             and np.abs(feedback.gimbal_rad - target.gimbal_rad).max() < _SETTLED_RAD
         )
 
-    def hold_is_due(self, mode: Mode) -> bool:
-        """Return whether a hold is ordered or asked for; raises OrderedToStop."""
-        reason = self.supervisor.hold_reason
-        if reason and not self._operator.grants_holds:
+    def hold_requested(self, mode: Mode) -> bool:
+        """Return whether a hold is ordered or asked for; raises StopCommanded."""
+        reason = self.safety.hold_reason
+        if reason and not self._operator.can_resume:
             raise SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone")
         if reason:
             return True
-        return self._stop_if_ordered(mode) is OperatorCommand.HOLD
+        return self._poll_command(mode) is OperatorCommand.HOLD
 
     def hold(self, tick: Tick) -> Tick:
         """Brake all axes to a stand and keep them there until RESUME; return the tick of the resumption.
@@ -206,7 +212,7 @@ class MotionSequencer:
         resume = False
         while True:
             moving = bench.brake(tick.now_s, now.setpoint)
-            order = self._stop_if_ordered(Mode.HOLD)
+            order = self._poll_command(Mode.HOLD)
             resume = order is OperatorCommand.RESUME or (resume and order is not OperatorCommand.HOLD)
             if resume and not (moving or self.loop.gnc.not_ready) and bench.stands(tick.now_s, now.feedback):
                 break
@@ -214,10 +220,10 @@ class MotionSequencer:
             if back is Mode.RUNNING:
                 self.loop.vision.discard_pending(tick.now_s)
             if self.ticks % WATCH_CYCLES == 0:
-                self._watch(Mode.HOLD, 0.0)
+                self._on_progress(Mode.HOLD, 0.0)
         bench.seed_for_run(tick.now_s, now.feedback)
         self.loop.vision.not_before_s = tick.now_s
-        self.supervisor.hold_reason = ""
+        self.safety.hold_reason = ""
         self.modes.go(back)
         return tick
 
@@ -230,7 +236,7 @@ class MotionSequencer:
         tick = self.begin()
         jog = self._begin_jog(wish, tick)
         if jog is None:
-            self._operator.jog_ended()
+            self._operator.end_jog()
             return
         try:
             moving = True
@@ -238,9 +244,9 @@ class MotionSequencer:
                 moving = self._jog_step(jog, tick)
                 tick = self.tick()
         finally:
-            self._operator.jog_ended()
+            self._operator.end_jog()
             bench.set_jogging(False)
-            self.supervisor.restore_travel()
+            self.safety.restore_travel()
         self.modes.go(Mode.STANDBY)
 
     def _begin_jog(self, wish: JogRequest, tick: Tick) -> Jog | None:
@@ -248,25 +254,25 @@ class MotionSequencer:
         bench = self.loop.bench
         axis = bench.axis_names.index(wish.axis) if wish.axis in bench.axis_names else -1
         if axis < 0 or wish.direction not in (-1, 1):
-            self._operator.answers.append(f"bench: cannot jog {wish.axis} by {wish.direction}")
+            self._operator.rejections.append(f"bench: cannot jog {wish.axis} by {wish.direction}")
             return None
         homing = (*bench.seen[0].homing, *bench.seen[1].homing)
         bench.seed(tick.now_s, self.loop.now.feedback)
         jog = Jog(bench.params, axis, wish.direction, homing[axis] is Homing.DONE, bench.motion.position)
         if not bench.set_jogging(True):
-            refusal = self.supervisor.interlock_motion(tick.now_s, *bench.seen, self.loop.now.feedback)
+            refusal = self.safety.interlock_motion(tick.now_s, *bench.seen, self.loop.now.feedback)
             if refusal is not None:  # these devices take setpoints on the bench alone
-                self._operator.answers.append(refusal.text)
+                self._operator.rejections.append(refusal.text)
                 return None
         jog.key.refresh(tick.now_s)
-        self.supervisor.widen_travel(jog.params.low, jog.params.high)
+        self.safety.widen_travel(jog.params.low, jog.params.high)
         self.modes.go(Mode.JOGGING)
         return jog
 
     def _jog_step(self, jog: Jog, tick: Tick) -> bool:
         """Send the next setpoint of a jog; return whether it goes on."""
         bench, now = self.loop.bench, self.loop.now
-        self._stop_if_ordered(Mode.JOGGING)
+        self._poll_command(Mode.JOGGING)
         wish = self._operator.jog_request()
         if wish == JogRequest(bench.axis_names[jog.axis], jog.direction):
             jog.key.refresh(tick.now_s)
@@ -278,11 +284,11 @@ class MotionSequencer:
         bench.command(wanted, tick.now_s, now.setpoint, jog.params)
         return True
 
-    def _stop_if_ordered(self, mode: Mode) -> OperatorCommand | None:
-        """Return the next order for ``mode``, if one waits; raises OrderedToStop for STOP."""
-        if not self._operator.waiting:
+    def _poll_command(self, mode: Mode) -> OperatorCommand | None:
+        """Return the next order for ``mode``, if one waits; raises StopCommanded for STOP."""
+        if not self._operator.pending:
             return None
-        order = self._operator.take(mode)
+        order = self._operator.pop(mode)
         if order is OperatorCommand.STOP:
-            raise OrderedToStop
+            raise StopCommanded
         return order

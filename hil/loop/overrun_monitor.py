@@ -14,7 +14,7 @@ from hil.loop.rate_keeper import Rate, Tick
 _HISTOGRAM_US = tuple(2**power for power in range(17))  # 1 us to 65 ms
 
 
-class LateCycles:
+class OverrunMonitor:
     """A leaky bucket of lost periods: single ones leak away, a burst trips.
 
     Each lost period is a drop; the bucket leaks ``allowed`` drops in ``window_s`` of bench time, and trips
@@ -34,10 +34,10 @@ class LateCycles:
     def wait(self, rate: Rate) -> Tick:
         """Wait for the next cycle of ``rate``; raise SafetyTrip when too many have come late."""
         tick = rate.wait()
-        self.look(tick)
+        self.check(tick)
         return tick
 
-    def look(self, tick: Tick) -> None:
+    def check(self, tick: Tick) -> None:
         """Take account of the periods that were lost before ``tick``; raise SafetyTrip when they are too many."""
         if not tick.skipped:
             return

@@ -15,16 +15,16 @@ import numpy as np
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.observable import ObservableList
-from hil.core.operator_commands import Operator, OperatorCommand, OrderedToStop
+from hil.core.operator_commands import Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, SafetyTrip
 from hil.loop.cycle import Loop, run_cycle
-from hil.loop.motion_sequences import WATCH_CYCLES, MotionSequencer, Watch
-from hil.loop.overrun_monitor import LateCycles
+from hil.loop.motion_sequences import WATCH_CYCLES, MotionSequencer, ProgressCallback
+from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
 from hil.loop.root_cause import root_cause
-from hil.safety.alarms import Alarm, alarm_of
+from hil.safety.alarms import Alarm, alarm_from_error
 
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
@@ -51,8 +51,8 @@ class Outcome:
 class Runner:
     """One session at the bench, with one run of ``cycles`` cycles.
 
-    frames_to_arm: poses that must have come before the loop is closed. ``watch`` is called every
-    ``WATCH_CYCLES`` cycles. ``late_cycles`` judges lost periods, from the first motion on. operator: gives
+    frames_to_arm: poses that must have come before the loop is closed. ``on_progress`` is called every
+    ``WATCH_CYCLES`` cycles. ``overrun_monitor`` judges lost periods, from the first motion on. operator: gives
     the orders; without one the run goes through by itself and a fault ends it. parking: AXES, where the bench
     is left when a session ends with PARK, or after each whole run (``park_after_run``).
     """
@@ -64,27 +64,27 @@ class Runner:
         loop: Loop,
         rate: Rate,
         precedence: SchedulingPolicy,
-        late_cycles: LateCycles,
+        overrun_monitor: OverrunMonitor,
         step_s: float,
         cycles: int,
         frames_to_arm: int,
-        watch: Watch,
+        on_progress: ProgressCallback,
         operator: Operator | None = None,
         parking: np.record | None = None,
         park_after_run: bool = False,
     ) -> None:
         self.loop = loop
         self.operator = operator or Operator()
-        self.supervisor = loop.bench.supervisor
-        self.late_cycles = late_cycles
+        self.safety = loop.bench.safety
+        self.overrun_monitor = overrun_monitor
         self._precedence = precedence
         self._rate = rate
         self._step_s = step_s
         self._cycles = cycles
         self._frames_to_arm = frames_to_arm
-        self._watch = watch
-        self._modes = self.supervisor.modes
-        self._handling = MotionSequencer(loop, rate, late_cycles, step_s, self.operator, watch)
+        self._on_progress = on_progress
+        self._modes = self.safety.modes
+        self._sequencer = MotionSequencer(loop, rate, overrun_monitor, step_s, self.operator, on_progress)
         self._faults: list[str] = []
         self.events: ObservableList[Event] = ObservableList()
         """What the bench did beside the approach: holds."""
@@ -127,20 +127,20 @@ class Runner:
             limited_cycles=self.loop.bench.limited_cycles,
             vision_counters=self.source.counters(),
             events=self.all_events(),
-            alarms=list(self.supervisor.alarms.all()),
+            alarms=list(self.safety.alarms.all()),
         )
 
     @contextmanager
-    def axes_alone(self) -> Iterator[MotionSequencer]:
+    def axes_only(self) -> Iterator[MotionSequencer]:
         """Open the axes without the vision unit, give what moves them; at the end they are stopped first."""
         with no_garbage_collection(freeze=self._rate.on_the_wall):
             try:
-                self.loop.lines.open(self._rate)
+                self.loop.safety_io.open(self._rate)
                 self.loop.bench.open(self._rate.now_s())
-                self.supervisor.opened()
+                self.safety.opened()
                 self._modes.go(Mode.STANDBY)
                 with self._precedence.realtime_priority():  # after the drivers have started their threads
-                    yield self._handling
+                    yield self._sequencer
             finally:
                 self._shut_down()
 
@@ -148,7 +148,7 @@ class Runner:
         try:
             while self._session():
                 pass
-        except (KeyboardInterrupt, OrderedToStop):
+        except (KeyboardInterrupt, StopCommanded):
             self._faults.append(STOPPED_BY_OPERATOR)
         finally:
             self._shut_down()
@@ -162,7 +162,7 @@ class Runner:
                 while (order := self._next_order()) is not None:
                     self._obey(order)
                 if self._park_after_run and self._done == self._cycles:
-                    self._handling.brake()
+                    self._sequencer.brake()
                     self._modes.go(Mode.STANDBY)
                     self._park()
         except BenchError as fault:
@@ -172,17 +172,17 @@ class Runner:
 
     def _open(self) -> None:
         self.loop.gnc.open(self._rate.now_s())
-        self.loop.lines.open(self._rate)
+        self.loop.safety_io.open(self._rate)
         self.loop.bench.open(self._rate.now_s())
         self.loop.target.open(self._rate.now_s())
         self.source.open(self._rate.now_s())
-        self.supervisor.opened()
+        self.safety.opened()
         self._modes.go(Mode.STANDBY)
 
     def _next_order(self) -> OperatorCommand | None:
         """Return the next order; None when the run is over or the bench parked, or when nobody is there to give one."""
         while not (self._done or self._parked):
-            order = self.operator.next(self._modes.mode)
+            order = self.operator.next_command(self._modes.mode)
             if order is not None or not self.operator.attended:
                 return order
             self._stand_by()
@@ -190,20 +190,20 @@ class Runner:
 
     def _stand_by(self) -> None:
         """Let one supervised cycle pass in which nothing moves."""
-        tick = self._handling.tick()
+        tick = self._sequencer.tick()
         self.loop.vision.discard_pending(tick.now_s)
-        if self._handling.ticks % self.WATCH_CYCLES == 0:
-            self._watch(self._modes.mode, 0.0)
+        if self._sequencer.ticks % self.WATCH_CYCLES == 0:
+            self._on_progress(self._modes.mode, 0.0)
 
     def _obey(self, order: OperatorCommand) -> None:
         match order:
             case OperatorCommand.HOME:
-                self._handling.home()
+                self._sequencer.home()
             case OperatorCommand.JOG:
-                self._handling.jog()
+                self._sequencer.jog()
             case OperatorCommand.ARM:
-                self.loop.target.place(self._rate, self._handling.look)
-                self._handling.place()
+                self.loop.target.place(self._rate, self._sequencer.check)
+                self._sequencer.place()
                 self._arm()
             case OperatorCommand.START:
                 self._close_the_loop()
@@ -212,12 +212,12 @@ class Runner:
             case OperatorCommand.PARK:
                 self._park()
             case OperatorCommand.STOP:
-                raise OrderedToStop
+                raise StopCommanded
 
     def _park(self) -> None:
         """Leave the bench where its rig says; the session ends there."""
         if self._parking is not None:
-            self._handling.park(self._parking)
+            self._sequencer.park(self._parking)
         self._parked = True
 
     def _arm(self) -> None:
@@ -225,51 +225,51 @@ class Runner:
         self._modes.go(Mode.ARMED)
         frames = 0
         while frames < self._frames_to_arm:
-            tick = self._handling.tick()
-            self.loop.target.look(tick.now_s)
+            tick = self._sequencer.tick()
+            self.loop.target.check(tick.now_s)
             frames += self.loop.vision.discard_pending(tick.now_s)
-            self._watch(Mode.ARMED, 0.0)
+            self._on_progress(Mode.ARMED, 0.0)
 
     def _close_the_loop(self) -> None:
-        self._handling.seed_for_run()
+        self._sequencer.seed_for_run()
         self._modes.go(Mode.RUNNING)
         self._rate.restart()
         held_s = 0.0
         for k in range(self._cycles):
-            tick = self.late_cycles.wait(self._rate)
+            tick = self.overrun_monitor.wait(self._rate)
             run_cycle(self.loop, k, k * self._step_s, tick.now_s, tick.run_zero_s + held_s, tick.lateness_s)
             self._done = k + 1
             if k % self.WATCH_CYCLES == 0:
-                self._watch(Mode.RUNNING, k / self._cycles)
-            if k % self._handling.links_each == 0:
-                self._handling.look_at_links(tick.now_s)
-            self.operator.listen(tick.now_s)
-            if self.operator.waiting or self.supervisor.hold_reason:
+                self._on_progress(Mode.RUNNING, k / self._cycles)
+            if k % self._sequencer.link_check_cycles == 0:
+                self._sequencer.check_links(tick.now_s)
+            self.operator.poll(tick.now_s)
+            if self.operator.pending or self.safety.hold_reason:
                 held_s += self._obey_while_running(k * self._step_s)
         self.loop.gnc.finish((self._cycles - 1) * self._step_s, self.loop.now.supervision)
-        self._watch(Mode.RUNNING, 1.0)
+        self._on_progress(Mode.RUNNING, 1.0)
 
     def _obey_while_running(self, t_s: float) -> float:
         """Do what is ordered between two cycles; return for how long, s, the run's time stood."""
-        order = None if self.supervisor.hold_reason else self.operator.take(Mode.RUNNING)
+        order = None if self.safety.hold_reason else self.operator.pop(Mode.RUNNING)
         if order is OperatorCommand.STOP:
-            raise OrderedToStop
+            raise StopCommanded
         if order is OperatorCommand.GO:
             self.loop.gnc.order_go()
         if order is OperatorCommand.ABORT:
             self.loop.gnc.order_abort()
-        if not (self.supervisor.hold_reason or order is OperatorCommand.HOLD):
+        if not (self.safety.hold_reason or order is OperatorCommand.HOLD):
             return 0.0
         return self._hold(t_s)
 
     def _hold(self, t_s: float) -> float:
-        reason = self.supervisor.hold_reason or "ordered by the operator"
-        if not self.operator.grants_holds and self.supervisor.hold_reason:
+        reason = self.safety.hold_reason or "ordered by the operator"
+        if not self.operator.can_resume and self.safety.hold_reason:
             raise SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone")
         self.events.append(Event(t_s, "bench", f"hold: {reason}"))
-        before = self._handling.ticks
-        self._handling.hold(self._handling.tick())
-        held_s = (self._handling.ticks - before) * self._step_s
+        before = self._sequencer.ticks
+        self._sequencer.hold(self._sequencer.tick())
+        held_s = (self._sequencer.ticks - before) * self._step_s
         self.events.append(Event(t_s, "bench", f"resumed after {held_s:.2f} s"))
         return held_s
 
@@ -279,9 +279,9 @@ class Runner:
             now_s = self._rate.now_s()
             self.loop.bench.stop(now_s)
             cause = root_cause(fault, self.loop, self._rate)
-            self.supervisor.alarms.enter(alarm_of(cause, now_s))
+            self.safety.alarms.latch(alarm_from_error(cause, now_s))
             if cause is not fault:
-                self.supervisor.alarms.enter(alarm_of(fault, now_s))
+                self.safety.alarms.latch(alarm_from_error(fault, now_s))
             self._faults.append(str(cause))
             self._modes.go(Mode.SAFE_STOP)
             self.operator.cancel_auto_sequence()
@@ -296,16 +296,16 @@ class Runner:
         while True:
             tick = self._rate.wait()
             with suppress(DeviceError):  # counts as pressed
-                self.loop.bench.look_at_emergency_input(tick.now_s)
-            self.operator.listen(tick.now_s)
-            order = self.operator.take(Mode.SAFE_STOP)
+                self.loop.bench.poll_emergency_input(tick.now_s)
+            self.operator.poll(tick.now_s)
+            order = self.operator.pop(Mode.SAFE_STOP)
             if order is OperatorCommand.STOP:
-                raise OrderedToStop
+                raise StopCommanded
             if order is OperatorCommand.RESET:
-                refusal = self.supervisor.reset(tick.now_s)
+                refusal = self.safety.reset(tick.now_s)
                 if refusal is None:
                     break
-                self.operator.answers.append(refusal.text)
+                self.operator.rejections.append(refusal.text)
             if not self._rate.on_the_wall:
                 time.sleep(_PAUSE_S)  # simulated time does not wait for anybody
         self._shut_down()
@@ -321,8 +321,8 @@ class Runner:
             self.source.close()
             self.loop.bench.close()
             self.loop.target.close()
-            self.loop.lines.stop(self._rate.now_s())
-            self.loop.lines.close()
+            self.loop.safety_io.stop(self._rate.now_s())
+            self.loop.safety_io.close()
             self.loop.gnc.close()
 
 

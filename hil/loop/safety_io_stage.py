@@ -20,7 +20,7 @@ _EDGE_EACH_S: Final = 0.2  # a new edge of enable is offered
 _PULSE_S: Final = 0.01
 
 
-class SafetyLines(Protocol):
+class SafetyIo(Protocol):
     """What the cycle and the runner know of the bench's digital lines."""
 
     def open(self, rate: Rate) -> None:
@@ -29,7 +29,7 @@ class SafetyLines(Protocol):
     thrusters_s: float
     """When the coupler was given the thrusters' lines as they are, s of bench time; NaN where nothing tells."""
 
-    def look(self, now_s: float) -> None:
+    def check(self, now_s: float) -> None:
         """Keep the chain closed for another moment; raise SafetyTrip where it is not, DeviceError on failure."""
 
     def mirror(self, now_s: float) -> None:
@@ -42,14 +42,14 @@ class SafetyLines(Protocol):
         """Let go of the wire. Never raises."""
 
 
-class NoLines:
+class NoSafetyIo:
     """A bench without digital lines."""
 
     thrusters_s = math.nan
 
     def open(self, rate: Rate) -> None: ...
 
-    def look(self, now_s: float) -> None: ...
+    def check(self, now_s: float) -> None: ...
 
     def mirror(self, now_s: float) -> None: ...
 
@@ -58,7 +58,7 @@ class NoLines:
     def close(self) -> None: ...
 
 
-class IoStage:
+class SafetyIoStage:
     """Digital lines of a bench that has them.
 
     on: view of the thrusters in COMMAND, whole numbers 0 or 1, one for each line.
@@ -88,7 +88,7 @@ class IoStage:
             raise self._trip(inputs)
         return enable and inputs.chain_closed
 
-    def look(self, now_s: float) -> None:
+    def check(self, now_s: float) -> None:
         """Pulse the charge pump; raise SafetyTrip when interlock or relay say that the drives have no torque.
 
         An emergency stop, which opens the relay too, is for the supervisor to tell (``emergency_input``).
@@ -129,13 +129,13 @@ class IoStage:
 
 
 @contextmanager
-def chain_kept_closed(lines: SafetyLines, rate: Rate) -> Iterator[None]:
+def chain_kept_closed(lines: SafetyIo, rate: Rate) -> Iterator[None]:
     """Pulse the charge pump from a thread while the body blocks: devices take their time to open and to stop.
 
     For whoever holds the lines itself; in a run the watchdog process pulses. Only on the wall: in simulated time
     no time passes meanwhile.
     """
-    if not (isinstance(lines, IoStage) and rate.on_the_wall):
+    if not (isinstance(lines, SafetyIoStage) and rate.on_the_wall):
         yield
         return
     ended = threading.Event()

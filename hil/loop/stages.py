@@ -78,7 +78,7 @@ class VisionStage:
         self._row = np.zeros(1, ARRIVAL)
         self._cycle = -1
 
-    def take(self, bench_s: float, run_zero_s: float, row: np.ndarray) -> None:
+    def receive(self, bench_s: float, run_zero_s: float, row: np.ndarray) -> None:
         """Bring the frames that came since the last cycle into ``poses``; the newest one also into ``row["pose"]``.
 
         run_zero_s: bench time at which the run's time is zero.

@@ -15,7 +15,7 @@ from hil.errors import SafetyTrip
 from hil.loop.rate_keeper import Rate
 from hil.models.profile import along_line, duration
 
-SHARE_OF_LIMITS: Final = 0.5
+FRACTION_OF_LIMITS: Final = 0.5
 _SETTLE_S: Final = 3.0  # after the move, until the axes stand where they should
 _SETTLED_M: Final = 0.001
 
@@ -29,7 +29,7 @@ class TargetStage(Protocol):
     def place(self, rate: Rate, each: Callable[[float], None]) -> None:
         """Move slowly to the place; ``each`` is called with every cycle's time. Raises BenchError."""
 
-    def look(self, now_s: float) -> None:
+    def check(self, now_s: float) -> None:
         """Raise SafetyTrip where the target is not at its place, DeviceError on failure."""
 
     def stop(self, now_s: float) -> None:
@@ -46,7 +46,7 @@ class FixedTarget:
 
     def place(self, rate: Rate, each: Callable[[float], None]) -> None: ...
 
-    def look(self, now_s: float) -> None: ...
+    def check(self, now_s: float) -> None: ...
 
     def stop(self, now_s: float) -> None: ...
 
@@ -61,7 +61,7 @@ class PlacedTarget:
         self._place = np.array(config.place_m)
         self._held_within_m = config.held_within_m
         limits = [(axis.rate_max_mps, axis.acceleration_max_mps2) for axis in (config.x, config.y, config.z)]
-        self._speed, self._acceleration = SHARE_OF_LIMITS * np.array(limits).T
+        self._speed, self._acceleration = FRACTION_OF_LIMITS * np.array(limits).T
 
     def open(self, now_s: float) -> None:
         """Open the axes; they hold where they stand."""
@@ -90,7 +90,7 @@ class PlacedTarget:
             each(tick.now_s)
         self.axes.send(self._place, np.zeros(3), tick.now_s)
 
-    def look(self, now_s: float) -> None:
+    def check(self, now_s: float) -> None:
         """Raise SafetyTrip where an axis is further from its place than ``held_within_m``."""
         away = np.abs(self.axes.read(now_s).position - self._place)
         worst = int(away.argmax())

@@ -13,7 +13,7 @@ from hil.core.clock import WallClock
 from hil.drivers.base import AxisGroup, PoseSource
 from hil.errors import BenchError, DeviceError, LinkTimeout
 from hil.loop.rate_keeper import WallRate
-from hil.loop.safety_io_stage import IoStage, chain_kept_closed
+from hil.loop.safety_io_stage import SafetyIoStage, chain_kept_closed
 from hil.preflight.check import PreflightCheck
 from hil.preflight.ports import port_checks
 from hil.processes.emulators import EmulatedDevices
@@ -54,7 +54,7 @@ def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool
     from hil.drivers.io.driver import ModbusIo
 
     rate = WallRate(clock, scenario.step_s)
-    lines = IoStage(ModbusIo(rig.io, clock), np.zeros(rig.io.thruster_lines, dtype=np.int64))
+    lines = SafetyIoStage(ModbusIo(rig.io, clock), np.zeros(rig.io.thruster_lines, dtype=np.int64))
     try:
         lines.open(rate)
         with chain_kept_closed(lines, rate):

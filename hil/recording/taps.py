@@ -94,8 +94,8 @@ class RecordingSinks:
         for events in (*loop.gnc.logs, runner.events):
             events.tell(notes.event)
         loop.gnc.orders.tell(lambda order: notes.order(*order))
-        runner.supervisor.alarms.entered.tell(notes.alarm)
-        runner.supervisor.modes.history.tell(notes.mode)
+        runner.safety.alarms.raised.tell(notes.alarm)
+        runner.safety.modes.history.tell(notes.mode)
         return notes
 
     def maker(self, rig: Rig) -> ImageEncoder | None:

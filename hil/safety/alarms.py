@@ -41,7 +41,7 @@ class Alarm:
         return asdict(self)
 
 
-def alarm_of(error: BenchError, t_s: float) -> Alarm:
+def alarm_from_error(error: BenchError, t_s: float) -> Alarm:
     """Return the alarm that belongs to an error of the bench; its text is the error's."""
     if isinstance(error, SafetyTrip):
         return Alarm(t_s, error.device, error.quantity, error.value, error.limit, str(error))
@@ -51,7 +51,7 @@ def alarm_of(error: BenchError, t_s: float) -> Alarm:
     return Alarm(t_s, "bench", "error", str(error), "none", str(error))
 
 
-class AlarmBook:
+class AlarmLog:
     """All alarms of a session in the order in which they came.
 
     One that is latched stays until ``reset``, acknowledged or not; the same device and quantity does
@@ -60,16 +60,16 @@ class AlarmBook:
 
     def __init__(self) -> None:
         self._alarms: list[Alarm] = []
-        self.entered: ObservableList[Alarm] = ObservableList()
+        self.raised: ObservableList[Alarm] = ObservableList()
         """Each alarm as it came, whatever became of it."""
 
-    def enter(self, alarm: Alarm) -> Alarm:
+    def latch(self, alarm: Alarm) -> Alarm:
         """Latch ``alarm``; return it, or the one that is latched for the same device and quantity already."""
         for known in self._alarms:
             if known.latched and (known.device, known.quantity) == (alarm.device, alarm.quantity):
                 return known
         self._alarms.append(replace(alarm, latched=True, acknowledged=False))
-        self.entered.append(self._alarms[-1])
+        self.raised.append(self._alarms[-1])
         return self._alarms[-1]
 
     def acknowledge(self) -> int:

@@ -16,7 +16,7 @@ class EmergencyStop:
         self.pressed = False
         self._reset_before = True  # a reset that is held when the program starts is no edge
 
-    def see(self, pressed: bool | None, reset: bool = False) -> None:
+    def update(self, pressed: bool | None, reset: bool = False) -> None:
         """Take the levels of button and reset input; ``pressed`` None: unknown, which counts as pressed."""
         self.pressed = pressed is None or pressed
         if self.pressed:

@@ -31,7 +31,7 @@ class SafetyLimits:
     stand_radps: float = _STAND_RADPS
 
 
-def limits_of(rig: Rig, params: np.record) -> SafetyLimits:
+def safety_limits(rig: Rig, params: np.record) -> SafetyLimits:
     """Return the limits of ``rig``; params: its BENCH_PARAMS."""
     guard = new(GUARD)
     rails, turntable = rig.rails, rig.turntable

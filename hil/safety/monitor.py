@@ -16,7 +16,7 @@ import numpy as np
 from hil.bench import guard as guards
 from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing, new
 from hil.core.modes import Mode, ModeMachine
-from hil.safety.alarms import Alarm, AlarmBook
+from hil.safety.alarms import Alarm, AlarmLog
 from hil.safety.estop import EmergencyStop
 from hil.safety.limits import SafetyLimits
 from hil.safety.packet_loss import LinkWatch
@@ -62,7 +62,7 @@ class SafetyMonitor:
 
     def __init__(self, limits: SafetyLimits, axis_names: Sequence[str], links: Sequence[LinkWatch] = ()) -> None:
         self.modes = ModeMachine()
-        self.alarms = AlarmBook()
+        self.alarms = AlarmLog()
         self.estop = EmergencyStop()
         self.limits = limits
         self.hold_reason = ""
@@ -74,7 +74,7 @@ class SafetyMonitor:
         self._seen_mode = self.modes.mode
         self._checks = CHECKS[self._seen_mode]
 
-    def look(
+    def check(
         self,
         now_s: float,
         rails: AxisFeedback,
@@ -146,10 +146,10 @@ class SafetyMonitor:
             limit = f"{math.degrees(self.limits.stand_radps):g} deg/s"
         return Alarm(now_s, self._axis_names[moving], "speed at arming", value, limit)
 
-    def look_at_links(self, now_s: float) -> Alarm | None:
+    def check_links(self, now_s: float) -> Alarm | None:
         """Return an alarm where a device has lost too many packets lately; a few times a second is often enough."""
         for link in self._links:
-            if alarm := link.look(now_s):
+            if alarm := link.check(now_s):
                 return alarm
         return None
 
@@ -159,7 +159,7 @@ class SafetyMonitor:
         for link in self._links:
             link.restart()
 
-    def ask_for_hold(self, reason: str) -> None:
+    def request_hold(self, reason: str) -> None:
         """Let the bench be held before the next cycle; obeyed in running and in placing."""
         self.hold_reason = self.hold_reason or reason
 

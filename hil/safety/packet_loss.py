@@ -46,7 +46,7 @@ class LinkWatch:
         self._before = self._lost()
         self._bucket.empty()
 
-    def look(self, now_s: float) -> Alarm | None:
+    def check(self, now_s: float) -> Alarm | None:
         """Return an alarm where too many packets were lost lately."""
         count = self._lost()
         new = max(0, count - self._before)

@@ -32,7 +32,7 @@ from hil.core.realtime import REAL_TIME, RealTime, SchedulingPolicy
 from hil.errors import BadInput, Problem
 from hil.frmn.ring import Ring, Telemetry
 from hil.loop.bench_stage import Move
-from hil.loop.motion_sequences import Watch
+from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.rate_keeper import Rate, SimulatedRate, WallRate
 from hil.loop.runner import Runner
 from hil.params import gnc as gnc_params
@@ -85,7 +85,7 @@ def _rig_problems(job: Job) -> list[Problem]:
 @contextmanager
 def runner(
     job: Job,
-    watch: Watch,
+    on_progress: ProgressCallback,
     announce: Callable[[str], None],
     operator: Operator | None = None,
     taps: RecordingSinks | None = None,
@@ -105,13 +105,13 @@ def runner(
             if job.paced:
                 rate = WallRate(WallClock(speed=job.speed), scenario.step_s)
                 precedence = stack.enter_context(RealTime(rig.host.fifo, rig.host.cpu))
-            made = in_memory(job, rate, watch, precedence, telemetry, operator, pictures)
+            made = in_memory(job, rate, on_progress, precedence, telemetry, operator, pictures)
             if taps:
                 taps.attach(made)
             yield made
         return
     with wired_bench(job, announce, taps) as bench:
-        yield bench.runner(watch, operator)
+        yield bench.runner(on_progress, operator)
 
 
 class WiredBench:
@@ -147,11 +147,19 @@ class WiredBench:
         self.notes: EventRecorder | None = None
         """Where to put down what an operator changes, while a run is recorded."""
 
-    def runner(self, watch: Watch = lambda *_: None, operator: Operator | None = None) -> Runner:
+    def runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
         """Return a Runner of the job."""
         rate = WallRate(self._clock, self._job.scenario.value.step_s)
         made = assemble(
-            self._job, self._rig, rate, *self._devices, _FRAMES_TO_ARM, watch, operator, self._realtime, self.telemetry
+            self._job,
+            self._rig,
+            rate,
+            *self._devices,
+            _FRAMES_TO_ARM,
+            on_progress,
+            operator,
+            self._realtime,
+            self.telemetry,
         )
         if self._taps:
             self.notes = self._taps.attach(made)
@@ -219,7 +227,7 @@ def telemetry_ring(taps: RecordingSinks | None) -> Iterator[Ring]:
 def in_memory(
     job: Job,
     rate: Rate,
-    watch: Watch = lambda *_: None,
+    on_progress: ProgressCallback = lambda *_: None,
     precedence: SchedulingPolicy | None = None,
     telemetry: Telemetry | None = None,
     operator: Operator | None = None,
@@ -230,7 +238,7 @@ def in_memory(
     pictures: takes those of a rendered vision unit; where ``rate`` keeps the time of the wall it must not wait.
     """
     devices = mocks(job.truth, job.rig.value, job.seed, pictures)
-    return assemble(job, job.rig.value, rate, *devices, 0, watch, operator, precedence, telemetry)
+    return assemble(job, job.rig.value, rate, *devices, 0, on_progress, operator, precedence, telemetry)
 
 
 @contextmanager
@@ -262,16 +270,16 @@ def warm_up(job: Job) -> None:
 def warm_up_all_but_navigation(job: Job) -> None:
     """Call the kernels of every stage but navigation once."""
     loop = _a_few_cycles(job).loop
-    loop.lines.open(SimulatedRate(SimulatedClock(), job.scenario.value.step_s))
+    loop.safety_io.open(SimulatedRate(SimulatedClock(), job.scenario.value.step_s))
     now = loop.now
     loop.bench.open(0.0)
     loop.vision.source.open(0.0)
     loop.bench.read(0.0, now.feedback)
-    loop.bench.supervisor.modes.mode = Mode.RUNNING
+    loop.bench.safety.modes.mode = Mode.RUNNING
     loop.bench.seed_for_run(0.0, now.feedback)
     loop.bench.check(0.0, now.feedback)
     loop.bench.brake(0.0, now.setpoint)
-    loop.vision.take(0.0, 0.0, now.row[0])
+    loop.vision.receive(0.0, 0.0, now.row[0])
     gnc = make_gnc(job.scenario.value)
     gnc.guide(0.0, now.supervision, now.reference)
     gnc.supervise(0.0, now.navigation, now.reference, now.supervision)

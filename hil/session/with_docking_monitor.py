@@ -9,7 +9,7 @@ from hil.config.load import load_scene
 from hil.core.operator_commands import Operator
 from hil.errors import DeviceError
 from hil.frmn.ring import Ring
-from hil.loop.motion_sequences import Watch
+from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import Outcome, Runner
 from hil.processes.docking_monitor import MonitorProcess, Watched, watch_recorded
 from hil.recording.taps import RecordingSinks
@@ -42,7 +42,7 @@ def beside(
 @contextmanager
 def runner(
     job: build.Job,
-    watch: Watch,
+    on_progress: ProgressCallback,
     announce: Callable[[str], None],
     taps: RecordingSinks | None = None,
     operator: Operator | None = None,
@@ -53,12 +53,12 @@ def runner(
     """
     scenario, rig, seed = job.scenario.value, job.rig.value, job.seed
     if scenario.monitor.source == "none":
-        with build.runner(job, watch, announce, operator, taps) as plain:
+        with build.runner(job, on_progress, announce, operator, taps) as plain:
             yield plain, lambda _: None
         return
     if rig.kind == "mock":
         scene = load_scene(scenario.monitor.scene).value
-        with build.runner(job, watch, announce, operator, taps) as in_memory:
+        with build.runner(job, on_progress, announce, operator, taps) as in_memory:
             outlets = (taps.monitor_maker(rig), taps.portions) if taps else ()
             yield in_memory, lambda outcome: watch_recorded(scenario, scene, rig, seed, outcome.history, *outlets)
         return
@@ -66,7 +66,7 @@ def runner(
         build.wired_bench(job, announce, taps) as bench,
         beside(job, bench.telemetry, announce, taps) as look,
     ):
-        yield bench.runner(watch, operator), look
+        yield bench.runner(on_progress, operator), look
 
 
 def _rings(taps: RecordingSinks | None) -> tuple[Ring | None, Ring | None]:

@@ -33,16 +33,16 @@ from hil.gnc_backends.library_file import Library
 from hil.gnc_backends.shared_library import SharedLibraryGnc
 from hil.loop.bench_stage import BenchStage
 from hil.loop.cycle import Loop
-from hil.loop.motion_sequences import Watch
-from hil.loop.overrun_monitor import LateCycles
+from hil.loop.motion_sequences import ProgressCallback
+from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
 from hil.loop.runner import Runner
-from hil.loop.safety_io_stage import IoStage
+from hil.loop.safety_io_stage import SafetyIoStage
 from hil.loop.stages import BuiltinGnc, DssStage, VisionStage
 from hil.loop.target_stage import PlacedTarget
 from hil.maths.random_streams import NormalRows, stream
 from hil.params import gnc as gnc_params
-from hil.safety.limits import limits_of
+from hil.safety.limits import safety_limits
 from hil.safety.monitor import SafetyMonitor
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import backend_setup, gnc_setup
@@ -93,22 +93,23 @@ def assemble(
     io: DiscreteIo | None,
     target: AxisGroup | None,
     frames_to_arm: int,
-    watch: Watch,
+    on_progress: ProgressCallback,
     operator: Operator | None = None,
     precedence: SchedulingPolicy | None = None,
     telemetry: Telemetry | None = None,
 ) -> Runner:
     """Return a Runner of ``job`` on these devices, kept in time by ``rate``.
 
-    frames_to_arm: poses that must have come before the loop is closed. watch: told now and then how far it is.
+    frames_to_arm: poses required before the loop is closed. on_progress: called periodically with the mode and the
+    completed fraction.
     """
     scenario = job.scenario.value
     bench = gnc_params.bench(rig, scenario.step_s)
     axis_names = (*rails.axis_names, *turntable.axis_names)
-    supervisor = SafetyMonitor(limits_of(rig, bench), axis_names, _links(rig, rails, turntable, source))
+    safety = SafetyMonitor(safety_limits(rig, bench), axis_names, _links(rig, rails, turntable, source))
     loop = Loop(
         dss=_dss(job.truth, job.seed),
-        bench=BenchStage(rails, turntable, bench, supervisor),
+        bench=BenchStage(rails, turntable, bench, safety),
         vision=VisionStage(source, gnc_params.stations(rig)),
         gnc=_seat(job, rig, rate),
         history=np.zeros(job.cycles, CYCLE),
@@ -116,8 +117,8 @@ def assemble(
         bench_now_s=rate.now_s,
     )
     if io is not None and rig.io is not None:
-        lines = IoStage(io, loop.now.command.on[: rig.io.thruster_lines])
-        loop.lines = lines
+        lines = SafetyIoStage(io, loop.now.command.on[: rig.io.thruster_lines])
+        loop.safety_io = lines
         loop.bench.emergency_input = lines.emergency_input
     if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
         loop.vision.forward = loop.gnc.forwarder.put
@@ -125,18 +126,18 @@ def assemble(
         loop.target = PlacedTarget(target, rig.moved_target)
     loop.now.row["truth"] = gnc_params.initial_truth(job.truth)
     draw_initial_imu_errors(job.truth, job.seed, loop.now.imu)
-    late_cycles = LateCycles(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
-    late_cycles.on_hold = lambda trip: supervisor.ask_for_hold(str(trip))
-    loop.gnc.ask_for_hold = supervisor.ask_for_hold
+    overrun_monitor = OverrunMonitor(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
+    overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
+    loop.gnc.request_hold = safety.request_hold
     return Runner(
         loop,
         rate,
         precedence or NoPrecedence(),
-        late_cycles,
+        overrun_monitor,
         scenario.step_s,
         job.cycles,
         frames_to_arm,
-        watch,
+        on_progress,
         operator,
         parking_place(rig),
         rig.bench.park_after_run,

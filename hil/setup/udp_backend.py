@@ -27,5 +27,5 @@ def remote_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool,
 
 def mirror_of(runner: Runner, link: Link) -> Mirror:
     """Return what each cycle of ``runner`` is to be put into, so that the other side gets the cells that it wants."""
-    modes, rate = runner.supervisor.modes, runner.rate
+    modes, rate = runner.safety.modes, runner.rate
     return Mirror(runner.loop.telemetry, link, lambda: modes.mode.value, lambda: rate.overruns)

@@ -17,7 +17,7 @@ from hil.core.modes import Mode
 from hil.drivers.io.mock import MockIo
 from hil.errors import SafetyTrip
 from hil.loop.runner import Runner
-from hil.loop.safety_io_stage import IoStage
+from hil.loop.safety_io_stage import SafetyIoStage
 from hil.session import build
 from tests.support.run_settings import make_job
 
@@ -72,8 +72,8 @@ def commissioned(
     job = make_job(STEP_S, settings)
     trial = Trial(Scripted(answer))
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
-        lines, bench = runner.loop.lines, runner.loop.bench
-        assert isinstance(lines, IoStage)
+        lines, bench = runner.loop.safety_io, runner.loop.bench
+        assert isinstance(lines, SafetyIoStage)
         assert isinstance(lines.io, MockIo)
         button = Button(lines.io)
         stop, close, send = bench.stop, bench.close, bench._send
@@ -92,7 +92,7 @@ def commissioned(
         except StepFailed as failure:
             trial.fails = failure
         finally:
-            trial.mode, trial.presses = runner.supervisor.modes.mode, button.presses
+            trial.mode, trial.presses = runner.safety.modes.mode, button.presses
     return trial
 
 

@@ -45,7 +45,7 @@ class Talk:
 
     @property
     def mode(self) -> Mode:
-        return self.runner.supervisor.modes.mode
+        return self.runner.safety.modes.mode
 
     def send(self, **message: Any) -> None:
         self.end.send(json.dumps(message).encode())

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from hil.core.modes import Mode
-from hil.core.operator_commands import Resuming
+from hil.core.operator_commands import AutoResumeOperator
 from tests.support.split_bench import LOCAL, Split, gnc_thread, split_bench
 
 pytestmark = pytest.mark.wires
@@ -61,7 +61,7 @@ def test_killed_gnc_stops_the_bench_within_the_cycles_that_are_configured(tmp_pa
 def test_killed_gnc_that_comes_back_during_the_hold_joins_without_a_step(tmp_path: Path) -> None:
     settings = ('rig.gnc_link.on_loss="hold"',)
     with (
-        split_bench("scheme-1", 5.0, settings, lock_step=False, operator=Resuming()) as bench,
+        split_bench("scheme-1", 5.0, settings, lock_step=False, operator=AutoResumeOperator()) as bench,
         gnc_process(bench.link.address, tmp_path / "first") as first,
     ):
         after_cycle(bench, 60, first.kill)

@@ -10,7 +10,7 @@ import pytest
 
 from hil.core.messages import MAX_THRUSTERS
 from hil.core.modes import Mode
-from hil.core.operator_commands import Resuming
+from hil.core.operator_commands import AutoResumeOperator
 from tests.support.split_bench import Split, gnc_thread, split_bench
 from tests.support.udp_relay import Relay
 
@@ -96,7 +96,7 @@ def test_partition_stops_the_bench_within_the_cycles_that_are_configured() -> No
 def test_partition_that_is_held_through_goes_on_without_a_step() -> None:
     settings = ("rig.gnc_link.timeout_cycles=20", 'rig.gnc_link.on_loss="hold"')
     with (
-        split_bench("scheme-1", 4.0, settings, lock_step=False, operator=Resuming()) as bench,
+        split_bench("scheme-1", 4.0, settings, lock_step=False, operator=AutoResumeOperator()) as bench,
         Relay(bench.link.address) as relay,
         gnc_thread("scheme-1", relay.address) as gnc,
     ):

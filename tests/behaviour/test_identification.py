@@ -27,13 +27,13 @@ X, YAW = 0, 5
 @contextmanager
 def standing(*settings: str) -> Iterator[MotionSequencer]:
     job = make_job(STEP_S, settings)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner, runner.axes_alone() as handling:
-        yield handling
+    with build.runner(job, lambda *_: None, lambda _: None) as runner, runner.axes_only() as sequencer:
+        yield sequencer
 
 
 def measured(axes: list[int], *settings: str, tell: Callable[[str, float], None] = lambda *_: None) -> list[AxisResult]:
-    with standing(*settings) as handling:
-        return Identification(handling, tell).measure(axes)
+    with standing(*settings) as sequencer:
+        return Identification(sequencer, tell).measure(axes)
 
 
 @pytest.fixture(scope="module")
@@ -44,11 +44,11 @@ def found() -> dict[str, AxisResult]:
 def worst_error(axis: int, amplitude: float, *settings: str) -> float:
     """Return the rms of commanded against encoder position of an axis that goes to and fro in 10 s."""
     w = math.tau / 10.0
-    with standing(*settings) as handling:
-        bench, now = handling.loop.bench, handling.loop.now
-        tick = handling.begin()
+    with standing(*settings) as sequencer:
+        bench, now = sequencer.loop.bench, sequencer.loop.now
+        tick = sequencer.begin()
         bench.seed_for_run(tick.now_s, now.feedback)
-        handling.modes.go(Mode.PLACING)
+        sequencer.modes.go(Mode.PLACING)
         start, begun_s = bench.motion.position.copy(), tick.now_s
         errors = []
         wanted = new(AXES)
@@ -60,7 +60,7 @@ def worst_error(axis: int, amplitude: float, *settings: str) -> float:
             wanted.rail_m, wanted.gimbal_rad = position[:3], position[3:]
             wanted.rail_mps, wanted.gimbal_radps = rate[:3], rate[3:]
             bench.command(wanted, tick.now_s, now.setpoint)
-            tick = handling.tick()
+            tick = sequencer.tick()
             encoder = np.concatenate([now.feedback.rail_m, now.feedback.gimbal_rad])
             errors.append(position[axis] - encoder[axis])
     return float(np.sqrt(np.mean(np.square(errors))))
@@ -97,8 +97,8 @@ def test_slower_servo_has_less_bandwidth(found: dict[str, AxisResult]) -> None:
 
 
 def test_axis_at_the_end_of_its_travel_is_measured_within_it_and_put_back() -> None:
-    with standing("rig.rails.x.travel_m=[4.9826, 12.0]", "rig.rails.x.park_m=6.0") as handling:
-        bench = handling.loop.bench
+    with standing("rig.rails.x.travel_m=[4.9826, 12.0]", "rig.rails.x.park_m=6.0") as sequencer:
+        bench = sequencer.loop.bench
         lowest = [np.inf]
         send = bench.rails.send
 
@@ -108,22 +108,22 @@ def test_axis_at_the_end_of_its_travel_is_measured_within_it_and_put_back() -> N
 
         bench.rails.send = seen  # type: ignore[method-assign]
         before = float(bench.rails.read(0.0).position[0])
-        result = Identification(handling, lambda *_: None).measure([X])[0]
+        result = Identification(sequencer, lambda *_: None).measure([X])[0]
         assert result.passed
         assert 4.9826 <= lowest[0] < before + 0.001
-        assert float(handling.loop.now.feedback.rail_m[0]) == pytest.approx(before, abs=1e-4)
-        assert handling.modes.mode is Mode.STANDBY
+        assert float(sequencer.loop.now.feedback.rail_m[0]) == pytest.approx(before, abs=1e-4)
+        assert sequencer.modes.mode is Mode.STANDBY
 
 
 def test_no_axis_but_the_one_under_test_moves_and_none_goes_far() -> None:
-    with standing() as handling:
+    with standing() as sequencer:
         places = []
 
         def watch(_title: str, _share: float) -> None:
-            feedback = handling.loop.now.feedback
+            feedback = sequencer.loop.now.feedback
             places.append([*feedback.rail_m, *feedback.gimbal_rad])
 
-        Identification(handling, watch).measure([YAW])
+        Identification(sequencer, watch).measure([YAW])
     way = np.ptp(np.array(places), axis=0)
     np.testing.assert_allclose(way[:5], 0.0, atol=1e-9)
     assert math.radians(0.1) < way[YAW] <= math.radians(0.7)
@@ -139,12 +139,12 @@ def _in_the_middle(act: Callable[[MotionSequencer], Any]) -> tuple[BaseException
         bench.stop = lambda now_s: (calls.append("stop"), stop(now_s))[1]  # type: ignore[method-assign,func-returns-value]
         bench.close = lambda: (calls.append("close"), close())[1]  # type: ignore[method-assign,func-returns-value]
 
-        def tell_with(handling: MotionSequencer) -> Callable[[str, float], None]:
-            return lambda _title, share: act(handling) if share > 0.3 else None
+        def tell_with(sequencer: MotionSequencer) -> Callable[[str, float], None]:
+            return lambda _title, share: act(sequencer) if share > 0.3 else None
 
         def work() -> None:
-            with runner.axes_alone() as handling:
-                Identification(handling, tell_with(handling)).measure([X])
+            with runner.axes_only() as sequencer:
+                Identification(sequencer, tell_with(sequencer)).measure([X])
 
         with pytest.raises((BenchError, KeyboardInterrupt)) as raised:
             work()
@@ -162,7 +162,7 @@ def test_ctrl_c_stops_the_axes_first() -> None:
 
 
 def test_emergency_stop_ends_it() -> None:
-    error, calls = _in_the_middle(lambda handling: handling.supervisor.estop.see(True, False))
+    error, calls = _in_the_middle(lambda sequencer: sequencer.safety.estop.update(True, False))
     assert isinstance(error, SafetyTrip)
     assert "emergency stop" in str(error)
     assert calls == ["stop", "close"]
@@ -175,8 +175,8 @@ def test_link_that_fails_ends_it() -> None:
 
 
 def test_axis_that_does_not_follow_is_told_apart() -> None:
-    with standing() as handling:
-        bench = handling.loop.bench
+    with standing() as sequencer:
+        bench = sequencer.loop.bench
         read, stuck = bench.rails.read, bench.rails.read(0.0).position.copy()
 
         def frozen(now_s: float) -> Any:
@@ -186,6 +186,6 @@ def test_axis_that_does_not_follow_is_told_apart() -> None:
             return feedback
 
         bench.rails.read = frozen  # type: ignore[method-assign]
-        result = Identification(handling, lambda *_: None).measure([X])[0]
+        result = Identification(sequencer, lambda *_: None).measure([X])[0]
     assert not result.passed
     assert "gain 0.000 at 0.5 Hz" in result.reason

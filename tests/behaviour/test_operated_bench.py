@@ -137,7 +137,7 @@ def test_placing_can_be_held_and_goes_on_from_where_it_stood() -> None:
 def test_nobody_is_there_to_resume_an_unattended_run() -> None:
     def script(session: Session) -> None:
         if session.mode is Mode.RUNNING:
-            session.runner.supervisor.ask_for_hold("three late cycles")
+            session.runner.safety.request_hold("three late cycles")
 
     outcome, _ = operate(script, attended=False)
     assert outcome.stop == "bench: hold (three late cycles), allowed in an attended run alone"
@@ -148,11 +148,11 @@ def test_emergency_stop_leads_to_standby_after_its_reset_and_never_back_to_runni
         if session.once("press", session.mode is Mode.STANDBY and session.now_s > 0.5):
             session.button = True
         if session.mode is Mode.SAFE_STOP and session.once("reset too early"):
-            session.operator.order(OperatorCommand.RESET)
-        elif session.mode is Mode.SAFE_STOP and session.operator.answers and session.once("release"):
+            session.operator.submit(OperatorCommand.RESET)
+        elif session.mode is Mode.SAFE_STOP and session.operator.rejections and session.once("release"):
             session.button = False
-            session.operator.order(OperatorCommand.ARM)  # refused here
-            session.operator.order(OperatorCommand.RESET)
+            session.operator.submit(OperatorCommand.ARM)  # refused here
+            session.operator.submit(OperatorCommand.RESET)
         if "release" in session.marks and session.mode is Mode.STANDBY:
             session.order_once(OperatorCommand.ARM)
         session.order_once(OperatorCommand.START, session.mode is Mode.ARMED)
@@ -167,7 +167,7 @@ def test_emergency_stop_leads_to_standby_after_its_reset_and_never_back_to_runni
         Mode.ARMED,
         Mode.RUNNING,
     ]
-    assert list(session.operator.answers) == [
+    assert list(session.operator.rejections) == [
         "bench: emergency stop pressed, allowed released",
         "bench: cannot arm in safe-stop",
     ]
@@ -249,7 +249,7 @@ def test_axis_that_is_not_homed_may_be_jogged_slowly_and_stops_at_its_switch() -
 
 def test_jog_of_an_unknown_axis_is_refused_in_words() -> None:
     _, session = operate(jog_script("rails.w", 1, 0.1, 0.5), plan=())
-    assert session.operator.answers[0] == "bench: cannot jog rails.w by 1"
+    assert session.operator.rejections[0] == "bench: cannot jog rails.w by 1"
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY]
 
 
@@ -292,7 +292,7 @@ def test_emergency_input_that_cannot_be_read_stops_the_bench_and_counts_as_press
 
     outcome, session = operate(script, attended=False, duration_s=5.0)
     assert outcome.stop == "inputs: no answer"
-    assert session.runner.supervisor.estop.latched
+    assert session.runner.safety.estop.latched
 
 
 def test_burst_of_lost_frames_stops_a_run_and_single_ones_do_not() -> None:

@@ -172,7 +172,7 @@ def test_hardware_runs_without_real_time_when_told_to(hardware: str) -> None:
     told: list[str] = []
     job = build.Job(load_scenario("scheme-1"), rig, 0, 1.0, 1.0)
     with build.runner(job, lambda *_: None, told.append) as runner:
-        assert runner.late_cycles._action == "safe_stop"
+        assert runner.overrun_monitor._action == "safe_stop"
     assert any("sched_fifo refused" in line for line in told)
 
 

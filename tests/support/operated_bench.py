@@ -53,7 +53,7 @@ class Session:
 
     @property
     def mode(self) -> Mode:
-        return self.runner.supervisor.modes.mode
+        return self.runner.safety.modes.mode
 
     def once(self, step: str, condition: bool = True) -> bool:
         """Return True the first time that ``condition`` holds."""
@@ -68,7 +68,7 @@ class Session:
 
     def order_once(self, order: OperatorCommand, condition: bool = True) -> None:
         if self.once(order.value, condition):
-            self.operator.order(order)
+            self.operator.submit(order)
 
     def rates(self) -> np.ndarray:
         """Encoder rates of the last look, (6,)."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hil.config.load import load_rig, load_scenario
-from hil.core.operator_commands import Resuming
+from hil.core.operator_commands import AutoResumeOperator
 from hil.errors import DeviceError
 from hil.frmn.link import Link
 from hil.frmn.ring import Telemetry
@@ -67,7 +67,7 @@ class Split:
     job: build.Job
     seat: UdpGnc
     link: Link
-    operator: Resuming | None = None
+    operator: AutoResumeOperator | None = None
     loop: Loop | None = None
     """Of the run under way."""
     setpoints: list[np.ndarray] = field(default_factory=list)
@@ -80,7 +80,7 @@ class Split:
         self.seat.connect(60.0)
         with build.runner(self.job, lambda *_: None, lambda _: None, self.operator) as runner:
             if self.operator is not None:
-                self.operator.mode = lambda: runner.supervisor.modes.mode
+                self.operator.mode = lambda: runner.safety.modes.mode
             self.loop = loop = runner.loop
             loop.telemetry = _Each(mirror_of(runner, self.link), lambda: self.each_cycle(self.seat.cycle))
             send = loop.bench._send
@@ -110,7 +110,7 @@ def split_bench(
     lock_step: bool = True,
     speed: float = 1.0,
     seed: int = 0,
-    operator: Resuming | None = None,
+    operator: AutoResumeOperator | None = None,
     peer: Address | None = None,
 ) -> Iterator[Split]:
     """Give the bench's side of a split run on a mock rig; in lock-step as fast as it goes, free on the wall clock."""

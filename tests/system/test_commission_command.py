@@ -125,7 +125,7 @@ def test_axis_that_is_wired_wrongly_is_named_with_what_to_do(
         control.close()
     assert failure.what == what
     assert re.search(found.replace("+", r"\+"), str(failure)), str(failure)
-    assert runner.supervisor.modes.mode is not Mode.OFF
+    assert runner.safety.modes.mode is not Mode.OFF
 
 
 @pytest.mark.slow

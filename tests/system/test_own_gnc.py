@@ -153,10 +153,10 @@ class _Holding(Operator):
         self._cycles = 0 if order is OperatorCommand.START else self._cycles
         return order
 
-    def listen(self, now_s: float) -> None:
+    def poll(self, now_s: float) -> None:
         self._cycles += self._cycles >= 0
         if self._cycles in (100, 120):
-            self.order(OperatorCommand.HOLD if self._cycles == 100 else OperatorCommand.RESUME)
+            self.submit(OperatorCommand.HOLD if self._cycles == 100 else OperatorCommand.RESUME)
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def record_operated(folder: Path, operator: Operator, watch: Callable[[Mode, flo
 def test_an_abort_by_the_operator_is_replayed(tmp_path: Path) -> None:
     operator = Operator()
     recorded = record_operated(
-        tmp_path, operator, lambda _, share: operator.order(OperatorCommand.ABORT) if 0.4 < share < 0.6 else None
+        tmp_path, operator, lambda _, share: operator.submit(OperatorCommand.ABORT) if 0.4 < share < 0.6 else None
     )
     assert [(n["cycle"], n["message"]) for n in recorded.notes if n["kind"] == "order"] == [(101, "abort")]
     assert recorded.cycles["supervision"]["aborted"][-1] != 0
@@ -87,9 +87,9 @@ def test_a_hold_is_replayed_without_the_frames_that_came_in_it(tmp_path: Path) -
 
     def watch(mode: Mode, share: float) -> None:
         if mode is Mode.RUNNING and 0.4 < share < 0.6:
-            operator.order(OperatorCommand.HOLD)
+            operator.submit(OperatorCommand.HOLD)
         elif mode is Mode.HOLD:
-            operator.order(OperatorCommand.RESUME)
+            operator.submit(OperatorCommand.RESUME)
 
     recorded = record_operated(tmp_path, operator, watch)
     assert [n["message"] for n in recorded.notes if n["kind"] == "mode"][-4:] == [

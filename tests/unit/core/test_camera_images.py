@@ -228,10 +228,10 @@ def test_vision_tells_the_run_s_time_when_it_begins_changes_and_stands() -> None
     vision.discard_pending(0.5)
     assert told == []
     for bench_s, zero_s in ((1.0, 1.0), (1.02, 1.0), (1.06, 1.02)):  # a period was lost
-        vision.take(bench_s, zero_s, row)
+        vision.receive(bench_s, zero_s, row)
     vision.discard_pending(1.08)
     vision.discard_pending(1.1)
-    vision.take(1.12, 1.06, row)
+    vision.receive(1.12, 1.06, row)
     np.testing.assert_array_equal(told, [1.0, 1.02, math.nan, 1.06])
 
 

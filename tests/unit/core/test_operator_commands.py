@@ -7,67 +7,67 @@ from itertools import product
 import pytest
 
 from hil.core.modes import Mode
-from hil.core.operator_commands import OBEYED_IN, JogRequest, Operator, OperatorCommand
+from hil.core.operator_commands import ALLOWED_IN, JogRequest, Operator, OperatorCommand
 
 
 @pytest.mark.parametrize(("order", "mode"), list(product(OperatorCommand, Mode)))
 def test_an_order_is_obeyed_in_its_modes_and_refused_in_words_elsewhere(order: OperatorCommand, mode: Mode) -> None:
     operator = Operator((), attended=True)
-    operator.order(order)
-    if mode in OBEYED_IN[order]:
-        assert operator.take(mode) is order
-        assert not operator.answers
+    operator.submit(order)
+    if mode in ALLOWED_IN[order]:
+        assert operator.pop(mode) is order
+        assert not operator.rejections
     else:
-        assert operator.take(mode) is None
-        assert list(operator.answers) == [f"bench: cannot {order.value} in {mode.value}"]
-    assert not operator.waiting
+        assert operator.pop(mode) is None
+        assert list(operator.rejections) == [f"bench: cannot {order.value} in {mode.value}"]
+    assert not operator.pending
 
 
 def test_plan_waits_for_its_modes_and_does_not_count_as_an_order_that_waits() -> None:
     operator = Operator()
-    assert not operator.waiting
-    assert operator.next(Mode.RUNNING) is None
-    assert operator.next(Mode.STANDBY) is OperatorCommand.HOME
-    assert operator.next(Mode.STANDBY) is OperatorCommand.ARM
-    assert operator.next(Mode.STANDBY) is None
-    assert operator.next(Mode.ARMED) is OperatorCommand.START
-    assert operator.next(Mode.ARMED) is None
+    assert not operator.pending
+    assert operator.next_command(Mode.RUNNING) is None
+    assert operator.next_command(Mode.STANDBY) is OperatorCommand.HOME
+    assert operator.next_command(Mode.STANDBY) is OperatorCommand.ARM
+    assert operator.next_command(Mode.STANDBY) is None
+    assert operator.next_command(Mode.ARMED) is OperatorCommand.START
+    assert operator.next_command(Mode.ARMED) is None
 
 
 def test_dropped_plan_gives_no_orders() -> None:
     operator = Operator()
     operator.cancel_auto_sequence()
-    assert operator.next(Mode.STANDBY) is None
+    assert operator.next_command(Mode.STANDBY) is None
 
 
 def test_stop_goes_before_all_others_and_is_never_dropped() -> None:
     operator = Operator((), attended=True)
     for _ in range(200):
-        operator.order(OperatorCommand.HOLD)
-    operator.order(OperatorCommand.STOP)
-    assert operator.take(Mode.RUNNING) is OperatorCommand.STOP
-    assert len(operator.waiting) == 64
+        operator.submit(OperatorCommand.HOLD)
+    operator.submit(OperatorCommand.STOP)
+    assert operator.pop(Mode.RUNNING) is OperatorCommand.STOP
+    assert len(operator.pending) == 64
 
 
 def test_jog_key_orders_one_jog_and_counts_each_refresh_once() -> None:
     operator = Operator((), attended=True)
     operator.jog("rails.x", 1)
     operator.jog("rails.x", 1)
-    assert operator.take(Mode.STANDBY) is OperatorCommand.JOG
-    assert operator.take(Mode.STANDBY) is None
+    assert operator.pop(Mode.STANDBY) is OperatorCommand.JOG
+    assert operator.pop(Mode.STANDBY) is None
     assert operator.jog_request() == JogRequest("rails.x", 1)
     assert operator.jog_request() is None
     operator.jog("rails.x", 1)
     assert operator.jog_request() == JogRequest("rails.x", 1)
-    operator.jog_ended()
+    operator.end_jog()
     operator.jog("rails.y", -1)
-    assert operator.take(Mode.STANDBY) is OperatorCommand.JOG
+    assert operator.pop(Mode.STANDBY) is OperatorCommand.JOG
 
 
 def test_refused_jog_leaves_no_key_pressed() -> None:
     operator = Operator((), attended=True)
     operator.jog("rails.x", 1)
-    assert operator.take(Mode.RUNNING) is None
+    assert operator.pop(Mode.RUNNING) is None
     assert operator.jog_request() is None
     operator.jog("rails.x", 1)
-    assert operator.take(Mode.STANDBY) is OperatorCommand.JOG
+    assert operator.pop(Mode.STANDBY) is OperatorCommand.JOG

@@ -163,7 +163,7 @@ class Bench:
             lambda: self.now_s,
             backend_setup(scenario),
         )
-        self.seat.ask_for_hold = self.hold
+        self.seat.request_hold = self.hold
         self.now = CycleData()
 
     def hold(self, reason: str) -> None:

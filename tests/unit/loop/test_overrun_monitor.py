@@ -9,7 +9,7 @@ from hil.config.load import load_rig
 from hil.config.rig import Rig
 from hil.core.modes import Mode
 from hil.errors import SafetyTrip
-from hil.loop.overrun_monitor import LateCycles, lateness_histogram, lateness_percentiles_us
+from hil.loop.overrun_monitor import OverrunMonitor, lateness_histogram, lateness_percentiles_us
 from hil.loop.rate_keeper import Tick
 from hil.session import build
 from tests.support.run_settings import make_job
@@ -20,53 +20,53 @@ def late(now_s: float, skipped: int = 1) -> Tick:
 
 
 def test_burst_trips_and_names_lateness_and_limit() -> None:
-    cycles = LateCycles("safe_stop", 5, 1.0)
-    cycles.look(late(10.0, 5))
+    cycles = OverrunMonitor("safe_stop", 5, 1.0)
+    cycles.check(late(10.0, 5))
     with pytest.raises(
         SafetyTrip,
         match=r"^loop: late cycles lost 6 periods \(the last cycle ended 45\.1 ms .*\), allowed 5 in 1 s$",
     ):
-        cycles.look(late(10.01))
+        cycles.check(late(10.01))
 
 
 def test_single_lost_periods_leak_away() -> None:
-    cycles = LateCycles("safe_stop", 5, 1.0)
+    cycles = OverrunMonitor("safe_stop", 5, 1.0)
     for k in range(1000):
-        cycles.look(late(0.25 * k))
-        cycles.look(Tick(0.25 * k + 0.02, 0.0, 0.0))
+        cycles.check(late(0.25 * k))
+        cycles.check(Tick(0.25 * k + 0.02, 0.0, 0.0))
 
 
 def test_more_than_the_bucket_leaks_trips_in_the_end() -> None:
-    cycles = LateCycles("hold", 5, 1.0)
+    cycles = OverrunMonitor("hold", 5, 1.0)
     trips: list[SafetyTrip] = []
     cycles.on_hold = trips.append
     for k in range(200):
-        cycles.look(late(0.1 * k))
+        cycles.check(late(0.1 * k))
     assert len(trips) == 1
 
 
 def test_none_allowed_trips_at_the_first() -> None:
     with pytest.raises(SafetyTrip, match="allowed 0 in 1 s"):
-        LateCycles("safe_stop", 0, 1.0).look(late(0.02))
+        OverrunMonitor("safe_stop", 0, 1.0).check(late(0.02))
 
 
 def test_log_never_trips() -> None:
-    LateCycles("log", 0, 1.0).look(late(1.0, 100))
+    OverrunMonitor("log", 0, 1.0).check(late(1.0, 100))
 
 
 def test_hold_without_anyone_who_holds_is_a_safe_stop() -> None:
     with pytest.raises(SafetyTrip):
-        LateCycles("hold", 0, 1.0).look(late(1.0))
+        OverrunMonitor("hold", 0, 1.0).check(late(1.0))
 
 
 def test_hold_is_asked_for_once_until_the_bucket_is_empty_again() -> None:
-    cycles = LateCycles("hold", 2, 1.0)
+    cycles = OverrunMonitor("hold", 2, 1.0)
     asked: list[SafetyTrip] = []
     cycles.on_hold = asked.append
     for now_s in (1.0, 1.02, 1.04):
-        cycles.look(late(now_s, 3))
+        cycles.check(late(now_s, 3))
     assert len(asked) == 1
-    cycles.look(late(60.0, 3))
+    cycles.check(late(60.0, 3))
     assert len(asked) == 2
 
 
@@ -81,7 +81,7 @@ def test_hardware_stops_unless_told_otherwise(kind: str, action: str) -> None:
 def test_run_that_loses_too_many_periods_ends_as_a_safe_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     job = make_job(2.0)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
-        runner.late_cycles = LateCycles("safe_stop", 5, 1.0)
+        runner.overrun_monitor = OverrunMonitor("safe_stop", 5, 1.0)
         rate = runner._rate
         wait = rate.wait
 

@@ -29,15 +29,15 @@ class SteppedRate:
 def cause_found(fault: BenchError, after_s: float, cause: BenchError = OPEN_INTERLOCK) -> BenchError:
     """Return what is found behind ``fault`` when ``cause`` shows ``after_s`` later."""
 
-    def look(now_s: float) -> None:
+    def check(now_s: float) -> None:
         if now_s > after_s:
             raise cause
 
     loop: Any = SimpleNamespace(
-        lines=SimpleNamespace(look=look),
+        safety_io=SimpleNamespace(check=check),
         bench=SimpleNamespace(
-            look_at_emergency_input=lambda now_s: None,
-            supervisor=SimpleNamespace(interlock_open=lambda now_s: None),
+            poll_emergency_input=lambda now_s: None,
+            safety=SimpleNamespace(interlock_open=lambda now_s: None),
         ),
     )
     rate: Any = SteppedRate()

@@ -11,7 +11,7 @@ from hil.drivers.io.mock import MockIo
 from hil.drivers.shared_state import SharedAxisState
 from hil.errors import LinkTimeout, SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate
-from hil.loop.safety_io_stage import CLOSING_TIME_S, IoStage
+from hil.loop.safety_io_stage import CLOSING_TIME_S, SafetyIoStage
 
 STEP_S = 0.02
 
@@ -20,11 +20,11 @@ class Desk:
     def __init__(self) -> None:
         self.io = MockIo(Io(driver="mock", thruster_lines=4))
         self.on = np.zeros(4, np.int64)
-        self.stage = IoStage(self.io, self.on)
+        self.stage = SafetyIoStage(self.io, self.on)
         self.rate = SimulatedRate(SimulatedClock(), STEP_S)
 
-    def look(self) -> None:
-        self.stage.look(self.rate.wait().now_s)
+    def step(self) -> None:
+        self.stage.check(self.rate.wait().now_s)
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def test_opening_closes_the_chain_and_takes_no_simulated_time(desk: Desk) -> Non
     assert desk.rate.now_s() == 0.0
     assert desk.io.read(0.0).chain_closed
     for _ in range(500):
-        desk.look()
+        desk.step()
 
 
 @pytest.mark.parametrize(
@@ -51,15 +51,15 @@ def test_opening_closes_the_chain_and_takes_no_simulated_time(desk: Desk) -> Non
 def test_what_people_do_trips_in_the_next_cycle_and_forbids_opening(
     desk: Desk, attribute: str, value: object, text: str
 ) -> None:
-    desk.look()
+    desk.step()
     assert desk.stage.emergency_input(0.0) == (False, False)
     setattr(desk.io, attribute, value)
     if attribute == "pressed":  # the supervisor's to tell, not the look's
-        desk.look()
+        desk.step()
         assert desk.stage.emergency_input(0.0) == (True, False)
     else:
         with pytest.raises(SafetyTrip) as caught:
-            desk.look()
+            desk.step()
         assert str(caught.value) == text
     with pytest.raises(SafetyTrip) as caught:
         desk.stage.open(desk.rate)
@@ -68,9 +68,9 @@ def test_what_people_do_trips_in_the_next_cycle_and_forbids_opening(
 
 def test_a_chain_that_opens_by_itself_trips(desk: Desk) -> None:
     desk.io.outputs = desk.io.outputs._replace(enable=False)
-    desk.look()  # it takes some milliseconds
+    desk.step()  # it takes some milliseconds
     with pytest.raises(SafetyTrip, match="io: safety chain open, allowed closed"):
-        desk.look()
+        desk.step()
 
 
 def test_a_chain_that_does_not_close_is_given_up() -> None:
@@ -84,7 +84,7 @@ def test_a_chain_that_does_not_close_is_given_up() -> None:
 def test_failure_of_the_link_reaches_the_cycle(desk: Desk) -> None:
     desk.io.fail(LinkTimeout("io", "no answer for 0.5 s"))
     with pytest.raises(LinkTimeout, match="io: no answer"):
-        desk.look()
+        desk.step()
 
 
 def test_thrusters_are_mirrored_to_their_lines(desk: Desk) -> None:

@@ -11,7 +11,7 @@ from hil.core.clock import SimulatedClock
 from hil.drivers.mock_axes import MockAxes
 from hil.errors import SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate
-from hil.loop.target_stage import SHARE_OF_LIMITS, PlacedTarget
+from hil.loop.target_stage import FRACTION_OF_LIMITS, PlacedTarget
 from hil.session.build import runner as make_runner
 from tests.support.run_settings import make_job
 
@@ -51,9 +51,9 @@ def test_target_goes_to_its_place_slowly_and_stays() -> None:
     desk = Desk()
     way = desk.place()
     assert way[-1] == pytest.approx([0.2, -0.1, 0.0], abs=1e-3)
-    assert np.abs(np.diff(way, axis=0)).max() / 0.02 < 1.1 * SHARE_OF_LIMITS * 0.2
+    assert np.abs(np.diff(way, axis=0)).max() / 0.02 < 1.1 * FRACTION_OF_LIMITS * 0.2
     for _ in range(200):
-        desk.target.look(desk.rate.wait().now_s)
+        desk.target.check(desk.rate.wait().now_s)
 
 
 def test_target_that_is_moved_trips_and_names_axis_value_and_limit() -> None:
@@ -66,7 +66,7 @@ def test_target_that_is_moved_trips_and_names_axis_value_and_limit() -> None:
 
 def _look_for_a_second(desk: Desk) -> None:
     for _ in range(50):
-        desk.target.look(desk.rate.wait().now_s)
+        desk.target.check(desk.rate.wait().now_s)
 
 
 def test_target_that_does_not_arrive_is_given_up() -> None:

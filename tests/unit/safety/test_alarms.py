@@ -7,7 +7,7 @@ import json
 import pytest
 
 from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
-from hil.safety.alarms import Alarm, AlarmBook, alarm_of
+from hil.safety.alarms import Alarm, AlarmLog, alarm_from_error
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 
 FOLLOWING = Alarm(1.5, "rails.x", "following error", "0.0612 m", "0.05 m")
@@ -29,7 +29,7 @@ def test_text_names_device_value_and_limit_and_is_that_of_the_trip() -> None:
     ],
 )
 def test_every_device_error_becomes_an_alarm_with_its_own_text(error: BenchError, quantity: str) -> None:
-    alarm = alarm_of(error, 2.0)
+    alarm = alarm_from_error(error, 2.0)
     assert (alarm.t_s, alarm.device, alarm.quantity, alarm.text) == (2.0, "rails.x", quantity, str(error))
     assert alarm.value
     assert alarm.limit
@@ -39,10 +39,10 @@ def test_every_device_error_becomes_an_alarm_with_its_own_text(error: BenchError
 
 
 def test_book_latches_acknowledges_and_lets_go_by_reset_alone() -> None:
-    book = AlarmBook()
-    first = book.enter(FOLLOWING)
-    assert book.enter(Alarm(9.0, "rails.x", "following error", "1 m", "0.05 m")) == first  # does not bury the first
-    book.enter(Alarm(2.0, "rails.y", "following error", "1 m", "0.05 m"))
+    book = AlarmLog()
+    first = book.latch(FOLLOWING)
+    assert book.latch(Alarm(9.0, "rails.x", "following error", "1 m", "0.05 m")) == first  # does not bury the first
+    book.latch(Alarm(2.0, "rails.y", "following error", "1 m", "0.05 m"))
     assert [alarm.device for alarm in book.latched()] == ["rails.x", "rails.y"]
     assert book.acknowledge() == 2
     assert book.acknowledge() == 0
@@ -50,7 +50,7 @@ def test_book_latches_acknowledges_and_lets_go_by_reset_alone() -> None:
     book.reset()
     assert not book.latched()
     assert [(alarm.latched, alarm.acknowledged) for alarm in book.all()] == [(False, True)] * 2
-    book.enter(FOLLOWING)
+    book.latch(FOLLOWING)
     assert len(book.all()) == 3
     assert len(book.latched()) == 1
 
@@ -86,14 +86,14 @@ def test_link_watch_counts_what_is_new_and_names_the_device() -> None:
     lost = [7]
     watch = LinkWatch("vmu", LeakyBucket(2.0, 1.0), lambda: lost[0])
     watch.restart()
-    assert watch.look(0.0) is None  # what was lost before the link was opened does not count
+    assert watch.check(0.0) is None  # what was lost before the link was opened does not count
     lost[0] = 9
-    assert watch.look(0.1) is None
+    assert watch.check(0.1) is None
     lost[0] = 0  # the device began to count anew
-    assert watch.look(0.2) is None
+    assert watch.check(0.2) is None
     lost[0] = 2
-    alarm = watch.look(0.2)
+    alarm = watch.check(0.2)
     assert alarm is not None
     assert alarm.text == "vmu: lost packets 3.9, allowed 2 at once, 1 in 1 s"
     watch.restart()
-    assert watch.look(0.3) is None
+    assert watch.check(0.3) is None

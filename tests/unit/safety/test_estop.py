@@ -30,16 +30,16 @@ IN, OUT, UNKNOWN = True, False, None
 def test_only_a_new_reset_with_the_button_out_lets_go(levels: list[tuple[bool | None, int]], latched: bool) -> None:
     stop = EmergencyStop()
     for pressed, reset in levels:
-        stop.see(pressed, bool(reset))
+        stop.update(pressed, bool(reset))
     assert stop.latched is latched
 
 
 def test_order_to_reset_works_with_the_button_out_alone() -> None:
     stop = EmergencyStop()
-    stop.see(IN)
+    stop.update(IN)
     assert not stop.reset()
     assert stop.latched
-    stop.see(OUT)
+    stop.update(OUT)
     assert stop.latched
     assert stop.reset()
     assert not stop.latched
@@ -47,7 +47,7 @@ def test_order_to_reset_works_with_the_button_out_alone() -> None:
 
 def test_order_to_reset_is_not_remembered_until_the_button_comes_out() -> None:
     stop = EmergencyStop()
-    stop.see(IN)
+    stop.update(IN)
     stop.reset()
-    stop.see(OUT)
+    stop.update(OUT)
     assert stop.latched

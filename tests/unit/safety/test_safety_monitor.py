@@ -14,7 +14,7 @@ from hil.core.messages import AXES, AxisFeedback, Homing, new
 from hil.core.modes import Mode
 from hil.params import gnc as gnc_params
 from hil.safety.alarms import Alarm
-from hil.safety.limits import limits_of
+from hil.safety.limits import safety_limits
 from hil.safety.monitor import CHECKS, SafetyMonitor
 
 NAMES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
@@ -26,19 +26,19 @@ OPEN = set(Mode) - {Mode.OFF, Mode.SAFE_STOP}
 class Scene:
     """What a cycle at t = 10 s knows: all is well, unless a test changes it."""
 
-    supervisor: SafetyMonitor
+    safety: SafetyMonitor
     rails: AxisFeedback = field(default_factory=lambda: AxisFeedback(10.0, np.array([3.0, 0.0, 0.0]), np.zeros(3)))
     turntable: AxisFeedback = field(default_factory=lambda: AxisFeedback(10.0, np.zeros(3), np.zeros(3)))
     commanded_s: float = 9.98
     setpoint: np.record = field(default_factory=lambda: _axes_at_3_m())
     feedback: np.record = field(default_factory=lambda: _axes_at_3_m())
 
-    def look(self, mode: Mode) -> Alarm | None:
-        self.supervisor.modes.mode = mode
-        return self.supervisor.look(10.0, self.rails, self.turntable, self.commanded_s, self.setpoint, self.feedback)
+    def check(self, mode: Mode) -> Alarm | None:
+        self.safety.modes.mode = mode
+        return self.safety.check(10.0, self.rails, self.turntable, self.commanded_s, self.setpoint, self.feedback)
 
     def refusal(self) -> Alarm | None:
-        return self.supervisor.interlock_motion(10.0, self.rails, self.turntable, self.feedback)
+        return self.safety.interlock_motion(10.0, self.rails, self.turntable, self.feedback)
 
 
 def _axes_at_3_m() -> np.record:
@@ -49,16 +49,16 @@ def _axes_at_3_m() -> np.record:
 
 @pytest.fixture
 def scene(mock_rig: Rig) -> Scene:
-    return Scene(SafetyMonitor(limits_of(mock_rig, gnc_params.bench(mock_rig, 0.02)), NAMES))
+    return Scene(SafetyMonitor(safety_limits(mock_rig, gnc_params.bench(mock_rig, 0.02)), NAMES))
 
 
 def press(scene: Scene) -> None:
-    scene.supervisor.estop.see(True)
+    scene.safety.estop.update(True)
 
 
 def press_and_release(scene: Scene) -> None:
-    scene.supervisor.estop.see(True)
-    scene.supervisor.estop.see(False)
+    scene.safety.estop.update(True)
+    scene.safety.estop.update(False)
 
 
 def age_rails(scene: Scene) -> None:
@@ -130,7 +130,7 @@ def test_each_rule_stops_the_bench_in_its_modes_and_in_no_other(
 ) -> None:
     modes, text = RULES[rule]
     rule(scene)
-    alarm = scene.look(mode)
+    alarm = scene.check(mode)
     if mode in modes:
         assert alarm is not None
         assert alarm.text.startswith(text)
@@ -141,7 +141,7 @@ def test_each_rule_stops_the_bench_in_its_modes_and_in_no_other(
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_bench_on_which_all_is_well_may_go_on(scene: Scene, mode: Mode) -> None:
-    assert scene.look(mode) is None
+    assert scene.check(mode) is None
     assert scene.refusal() is None
 
 
@@ -151,7 +151,7 @@ def test_table_of_checks_has_a_row_for_each_mode() -> None:
 
 def test_no_setpoint_since_arming_is_not_an_old_one(scene: Scene) -> None:
     scene.commanded_s = math.nan
-    assert scene.look(Mode.RUNNING) is None
+    assert scene.check(Mode.RUNNING) is None
 
 
 @pytest.mark.parametrize("rule", [press, press_and_release, lose_home, fail_homing, touch_a_switch])
@@ -189,36 +189,36 @@ def test_references_are_not_seeded_from_axes_that_move(scene: Scene, field_name:
 
 def test_jog_has_its_own_travel_while_it_lasts(scene: Scene) -> None:
     stray(scene)
-    limits = scene.supervisor.limits.guard
-    scene.supervisor.widen_travel(limits.low - 1.0, limits.high + 1.0)
-    assert scene.look(Mode.JOGGING) is None
-    scene.supervisor.restore_travel()
-    assert scene.look(Mode.JOGGING) is not None
+    limits = scene.safety.limits.guard
+    scene.safety.widen_travel(limits.low - 1.0, limits.high + 1.0)
+    assert scene.check(Mode.JOGGING) is None
+    scene.safety.restore_travel()
+    assert scene.check(Mode.JOGGING) is not None
 
 
 def test_homing_has_a_limited_time(scene: Scene) -> None:
     lose_home(scene)
-    assert scene.supervisor.homing_timeout(130.0, 10.0, scene.rails, scene.turntable) is None
-    alarm = scene.supervisor.homing_timeout(130.1, 10.0, scene.rails, scene.turntable)
+    assert scene.safety.homing_timeout(130.0, 10.0, scene.rails, scene.turntable) is None
+    alarm = scene.safety.homing_timeout(130.1, 10.0, scene.rails, scene.turntable)
     assert alarm is not None
     assert alarm.text == "turntable.yaw: homing not done after 120.1 s, allowed 120 s"
 
 
 def test_reset_is_refused_while_the_button_is_in(scene: Scene) -> None:
     press(scene)
-    scene.supervisor.alarms.enter(Alarm(1.0, "bench", "emergency stop", "pressed", "released and reset"))
-    refusal = scene.supervisor.reset(11.0)
+    scene.safety.alarms.latch(Alarm(1.0, "bench", "emergency stop", "pressed", "released and reset"))
+    refusal = scene.safety.reset(11.0)
     assert refusal is not None
     assert refusal.text == "bench: emergency stop pressed, allowed released"
-    assert scene.supervisor.alarms.latched()
-    scene.supervisor.estop.see(False)
-    assert scene.supervisor.reset(12.0) is None
-    assert not scene.supervisor.alarms.latched()
+    assert scene.safety.alarms.latched()
+    scene.safety.estop.update(False)
+    assert scene.safety.reset(12.0) is None
+    assert not scene.safety.alarms.latched()
 
 
 def test_first_reason_for_a_hold_is_kept_until_the_devices_are_opened_anew(scene: Scene) -> None:
-    scene.supervisor.ask_for_hold("three late cycles")
-    scene.supervisor.ask_for_hold("another")
-    assert scene.supervisor.hold_reason == "three late cycles"
-    scene.supervisor.opened()
-    assert not scene.supervisor.hold_reason
+    scene.safety.request_hold("three late cycles")
+    scene.safety.request_hold("another")
+    assert scene.safety.hold_reason == "three late cycles"
+    scene.safety.opened()
+    assert not scene.safety.hold_reason

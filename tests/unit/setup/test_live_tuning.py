@@ -45,7 +45,7 @@ class Changes(Operator):
         self.runner: Runner
         self.notes: EventRecorder
 
-    def listen(self, now_s: float) -> None:
+    def poll(self, now_s: float) -> None:
         gnc = self.runner.loop.gnc
         if (text := self._changes.pop(gnc.cycle, None)) is not None:
             self._scenario = with_setting(self._scenario, text, "test").value
