@@ -20,7 +20,7 @@ VALUE = np.dtype([("words", "i8", WORDS)])
 WRITER = f"""
 import sys
 import numpy as np
-from hil.frmn.mailbox import Block
+from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
 
 VALUE = np.dtype([("words", "i8", {WORDS})])
@@ -29,7 +29,7 @@ if kind == "ring":
     ring = Ring(descriptor, VALUE, 128)
     put = lambda row, n: ring.put(row)
 else:
-    cell = Block(descriptor, {{"cell": VALUE}})["cell"]
+    cell = MailboxBlock(descriptor, {{"cell": VALUE}})["cell"]
     put = lambda row, n: cell.write(row, float(n))
 row = np.zeros(1, VALUE)
 for n in range(1, many + 1):

@@ -38,10 +38,10 @@ PARK = [1.0, 0.0, 0.5]
 CHILD = """
 import json, sys, threading
 from hil.core.clock import WallClock
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 from hil.config.rig import Rails
 from hil.drivers.rails.emulator import RailsEmulator
-emulator = RailsEmulator(Rails.model_validate_json(sys.argv[1]), WallClock(), AxisBoard.create())
+emulator = RailsEmulator(Rails.model_validate_json(sys.argv[1]), WallClock(), SharedAxisState.create())
 print(json.dumps(emulator.start()), flush=True)
 emulator.run(threading.Event())
 """

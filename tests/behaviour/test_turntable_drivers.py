@@ -292,9 +292,9 @@ CHILD = """
 import json, sys, threading
 from hil.core.clock import WallClock
 from hil.config.rig import Turntable
-from hil.drivers.shared_state import AxisBoard
+from hil.drivers.shared_state import SharedAxisState
 from {module} import {emulator}
-emulator = {emulator}(Turntable.model_validate_json(sys.argv[1]), WallClock(int(sys.argv[2])), AxisBoard.create())
+emulator = {emulator}(Turntable.model_validate_json(sys.argv[1]), WallClock(int(sys.argv[2])), SharedAxisState.create())
 print(json.dumps(emulator.start()), flush=True)
 emulator.run(threading.Event())
 """
