@@ -46,7 +46,7 @@ ring = Ring(int(sys.argv[1]), CYCLE, int(sys.argv[2]))
 reader, path, pause_s = ring.reader(), sys.argv[3], float(sys.argv[4])
 with open(path, "wb") as out:
     while True:
-        rows = reader.take()
+        rows = reader.read()
         out.write(rows.tobytes())
         if len(rows):
             str(rows[-1])

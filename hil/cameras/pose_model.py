@@ -39,7 +39,7 @@ class PoseModel:
         """Return the measured pose of axes that stand at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``."""
         t_v, q_vt, covariance = np.empty(3), np.empty(4), np.empty((6, 6))
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
-        see(self._vision, self._stations, self._r, self._q, self._noise.take(), t_v, q_vt, covariance)
+        see(self._vision, self._stations, self._r, self._q, self._noise.next_row(), t_v, q_vt, covariance)
         return PoseFrame(0, t_s, t_s, t_v, q_vt, covariance, leds_left=0x3F, leds_right=0x3F)
 
 

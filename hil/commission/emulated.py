@@ -29,6 +29,6 @@ class AutoOperator:
     def _say(self, line: str) -> None:
         control = FaultControl(self._addresses["io.faults"])
         try:
-            control.say(line)
+            control.send(line)
         finally:
             control.close()

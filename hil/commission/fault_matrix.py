@@ -150,7 +150,7 @@ def _standing_s(bench: WiredBench, runner: Runner, begun_s: float) -> float | No
 def _say(address: str, line: str) -> None:
     control = FaultControl(address)
     try:
-        control.say(line)
+        control.send(line)
     finally:
         control.close()
 

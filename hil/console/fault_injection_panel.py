@@ -51,7 +51,7 @@ def _say(address: str, line: str) -> str:
     try:
         control = FaultControl(address, _ANSWER_WALL_S)
         try:
-            return control.say(line)
+            return control.send(line)
         finally:
             control.close()
     except ValueError as refusal:

@@ -203,7 +203,7 @@ class RemoteOperator(Operator):
     def _note(self, kind: str, who: str, text: str) -> None:
         """Put down what somebody did, where the session is recorded; the replay does not look at it."""
         if self._notes is not None:
-            self._notes.note(kind, who or "console", text)
+            self._notes.log_event(kind, who or "console", text)
 
     def _mind_the_operator(self, wall_s: float) -> None:
         silent_s = wall_s - self._heard_s

@@ -118,7 +118,7 @@ class SessionProcess:
         return [self._readers[name].newest(n) for name, n in newest.items() if name in self._readers]
 
     def _take(self, name: str, dtype: np.dtype) -> np.ndarray:
-        return self._readers[name].take() if name in self._readers else np.empty(0, dtype)
+        return self._readers[name].read() if name in self._readers else np.empty(0, dtype)
 
     @property
     def lost_rows(self) -> int:

@@ -1,4 +1,4 @@
-"""A list that somebody listens to: what is put into it is told as it happens."""
+"""List that notifies a subscriber of each appended item."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ Item = TypeVar("Item")
 
 
 class ObservableList(list[Item]):
-    """A list whose ``append`` also tells ``listener``, where there is one."""
+    """List whose ``append`` also calls the subscribed listener."""
 
     def __init__(self, items: Iterable[Item] = ()) -> None:
         super().__init__(items)
         self._listener: Callable[[Item], None] | None = None
 
     def append(self, item: Item) -> None:
-        """Put ``item`` at the end and tell it."""
+        """Append ``item`` and notify the listener."""
         super().append(item)
         if self._listener is not None:
             self._listener(item)
 
-    def tell(self, listener: Callable[[Item], None]) -> None:
-        """Tell ``listener`` what is there already, and from now on what comes."""
+    def subscribe(self, listener: Callable[[Item], None]) -> None:
+        """Call ``listener`` with the present items, then with each appended one."""
         for item in self:
             listener(item)
         self._listener = listener

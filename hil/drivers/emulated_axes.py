@@ -199,7 +199,7 @@ class EmulatedAxes:
         """Bring the encoders' values up to date."""
         axes = self._axes
         for axis, name in enumerate(self.names):
-            jump = self.faults.take("jump", name)
+            jump = self.faults.pop("jump", name)
             if jump is not None:
                 self._offset[axis] += self._unit * jump
             self._gear[axis], count = self._geared(name)

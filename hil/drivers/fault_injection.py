@@ -95,7 +95,7 @@ class Faults:
         """Return the number that belongs to a fault that is on, None for one that is off."""
         return self._on.get((kind, axis))
 
-    def take(self, kind: str, axis: str = "") -> float | None:
+    def pop(self, kind: str, axis: str = "") -> float | None:
         """The same, and switch it off: for what happens once."""
         if not self._on:
             return None
@@ -108,7 +108,7 @@ class Faults:
             found = [f"{kind} {axis} {value:g}".replace("  ", " ") for (kind, axis), value in self._on.items()]
         return ", ".join(found) or "none"
 
-    def obey(self, line: str) -> str:
+    def execute(self, line: str) -> str:
         """Do what a line of the control port says; return the line that answers it."""
         word, *words = line.split() or [""]
         try:
@@ -210,7 +210,7 @@ class ControlPort:
         with connection, connection.makefile("rw", encoding="utf-8", errors="replace") as lines:
             try:
                 for line in lines:
-                    lines.write(self._faults.obey(line) + "\n")
+                    lines.write(self._faults.execute(line) + "\n")
                     lines.flush()
             except OSError:
                 return
@@ -224,7 +224,7 @@ class FaultControl:
         self._socket = socket.create_connection((host, int(port)), timeout_s)
         self._lines = self._socket.makefile("rw", encoding="utf-8")
 
-    def say(self, line: str) -> str:
+    def send(self, line: str) -> str:
         """Send one line; return its answer. ValueError where the device refuses."""
         self._lines.write(line + "\n")
         self._lines.flush()

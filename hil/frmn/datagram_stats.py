@@ -24,7 +24,7 @@ class DatagramStats:
     newest: int = -1
     _seen: int = 0
 
-    def take(self, sequence: int) -> bool:
+    def count(self, sequence: int) -> bool:
         """Take account of a datagram; return whether it is newer than all before."""
         if self.newest < 0:
             self.newest, self._seen = sequence, 1

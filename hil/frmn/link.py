@@ -118,7 +118,7 @@ class Link:
             came = self._socket.receive()
             if came is None:
                 break
-            arrival = self.take(*came)
+            arrival = self.handle(*came)
             if arrival is not None:
                 arrivals.append(arrival)
         closed = self._socket.closed_ports()
@@ -174,7 +174,7 @@ class Link:
         others = {name: self._counts[name] for name in ("unknown_sender", "second_writer", "unsent")}
         return {**sums, **refused, **others}
 
-    def take(self, datagram: bytes, sender: Address, received_s: float) -> Arrival | None:
+    def handle(self, datagram: bytes, sender: Address, received_s: float) -> Arrival | None:
         """Take one datagram, whatever it is; return the cell in it where it is a newer one."""
         found = wire.unpack(datagram)
         if isinstance(found, Fault):
@@ -208,7 +208,7 @@ class Link:
             writer = "this side writes it" if header.cell.writer is self.role else "nobody wants it here"
             self._count("second_writer", sender, f"sends the cell {name}, but {writer}")
             return None
-        if not tally.take(header.sequence):
+        if not tally.count(header.sequence):
             return None
         return Arrival(name, np.frombuffer(payload, header.cell.dtype), header.time_s, received_s)
 

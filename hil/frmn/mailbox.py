@@ -78,10 +78,10 @@ class Mailbox:
         Returns how many values have been written up to this one, 0 for none yet (``into`` is left alone), and
         its writer's bench time, s. Raises ProtocolError when the writer overruns every try.
         """
-        number, t_s, _ = self.look(into)
+        number, t_s, _ = self.read_stamped(into)
         return number, t_s
 
-    def look(self, into: np.ndarray) -> Stamp:
+    def read_stamped(self, into: np.ndarray) -> Stamp:
         """Do ``read``, and return all that is known of the value."""
         overrun = False
         for _ in range(_TRIES):

@@ -78,7 +78,7 @@ class Reader:
         self.got = 0
         self.lost = 0
 
-    def take(self, at_most: int | None = None) -> np.ndarray:
+    def read(self, at_most: int | None = None) -> np.ndarray:
         """Return the next records, shape (n,), read-only, at most ``at_most``; n = 0 when there is nothing new.
 
         What the writer overwrote before it was taken is counted in ``lost``.

@@ -33,7 +33,7 @@ class RunTime:
     def descriptor(self) -> int:
         return self._block.descriptor
 
-    def tell(self, zero_s: float) -> None:
+    def set_zero(self, zero_s: float) -> None:
         """Say that the run's time is zero at ``zero_s`` of bench time; nan: that no run's time goes. One writer."""
         self._row["zero_s"] = zero_s
         self._block["run"].write(self._row, 0.0)

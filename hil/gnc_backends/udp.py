@@ -85,7 +85,7 @@ class UdpGnc(ExternalGnc):
         self._told: tuple[GncOrder, int] = (GncOrder.NONE, -1)  # orders under way, and the cycle that told them last
         self._reference = new(REFERENCE)
         self._past_truth, self._past_imu = Past(TRUTH), Past(IMU)
-        link.complaints.tell(self._say)
+        link.complaints.subscribe(self._say)
 
     @property
     def logs(self) -> tuple[ObservableList[Event], ...]:

@@ -44,7 +44,7 @@ class DssStage:
 
     def sample_imu(self, truth: np.record, imu: np.record) -> None:
         """Write the IMU's sample of the step that ended at ``truth``."""
-        imu_kernels.sample(self._imu_params, truth, self._noise.take(), imu)
+        imu_kernels.sample(self._imu_params, truth, self._noise.next_row(), imu)
 
     def step(self, truth: np.record, command: np.record) -> None:
         """Move ``truth`` on by one step under the thrusters that ``command`` opens."""

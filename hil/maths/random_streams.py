@@ -34,7 +34,7 @@ class NormalRows:
         self._rows = np.empty((0, width))
         self._next = 0
 
-    def take(self) -> np.ndarray:
+    def next_row(self) -> np.ndarray:
         """Return the next row, shape (width,)."""
         if self._next == len(self._rows):
             self._rows = self._generator.standard_normal(self._shape)

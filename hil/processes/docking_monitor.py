@@ -300,7 +300,7 @@ def _main() -> None:
     while not ended:
         ready, _, _ = select.select([sys.stdin], [], [], _POLL_S)
         ended = bool(ready)  # nothing is ever sent: only its end makes stdin ready
-        watch.take(reader.take)
+        watch.take(reader.read)
     watched = watch.finish()
     watched.missed_rows = reader.lost
     up.write(_told(watched) + "\n")

@@ -200,7 +200,7 @@ class GncServer:
     def _begin(self) -> None:
         """Let filters and control begin anew."""
         self._gnc = make_gnc(self._scenario)
-        self._gnc.watch.events.tell(self._hear_of_filters)
+        self._gnc.watch.events.subscribe(self._hear_of_filters)
         self._last = -1
         self._not_before_s = -math.inf
         self._out.navigation, self._out.command = new(NAVIGATION), new(COMMAND)

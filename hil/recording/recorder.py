@@ -74,7 +74,7 @@ class Recorder:
         for name, reader in self._readers.items():
             lost = reader.lost
             at_most = _PICTURES_AT_MOST if KINDS[name] is PICTURE else _AT_MOST
-            rows = reader.take(at_most)
+            rows = reader.read(at_most)
             self._file.lost(reader.lost - lost)
             if len(rows):
                 self._file.takers[name](rows)

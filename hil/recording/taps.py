@@ -33,7 +33,7 @@ class EventRecorder:
         self._runner = runner
         self._row = np.zeros(1, NOTE)
 
-    def note(self, kind: str, source: str, text: str, t_s: float | None = None, cycle: int | None = None) -> None:
+    def log_event(self, kind: str, source: str, text: str, t_s: float | None = None, cycle: int | None = None) -> None:
         """Put down one line; t_s: time of the run, cycle: its number; by default those of the last cycle."""
         done = self._runner.loop.gnc.cycle
         last_s = float(self._runner.loop.now.t_s[0]) if done >= 0 else math.nan
@@ -49,23 +49,23 @@ class EventRecorder:
 
     def event(self, event: Event) -> None:
         """Put down what happened in the run."""
-        self.note("event", event.source, event.text, event.t_s)
+        self.log_event("event", event.source, event.text, event.t_s)
 
     def alarm(self, alarm: Alarm) -> None:
         """Put down an alarm."""
-        self.note("alarm", alarm.device, alarm.text)
+        self.log_event("alarm", alarm.device, alarm.text)
 
     def mode(self, mode: Mode) -> None:
         """Put down a change of mode."""
-        self.note("mode", "bench", mode.value)
+        self.log_event("mode", "bench", mode.value)
 
     def order(self, cycle: int, text: str) -> None:
         """Put down an order that acts from ``cycle`` on; the replay gives it there again."""
-        self.note("order", "operator", text, cycle=cycle)
+        self.log_event("order", "operator", text, cycle=cycle)
 
     def setting(self, cycle: int, who: str, text: str) -> None:
         """Put down ``key=value`` that ``who`` has changed from ``cycle`` on; the replay does it there again."""
-        self.note("setting", who, text, cycle=cycle)
+        self.log_event("setting", who, text, cycle=cycle)
 
 
 @dataclass
@@ -90,12 +90,12 @@ class RecordingSinks:
         loop = runner.loop
         loop.vision.tap = self.arrivals
         if self.run_time is not None:
-            loop.vision.on_run_zero = self.run_time.tell
+            loop.vision.on_run_zero = self.run_time.set_zero
         for events in (*loop.gnc.logs, runner.events):
-            events.tell(notes.event)
-        loop.gnc.orders.tell(lambda order: notes.order(*order))
-        runner.safety.alarms.raised.tell(notes.alarm)
-        runner.safety.modes.history.tell(notes.mode)
+            events.subscribe(notes.event)
+        loop.gnc.orders.subscribe(lambda order: notes.order(*order))
+        runner.safety.alarms.raised.subscribe(notes.alarm)
+        runner.safety.modes.history.subscribe(notes.mode)
         return notes
 
     def maker(self, rig: Rig) -> ImageEncoder | None:

@@ -102,8 +102,8 @@ def test_chatter_does_not_reach_the_terminal(child: EmulatorProcess, capfd: pyte
 
 def test_faults_are_switched_at_the_address_that_the_child_tells(child: EmulatorProcess) -> None:
     control = FaultControl(child.wait_ready(20.0)["vmu.faults"])
-    assert control.say("on drop 0.5") == "ok"
-    assert control.say("list") == "drop 0.5"
+    assert control.send("on drop 0.5") == "ok"
+    assert control.send("list") == "drop 0.5"
     control.close()
 
 

@@ -56,7 +56,7 @@ def test_reader_of_a_flooded_ring_gets_whole_records_in_order_and_counts_the_res
     with writer("ring", ring.descriptor, many) as process:
         while reader.got + reader.lost < many:
             assert time.monotonic() < give_up_s
-            words = reader.take()["words"]
+            words = reader.read()["words"]
             assert np.array_equal(words.min(axis=1), words.max(axis=1))
             if len(words):
                 assert words[0, 0] > newest

@@ -62,7 +62,7 @@ def test_the_process_sees_what_a_watch_of_the_recording_sees(
             for row in history[:, None]:
                 ring.put(row)
             live = process.finish()
-        shown, told = pictures.reader().take(), portions.reader().take()
+        shown, told = pictures.reader().read(), portions.reader().read()
     finally:
         for each in (ring, pictures, portions):
             each.close()

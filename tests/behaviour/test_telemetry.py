@@ -25,7 +25,7 @@ from hil.core.messages import CYCLE
 reader, times = Ring(int(sys.argv[1]), CYCLE, 2048).reader(), []
 print("attached", flush=True)
 while not times or times[-1] < float(sys.argv[2]):
-    times += reader.take()["t_s"].tolist()
+    times += reader.read()["t_s"].tolist()
 print(json.dumps({"times": times, "got": reader.got, "lost": reader.lost}))
 """
 
@@ -39,7 +39,7 @@ def test_reader_gets_the_very_rows_of_the_history() -> None:
     rate = SimulatedRate(SimulatedClock(), job.scenario.value.step_s)
     history = build.in_memory(job, rate, telemetry=ring).run().history
     assert len(history) == 101
-    assert reader.take().tobytes() == history.tobytes()
+    assert reader.read().tobytes() == history.tobytes()
     ring.close()
 
 

@@ -111,7 +111,7 @@ def test_no_spoilt_frame_moves_an_axis_or_shows_a_place_where_it_is_not(driver):
 
 def test_drive_fault_without_a_number_has_a_name_all_the_same(driver):
     with served(driver, speed=SPEED) as (emulator, device, clock):
-        assert emulator.faults.obey("on drive_fault yaw") == "ok"
+        assert emulator.faults.execute("on drive_fault yaw") == "ok"
         text = str(error_of(device, clock, PATIENCE_WALL_S))
         assert text.startswith("turntable.yaw: ")
         assert "following error" in text or "over-current" in text

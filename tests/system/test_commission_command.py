@@ -114,14 +114,14 @@ def test_axis_that_is_wired_wrongly_is_named_with_what_to_do(
     assert bench.board is not None
     control = FaultControl(bench.addresses[f"{device}.faults"])
     try:
-        control.say(line)
+        control.send(line)
         failure, runner = commission(bench, axis)
         end_s = time.monotonic() + 10.0
         while abs(bench.board.read(device, runner.now_s())[1]).max() > 2e-3:
             assert time.monotonic() < end_s, "still moves"
             time.sleep(0.01)
     finally:
-        control.say("clear")
+        control.send("clear")
         control.close()
     assert failure.what == what
     assert re.search(found.replace("+", r"\+"), str(failure)), str(failure)

@@ -30,7 +30,7 @@ def test_emergency_stop_ends_the_run_by_name_and_the_axes_stand() -> None:
         if mode is Mode.RUNNING and share > 0.0 and not pressed_s:
             line = next(text for text in announced if ": io" in text)
             control = FaultControl(line.rpartition("io.faults on ")[2].split(",")[0])
-            assert control.say("on estop") == "ok"
+            assert control.send("on estop") == "ok"
             control.close()
             pressed_s.append(time.monotonic())
 

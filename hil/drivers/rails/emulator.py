@@ -55,7 +55,7 @@ class _Rails:
         now_s = self._clock.now_s()
         self._axes.advance(now_s)
         for name, drive in zip(RAIL_NAMES, self.drives, strict=True):
-            code = self.faults.take("drive_fault", name)
+            code = self.faults.pop("drive_fault", name)
             if code is not None:
                 drive.trip(int(code) or self._map.code_of(FaultKind.OTHER))
             drive.supervise(now_s)

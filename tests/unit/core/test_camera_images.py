@@ -209,9 +209,9 @@ def test_the_run_s_time_is_known_where_the_cell_is_shared() -> None:
     here = RunTime.create()
     there = RunTime(here.descriptor)
     assert math.isnan(there.of(3.0))
-    here.tell(2.5)
+    here.set_zero(2.5)
     assert there.of(3.0) == 0.5
-    here.tell(math.nan)
+    here.set_zero(math.nan)
     assert math.isnan(there.of(3.0))
     here.close()
 
@@ -242,13 +242,13 @@ def png_rig() -> Rig:
 
 def test_another_process_gets_ring_and_time_by_their_descriptors(png_rig: Rig) -> None:
     ring, run = Ring.create(PICTURE, SLOTS, "pictures"), RunTime.create()
-    run.tell(10.0)
+    run.set_zero(10.0)
     memory = PictureMemory(ring.descriptor, ring.slots, run.descriptor)
     maker = PictureMemory(*memory).maker(png_rig)
     assert maker is not None
     assert maker.due(12.5)
     maker.put(CameraImage(RIGHT, np.zeros((4, 6), np.uint8), bench_s=12.5, number=7, shapes=[CROSS]))
-    (row,) = ring.reader().take()
+    (row,) = ring.reader().read()
     assert (row["t_s"], row["bench_s"], row["number"]) == (2.5, 12.5, 7)
     assert (row["width_px"], row["height_px"]) == (6, 4)
     none = load_rig("mock", ("rig.recording.pictures=none",)).value
@@ -328,7 +328,7 @@ def test_a_ring_that_forgot_pictures_says_so() -> None:
     reader = ring.reader()
     for number in range(6):
         ring.put(picture_row(LEFT, float(number), b"x", number=number))
-    found = reader.take()
+    found = reader.read()
     assert [int(row["number"]) for row in found] == [3, 4, 5]
     assert reader.lost == 3
     ring.close()

@@ -22,18 +22,18 @@ def wire(faults: Faults) -> FaultyWire:
 
 
 def test_lines_switch_faults_on_and_off(faults: Faults) -> None:
-    assert faults.obey("on drop 0.2") == "ok"
-    assert faults.obey("on stuck y") == "ok"
-    assert faults.obey("on jump z -0.05") == "ok"
-    assert faults.obey("list") == "drop 0.2, stuck y 1, jump z -0.05"
+    assert faults.execute("on drop 0.2") == "ok"
+    assert faults.execute("on stuck y") == "ok"
+    assert faults.execute("on jump z -0.05") == "ok"
+    assert faults.execute("list") == "drop 0.2, stuck y 1, jump z -0.05"
     assert faults.value("drop") == 0.2
     assert faults.value("stuck", "y") == 1.0
     assert faults.value("stuck", "x") is None
-    assert faults.take("jump", "z") == -0.05
-    assert faults.take("jump", "z") is None
-    assert faults.obey("off stuck y") == "ok"
-    assert faults.obey("clear") == "ok"
-    assert faults.obey("list") == "none"
+    assert faults.pop("jump", "z") == -0.05
+    assert faults.pop("jump", "z") is None
+    assert faults.execute("off stuck y") == "ok"
+    assert faults.execute("clear") == "ok"
+    assert faults.execute("list") == "none"
 
 
 @pytest.mark.parametrize(
@@ -52,11 +52,11 @@ def test_lines_switch_faults_on_and_off(faults: Faults) -> None:
     ],
 )
 def test_other_lines_are_refused_in_words_and_change_nothing(faults: Faults, line: str, words: tuple[str, ...]) -> None:
-    answer = faults.obey(line)
+    answer = faults.execute(line)
     assert answer.startswith("error: ")
     for word in words:
         assert word in answer
-    assert faults.obey("list") == "none"
+    assert faults.execute("list") == "none"
 
 
 def test_a_wire_without_faults_changes_nothing(faults: Faults) -> None:
@@ -96,11 +96,11 @@ def test_the_control_port_answers_each_line(faults: Faults) -> None:
     port = ControlPort(faults)
     control = FaultControl(port.address)
     try:
-        assert control.say("on stuck x") == "ok"
+        assert control.send("on stuck x") == "ok"
         assert faults.value("stuck", "x") == 1.0
         with pytest.raises(ValueError, match="unknown fault 'melt'"):
-            control.say("on melt")
-        assert control.say("list") == "stuck x 1"
+            control.send("on melt")
+        assert control.send("list") == "stuck x 1"
     finally:
         control.close()
         port.close()
@@ -110,7 +110,7 @@ def test_the_control_port_answers_each_line(faults: Faults) -> None:
 
 def test_kinds_tell_programs_what_can_be_switched_on() -> None:
     faults = Faults("rails", {**WIRE, **AXIS}, ("x", "y"))
-    told = json.loads(faults.obey("kinds"))
+    told = json.loads(faults.execute("kinds"))
     assert told["axes"] == ["x", "y"]
     assert list(told["kinds"]) == [*WIRE, *AXIS]
     assert told["kinds"]["drop"]["value"] == "share"

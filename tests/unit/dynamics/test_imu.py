@@ -55,7 +55,7 @@ def test_noise_and_walks_have_the_stated_spread_and_are_white(params: np.record)
     found = np.empty((n, 12))
     for k in range(n):
         drift, bias = imu.drift_C.copy(), imu.bias_C.copy()
-        sample(params, truth, rows.take(), imu)
+        sample(params, truth, rows.next_row(), imu)
         found[k] = np.concatenate([imu.rate_C - drift, imu.force_C - bias, imu.drift_C - drift, imu.bias_C - bias])
     whitened = found / np.repeat([2.0, 5.0, TS * 3.0, TS * 7.0], 3)
     squares = np.sum(whitened**2, axis=0)
@@ -110,6 +110,8 @@ def test_streams_of_one_seed_repeat_and_do_not_depend_on_the_block() -> None:
     short = NormalRows(stream(7, "imu"), 12, block=3)
     long = NormalRows(stream(7, "imu"), 12, block=50)
     for _ in range(10):
-        np.testing.assert_array_equal(short.take(), long.take())
-    assert not np.array_equal(NormalRows(stream(7, "vision"), 12).take(), NormalRows(stream(7, "imu"), 12).take())
-    assert not np.array_equal(NormalRows(stream(8, "imu"), 12).take(), NormalRows(stream(7, "imu"), 12).take())
+        np.testing.assert_array_equal(short.next_row(), long.next_row())
+    assert not np.array_equal(
+        NormalRows(stream(7, "vision"), 12).next_row(), NormalRows(stream(7, "imu"), 12).next_row()
+    )
+    assert not np.array_equal(NormalRows(stream(8, "imu"), 12).next_row(), NormalRows(stream(7, "imu"), 12).next_row())

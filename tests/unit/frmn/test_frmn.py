@@ -137,10 +137,10 @@ def test_reader_of_a_writer_that_does_nothing_but_write_gives_up_and_says_so(
 
 def test_cell_says_who_wrote_it_and_how_old_it_is(block: MailboxBlock) -> None:
     into = value(0)
-    assert block["rails"].look(into) == NOTHING
-    assert block["rails"].look(into).age_s(3.0) == math.inf
+    assert block["rails"].read_stamped(into) == NOTHING
+    assert block["rails"].read_stamped(into).age_s(3.0) == math.inf
     block["rails"].write(value(1), 1.5)
-    stamp = block["rails"].look(into)
+    stamp = block["rails"].read_stamped(into)
     assert stamp == (1, 1.5, os.getpid())
     assert stamp.age_s(3.0) == 1.5
 
@@ -197,19 +197,19 @@ def test_reader_that_keeps_up_gets_every_record_in_order(ring: Ring) -> None:
     for n in range(40):
         ring.put(value(n))
         if n % 5 == 0:
-            taken += reader.take()["n"].tolist()
-    taken += reader.take()["n"].tolist()
+            taken += reader.read()["n"].tolist()
+    taken += reader.read()["n"].tolist()
     assert taken == list(range(40))
     assert (reader.got, reader.lost) == (40, 0)
-    assert len(reader.take()) == 0
+    assert len(reader.read()) == 0
 
 
 def test_what_a_slow_reader_missed_is_counted_and_the_rest_is_in_order(ring: Ring) -> None:
     reader = ring.reader()
     for n in range(30):
         ring.put(value(n))
-    assert reader.take(at_most=3)["n"].tolist() == [23, 24, 25]
-    assert reader.take()["n"].tolist() == [26, 27, 28, 29]
+    assert reader.read(at_most=3)["n"].tolist() == [23, 24, 25]
+    assert reader.read()["n"].tolist() == [26, 27, 28, 29]
     assert (reader.got, reader.lost) == (7, 23)
 
 
@@ -217,7 +217,7 @@ def test_reader_may_begin_with_what_is_yet_to_come(ring: Ring) -> None:
     ring.put(value(0))
     reader = ring.reader(from_now=True)
     ring.put(value(1))
-    assert reader.take()["n"].tolist() == [1]
+    assert reader.read()["n"].tolist() == [1]
     assert (reader.got, reader.lost) == (1, 0)
 
 
@@ -236,9 +236,9 @@ def test_records_overwritten_while_they_are_copied_count_as_lost_and_never_show(
 
     during_copies(write_on)
     reader = ring.reader()
-    rows = reader.take()
+    rows = reader.read()
     assert np.array_equal(rows["a"][:, 0], rows["n"])
     assert rows["n"].tolist() == list(range(overtaken_by, 7))  # one more than is surely spoilt: it may be under the pen
     assert (reader.got, reader.lost) == (len(rows), 7 - len(rows))
-    reader.take()
+    reader.read()
     assert reader.got + reader.lost == ring.written

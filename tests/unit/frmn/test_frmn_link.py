@@ -153,12 +153,12 @@ def test_goodbye_ends_the_other_side(bench: Link, gnc: Link) -> None:
 
 
 def test_second_writer_is_refused_with_words_while_the_first_is_alive(bench: Link) -> None:
-    bench.take(hello(1), THERE, 0.0)
-    assert bench.take(output(1, 1), THERE, 0.1) is not None
+    bench.handle(hello(1), THERE, 0.0)
+    assert bench.handle(output(1, 1), THERE, 0.1) is not None
     for _ in range(3):
-        assert bench.take(hello(2), ELSEWHERE, 0.2) is None
-        assert bench.take(output(2, 1), ELSEWHERE, 0.2) is None
-    assert bench.take(output(1, 2), THERE, 0.3) is not None
+        assert bench.handle(hello(2), ELSEWHERE, 0.2) is None
+        assert bench.handle(output(2, 1), ELSEWHERE, 0.2) is None
+    assert bench.handle(output(1, 2), THERE, 0.3) is not None
     assert bench.counters()["second_writer"] == 6
     assert list(bench.complaints) == [
         "127.0.0.1:6 is a second writer of the cells of the gnc: 127.0.0.1:5 is alive",
@@ -167,40 +167,40 @@ def test_second_writer_is_refused_with_words_while_the_first_is_alive(bench: Lin
 
 
 def test_restarted_program_at_the_same_address_is_another_writer(bench: Link) -> None:
-    bench.take(hello(1), THERE, 0.0)
-    assert bench.take(output(2, 1), THERE, 0.5) is None
-    assert bench.take(hello(2), THERE, 1.6) is None
+    bench.handle(hello(1), THERE, 0.0)
+    assert bench.handle(output(2, 1), THERE, 0.5) is None
+    assert bench.handle(hello(2), THERE, 1.6) is None
     assert bench.joined == 2
-    assert bench.take(output(2, 1), THERE, 1.7) is not None
-    assert bench.take(output(1, 3), THERE, 1.8) is None  # of the one before, from the depths of the network
+    assert bench.handle(output(2, 1), THERE, 1.7) is not None
+    assert bench.handle(output(1, 3), THERE, 1.8) is None  # of the one before, from the depths of the network
 
 
 def test_silent_writer_gives_way_to_another(bench: Link) -> None:
-    bench.take(hello(1), THERE, 0.0)
-    bench.take(hello(2), ELSEWHERE, 1.1)
+    bench.handle(hello(1), THERE, 0.0)
+    bench.handle(hello(2), ELSEWHERE, 1.1)
     assert bench.joined == 2
     assert bench.peer is not None
     assert bench.peer.address == ELSEWHERE
 
 
 def test_sender_that_says_no_hello_is_unknown(bench: Link) -> None:
-    assert bench.take(output(1, 1), THERE, 0.0) is None
+    assert bench.handle(output(1, 1), THERE, 0.0) is None
     assert bench.counters()["unknown_sender"] == 1
     assert list(bench.complaints) == ["127.0.0.1:5 has not said hello"]
 
 
 def test_sender_from_another_address_than_the_expected_is_unknown() -> None:
     link = Link(Role.DSS, "bench", ("gnc.input",), ("gnc.output",), LOCAL, THERE)
-    assert link.take(output(1, 1), ELSEWHERE, 0.0) is None
+    assert link.handle(output(1, 1), ELSEWHERE, 0.0) is None
     assert list(link.complaints) == ["127.0.0.1:6 is not 127.0.0.1:5, with whom this side speaks"]
-    assert link.take(output(1, 1), THERE, 0.0) is not None  # where one is expected an answer is hello enough
+    assert link.handle(output(1, 1), THERE, 0.0) is not None  # where one is expected an answer is hello enough
     link.close()
 
 
 def test_cell_that_this_side_writes_is_refused_from_the_other(bench: Link) -> None:
-    bench.take(hello(1), THERE, 0.0)
+    bench.handle(hello(1), THERE, 0.0)
     datagram = wire.pack(DatagramKind.CELL, bytes(GNC_INPUT.itemsize), 1, 1, 0.0, MAILBOXES["gnc.input"])
-    assert bench.take(datagram, THERE, 0.0) is None
+    assert bench.handle(datagram, THERE, 0.0) is None
     assert bench.counters()["second_writer"] == 1
     assert list(bench.complaints) == ["127.0.0.1:5 sends the cell gnc.input, but this side writes it"]
 
@@ -216,7 +216,7 @@ def test_cell_that_this_side_writes_is_refused_from_the_other(bench: Link) -> No
 )
 def test_what_cannot_be_used_is_counted_and_said_once(bench: Link, datagram: bytes, counter: str, said: str) -> None:
     for _ in range(3):
-        assert bench.take(datagram, THERE, 0.0) is None
+        assert bench.handle(datagram, THERE, 0.0) is None
     assert bench.counters()[counter] == 3
     assert len(bench.complaints) == 1
     assert bench.complaints[0].startswith(f"127.0.0.1:5 {said}")
@@ -246,12 +246,12 @@ def test_refusal_is_kept_for_whoever_wants_to_know(bench: Link, gnc: Link) -> No
 @pytest.mark.parametrize("order", list(itertools.permutations(range(4))))
 def test_numbers_in_any_order_are_counted_right(order: tuple[int, ...]) -> None:
     tally = DatagramStats()
-    tally.take(0)
+    tally.count(0)
     newest = 0
     for number in (1 + n for n in order):
-        assert tally.take(number) == (number > newest)
+        assert tally.count(number) == (number > newest)
         newest = max(newest, number)
-        assert not tally.take(number)
+        assert not tally.count(number)
     assert (tally.received, tally.lost, tally.duplicates) == (5, 0, 4)
     assert tally.reordered == sum(any(b > a for b in order[:i]) for i, a in enumerate(order))
 
@@ -259,15 +259,15 @@ def test_numbers_in_any_order_are_counted_right(order: tuple[int, ...]) -> None:
 def test_lost_numbers_are_counted_across_the_end_of_the_counter() -> None:
     tally = DatagramStats()
     for number in (2**32 - 2, 2**32 - 1, 1, 2):
-        assert tally.take(number)
+        assert tally.count(number)
     assert (tally.received, tally.lost) == (4, 1)
 
 
 def test_number_from_long_ago_is_no_news() -> None:
     tally = DatagramStats()
-    tally.take(1)
-    tally.take(1000)
-    assert not tally.take(2)
+    tally.count(1)
+    tally.count(1000)
+    assert not tally.count(2)
     assert (tally.received, tally.lost, tally.duplicates) == (2, 998, 1)
 
 
@@ -291,7 +291,7 @@ def fuzz(link: Link, rng: np.random.Generator, many: int) -> int:
     """Give ``link`` nonsense from several senders; return how many cells came of it."""
     good, senders, cells = good_ones(), [(f"127.0.0.{n}", 9) for n in range(1, 9)], 0
     for k in range(many):
-        arrival = link.take(nonsense(rng, good), senders[rng.integers(8)], 1e-3 * k)
+        arrival = link.handle(nonsense(rng, good), senders[rng.integers(8)], 1e-3 * k)
         if isinstance(arrival, Arrival):
             cells += 1
             assert arrival.name in link.tallies

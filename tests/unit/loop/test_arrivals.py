@@ -76,6 +76,6 @@ def test_a_listener_hears_what_was_and_what_comes() -> None:
     events: ObservableList[int] = ObservableList([1])
     heard: list[int] = []
     events.append(2)
-    events.tell(heard.append)
+    events.subscribe(heard.append)
     events.append(3)
     assert heard == events == [1, 2, 3]

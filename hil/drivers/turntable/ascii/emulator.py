@@ -143,7 +143,7 @@ class AsciiTurntableEmulator:
         self.gimbals.advance(self._clock.now_s())
         for axis, name in enumerate(GIMBAL_NAMES):
             self._searching[axis] &= self.gimbals.homing[axis] is Homing.UNDER_WAY or self.gimbals.moving(axis)
-            switched = self.faults.take("drive_fault", name)
+            switched = self.faults.pop("drive_fault", name)
             if switched is not None:
                 self._fail(axis, round(switched) or self._words.drive_fault)
             if self.gimbals.overdue[axis]:

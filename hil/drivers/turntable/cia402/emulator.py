@@ -114,7 +114,7 @@ class Cia402Emulator:
     def _housekeep(self, now_s: float) -> list[Frame]:
         frames: list[Frame] = []
         for axis, (name, drive) in enumerate(zip(GIMBAL_NAMES, self.drives, strict=True)):
-            code = self.faults.take("drive_fault", name)
+            code = self.faults.pop("drive_fault", name)
             if code is not None:
                 frames += drive.fail(round(code) or codec.OVER_CURRENT)
             if self.gimbals.overdue[axis]:
