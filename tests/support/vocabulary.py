@@ -32,7 +32,7 @@ WORDS = {
     "fast as time": r"as fast as time|faster than time|slower than time",
     "wall": r"(?:on|by) the wall|the wall(?! clock)|a wall second|wall seconds?",
     "lamp": r"lamps?",
-    "a word on": r"an? (?:\w+ )?words? (?:on|with|for|about)|in words|word for word",
+    "a word on": r"an? (?!command )(?:\w+ )?words? (?:on|with|for|about)|in words|word for word",
     "picture": r"pictures?|pictured",
     "share": r"shares? of|(?:the|a|an|its|this|that|same|smaller|larger|smallest|largest|what|given) shares?"
     r"(?! (?:memory|a|an|the|no|one|its))",
