@@ -11,8 +11,7 @@ from serial.tools import list_ports
 
 from hil.bench.kinematics import axes_of_pose
 from hil.checks.reachability import reach_problems
-from hil.checks.wires import wires
-from hil.config.load import Loaded, load_protocol, load_scene
+from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
@@ -66,25 +65,19 @@ def host_problems(rig: Loaded[Rig]) -> list[Problem]:
     return [Problem(rig.where("host.cpu"), "rig.host.cpu", text)]
 
 
-def turntable_problems(rig: Loaded[Rig]) -> list[Problem]:
-    """Return the problems of the protocol file or EDS that the turntable's driver goes by."""
-    config = rig.value.turntable
+def driver_problems(rig: Loaded[Rig]) -> list[Problem]:
+    """Return the problems of the files that drivers use, such as a protocol file or an EDS."""
     try:
-        if config.driver == "ascii" and config.ascii is not None:
-            load_protocol(config.ascii.protocol)
-        elif config.driver == "cia402" and config.cia402 is not None:
-            from hil.drivers.turntable.cia402.eds import Eds  # not without need: canopen takes its time
-
-            Eds.of(config.cia402, homing=any(getattr(config, name).encoder == "incremental" for name in GIMBAL_NAMES))
+        driver_warnings(rig.value)
     except BadInput as error:
         return list(error.problems)
     return []
 
 
-def turntable_warnings(rig: Rig) -> list[str]:
-    """Return a line for each protection that the turntable's command set goes without."""
-    config = rig.turntable
-    return load_protocol(config.ascii.protocol).value.warnings() if config.driver == "ascii" and config.ascii else []
+def driver_warnings(rig: Rig) -> list[str]:
+    """Return a line per protection that the devices' command sets leave out. Raises BadInput for an unusable file."""
+    tables = [table for table in rig.device_tables().values() if table.has_wires]
+    return [line for table in tables for line in table.entry.check_files(table)]
 
 
 def port_problems(rig: Loaded[Rig]) -> list[Problem]:
@@ -94,8 +87,8 @@ def port_problems(rig: Loaded[Rig]) -> list[Problem]:
     present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
     return [
         Problem(rig.where(wire.key), wire.key, f"{wire.address}: no such port, this computer has {present}")
-        for wire in wires(rig.value)
-        if wire.kind == "serial" and wire.address.startswith("/") and not Path(wire.address).exists()
+        for wire in rig.value.wires()
+        if wire.kind == "serial" and (wire.address or "").startswith("/") and not Path(str(wire.address)).exists()
     ]
 
 
@@ -107,9 +100,8 @@ def flight_computer_problems(rig: Loaded[Rig]) -> list[Problem]:
     if rig.value.kind == "mock":
         key, text = "flight_computer.words", f'"{computer.words}": a mock rig has no wall clock for a flight computer'
         return [Problem(rig.where(key), f"rig.{key}", text)]
-    return [
-        Problem(rig.where(key), f"rig.{key}", "is missing: the wire of the words") for key in computer.missing_wires()
-    ]
+    missing = [wire.key for wire in computer.wires() if wire.address is None]
+    return [Problem(rig.where(key), f"rig.{key}", "is missing: the wire of the words") for key in missing]
 
 
 def monitor_problems(scenario: Loaded[Scenario]) -> list[Problem]:
@@ -138,7 +130,7 @@ def line_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
         key = "io.thruster_lines"
         text = f"{io.thruster_lines}: allowed {count} to {MAX_THRUSTERS} for the scenario's thrusters, or 0 for none"
         problems.append(Problem(rig.where(key), f"rig.{key}", text))
-    if io.driver == "modbus" and scenario.value.step_s > 0.5 * io.pump_timeout_s:
+    if io.has_wires and scenario.value.step_s > 0.5 * io.pump_timeout_s:
         key = "io.pump_timeout_s"
         text = f"{io.pump_timeout_s:g}: must be twice the scenario's step_s, {scenario.value.step_s:g}, or more"
         problems.append(Problem(rig.where(key), f"rig.{key}", text))

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from hil.config.driver_registry import Wire, WireKey
 from hil.config.model import ConfigModel, Positive
 
 
@@ -54,10 +55,12 @@ class FlightComputer(ConfigModel):
             )
         return self
 
-    def missing_wires(self) -> list[str]:
-        """Return the keys of wires that are needed and not named."""
-        if self.words == "serial" and self.serial.port is None:
-            return ["flight_computer.serial.port"]
-        if self.words == "can" and self.can.channel is None:
-            return ["flight_computer.can.channel"]
-        return []
+    def wires(self) -> list[Wire]:
+        """Return the wires that are opened, also those without an address in the file."""
+        keys = {"serial": [WireKey("serial.port", "serial")], "can": [WireKey("can.channel", "can")]}.get(
+            self.words, []
+        )
+        if self.poses.port is not None:
+            keys.append(WireKey("poses.port", "serial"))
+        found = [key.wire(self) for key in keys]
+        return [Wire(f"flight_computer.{wire.key}", wire.kind, wire.address) for wire in found]

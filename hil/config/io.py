@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
+from hil.config.driver_registry import DeviceTable
 from hil.config.model import ConfigModel, Positive
 
 MAX_THRUSTER_LINES = 24
@@ -36,10 +37,12 @@ class IoIdentity(ConfigModel):
     revision: str | None = None
 
 
-class Io(ConfigModel):
-    """A coupler of digital lines. ``driver = "none"`` says outright that the bench has none."""
+class Io(DeviceTable):
+    """Coupler of digital lines. ``driver = "none"``: the bench has none."""
 
-    driver: Literal["mock", "modbus", "none"]
+    device: ClassVar = "io"
+    without_wires: ClassVar = ("mock", "none")
+
     timeout_s: Positive = 0.4
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=1, le=65535)] | None = None

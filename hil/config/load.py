@@ -9,10 +9,11 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar, get_args, get_origin
+from typing import Any, Generic, TypeVar, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from hil.config.driver_registry import DeviceTable, model_of_field
 from hil.config.model import ConfigModel
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
@@ -225,7 +226,7 @@ def _problems(
     error: ValidationError, model: type[BaseModel], table: Table, source: str, origin: Mapping[str, str], prefix: str
 ) -> list[Problem]:
     problems = []
-    for fault in error.errors():
+    for fault in [*error.errors(), *_unknown_in_devices(error, model, table)]:
         location = [part for part in fault["loc"] if not (isinstance(part, str) and "[" in part)]
         dotted = ".".join(part for part in location if isinstance(part, str))
         indices = "".join(f"[{part}]" for part in location if isinstance(part, int))
@@ -236,6 +237,18 @@ def _problems(
         message = _message(fault, model, [part for part in location if isinstance(part, str)], table)
         problems.append(Problem(where, f"{prefix}{dotted}{indices}" if dotted else "", message))
     return problems
+
+
+def _unknown_in_devices(error: ValidationError, model: type[BaseModel], table: Table) -> list[dict[str, Any]]:
+    """Return the unknown keys of devices' tables that pydantic did not reach because of other faults in the table."""
+    reported = {fault["loc"] for fault in error.errors()}
+    found = []
+    for device in model.model_fields:
+        inner, device_model = table.get(device), model_of_field(model, device)
+        if isinstance(inner, dict) and device_model is not None and issubclass(device_model, DeviceTable):
+            unknown = device_model.unknown_keys(inner)
+            found += [{"type": "extra_forbidden", "loc": (device, key), "input": inner[key]} for key in unknown]
+    return [fault for fault in found if fault["loc"] not in reported]
 
 
 def _message(fault: Any, model: type[BaseModel], location: list[str], table: Table) -> str:
@@ -286,11 +299,10 @@ def _model_at(model: type[BaseModel], location: Sequence[str]) -> type[BaseModel
     current: type[BaseModel] | None = model
     keys = iter(location)
     for key in keys:
-        if current is None or key not in current.model_fields:
+        if current is None:
             return None
-        annotation = current.model_fields[key].annotation
-        candidates = [annotation, *get_args(annotation)]
-        current = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
-        if get_origin(annotation) is dict:
-            next(keys, None)  # the name that somebody gave to one of the tables
+        field = current.model_fields.get(key)
+        current = current.model_of(key) if issubclass(current, DeviceTable) else model_of_field(current, key)
+        if field is not None and get_origin(field.annotation) is dict:
+            next(keys, None)  # the name that the file gives to one of the tables
     return current

@@ -23,17 +23,19 @@ def motion_digest(rig: Rig) -> str:
     for device, names in (("rails", RAIL_NAMES), ("turntable", GIMBAL_NAMES), ("target_manipulator", RAIL_NAMES)):
         for name in names if table[device] is not None else ():
             del table[device][name]["lead_s"]
-    _put_files_for_paths(rig, table["turntable"])
+    if rig.turntable.ascii is not None:
+        protocol = load_protocol(rig.turntable.ascii.protocol).value
+        table["turntable"]["ascii"]["protocol"] = protocol.model_dump(mode="json")
+    _put_files_for_paths(table)
     text = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
-def _put_files_for_paths(rig: Rig, turntable: dict[str, Any]) -> None:
-    """Replace the paths of protocol file and EDS by what stands in the files: a path depends on the present folder."""
-    if rig.turntable.ascii is not None:
-        protocol = load_protocol(rig.turntable.ascii.protocol).value
-        turntable["ascii"]["protocol"] = protocol.model_dump(mode="json")
-    if rig.turntable.cia402 is not None and rig.turntable.cia402.eds_file is not None:
-        eds = Path(rig.turntable.cia402.eds_file)
-        known = eds.is_file()
-        turntable["cia402"]["eds_file"] = hashlib.sha256(eds.read_bytes()).hexdigest() if known else "missing"
+def _put_files_for_paths(table: dict[str, Any]) -> None:
+    """Replace each path, key ``*_file``, by the digest of the file: a path depends on the working directory."""
+    for key, value in table.items():
+        if isinstance(value, dict):
+            _put_files_for_paths(value)
+        elif isinstance(value, str) and key.endswith("_file"):
+            path = Path(value)
+            table[key] = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "missing"

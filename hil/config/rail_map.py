@@ -248,7 +248,7 @@ _LIMITS: Final[dict[str, tuple[float, float]]] = {
 }
 
 
-def reach(register: AnyRegister) -> tuple[float, float]:
+def range_of(register: AnyRegister) -> tuple[float, float]:
     """Return the least and the greatest value, m or m/s, that the register holds."""
     low, high = _LIMITS.get(register.type, (-1e9, 1e9))
     return low / counts_per_si(register), high / counts_per_si(register)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from hil.config.console import ConsoleTable
+from hil.config.driver_registry import DeviceTable, Wire
 from hil.config.flight_computer import FlightComputer
 from hil.config.gnc_link import GncLink
 from hil.config.host import HostConfig, LateCycle
 from hil.config.io import Io
 from hil.config.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
 from hil.config.rail_map import RailMap
-from hil.config.rail_wires import ModbusRtu, check_axis, check_line
+from hil.config.rail_wires import ModbusRtu
 from hil.config.recording import RecordingTable
 from hil.config.sign_off import SignOff
 
@@ -175,8 +176,11 @@ class AsciiTurntableLine(SerialLine):
     identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)  # what it must say
 
 
-class Rails(ConfigModel):
-    driver: Literal["mock", "modbus", "modbus_rtu"]
+class Rails(DeviceTable):
+    """Three rails: x, y, z."""
+
+    device: ClassVar = "rails"
+
     timeout_s: Positive = 0.4
     following_error_max_m: Positive = 0.05  # at rest
     following_error_per_speed_s: NotNegative = 0.0  # m more for each m/s of commanded speed
@@ -195,29 +199,12 @@ class Rails(ConfigModel):
     def encoder_sigma(self) -> float:
         return self.encoder_sigma_m
 
-    def exchange_s(self) -> float:
-        """Return how long the serial line is busy with one exchange, s."""
-        return (self.rtu or ModbusRtu()).exchange_s(self.map)
-
-    @model_validator(mode="after")
-    def _wires_and_map_suit(self) -> Self:
-        if self.driver == "modbus_rtu":
-            check_line((self.rtu or ModbusRtu()).baud, self.exchange_s(), self.timeout_s)
-        for name in RAIL_NAMES if self.driver != "mock" else ():
-            axis: RailAxis = getattr(self, name)
-            check_axis(self.map, name, axis.travel_m, axis.encoder == "incremental")
-        if self.modbus is not None:
-            wires = (self.modbus.x, self.modbus.y, self.modbus.z)
-            named = [(wire.host, wire.port, wire.device_id) for wire in wires if wire.port is not None]
-            if len(set(named)) != len(named):
-                raise ValueError("modbus: two axes have the same host, port and device_id, allowed: different ones")
-        return self
-
 
 class TargetManipulator(Rails):
-    """What carries the target: three axes like the rails, placed before a run and held during it."""
+    """Manipulator of the target: three axes like the rails, placed before a run and held during it."""
 
-    driver: Literal["none", "mock", "modbus"]  # type: ignore[assignment]
+    without_wires: ClassVar = ("mock", "none")
+
     place_m: Triple = (0.0, 0.0, 0.0)
     held_within_m: Positive = 0.005
 
@@ -230,8 +217,11 @@ class TargetManipulator(Rails):
         return self
 
 
-class Turntable(ConfigModel):
-    driver: Literal["mock", "cia402", "ascii"]
+class Turntable(DeviceTable):
+    """Three gimbals: roll, pitch, yaw."""
+
+    device: ClassVar = "turntable"
+
     timeout_s: Positive = 0.4
     following_error_max_deg: Positive = 2.0  # at rest
     following_error_per_speed_s: NotNegative = 0.0  # deg more for each deg/s of commanded speed
@@ -274,8 +264,11 @@ class VmuIdentity(ConfigModel):
     firmware: str | None = None  # "1.4"
 
 
-class Vmu(ConfigModel):
-    driver: Literal["mock", "rs422"]
+class Vmu(DeviceTable):
+    """Vision measurement unit."""
+
+    device: ClassVar = "vmu"
+
     timeout_s: Positive = 0.4
     rate_hz: Positive = 6.25
     lost_packets_max: Positive = 10.0
@@ -330,18 +323,9 @@ class Rig(ConfigModel):
 
     @model_validator(mode="after")
     def _drivers_suit_the_kind(self) -> Self:
-        drivers: list[tuple[str, str]] = [
-            ("rails", self.rails.driver),
-            ("turntable", self.turntable.driver),
-            ("vmu", self.vmu.driver),
-        ]
-        if self.io is not None and self.has_io:
-            drivers.append(("io", self.io.driver))
-        if self.moved_target is not None:
-            drivers.append(("target_manipulator", self.moved_target.driver))
-        for device, driver in drivers:
-            if (driver == "mock") != (self.kind == "mock"):
-                raise ValueError(f'{device}.driver = "{driver}" does not go with kind = "{self.kind}"')
+        for key, table in self.device_tables().items():
+            if (table.driver == "mock") != (self.kind == "mock"):
+                raise ValueError(f'{key}.driver = "{table.driver}" does not go with kind = "{self.kind}"')
         return self
 
     @property
@@ -356,25 +340,22 @@ class Rig(ConfigModel):
             raise ValueError(f'{text}; io.driver = "none" says that it has none')
         return self
 
+    def device_tables(self) -> dict[str, DeviceTable]:
+        """Return the tables of the devices that the bench has, by their keys."""
+        tables: dict[str, DeviceTable] = {"rails": self.rails, "turntable": self.turntable}
+        if self.io is not None and self.has_io:
+            tables["io"] = self.io
+        tables["vmu"] = self.vmu
+        if self.moved_target is not None:
+            tables["target_manipulator"] = self.moved_target
+        return tables
+
+    def wires(self) -> list[Wire]:
+        """Return the wires that the drivers open, also those without an address in the file."""
+        found = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
+        return found + self.flight_computer.wires()
+
     def missing_wires(self) -> list[str]:
-        """Return the keys of wires that the chosen drivers need and the file does not name."""
-        needed: list[tuple[str, object]] = []
-        if self.rails.driver == "modbus":
-            wires = self.rails.modbus
-            needed += [(f"rails.modbus.{axis}.port", wires and getattr(wires, axis).port) for axis in RAIL_NAMES]
-        if self.rails.driver == "modbus_rtu":
-            needed.append(("rails.rtu.port", self.rails.rtu and self.rails.rtu.port))
-        if self.turntable.driver == "cia402":
-            needed.append(("turntable.cia402.channel", self.turntable.cia402 and self.turntable.cia402.channel))
-        if self.turntable.driver == "ascii":
-            needed.append(("turntable.ascii.port", self.turntable.ascii and self.turntable.ascii.port))
-        if self.vmu.driver == "rs422":
-            needed.append(("vmu.rs422.port", self.vmu.rs422 and self.vmu.rs422.port))
-        if self.io is not None and self.io.driver == "modbus":
-            needed.append(("io.port", self.io.port))
-        if (target := self.moved_target) is not None and target.driver == "modbus":
-            wires = target.modbus
-            needed += [
-                (f"target_manipulator.modbus.{axis}.port", wires and getattr(wires, axis).port) for axis in RAIL_NAMES
-            ]
-        return [key for key, value in needed if value is None]
+        """Return the keys of devices' wires that the file does not name."""
+        found = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
+        return [wire.required_key for wire in found if wire.address is None]

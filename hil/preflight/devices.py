@@ -51,10 +51,8 @@ def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool
         advice = "--devices opens it, which closes the safety chain"
         skipped = PreflightCheck("device io", None, "skipped", advice)
         return [skipped, *device_checks(rails, turntable, source, clock, enable_drives)]
-    from hil.drivers.io.driver import ModbusIo
-
     rate = WallRate(clock, scenario.step_s)
-    lines = SafetyIoStage(ModbusIo(rig.io, clock), np.zeros(rig.io.thruster_lines, dtype=np.int64))
+    lines = SafetyIoStage(rig.io.make_driver(clock), np.zeros(rig.io.thruster_lines, dtype=np.int64))
     try:
         lines.open(rate)
         with chain_kept_closed(lines, rate):

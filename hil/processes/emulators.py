@@ -11,9 +11,8 @@ from typing import Any, Literal, Self
 
 from hil.cameras.factory import make_pose_sensor
 from hil.cameras.pose_model import transport
-from hil.config.model import ConfigModel
-from hil.config.rail_wires import ModbusRtu
-from hil.config.rig import RAIL_NAMES, AsciiTurntableLine, Cia402, Modbus, ModbusAxis, Rails, Rig, SerialLine
+from hil.config.driver_registry import DeviceTable
+from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.camera_images import ThreadedImageSink
 from hil.core.clock import WallClock
@@ -80,7 +79,7 @@ class EmulatedDevices:
         addresses: dict[str, str] = {}
         for process in self.processes:
             addresses |= process.wait_ready(_READY_WALL_S)
-        return _wired(self._rig, addresses), addresses
+        return _connected(self._rig, addresses), addresses
 
     def close(self) -> None:
         """End all of them, together and at once: an emulated device has nothing to bring to safety. Idempotent.
@@ -103,39 +102,11 @@ class EmulatedDevices:
         self.close()
 
 
-def _wired(rig: Rig, addresses: dict[str, str]) -> Rig:
+def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
     """Return ``rig`` with the emulators' addresses in place of its wires."""
-    rails = _wired_rails(rig.rails, "rails", addresses)
-    path = addresses["turntable"]
-    turntable = rig.turntable.model_copy(
-        update={
-            "cia402": (rig.turntable.cia402 or Cia402()).model_copy(update={"channel": path}),
-            "ascii": (rig.turntable.ascii or AsciiTurntableLine()).model_copy(update={"port": path}),
-        }
-    )
-    vmu = rig.vmu.model_copy(
-        update={"rs422": (rig.vmu.rs422 or SerialLine()).model_copy(update={"port": addresses["vmu"]})}
-    )
-    wired: dict[str, ConfigModel] = {"rails": rails, "turntable": turntable, "vmu": vmu}
-    if rig.io is not None and rig.has_io:
-        host, _, port = addresses["io"].rpartition(":")
-        wired["io"] = rig.io.model_copy(update={"host": host, "port": int(port)})
-    if rig.moved_target is not None:
-        wired["target_manipulator"] = _wired_rails(rig.moved_target, "target", addresses)
-    return rig.model_copy(update=wired)
-
-
-def _wired_rails(rails: Rails, name: str, addresses: dict[str, str]) -> Rails:
-    if rails.driver == "modbus_rtu":
-        # a pseudo terminal carries no parity bit; the time that it takes is in the emulator's line
-        wire = {"port": addresses[name], "parity": "none"}
-        return rails.model_copy(update={"rtu": (rails.rtu or ModbusRtu()).model_copy(update=wire)})
-    ports: dict[str, ModbusAxis] = {}
-    for axis in RAIL_NAMES:
-        host, _, port = addresses[f"{name}.{axis}"].rpartition(":")
-        given: ModbusAxis = getattr(rails.modbus or Modbus(), axis)
-        ports[axis] = given.model_copy(update={"host": host, "port": int(port)})
-    return rails.model_copy(update={"modbus": Modbus(**ports)})
+    names = {"target_manipulator": "target"}
+    tables = {key: table.connected(names.get(key, key), addresses) for key, table in rig.device_tables().items()}
+    return rig.model_copy(update=tables)
 
 
 def make_emulator(
@@ -146,31 +117,19 @@ def make_emulator(
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     board = SharedAxisState(configuration["board"])
-    if device == "io" and rig.io is not None:
-        from hil.drivers.io.emulator import IoEmulator
-
-        return IoEmulator(rig.io, clock, board.write_chain, configuration["seed"])
-    if device in ("rails", "target"):
-        from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
-
-        config = rig.moved_target or rig.rails if device == "target" else rig.rails
-        kind = RtuRailsEmulator if config.driver == "modbus_rtu" else RailsEmulator
-        return kind(config, clock, board, seed=configuration["seed"], name=device)
-    if device == "turntable" and rig.turntable.driver == "ascii":
-        from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
-
-        return AsciiTurntableEmulator(rig.turntable, clock, board, seed=configuration["seed"])
-    if device == "turntable":
-        from hil.drivers.turntable.cia402.emulator import Cia402Emulator
-
-        return Cia402Emulator(rig.turntable, clock, board, seed=configuration["seed"])
-    from hil.drivers.vmu.emulator import VmuEmulator
-
+    seed = configuration["seed"]
+    table: DeviceTable | None = getattr(rig, "target_manipulator" if device == "target" else device)
+    assert table is not None
+    emulator: Emulator
+    if device == "io":
+        emulator = table.make_emulator(clock, board.write_chain, seed=seed)
+        return emulator
+    if device != "vmu":
+        emulator = table.make_emulator(clock, board, seed=seed, name=device)
+        return emulator
     shown = _pictures(configuration["pictures"], rig)
-    eye = make_pose_sensor(scenario, rig, configuration["seed"], shown)
-    rehearsed = make_pose_sensor(
-        scenario, rig, configuration["seed"]
-    )  # compiles, and leaves the noise of the other one alone
+    eye = make_pose_sensor(scenario, rig, seed, shown)
+    rehearsed = make_pose_sensor(scenario, rig, seed)  # compiles, and leaves the noise of the other one alone
     start = start_axes(scenario, rig)
     for k in range(3):  # the search in whole pictures, then windows
         rehearsed.look(start.rail_m, start.gimbal_rad, k / rig.vmu.rate_hz)
@@ -180,9 +139,9 @@ def make_emulator(
         gimbals, _ = board.read("turntable", t_s)
         return eye.look(rails, gimbals, t_s)
 
-    seed = configuration["seed"]
     at_end = shown.close if shown else lambda: None
-    return VmuEmulator(rig.vmu, clock, pose_at, transport(scenario.vmu, seed), seed, at_end)
+    emulator = table.make_emulator(clock, pose_at, transport(scenario.vmu, seed), seed=seed, at_end=at_end)
+    return emulator
 
 
 def _pictures(memory: Sequence[int] | None, rig: Rig) -> ThreadedImageSink | None:

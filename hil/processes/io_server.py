@@ -25,20 +25,9 @@ from hil.errors import BenchError, LinkLost
 
 def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource, AxisGroup | None]:
     """Return the drivers of a rig with wires: rails, turntable, vision unit, what moves the target."""
-    from hil.drivers.rails.driver import ModbusRails
-    from hil.drivers.vmu.driver import Rs422Vmu
-
-    turntable: AxisGroup
-    if rig.turntable.driver == "ascii":
-        from hil.drivers.turntable.ascii.driver import AsciiTurntable
-
-        turntable = AsciiTurntable(rig.turntable, clock)
-    else:
-        from hil.drivers.turntable.cia402.driver import Cia402Turntable
-
-        turntable = Cia402Turntable(rig.turntable, clock)
-    target = ModbusRails(rig.moved_target, clock, "target") if rig.moved_target else None
-    return ModbusRails(rig.rails, clock), turntable, Rs422Vmu(rig.vmu, clock), target
+    target = rig.moved_target.make_driver(clock, "target") if rig.moved_target else None
+    rails, turntable = rig.rails.make_driver(clock, "rails"), rig.turntable.make_driver(clock, "turntable")
+    return rails, turntable, rig.vmu.make_driver(clock), target
 
 
 class DeviceHost(DeviceServer):

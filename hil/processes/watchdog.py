@@ -85,14 +85,12 @@ class Watchdog(DeviceServer):
 
 def make_watchdog(configuration: dict[str, Any]) -> Watchdog:
     """Return the watchdog for the configuration that the parent sent; threads of this process get its priority."""
-    from hil.drivers.io.driver import ModbusIo
-
     raise_priority()
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     assert rig.io is not None
     exchange = IoSharedMemory.attach(tuple(configuration["descriptors"]))
-    return Watchdog(ModbusIo(rig.io, clock), exchange, socket.socket(fileno=configuration["requests"]), clock)
+    return Watchdog(rig.io.make_driver(clock), exchange, socket.socket(fileno=configuration["requests"]), clock)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,8 @@ from hil.bench.kinematics import MOTION
 from hil.bench.stopping import brake_step
 from hil.checks.compatibility import (
     approach_problems,
+    driver_problems,
+    driver_warnings,
     flight_computer_problems,
     flight_problems,
     host_problems,
@@ -17,8 +19,6 @@ from hil.checks.compatibility import (
     monitor_problems,
     port_problems,
     sign_off_problems,
-    turntable_problems,
-    turntable_warnings,
 )
 from hil.checks.truth import truth_problems
 from hil.config.load import Loaded
@@ -74,7 +74,7 @@ def _rig_problems(job: Job) -> list[Problem]:
         *port_problems(job.rig),
         *host_problems(job.rig),
         *line_problems(job.scenario, job.rig),
-        *turntable_problems(job.rig),
+        *driver_problems(job.rig),
         *flight_computer_problems(job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0 and not job.paced:
@@ -180,7 +180,7 @@ def wired_bench(
         _insist_on_realtime(job.rig, realtime)
         for grant in realtime.refused():
             announce(str(grant))
-        for line in turntable_warnings(rig):
+        for line in driver_warnings(rig):
             announce(line)
         wall = WallClock(speed=job.speed)
         with (

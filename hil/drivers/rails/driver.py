@@ -28,7 +28,7 @@ from hil.drivers.rails.codec import ControlFlags, RegisterMap, State
 from hil.drivers.rails.drive import CONNECT_TIMEOUT_S, ENABLE_TIMEOUT_S, STOP, Drive
 from hil.drivers.rails.frames import new_counters
 from hil.drivers.rails.homing import HomingWatch, limit_switch
-from hil.drivers.rails.wiring import check_wires, make_wires
+from hil.drivers.rails.wiring import make_wires
 from hil.errors import DeviceError, DriveFault, LinkLost, SafetyTrip
 
 IDLE_PERIOD_S: Final = 0.02  # between exchanges while nobody sends
@@ -47,7 +47,6 @@ class ModbusRails(LoopThread):
     def __init__(self, config: Rails, clock: WallClock, name: str = "rails") -> None:
         self.name = name
         self.axis_names = full_names(self.name, RAIL_NAMES)
-        check_wires(config)
         self._config = config
         self._timeout_s = config.timeout_s
         self._clock = clock

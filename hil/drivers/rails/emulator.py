@@ -198,7 +198,7 @@ class RtuRailsEmulator(_Rails):
 
     def start(self) -> dict[str, str]:
         """Open the line; return its path."""
-        self._line = PtyLine(round(self._rtu.baud * _PTY_BITS_A_BYTE / self._rtu.bits_a_byte), self._clock)
+        self._line = PtyLine(round(self._rtu.baud * _PTY_BITS_A_BYTE / self._rtu.bits_per_byte), self._clock)
         return {self.faults.device: self._line.path}
 
     def run(self, stop: threading.Event) -> None:

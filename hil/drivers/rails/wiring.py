@@ -5,37 +5,24 @@ from __future__ import annotations
 from typing import Final
 
 from hil.config.rail_wires import ModbusRtu
-from hil.config.rig import RAIL_NAMES, Modbus, ModbusAxis, Rails
+from hil.config.rig import Modbus, ModbusAxis, Rails
 from hil.core.clock import WallClock
 from hil.drivers.rails.drive import ATTEMPTS, ModbusDevice
 from hil.drivers.rails.frames import Counters
 from hil.drivers.rails.modbus_bus import ModbusBus
-from hil.errors import BadInput
 
 # An exchange that waits for one drive keeps the others without a command: their watchdogs must not notice.
 ATTEMPT_MAX_S: Final = 0.2
-_MISSING: Final = "is missing: the wire to the device"
-
-
-def check_wires(config: Rails) -> None:
-    """Raise BadInput where the wire that the driver needs is not named."""
-    if config.driver == "modbus_rtu":
-        if config.rtu is None or config.rtu.port is None:
-            raise BadInput.single("rig", "rails.rtu.port", _MISSING)
-        return
-    for name, axis in zip(RAIL_NAMES, tcp_axes(config), strict=True):
-        if axis.port is None:
-            raise BadInput.single("rig", f"rails.modbus.{name}.port", _MISSING)
 
 
 def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: WallClock) -> list[ModbusDevice]:
-    """Return the wires of x, y, z, not connected yet. Inside a running event loop, after ``check_wires``.
+    """Return the wires of x, y, z, not connected yet. Requires a running event loop.
 
     timeout_s: after which a dead wire is told at the latest.
     """
     if config.driver == "modbus_rtu":
         rtu = config.rtu or ModbusRtu()
-        line = ModbusBus.on_port(rtu.port or "", rtu, config.exchange_s(), counters, clock)
+        line = ModbusBus.on_port(rtu.port or "", rtu, rtu.exchange_s(config.map), counters, clock)
         attempt_s = _attempt_s(timeout_s, len(rtu.device_ids))
         return [ModbusDevice(line, device_id, attempt_s) for device_id in rtu.device_ids]
     axes = tcp_axes(config)

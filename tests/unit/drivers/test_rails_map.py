@@ -110,7 +110,7 @@ def test_a_drive_without_exchange_numbers_needs_no_registers_for_them(tmp_path: 
         ),
         (
             "rails.map.command.position = { address = 2, scale = 0.001 }",
-            "lab.toml: rig.rails: x.travel_m [-0.2, 12.0]: map.command.position (i32, 0.001 um a count) "
+            "lab.toml: rig.rails: x.travel_m [-0.2, 12.0]: map.command.position (i32, 0.001 um per count) "
             "holds -2.14748 to 2.14748 m",
         ),
         (
@@ -119,7 +119,7 @@ def test_a_drive_without_exchange_numbers_needs_no_registers_for_them(tmp_path: 
         ),
         (
             'rails.driver = "modbus_rtu"\nrails.rtu.baud = 9600',
-            "lab.toml: rig.rails: timeout_s 0.4: too short for three drives at 9600 baud, one of them asked twice, "
+            "lab.toml: rig.rails: timeout_s 0.4: too short for three drives at 9600 baud with one retry, "
             "allowed 0.58 or more",
         ),
         (

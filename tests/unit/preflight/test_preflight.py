@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.checks.wires import wires
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.core.clock import WallClock
@@ -148,7 +147,7 @@ def _rig(tmp_path: Path, **given: str) -> Rig:
 
 
 def test_wires_of_a_rig_are_those_that_its_drivers_open(tmp_path: Path) -> None:
-    found = wires(_rig(tmp_path))
+    found = _rig(tmp_path).wires()
     assert [(wire.key, wire.kind) for wire in found] == [
         ("rails.modbus.x", "tcp"),
         ("rails.modbus.y", "tcp"),

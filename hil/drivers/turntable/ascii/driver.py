@@ -255,7 +255,7 @@ class AsciiLink:
 class AsciiTurntable(CyclicTurntable):
     """Turntable on a serial port; ``config.ascii`` names port, baud rate and protocol file. Raises BadInput."""
 
-    def __init__(self, config: Turntable, clock: Clock) -> None:
+    def __init__(self, config: Turntable, clock: Clock, name: str = "turntable") -> None:
         if config.ascii is None or config.ascii.port is None:
             raise BadInput.single("rig", "turntable.ascii.port", "is missing: the wire to the device")
-        super().__init__(config, clock, AsciiLink("turntable", config, config.ascii, clock))
+        super().__init__(config, clock, AsciiLink(name, config, config.ascii, clock), name)

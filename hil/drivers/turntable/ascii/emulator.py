@@ -35,6 +35,7 @@ class AsciiTurntableEmulator:
         board: SharedAxisState,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
+        name: str = "turntable",
     ) -> None:
         if config.ascii is None:
             raise BadInput.single("rig", "turntable.ascii", "is missing")
@@ -46,7 +47,7 @@ class AsciiTurntableEmulator:
         self._torque_off = protocol.faults.torque_off or self._words.drive_fault
         self._has_flags = protocol.faults.kind == "flags"
         self.dialect = AsciiProtocol(protocol)
-        self.gimbals = EmulatedAxes("turntable", config, clock, board, chain_closed=chain_closed, seed=seed)
+        self.gimbals = EmulatedAxes(name, config, clock, board, chain_closed=chain_closed, seed=seed)
         self.faults = self.gimbals.faults
         self._lane = FaultyChannel(self.faults, stream(seed, "wire"))
         self.splitter = self.dialect.requests.splitter()
@@ -60,7 +61,7 @@ class AsciiTurntableEmulator:
     def start(self) -> dict[str, str]:
         """Open the line; return the controller's port of it."""
         self._line = PtyLine(self._baud, self._clock)
-        return {"turntable": self._line.path}
+        return {self.faults.device: self._line.path}
 
     def run(self, stop: threading.Event) -> None:
         """Serve the line until ``stop`` is set."""

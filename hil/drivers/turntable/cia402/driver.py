@@ -241,7 +241,7 @@ class Cia402Link:
 class Cia402Turntable(CyclicTurntable):
     """Turntable on CAN; ``config.cia402`` names interface, channel, nodes, counts per turn and EDS. Raises BadInput."""
 
-    def __init__(self, config: Turntable, clock: Clock) -> None:
+    def __init__(self, config: Turntable, clock: Clock, name: str = "turntable") -> None:
         if config.cia402 is None or config.cia402.channel is None:
             raise BadInput.single("rig", "turntable.cia402.channel", "is missing: the wire to the device")
-        super().__init__(config, clock, Cia402Link("turntable", config, config.cia402, clock))
+        super().__init__(config, clock, Cia402Link(name, config, config.cia402, clock), name)

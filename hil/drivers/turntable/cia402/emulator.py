@@ -67,12 +67,13 @@ class Cia402Emulator:
         board: SharedAxisState,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
+        name: str = "turntable",
     ) -> None:
         if config.cia402 is None:
             raise BadInput.single("rig", "turntable.cia402", "is missing")
         self._config = config.cia402
         self._clock = clock
-        self.gimbals = EmulatedAxes("turntable", config, clock, board, chain_closed=chain_closed, seed=seed)
+        self.gimbals = EmulatedAxes(name, config, clock, board, chain_closed=chain_closed, seed=seed)
         self.faults = self.gimbals.faults
         self.drives = []
         for index, node_id in enumerate(config.cia402.node_ids):
@@ -88,7 +89,7 @@ class Cia402Emulator:
         else:
             self._station = BusStation(self._config, self._clock, self.faults, self._wire_noise)
         self._station.send([frame for drive in self.drives for frame in drive.boot()])
-        return {"turntable": self._station.address}
+        return {self.faults.device: self._station.address}
 
     def run(self, stop: threading.Event) -> None:
         """Serve the bus until ``stop`` is set."""

@@ -1,0 +1,16 @@
+"""Registry entry of the I/O coupler on Modbus TCP."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hil.config.driver_registry import DriverEntry, WireKey
+
+ENTRY: Final = DriverEntry(
+    "io",
+    "modbus",
+    driver="hil.drivers.io.driver:ModbusIo",
+    emulator="hil.drivers.io.emulator:IoEmulator",
+    wires=[WireKey("", "tcp")],
+    identity=lambda io: io.identity.model_dump(exclude_none=True),
+)

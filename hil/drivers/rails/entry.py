@@ -1,0 +1,73 @@
+"""Registry entries of the rail drivers: Modbus TCP and Modbus RTU."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hil.config.driver_registry import DriverEntry, WireKey
+from hil.config.rail_map import range_of
+from hil.config.rail_wires import ModbusRtu
+from hil.config.rig import RAIL_NAMES, RailAxis, Rails
+
+_EXCHANGES_IN_TIMEOUT: Final = 10.0  # three drives, one retry, and as much again for the drives' response times
+
+
+def _check_map(rails: Rails) -> None:
+    """Raise ValueError if the register map cannot serve an axis."""
+    for name in RAIL_NAMES:
+        axis: RailAxis = getattr(rails, name)
+        if axis.encoder == "incremental" and not rails.map.homes:
+            raise ValueError(f'{name}.encoder = "incremental" needs map.control_bits.home and map.status_bits.homed')
+        for block, register in (("command", rails.map.command.position), ("state", rails.map.state.position)):
+            low, high = range_of(register)
+            if not low <= axis.travel_m[0] < axis.travel_m[1] <= high:
+                raise ValueError(
+                    f"{name}.travel_m {list(axis.travel_m)}: map.{block}.position ({register.type}, "
+                    f"{register.scale:g} {register.unit} per count) holds {low:g} to {high:g} m"
+                )
+
+
+def _check_tcp(rails: Rails) -> None:
+    _check_map(rails)
+    if rails.modbus is not None:
+        wires = (rails.modbus.x, rails.modbus.y, rails.modbus.z)
+        given = [(wire.host, wire.port, wire.device_id) for wire in wires if wire.port is not None]
+        if len(set(given)) != len(given):
+            raise ValueError("modbus: two axes have the same host, port and device_id, allowed: different ones")
+
+
+def _check_rtu(rails: Rails) -> None:
+    rtu = rails.rtu or ModbusRtu()
+    least_s = _EXCHANGES_IN_TIMEOUT * rtu.exchange_s(rails.map)
+    if rails.timeout_s < least_s:
+        raise ValueError(
+            f"timeout_s {rails.timeout_s:g}: too short for three drives at {rtu.baud} baud with one retry, "
+            f"allowed {least_s:.2f} or more"
+        )
+    _check_map(rails)
+
+
+def _identity(rails: Rails) -> dict[str, str]:
+    major, minor = rails.map.firmware_min
+    return {"vendor": f"0x{rails.map.vendor:X}", "firmware from": f"{major}.{minor}"}
+
+
+TCP: Final = DriverEntry(
+    "rails",
+    "modbus",
+    driver="hil.drivers.rails.driver:ModbusRails",
+    emulator="hil.drivers.rails.emulator:RailsEmulator",
+    wires=[WireKey(f"modbus.{name}", "tcp", name) for name in RAIL_NAMES],
+    check=_check_tcp,
+    identity=_identity,
+)
+RTU: Final = DriverEntry(
+    "rails",
+    "modbus_rtu",
+    driver="hil.drivers.rails.driver:ModbusRails",
+    emulator="hil.drivers.rails.emulator:RtuRailsEmulator",
+    # a pseudo terminal has no parity bit; the emulated line accounts for its time
+    wires=[WireKey("rtu.port", "serial", emulated={"parity": "none"})],
+    check=_check_rtu,
+    identity=_identity,
+)

@@ -1,0 +1,28 @@
+"""Registry entry of the ASCII turntable controller."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hil.config.driver_registry import DriverEntry, WireKey
+from hil.config.load import load_protocol
+from hil.config.rig import Turntable
+
+
+def _check_files(turntable: Turntable) -> list[str]:
+    return load_protocol(turntable.ascii.protocol).value.warnings() if turntable.ascii is not None else []
+
+
+def _identity(turntable: Turntable) -> dict[str, str]:
+    return {str(name): value for name, value in turntable.ascii.identity.items()} if turntable.ascii else {}
+
+
+ENTRY: Final = DriverEntry(
+    "turntable",
+    "ascii",
+    driver="hil.drivers.turntable.ascii.driver:AsciiTurntable",
+    emulator="hil.drivers.turntable.ascii.emulator:AsciiTurntableEmulator",
+    wires=[WireKey("ascii.port", "serial")],
+    check_files=_check_files,
+    identity=_identity,
+)
