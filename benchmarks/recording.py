@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.config.load import load_rig, load_scenario
-from hil.core.messages import CYCLE
-from hil.drivers.remote.io_layout import ARRIVAL
+from hil.core.messages import ARRIVAL, CYCLE
 from hil.frmn.ring import Ring, Telemetry
 from hil.recording.session import recording
 from hil.session import build

@@ -12,13 +12,15 @@ from hil.cli.output import check_json_path, write_json
 from hil.cli.text_table import columns
 from hil.config.gnc_override import with_other_gnc
 from hil.config.scenario import Scenario
+from hil.core.fields import leaf_fields
+from hil.core.messages import CYCLE_FIELDS
 from hil.errors import BadInput
-from hil.recording.fields import FIELDS
 from hil.recording.read import Recorded, load
 from hil.recording.replay import Difference, Replayed, follows, replay
 from hil.report.summary import navigation_errors
 
 _SAME, _DIFFERS = 0, 1
+_UNITS = {field.name: field.unit for field in leaf_fields(CYCLE_FIELDS)}
 _ROWS = (
     ("position_rmse_m", "position rmse", "mm", 1e3),
     ("velocity_rmse_mps", "velocity rmse", "mm/s", 1e3),
@@ -110,7 +112,7 @@ def _table(differences: Sequence[Difference]) -> list[str]:
     rows = [
         (
             d.field,
-            FIELDS[d.field][0],
+            _UNITS[d.field],
             str(d.cycles),
             str(d.first_cycle),
             f"{d.first_s:.2f}",

@@ -1,123 +1,137 @@
-"""What passes between the bench and a GNC that is not in its process, or not ours: three records and their meaning.
+"""Records exchanged with an external GNC: setup, input and output.
 
-The same bytes travel as cells of the reflective memory and as the structs of a shared library: aligned as a C
-compiler for x86-64 or ARM64 aligns them, little-endian. Frames: H is Hill's (LVLH) frame of the target, c the
-chaser's body; quaternions have the scalar last and ``q_CH`` turns components in H into components in c
-(``docs/frames.md``). The bench says ``GNC_SETUP`` once, ``GNC_INPUT`` each cycle, and hears ``GNC_OUTPUT``.
+The same bytes travel as mailboxes of the reflective memory and as the structs of a shared library (``hil_gnc.h``):
+little-endian, aligned as a C compiler for x86-64 or ARM64 aligns them. H is Hill's (LVLH) frame of the target, c the
+chaser's body frame; quaternions have the scalar last and ``q_CH`` takes components in H to components in c
+(``docs/frames.md``). The bench sends ``GNC_SETUP`` once and ``GNC_INPUT`` each cycle, and receives ``GNC_OUTPUT``.
 """
 
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag
-from typing import Final
+from typing import Final, TypeVar
 
-import numpy as np
-
+from hil.core.fields import Field, record_dtype
 from hil.core.messages import MAX_POSES, MAX_THRUSTERS
 
 PROTOCOL: Final = 1
-"""Goes up when one of the records gets another layout or another meaning."""
+"""Version of the records; incremented when a layout or a meaning changes."""
 REASON_BYTES: Final = 128
-"""Room for the reason of a library that refuses a scenario, with its closing zero."""
+"""Size of the text with which a library rejects a scenario, including its terminating zero."""
+
+_Int = TypeVar("_Int", bound=int)
+
+
+def _documented(cls: type[_Int], value: int, meaning: str) -> _Int:
+    """Return a new member of an integer enumeration whose values are pairs: number and meaning."""
+    member = int.__new__(cls, value)
+    member._value_ = value  # type: ignore[attr-defined]
+    member.meaning = meaning  # type: ignore[attr-defined]
+    return member
 
 
 class GncMode(IntEnum):
-    """What the bench is doing; a GNC opens thrusters in RUNNING alone."""
+    """Mode of the bench as sent to a GNC; thrusters open in RUNNING only."""
 
-    STANDBY = 0  # the setup stands, nothing is measured yet
-    ARMED = 1  # the bench stands at the start pose; time has not begun
-    RUNNING = 2  # time runs; each input wants an output
-    HOLD = 3  # the axes are braked and time stands; inputs say so, the GNC keeps its state
-    STOPPED = 4  # the run is over
+    meaning: str
+    __new__ = _documented  # type: ignore[assignment]
+
+    STANDBY = 0, "the setup is complete, nothing is measured yet"
+    ARMED = 1, "the bench is at the start pose; the run's time has not started"
+    RUNNING = 2, "the run's time advances; each input requires an output"
+    HOLD = 3, "the axes are braked and the run's time is held; the GNC keeps its state"
+    STOPPED = 4, "the run is over"
 
 
 class GncOrder(IntFlag):
-    """What has been decided, each in one input alone."""
+    """Commands to a GNC, bits of ``orders``; each is sent in one input only."""
 
-    NONE = 0
-    GO = 1  # the operator lets the approach go on from its wait
-    ABORT = 2  # an abort has begun, ordered or by supervision: the reference brakes and retreats from here on
+    meaning: str
+    __new__ = _documented  # type: ignore[assignment]
+
+    NONE = 0, ""
+    GO = 1, "the operator releases the approach from its wait"
+    ABORT = 2, "an abort has started, by command or by the approach monitor: the reference brakes and retreats"
 
 
 class GncState(IntEnum):
-    """What the GNC says of itself."""
+    """State that a GNC reports of itself."""
 
-    STARTING = 0  # has not answered a RUNNING input yet; its demands do not count
-    WORKING = 1
-    ASKS_FOR_HOLD = 2  # the bench is to be brought to a stand, the run can go on
-    FAULT = 3  # the bench is to stop; text says why
+    meaning: str
+    __new__ = _documented  # type: ignore[assignment]
+
+    STARTING = 0, "no RUNNING input has been answered yet; demands are ignored"
+    WORKING = 1, ""
+    ASKS_FOR_HOLD = 2, "requests a hold; the run can be resumed"
+    FAULT = 3, "requests a stop of the bench; text gives the reason"
 
 
-GNC_SETUP: Final = np.dtype(
-    [
-        ("scenario", "S32"),  # its name
-        ("step_s", "f8"),  # of a cycle
-        ("duration_s", "f8"),
-        ("mean_motion_radps", "f8"),  # of the target's orbit: Hill's equations
-        ("mass_kg", "f8"),
-        ("inertia_kgm2", "f8", (3, 3)),  # in c
-        ("n_thrusters", "i8"),
-        ("thruster_position_m", "f8", (MAX_THRUSTERS, 3)),  # in c
-        ("thruster_force_N", "f8", (MAX_THRUSTERS, 3)),  # on the chaser while open, in c
-        ("minimum_on_s", "f8"),
-        ("acceleration_mps2", "f8", 3),  # of a force demand along each axis of c, without boost
-        ("angular_acceleration_radps2", "f8", 3),  # of a torque demand about each axis of c
-        ("start_r_CT_H_m", "f8", 3),
-        ("start_q_CH", "f8", 4),
-        ("ready_point_m", "f8", 3),  # in H: where the chaser is to wait for docking
-        ("closing_rate_max_mps", "f8"),
-    ],
-    align=True,
+GNC_SETUP_FIELDS: Final = (
+    Field("scenario", "S32", (), "", "", "name of the scenario"),
+    Field("step_s", "f8", (), "s", "", "length of a cycle"),
+    Field("duration_s", "f8", (), "s", "", "length of the run"),
+    Field("mean_motion_radps", "f8", (), "rad/s", "", "of the target's orbit: Hill's equations"),
+    Field("mass_kg", "f8", (), "kg", "", "nominal mass of the chaser"),
+    Field("inertia_kgm2", "f8", (3, 3), "kg m^2", "c", "nominal inertia of the chaser"),
+    Field("n_thrusters", "i8", (), "1", "", "number of thrusters; the other places are zero"),
+    Field("thruster_position_m", "f8", (MAX_THRUSTERS, 3), "m", "c", "position of each thruster"),
+    Field("thruster_force_N", "f8", (MAX_THRUSTERS, 3), "N", "c", "force on the chaser while open"),
+    Field("minimum_on_s", "f8", (), "s", "", "shortest burn"),
+    Field("acceleration_mps2", "f8", 3, "m/s^2", "c", "of a force demand along each axis, without boost"),
+    Field("angular_acceleration_radps2", "f8", 3, "rad/s^2", "c", "of a torque demand about each axis"),
+    Field("start_r_CT_H_m", "f8", 3, "m", "H", "position at the start"),
+    Field("start_q_CH", "f8", 4, "1", "H to c", "attitude at the start"),
+    Field("ready_point_m", "f8", 3, "m", "H", "where the chaser waits for docking"),
+    Field("closing_rate_max_mps", "f8", (), "m/s", "", "largest closing rate"),
 )
-"""What a GNC may know before the run: the nominal vehicle and plan, not how chance has built it."""
+GNC_SETUP: Final = record_dtype(GNC_SETUP_FIELDS)
+"""Nominal vehicle and plan, known to a GNC before the run; the dispersed vehicle is not."""
 
-GNC_POSE: Final = np.dtype(
-    [
-        ("t_s", "f8"),  # moment of exposure, time of the run
-        ("r_TC_C_m", "f8", 3),  # target's reference point seen from the chaser's, in c
-        ("q_CH", "f8", 4),
-        ("covariance_position_m2", "f8", (3, 3)),  # in c
-        ("covariance_attitude_rad2", "f8", (3, 3)),  # of the small turn of c, in c
-    ],
-    align=True,
+GNC_POSE_FIELDS: Final = (
+    Field("t_s", "f8", (), "s", "", "moment of exposure, time of the run"),
+    Field("r_TC_C_m", "f8", 3, "m", "c", "target's reference point seen from the chaser's"),
+    Field("q_CH", "f8", 4, "1", "H to c", "measured attitude"),
+    Field("covariance_position_m2", "f8", (3, 3), "m^2", "c", "covariance of r_TC_C_m"),
+    Field("covariance_attitude_rad2", "f8", (3, 3), "rad^2", "c", "covariance of the small-angle rotation of c"),
 )
+GNC_POSE: Final = record_dtype(GNC_POSE_FIELDS)
 
-GNC_INPUT: Final = np.dtype(
-    [
-        ("cycle", "i8"),  # RUNNING: counts from 0, the output carries the same number; else the last one, at first -1
-        ("t_s", "f8"),  # time of the run
-        ("mode", "i4"),  # hil_gnc_mode
-        ("orders", "i4"),  # hil_gnc_order
-        ("rate_radps", "f8", 3),  # gyro, mean over the last step, in c, against inertial space
-        ("force_mps2", "f8", 3),  # accelerometer, mean over the last step, in c
-        ("reference_r_CT_H_m", "f8", 3),  # the scenario's own plan at t_s: to be followed, or left alone
-        ("reference_v_CT_H_mps", "f8", 3),
-        ("reference_a_CT_H_mps2", "f8", 3),
-        ("reference_q_CH", "f8", 4),
-        (
-            "boost",
-            "i8",
-        ),  # 1: force demands open strong thruster sets and accelerate more, as the brake of an abort needs
-        ("n_poses", "i8"),  # that came since the last input
-        ("poses", GNC_POSE, MAX_POSES),
-    ],
-    align=True,
+GNC_INPUT_FIELDS: Final = (
+    Field(
+        "cycle",
+        "i8",
+        (),
+        "1",
+        "",
+        "RUNNING: counts from 0, the output has the same number; else the last one, initially -1",
+    ),
+    Field("t_s", "f8", (), "s", "", "time of the run"),
+    Field("mode", "i4", (), "1", "", "hil_gnc_mode"),
+    Field("orders", "i4", (), "1", "", "hil_gnc_order"),
+    Field("rate_radps", "f8", 3, "rad/s", "c", "gyro, mean over the last step, against inertial space"),
+    Field("force_mps2", "f8", 3, "m/s^2", "c", "accelerometer, mean over the last step"),
+    Field("reference_r_CT_H_m", "f8", 3, "m", "H", "the scenario's plan at t_s; its use is optional"),
+    Field("reference_v_CT_H_mps", "f8", 3, "m/s", "H", "velocity of the plan"),
+    Field("reference_a_CT_H_mps2", "f8", 3, "m/s^2", "H", "acceleration of the plan"),
+    Field("reference_q_CH", "f8", 4, "1", "H to c", "attitude of the plan"),
+    Field("boost", "i8", (), "1", "", "1: force demands open the high-thrust sets, as the brake of an abort needs"),
+    Field("n_poses", "i8", (), "1", "", "number of poses since the last input"),
+    Field("poses", GNC_POSE_FIELDS, MAX_POSES, "", "", "the first n_poses are valid"),
 )
+GNC_INPUT: Final = record_dtype(GNC_INPUT_FIELDS)
 
-GNC_OUTPUT: Final = np.dtype(
-    [
-        ("cycle", "i8"),  # of the input that this answers
-        ("state", "i4"),  # hil_gnc_state
-        ("direct", "i4"),  # 1: on opens thrusters; 0: force and torque are allocated by the bench
-        ("force", "i4", 3),  # -1, 0 or 1: demand along each axis of c
-        ("torque", "i4", 3),  # the same about each axis
-        ("on", "u1", MAX_THRUSTERS),  # 0 or 1 a thruster
-        ("estimate", "i8"),  # 1: the fields below hold an estimate, which is recorded and supervised
-        ("r_CT_H_m", "f8", 3),
-        ("v_CT_H_mps", "f8", 3),
-        ("q_CH", "f8", 4),
-        ("w_CH_C_radps", "f8", 3),
-        ("text", "S64"),  # a word for the operator; "" for none
-    ],
-    align=True,
+GNC_OUTPUT_FIELDS: Final = (
+    Field("cycle", "i8", (), "1", "", "of the input that this answers"),
+    Field("state", "i4", (), "1", "", "hil_gnc_state"),
+    Field("direct", "i4", (), "1", "", "1: on opens thrusters; 0: the bench allocates force and torque"),
+    Field("force", "i4", 3, "1", "c", "demand along each axis: -1, 0 or 1"),
+    Field("torque", "i4", 3, "1", "c", "demand about each axis: -1, 0 or 1"),
+    Field("on", "u1", MAX_THRUSTERS, "1", "", "thrusters, 0 or 1"),
+    Field("estimate", "i8", (), "1", "", "1: the next four fields hold an estimate, which is recorded and monitored"),
+    Field("r_CT_H_m", "f8", 3, "m", "H", "estimated position"),
+    Field("v_CT_H_mps", "f8", 3, "m/s", "H", "estimated velocity"),
+    Field("q_CH", "f8", 4, "1", "H to c", "estimated attitude"),
+    Field("w_CH_C_radps", "f8", 3, "rad/s", "c", "estimated rate against H"),
+    Field("text", "S64", (), "", "", "message for the operator; empty for none"),
 )
+GNC_OUTPUT: Final = record_dtype(GNC_OUTPUT_FIELDS)

@@ -1,10 +1,10 @@
-"""What passes between the stages of a cycle, one definition each.
+"""Records and values that pass between the stages of a cycle.
 
-Every message is a flat numpy record, so that the compiled kernels, the recording and a console
-read the very same bytes. Units and frames stand beside each field (frames: ``docs/frames.md``);
-``_H``, ``_c``, ``_v``, ``_t`` name the frame of a vector. Axis triples are x, y, z; angles by axis
-are theta1 (roll), theta2 (pitch), theta3 (yaw). Length of thruster arrays: MAX_THRUSTERS, unused
-places stay zero.
+Each message is a flat numpy record, so that compiled kernels, recording and console read the same bytes. Its table
+gives type, shape, unit, frame and meaning of each field (frames: ``docs/frames.md``); ``_H``, ``_c``, ``_v``, ``_t``
+name the frame of a vector, ``q_CH`` takes components in H to components in c, quaternions have the scalar last. Axis
+triples are x, y, z; angles by axis are theta1 (roll), theta2 (pitch), theta3 (yaw). Arrays of thrusters have
+MAX_THRUSTERS places; unused ones stay zero. Recorded fields are appended, never renamed or reordered.
 """
 
 from __future__ import annotations
@@ -12,148 +12,179 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
+
+from hil.core.fields import Field, record_dtype
 
 Array = npt.NDArray[np.float64]
 
 MAX_THRUSTERS = 24
 MAX_PHASES = 16
-MAX_POSES = 4  # that may arrive in one cycle
+MAX_POSES = 4  # that can arrive in one cycle
 
-TRUTH = np.dtype(
-    [
-        ("t_s", "f8"),
-        ("r_CT_H", "f8", 3),  # m, chaser's reference point relative to the target's
-        ("v_CT_H", "f8", 3),  # m/s, as seen in H
-        ("q_CH", "f8", 4),  # H to c, scalar last
-        ("w_CI_C", "f8", 3),  # rad/s, chaser against inertial space
-        ("r_T_I", "f8", 3),  # m, target from the Moon's centre, inertial
-        ("v_T_I", "f8", 3),  # m/s, inertial
-        ("q_HI", "f8", 4),  # inertial to H
-        ("w_HI_H", "f8", 3),  # rad/s, H against inertial space
-        ("eta", "f8"),  # m kg^1/2, bending of the solar array
-        ("eta_rate", "f8"),  # m kg^1/2 / s
-        ("mass_kg", "f8"),
-        ("open_s", "f8", MAX_THRUSTERS),  # time for which each valve has been open, 0 closed
-        ("mean_rate_C", "f8", 3),  # rad/s, mean of w_CI_C over the last step: what a gyro integrates
-        ("mean_force_C", "f8", 3),  # m/s^2, specific force over the last step
-        ("thrust_fraction", "f8", MAX_THRUSTERS),  # open part of the last step, 0..1
-    ],
-    align=True,
+TRUTH_FIELDS: Final = (
+    Field("t_s", "f8", (), "s", "", "time of the truth"),
+    Field("r_CT_H", "f8", 3, "m", "H", "chaser's reference point relative to the target's"),
+    Field("v_CT_H", "f8", 3, "m/s", "H", "its velocity as seen in H"),
+    Field("q_CH", "f8", 4, "1", "H to c", "attitude quaternion, scalar last"),
+    Field("w_CI_C", "f8", 3, "rad/s", "c", "chaser against inertial space"),
+    Field("r_T_I", "f8", 3, "m", "I", "target from the Moon's centre"),
+    Field("v_T_I", "f8", 3, "m/s", "I", "target's velocity"),
+    Field("q_HI", "f8", 4, "1", "I to H", "attitude of H, scalar last"),
+    Field("w_HI_H", "f8", 3, "rad/s", "H", "H against inertial space"),
+    Field("eta", "f8", (), "m kg^1/2", "", "bending of the solar array"),
+    Field("eta_rate", "f8", (), "m kg^1/2/s", "", "its rate"),
+    Field("mass_kg", "f8", (), "kg", "", "mass of the chaser"),
+    Field("open_s", "f8", MAX_THRUSTERS, "s", "", "time for which each valve has been open, 0 closed"),
+    Field("mean_rate_C", "f8", 3, "rad/s", "c", "mean of w_CI_C over the last step: what a gyro integrates"),
+    Field("mean_force_C", "f8", 3, "m/s^2", "c", "specific force, mean over the last step"),
+    Field("thrust_fraction", "f8", MAX_THRUSTERS, "1", "", "open part of the last step, by thruster, 0 to 1"),
 )
+TRUTH = record_dtype(TRUTH_FIELDS)
 
-IMU = np.dtype(
-    [
-        ("rate_C", "f8", 3),  # rad/s, U_g
-        ("force_C", "f8", 3),  # m/s^2, U_a
-        ("drift_C", "f8", 3),  # rad/s, true gyro drift (epsilon)
-        ("bias_C", "f8", 3),  # m/s^2, true accelerometer bias (d)
-    ],
-    align=True,
+IMU_FIELDS: Final = (
+    Field("rate_C", "f8", 3, "rad/s", "c", "gyro, U_g"),
+    Field("force_C", "f8", 3, "m/s^2", "c", "accelerometer, U_a"),
+    Field("drift_C", "f8", 3, "rad/s", "c", "true drift of the gyro, epsilon"),
+    Field("bias_C", "f8", 3, "m/s^2", "c", "true bias of the accelerometer, d"),
 )
+IMU = record_dtype(IMU_FIELDS)
 
-POSE = np.dtype(
-    [
-        ("z_TC_C", "f8", 3),  # m, target's reference point seen from the chaser's
-        ("covariance_position", "f8", (3, 3)),  # m^2, in c
-        ("q_CH", "f8", 4),
-        ("covariance_attitude", "f8", (3, 3)),  # rad^2, of the small turn of c, in c
-        ("t_s", "f8"),  # moment of exposure
-        ("fresh", "i8"),  # how many poses arrived in this cycle; this is the newest of them
-    ],
-    align=True,
+POSE_FIELDS: Final = (
+    Field("z_TC_C", "f8", 3, "m", "c", "target's reference point seen from the chaser's"),
+    Field("covariance_position", "f8", (3, 3), "m^2", "c", "covariance of z_TC_C"),
+    Field("q_CH", "f8", 4, "1", "H to c", "measured attitude, scalar last"),
+    Field("covariance_attitude", "f8", (3, 3), "rad^2", "c", "covariance of the small-angle rotation of c"),
+    Field("t_s", "f8", (), "s", "", "moment of exposure, time of the run"),
+    Field("fresh", "i8", (), "1", "", "number of poses that arrived in this cycle; this is the newest"),
 )
+POSE = record_dtype(POSE_FIELDS)
 
-NAVIGATION = np.dtype(
-    [
-        ("valid", "i8"),
-        ("r_CT_H", "f8", 3),
-        ("v_CT_H", "f8", 3),
-        ("q_CH", "f8", 4),
-        ("w_CH_C", "f8", 3),  # rad/s, chaser against H
-        ("sigma_r_m", "f8", 3),
-        ("sigma_v_mps", "f8", 3),
-        ("sigma_attitude_rad", "f8", 3),
-        ("nis_position", "f8"),  # normalised innovation squared, nan without an update
-        ("nis_attitude", "f8"),
-    ],
-    align=True,
+NAVIGATION_FIELDS: Final = (
+    Field("valid", "i8", (), "1", "", "1 after the first pose"),
+    Field("r_CT_H", "f8", 3, "m", "H", "estimated position"),
+    Field("v_CT_H", "f8", 3, "m/s", "H", "estimated velocity"),
+    Field("q_CH", "f8", 4, "1", "H to c", "estimated attitude, scalar last"),
+    Field("w_CH_C", "f8", 3, "rad/s", "c", "estimated rate of the chaser against H"),
+    Field("sigma_r_m", "f8", 3, "m", "H", "standard deviation of the position"),
+    Field("sigma_v_mps", "f8", 3, "m/s", "H", "standard deviation of the velocity"),
+    Field("sigma_attitude_rad", "f8", 3, "rad", "c", "standard deviation of the attitude"),
+    Field("nis_position", "f8", (), "1", "", "normalised innovation squared, 3 components; nan without an update"),
+    Field("nis_attitude", "f8", (), "1", "", "normalised innovation squared, 3 components; nan without an update"),
 )
+NAVIGATION = record_dtype(NAVIGATION_FIELDS)
 
-REFERENCE = np.dtype(
-    [
-        ("r_CT_H", "f8", 3),
-        ("v_CT_H", "f8", 3),
-        ("a_CT_H", "f8", 3),
-        ("q_CH", "f8", 4),
-        ("boost", "i8"),  # 1 where force demands are to open the strong thruster sets
-        ("phase", "i8"),  # its number in the list; those after the list are brake, retreat, hold of an abort
-        ("from_H", "f8", 3),  # m, begin of the phase's line
-        ("to_H", "f8", 3),  # m, its end
-    ],
-    align=True,
+REFERENCE_FIELDS: Final = (
+    Field("r_CT_H", "f8", 3, "m", "H", "reference position"),
+    Field("v_CT_H", "f8", 3, "m/s", "H", "reference velocity"),
+    Field("a_CT_H", "f8", 3, "m/s^2", "H", "reference acceleration"),
+    Field("q_CH", "f8", 4, "1", "H to c", "reference attitude, scalar last"),
+    Field("boost", "i8", (), "1", "", "1: force demands open the high-thrust sets"),
+    Field("phase", "i8", (), "1", "", "number of the phase; after the list: brake, retreat, hold of an abort"),
+    Field("from_H", "f8", 3, "m", "H", "start of the phase's line"),
+    Field("to_H", "f8", 3, "m", "H", "end of the phase's line"),
 )
+REFERENCE = record_dtype(REFERENCE_FIELDS)
 
-SUPERVISION = np.dtype(
-    [
-        ("corridor_margin_m", "f8"),  # of the estimate; negative outside
-        ("closing_margin_mps", "f8"),  # allowed minus actual closing rate
-        ("broken_cycles", "i8"),  # for which a limit has been broken on end
-        ("ready_since_s", "f8"),  # since then the estimate is within Table III; nan when it is not
-        ("aborted", "i8"),  # cause, 0 for none
-        ("aborted_at_s", "f8"),
-    ],
-    align=True,
+SUPERVISION_FIELDS: Final = (
+    Field("corridor_margin_m", "f8", (), "m", "", "of the estimate, negative outside"),
+    Field("closing_margin_mps", "f8", (), "m/s", "", "allowed minus actual closing rate"),
+    Field("broken_cycles", "i8", (), "1", "", "consecutive cycles in which a limit is violated"),
+    Field("ready_since_s", "f8", (), "s", "", "start of the estimate's stay within Table III; nan outside"),
+    Field("aborted", "i8", (), "1", "", "cause of the abort, 0 for none"),
+    Field("aborted_at_s", "f8", (), "s", "", "time of the run at which the approach was aborted"),
 )
+SUPERVISION = record_dtype(SUPERVISION_FIELDS)
 
-COMMAND = np.dtype(
-    [
-        ("force", "i8", 3),  # -1, 0, 1: demand along each body axis, before allocation
-        ("torque", "i8", 3),
-        ("on", "i8", MAX_THRUSTERS),  # 0 or 1 a thruster
-        ("cycles_left", "i8", 6),  # of the burn under way, signed; force axes, then torque axes
-        ("until_decision", "i8", 6),  # cycles
-        ("owed", "f8", 6),  # m/s, rad/s: change of rate that the reference asked for and was not fired yet
-        ("boost", "i8"),  # 1: force demands open the strong thruster sets, as the reference had it
-    ],
-    align=True,
+COMMAND_FIELDS: Final = (
+    Field("force", "i8", 3, "1", "c", "demand along each axis before allocation, -1, 0, 1"),
+    Field("torque", "i8", 3, "1", "c", "demand about each axis before allocation, -1, 0, 1"),
+    Field("on", "i8", MAX_THRUSTERS, "1", "", "thrusters, 0 or 1"),
+    Field("cycles_left", "i8", 6, "1", "c", "of the burn under way, signed; force axes, then torque axes"),
+    Field("until_decision", "i8", 6, "1", "", "cycles to the next decision of each axis"),
+    Field(
+        "owed", "f8", 6, "m/s, rad/s", "c", "pending delta-v: change of rate requested by the reference, not yet fired"
+    ),
+    Field("boost", "i8", (), "1", "", "1: force demands open the high-thrust sets, as in the reference"),
 )
+COMMAND = record_dtype(COMMAND_FIELDS)
 
-AXES = np.dtype(
-    [
-        ("rail_m", "f8", 3),  # carriage along x_L, y_L, z_L
-        ("rail_mps", "f8", 3),
-        ("gimbal_rad", "f8", 3),  # by axis: roll, pitch, yaw
-        ("gimbal_radps", "f8", 3),
-    ],
-    align=True,
+AXES_FIELDS: Final = (
+    Field("rail_m", "f8", 3, "m", "L", "carriage along x, y, z"),
+    Field("rail_mps", "f8", 3, "m/s", "L", "speed of the carriage"),
+    Field("gimbal_rad", "f8", 3, "rad", "", "roll, pitch, yaw of the turntable"),
+    Field("gimbal_radps", "f8", 3, "rad/s", "", "their rates"),
 )
+AXES = record_dtype(AXES_FIELDS)
 
-CYCLE = np.dtype(
-    [
-        ("t_s", "f8"),
-        ("truth", TRUTH),
-        ("imu", IMU),
-        ("pose", POSE),
-        ("navigation", NAVIGATION),
-        ("reference", REFERENCE),
-        ("supervision", SUPERVISION),
-        ("command", COMMAND),
-        ("setpoint", AXES),
-        ("feedback", AXES),
-        ("sampled_s", "f8", 2),  # when the encoders of rails and turntable had these values, time of the run
-        ("received_s", "f8"),  # last byte of the pose's frame; stays as it is in cycles without one
-        ("commanded_s", "f8"),  # when the thrusters' command was there
-        ("on_wire_s", "f8"),  # when the thrusters' digital lines last changed at the coupler; NaN without lines
-        ("lateness_s", "f8"),
-        ("nees_position", "f8"),
-        ("nees_attitude", "f8"),
-    ],
-    align=True,
+CYCLE_FIELDS: Final = (
+    Field("t_s", "f8", (), "s", "", "time of the run"),
+    Field("truth", TRUTH_FIELDS),
+    Field("imu", IMU_FIELDS),
+    Field("pose", POSE_FIELDS),
+    Field("navigation", NAVIGATION_FIELDS),
+    Field("reference", REFERENCE_FIELDS),
+    Field("supervision", SUPERVISION_FIELDS),
+    Field("command", COMMAND_FIELDS),
+    Field("setpoint", AXES_FIELDS),
+    Field("feedback", AXES_FIELDS),
+    Field("sampled_s", "f8", 2, "s", "", "when the encoders of rails and turntable had these values, time of the run"),
+    Field("received_s", "f8", (), "s", "", "last byte of the newest pose's frame, time of the run"),
+    Field("commanded_s", "f8", (), "s", "", "when the thruster command was complete, time of the run"),
+    Field(
+        "on_wire_s",
+        "f8",
+        (),
+        "s",
+        "",
+        "last change of the thrusters' digital lines, time of the run; nan without lines",
+    ),
+    Field("lateness_s", "f8", (), "s", "", "lateness of the cycle's wake-up, wall clock"),
+    Field(
+        "nees_position",
+        "f8",
+        (),
+        "1",
+        "",
+        "normalised error squared of the position filter, 9 states; nan without a pose",
+    ),
+    Field(
+        "nees_attitude",
+        "f8",
+        (),
+        "1",
+        "",
+        "normalised error squared of the attitude filter, 6 states; nan without a pose",
+    ),
 )
+CYCLE = record_dtype(CYCLE_FIELDS)
+
+VMU_FRAME_FIELDS: Final = (
+    Field("counter", "i8", (), "1", "", "frame number of the unit, wraps at 2^32"),
+    Field("t_s", "f8", (), "s", "", "exposure, bench time"),
+    Field("received_s", "f8", (), "s", "", "last byte, bench time"),
+    Field("t_v", "f8", 3, "m", "v", "ring centre from the left camera"),
+    Field("q_vt", "f8", 4, "1", "t to v", "attitude of the ring, scalar last"),
+    Field(
+        "covariance", "f8", (6, 6), "m^2, m rad, rad^2", "v", "of t_v and of the small-angle rotation e about v's axes"
+    ),
+    Field("leds_left", "i8", (), "1", "", "bit n: LED n was used in the left image"),
+    Field("leds_right", "i8", (), "1", "", "bit n: LED n was used in the right image"),
+)
+VMU_FRAME = record_dtype(VMU_FRAME_FIELDS)
+"""A frame of the vision unit; ``PoseFrame`` is its view in Python."""
+
+ARRIVAL_FIELDS: Final = (
+    Field("cycle", "i8", (), "1", "", "number of the cycle that used it, -1 for none"),
+    Field("frame", VMU_FRAME_FIELDS),
+    Field("pose", POSE_FIELDS),
+)
+ARRIVAL = record_dtype(ARRIVAL_FIELDS)
+"""A frame as the loop received it. cycle: -1 if no cycle used it (loop open, hold, too old, too many). pose: what
+navigation received, chaser relative to target; zero if no cycle used it."""
 
 
 def new(dtype: np.dtype) -> np.record:
@@ -163,7 +194,7 @@ def new(dtype: np.dtype) -> np.record:
 
 
 class Homing(IntEnum):
-    """What an axis knows of its place. One with an absolute encoder is always at DONE."""
+    """State of an axis's position reference. An axis with an absolute encoder is always at DONE."""
 
     NEEDED = 0
     UNDER_WAY = 1
@@ -172,18 +203,18 @@ class Homing(IntEnum):
 
 
 HOMED: Final = (Homing.DONE, Homing.DONE, Homing.DONE)
-"""Of three axes that all know their places."""
+"""Three axes with a valid position reference."""
 NO_LIMIT: Final = (0, 0, 0)
-"""Of three axes of which none stands on a limit switch."""
+"""Three axes of which none is on a limit switch."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisFeedback:
-    """What three axes of one device report: the newest sample, and when it was taken.
+    """Feedback of the three axes of one device: the newest sample and its time.
 
     position: shape (3,), m or rad; rate: shape (3,), m/s or rad/s; t_s: bench time of the sample.
-    homing: of each axis; only at DONE its position means a place on the bench. limit: limit switch that
-    each axis stands on, -1 the low one, 1 the high one, 0 none.
+    homing: of each axis; only at DONE does its position refer to the bench. limit: limit switch that
+    each axis is on, -1 the low one, 1 the high one, 0 none.
     """
 
     t_s: float
@@ -194,11 +225,11 @@ class AxisFeedback:
 
 
 class IoInputs(NamedTuple):
-    """What the digital inputs say: the newest sample, and when it was taken, s of bench time.
+    """Digital inputs: the newest sample and its time, s of bench time.
 
-    estop_closed: the emergency stop is released. chain_closed: the safety relay lets the drives have
-    torque. open_interlocks: names of the interlocks whose contacts are open. thrusters_s: when the coupler
-    was given the thrusters' lines as they are, s of bench time; NaN before the first change.
+    estop_closed: the emergency stop is released. chain_closed: the safety relay enables torque.
+    open_interlocks: names of the interlocks whose contacts are open. thrusters_s: when the coupler
+    received the thrusters' lines as they are, s of bench time; NaN before the first change.
     """
 
     t_s: float
@@ -209,7 +240,7 @@ class IoInputs(NamedTuple):
 
 
 class IoOutputs(NamedTuple):
-    """What the digital outputs are to be. enable: asks the safety relay to close. thrusters: a byte a line, 0 or 1."""
+    """Demanded digital outputs. enable: asks the safety relay to close. thrusters: one byte per line, 0 or 1."""
 
     enable: bool
     thrusters: bytes
@@ -217,12 +248,9 @@ class IoOutputs(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PoseFrame:
-    """One pose of the vision unit, t to v: ``p_v = A(q_vt) p_t + t_v``.
+    """One pose of the vision unit, t to v: ``p_v = A(q_vt) p_t + t_v``; fields as in VMU_FRAME.
 
-    counter: frame number of the unit, wraps at 2^32. t_s: bench time of exposure. received_s: bench
-    time of the frame's last byte. t_v: ring centre from the left camera, m, shape (3,). q_vt: shape
-    (4,), scalar last. covariance: shape (6, 6), m^2, m rad, rad^2, of t_v and of the small rotation e
-    about v's axes, ``R_est = exp([e]x) R_true``. leds_left, leds_right: bit n set = LED n was used.
+    covariance: shape (6, 6), of t_v and of the small-angle rotation e about v's axes, ``R_est = exp([e]x) R_true``.
     """
 
     counter: int
@@ -234,10 +262,22 @@ class PoseFrame:
     leds_left: int = 0
     leds_right: int = 0
 
+    @classmethod
+    def from_record(cls, record: np.void) -> Self:
+        """Return the frame that ``record`` of VMU_FRAME holds; its arrays are copies."""
+        return cls(*(record[name].copy() if field.shape else record[name].item() for name, field in _FRAME_PARTS))
+
+    def write_to(self, record: np.ndarray) -> None:
+        """Write the frame to ``record``, shape (1,) of VMU_FRAME."""
+        record[0] = tuple(getattr(self, name) for name, _ in _FRAME_PARTS)
+
+
+_FRAME_PARTS: Final = tuple((name, VMU_FRAME[name]) for name in VMU_FRAME.names or ())
+
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something worth a line in the log: when, who, what."""
+    """An entry of the event log: time of the run, source and text."""
 
     t_s: float
     source: str

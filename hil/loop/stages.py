@@ -10,10 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.messages import MAX_POSES, POSE, Array, Event, PoseFrame, new
+from hil.core.messages import ARRIVAL, MAX_POSES, POSE, Array, Event, PoseFrame, new
 from hil.core.observable import ObservableList
 from hil.drivers.base import PoseSource
-from hil.drivers.remote.io_layout import ARRIVAL, write_frame
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.dynamics.held_gravity import CACHED_GRAVITY
@@ -131,7 +130,7 @@ class VisionStage:
         """Give the tap ``frame`` with the number of the cycle that uses it and what navigation gets of it."""
         assert self.tap is not None
         self._row["cycle"] = cycle
-        write_frame(self._row["frame"], frame)
+        frame.write_to(self._row["frame"])
         self._row["pose"] = pose
         self.tap.put(self._row)
 

@@ -12,22 +12,40 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.core.fields import Field, record_dtype
+
 Floats = NDArray[np.float64]
 
-QUANTITIES: Final = (
-    "d1_m",
-    "d2_m",
-    "d3_m",
-    "phi1_rad",
-    "phi2_rad",
-    "phi3_rad",
-    "range_m",
-    "range_rate_mps",
-    "pitch_passive_rad",
-    "yaw_passive_rad",
-    "los_right_rad",
-    "los_up_rad",
+QUANTITY_FIELDS: Final = (
+    Field(
+        "d1_m", "f8", (), "m", "", "camera in the target's frame C, along y1; nan if not observable, as all that follow"
+    ),
+    Field("d2_m", "f8", (), "m", "", "the same along y2"),
+    Field("d3_m", "f8", (), "m", "", "the same along y3"),
+    Field("phi1_rad", "f8", (), "rad", "", "active pitch"),
+    Field("phi2_rad", "f8", (), "rad", "", "active yaw"),
+    Field("phi3_rad", "f8", (), "rad", "", "active roll"),
+    Field("range_m", "f8", (), "m", "", "range"),
+    Field("range_rate_mps", "f8", (), "m/s", "", "range rate"),
+    Field("pitch_passive_rad", "f8", (), "rad", "", "passive pitch"),
+    Field("yaw_passive_rad", "f8", (), "rad", "", "passive yaw"),
+    Field("los_right_rad", "f8", (), "rad", "", "target's disc to the right of the optical axis"),
+    Field("los_up_rad", "f8", (), "rad", "", "target's disc above the optical axis"),
 )
+QUANTITIES: Final = tuple(field.name for field in QUANTITY_FIELDS)
+
+PORTION_FIELDS: Final = (
+    Field("t_s", "f8", (), "s", "", "time of the portion's last frame"),
+    Field("frames", "i8", (), "1", "", "number of frames that were used"),
+    Field("status", "S24", (), "1", "", "near, far, no_target or rejected_<reason>"),
+    *QUANTITY_FIELDS,
+    *(
+        Field(f"sigma_{field.name}", "f8", (), field.unit, "", f"standard deviation of {field.name}")
+        for field in QUANTITY_FIELDS
+    ),
+)
+PORTION: Final = record_dtype(PORTION_FIELDS)
+"""A portion as a record."""
 
 
 @dataclass(frozen=True)
@@ -73,18 +91,6 @@ class Portion:
     def observes(self, quantity: str) -> bool:
         """Return whether ``quantity`` has a value."""
         return math.isfinite(self.value(quantity))
-
-
-PORTION: Final = np.dtype(
-    [
-        ("t_s", "f8"),
-        ("frames", "i8"),
-        ("status", "S24"),
-        *((name, "f8") for name in QUANTITIES),
-        *((f"sigma_{name}", "f8") for name in QUANTITIES),
-    ]
-)
-"""A portion as a record."""
 
 
 def portion_row(portion: Portion) -> NDArray[np.void]:

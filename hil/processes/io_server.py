@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.core.clock import WallClock
-from hil.core.messages import AxisFeedback
+from hil.core.messages import VMU_FRAME, AxisFeedback
 from hil.drivers.base import AxisGroup, Jogs, Parks, PoseSource
 from hil.drivers.emulator_process import serve
 from hil.drivers.remote import io_layout
@@ -46,7 +46,7 @@ class DeviceHost(DeviceServer):
         self._poses = poses
         self._lost_loop = False
         self._setpoint = np.zeros(1, io_layout.SETPOINT)
-        self._frame = np.zeros(1, io_layout.FRAME)
+        self._frame = np.zeros(1, VMU_FRAME)
         self._taken = dict.fromkeys(axes, 0)  # setpoints
         self._jogged = dict.fromkeys(axes, False)
         self._shown_s = dict.fromkeys(axes, -1.0)
@@ -112,7 +112,7 @@ class DeviceHost(DeviceServer):
             return
         try:
             for frame in self._poses.poll(now_s):
-                io_layout.write_frame(self._frame, frame)
+                frame.write_to(self._frame)
                 self.exchange.frames.put(self._frame)
         except BenchError as error:
             self.fail("vmu", error, now_s)

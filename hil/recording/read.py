@@ -22,7 +22,7 @@ from pydantic import ValidationError
 from hil.config.model import ConfigModel
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.core.messages import CYCLE
+from hil.core.fields import record_dtype
 from hil.errors import BadInput
 from hil.recording import schema, show, writer
 
@@ -237,7 +237,7 @@ def _check_version(found: Contents) -> None:
 
 
 def _rows(found: Contents, topic: str) -> np.ndarray:
-    dtype = schema.RECORDS[topic][1]
+    dtype = record_dtype(schema.RECORDS[topic][1])
     if topic not in found.layouts:
         return np.zeros(0, dtype)
     if not schema.same_layout(found.layouts[topic], dtype):
@@ -262,6 +262,3 @@ def _model_of(path: Path, run: dict[str, str], files: dict[str, str], name: str,
         key = ".".join(str(part) for part in first["loc"])
         text = f"{first['msg']}: not what this program's configuration has; read it with hil {run.get('hil')}"
         raise BadInput.single(str(path), f"{name}: {key}", text) from error
-
-
-assert CYCLE is schema.RECORDS["/cycle"][1]

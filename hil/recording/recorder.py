@@ -22,8 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.core.camera_images import PICTURE
-from hil.core.messages import CYCLE
-from hil.drivers.remote.io_layout import ARRIVAL
+from hil.core.messages import ARRIVAL, CYCLE
 from hil.errors import BadInput
 from hil.frmn.mailbox import Mailbox, MailboxBlock
 from hil.frmn.ring import Reader, Ring

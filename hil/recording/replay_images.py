@@ -17,7 +17,6 @@ from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import MONITOR
 from hil.core.messages import PoseFrame
-from hil.drivers.remote.io_layout import read_frame
 from hil.drivers.vmu.codec import PoseDecoder, encode
 from hil.errors import BadInput
 from hil.maths import quat
@@ -180,7 +179,7 @@ class _Frames:
         if not len(self._t_s):
             return None
         i = int(np.argmin(np.abs(self._t_s - bench_s)))
-        return read_frame(self._frames[i]) if abs(self._t_s[i] - bench_s) < self._reach_s else None
+        return PoseFrame.from_record(self._frames[i]) if abs(self._t_s[i] - bench_s) < self._reach_s else None
 
 
 def _apart(before: PoseFrame, now: PoseFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -12,11 +12,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.core.messages import CYCLE
-from hil.drivers.remote.io_layout import ARRIVAL
+from hil.core.fields import Fields, leaf_fields, record_dtype
+from hil.core.messages import ARRIVAL_FIELDS, CYCLE_FIELDS
 from hil.errors import BadInput
-from hil.monitor.results import PORTION
-from hil.recording.fields import FIELDS
+from hil.monitor.results import PORTION_FIELDS
 
 VERSION: Final = 1
 """Of all schemas together; goes up when a record of CYCLE or ARRIVAL gets another layout."""
@@ -35,12 +34,12 @@ operator (who did what at the console), fault (switched on an emulator)."""
 GEOMETRY_FILE, SCENE_FILE = "vmu_geometry.json", "monitor_scene.json"
 """Attachments: what vision unit and docking monitor take their cameras and targets for."""
 
-RECORDS: Final[dict[str, tuple[str, np.dtype]]] = {
-    "/cycle": ("hil.Cycle", CYCLE),
-    "/vmu/frames": ("hil.Arrival", ARRIVAL),
-    "/monitor/portions": ("hil.Portion", PORTION),
+RECORDS: Final[dict[str, tuple[str, Fields]]] = {
+    "/cycle": ("hil.Cycle", CYCLE_FIELDS),
+    "/vmu/frames": ("hil.Arrival", ARRIVAL_FIELDS),
+    "/monitor/portions": ("hil.Portion", PORTION_FIELDS),
 }
-"""Topic -> name of its schema and layout of its messages."""
+"""Topic -> name of its schema and fields of its messages."""
 
 
 def flat_fields(dtype: np.dtype, prefix: str = "", start: int = 0) -> Iterator[dict[str, Any]]:
@@ -53,20 +52,20 @@ def flat_fields(dtype: np.dtype, prefix: str = "", start: int = 0) -> Iterator[d
             yield {"name": f"{prefix}{name}", "type": kind, "shape": list(inner.shape), "offset": start + offset}
 
 
-def describe(name: str, dtype: np.dtype) -> bytes:
-    """Return the schema, JSON, of records of ``dtype``."""
-    fields = []
-    for field in flat_fields(dtype):
-        unit, frame, text = FIELDS[field["name"]]
-        fields.append({**field, "unit": unit, "frame": frame, "description": text})
-    whole = {
+def describe(name: str, fields: Fields) -> bytes:
+    """Return the schema, JSON, of a record."""
+    dtype = record_dtype(fields)
+    table = {
         "title": name,
         "version": VERSION,
         "encoding": "packed record, little-endian; type as in numpy",
         "size": dtype.itemsize,
-        "fields": fields,
+        "fields": [
+            {**place, "unit": field.unit, "frame": field.frame, "description": field.meaning}
+            for place, field in zip(flat_fields(dtype), leaf_fields(fields), strict=True)
+        ],
     }
-    return json.dumps(whole, indent=1).encode()
+    return json.dumps(table, indent=1).encode()
 
 
 def layout_of(schema: bytes, source: str) -> np.dtype:

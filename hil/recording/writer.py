@@ -78,8 +78,8 @@ class RunFile:
             raise OSError(0, self._sink.problem)
 
     def _record_channel(self, topic: str) -> int:
-        name, dtype = schema.RECORDS[topic]
-        number = self._writer.register_schema(name, schema.FIELDS_ENCODING, schema.describe(name, dtype))
+        name, fields = schema.RECORDS[topic]
+        number = self._writer.register_schema(name, schema.FIELDS_ENCODING, schema.describe(name, fields))
         return self._writer.register_channel(topic, schema.RECORD_ENCODING, number)
 
     def _json_channel(self, topic: str, content: Mapping[str, Any]) -> int:

@@ -219,7 +219,7 @@ class RemotePoses(_RemoteDevice):
     def poll(self, now_s: float) -> list[PoseFrame]:
         """Return the frames that came since the last call, oldest first. Raises DeviceError."""
         self._check(now_s)
-        return [io_layout.read_frame(record) for record in self._frames.read()]
+        return [PoseFrame.from_record(record) for record in self._frames.read()]
 
 
 class RemoteIo(_RemoteDevice):

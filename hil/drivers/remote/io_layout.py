@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.core.messages import MAX_THRUSTERS, POSE, AxisFeedback, Homing, IoInputs, IoOutputs, PoseFrame
+from hil.core.messages import MAX_THRUSTERS, VMU_FRAME, AxisFeedback, Homing, IoInputs, IoOutputs
 from hil.errors import BenchError, DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError
 from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
@@ -33,21 +33,6 @@ STOP: Final = np.dtype([("number", "i8")])
 FAILURE: Final = np.dtype([("kind", "S24"), ("device", "S64"), ("what", "S512"), ("fault", "S16")])
 """fault: value of the FaultKind of a DriveFault."""
 COUNTERS: Final = np.dtype([("text", "S1024")])
-FRAME: Final = np.dtype(
-    [
-        ("counter", "i8"),
-        ("t_s", "f8"),
-        ("received_s", "f8"),
-        ("t_v", "f8", 3),
-        ("q_vt", "f8", 4),
-        ("covariance", "f8", (6, 6)),
-        ("leds_left", "i8"),
-        ("leds_right", "i8"),
-    ]
-)
-ARRIVAL: Final = np.dtype([("cycle", "i8"), ("frame", FRAME), ("pose", POSE)])
-"""A frame as the loop took it. cycle: number of the cycle that used it, -1 for none (loop open, hold, too old, too
-many). pose: what navigation got, in chaser and target; zero where no cycle used it."""
 INPUTS: Final = np.dtype(
     [("t_s", "f8"), ("estop_closed", "i8"), ("chain_closed", "i8"), ("interlocks", "S512"), ("thrusters_s", "f8")]
 )
@@ -81,13 +66,14 @@ class IoSharedMemory:
     def create(cls) -> IoSharedMemory:
         """Make new memory; hand ``descriptors`` to the other processes (``pass_fds``)."""
         wakes = {name: os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC) for name in (HOST, GUARD)}
-        return cls(MailboxBlock.create(LAYOUT, "io"), Ring.create(FRAME, _FRAMES, "poses"), wakes)
+        return cls(MailboxBlock.create(LAYOUT, "io"), Ring.create(VMU_FRAME, _FRAMES, "poses"), wakes)
 
     @classmethod
     def attach(cls, descriptors: tuple[int, int, int, int]) -> IoSharedMemory:
         """Join the memory that another process made."""
         block, frames, host, guard = descriptors
-        return cls(MailboxBlock(block, LAYOUT, "io"), Ring(frames, FRAME, _FRAMES, "poses"), {HOST: host, GUARD: guard})
+        ring = Ring(frames, VMU_FRAME, _FRAMES, "poses")
+        return cls(MailboxBlock(block, LAYOUT, "io"), ring, {HOST: host, GUARD: guard})
 
     @property
     def descriptors(self) -> tuple[int, int, int, int]:
@@ -120,34 +106,6 @@ def read_feedback(record: np.ndarray) -> AxisFeedback:
         record["rate"][0].copy(),
         (Homing(homing[0]), Homing(homing[1]), Homing(homing[2])),
         (int(limit[0]), int(limit[1]), int(limit[2])),
-    )
-
-
-def write_frame(record: np.ndarray, frame: PoseFrame) -> None:
-    """Put ``frame`` into ``record``, shape (1,) of FRAME."""
-    record[0] = (
-        frame.counter,
-        frame.t_s,
-        frame.received_s,
-        frame.t_v,
-        frame.q_vt,
-        frame.covariance,
-        frame.leds_left,
-        frame.leds_right,
-    )
-
-
-def read_frame(record: np.void) -> PoseFrame:
-    """Return what ``record`` of FRAME holds; its arrays are copies."""
-    return PoseFrame(
-        int(record["counter"]),
-        float(record["t_s"]),
-        float(record["received_s"]),
-        record["t_v"].copy(),
-        record["q_vt"].copy(),
-        record["covariance"].copy(),
-        int(record["leds_left"]),
-        int(record["leds_right"]),
     )
 
 

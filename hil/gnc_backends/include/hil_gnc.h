@@ -1,9 +1,9 @@
-/* hil_gnc.h: what passes between the bench and a GNC of the user's own. Printed by: hil gnc-header
+/* hil_gnc.h: records exchanged between the bench and an external GNC. Printed by: hil gnc-header
  *
- * The same bytes are the structs of a shared library and the cells gnc.setup, gnc.input and gnc.output on the wire
+ * The same bytes are the structs of a shared library and the mailboxes gnc.setup, gnc.input and gnc.output on the wire
  * (docs/your-own-gnc.md). Little-endian; aligned as a compiler for x86-64 or ARM64 does. SI units.
  * Frames: H is Hill's (LVLH) frame of the target, c the chaser's body. Quaternions have the scalar last;
- * q_CH turns components in H into components in c.
+ * q_CH takes components in H to components in c.
  */
 #ifndef HIL_GNC_H
 #define HIL_GNC_H
@@ -19,98 +19,98 @@ extern "C" {
 #define HIL_GNC_REASON_BYTES 128
 
 enum hil_gnc_mode {
-    HIL_GNC_STANDBY = 0, /* the setup stands, nothing is measured yet */
-    HIL_GNC_ARMED = 1, /* the bench stands at the start pose; time has not begun */
-    HIL_GNC_RUNNING = 2, /* time runs; each input wants an output */
-    HIL_GNC_HOLD = 3, /* the axes are braked and time stands; inputs say so, the GNC keeps its state */
+    HIL_GNC_STANDBY = 0, /* the setup is complete, nothing is measured yet */
+    HIL_GNC_ARMED = 1, /* the bench is at the start pose; the run's time has not started */
+    HIL_GNC_RUNNING = 2, /* the run's time advances; each input requires an output */
+    HIL_GNC_HOLD = 3, /* the axes are braked and the run's time is held; the GNC keeps its state */
     HIL_GNC_STOPPED = 4, /* the run is over */
 };
 
 enum hil_gnc_order {
-    HIL_GNC_GO = 1, /* the operator lets the approach go on from its wait */
-    HIL_GNC_ABORT = 2, /* an abort has begun, ordered or by supervision: the reference brakes and retreats from here on */
+    HIL_GNC_GO = 1, /* the operator releases the approach from its wait */
+    HIL_GNC_ABORT = 2, /* an abort has started, by command or by the approach monitor: the reference brakes and retreats */
 };
 
 enum hil_gnc_state {
-    HIL_GNC_STARTING = 0, /* has not answered a RUNNING input yet; its demands do not count */
+    HIL_GNC_STARTING = 0, /* no RUNNING input has been answered yet; demands are ignored */
     HIL_GNC_WORKING = 1,
-    HIL_GNC_ASKS_FOR_HOLD = 2, /* the bench is to be brought to a stand, the run can go on */
-    HIL_GNC_FAULT = 3, /* the bench is to stop; text says why */
+    HIL_GNC_ASKS_FOR_HOLD = 2, /* requests a hold; the run can be resumed */
+    HIL_GNC_FAULT = 3, /* requests a stop of the bench; text gives the reason */
 };
 
 typedef struct {
-    char scenario[32]; /* its name */
-    double step_s; /* of a cycle */
-    double duration_s;
-    double mean_motion_radps; /* of the target's orbit: Hill's equations */
-    double mass_kg;
-    double inertia_kgm2[3][3]; /* in c */
-    int64_t n_thrusters;
-    double thruster_position_m[24][3]; /* in c */
-    double thruster_force_N[24][3]; /* on the chaser while open, in c */
-    double minimum_on_s;
-    double acceleration_mps2[3]; /* of a force demand along each axis of c, without boost */
-    double angular_acceleration_radps2[3]; /* of a torque demand about each axis of c */
-    double start_r_CT_H_m[3];
-    double start_q_CH[4];
-    double ready_point_m[3]; /* in H: where the chaser is to wait for docking */
-    double closing_rate_max_mps;
+    char scenario[32]; /* name of the scenario */
+    double step_s; /* length of a cycle; s */
+    double duration_s; /* length of the run; s */
+    double mean_motion_radps; /* of the target's orbit: Hill's equations; rad/s */
+    double mass_kg; /* nominal mass of the chaser; kg */
+    double inertia_kgm2[3][3]; /* nominal inertia of the chaser; kg m^2, in c */
+    int64_t n_thrusters; /* number of thrusters; the other places are zero */
+    double thruster_position_m[24][3]; /* position of each thruster; m, in c */
+    double thruster_force_N[24][3]; /* force on the chaser while open; N, in c */
+    double minimum_on_s; /* shortest burn; s */
+    double acceleration_mps2[3]; /* of a force demand along each axis, without boost; m/s^2, in c */
+    double angular_acceleration_radps2[3]; /* of a torque demand about each axis; rad/s^2, in c */
+    double start_r_CT_H_m[3]; /* position at the start; m, in H */
+    double start_q_CH[4]; /* attitude at the start; H to c */
+    double ready_point_m[3]; /* where the chaser waits for docking; m, in H */
+    double closing_rate_max_mps; /* largest closing rate; m/s */
 } hil_gnc_setup;
 
 typedef struct {
-    double t_s; /* moment of exposure, time of the run */
-    double r_TC_C_m[3]; /* target's reference point seen from the chaser's, in c */
-    double q_CH[4];
-    double covariance_position_m2[3][3]; /* in c */
-    double covariance_attitude_rad2[3][3]; /* of the small turn of c, in c */
+    double t_s; /* moment of exposure, time of the run; s */
+    double r_TC_C_m[3]; /* target's reference point seen from the chaser's; m, in c */
+    double q_CH[4]; /* measured attitude; H to c */
+    double covariance_position_m2[3][3]; /* covariance of r_TC_C_m; m^2, in c */
+    double covariance_attitude_rad2[3][3]; /* covariance of the small-angle rotation of c; rad^2, in c */
 } hil_gnc_pose;
 
 typedef struct {
-    int64_t cycle; /* RUNNING: counts from 0, the output carries the same number; else the last one, at first -1 */
-    double t_s; /* time of the run */
+    int64_t cycle; /* RUNNING: counts from 0, the output has the same number; else the last one, initially -1 */
+    double t_s; /* time of the run; s */
     int32_t mode; /* hil_gnc_mode */
     int32_t orders; /* hil_gnc_order */
-    double rate_radps[3]; /* gyro, mean over the last step, in c, against inertial space */
-    double force_mps2[3]; /* accelerometer, mean over the last step, in c */
-    double reference_r_CT_H_m[3]; /* the scenario's own plan at t_s: to be followed, or left alone */
-    double reference_v_CT_H_mps[3];
-    double reference_a_CT_H_mps2[3];
-    double reference_q_CH[4];
-    int64_t boost;
-    int64_t n_poses; /* that came since the last input */
-    hil_gnc_pose poses[4];
+    double rate_radps[3]; /* gyro, mean over the last step, against inertial space; rad/s, in c */
+    double force_mps2[3]; /* accelerometer, mean over the last step; m/s^2, in c */
+    double reference_r_CT_H_m[3]; /* the scenario's plan at t_s; its use is optional; m, in H */
+    double reference_v_CT_H_mps[3]; /* velocity of the plan; m/s, in H */
+    double reference_a_CT_H_mps2[3]; /* acceleration of the plan; m/s^2, in H */
+    double reference_q_CH[4]; /* attitude of the plan; H to c */
+    int64_t boost; /* 1: force demands open the high-thrust sets, as the brake of an abort needs */
+    int64_t n_poses; /* number of poses since the last input */
+    hil_gnc_pose poses[4]; /* the first n_poses are valid */
 } hil_gnc_input;
 
 typedef struct {
     int64_t cycle; /* of the input that this answers */
     int32_t state; /* hil_gnc_state */
-    int32_t direct; /* 1: on opens thrusters; 0: force and torque are allocated by the bench */
-    int32_t force[3]; /* -1, 0 or 1: demand along each axis of c */
-    int32_t torque[3]; /* the same about each axis */
-    uint8_t on[24]; /* 0 or 1 a thruster */
-    int64_t estimate; /* 1: the fields below hold an estimate, which is recorded and supervised */
-    double r_CT_H_m[3];
-    double v_CT_H_mps[3];
-    double q_CH[4];
-    double w_CH_C_radps[3];
-    char text[64]; /* a word for the operator; "" for none */
+    int32_t direct; /* 1: on opens thrusters; 0: the bench allocates force and torque */
+    int32_t force[3]; /* demand along each axis: -1, 0 or 1; in c */
+    int32_t torque[3]; /* demand about each axis: -1, 0 or 1; in c */
+    uint8_t on[24]; /* thrusters, 0 or 1 */
+    int64_t estimate; /* 1: the next four fields hold an estimate, which is recorded and monitored */
+    double r_CT_H_m[3]; /* estimated position; m, in H */
+    double v_CT_H_mps[3]; /* estimated velocity; m/s, in H */
+    double q_CH[4]; /* estimated attitude; H to c */
+    double w_CH_C_radps[3]; /* estimated rate against H; rad/s, in c */
+    char text[64]; /* message for the operator; empty for none */
 } hil_gnc_output;
 
-/* A shared library has these four functions. All are called from one thread at a time and must not block. */
+/* A shared library has these four functions. They are called from one thread at a time and must not block. */
 
 /* Return HIL_GNC_PROTOCOL. */
 int hil_gnc_protocol(void);
 
-/* Return a GNC that knows *setup, or NULL to refuse it, with the reason as a text of up to HIL_GNC_REASON_BYTES
- * bytes, its closing zero included. There may be several at a time: keep nothing in global variables. */
+/* Return a GNC for *setup, or NULL to reject it with the reason as text of up to HIL_GNC_REASON_BYTES bytes,
+ * including its terminating zero. Several can exist at a time: keep nothing in global variables. */
 void *hil_gnc_open(const hil_gnc_setup *setup, char *reason);
 
-/* Answer *input in *output, which comes with the input's cycle, as HIL_GNC_WORKING, and with zeros in all else.
- * The bench calls it in each cycle in which the run's time runs (HIL_GNC_RUNNING) or is held (HIL_GNC_HOLD).
- * Return 0; anything else is a fault that stops the bench. */
+/* Answer *input in *output, which is preset to the input's cycle, HIL_GNC_WORKING and zeros.
+ * The bench calls it in each cycle while the run's time advances (HIL_GNC_RUNNING) or is held (HIL_GNC_HOLD).
+ * Return 0; any other value is a fault that stops the bench. */
 int hil_gnc_step(void *gnc, const hil_gnc_input *input, hil_gnc_output *output);
 
-/* Free what hil_gnc_open returned. */
+/* Free the GNC that hil_gnc_open returned. */
 void hil_gnc_close(void *gnc);
 
 #if defined(__STDC_VERSION__) && __STDC_VERSION__ >= 201112L

@@ -8,40 +8,41 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.core.fields import markdown_table, record_dtype
 from hil.frmn.wire import HEADER, LARGEST
-from hil.gnc_backends.c_header import HEADER_FILE, RECORDS, c_header, layout_table
+from hil.gnc_backends.c_header import HEADER_FILE, RECORDS, c_header
 from tests.support.external_gnc import PYTHON_EXAMPLE, ROOT, compile_c
+
+LAYOUTS = {name: record_dtype(fields) for name, fields in RECORDS.items()}
 
 
 def test_shipped_header_is_the_one_of_the_records() -> None:
-    assert HEADER_FILE.read_text() == c_header(), (
-        "hil/include/hil_gnc.h: write it anew from hil.gnc_backends.c_header.c_header()"
-    )
+    assert HEADER_FILE.read_text() == c_header(), f"{HEADER_FILE}: write the text of c_header() to it"
 
 
 @pytest.mark.parametrize("record", RECORDS)
 def test_page_shows_the_layout_of_the_records(record: str) -> None:
     page = (ROOT / "docs" / "your-own-gnc.md").read_text()
-    assert layout_table(RECORDS[record]) in page, "write it anew from hil.gnc_backends.c_header.layout_table()"
+    assert markdown_table(RECORDS[record]) in page, "write the text of hil.core.fields.markdown_table() to it"
 
 
 def test_c_compiler_places_every_field_where_the_bench_has_it(tmp_path: Path) -> None:
     lines = []
-    for name, dtype in RECORDS.items():
+    for name, dtype in LAYOUTS.items():
         lines.append(f'printf("{name} %zu\\n", sizeof(hil_gnc_{name}));')
         lines += [f'printf("{name}.{f} %zu\\n", offsetof(hil_gnc_{name}, {f}));' for f in dtype.names or ()]
     source = tmp_path / "places.c"
     source.write_text("\n".join(["#include <stdio.h>", '#include "hil_gnc.h"', "int main(void) {", *lines, "}"]))
     said = subprocess.run([compile_c([source], tmp_path / "places")], capture_output=True, text=True, check=True)
     expected = []
-    for name, dtype in RECORDS.items():
+    for name, dtype in LAYOUTS.items():
         expected.append(f"{name} {dtype.itemsize}")
         expected += [f"{name}.{f} {dtype.fields[f][1]}" for f in dtype.names or ()]  # type: ignore[index]
     assert said.stdout.split("\n")[:-1] == expected
 
 
 def test_records_fit_one_datagram() -> None:
-    assert max(dtype.itemsize for dtype in RECORDS.values()) + HEADER.size <= LARGEST
+    assert max(dtype.itemsize for dtype in LAYOUTS.values()) + HEADER.size <= LARGEST
 
 
 def test_python_example_has_the_layout_of_the_bench_and_does_not_import_it() -> None:
@@ -50,7 +51,7 @@ def test_python_example_has_the_layout_of_the_bench_and_does_not_import_it() -> 
     assert "from hil" not in text
     there: dict[str, object] = {"__name__": "example"}
     exec(compile(text, str(PYTHON_EXAMPLE), "exec"), there)
-    for name, dtype in RECORDS.items():
+    for name, dtype in LAYOUTS.items():
         assert _places(there[name.upper()]) == _places(dtype)
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.config.rig import Rig
-from hil.core.messages import CYCLE, MAX_POSES, PoseFrame
+from hil.core.messages import ARRIVAL, CYCLE, MAX_POSES, PoseFrame
 from hil.core.observable import ObservableList
-from hil.drivers.remote.io_layout import ARRIVAL
 from hil.loop.stages import VisionStage
 from hil.params import gnc as gnc_params
 

@@ -13,12 +13,11 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from hil.core.camera_images import PICTURE_BYTES, picture_row
+from hil.core.fields import record_dtype
 from hil.core.messages import CYCLE
-from hil.drivers.remote.io_layout import ARRIVAL
 from hil.errors import BadInput
 from hil.recording import schema
 from hil.recording.export import export
-from hil.recording.fields import FIELDS
 from hil.recording.read import contents, load
 from hil.recording.recover import recover
 from hil.recording.schema import NOTE
@@ -42,13 +41,13 @@ def cycles_in(path: Path) -> int:
     return len(contents(path).records.get("/cycle", []))
 
 
-@pytest.mark.parametrize("dtype", [CYCLE, ARRIVAL])
-def test_every_recorded_field_has_unit_frame_and_meaning_in_its_schema(dtype: np.dtype) -> None:
-    fields = json.loads(schema.describe("x", dtype))["fields"]
+@pytest.mark.parametrize("topic", schema.RECORDS)
+def test_every_recorded_field_has_unit_frame_and_meaning_in_its_schema(topic: str) -> None:
+    text = schema.describe(*schema.RECORDS[topic])
+    fields, dtype = json.loads(text)["fields"], record_dtype(schema.RECORDS[topic][1])
     assert sum(np.dtype(f["type"]).itemsize * int(np.prod(f["shape"])) for f in fields) == dtype.itemsize
     assert all(f["unit"] and f["description"] for f in fields)
-    assert {f["name"] for f in fields} <= set(FIELDS)
-    assert schema.same_layout(schema.layout_of(schema.describe("x", dtype), "x"), dtype)
+    assert schema.same_layout(schema.layout_of(text, "x"), dtype)
 
 
 def test_rows_come_back_bit_by_bit_and_plain_mcap_reads_them(tmp_path: Path, rng: np.random.Generator) -> None:

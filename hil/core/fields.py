@@ -1,0 +1,69 @@
+"""Field tables of the records: one definition of name, type, shape, unit, frame and meaning.
+
+The numpy dtype of a record, its schema in a recording, the C header and the reference tables of the documentation are
+derived from its table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a record.
+
+    type: type code as in numpy, or the table of a nested record. shape: () for a scalar. unit: "1" for a number
+    without unit, "" for text. frame: "" for none (``docs/frames.md``).
+    """
+
+    name: str
+    type: str | Fields
+    shape: int | tuple[int, ...] = ()
+    unit: str = "1"
+    frame: str = ""
+    meaning: str = ""
+
+
+Fields = tuple[Field, ...]
+"""Table of a record: its fields in the order of the memory layout."""
+
+
+def record_dtype(fields: Fields) -> np.dtype:
+    """Return the layout of a record, aligned as a C compiler for x86-64 or ARM64 aligns it."""
+    formats = []
+    for field in fields:
+        inner = field.type if isinstance(field.type, str) else record_dtype(field.type)
+        formats.append((field.name, inner, field.shape))
+    return np.dtype(formats, align=True)
+
+
+def leaf_fields(fields: Fields, prefix: str = "") -> Iterator[Field]:
+    """Yield the plain fields of a record with dotted names; nested records are expanded."""
+    for field in fields:
+        name = f"{prefix}{field.name}"
+        if isinstance(field.type, str):
+            yield replace(field, name=name)
+        else:
+            yield from leaf_fields(field.type, f"{name}.")
+
+
+def markdown_table(fields: Fields) -> str:
+    """Return the fields as a table of Markdown: offset in bytes, type, name, unit, frame, meaning."""
+    dtype = record_dtype(fields)
+    rows = ["| offset | type | field | unit | frame | meaning |", "|---:|---|---|---|---|---|"]
+    offsets = [place[1] for place in (dtype.fields or {}).values()]
+    for field, offset in zip(fields, offsets, strict=True):
+        kind = _shown_type(dtype[field.name])
+        unit = "" if field.unit == "1" else field.unit
+        rows.append(f"| {offset} | {kind} | `{field.name}` | {unit} | {field.frame} | {field.meaning} |")
+    return "\n".join([*rows, f"| {dtype.itemsize} | | | | | *size* |"])
+
+
+def _shown_type(dtype: np.dtype) -> str:
+    base = dtype.base
+    text = "record" if base.names else (f"S{base.itemsize}" if base.kind == "S" else base.str[1:])
+    return text + (f"[{']['.join(map(str, dtype.shape))}]" if dtype.shape else "")

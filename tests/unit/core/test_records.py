@@ -1,0 +1,73 @@
+"""Layout of the records: what is recorded, sent and compiled into kernels keeps its place."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from hil.core import gnc_records, messages
+from hil.core.fields import Field, leaf_fields, markdown_table, record_dtype
+from hil.core.messages import VMU_FRAME, PoseFrame
+
+LAYOUTS = {
+    "AXES": (96, "864c723aaef4"),
+    "COMMAND": (392, "90f73bd811ca"),
+    "CYCLE": (2056, "8906eb4ca092"),
+    "IMU": (96, "958bd7519946"),
+    "NAVIGATION": (200, "e9ab24dee372"),
+    "POSE": (216, "fe89b733c1e0"),
+    "REFERENCE": (168, "52b17d7a37e9"),
+    "SUPERVISION": (48, "8592eb05107f"),
+    "TRUTH": (672, "be5a04362364"),
+    "GNC_INPUT": (1024, "50ffc677be9d"),
+    "GNC_OUTPUT": (240, "1c37ec03845e"),
+    "GNC_POSE": (208, "6c6d24011bad"),
+    "GNC_SETUP": (1440, "0426f14f4805"),
+    "ARRIVAL": (608, "f2ad2da8a6c2"),
+    "VMU_FRAME": (384, "e43c524aef90"),
+}
+
+
+def layout(dtype: np.dtype) -> tuple[int, str]:
+    return dtype.itemsize, hashlib.sha256(str(dtype.descr).encode()).hexdigest()[:12]
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_layout_of_a_record_stays(name: str) -> None:
+    module = gnc_records if name.startswith("GNC") else messages
+    dtype = getattr(module, name)
+    assert layout(dtype) == LAYOUTS[name]
+    assert dtype == record_dtype(getattr(module, f"{name}_FIELDS"))
+    assert dtype.isalignedstruct
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_every_field_has_a_meaning_and_a_unit(name: str) -> None:
+    fields = getattr(gnc_records if name.startswith("GNC") else messages, f"{name}_FIELDS")
+    assert all(field.meaning and (field.unit or str(field.type).startswith("S")) for field in leaf_fields(fields))
+
+
+def test_nested_records_are_expanded_with_dotted_names() -> None:
+    inner = (Field("a", "i4"), Field("b", "f8", 2, "m", "c", "place"))
+    outer = (Field("n", "i8"), Field("inner", inner))
+    assert [field.name for field in leaf_fields(outer)] == ["n", "inner.a", "inner.b"]
+    assert record_dtype(outer)["inner"].fields["b"][1] == 8  # type: ignore[index]  # aligned as in C
+    assert markdown_table(outer).splitlines()[2:] == [
+        "| 0 | i8 | `n` |  |  |  |",
+        "| 8 | record | `inner` |  |  |  |",
+        "| 32 | | | | | *size* |",
+    ]
+
+
+def test_a_pose_frame_survives_its_record() -> None:
+    rng = np.random.default_rng(5)
+    frame = PoseFrame(7, 1.5, 1.6, rng.normal(size=3), rng.normal(size=4), rng.normal(size=(6, 6)), 3, 5)
+    record = np.zeros(1, VMU_FRAME)
+    frame.write_to(record)
+    back = PoseFrame.from_record(record[0])
+    record[:] = np.zeros(1, VMU_FRAME)
+    for name in VMU_FRAME.names or ():
+        np.testing.assert_array_equal(getattr(back, name), getattr(frame, name))
+    assert type(back.counter) is int
