@@ -12,11 +12,11 @@ import numpy as np
 from hil.bench import guard as guards
 from hil.bench.kinematics import write_axes
 from hil.campaign import loop_kernel
-from hil.campaign.loop_kernel import FRAME, LOOP_PARAMS, LOOP_STATE, SERVO, run_loop
+from hil.campaign.loop_kernel import LOOP_PARAMS, LOOP_STATE, SERVO, run_loop
 from hil.campaign.tally_kernel import RUN_STATS, start_tally
 from hil.config.rig import Rails, Rig, Turntable
 from hil.config.scenario import Scenario
-from hil.core.messages import AXES, CYCLE, MAX_POSES, POSE, Array, new
+from hil.core.messages import AXES, CYCLE, MAX_POSES, POSE, VMU_FRAME, Array, new
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import GIMBAL_NAMES, RAIL_NAMES, full_names
 from hil.dynamics.imu import IMU_NOISE
@@ -62,7 +62,7 @@ class CaseRunner:
         self._memory = np.zeros(MEMORY, STEP)
         self._poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
         # each exposure may be on its way twice, for two seconds at most
-        self._frames = np.zeros(2 * math.ceil(2.0 * rig.vmu.rate_hz) + _SPARE_FRAMES, FRAME).view(np.recarray)
+        self._frames = np.zeros(2 * math.ceil(2.0 * rig.vmu.rate_hz) + _SPARE_FRAMES, VMU_FRAME).view(np.recarray)
         self._imu_noise = np.empty((self.cycles, IMU_NOISE))
         self._vision_noise = np.empty((exposures, VISION_NOISE))
         self._travel_draws = np.empty((exposures, TRAVEL_DRAWS))

@@ -109,18 +109,6 @@ LOOP_STATE = np.dtype(
     align=True,
 )
 
-FRAME = np.dtype(
-    [
-        ("received_s", "f8"),
-        ("number", "i8"),  # of sending
-        ("t_s", "f8"),
-        ("t_v", "f8", 3),
-        ("q_vt", "f8", 4),
-        ("covariance", "f8", (6, 6)),
-    ],
-    align=True,
-)
-
 
 @kernel
 def _move_axes(axes, now_s):
@@ -180,13 +168,10 @@ def _expose(params, state, until_s, vision_noise, travel_draws, leds, frames, ta
         for copy in range(delays(params.travel, travel_draws[row], late)):
             sent = frames[state.on_the_way]
             if copy > 0:
-                first = frames[state.on_the_way - 1]
-                copy_into(sent.t_v, first.t_v)
-                copy_into(sent.q_vt, first.q_vt)
-                copy_matrix(sent.covariance, first.covariance)
+                frames[state.on_the_way] = frames[state.on_the_way - 1]
             sent.t_s = t_s
             sent.received_s = t_s + late[copy]
-            sent.number = 2 * row + copy
+            sent.counter = 2 * row + copy
             state.on_the_way += 1
         state.next_exposure += 1
 
@@ -199,7 +184,7 @@ def _next_arrival(state, frames):
         if (
             found < 0
             or frames[i].received_s < frames[found].received_s
-            or (frames[i].received_s == frames[found].received_s and frames[i].number < frames[found].number)
+            or (frames[i].received_s == frames[found].received_s and frames[i].counter < frames[found].counter)
         ):
             found = i
     return found
@@ -223,6 +208,7 @@ def _take_poses(params, state, now_s, frames, poses):
             arrived -= 1
         chaser_pose(params.stations, frames[i].t_v, frames[i].q_vt, frames[i].covariance, poses[arrived])
         poses[arrived].t_s = frames[i].t_s
+        poses[arrived].status = frames[i].status
         arrived += 1
         state.on_the_way -= 1
         if i < state.on_the_way:
@@ -248,6 +234,8 @@ def _show_pose(state, poses, arrived):
     copy_into(now.pose.q_CH, pose.q_CH)
     copy_matrix(now.pose.covariance_position, pose.covariance_position)
     copy_matrix(now.pose.covariance_attitude, pose.covariance_attitude)
+    copy_matrix(now.pose.covariance_cross, pose.covariance_cross)
+    now.pose.status = pose.status
     now.pose.t_s = pose.t_s
 
 
@@ -335,8 +323,8 @@ def run_loop(
     VISION_NOISE), standard normals; travel_draws: (exposures, TRAVEL_DRAWS), uniform. state: LOOP_STATE; zeroed but
     for ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, and whom a library's step is called for.
     memory: (fusion.MEMORY,) of STEP, zeroed.
-    poses: (MAX_POSES,) of POSE. frames: of FRAME, as many as can be on their way at once and two more. history: (n,)
-    of CYCLE, filled for the first n cycles.
+    poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on their way at once and two more, zeroed.
+    history: (n,) of CYCLE, filled for the first n cycles.
     """
     now = state.now
     _begin(params, state)

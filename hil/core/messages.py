@@ -60,6 +60,10 @@ POSE_FIELDS: Final = (
     Field("covariance_attitude", "f8", (3, 3), "rad^2", "c", "covariance of the small-angle rotation of c"),
     Field("t_s", "f8", (), "s", "", "moment of exposure, time of the run"),
     Field("fresh", "i8", (), "1", "", "number of poses that arrived in this cycle; this is the newest"),
+    Field(
+        "covariance_cross", "f8", (3, 3), "m rad", "c", "of the errors of z_TC_C (rows) and of the small-angle rotation"
+    ),
+    Field("status", "i8", (), "1", "", "status that the vision unit reported with the pose, 0 good"),
 )
 POSE = record_dtype(POSE_FIELDS)
 
@@ -173,6 +177,7 @@ VMU_FRAME_FIELDS: Final = (
     ),
     Field("leds_left", "i8", (), "1", "", "bit n: LED n was used in the left image"),
     Field("leds_right", "i8", (), "1", "", "bit n: LED n was used in the right image"),
+    Field("status", "i8", (), "1", "", "status that the vision unit reported, 0 good"),
 )
 VMU_FRAME = record_dtype(VMU_FRAME_FIELDS)
 """A frame of the vision unit; ``PoseFrame`` is its view in Python."""
@@ -261,6 +266,7 @@ class PoseFrame:
     covariance: Array
     leds_left: int = 0
     leds_right: int = 0
+    status: int = 0
 
     @classmethod
     def from_record(cls, record: np.void) -> Self:

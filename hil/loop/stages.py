@@ -99,6 +99,7 @@ class VisionStage:
         for frame, pose in zip(frames, self._records, strict=False):
             chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
             pose.t_s = frame.t_s - run_zero_s
+            pose.status = frame.status
             if self.forward is not None:
                 self.forward(frame, pose.t_s)
             if self.tap is not None:

@@ -1,7 +1,7 @@
-"""From the pose of the chaser to the pose that its camera sees, and back.
+"""Mounting of camera and LED ring: the chaser's pose as the camera measures it, and back.
 
-The camera stands at ``camera_station`` (in c, from the chaser's reference point) with the axes
-``q_vc``; the LED ring at ``ring_station`` (in H, from the target's reference point) with ``q_th``.
+The camera is at ``camera_station`` (in c, from the chaser's reference point) with the axes
+``q_vc``, the LED ring at ``ring_station`` (in H, from the target's reference point) with ``q_th``.
 The camera's pose is ``p_v = A(q_vt) p_t + t_v``.
 """
 
@@ -19,8 +19,8 @@ MOUNTING = np.dtype(
         ("q_vc", "f8", 4),
         ("ring_station", "f8", 3),  # m, in H
         ("q_th", "f8", 4),
-        ("position_variance", "f8"),  # m^2, of each axis: what the bench adds to the error of a pose
-        ("attitude_variance", "f8"),  # rad^2, the same about each axis
+        ("position_variance", "f8"),  # m^2, of each axis: position error that the bench adds
+        ("attitude_variance", "f8"),  # rad^2, about each axis: attitude error that the bench adds
     ],
     align=True,
 )
@@ -43,11 +43,17 @@ def camera_pose(stations, r_CT_H, q_CH, t_v, q_vt):
 
 @kernel
 def chaser_pose(stations, t_v, q_vt, covariance, pose):
-    """Write ``pose`` (POSE without t_s and fresh) of the chaser from the camera's pose and covariance.
+    """Write ``pose`` (POSE without t_s, fresh and status) of the chaser from the camera's pose and covariance.
 
-    covariance: (6, 6) of t_v and of the small rotation e about v's axes, ``R_est = exp([e]x) R_true``.
-    The attitude error of c is that rotation seen in c; the position picks up its lever arm. What the bench itself is
-    off, which no unit can know, comes on top.
+    covariance: (6, 6), P_v, of the error dt_v of t_v and of the small-angle rotation e_v about v's axes,
+    ``R_est = exp([e]x) R_true``. With A = A(q_cv), b = A(q_ch) ring_station and z = A t_v + camera_station - b, the
+    errors in c are, to first order,
+
+        e_c = A e_v,    dz_c = A dt_v - e_c x b = A dt_v + [b]x A e_v,
+
+    so that the joint covariance of (dz_c, e_c) is J P_v J^T with J = [[A, [b]x A], [0, A]]: ``covariance_position``,
+    ``covariance_cross`` (rows dz_c, columns e_c) and ``covariance_attitude``. The bench's own error, independent in
+    position and attitude and unknown to the vision unit, is added to the two diagonal blocks.
     """
     q_cv = quat.conjugate(stations.q_vc)
     copy_into(pose.q_CH, quat.multiply(q_cv, quat.multiply(q_vt, stations.q_th)))
@@ -74,10 +80,15 @@ def chaser_pose(stations, t_v, q_vt, covariance, pose):
             for m in range(6):
                 for n in range(6):
                     position += g[i, m] * covariance[m, n] * g[j, n]
+            cross = 0.0
+            for m in range(6):
+                for n in range(3):
+                    cross += g[i, m] * covariance[m, 3 + n] * a[j, n]
             for m in range(3):
                 for n in range(3):
                     attitude += a[i, m] * covariance[3 + m, 3 + n] * a[j, n]
             pose.covariance_position[i, j] = position
+            pose.covariance_cross[i, j] = cross
             pose.covariance_attitude[i, j] = attitude
         pose.covariance_position[i, i] += stations.position_variance
         pose.covariance_attitude[i, i] += stations.attitude_variance

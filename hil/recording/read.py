@@ -227,25 +227,32 @@ def load(path: Path) -> Recorded:
 
 
 def _check_version(found: Contents) -> None:
-    if found.version != str(schema.VERSION):
+    if found.version not in schema.READABLE:
         hil = found.run.get("hil", "unknown")
         text = (
-            f"a recording of schema version {found.version}, written by hil {hil}; this program reads version "
-            f"{schema.VERSION}: read it with hil {hil}, or take its numbers with hil export"
+            f"a recording of schema version {found.version}, written by hil {hil}; this program reads versions "
+            f"{', '.join(schema.READABLE)}: read it with hil {hil}, or extract its numbers with hil export"
         )
         raise BadInput.single(str(found.path), "", text)
 
 
 def _rows(found: Contents, topic: str) -> np.ndarray:
+    """Return the messages of ``topic`` as rows of today's record; fields that an earlier version lacks are zero."""
     dtype = record_dtype(schema.RECORDS[topic][1])
     if topic not in found.layouts:
         return np.zeros(0, dtype)
-    if not schema.same_layout(found.layouts[topic], dtype):
-        text = (
-            f"the records of {topic} have another layout than this program's, though both say version {found.version}"
-        )
+    recorded, today = found.layouts[topic], schema.flat_dtype(dtype)
+    if recorded == today:
+        return np.frombuffer(bytearray().join(found.records[topic]), dtype)  # kernels require writable arrays
+    names, known = recorded.names or (), today.names or ()
+    extended = all(name in known and recorded[name] == today[name] for name in names)
+    if found.version == str(schema.VERSION) or not extended:
+        text = f"the records of {topic} do not have the layout of schema version {found.version}"
         raise BadInput.single(str(found.path), "", text)
-    return np.frombuffer(bytearray().join(found.records[topic]), dtype)  # kernels are compiled for arrays to write in
+    rows, flat = np.zeros(len(found.records[topic]), dtype), found.flat(topic)
+    for name in names:
+        rows.view(today)[name] = flat[name]
+    return rows
 
 
 def _model(found: Contents, name: str, model: type[_Model]) -> _Model:

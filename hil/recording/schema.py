@@ -17,8 +17,10 @@ from hil.core.messages import ARRIVAL_FIELDS, CYCLE_FIELDS
 from hil.errors import BadInput
 from hil.monitor.results import PORTION_FIELDS
 
-VERSION: Final = 1
-"""Of all schemas together; goes up when a record of CYCLE or ARRIVAL gets another layout."""
+VERSION: Final = 2
+"""Version of all schemas together, incremented when a record is extended. 2: joint covariance and status of a pose."""
+READABLE: Final = ("1", "2")
+"""Versions of recordings that can be loaded: records are only appended to; fields that a recording lacks are zero."""
 
 RECORD_ENCODING: Final = "hil.record"
 """Message encoding of channels of packed records; their schemas have ``hil.fields`` as encoding."""
@@ -69,22 +71,25 @@ def describe(name: str, fields: Fields) -> bytes:
 
 
 def layout_of(schema: bytes, source: str) -> np.dtype:
-    """Return the flat dtype, dotted names, that a schema tells of. Raises BadInput for one that is none."""
+    """Return the flat dtype, dotted names, that a schema describes. Raises BadInput if it describes none."""
     try:
         table = json.loads(schema)
-        fields = table["fields"]
-        return np.dtype(
-            {
-                "names": [field["name"] for field in fields],
-                "formats": [(f"<{field['type']}", tuple(field["shape"])) for field in fields],
-                "offsets": [field["offset"] for field in fields],
-                "itemsize": table["size"],
-            }
-        )
+        return _flat(table["fields"], table["size"])
     except (ValueError, LookupError, TypeError) as error:
         raise BadInput.single(source, "", f"its schema cannot be read: {error}") from error
 
 
-def same_layout(found: np.dtype, dtype: np.dtype) -> bool:
-    """Return whether records of the flat ``found`` have the very bytes of ``dtype``."""
-    return found.itemsize == dtype.itemsize and list(flat_fields(found)) == list(flat_fields(dtype))
+def flat_dtype(dtype: np.dtype) -> np.dtype:
+    """Return ``dtype`` without nesting: dotted names at the same offsets."""
+    return _flat(list(flat_fields(dtype)), dtype.itemsize)
+
+
+def _flat(fields: list[dict[str, Any]], size: int) -> np.dtype:
+    return np.dtype(
+        {
+            "names": [field["name"] for field in fields],
+            "formats": [(f"<{field['type']}", tuple(field["shape"])) for field in fields],
+            "offsets": [field["offset"] for field in fields],
+            "itemsize": size,
+        }
+    )

@@ -14,10 +14,10 @@ from hil.core.messages import VMU_FRAME, PoseFrame
 LAYOUTS = {
     "AXES": (96, "864c723aaef4"),
     "COMMAND": (392, "90f73bd811ca"),
-    "CYCLE": (2056, "8906eb4ca092"),
+    "CYCLE": (2136, "540d63678d5c"),
     "IMU": (96, "958bd7519946"),
     "NAVIGATION": (200, "e9ab24dee372"),
-    "POSE": (216, "fe89b733c1e0"),
+    "POSE": (296, "b04be1be7562"),
     "REFERENCE": (168, "52b17d7a37e9"),
     "SUPERVISION": (48, "8592eb05107f"),
     "TRUTH": (672, "be5a04362364"),
@@ -25,8 +25,8 @@ LAYOUTS = {
     "GNC_OUTPUT": (240, "1c37ec03845e"),
     "GNC_POSE": (208, "6c6d24011bad"),
     "GNC_SETUP": (1440, "0426f14f4805"),
-    "ARRIVAL": (608, "f2ad2da8a6c2"),
-    "VMU_FRAME": (384, "e43c524aef90"),
+    "ARRIVAL": (696, "c7af71a6f68b"),
+    "VMU_FRAME": (392, "721886daa9d1"),
 }
 
 
@@ -63,7 +63,7 @@ def test_nested_records_are_expanded_with_dotted_names() -> None:
 
 def test_a_pose_frame_survives_its_record() -> None:
     rng = np.random.default_rng(5)
-    frame = PoseFrame(7, 1.5, 1.6, rng.normal(size=3), rng.normal(size=4), rng.normal(size=(6, 6)), 3, 5)
+    frame = PoseFrame(7, 1.5, 1.6, rng.normal(size=3), rng.normal(size=4), rng.normal(size=(6, 6)), 3, 5, 2)
     record = np.zeros(1, VMU_FRAME)
     frame.write_to(record)
     back = PoseFrame.from_record(record[0])

@@ -37,9 +37,21 @@ def chaser(stations: np.record, t_v: np.ndarray, q_vt: np.ndarray, covariance: n
     return pose
 
 
+def joint(pose: np.record) -> np.ndarray:
+    """Return the covariance of position and attitude together, (6, 6)."""
+    return np.block(
+        [[pose.covariance_position, pose.covariance_cross], [pose.covariance_cross.T, pose.covariance_attitude]]
+    )
+
+
 def turned(q: np.ndarray, e: np.ndarray) -> np.ndarray:
     """Return the quaternion of ``exp([e]x) A(q)``."""
     return quat.multiply(quat.from_rotation_vector(-e), q)
+
+
+def rotation_between(q: np.ndarray, q_new: np.ndarray) -> np.ndarray:
+    """Return the rotation vector e of ``A(q_new) = exp([e]x) A(q)``."""
+    return -quat.to_rotation_vector(quat.multiply(q_new, quat.conjugate(q)))
 
 
 def test_head_on_chaser_sees_the_ring_straight_ahead_and_aligned(mock_rig: Rig) -> None:
@@ -88,10 +100,9 @@ def test_covariance_propagates_by_the_derivative_of_the_pose(odd_stations: np.re
             d[column] = step
             ends.append(chaser(odd_stations, t_v + d[:3], turned(q_vt, d[3:]), covariance))
         position[:, column] = (ends[0].z_TC_C - ends[1].z_TC_C) / (2.0 * h)
-        turn = quat.to_rotation_vector(quat.multiply(ends[0].q_CH, quat.conjugate(ends[1].q_CH)))
-        attitude[:, column] = turn / (2.0 * h)
-    np.testing.assert_allclose(pose.covariance_position, position @ covariance @ position.T, rtol=1e-7, atol=1e-12)
-    np.testing.assert_allclose(pose.covariance_attitude, attitude @ covariance @ attitude.T, rtol=1e-7, atol=1e-12)
+        attitude[:, column] = rotation_between(ends[1].q_CH, ends[0].q_CH) / (2.0 * h)
+    jacobian = np.vstack((position, attitude))
+    np.testing.assert_allclose(joint(pose), jacobian @ covariance @ jacobian.T, rtol=1e-7, atol=1e-12)
 
 
 def test_scatter_of_noisy_poses_matches_their_covariance(odd_stations: np.record, rng: np.random.Generator) -> None:
@@ -102,11 +113,9 @@ def test_scatter_of_noisy_poses_matches_their_covariance(odd_stations: np.record
     noise = rng.standard_normal((4000, 6)) @ np.linalg.cholesky(covariance).T
     seen = [chaser(odd_stations, t_v + n[:3], turned(q_vt, n[3:]), covariance) for n in noise]
     position = np.array([pose.z_TC_C - true.z_TC_C for pose in seen])
-    back = quat.conjugate(true.q_CH)
-    turn = np.array([quat.to_rotation_vector(quat.multiply(pose.q_CH, back)) for pose in seen])
-    for sample, expected in ((position, true.covariance_position), (turn, true.covariance_attitude)):
-        whitened = np.linalg.solve(np.linalg.cholesky(expected), sample.T)
-        np.testing.assert_allclose(whitened @ whitened.T / len(noise), np.eye(3), atol=0.1)
+    rotation = np.array([rotation_between(true.q_CH, pose.q_CH) for pose in seen])
+    whitened = np.linalg.solve(np.linalg.cholesky(joint(true)), np.hstack((position, rotation)).T)
+    np.testing.assert_allclose(whitened @ whitened.T / len(noise), np.eye(6), atol=0.1)
 
 
 def test_what_the_bench_adds_stands_on_top_of_what_the_unit_reports(odd_stations: np.record) -> None:
@@ -116,3 +125,4 @@ def test_what_the_bench_adds_stands_on_top_of_what_the_unit_reports(odd_stations
     pose = chaser(odd_stations, t_v, q_vt, 1e-8 * np.eye(6))
     np.testing.assert_allclose(pose.covariance_position - reported.covariance_position, 4e-6 * np.eye(3), atol=1e-18)
     np.testing.assert_allclose(pose.covariance_attitude - reported.covariance_attitude, 9e-8 * np.eye(3), atol=1e-20)
+    np.testing.assert_array_equal(pose.covariance_cross, reported.covariance_cross)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
 from hil.core.camera_images import PICTURE_BYTES, picture_row
 from hil.core.fields import record_dtype
-from hil.core.messages import CYCLE
+from hil.core.messages import CYCLE, CYCLE_FIELDS, POSE_FIELDS
 from hil.errors import BadInput
 from hil.recording import schema
 from hil.recording.export import export
@@ -33,8 +36,9 @@ def rows_of(n: int, rng: np.random.Generator) -> np.ndarray:
     return rows
 
 
-def run_file(path: Path, version: str = str(schema.VERSION)) -> RunFile:
-    return RunFile(path, RecordingHeader({"schema_version": version, "hil": "0.0.7", "run": "r"}, {}, 1_000_000_000))
+def run_file(path: Path, version: str = str(schema.VERSION), files: dict[str, str] | None = None) -> RunFile:
+    run = {"schema_version": version, "hil": "0.0.7", "run": "r"}
+    return RunFile(path, RecordingHeader(run, files or {}, 1_000_000_000))
 
 
 def cycles_in(path: Path) -> int:
@@ -47,7 +51,7 @@ def test_every_recorded_field_has_unit_frame_and_meaning_in_its_schema(topic: st
     fields, dtype = json.loads(text)["fields"], record_dtype(schema.RECORDS[topic][1])
     assert sum(np.dtype(f["type"]).itemsize * int(np.prod(f["shape"])) for f in fields) == dtype.itemsize
     assert all(f["unit"] and f["description"] for f in fields)
-    assert schema.same_layout(schema.layout_of(text, "x"), dtype)
+    assert schema.layout_of(text, "x") == schema.flat_dtype(dtype)
 
 
 def test_rows_come_back_bit_by_bit_and_plain_mcap_reads_them(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -189,6 +193,29 @@ def test_an_older_version_is_named_with_the_program_that_reads_it_and_exports(
     with pytest.raises(BadInput, match=r"schema version 0, written by hil 0\.0\.7.*hil export"):
         load(path)
     assert export(path, "csv", tmp_path / "old.csv")[0] == (tmp_path / "old.csv", 3)
+
+
+def test_a_recording_of_version_1_is_loaded_with_zeros_for_later_fields(
+    tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, scheme_1: Scenario, mock_rig: Rig
+) -> None:
+    pose = tuple(field for field in POSE_FIELDS if field.name not in ("covariance_cross", "status"))
+    fields = tuple(replace(field, type=pose) if field.name == "pose" else field for field in CYCLE_FIELDS)
+    monkeypatch.setitem(schema.RECORDS, "/cycle", ("hil.Cycle", fields))
+    old = record_dtype(fields)
+    rows = np.frombuffer(bytearray(rng.standard_normal(3 * old.itemsize // 8).tobytes()), old)
+    path = tmp_path / "old.mcap"
+    files = {"scenario.json": scheme_1.model_dump_json(), "rig.json": mock_rig.model_dump_json()}
+    file = run_file(path, "1", files)
+    file.cycles(rows)
+    file.finish({})
+    monkeypatch.undo()
+    cycles = load(path).cycles
+    assert cycles.dtype == CYCLE
+    flat = schema.flat_dtype(old)
+    for name in flat.names or ():
+        np.testing.assert_array_equal(cycles.view(schema.flat_dtype(CYCLE))[name], rows.view(flat)[name])
+    assert not cycles["pose"]["covariance_cross"].any()
+    assert not cycles["pose"]["status"].any()
 
 
 def test_a_full_disk_keeps_what_was_written_and_counts_the_rest(
