@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ import pytest
 from hil.core import gnc_records, messages
 from hil.core.fields import Field, leaf_fields, markdown_table, record_dtype
 from hil.core.messages import VMU_FRAME, PoseFrame
+from hil.monitor import results
+
+ROOT = Path(__file__).resolve().parents[3]
 
 LAYOUTS = {
     "AXES": (96, "864c723aaef4"),
@@ -47,6 +51,13 @@ def test_layout_of_a_record_stays(name: str) -> None:
 def test_every_field_has_a_meaning_and_a_unit(name: str) -> None:
     fields = getattr(gnc_records if name.startswith("GNC") else messages, f"{name}_FIELDS")
     assert all(field.meaning and (field.unit or str(field.type).startswith("S")) for field in leaf_fields(fields))
+
+
+@pytest.mark.parametrize("name", [name for name in LAYOUTS if not name.startswith("GNC")] + ["PORTION"])
+def test_page_shows_the_layout_of_a_record(name: str) -> None:
+    page = (ROOT / "docs" / "records.md").read_text()
+    table = markdown_table(getattr(results if name == "PORTION" else messages, f"{name}_FIELDS"))
+    assert table in page, "write the text of hil.core.fields.markdown_table() to it"
 
 
 def test_nested_records_are_expanded_with_dotted_names() -> None:
