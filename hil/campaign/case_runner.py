@@ -33,8 +33,7 @@ from hil.models.camera_timing import TRAVEL_DRAWS
 from hil.params import gnc as gnc_params
 from hil.report.summary import SETTLED_S
 from hil.report.verdict import ready_params
-from hil.safety.limits import SafetyLimits, safety_limits
-from hil.safety.monitor import breach_alarm
+from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_limits
 from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built
 from hil.setup.gnc_setup import gnc_setup
 
@@ -177,7 +176,7 @@ class CaseRunner:
         if code == loop_kernel.GNC_HOLDS:
             assert self._library is not None
             reason = hold_reason(gnc_name(self._library), state.library.output)
-            return str(SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone"))
+            return str(hold_trip(reason))
         if code == loop_kernel.NOT_FINITE:
             wanted = [*state.next.rail_m, *state.next.gimbal_rad]
             axis = next((i for i, value in enumerate(wanted) if not math.isfinite(value)), 0)

@@ -186,7 +186,7 @@ class Identification:
             place, rate = _of_axis(self._now.setpoint, axis)
             told.append((tick.now_s + self._dt, place, rate))
             tick = self._next(tick)
-            sample = self._bench.seen[axis // 3]
+            sample = self._bench.feedback[axis // 3]
             seen[sample.t_s] = float(sample.position[axis % 3])
         commanded_s, position, rate_told = np.array(told).T
         at = np.array(sorted(seen.items()))
@@ -209,7 +209,7 @@ class Identification:
         return tick
 
     def _stands(self, tick: Tick) -> bool:
-        return self._bench.stands(tick.now_s, self._now.feedback)
+        return self._bench.at_rest(tick.now_s, self._now.feedback)
 
     def _aim(self, axis: int, centre: Array, place: float, rate: float) -> None:
         position, speed = centre.copy(), np.zeros(6)

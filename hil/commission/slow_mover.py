@@ -146,7 +146,7 @@ class SlowMover:
         self._sequencer.hold_requested(Mode.PLACING)
 
     def _stands(self) -> bool:
-        return self._bench.stands(self._tick.now_s, self._now.feedback)
+        return self._bench.at_rest(self._tick.now_s, self._now.feedback)
 
     def _aim_at(self, place: Array) -> None:
         self._wanted.rail_m, self._wanted.gimbal_rad = place[:3], place[3:]

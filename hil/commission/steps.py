@@ -99,7 +99,7 @@ class Commissioning:
 
     def _under_command(self, sequencer: MotionSequencer) -> SlowMover:
         crawler = SlowMover(sequencer, self._dialogue)
-        homing = [state.name.lower().replace("_", " ") for group in self._bench.seen for state in group.homing]
+        homing = [state.name.lower().replace("_", " ") for group in self._bench.feedback for state in group.homing]
         needed = [name for name, state in zip(self._bench.axis_names, homing, strict=True) if state != "done"]
         if needed:
             self._title("homing")
@@ -166,7 +166,7 @@ class Commissioning:
 
     def _limits(self, crawler: SlowMover) -> None:
         self._title("limits")
-        switches = [switch for group in self._bench.seen for switch in group.limit]
+        switches = [switch for group in self._bench.feedback for switch in group.limit]
         for axis in self._axes:
             params = self._params
             low, high = shown(axis, float(params.low[axis])), shown(axis, float(params.high[axis]))

@@ -61,8 +61,8 @@ class StatusWriter:
         self.record["setpoint"] = loop.now.row["setpoint"]
         out.estop = UNKNOWN
         out.age_s[:] = math.nan
-        if hasattr(bench, "seen"):
-            rails, turntable = bench.seen
+        if hasattr(bench, "feedback"):
+            rails, turntable = bench.feedback
             out.age_s[0], out.age_s[1] = now_s - rails.t_s, now_s - turntable.t_s
             out.homing[:] = (*rails.homing, *turntable.homing)
             out.limit[:] = (*rails.limit, *turntable.limit)

@@ -1,1 +1,1 @@
-"""The control cycle: stages, run sequence, rate, overruns."""
+"""Control cycle: stages, motion sequences, runner, rate and overruns."""

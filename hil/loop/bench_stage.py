@@ -1,4 +1,4 @@
-"""The bench as one stage of the cycle, and the slow move to a start pose."""
+"""Bench stage of the cycle: rails and turntable as one six-axis machine, and slow moves between poses."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from hil.safety.monitor import SafetyMonitor
 
 
 class BenchStage:
-    """Rails and turntable as one machine that carries the chaser's pose.
+    """Rails and turntable as one machine that realises the chaser's pose.
 
-    emergency_input: gives, at a bench time, whether the emergency stop is pressed (None: unknown) and
-    whether its reset is; None where the bench has no such input.
+    emergency_input: returns, for a bench time, the levels of the emergency stop (None: unknown) and of its reset; None
+    if the bench has no such input.
     """
 
     def __init__(
@@ -37,18 +37,18 @@ class BenchStage:
         self.axis_names = (*rails.axis_names, *turntable.axis_names)
         self.emergency_input = emergency_input
         self.motion = new(kinematics.MOTION)
-        """Where the last setpoints are and how fast they went."""
-        self.seen: tuple[AxisFeedback, AxisFeedback]
-        """Of rails and turntable, as of the last ``read``."""
-        self._wanted = new(AXES)
-        self._before = new(AXES)
+        """Positions and rates of the last setpoints."""
+        self.feedback: tuple[AxisFeedback, AxisFeedback]
+        """Of rails and turntable, from the last ``read``."""
+        self._target = new(AXES)
+        self._accepted = new(AXES)
         self._commanded_s = math.nan
         self._next = new(AXES)
         self._next_arrays = tuple(self._next[name] for name in ("rail_m", "rail_mps", "gimbal_rad", "gimbal_radps"))
         self.limited_cycles = 0
 
     def open(self, now_s: float) -> None:
-        """Open both devices; they hold where they stand. Raises SafetyTrip while the emergency stop holds."""
+        """Open both devices; they hold their positions. Raises SafetyTrip while the emergency stop is latched."""
         self.poll_emergency_input(now_s)
         alarm = self.safety.interlock_open(now_s)
         if alarm is not None:
@@ -57,23 +57,23 @@ class BenchStage:
         self.turntable.open(now_s)
 
     def read(self, now_s: float, feedback: np.record) -> None:
-        """Write the encoders' newest values into ``feedback`` (AXES)."""
+        """Write the newest encoder values into ``feedback`` (AXES)."""
         if self.emergency_input is not None:
             self.poll_emergency_input(now_s)
         rails = self.rails.read(now_s)
         turntable = self.turntable.read(now_s)
-        self.seen = rails, turntable
+        self.feedback = rails, turntable
         kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, feedback)
 
     def sampled_s(self, zero_s: float) -> tuple[float, float]:
-        """Return when rails and turntable had the values of the last ``read``, counted from bench time ``zero_s``."""
-        rails, turntable = self.seen
+        """Return the sampling times of the last ``read``, rails and turntable, relative to bench time ``zero_s``."""
+        rails, turntable = self.feedback
         return rails.t_s - zero_s, turntable.t_s - zero_s
 
     def poll_emergency_input(self, now_s: float) -> None:
-        """Tell the supervisor the levels of the emergency stop and of its reset, where the bench has them.
+        """Update the safety monitor with the levels of the emergency stop and of its reset, if the bench has them.
 
-        Raises DeviceError where they cannot be read, which counts as pressed.
+        Raises DeviceError if they cannot be read, which counts as pressed.
         """
         if self.emergency_input is None:
             return
@@ -84,52 +84,52 @@ class BenchStage:
             raise
 
     def check(self, now_s: float, feedback: np.record) -> None:
-        """Let the supervisor look at what ``read`` found; raise SafetyTrip where it says stop."""
-        alarm = self.safety.check(now_s, *self.seen, self._commanded_s, self._before, feedback)
+        """Run the safety checks on the last ``read``; raise SafetyTrip if one fails."""
+        alarm = self.safety.check(now_s, *self.feedback, self._commanded_s, self._accepted, feedback)
         if alarm is not None:
             raise alarm.trip()
 
     def seed(self, now_s: float, feedback: np.record) -> None:
-        """Make the encoders' positions the last setpoint, at rest: nothing jumps at the next command.
+        """Seed the setpoints with the encoder positions, at rest, so that the next command causes no jump.
 
-        Raises SafetyTrip where an axis moves. Whatever sets the bench in motion begins with this.
+        Raises SafetyTrip if an axis moves. Every motion starts with this.
         """
         alarm = self.safety.interlock_seed(now_s, feedback)
         if alarm is not None:
             raise alarm.trip()
         rest = np.zeros(3)
-        kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, self._before)
+        kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, self._accepted)
         kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, self.motion)
         self._commanded_s = math.nan
 
     def seed_for_run(self, now_s: float, feedback: np.record) -> None:
-        """``seed``, where the axes are homed, within their travel and off their switches; SafetyTrip otherwise."""
-        alarm = self.safety.interlock_motion(now_s, *self.seen, feedback)
+        """``seed`` if all axes are homed, within their travel and off their limit switches; SafetyTrip otherwise."""
+        alarm = self.safety.interlock_motion(now_s, *self.feedback, feedback)
         if alarm is not None:
             raise alarm.trip()
         self.seed(now_s, feedback)
 
     def axes_of(self, r_CT_H: Array, v_CT_H: Array, q_CH: Array, w_CH_C: Array, out: np.record) -> None:
-        """Write the axes' positions and rates, unlimited, for a pose of the chaser."""
+        """Write the axis positions and rates, without limits, for a pose of the chaser."""
         kinematics.axes_of_pose(self.params, r_CT_H, v_CT_H, q_CH, w_CH_C, out)
 
     def follow(self, truth: np.record, w_CH_C: Array, now_s: float, setpoint: np.record) -> None:
-        """Send the axes towards the pose in ``truth``; write what was accepted into ``setpoint``."""
-        self.axes_of(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C, self._wanted)
-        self.command(self._wanted, now_s, setpoint)
+        """Command the axes to the pose in ``truth``; write the accepted setpoint into ``setpoint``."""
+        self.axes_of(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C, self._target)
+        self.command(self._target, now_s, setpoint)
 
-    def command(self, wanted: np.record, now_s: float, setpoint: np.record, params: np.record | None = None) -> None:
-        """Send ``wanted`` (AXES), ahead by each axis' lead, cut to what travel, speed and acceleration allow.
+    def command(self, target: np.record, now_s: float, setpoint: np.record, params: np.record | None = None) -> None:
+        """Send ``target`` (AXES), advanced by each axis' lead, limited in travel, speed and acceleration.
 
         params: BENCH_PARAMS with other limits or leads, for a jog or a measurement.
         """
         limits = self.params if params is None else params
-        if kinematics.limit_setpoint(limits, self.motion, wanted, self._next):
+        if kinematics.limit_setpoint(limits, self.motion, target, self._next):
             self.limited_cycles += 1
         self._send(now_s, setpoint)
 
     def brake(self, now_s: float, setpoint: np.record, params: np.record | None = None) -> bool:
-        """Send the next setpoint of the way to a stand; return whether one of the setpoints still moves."""
+        """Send the next setpoint of a braking ramp; return whether a setpoint still moves."""
         moving = stopping.brake_step(self.params if params is None else params, self.motion, self._next)
         self._send(now_s, setpoint)
         return bool(moving)
@@ -139,63 +139,63 @@ class BenchStage:
         rail_accepted = self.rails.send(rail_m, rail_mps, now_s)
         gimbal_accepted = self.turntable.send(gimbal_rad, gimbal_radps, now_s)
         kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, setpoint)
-        kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, self._before)
+        kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, self._accepted)
         self._commanded_s = now_s
 
-    def stands(self, now_s: float, feedback: np.record) -> bool:
-        """Return whether all axes stand, by their encoders."""
+    def at_rest(self, now_s: float, feedback: np.record) -> bool:
+        """Return whether all axes are at rest according to their encoders."""
         return self.safety.interlock_seed(now_s, feedback) is None
 
     def home(self, now_s: float) -> None:
-        """Let each axis that does not know its place look for its switch."""
+        """Start homing of each axis that needs it."""
         self.rails.home(now_s)
         self.turntable.home(now_s)
 
     def set_jogging(self, on: bool) -> bool:
-        """Let both devices take setpoints without a home and beyond their travel; False where one cannot."""
-        able = isinstance(self.rails, Jogs) and isinstance(self.turntable, Jogs)
-        for device in (self.rails, self.turntable):
-            if able and isinstance(device, Jogs):
-                device.set_jogging(on)
-        return able
+        """Allow setpoints before homing and beyond the travel; return False if a device does not support it."""
+        if not (isinstance(self.rails, Jogs) and isinstance(self.turntable, Jogs)):
+            return False
+        self.rails.set_jogging(on)
+        self.turntable.set_jogging(on)
+        return True
 
-    def park_turntable(self, goal: np.record, now_s: float) -> None:
-        """Let the turntable's drives go to ``goal`` (AXES) by their own profiles, where they have such."""
+    def park_turntable(self, target: np.record, now_s: float) -> None:
+        """Move the turntable to ``target`` (AXES) by its drives' own profiles, if they have them."""
         if isinstance(self.turntable, Parks):
-            self.turntable.move_to(goal.gimbal_rad, Move.FRACTION_OF_LIMITS * self.params.rate_max[3:], now_s)
+            self.turntable.move_to(target.gimbal_rad, Move.FRACTION_OF_LIMITS * self.params.rate_max[3:], now_s)
 
     def stop(self, now_s: float) -> None:
-        """Bring all axes to a stand; never raises."""
+        """Stop all axes; never raises."""
         self.rails.stop(now_s)
         self.turntable.stop(now_s)
 
     def close(self) -> None:
-        """Let go of both devices; never raises."""
+        """Close both devices; never raises."""
         self.rails.close()
         self.turntable.close()
 
 
 class Move:
-    """A slow move of all six axes from where they stand to a target, each with a trapezoidal speed."""
+    """Slow move of all six axes from start to target, each with a trapezoidal speed profile."""
 
     FRACTION_OF_LIMITS = 0.5
 
     def __init__(self, params: np.record, start: np.record, target: np.record) -> None:
         self._start = np.concatenate([start.rail_m, start.gimbal_rad])
-        self._way = np.concatenate([target.rail_m, target.gimbal_rad]) - self._start
+        self._distance = np.concatenate([target.rail_m, target.gimbal_rad]) - self._start
         self._speed = self.FRACTION_OF_LIMITS * params.rate_max
         self._acceleration = self.FRACTION_OF_LIMITS * params.acceleration_max
         self.duration_s = max(
-            duration(abs(way), speed, acceleration, acceleration)
-            for way, speed, acceleration in zip(self._way, self._speed, self._acceleration, strict=True)
+            duration(abs(distance), speed, acceleration, acceleration)
+            for distance, speed, acceleration in zip(self._distance, self._speed, self._acceleration, strict=True)
         )
 
     def at(self, t_s: float, out: np.record) -> None:
         """Write the axes (AXES) at ``t_s`` after the start of the move."""
         along = np.empty(3)
-        for axis, way in enumerate(self._way):
-            along_line(abs(way), self._speed[axis], self._acceleration[axis], self._acceleration[axis], t_s, along)
-            sign = math.copysign(1.0, way)
+        for axis, distance in enumerate(self._distance):
+            along_line(abs(distance), self._speed[axis], self._acceleration[axis], self._acceleration[axis], t_s, along)
+            sign = math.copysign(1.0, distance)
             position, rate = self._start[axis] + sign * along[0], sign * along[1]
             if axis < 3:
                 out.rail_m[axis], out.rail_mps[axis] = position, rate

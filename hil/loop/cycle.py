@@ -1,4 +1,4 @@
-"""One control cycle. The place to start reading: each line is a stage of bench paper Fig. 2.
+"""One control cycle: each line of ``run_cycle`` is a stage of bench paper Fig. 2. Start reading here.
 
 thrusters on/off -> truth (DSS) -> rails and turntable -> cameras (VMU) -> AKF, PKF -> control
 """
@@ -20,7 +20,7 @@ from hil.loop.target_stage import FixedTarget, TargetStage
 
 
 class CycleData:
-    """The records of the present cycle: views into one row of CYCLE, which is what gets recorded."""
+    """Records of the present cycle: views into one row of CYCLE, the row that is recorded."""
 
     def __init__(self) -> None:
         self.row = np.zeros(1, CYCLE)
@@ -28,7 +28,7 @@ class CycleData:
         for name in CYCLE.names or ():
             setattr(self, name, records[name][0] if CYCLE[name].names else self.row[name])
 
-    # one number each, arrays of shape (1,): writing into an array is cheaper than into a record
+    # scalars, arrays of shape (1,): writing into an array is faster than into a record
     t_s: np.ndarray
     sampled_s: np.ndarray  # (1, 2)
     received_s: np.ndarray
@@ -51,7 +51,7 @@ class CycleData:
 
 @dataclass(slots=True)
 class Loop:
-    """The stages, the records between them, and where each cycle is written to: history and telemetry."""
+    """Stages of the cycle, the records passed between them, and the recording: history and telemetry."""
 
     dss: DssStage
     bench: BenchStage
@@ -59,43 +59,44 @@ class Loop:
     gnc: GncBackend
     history: np.ndarray
     bench_now_s: Callable[[], float]
-    """Bench time, for the stamp of the thrusters' command."""
+    """Bench time, to stamp the thruster command."""
     telemetry: Telemetry = field(default_factory=NoTelemetry)
     safety_io: SafetyIo = field(default_factory=NoSafetyIo)
     target: TargetStage = field(default_factory=FixedTarget)
     now: CycleData = field(default_factory=CycleData)
     _row: memoryview = field(init=False)
-    _pages: memoryview = field(init=False)
+    _history_bytes: memoryview = field(init=False)
 
     def __post_init__(self) -> None:
         self._row = self.now.row.view(np.uint8).data
-        self._pages = self.history.view(np.uint8).data
+        self._history_bytes = self.history.view(np.uint8).data
 
     def record(self, k: int) -> None:
-        """Write down the present row as that of cycle ``k``, byte by byte: a structured copy costs five times that."""
-        self._pages[k * CYCLE.itemsize : (k + 1) * CYCLE.itemsize] = self._row
+        """Copy the present row into the history as cycle ``k``, as bytes: a structured copy takes five times longer."""
+        self._history_bytes[k * CYCLE.itemsize : (k + 1) * CYCLE.itemsize] = self._row
         self.telemetry.put(self.now.row)
 
 
 def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float, lateness_s: float) -> None:
     """Run cycle ``k`` at ``t_s`` of the run, ``bench_s`` of bench time; raises BenchError.
 
-    run_zero_s: bench time at which the run's time is zero. lateness_s: how late this cycle woke up.
+    run_zero_s: bench time of the run's time zero. lateness_s: wake-up delay of this cycle.
     """
     now = loop.now
     loop.safety_io.check(bench_s)  # 0  emergency stop and safety chain
     loop.bench.read(bench_s, now.feedback)  # 1  encoders
-    loop.bench.check(bench_s, now.feedback)  # 2  may the bench go on?
-    loop.target.check(bench_s)  # does the target stay where it was placed?
-    loop.vision.receive(bench_s, run_zero_s, now.row[0])  # 3  poses of the vision unit
-    loop.gnc.act(t_s, now, loop.vision)  # 4-7  navigation, guidance, supervision, control: thrusters on or off
-    loop.safety_io.mirror(bench_s)  # the same on digital lines
+    loop.bench.check(bench_s, now.feedback)  # 2  safety monitor: continue or stop
+    loop.target.check(bench_s)  #    target at its commanded place
+    loop.vision.receive(bench_s, run_zero_s, now.row[0])  # 3  poses from the vision unit
+    loop.gnc.act(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control
+    loop.safety_io.mirror_thrusters(bench_s)  #    thruster commands on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s
     now.on_wire_s[0] = loop.safety_io.thrusters_s - run_zero_s
     now.sampled_s[0, 0], now.sampled_s[0, 1] = loop.bench.sampled_s(run_zero_s)
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
     now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
-    loop.record(k)  # 8  what was known and done at t_s
-    loop.dss.step(now.truth, now.command)  # 9  truth one step on
-    loop.dss.sample_imu(now.truth, now.imu)  # 10 virtual IMU over that step
-    loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), bench_s, now.setpoint)  # 11 motion
+    loop.record(k)  # 8  record of the cycle at t_s
+    loop.dss.step(now.truth, now.command)  # 9  truth: propagate by one step
+    loop.dss.sample_imu(now.truth, now.imu)  # 10 virtual IMU over this step
+    w_CH_C = loop.dss.rate_against_hill(now.truth)
+    loop.bench.follow(now.truth, w_CH_C, bench_s, now.setpoint)  # 11 setpoints for rails and turntable

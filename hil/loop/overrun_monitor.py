@@ -1,4 +1,4 @@
-"""What happens when cycles come late: nothing but a count, a hold, or a safe stop."""
+"""Overrun policy of the loop: log, hold or safe stop; statistics of the cycles' lateness."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _HISTOGRAM_US = tuple(2**power for power in range(17))  # 1 us to 65 ms
 
 
 class OverrunMonitor:
-    """A leaky bucket of lost periods: single ones leak away, a burst trips.
+    """Leaky bucket of lost periods: single losses are tolerated, a burst trips.
 
-    Each lost period is a drop; the bucket leaks ``allowed`` drops in ``window_s`` of bench time, and trips
-    when it holds more than ``allowed``. action: "log" never trips; "hold" hands the trip to ``on_hold``,
-    once until the bucket is empty again, and raises it where nobody has set that; "safe_stop" raises it.
+    Each lost period adds one; the level decays by ``allowed`` per ``window_s`` of bench time, and trips above
+    ``allowed``. action: "log" never trips; "hold" passes the trip to ``on_hold``, once until the bucket is empty
+    again, and raises it if ``on_hold`` is not set; "safe_stop" raises it.
     """
 
     def __init__(self, action: Literal["log", "hold", "safe_stop"], allowed: int, window_s: float) -> None:
@@ -27,23 +27,23 @@ class OverrunMonitor:
         self._allowed = allowed
         self._window_s = window_s
         self._level = 0.0
-        self._looked_s = 0.0
+        self._updated_s = 0.0
         self._tripped = False
         self.on_hold: Callable[[SafetyTrip], None] | None = None
 
     def wait(self, rate: Rate) -> Tick:
-        """Wait for the next cycle of ``rate``; raise SafetyTrip when too many have come late."""
+        """Wait for the next cycle of ``rate``; raise SafetyTrip after too many lost periods."""
         tick = rate.wait()
         self.check(tick)
         return tick
 
     def check(self, tick: Tick) -> None:
-        """Take account of the periods that were lost before ``tick``; raise SafetyTrip when they are too many."""
+        """Count the periods lost before ``tick``; raise SafetyTrip if they are too many."""
         if not tick.skipped:
             return
-        # allowed = 0 leaks as if it were 1: it trips at the first drop in any case
-        leaked = (tick.now_s - self._looked_s) * max(self._allowed, 1) / self._window_s
-        self._looked_s = tick.now_s
+        # allowed = 0 decays like 1: it trips at the first lost period in any case
+        leaked = (tick.now_s - self._updated_s) * max(self._allowed, 1) / self._window_s
+        self._updated_s = tick.now_s
         level = max(self._level - leaked, 0.0)
         self._tripped &= level > 0.0
         self._level = level + tick.skipped
@@ -52,8 +52,8 @@ class OverrunMonitor:
         self._tripped = True
         trip = SafetyTrip(
             "loop",
-            "late cycles",
-            f"lost {self._level:.0f} periods (the last cycle ended {tick.overrun_s * 1e3:.1f} ms after its deadline)",
+            "lost periods",
+            f"{self._level:.0f} (last cycle ended {tick.overrun_s * 1e3:.1f} ms after its deadline)",
             f"{self._allowed} in {self._window_s:g} s",
         )
         if self._action == "hold" and self.on_hold is not None:
@@ -71,9 +71,9 @@ def lateness_percentiles_us(lateness_s: Array) -> dict[str, float]:
 
 
 def lateness_histogram(lateness_s: Array) -> list[dict[str, float | int | None]]:
-    """Return how many cycles woke up less late than each power of two, us, and not less than the one before.
+    """Return the number of cycles with a lateness below each power of two, us, and not below the previous one.
 
-    The last entry, ``below_us`` None, has those beyond the largest.
+    The last entry, ``below_us`` None, counts those beyond the largest bound.
     """
     bins = np.searchsorted(_HISTOGRAM_US, lateness_s * 1e6, side="right")
     counts = np.bincount(bins, minlength=len(_HISTOGRAM_US) + 1)

@@ -1,4 +1,4 @@
-"""Runs a scenario on a bench as its operator orders: opens, places, closes the loop, stops the bench first."""
+"""Runner of a session: opens the bench, executes the operator's commands, closes the loop, stops the bench first."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from hil.core.observable import ObservableList
 from hil.core.operator_commands import Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
 from hil.drivers.base import PoseSource
-from hil.errors import BenchError, DeviceError, SafetyTrip
+from hil.errors import BenchError, DeviceError
 from hil.loop.cycle import Loop, run_cycle
-from hil.loop.motion_sequences import WATCH_CYCLES, MotionSequencer, ProgressCallback
+from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer, ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
 from hil.loop.root_cause import root_cause
@@ -33,7 +33,7 @@ _PAUSE_S: Final = 0.001
 
 @dataclass(slots=True)
 class Outcome:
-    """What a run left: ``history`` (n,) of CYCLE, why it ended, and what was counted."""
+    """Result of a run: ``history`` (n,) of CYCLE, reason of its end, and counters."""
 
     history: np.ndarray
     stop: str
@@ -48,70 +48,69 @@ class Outcome:
     alarms: list[Alarm] = field(default_factory=list)
 
 
-class Runner:
-    """One session at the bench, with one run of ``cycles`` cycles.
+@dataclass(frozen=True, slots=True)
+class RunPlan:
+    """Length of a run and its end points. step_s: period of the ``cycles`` cycles, s.
 
-    frames_to_arm: poses that must have come before the loop is closed. ``on_progress`` is called every
-    ``WATCH_CYCLES`` cycles. ``overrun_monitor`` judges lost periods, from the first motion on. operator: gives
-    the orders; without one the run goes through by itself and a fault ends it. parking: AXES, where the bench
-    is left when a session ends with PARK, or after each whole run (``park_after_run``).
+    frames_to_arm: poses required before the loop is closed. park_position: AXES, approached by PARK, and after each
+    complete run if ``park_after_run``.
     """
 
-    WATCH_CYCLES = WATCH_CYCLES
+    step_s: float
+    cycles: int
+    frames_to_arm: int
+    park_position: np.record | None = None
+    park_after_run: bool = False
+
+
+class Runner:
+    """One session at the bench, with one run.
+
+    on_progress: called every ``PROGRESS_CYCLES`` cycles. overrun_monitor: judges lost periods, from the first motion.
+    operator: issues the commands; without one the run starts automatically, and a fault ends it.
+    """
 
     def __init__(
         self,
         loop: Loop,
         rate: Rate,
-        precedence: SchedulingPolicy,
+        scheduling: SchedulingPolicy,
         overrun_monitor: OverrunMonitor,
-        step_s: float,
-        cycles: int,
-        frames_to_arm: int,
+        plan: RunPlan,
         on_progress: ProgressCallback,
         operator: Operator | None = None,
-        parking: np.record | None = None,
-        park_after_run: bool = False,
     ) -> None:
         self.loop = loop
+        self.rate = rate
         self.operator = operator or Operator()
         self.safety = loop.bench.safety
         self.overrun_monitor = overrun_monitor
-        self._precedence = precedence
-        self._rate = rate
-        self._step_s = step_s
-        self._cycles = cycles
-        self._frames_to_arm = frames_to_arm
+        self._scheduling = scheduling
+        self._plan = plan
         self._on_progress = on_progress
         self._modes = self.safety.modes
-        self._sequencer = MotionSequencer(loop, rate, overrun_monitor, step_s, self.operator, on_progress)
+        self._sequencer = MotionSequencer(loop, rate, overrun_monitor, plan.step_s, self.operator, on_progress)
         self._faults: list[str] = []
         self.events: ObservableList[Event] = ObservableList()
-        """What the bench did beside the approach: holds."""
+        """Events of the bench: holds, changed settings."""
         self._done = 0
-        self._parking = parking
-        self._park_after_run = park_after_run
         self._parked = False
 
     @property
     def source(self) -> PoseSource:
         return self.loop.vision.source
 
-    @property
-    def rate(self) -> Rate:
-        return self._rate
-
     def now_s(self) -> float:
-        """Return bench time; for any thread."""
-        return self._rate.now_s()
+        """Return bench time; callable from any thread."""
+        return self.rate.now_s()
 
     def all_events(self) -> list[Event]:
-        """Return what happened so far, in the order of the run's time; for the loop's thread."""
+        """Return all events so far, ordered by the run's time; only for the loop's thread."""
         return sorted([*self.loop.gnc.events(), *self.events], key=lambda event: event.t_s)
 
     def run(self) -> Outcome:
-        """Run to the end, to a fault, or to Ctrl-C; the bench stands still whatever happened."""
-        with no_garbage_collection(freeze=self._rate.on_the_wall):
+        """Run to the end, to a fault, or to Ctrl-C; in each case the bench is stopped."""
+        with no_garbage_collection(freeze=self.rate.on_the_wall):
             stop = self._run()
         end = Mode.SAFE_STOP if self._faults else Mode.STANDBY
         if self._modes.mode is not end:
@@ -121,9 +120,9 @@ class Runner:
             stop=stop,
             faults=self._faults,
             mode=self._modes.mode,
-            overruns=self._rate.overruns,
-            skipped_periods=self._rate.skipped_periods,
-            privileges=list(self._precedence.grants),
+            overruns=self.rate.overruns,
+            skipped_periods=self.rate.skipped_periods,
+            privileges=list(self._scheduling.grants),
             limited_cycles=self.loop.bench.limited_cycles,
             vision_counters=self.source.counters(),
             events=self.all_events(),
@@ -132,14 +131,14 @@ class Runner:
 
     @contextmanager
     def axes_only(self) -> Iterator[MotionSequencer]:
-        """Open the axes without the vision unit, give what moves them; at the end they are stopped first."""
-        with no_garbage_collection(freeze=self._rate.on_the_wall):
+        """Open the axes without the vision unit and yield their sequencer; stop the axes first on exit."""
+        with no_garbage_collection(freeze=self.rate.on_the_wall):
             try:
-                self.loop.safety_io.open(self._rate)
-                self.loop.bench.open(self._rate.now_s())
-                self.safety.opened()
+                self.loop.safety_io.open(self.rate)
+                self.loop.bench.open(self.rate.now_s())
+                self.safety.restart()
                 self._modes.go(Mode.STANDBY)
-                with self._precedence.realtime_priority():  # after the drivers have started their threads
+                with self._scheduling.realtime_priority():  # after the drivers have started their threads
                     yield self._sequencer
             finally:
                 self._shut_down()
@@ -155,13 +154,13 @@ class Runner:
         return self._faults[-1] if self._faults else COMPLETED
 
     def _session(self) -> bool:
-        """Go from opening the devices to the end of the run; after a fault return whether to begin anew."""
+        """Open the devices and execute commands to the end of the run; after a fault return whether to restart."""
         try:
             self._open()
-            with self._precedence.realtime_priority():  # after the drivers have started their threads
-                while (order := self._next_order()) is not None:
-                    self._obey(order)
-                if self._park_after_run and self._done == self._cycles:
+            with self._scheduling.realtime_priority():  # after the drivers have started their threads
+                while (command := self._next_command()) is not None:
+                    self._execute(command)
+                if self._plan.park_after_run and self._done == self._plan.cycles:
                     self._sequencer.brake()
                     self._modes.go(Mode.STANDBY)
                     self._park()
@@ -171,38 +170,38 @@ class Runner:
         return False
 
     def _open(self) -> None:
-        self.loop.gnc.open(self._rate.now_s())
-        self.loop.safety_io.open(self._rate)
-        self.loop.bench.open(self._rate.now_s())
-        self.loop.target.open(self._rate.now_s())
-        self.source.open(self._rate.now_s())
-        self.safety.opened()
+        self.loop.gnc.open(self.rate.now_s())
+        self.loop.safety_io.open(self.rate)
+        self.loop.bench.open(self.rate.now_s())
+        self.loop.target.open(self.rate.now_s())
+        self.source.open(self.rate.now_s())
+        self.safety.restart()
         self._modes.go(Mode.STANDBY)
 
-    def _next_order(self) -> OperatorCommand | None:
-        """Return the next order; None when the run is over or the bench parked, or when nobody is there to give one."""
+    def _next_command(self) -> OperatorCommand | None:
+        """Return the next command; None if the run is over, the bench is parked, or no operator can issue one."""
         while not (self._done or self._parked):
-            order = self.operator.next_command(self._modes.mode)
-            if order is not None or not self.operator.attended:
-                return order
+            command = self.operator.next_command(self._modes.mode)
+            if command is not None or not self.operator.attended:
+                return command
             self._stand_by()
         return None
 
     def _stand_by(self) -> None:
-        """Let one supervised cycle pass in which nothing moves."""
+        """Run one monitored cycle without motion."""
         tick = self._sequencer.tick()
         self.loop.vision.discard_pending(tick.now_s)
-        if self._sequencer.ticks % self.WATCH_CYCLES == 0:
+        if self._sequencer.ticks % PROGRESS_CYCLES == 0:
             self._on_progress(self._modes.mode, 0.0)
 
-    def _obey(self, order: OperatorCommand) -> None:
-        match order:
+    def _execute(self, command: OperatorCommand) -> None:
+        match command:
             case OperatorCommand.HOME:
                 self._sequencer.home()
             case OperatorCommand.JOG:
                 self._sequencer.jog()
             case OperatorCommand.ARM:
-                self.loop.target.place(self._rate, self._sequencer.check)
+                self.loop.target.place(self.rate, self._sequencer.check)
                 self._sequencer.place()
                 self._arm()
             case OperatorCommand.START:
@@ -215,16 +214,16 @@ class Runner:
                 raise StopCommanded
 
     def _park(self) -> None:
-        """Leave the bench where its rig says; the session ends there."""
-        if self._parking is not None:
-            self._sequencer.park(self._parking)
+        """Move to the rig's park position; the session ends there."""
+        if self._plan.park_position is not None:
+            self._sequencer.park(self._plan.park_position)
         self._parked = True
 
     def _arm(self) -> None:
-        """Wait until the vision unit has delivered."""
+        """Wait for the required frames of the vision unit."""
         self._modes.go(Mode.ARMED)
         frames = 0
-        while frames < self._frames_to_arm:
+        while frames < self._plan.frames_to_arm:
             tick = self._sequencer.tick()
             self.loop.target.check(tick.now_s)
             frames += self.loop.vision.discard_pending(tick.now_s)
@@ -233,52 +232,52 @@ class Runner:
     def _close_the_loop(self) -> None:
         self._sequencer.seed_for_run()
         self._modes.go(Mode.RUNNING)
-        self._rate.restart()
+        self.rate.restart()
+        step_s, cycles = self._plan.step_s, self._plan.cycles
         held_s = 0.0
-        for k in range(self._cycles):
-            tick = self.overrun_monitor.wait(self._rate)
-            run_cycle(self.loop, k, k * self._step_s, tick.now_s, tick.run_zero_s + held_s, tick.lateness_s)
+        for k in range(cycles):
+            tick = self.overrun_monitor.wait(self.rate)
+            run_cycle(self.loop, k, k * step_s, tick.now_s, tick.run_zero_s + held_s, tick.lateness_s)
             self._done = k + 1
-            if k % self.WATCH_CYCLES == 0:
-                self._on_progress(Mode.RUNNING, k / self._cycles)
+            if k % PROGRESS_CYCLES == 0:
+                self._on_progress(Mode.RUNNING, k / cycles)
             if k % self._sequencer.link_check_cycles == 0:
                 self._sequencer.check_links(tick.now_s)
             self.operator.poll(tick.now_s)
             if self.operator.pending or self.safety.hold_reason:
-                held_s += self._obey_while_running(k * self._step_s)
-        self.loop.gnc.finish((self._cycles - 1) * self._step_s, self.loop.now.supervision)
+                held_s += self._execute_while_running(k * step_s)
+        self.loop.gnc.finish((cycles - 1) * step_s, self.loop.now.supervision)
         self._on_progress(Mode.RUNNING, 1.0)
 
-    def _obey_while_running(self, t_s: float) -> float:
-        """Do what is ordered between two cycles; return for how long, s, the run's time stood."""
-        order = None if self.safety.hold_reason else self.operator.pop(Mode.RUNNING)
-        if order is OperatorCommand.STOP:
+    def _execute_while_running(self, t_s: float) -> float:
+        """Execute a command between two cycles; return the duration of a hold, s, in which the run's time stops."""
+        command = None if self.safety.hold_reason else self.operator.pop(Mode.RUNNING)
+        if command is OperatorCommand.STOP:
             raise StopCommanded
-        if order is OperatorCommand.GO:
+        if command is OperatorCommand.GO:
             self.loop.gnc.order_go()
-        if order is OperatorCommand.ABORT:
+        if command is OperatorCommand.ABORT:
             self.loop.gnc.order_abort()
-        if not (self.safety.hold_reason or order is OperatorCommand.HOLD):
+        if not (self.safety.hold_reason or command is OperatorCommand.HOLD):
             return 0.0
         return self._hold(t_s)
 
     def _hold(self, t_s: float) -> float:
-        reason = self.safety.hold_reason or "ordered by the operator"
-        if not self.operator.can_resume and self.safety.hold_reason:
-            raise SafetyTrip("bench", "hold", f"({reason})", "in an attended run alone")
+        self._sequencer.require_resumable_hold()
+        reason = self.safety.hold_reason or "commanded by the operator"
         self.events.append(Event(t_s, "bench", f"hold: {reason}"))
         before = self._sequencer.ticks
         self._sequencer.hold(self._sequencer.tick())
-        held_s = (self._sequencer.ticks - before) * self._step_s
+        held_s = (self._sequencer.ticks - before) * self._plan.step_s
         self.events.append(Event(t_s, "bench", f"resumed after {held_s:.2f} s"))
         return held_s
 
     def _safe_stop(self, fault: BenchError) -> None:
-        """Stop the bench, remember why, and give no order by itself any more."""
-        with _ctrl_c_held_back():
-            now_s = self._rate.now_s()
+        """Stop the bench, latch the alarms, and cancel the automatic commands."""
+        with _ctrl_c_ignored():
+            now_s = self.rate.now_s()
             self.loop.bench.stop(now_s)
-            cause = root_cause(fault, self.loop, self._rate)
+            cause = root_cause(fault, self.loop, self.rate)
             self.safety.alarms.latch(alarm_from_error(cause, now_s))
             if cause is not fault:
                 self.safety.alarms.latch(alarm_from_error(fault, now_s))
@@ -287,48 +286,48 @@ class Runner:
             self.operator.cancel_auto_sequence()
 
     def _wait_for_reset(self) -> bool:
-        """Wait until the operator resets with the cause gone, then close everything; False once a run has begun.
+        """Wait for a reset with the cause removed, then close all devices; return False if a run has started.
 
-        The devices are opened anew afterwards: they come back disarmed, in standby.
+        The devices are reopened afterwards, disarmed, in standby.
         """
         if self._done:
             return False
         while True:
-            tick = self._rate.wait()
+            tick = self.rate.wait()
             with suppress(DeviceError):  # counts as pressed
                 self.loop.bench.poll_emergency_input(tick.now_s)
             self.operator.poll(tick.now_s)
-            order = self.operator.pop(Mode.SAFE_STOP)
-            if order is OperatorCommand.STOP:
+            command = self.operator.pop(Mode.SAFE_STOP)
+            if command is OperatorCommand.STOP:
                 raise StopCommanded
-            if order is OperatorCommand.RESET:
-                refusal = self.safety.reset(tick.now_s)
-                if refusal is None:
+            if command is OperatorCommand.RESET:
+                alarm = self.safety.reset(tick.now_s)
+                if alarm is None:
                     break
-                self.operator.rejections.append(refusal.text)
-            if not self._rate.on_the_wall:
-                time.sleep(_PAUSE_S)  # simulated time does not wait for anybody
+                self.operator.rejections.append(alarm.text)
+            if not self.rate.on_the_wall:
+                time.sleep(_PAUSE_S)  # simulated time runs without waiting: leave the CPU to other threads
         self._shut_down()
         self._faults.clear()
         self._modes.go(Mode.OFF)
         return True
 
     def _shut_down(self) -> None:
-        """Stop the bench first, then let go of everything."""
-        with _ctrl_c_held_back():
-            self.loop.bench.stop(self._rate.now_s())
-            self.loop.target.stop(self._rate.now_s())
+        """Stop the bench first, then close all devices."""
+        with _ctrl_c_ignored():
+            self.loop.bench.stop(self.rate.now_s())
+            self.loop.target.stop(self.rate.now_s())
             self.source.close()
             self.loop.bench.close()
             self.loop.target.close()
-            self.loop.safety_io.stop(self._rate.now_s())
+            self.loop.safety_io.stop(self.rate.now_s())
             self.loop.safety_io.close()
             self.loop.gnc.close()
 
 
 @contextmanager
-def _ctrl_c_held_back() -> Iterator[None]:
-    """Let nobody interrupt the stopping of the bench."""
+def _ctrl_c_ignored() -> Iterator[None]:
+    """Ignore Ctrl-C while the bench is being stopped."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

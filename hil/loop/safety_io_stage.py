@@ -1,4 +1,4 @@
-"""The safety chain in the cycle: keeps it closed, looks at the emergency stop, mirrors the thrusters to lines."""
+"""Safety I/O of the cycle: keeps the safety chain closed, reads the emergency stop, mirrors thrusters to lines."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from hil.drivers.base import DiscreteIo
 from hil.errors import SafetyTrip
 from hil.loop.rate_keeper import Rate
 
-CLOSING_TIME_S: Final = 1.0  # from the first edge of enable until the relay must have closed
-_EDGE_EACH_S: Final = 0.2  # a new edge of enable is offered
-_PULSE_S: Final = 0.01
+CLOSING_TIME_S: Final = 1.0  # allowed from the first edge of enable until the relay closes
+_EDGE_PERIOD_S: Final = 0.2  # of the edges of enable
+_PULSE_PERIOD_S: Final = 0.01
 
 
 class SafetyIo(Protocol):
-    """What the cycle and the runner know of the bench's digital lines."""
+    """Digital lines of the bench, as used by cycle and runner."""
 
     def open(self, rate: Rate) -> None:
         """Connect and close the safety chain. Raises DeviceError, SafetyTrip."""
 
     thrusters_s: float
-    """When the coupler was given the thrusters' lines as they are, s of bench time; NaN where nothing tells."""
+    """Bench time at which the coupler received the present thruster lines, s; NaN if unknown."""
 
     def check(self, now_s: float) -> None:
-        """Keep the chain closed for another moment; raise SafetyTrip where it is not, DeviceError on failure."""
+        """Keep the chain closed by a pulse; raise SafetyTrip if it is open, DeviceError on failure."""
 
-    def mirror(self, now_s: float) -> None:
-        """Bring the thrusters' lines up to date."""
+    def mirror_thrusters(self, now_s: float) -> None:
+        """Write the thruster lines if they have changed."""
 
     def stop(self, now_s: float) -> None:
-        """Set all lines off: the chain opens. Never raises."""
+        """Switch all lines off, which opens the chain. Never raises."""
 
     def close(self) -> None:
-        """Let go of the wire. Never raises."""
+        """Close the link. Never raises."""
 
 
 class NoSafetyIo:
-    """A bench without digital lines."""
+    """Bench without digital lines."""
 
     thrusters_s = math.nan
 
@@ -51,7 +51,7 @@ class NoSafetyIo:
 
     def check(self, now_s: float) -> None: ...
 
-    def mirror(self, now_s: float) -> None: ...
+    def mirror_thrusters(self, now_s: float) -> None: ...
 
     def stop(self, now_s: float) -> None: ...
 
@@ -59,9 +59,9 @@ class NoSafetyIo:
 
 
 class SafetyIoStage:
-    """Digital lines of a bench that has them.
+    """Digital lines of a bench with an I/O coupler.
 
-    on: view of the thrusters in COMMAND, whole numbers 0 or 1, one for each line.
+    on: view of the thruster commands in COMMAND, integers 0 or 1, one per line.
     """
 
     def __init__(self, io: DiscreteIo, on: np.ndarray) -> None:
@@ -71,16 +71,16 @@ class SafetyIoStage:
         self.thrusters_s = math.nan
 
     def open(self, rate: Rate) -> None:
-        """Connect, then offer the relay edges of enable until it closes, ``CLOSING_TIME_S`` at most."""
+        """Connect, then send edges of enable until the relay closes, for at most ``CLOSING_TIME_S``."""
         self.io.open(rate.now_s())
         now_s = start_s = rate.now_s()
-        while not self._offer(now_s, enable=(now_s - start_s) % _EDGE_EACH_S < 0.5 * _EDGE_EACH_S):
+        while not self._send_enable(now_s, enable=(now_s - start_s) % _EDGE_PERIOD_S < 0.5 * _EDGE_PERIOD_S):
             if now_s - start_s > CLOSING_TIME_S:
                 raise SafetyTrip(self.io.name, "safety chain", f"open {CLOSING_TIME_S:g} s after enable", "closed")
             now_s = rate.wait().now_s
 
-    def _offer(self, now_s: float, enable: bool) -> bool:
-        """Pulse and set enable; return whether the chain is closed."""
+    def _send_enable(self, now_s: float, enable: bool) -> bool:
+        """Pulse the charge pump and set enable; return whether the chain is closed."""
         self.io.pulse(now_s)
         self.io.write(IoOutputs(enable, self._lines()), now_s)
         inputs = self.io.read(now_s)
@@ -89,9 +89,9 @@ class SafetyIoStage:
         return enable and inputs.chain_closed
 
     def check(self, now_s: float) -> None:
-        """Pulse the charge pump; raise SafetyTrip when interlock or relay say that the drives have no torque.
+        """Pulse the charge pump; raise SafetyTrip if an interlock or the relay has removed the drives' torque.
 
-        An emergency stop, which opens the relay too, is for the supervisor to tell (``emergency_input``).
+        An emergency stop, which also opens the relay, is reported by the safety monitor (``emergency_input``).
         """
         self.io.pulse(now_s)
         inputs = self.io.read(now_s)
@@ -100,21 +100,21 @@ class SafetyIoStage:
             raise self._trip(inputs)
 
     def emergency_input(self, now_s: float) -> tuple[bool | None, bool]:
-        """Return whether the emergency stop is pressed, and the level of a reset input, of which there is none."""
+        """Return whether the emergency stop is pressed, and False: the coupler has no reset input."""
         return not self.io.read(now_s).estop_closed, False
 
-    def mirror(self, now_s: float) -> None:
-        """Hand over the thrusters' lines where one has changed."""
+    def mirror_thrusters(self, now_s: float) -> None:
+        """Write the thruster lines if one has changed."""
         if self._on.tobytes() != self._mirrored:
             self._mirrored = self._on.tobytes()
             self.io.write(IoOutputs(True, self._lines()), now_s)
 
     def stop(self, now_s: float) -> None:
-        """Set all lines off."""
+        """Switch all lines off."""
         self.io.stop(now_s)
 
     def close(self) -> None:
-        """Let go of the wire."""
+        """Close the link."""
         self.io.close()
 
     def _lines(self) -> bytes:
@@ -130,10 +130,10 @@ class SafetyIoStage:
 
 @contextmanager
 def chain_kept_closed(lines: SafetyIo, rate: Rate) -> Iterator[None]:
-    """Pulse the charge pump from a thread while the body blocks: devices take their time to open and to stop.
+    """Pulse the charge pump from a thread while the body blocks, e.g. while devices open or stop.
 
-    For whoever holds the lines itself; in a run the watchdog process pulses. Only on the wall: in simulated time
-    no time passes meanwhile.
+    For callers that own the lines; in a run the watchdog process pulses. No operation in simulated time, which does
+    not advance meanwhile.
     """
     if not (isinstance(lines, SafetyIoStage) and rate.on_the_wall):
         yield
@@ -141,7 +141,7 @@ def chain_kept_closed(lines: SafetyIo, rate: Rate) -> Iterator[None]:
     ended = threading.Event()
 
     def pulse() -> None:
-        while not ended.wait(_PULSE_S):
+        while not ended.wait(_PULSE_PERIOD_S):
             lines.io.pulse(rate.now_s())
 
     thread = threading.Thread(target=pulse, name="charge-pump", daemon=True)

@@ -1,6 +1,6 @@
-"""The stages of a cycle: what each holds between cycles, and the kernels it calls.
+"""Stages of a cycle: dynamics simulation and vision.
 
-A stage owns its parameters and its state; the records that pass between stages belong to the cycle.
+A stage owns its parameters and its state; the records passed between stages belong to the cycle.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _NO_POSE = new(POSE)
 
 
 class DssStage:
-    """Dynamics simulation: the truth and the virtual IMU."""
+    """Dynamics simulation (DSS): truth and virtual IMU."""
 
     def __init__(self, params: np.record, field: Array, imu_params: np.record, imu_noise: NormalRows) -> None:
         self.params = params
@@ -42,21 +42,21 @@ class DssStage:
         self._rate = np.empty(3)
 
     def sample_imu(self, truth: np.record, imu: np.record) -> None:
-        """Write the IMU's sample of the step that ended at ``truth``."""
+        """Write the IMU sample of the step that ended at ``truth``."""
         imu_kernels.sample(self._imu_params, truth, self._noise.next_row(), imu)
 
     def step(self, truth: np.record, command: np.record) -> None:
-        """Move ``truth`` on by one step under the thrusters that ``command`` opens."""
+        """Propagate ``truth`` by one step with the thrusters that ``command`` opens."""
         truth_kernels.step(self.params, self._field, self._harmonics, truth, command.on)
 
     def rate_against_hill(self, truth: np.record) -> Array:
-        """Return the chaser's rate against H, in c, (3,), rad/s; valid until the next call."""
+        """Return the chaser's rate relative to H, in c, (3,), rad/s; valid until the next call."""
         truth_kernels.rate_against_hill(truth, self._rate)
         return self._rate
 
 
 class VisionStage:
-    """The poses of the vision unit, brought from the camera to the chaser."""
+    """Poses of the vision unit, transformed from the camera to the chaser."""
 
     def __init__(self, source: PoseSource, stations: np.record) -> None:
         self.source = source
@@ -66,33 +66,33 @@ class VisionStage:
         self.arrived = 0
         self.dropped = 0  # beyond MAX_POSES in one cycle
         self.not_before_s = -math.inf
-        """Frames exposed before this bench time are of another life of the run: they are left out."""
-        self.tap: Telemetry | None = None
-        """Is given each frame that comes, a row of ARRIVAL."""
+        """Frames exposed before this bench time are stale and discarded."""
+        self.frame_sink: Telemetry | None = None
+        """Receives each frame, as a row of ARRIVAL."""
         self.on_run_zero: Callable[[float], None] | None = None
-        """Is told the bench time at which the run's time is zero when that changes; nan while no run's time goes."""
+        """Called with the bench time of the run's time zero when it changes; nan while the run's time stops."""
         self._run_zero_s: float | None = None
-        self.forward: Callable[[PoseFrame, float], None] | None = None
-        """Is given each frame that is used, and its moment of exposure in time of the run."""
+        self.on_frame_used: Callable[[PoseFrame, float], None] | None = None
+        """Called with each used frame and its time of exposure in the run's time."""
         self._row = np.zeros(1, ARRIVAL)
         self._cycle = -1
 
     def receive(self, bench_s: float, run_zero_s: float, row: np.ndarray) -> None:
-        """Bring the frames that came since the last cycle into ``poses``; the newest one also into ``row["pose"]``.
+        """Write the frames received since the last cycle into ``poses``, the newest also into ``row["pose"]``.
 
-        run_zero_s: bench time at which the run's time is zero.
+        run_zero_s: bench time of the run's time zero.
         """
         if run_zero_s != self._run_zero_s:
-            self._tell_run_zero(run_zero_s)
-        came = frames = self.source.poll(bench_s)
+            self._set_run_zero(run_zero_s)
+        received = frames = self.source.poll(bench_s)
         self._cycle += 1
         if frames:
             frames = [frame for frame in frames if frame.t_s >= self.not_before_s]
         self.dropped += max(0, len(frames) - MAX_POSES)
         self.arrived = min(len(frames), MAX_POSES)
         frames = frames[-MAX_POSES:]
-        if self.tap is not None:
-            self._show_unused([frame for frame in came if not any(frame is used for used in frames)])
+        if self.frame_sink is not None:
+            self._record_unused([frame for frame in received if not any(frame is used for used in frames)])
         if not frames:
             row["pose"]["fresh"] = 0
             return
@@ -100,40 +100,40 @@ class VisionStage:
             chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
             pose.t_s = frame.t_s - run_zero_s
             pose.status = frame.status
-            if self.forward is not None:
-                self.forward(frame, pose.t_s)
-            if self.tap is not None:
-                self._show(frame, self._cycle, pose)
+            if self.on_frame_used is not None:
+                self.on_frame_used(frame, pose.t_s)
+            if self.frame_sink is not None:
+                self._record(frame, self._cycle, pose)
         newest = self.poses[: self.arrived]["t_s"].argmax()
         row["pose"] = self.poses[newest]
         row["pose"]["fresh"] = self.arrived
         row["received_s"] = frames[newest].received_s - run_zero_s
 
-    def _tell_run_zero(self, run_zero_s: float | None) -> None:
+    def _set_run_zero(self, run_zero_s: float | None) -> None:
         self._run_zero_s = run_zero_s
         if self.on_run_zero is not None:
             self.on_run_zero(math.nan if run_zero_s is None else run_zero_s)
 
     def discard_pending(self, bench_s: float) -> int:
-        """Take the frames that came since the last cycle and use none; return how many."""
+        """Discard the frames received since the last cycle; return their number."""
         if self._run_zero_s is not None:
-            self._tell_run_zero(None)
+            self._set_run_zero(None)
         frames = self.source.poll(bench_s)
-        if self.tap is not None:
-            self._show_unused(frames)
+        if self.frame_sink is not None:
+            self._record_unused(frames)
         return len(frames)
 
-    def _show_unused(self, frames: list[PoseFrame]) -> None:
+    def _record_unused(self, frames: list[PoseFrame]) -> None:
         for frame in frames:
-            self._show(frame, -1, _NO_POSE)
+            self._record(frame, -1, _NO_POSE)
 
-    def _show(self, frame: PoseFrame, cycle: int, pose: np.record) -> None:
-        """Give the tap ``frame`` with the number of the cycle that uses it and what navigation gets of it."""
-        assert self.tap is not None
+    def _record(self, frame: PoseFrame, cycle: int, pose: np.record) -> None:
+        """Send ``frame`` to the sink with the number of the cycle that uses it and the pose passed to navigation."""
+        assert self.frame_sink is not None
         self._row["cycle"] = cycle
         frame.write_to(self._row["frame"])
         self._row["pose"] = pose
-        self.tap.put(self._row)
+        self.frame_sink.put(self._row)
 
 
 class BuiltinGnc(Approach):

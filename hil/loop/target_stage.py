@@ -1,4 +1,4 @@
-"""The target's manipulator: placed before the run is armed, held and watched while it lasts."""
+"""Target manipulator: placed before the run is armed, held and monitored during it."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from hil.loop.rate_keeper import Rate
 from hil.models.profile import along_line, duration
 
 FRACTION_OF_LIMITS: Final = 0.5
-_SETTLE_S: Final = 3.0  # after the move, until the axes stand where they should
+_SETTLE_S: Final = 3.0  # allowed after the move until the axes are at their places
 _SETTLED_M: Final = 0.001
 
 
 class TargetStage(Protocol):
-    """What the cycle and the runner know of whatever carries the target."""
+    """Carrier of the target, as used by cycle and runner."""
 
     def open(self, now_s: float) -> None:
-        """Open the device; it holds where it stands. Raises DeviceError."""
+        """Open the device; it holds its position. Raises DeviceError."""
 
     def place(self, rate: Rate, each: Callable[[float], None]) -> None:
-        """Move slowly to the place; ``each`` is called with every cycle's time. Raises BenchError."""
+        """Move slowly to the place; ``each`` is called with the time of each cycle. Raises BenchError."""
 
     def check(self, now_s: float) -> None:
-        """Raise SafetyTrip where the target is not at its place, DeviceError on failure."""
+        """Raise SafetyTrip if the target is not at its place, DeviceError on failure."""
 
     def stop(self, now_s: float) -> None:
-        """Bring it to a stand. Never raises."""
+        """Stop the device. Never raises."""
 
     def close(self) -> None:
-        """Let go of the wire. Never raises."""
+        """Close the link. Never raises."""
 
 
 class FixedTarget:
-    """A target that nothing moves."""
+    """Fixed target."""
 
     def open(self, now_s: float) -> None: ...
 
@@ -54,7 +54,7 @@ class FixedTarget:
 
 
 class PlacedTarget:
-    """A target on three axes (m) of ``config``."""
+    """Target on the three linear axes (m) of ``config``."""
 
     def __init__(self, axes: AxisGroup, config: TargetManipulator) -> None:
         self.axes = axes
@@ -64,46 +64,47 @@ class PlacedTarget:
         self._speed, self._acceleration = FRACTION_OF_LIMITS * np.array(limits).T
 
     def open(self, now_s: float) -> None:
-        """Open the axes; they hold where they stand."""
+        """Open the axes; they hold their positions."""
         self.axes.open(now_s)
 
     def place(self, rate: Rate, each: Callable[[float], None]) -> None:
-        """Move all axes slowly to the place and wait until they stand there."""
+        """Move all axes slowly to the place and wait until they are at rest there."""
         tick = rate.wait()
-        found = self.axes.read(tick.now_s)
-        for name, homing in zip(self.axes.axis_names, found.homing, strict=True):
+        feedback = self.axes.read(tick.now_s)
+        for name, homing in zip(self.axes.axis_names, feedback.homing, strict=True):
             if homing is not Homing.DONE:
                 raise SafetyTrip(name, "homing", homing.name.lower().replace("_", " "), "done before a run")
-        start_s, start, way = tick.now_s, found.position.copy(), self._place - found.position
-        limits = list(zip(np.abs(way), self._speed, self._acceleration, strict=True))
-        lasts_s = max(duration(length, speed, acceleration, acceleration) for length, speed, acceleration in limits)
+        start_s, start, distance = tick.now_s, feedback.position.copy(), self._place - feedback.position
+        limits = list(zip(np.abs(distance), self._speed, self._acceleration, strict=True))
+        duration_s = max(duration(length, speed, acceleration, acceleration) for length, speed, acceleration in limits)
         position, motion, along = np.empty(3), np.empty(3), np.empty(3)
-        while (moved_s := tick.now_s - start_s) <= lasts_s or self._off(tick.now_s) > _SETTLED_M:
-            if moved_s > lasts_s + _SETTLE_S:
+        while (moved_s := tick.now_s - start_s) <= duration_s or self._off(tick.now_s) > _SETTLED_M:
+            if moved_s > duration_s + _SETTLE_S:
                 raise SafetyTrip(self.axes.name, "place", "not reached", f"{_SETTLE_S:g} s after the move")
             for i, (length, speed, acceleration) in enumerate(limits):
                 along_line(length, speed, acceleration, acceleration, moved_s, along)
-                position[i] = start[i] + math.copysign(along[0], way[i])
-                motion[i] = math.copysign(along[1], way[i])
+                position[i] = start[i] + math.copysign(along[0], distance[i])
+                motion[i] = math.copysign(along[1], distance[i])
             self.axes.send(position, motion, tick.now_s)
             tick = rate.wait()
             each(tick.now_s)
         self.axes.send(self._place, np.zeros(3), tick.now_s)
 
     def check(self, now_s: float) -> None:
-        """Raise SafetyTrip where an axis is further from its place than ``held_within_m``."""
-        away = np.abs(self.axes.read(now_s).position - self._place)
-        worst = int(away.argmax())
-        if not away[worst] <= self._held_within_m:
+        """Raise SafetyTrip if an axis is further from its place than ``held_within_m``."""
+        error = np.abs(self.axes.read(now_s).position - self._place)
+        worst = int(error.argmax())
+        if not error[worst] <= self._held_within_m:
             limit = f"{self._held_within_m:g} m"
-            raise SafetyTrip(self.axes.axis_names[worst], "distance from its place", f"{away[worst]:.4f} m", limit)
+            name = self.axes.axis_names[worst]
+            raise SafetyTrip(name, "distance from commanded place", f"{error[worst]:.4f} m", limit)
 
     def stop(self, now_s: float) -> None:
-        """Bring the axes to a stand."""
+        """Stop the axes."""
         self.axes.stop(now_s)
 
     def close(self) -> None:
-        """Let go of the axes."""
+        """Close the axes."""
         self.axes.close()
 
     def _off(self, now_s: float) -> float:

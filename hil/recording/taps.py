@@ -88,7 +88,7 @@ class RecordingSinks:
         """Tap ``runner``, which has not begun: all but its cycles, which go where its loop's telemetry is."""
         notes = EventRecorder(self.notes, runner)
         loop = runner.loop
-        loop.vision.tap = self.arrivals
+        loop.vision.frame_sink = self.arrivals
         if self.run_time is not None:
             loop.vision.on_run_zero = self.run_time.set_zero
         for events in (*loop.gnc.logs, runner.events):

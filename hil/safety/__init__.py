@@ -1,1 +1,1 @@
-"""Deciding whether the bench may go on: no input, no output, time handed in."""
+"""Safety of the bench: monitor, emergency stop, alarms, packet loss. No I/O; time is an argument."""

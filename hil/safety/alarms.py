@@ -1,4 +1,4 @@
-"""Alarms: what stopped the bench, latched until somebody has seen it and the bench was reset."""
+"""Alarms of the bench: latched until acknowledged by the operator and reset."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from hil.errors import BenchError, DeviceError, DriveFault, LinkLost, LinkTimeou
 
 _KINDS: dict[type[DeviceError], tuple[str, str]] = {
     LinkLost: ("link", "connected"),
-    LinkTimeout: ("silence", "an answer in time"),
-    ProtocolError: ("protocol", "bytes that mean what they should"),
+    LinkTimeout: ("timeout", "response in time"),
+    ProtocolError: ("protocol", "valid message"),
     DriveFault: ("drive fault", "none"),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """One trip: bench time, device, what was watched, what it was and what it may be, both with their units."""
+    """One trip: bench time, device, monitored quantity, its value and its limit, both with units."""
 
     t_s: float
     device: str
@@ -34,7 +34,7 @@ class Alarm:
             object.__setattr__(self, "text", f"{self.device}: {self.quantity} {self.value}, allowed {self.limit}")
 
     def trip(self) -> SafetyTrip:
-        """Return the error that ends the run for this alarm."""
+        """Return the error that ends the run."""
         return SafetyTrip(self.device, self.quantity, self.value, self.limit)
 
     def as_json(self) -> dict[str, Any]:
@@ -42,7 +42,7 @@ class Alarm:
 
 
 def alarm_from_error(error: BenchError, t_s: float) -> Alarm:
-    """Return the alarm that belongs to an error of the bench; its text is the error's."""
+    """Return the alarm of a bench error; its text is the text of the error."""
     if isinstance(error, SafetyTrip):
         return Alarm(t_s, error.device, error.quantity, error.value, error.limit, str(error))
     if isinstance(error, DeviceError):
@@ -52,34 +52,34 @@ def alarm_from_error(error: BenchError, t_s: float) -> Alarm:
 
 
 class AlarmLog:
-    """All alarms of a session in the order in which they came.
+    """Alarms of a session in the order of their occurrence.
 
-    One that is latched stays until ``reset``, acknowledged or not; the same device and quantity does
-    not raise a second one meanwhile, so a fault that repeats does not bury the first.
+    An alarm stays latched until ``reset``, acknowledged or not. Meanwhile the same device and quantity raises no
+    second one, so that a repeated fault does not hide the first.
     """
 
     def __init__(self) -> None:
         self._alarms: list[Alarm] = []
         self.raised: ObservableList[Alarm] = ObservableList()
-        """Each alarm as it came, whatever became of it."""
+        """Each alarm as it was raised."""
 
     def latch(self, alarm: Alarm) -> Alarm:
-        """Latch ``alarm``; return it, or the one that is latched for the same device and quantity already."""
-        for known in self._alarms:
-            if known.latched and (known.device, known.quantity) == (alarm.device, alarm.quantity):
-                return known
+        """Latch ``alarm``; return it, or the alarm already latched for the same device and quantity."""
+        for latched in self._alarms:
+            if latched.latched and (latched.device, latched.quantity) == (alarm.device, alarm.quantity):
+                return latched
         self._alarms.append(replace(alarm, latched=True, acknowledged=False))
         self.raised.append(self._alarms[-1])
         return self._alarms[-1]
 
     def acknowledge(self) -> int:
-        """Say that all alarms have been seen; return how many were new."""
+        """Acknowledge all alarms; return the number of new ones."""
         new = sum(not alarm.acknowledged for alarm in self._alarms)
         self._alarms = [replace(alarm, acknowledged=True) for alarm in self._alarms]
         return new
 
     def reset(self) -> None:
-        """Let go of all alarms; whoever resets has seen them. They stay in the list."""
+        """Unlatch and acknowledge all alarms; they stay in the list."""
         self._alarms = [replace(alarm, acknowledged=True, latched=False) for alarm in self._alarms]
 
     def all(self) -> tuple[Alarm, ...]:

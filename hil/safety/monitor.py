@@ -1,7 +1,7 @@
-"""The one supervisor: told in each cycle what is known, it says whether the bench may go on.
+"""Safety monitor of the bench. Checks in each cycle whether the bench may continue, and returns the alarm if not.
 
-It has the mode, the emergency stop, the alarms and the links' buckets, and nothing of the devices
-themselves. What it checks in which mode is the table ``CHECKS``; docs/safety.md lists every alarm.
+It owns mode, emergency stop, alarms and packet-loss monitors, but no device. The table ``CHECKS`` lists the checks of
+each mode; docs/safety.md lists all alarms.
 """
 
 from __future__ import annotations
@@ -14,21 +14,26 @@ from typing import Final
 import numpy as np
 
 from hil.bench import guard as guards
+from hil.config.rig import Rig
 from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing, new
 from hil.core.modes import Mode, ModeMachine
+from hil.errors import SafetyTrip
 from hil.safety.alarms import Alarm, AlarmLog
 from hil.safety.estop import EmergencyStop
-from hil.safety.limits import SafetyLimits
 from hil.safety.packet_loss import LinkWatch
 
 _SWITCHES: Final = {-1: "low", 1: "high"}
+_REST_MPS = 0.01
+_REST_RADPS = math.radians(1.0)
+_SLACK_M = 0.001
+_SLACK_RAD = 0.001
 
 
 @dataclass(frozen=True, slots=True)
 class Checks:
-    """What is looked at: ``open``: emergency stop and age of feedback; ``homed``: every axis knows its place;
-    ``homing``: none has failed to find it; ``switches``: none stands on a limit switch; ``commanded``: age of
-    the setpoints; ``following``: following error, soft limits."""
+    """Checks of a mode: ``open``: emergency stop and age of the feedback; ``homed``: all axes homed; ``homing``: no
+    axis failed to home; ``switches``: no axis on a limit switch; ``commanded``: age of the setpoints; ``following``:
+    following error and soft limits."""
 
     open: bool = True
     homed: bool = False
@@ -43,10 +48,10 @@ _ALL = Checks(homed=True, switches=True, commanded=True, following=True)
 CHECKS: Final[dict[Mode, Checks]] = {
     Mode.OFF: Checks(open=False),
     Mode.STANDBY: Checks(),
-    Mode.HOMING: Checks(homing=True),  # on its way to the switches, under the drives' own command
-    Mode.JOGGING: Checks(commanded=True, following=True),  # the jog itself obeys the switches: it may leave one
+    Mode.HOMING: Checks(homing=True),  # the drives move the axes to the home switches by themselves
+    Mode.JOGGING: Checks(commanded=True, following=True),  # the jog itself respects the switches: it may move off one
     Mode.PLACING: _ALL,
-    Mode.ARMED: Checks(homed=True, switches=True, following=True),  # the drives hold the last setpoint by themselves
+    Mode.ARMED: Checks(homed=True, switches=True, following=True),  # the drives hold the last setpoint
     Mode.RUNNING: _ALL,
     Mode.PARKING: _ALL,
     Mode.HOLD: _ALL,
@@ -54,10 +59,41 @@ CHECKS: Final[dict[Mode, Checks]] = {
 }
 
 
-class SafetyMonitor:
-    """Decides, in each cycle, between going on and a safe stop; keeps what asks for a hold.
+@dataclass(frozen=True, slots=True)
+class SafetyLimits:
+    """Limits of the checks. guard: GUARD. feedback_age_max_s: of rails and turntable. slack (6,): position beyond the
+    travel that is allowed when the bench is armed, m and rad. rest_mps, rest_radps: below these speeds an axis counts
+    as at rest."""
 
-    axis_names: rails x y z, turntable roll pitch yaw, full. links: the buckets of lost packets.
+    guard: np.record
+    feedback_age_max_s: tuple[float, float]
+    command_age_max_s: float
+    homing_timeout_s: float
+    slack: Array
+    rest_mps: float = _REST_MPS
+    rest_radps: float = _REST_RADPS
+
+
+def safety_limits(rig: Rig, params: np.record) -> SafetyLimits:
+    """Return the safety limits of ``rig``; params: its BENCH_PARAMS."""
+    guard = new(guards.GUARD)
+    rails, turntable = rig.rails, rig.turntable
+    guard.following_max = [rails.following_error_max_m] * 3 + [math.radians(turntable.following_error_max_deg)] * 3
+    guard.following_per_speed = [rails.following_error_per_speed_s] * 3 + [turntable.following_error_per_speed_s] * 3
+    guard.low, guard.high = params.low, params.high
+    return SafetyLimits(
+        guard=guard,
+        feedback_age_max_s=(rails.timeout_s, turntable.timeout_s),
+        command_age_max_s=rig.safety.command_age_max_s,
+        homing_timeout_s=rig.safety.homing_timeout_s,
+        slack=np.array([_SLACK_M] * 3 + [_SLACK_RAD] * 3),
+    )
+
+
+class SafetyMonitor:
+    """Decides in each cycle between continuing and a safe stop; stores requests for a hold.
+
+    axis_names: full names of rails x y z, turntable roll pitch yaw. links: packet-loss monitors.
     """
 
     def __init__(self, limits: SafetyLimits, axis_names: Sequence[str], links: Sequence[LinkWatch] = ()) -> None:
@@ -66,13 +102,13 @@ class SafetyMonitor:
         self.estop = EmergencyStop()
         self.limits = limits
         self.hold_reason = ""
-        """Why the bench is to be held; empty while nothing asks for it."""
+        """Reason of a requested hold; empty if none is requested."""
         self._axis_names = tuple(axis_names)
         self._links = tuple(links)
         self._guard = limits.guard.copy()
         self._breach = new(guards.BREACH)
-        self._seen_mode = self.modes.mode
-        self._checks = CHECKS[self._seen_mode]
+        self._checked_mode = self.modes.mode
+        self._checks = CHECKS[self._checked_mode]
 
     def check(
         self,
@@ -83,29 +119,29 @@ class SafetyMonitor:
         setpoint: np.record,
         feedback: np.record,
     ) -> Alarm | None:
-        """Return the alarm that stops the bench, None where it may go on.
+        """Return the alarm that stops the bench, None if it may continue.
 
-        rails, turntable: the newest feedback; ``feedback``: both as AXES. setpoint: AXES, where they should
-        be; commanded_s: bench time at which it was sent, nan if none was sent since the bench was armed.
+        rails, turntable: newest feedback; ``feedback``: both as AXES. setpoint: AXES, the last command; commanded_s:
+        bench time at which it was sent, nan if none was sent since the bench was armed.
         """
         mode = self.modes.mode
-        if mode is not self._seen_mode:
-            self._seen_mode, self._checks = mode, CHECKS[mode]
+        if mode is not self._checked_mode:
+            self._checked_mode, self._checks = mode, CHECKS[mode]
         checks = self._checks
         if checks.open:
             if self.estop.latched:
                 return self._emergency_stop(now_s)
             rails_max_s, turntable_max_s = self.limits.feedback_age_max_s
             if not now_s - rails.t_s <= rails_max_s:
-                return self._too_old(now_s, 0, rails, rails_max_s)
+                return self._stale_feedback(now_s, 0, rails, rails_max_s)
             if not now_s - turntable.t_s <= turntable_max_s:
-                return self._too_old(now_s, 3, turntable, turntable_max_s)
+                return self._stale_feedback(now_s, 3, turntable, turntable_max_s)
         if checks.homing and (alarm := self.homing_failed(now_s, rails, turntable)):
             return alarm
         if checks.homed and (rails.homing != HOMED or turntable.homing != HOMED):
             return self._not_homed(now_s, rails, turntable)
         if checks.switches and (rails.limit != NO_LIMIT or turntable.limit != NO_LIMIT):
-            return self._on_a_switch(now_s, rails, turntable)
+            return self._on_limit_switch(now_s, rails, turntable)
         if checks.commanded and now_s - commanded_s > self.limits.command_age_max_s:
             age, limit = f"{now_s - commanded_s:.3f} s", f"{self.limits.command_age_max_s:g} s"
             return Alarm(now_s, "bench", "age of the setpoint", age, limit)
@@ -116,55 +152,55 @@ class SafetyMonitor:
         return None
 
     def interlock_open(self, now_s: float) -> Alarm | None:
-        """Return why no drive may be enabled, None where they may."""
+        """Return the alarm that forbids enabling the drives, None if allowed."""
         return self._emergency_stop(now_s) if self.estop.latched else None
 
     def interlock_motion(
         self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback, feedback: np.record
     ) -> Alarm | None:
-        """Return why no setpoint may be given yet, None where one may: asked before placing, arming and resuming."""
+        """Return the alarm that forbids motion, None if allowed; checked before placing, arming and resuming."""
         if self.estop.latched:
             return self._emergency_stop(now_s)
         if rails.homing != HOMED or turntable.homing != HOMED:
             return self._not_homed(now_s, rails, turntable)
         if rails.limit != NO_LIMIT or turntable.limit != NO_LIMIT:
-            return self._on_a_switch(now_s, rails, turntable)
+            return self._on_limit_switch(now_s, rails, turntable)
         breach = guards.first_beyond_travel(self._guard, feedback, self.limits.slack, self._breach)
         if breach != guards.NOTHING:
             return breach_alarm(now_s, self._axis_names, breach, self._breach)
         return self.interlock_seed(now_s, feedback)
 
     def interlock_seed(self, now_s: float, feedback: np.record) -> Alarm | None:
-        """Return an alarm where an axis moves: references are seeded from axes that stand."""
-        moving = guards.first_moving(feedback, self.limits.stand_mps, self.limits.stand_radps)
+        """Return an alarm if an axis moves: setpoints are seeded only from axes at rest."""
+        moving = guards.first_moving(feedback, self.limits.rest_mps, self.limits.rest_radps)
         if moving < 0:
             return None
         if moving < 3:
-            value, limit = f"{feedback.rail_mps[moving]:.4f} m/s", f"{self.limits.stand_mps:g} m/s"
+            value, limit = f"{feedback.rail_mps[moving]:.4f} m/s", f"{self.limits.rest_mps:g} m/s"
         else:
             value = f"{math.degrees(feedback.gimbal_radps[moving - 3]):.3f} deg/s"
-            limit = f"{math.degrees(self.limits.stand_radps):g} deg/s"
-        return Alarm(now_s, self._axis_names[moving], "speed at arming", value, limit)
+            limit = f"{math.degrees(self.limits.rest_radps):g} deg/s"
+        return Alarm(now_s, self._axis_names[moving], "speed before motion", value, limit)
 
     def check_links(self, now_s: float) -> Alarm | None:
-        """Return an alarm where a device has lost too many packets lately; a few times a second is often enough."""
+        """Return an alarm if a device has lost too many packets recently; called a few times per second."""
         for link in self._links:
             if alarm := link.check(now_s):
                 return alarm
         return None
 
-    def opened(self) -> None:
-        """Begin anew after the devices were opened: what was lost before does not count."""
+    def restart(self) -> None:
+        """Restart after the devices were opened: earlier packet loss and hold requests do not count."""
         self.hold_reason = ""
         for link in self._links:
             link.restart()
 
     def request_hold(self, reason: str) -> None:
-        """Let the bench be held before the next cycle; obeyed in running and in placing."""
+        """Request a hold before the next cycle; executed in RUNNING and PLACING."""
         self.hold_reason = self.hold_reason or reason
 
     def reset(self, now_s: float) -> Alarm | None:
-        """Take a reset: return what still forbids it, or let go of all alarms."""
+        """Reset all alarms, or return the alarm that forbids it."""
         if not self.estop.reset():
             return Alarm(now_s, "bench", "emergency stop", "pressed", "released")
         self.alarms.reset()
@@ -178,16 +214,16 @@ class SafetyMonitor:
         self.widen_travel(self.limits.guard.low, self.limits.guard.high)
 
     def homing_failed(self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback) -> Alarm | None:
-        """Return an alarm where an axis did not find its home switch."""
+        """Return an alarm if an axis failed to home."""
         for axis, state in enumerate((*rails.homing, *turntable.homing)):
             if state is Homing.FAILED:
-                return Alarm(now_s, self._axis_names[axis], "homing", "failed", "every axis finds its switch")
+                return Alarm(now_s, self._axis_names[axis], "homing", "failed", "home switch found")
         return None
 
     def homing_timeout(
         self, now_s: float, since_s: float, rails: AxisFeedback, turntable: AxisFeedback
     ) -> Alarm | None:
-        """Return an alarm that names the first axis without a place once homing has used up its time."""
+        """Return an alarm for the first axis that is not homed after the homing timeout."""
         limit_s = self.limits.homing_timeout_s
         if now_s - since_s <= limit_s:
             return None
@@ -200,7 +236,7 @@ class SafetyMonitor:
         value = "pressed" if self.estop.pressed else "released, not reset"
         return Alarm(now_s, "bench", "emergency stop", value, "released and reset")
 
-    def _too_old(self, now_s: float, first_axis: int, feedback: AxisFeedback, limit_s: float) -> Alarm:
+    def _stale_feedback(self, now_s: float, first_axis: int, feedback: AxisFeedback, limit_s: float) -> Alarm:
         device = self._axis_names[first_axis].partition(".")[0]
         return Alarm(now_s, device, "age of the feedback", f"{now_s - feedback.t_s:.3f} s", f"{limit_s:g} s")
 
@@ -210,14 +246,19 @@ class SafetyMonitor:
         value = {Homing.NEEDED: "not homed", Homing.UNDER_WAY: "under way", Homing.FAILED: "failed"}[states[axis]]
         return Alarm(now_s, self._axis_names[axis], "homing", value, "done")
 
-    def _on_a_switch(self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback) -> Alarm:
+    def _on_limit_switch(self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback) -> Alarm:
         switches = (*rails.limit, *turntable.limit)
         axis = next(i for i, switch in enumerate(switches) if switch != 0)
         return Alarm(now_s, self._axis_names[axis], "limit switch", _SWITCHES[switches[axis]], "none")
 
 
+def hold_trip(reason: str) -> SafetyTrip:
+    """Return the error of a hold requested for ``reason`` in a run without an operator to resume it."""
+    return SafetyTrip("bench", "hold", f"({reason})", "only in attended runs")
+
+
 def breach_alarm(now_s: float, axis_names: Sequence[str], what: int, found: np.record) -> Alarm:
-    """Return the alarm for ``what`` the guard's kernels returned and ``found`` (BREACH)."""
+    """Return the alarm of a breach. what: code returned by the guard kernels; found: BREACH."""
     axis = int(found.axis)
     name = axis_names[axis]
     if what == guards.FOLLOWING:

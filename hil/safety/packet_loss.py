@@ -1,4 +1,4 @@
-"""Losses on a wire: single packets are forgiven, bursts are not."""
+"""Packet loss of a link: single losses are tolerated, bursts raise an alarm."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from hil.safety.alarms import Alarm
 
 @dataclass(slots=True)
 class LeakyBucket:
-    """Fills by one a lost packet, leaks one in ``forget_s``; more than ``capacity`` in it is too many."""
+    """Level that rises by one per lost packet and decays by one per ``forget_s``; it trips above ``capacity``."""
 
     capacity: float
     forget_s: float
     level: float = 0.0
-    _looked_s: float = -float("inf")
+    _updated_s: float = -float("inf")
 
     def add(self, n: int, t_s: float) -> bool:
-        """Put in ``n`` packets lost up to ``t_s``; return whether that is too many.
+        """Add ``n`` packets lost up to ``t_s``; return whether the level exceeds the capacity.
 
-        Time that runs backwards leaks nothing.
+        Without decay if time runs backwards.
         """
-        if t_s > self._looked_s:
-            self.level = max(0.0, self.level - (t_s - self._looked_s) / self.forget_s)
-            self._looked_s = t_s
+        if t_s > self._updated_s:
+            self.level = max(0.0, self.level - (t_s - self._updated_s) / self.forget_s)
+            self._updated_s = t_s
         self.level += n
         return self.level > self.capacity
 
@@ -33,7 +33,7 @@ class LeakyBucket:
 
 
 class LinkWatch:
-    """One device's bucket, fed by a counter that only grows (a smaller number than before: it began anew)."""
+    """Packet loss of one device, from its counter of lost packets (a decrease means that the counter restarted)."""
 
     def __init__(self, device: str, bucket: LeakyBucket, lost: Callable[[], int]) -> None:
         self.device = device
@@ -42,17 +42,17 @@ class LinkWatch:
         self._before = 0
 
     def restart(self) -> None:
-        """Forget what was lost so far: the link was opened anew."""
+        """Discard earlier losses: the link was reopened."""
         self._before = self._lost()
         self._bucket.empty()
 
     def check(self, now_s: float) -> Alarm | None:
-        """Return an alarm where too many packets were lost lately."""
+        """Return an alarm if too many packets were lost recently."""
         count = self._lost()
         new = max(0, count - self._before)
         self._before = count
         if not self._bucket.add(new, now_s):
             return None
         bucket = self._bucket
-        limit = f"{bucket.capacity:g} at once, 1 in {bucket.forget_s:g} s"
+        limit = f"{bucket.capacity:g} at once, 1 per {bucket.forget_s:g} s"
         return Alarm(now_s, self.device, "lost packets", f"{bucket.level:.1f}", limit)

@@ -36,14 +36,13 @@ from hil.loop.cycle import Loop
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
-from hil.loop.runner import Runner
+from hil.loop.runner import Runner, RunPlan
 from hil.loop.safety_io_stage import SafetyIoStage
 from hil.loop.stages import BuiltinGnc, DssStage, VisionStage
 from hil.loop.target_stage import PlacedTarget
 from hil.maths.random_streams import NormalRows, stream
 from hil.params import gnc as gnc_params
-from hil.safety.limits import safety_limits
-from hil.safety.monitor import SafetyMonitor
+from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import backend_setup, gnc_setup
 
@@ -121,7 +120,7 @@ def assemble(
         loop.safety_io = lines
         loop.bench.emergency_input = lines.emergency_input
     if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
-        loop.vision.forward = loop.gnc.forwarder.put
+        loop.vision.on_frame_used = loop.gnc.forwarder.put
     if target is not None and rig.moved_target is not None:
         loop.target = PlacedTarget(target, rig.moved_target)
     loop.now.row["truth"] = gnc_params.initial_truth(job.truth)
@@ -134,13 +133,9 @@ def assemble(
         rate,
         precedence or NoPrecedence(),
         overrun_monitor,
-        scenario.step_s,
-        job.cycles,
-        frames_to_arm,
+        RunPlan(scenario.step_s, job.cycles, frames_to_arm, parking_place(rig), rig.bench.park_after_run),
         on_progress,
         operator,
-        parking_place(rig),
-        rig.bench.park_after_run,
     )
 
 

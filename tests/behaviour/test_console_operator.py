@@ -132,7 +132,7 @@ def test_run_goes_by_orders_over_the_line_with_hold_and_resume() -> None:
         Mode.RUNNING,
     ]
     assert talk.answers() == [""] * 4
-    assert any("hold: ordered by the operator" in e["text"] for m in talk.said for e in m.get("events", []))
+    assert any("hold: commanded by the operator" in e["text"] for m in talk.said for e in m.get("events", []))
 
 
 def test_order_that_its_mode_does_not_allow_is_refused_in_words_and_does_nothing() -> None:

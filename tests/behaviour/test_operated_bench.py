@@ -61,7 +61,7 @@ def test_one_failed_homing_stops_all_axes() -> None:
     settings = tuple(f'rig.rails.{axis}.encoder="incremental"' for axis in "xyz")
     outcome, session = operate(idle, *settings, attended=False, prepare=blind)
     assert outcome.mode is Mode.SAFE_STOP
-    assert outcome.stop == "rails.y: homing failed, allowed every axis finds its switch"
+    assert outcome.stop == "rails.y: homing failed, allowed home switch found"
     assert [alarm.device for alarm in outcome.alarms] == ["rails.y"]
     session.rails.open(session.now_s)  # x had the longest way: it was stopped on it
     before = session.rails.read(session.now_s)
@@ -108,7 +108,7 @@ def test_held_bench_stands_and_the_run_then_completes_with_the_same_verdict() ->
     assert np.abs(standing).max() < 1e-6
     assert len(outcome.history) == 13001  # the run's time stood
     assert [event.text for event in outcome.events if event.source == "bench"] == [
-        "hold: ordered by the operator",
+        "hold: commanded by the operator",
         "resumed after 10.04 s",
     ]
     speed, acceleration = step_ratios(session)
@@ -140,7 +140,7 @@ def test_nobody_is_there_to_resume_an_unattended_run() -> None:
             session.runner.safety.request_hold("three late cycles")
 
     outcome, _ = operate(script, attended=False)
-    assert outcome.stop == "bench: hold (three late cycles), allowed in an attended run alone"
+    assert outcome.stop == "bench: hold (three late cycles), allowed only in attended runs"
 
 
 def test_emergency_stop_leads_to_standby_after_its_reset_and_never_back_to_running() -> None:
@@ -311,7 +311,7 @@ def test_burst_of_lost_frames_stops_a_run_and_single_ones_do_not() -> None:
 
     assert operate(single, attended=False, duration_s=20.0, prepare=prepare)[0].stop == "completed"
     outcome, _ = operate(burst, attended=False, duration_s=5.0, prepare=prepare)
-    assert outcome.stop == "vmu: lost packets 11.0, allowed 10 at once, 1 in 0.32 s"
+    assert outcome.stop == "vmu: lost packets 11.0, allowed 10 at once, 1 per 0.32 s"
     assert len(outcome.history) < 60
 
 
@@ -390,7 +390,7 @@ def test_axis_that_still_creeps_is_waited_for_and_then_named(mode: Mode, creeps_
 
     outcome, session = operate(script, plan=(OperatorCommand.HOME, OperatorCommand.ARM), prepare=prepare)
     if creeps_s == math.inf:
-        assert outcome.alarms[0].text == "rails.z: speed at arming 0.0107 m/s, allowed 0.01 m/s"
+        assert outcome.alarms[0].text == "rails.z: speed before motion 0.0107 m/s, allowed 0.01 m/s"
         assert not session.rails.sent
     else:
         assert outcome.stop == "completed"

@@ -89,13 +89,13 @@ def test_failure_of_the_link_reaches_the_cycle(desk: Desk) -> None:
 
 def test_thrusters_are_mirrored_to_their_lines(desk: Desk) -> None:
     desk.on[:] = (0, 1, 0, 1)
-    desk.stage.mirror(0.0)
+    desk.stage.mirror_thrusters(0.0)
     assert desk.io.outputs == (True, b"\0\1\0\1")
     desk.on[:] = 0
-    desk.stage.mirror(0.02)
+    desk.stage.mirror_thrusters(0.02)
     assert desk.io.outputs.thrusters == b"\0\0\0\0"
     desk.on[0] = 1
-    desk.stage.mirror(0.04)
+    desk.stage.mirror_thrusters(0.04)
     desk.stage.stop(0.06)
     assert desk.io.outputs == (False, b"")
 

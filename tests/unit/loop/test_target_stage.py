@@ -60,7 +60,7 @@ def test_target_that_is_moved_trips_and_names_axis_value_and_limit() -> None:
     desk = Desk()
     desk.place()
     desk.axes.send(np.array([0.2, -0.08, 0.0]), np.zeros(3), desk.rate.now_s())
-    with pytest.raises(SafetyTrip, match=r"target\.y: distance from its place 0\.0\d+ m, allowed 0\.005 m"):
+    with pytest.raises(SafetyTrip, match=r"target\.y: distance from commanded place 0\.0\d+ m, allowed 0\.005 m"):
         _look_for_a_second(desk)
 
 

@@ -23,7 +23,7 @@ def test_text_names_device_value_and_limit_and_is_that_of_the_trip() -> None:
     [
         (SafetyTrip("rails.x", "following error", "0.0612 m", "0.05 m"), "following error"),
         (LinkLost("rails.x", "connection closed"), "link"),
-        (LinkTimeout("rails.x", "no answer for 0.5 s, allowed 0.4 s"), "silence"),
+        (LinkTimeout("rails.x", "no answer for 0.5 s, allowed 0.4 s"), "timeout"),
         (ProtocolError("rails.x", "CRC 0x1a2b, expected 0x1a2c"), "protocol"),
         (DriveFault("rails.x", "reports fault 0x05"), "drive fault"),
     ],
@@ -94,6 +94,6 @@ def test_link_watch_counts_what_is_new_and_names_the_device() -> None:
     lost[0] = 2
     alarm = watch.check(0.2)
     assert alarm is not None
-    assert alarm.text == "vmu: lost packets 3.9, allowed 2 at once, 1 in 1 s"
+    assert alarm.text == "vmu: lost packets 3.9, allowed 2 at once, 1 per 1 s"
     watch.restart()
     assert watch.check(0.3) is None

@@ -14,8 +14,7 @@ from hil.core.messages import AXES, AxisFeedback, Homing, new
 from hil.core.modes import Mode
 from hil.params import gnc as gnc_params
 from hil.safety.alarms import Alarm
-from hil.safety.limits import safety_limits
-from hil.safety.monitor import CHECKS, SafetyMonitor
+from hil.safety.monitor import CHECKS, SafetyMonitor, safety_limits
 
 NAMES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
 MOVED_BY_SETPOINTS = {Mode.JOGGING, Mode.PLACING, Mode.RUNNING, Mode.PARKING, Mode.HOLD}
@@ -176,8 +175,8 @@ def test_axis_that_stands_beyond_its_travel_is_not_armed(scene: Scene) -> None:
 @pytest.mark.parametrize(
     ("field_name", "text"),
     [
-        ("rail_mps", "rails.z: speed at arming 0.0300 m/s, allowed 0.01 m/s"),
-        ("gimbal_radps", "turntable.yaw: speed at arming 1.719 deg/s, allowed 1 deg/s"),
+        ("rail_mps", "rails.z: speed before motion 0.0300 m/s, allowed 0.01 m/s"),
+        ("gimbal_radps", "turntable.yaw: speed before motion 1.719 deg/s, allowed 1 deg/s"),
     ],
 )
 def test_references_are_not_seeded_from_axes_that_move(scene: Scene, field_name: str, text: str) -> None:
@@ -220,5 +219,5 @@ def test_first_reason_for_a_hold_is_kept_until_the_devices_are_opened_anew(scene
     scene.safety.request_hold("three late cycles")
     scene.safety.request_hold("another")
     assert scene.safety.hold_reason == "three late cycles"
-    scene.safety.opened()
+    scene.safety.restart()
     assert not scene.safety.hold_reason
