@@ -31,8 +31,13 @@ def test_index_lists_every_page() -> None:
     assert pages - {"index.md"} == {link.partition("#")[0] for link in re.findall(r"\]\(([^)]+)\)", index)}
 
 
-# hil/ modules that are named in the documentation
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_named_files_of_the_repository_exist(page: Path) -> None:
     for name in re.findall(r"`((?:hil|tests|benchmarks|sims|examples|configs)/[\w./-]+)`", page.read_text()):
         assert (ROOT / name).exists(), name
+
+
+def test_architecture_page_names_every_package() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    packages = {path.name for path in (ROOT / "hil").iterdir() if (path / "__init__.py").exists()}
+    assert packages == set(re.findall(r"^\| `hil/(\w+)` \|", page, re.MULTILINE))
