@@ -79,7 +79,7 @@ WORDS = {
     "life": r"(?:another|this|its|one) life(?![- ]cycle|time)|says that it lives|lives? on",
     "a, not per": r"(?:times|cycles|frames|images|pictures|messages|datagrams|samples|rows|bytes|[kKMG]B|updates|runs"
     r"|cases|once|twice|seconds|steps|words|commands|poses|packets|requests|events|lines?|file|page) an? (?:second"
-    r"|minute|hour|day|cycle|frame|step|case|image|picture|file|run|axis|row|page|core|period|pose|computer|side)",
+    r"|minute|hour|day|cycle|frame|step|case|image|picture|file|run|axis|row|page|core|period|computer|side)",
 }
 Line = tuple[int, str, str]  # number, kind of text, text
 
