@@ -26,10 +26,10 @@ from hil.recording.writer import RecordingHeader, RunFile
 
 RENDERED = ("vmu.source=rendered", "monitor.source=rendered")
 WAYS = {
-    "none": ("rig.recording.pictures=none",),
+    "none": ("rig.recording.images=none",),
     "jpeg, two a second (as shipped)": (),
-    "jpeg, all": ("rig.recording.picture_each_s=0",),
-    "png, all (replays exactly)": ("rig.recording.pictures=png", "rig.recording.picture_each_s=0"),
+    "jpeg, all": ("rig.recording.image_interval_s=0",),
+    "png, all (replays exactly)": ("rig.recording.images=png", "rig.recording.image_interval_s=0"),
 }
 ENCODINGS: tuple[Encoding, ...] = ("png", "jpeg")
 REPEATS = 30

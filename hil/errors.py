@@ -50,6 +50,10 @@ class BadInput(HilError):
         return cls([Problem(source, key, message)])
 
 
+class RenamedKey(FutureWarning):
+    """Warning, not an error: a file or option has keys under earlier names; the text gives the present ones."""
+
+
 class CampaignStopped(HilError):
     """A campaign cannot go on: its disk is full, its scheduler is gone. What is done is kept."""
 

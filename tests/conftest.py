@@ -88,7 +88,7 @@ def mock_rig() -> Rig:
     return load_rig("mock").value
 
 
-LATE = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_share=0.2", "vmu.loss_share=0.1")
+LATE = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_probability=0.2", "vmu.loss_probability=0.1")
 """Poses that come late, out of order, twice and not at all: several in one cycle, none in others."""
 
 

@@ -25,10 +25,10 @@ _KEPT_S = 2.0  # of samples before the one that was asked for last: an encoder m
 def stations(config: DockingMonitor) -> np.record:
     """Return STATIONS of the television camera and the docking target; their axes are those of v and t."""
     params, axes = new(MOUNTING), BenchGeometry(lever_arm_m=(0.0, 0.0, 0.0))
-    params.camera_station = config.camera_station_m
+    params.camera_station = config.camera_position_m
     params.q_vc = quat.from_matrix(np.array(axes.camera_axes))
-    params.ring_station = config.target_station_m
-    params.q_th = quat.from_matrix(np.array(axes.ring_axes))
+    params.ring_station = config.target_position_m
+    params.q_th = quat.from_matrix(np.array(axes.led_ring_axes))
     return params
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from hil.cameras.pose_model import PoseModel, PoseSensor
-from hil.config.load import load_file
+from hil.config.load import load_geometry
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.vmu_geometry import VmuGeometry
@@ -24,12 +22,10 @@ def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: MakesPictur
         return PoseModel(bench, stations, gnc_params.vision(scenario), seed)
     from hil.cameras.rendered import RenderedEye
 
-    return RenderedEye(
-        bench, stations, geometry_of_rig(rig), believed_geometry(rig), scenario.vmu.pictures, seed, shown
-    )
+    return RenderedEye(bench, stations, geometry_of_rig(rig), believed_geometry(rig), scenario.vmu.images, seed, shown)
 
 
 def believed_geometry(rig: Rig) -> VmuGeometry:
     """Return what the vision unit of ``rig`` takes its cameras and LEDs for. Raises BadInput."""
     path = rig.vmu.geometry_file
-    return geometry_of_rig(rig) if path is None else load_file(Path(path), VmuGeometry).value
+    return geometry_of_rig(rig) if path is None else load_geometry(path).value

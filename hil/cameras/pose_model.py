@@ -46,5 +46,5 @@ class PoseModel:
 def transport(vmu: VisionNoise, seed: int) -> Transport:
     """Return how the frames of a vision unit that is not there travel."""
     return Transport(
-        stream(seed, "transport"), vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_share, vmu.loss_share
+        stream(seed, "transport"), vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability
     )

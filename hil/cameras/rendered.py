@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
-from hil.config.scenario import Pictures
+from hil.config.scenario import RenderedImages
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import LEFT, RIGHT, CameraImage, MakesPictures
 from hil.core.messages import Array, PoseFrame
@@ -38,7 +38,7 @@ class RenderedEye:
         stations: np.record,
         scene: VmuGeometry,
         geometry: VmuGeometry,
-        pictures: Pictures,
+        pictures: RenderedImages,
         seed: int,
         shown: MakesPictures | None = None,
     ) -> None:

@@ -21,6 +21,7 @@ from hil.campaign.engines import Engine
 from hil.campaign.statistics import compare, mean_interval, summarise, wilson
 from hil.campaign.store import Store, whole_or_not_at_all
 from hil.config.load import Loaded, load_rig, load_scenario
+from hil.config.renamed_keys import first_names_json
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.core.jit import kernels_digest
@@ -82,7 +83,8 @@ class Campaign:
         """Return the folder's store; raise BadInput where it holds something else."""
         library = self.scenario.value.gnc.library
         flown_by = digest_of(library) if library is not None else ""
-        digest = hashlib.sha256(f"{self._spec.scenario}\n{self._spec.rig}\n{flown_by}".encode()).hexdigest()[:16]
+        texts = (first_names_json(self.scenario.value), first_names_json(self._rig.value), flown_by)
+        digest = hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
         identity = {
             "scenario": self.scenario.value.name,
             "digest": digest,

@@ -148,7 +148,7 @@ class CaseRunner:
         params.imu = gnc_params.imu(truth)
         params.vision = gnc_params.vision(truth)
         vmu = truth.vmu
-        params.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_share, vmu.loss_share)
+        params.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability)
         state.now.truth = gnc_params.initial_truth(truth)
         draw_initial_imu_errors(truth, seed, state.now.imu)
         rails, turntable = axes_at_start(truth, self.rig)

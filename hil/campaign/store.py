@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from hil.campaign.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
+from hil.config.renamed_keys import present_key
 from hil.errors import BadInput, CampaignStopped
 
 BATCH: Final = 50
@@ -123,6 +124,11 @@ class Store:
     def _part(self, first: int) -> Path:
         return self._parts / f"{first:010d}.parquet"
 
+    def _read_part(self, first: int) -> Any:
+        """Return a batch; its columns may have names of renamed keys."""
+        table = self._pq.read_table(self._part(first))
+        return table.rename_columns([present_key("Scenario", name) for name in table.column_names]).cast(self.schema)
+
     def put(self, first: int, rows: list[dict[str, Any]]) -> None:
         """Keep a batch. Raises CampaignStopped where the disk does not take it."""
         columns = {field.name: [row[field.name] for row in rows] for field in self.schema}
@@ -138,10 +144,7 @@ class Store:
         ):
             for group in range(0, runs, _GROUP):
                 end = min(runs, group + _GROUP)
-                parts = [
-                    self._pq.read_table(self._part(first), schema=self.schema).slice(0, end - first)
-                    for first in range(group, end, BATCH)
-                ]
+                parts = [self._read_part(first).slice(0, end - first) for first in range(group, end, BATCH)]
                 writer.write_table(self._pa.concat_tables(parts), row_group_size=_GROUP)
         for path in self._parts.glob("*.parquet"):
             path.unlink()

@@ -95,10 +95,11 @@ def port_problems(rig: Loaded[Rig]) -> list[Problem]:
 def flight_computer_problems(rig: Loaded[Rig]) -> list[Problem]:
     """Return what keeps a flight computer's words from being heard."""
     computer = rig.value.flight_computer
-    if computer.words == "none":
+    if computer.command_words == "none":
         return []
     if rig.value.kind == "mock":
-        key, text = "flight_computer.words", f'"{computer.words}": a mock rig has no wall clock for a flight computer'
+        key = "flight_computer.command_words"
+        text = f'"{computer.command_words}": a mock rig has no wall clock for a flight computer'
         return [Problem(rig.where(key), f"rig.{key}", text)]
     missing = [wire.key for wire in computer.wires() if wire.address is None]
     return [Problem(rig.where(key), f"rig.{key}", "is missing: the wire of the words") for key in missing]
@@ -113,8 +114,8 @@ def monitor_problems(scenario: Loaded[Scenario]) -> list[Problem]:
         scene = load_scene(monitor.scene).value
     except BadInput as error:
         return list(error.problems)
-    if monitor.target == "reserve" and scene.reserve is None:
-        text = f'"reserve": scene {monitor.scene} has the basic target alone'
+    if monitor.target == "backup" and scene.backup is None:
+        text = f'"backup": scene {monitor.scene} has the basic target alone'
         return [Problem(scenario.where("monitor.target"), "monitor.target", text)]
     return []
 

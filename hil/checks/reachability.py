@@ -42,7 +42,7 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
     bench = gnc_params.bench(rig, scenario.step_s)
     plan = moments(scenario)
     free = control_bounds(scenario)
-    band = math.radians(scenario.reach.attitude_margin_deg)
+    band = math.radians(scenario.reachability.attitude_margin_deg)
     known = {turn: reachability.attitude(bench, np.array(turn), band) for turn in {tuple(m.turn) for m in plan}}
     attitudes = [known[tuple(m.turn)] for m in plan]
     r, v = np.array([m.r_CT_H for m in plan]), np.array([m.v_CT_H for m in plan])
@@ -72,7 +72,7 @@ def _position_margin(scenario: Scenario, far_m: Array) -> Array:
     """Return half the band of positions (n, 3), m: Table III at the ready point, and a share of the cone beyond."""
     wanted, guidance, corridor = scenario.requirements, scenario.gnc.guidance, scenario.gnc.corridor
     at_ready = np.array([wanted.axial_tolerance_m, wanted.radial_distance_m, wanted.radial_distance_m])
-    slope = scenario.reach.corridor_share * math.tan(math.radians(corridor.half_angle_deg))
+    slope = scenario.reachability.corridor_fraction * math.tan(math.radians(corridor.half_angle_deg))
     beyond = np.maximum(0.0, far_m - math.hypot(*guidance.ready_point_m))
     margin: Array = at_ready + slope * beyond[:, None]
     return margin
@@ -134,7 +134,7 @@ class _Findings:
         own = start.turned @ np.radians(initial.rate_degps)
         rate = np.abs(own + np.array([*initial.velocity_mps, 0.0, 0.0, 0.0]))
         takes_s = rate / self._bench.acceleration_max
-        allowed_s = self._scenario.value.reach.catch_up_s
+        allowed_s = self._scenario.value.reachability.startup_lag_s
         for axis in sorted({int(axis) for axis in np.flatnonzero(takes_s > allowed_s)} - self._named):
             unit, scale, _ = _unit(axis)
             moved = axis < 3 and abs(initial.velocity_mps[axis]) >= abs(own[axis])
@@ -142,7 +142,7 @@ class _Findings:
                 "initial.velocity_mps" if moved else "initial.rate_degps",
                 f"{AXES_OF_THE_BENCH[axis]} would need {takes_s[axis]:.2g} s at 0.0 s to catch up with "
                 f"{rate[axis] * scale:.3g} {unit}/s at {self._bench.acceleration_max[axis] * scale:g} {unit}/s2, "
-                f"allowed {allowed_s:g} s by reach.catch_up_s",
+                f"allowed {allowed_s:g} s by reachability.startup_lag_s",
             )
 
     def view(self) -> None:
@@ -180,7 +180,7 @@ class _Findings:
         moment = self._plan[k]
         if axis < 3:
             return moment.point_key
-        return moment.turn_key if moment.turn.any() else "reach.attitude_margin_deg"
+        return moment.turn_key if moment.turn.any() else "reachability.attitude_margin_deg"
 
     def _view_key(self, k: int) -> str:
         """Return the key of what turns the ring out of view: the attitude, or the place beside the docking axis."""

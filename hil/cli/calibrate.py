@@ -16,8 +16,7 @@ from rich.console import Console
 
 from hil.cli.output import base_of, check_json_path, check_picture_path, check_rig_path, write_json
 from hil.cli.progress import Bar
-from hil.config.load import load_file, load_rig
-from hil.config.vmu_geometry import VmuGeometry
+from hil.config.load import load_geometry, load_rig
 from hil.errors import BadInput, Problem
 from hil.vmu.geometry import geometry_of_rig
 
@@ -74,7 +73,7 @@ def _calibrate(options: Options) -> int:
     from hil.vmu.calibration.views import read_views
 
     if options.geometry is not None:
-        geometry = load_file(Path(options.geometry), VmuGeometry).value
+        geometry = load_geometry(options.geometry).value
     else:
         geometry = geometry_of_rig(rig.value)
     board = _board(options)
@@ -123,7 +122,7 @@ def _check(options: Options) -> int:
     from hil.vmu.calibration.views import read_views
 
     assert options.check is not None
-    known = read_back(load_file(Path(options.check), VmuGeometry).value, options.check)
+    known = read_back(load_geometry(options.check).value, options.check)
     views = read_views(Path(options.views))
     with Bar(Console(stderr=True), "reading the views") as bar:
         checked = job.check(views, known, _board(options), options.moved, options.range_m, bar.tell)

@@ -7,9 +7,11 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from types import FrameType
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import cyclopts
 from cyclopts import App, Parameter
@@ -20,7 +22,7 @@ from hil.cli.options import MaybeWhole, Output, Settings, Whole
 from hil.cli.recording_commands import add_recording_commands
 from hil.cli.two_computer_commands import add_two_computer_commands
 from hil.cli.vision_commands import add_vision_commands
-from hil.errors import BadInput, BenchError, CampaignStopped
+from hil.errors import BadInput, BenchError, CampaignStopped, RenamedKey
 
 PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
 
@@ -346,7 +348,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def execute(arguments: Sequence[str]) -> int:
     """Run one command; return its exit code. Errors go to standard error, a line each."""
     try:
-        result = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        with _renamed_keys_on_stderr():
+            result = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except BadInput as error:
         return _say(str(error), BAD_INPUT)
     except cyclopts.CycloptsError as error:
@@ -359,6 +362,23 @@ def execute(arguments: Sequence[str]) -> int:
         traceback.print_exc()
         return _say("this is a defect of hil: please report it with the lines above", DEFECT)
     return result if isinstance(result, int) else PASSED
+
+
+@contextmanager
+def _renamed_keys_on_stderr() -> Iterator[None]:
+    """Print each warning of a renamed key once, as one line."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("default", RenamedKey)
+        otherwise: Callable[..., None] = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            if issubclass(category, RenamedKey):
+                print(message, file=sys.stderr)  # noqa: T201
+            else:
+                otherwise(message, category, *place, **more)
+
+        setattr(warnings, "showwarning", show)  # noqa: B010 (restored by catch_warnings)
+        yield
 
 
 def _say(text: str, code: int) -> int:

@@ -35,7 +35,7 @@ def monitor_command(
     screen: str | None,
     json_path: str | None,
     roi: str | None,
-    target: Literal["basic", "reserve"],
+    target: Literal["basic", "backup"],
     calculation: Literal["exact", "paper"],
     motion: Literal["corrected", "printed"],
     q: float,
@@ -50,8 +50,8 @@ def monitor_command(
         raise BadInput(problems)
     loaded = load_scene(scene_name)
     scene = loaded.value
-    if target == "reserve" and scene.reserve is None:
-        raise BadInput.single(loaded.source, "reserve", "is missing: --target reserve needs it")
+    if target == "backup" and scene.backup is None:
+        raise BadInput.single(loaded.source, "backup", "is missing: --target backup needs it")
     region = _region(roi, scene)
     from hil.monitor.monitor import Monitor, watch
     from hil.monitor.settings import MonitorSettings

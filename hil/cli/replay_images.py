@@ -9,7 +9,7 @@ from rich.console import Console
 
 from hil.cli.output import check_json_path, write_json
 from hil.cli.text_table import columns
-from hil.config.load import load_file, load_scene
+from hil.config.load import load_geometry, load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
 from hil.errors import BadInput, Problem
@@ -67,7 +67,7 @@ def _check_options(
 
 def _geometry(recorded: Recorded, path: str | None) -> VmuGeometry:
     if path is not None:
-        return load_file(Path(path), VmuGeometry).value
+        return load_geometry(path).value
     if recorded.scenario.vmu.source != "rendered":
         raise BadInput.single(str(recorded.path), "", 'holds no pictures of the vision unit: vmu.source was "model"')
     return recorded.calibration(GEOMETRY_FILE, VmuGeometry)

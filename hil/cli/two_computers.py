@@ -42,9 +42,10 @@ def dss_command(
     if scenario.value.gnc.library is not None:
         text = "the GNC is at the other end of the link: hil run flies with a library"
         raise BadInput.single(scenario.where("gnc.library"), "gnc.library", text)
-    if rig.value.flight_computer.words != "none":
-        text = f'"{rig.value.flight_computer.words}": the GNC is at the other end of the link: hil run flies by words'
-        raise BadInput.single(rig.where("flight_computer.words"), "rig.flight_computer.words", text)
+    if rig.value.flight_computer.command_words != "none":
+        wire = rig.value.flight_computer.command_words
+        text = f'"{wire}": the GNC is at the other end of the UDP link; use hil run with a flight computer'
+        raise BadInput.single(rig.where("flight_computer.command_words"), "rig.flight_computer.command_words", text)
     if rig.value.kind == "mock" and lock_step and speed != 1.0:
         text = f"{speed:g}: in lock-step a mock rig has no wall clock: leave --speed away"
         raise BadInput.single("--speed", "", text)

@@ -196,7 +196,7 @@ def monitor(
     json: Output = None,
     frames: Output = None,
     roi: str | None = None,
-    target: Literal["basic", "reserve"] = "basic",
+    target: Literal["basic", "backup", "reserve"] = "basic",
     calculation: Literal["exact", "paper"] = "exact",
     motion: Literal["corrected", "printed"] = "corrected",
     q: float = 0.5,
@@ -220,7 +220,7 @@ def monitor(
     roi
         Where to look first: u,v,width,height in px.
     target
-        The scene's basic or its reserve target.
+        The scene's basic or its backup target.
     calculation
         The exact projection, or the paper's relations for small angles.
     motion
@@ -231,4 +231,5 @@ def monitor(
     from hil.cli.monitor import monitor_command
 
     assert out is not None
-    return monitor_command(video, scene, out, screen, json, roi, target, calculation, motion, q, frames)
+    which: Literal["basic", "backup"] = "basic" if target == "basic" else "backup"
+    return monitor_command(video, scene, out, screen, json, roi, which, calculation, motion, q, frames)

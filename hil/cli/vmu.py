@@ -18,7 +18,7 @@ from rich.console import Console
 from hil.cli.output import check_json_path, write_json
 from hil.cli.progress import Bar
 from hil.cli.warm_up import left_at_once_on_ctrl_c
-from hil.config.load import load_file
+from hil.config.load import load_geometry
 from hil.config.vmu_geometry import VmuGeometry
 from hil.drivers.vmu.sender import FrameSender
 from hil.errors import BadInput, Problem
@@ -53,7 +53,7 @@ def vmu_command(
     _check_options(out, rate_hz, overlay, start_frame, start_pose, json_path)
     if baud <= 0:
         raise BadInput.single("--baud", "", f"{baud}: must be above 0")
-    geometry = load_file(Path(geometry_path), VmuGeometry).value
+    geometry = load_geometry(geometry_path).value
     images: ImageFolder | StreamPairs
     if names_two(folder):
         images = StreamPairs(folder)

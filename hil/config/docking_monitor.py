@@ -18,7 +18,7 @@ class DockingMonitor(ConfigModel):
 
     source: Literal["none", "rendered"] = "none"
     scene: str = "atv"
-    target: Literal["basic", "reserve"] = "basic"
-    camera_station_m: Triple = (0.8, 0.0, -0.5)  # in c: chaser's reference point to the camera
-    target_station_m: Triple = (-0.3, 0.0, -0.5)  # in H: target's reference point to the centre of the target's disc
+    target: Literal["basic", "backup"] = "basic"
+    camera_position_m: Triple = (0.8, 0.0, -0.5)  # in c: chaser's reference point to the camera
+    target_position_m: Triple = (-0.3, 0.0, -0.5)  # in H: target's reference point to the centre of the target's disc
     blur_px: Annotated[float, Field(ge=0.0, le=5.0)] = 0.8

@@ -1,4 +1,4 @@
-"""Rig files, table ``[flight_computer]``: a computer that opens the thrusters by digital words, and sees the poses."""
+"""Rig files, table ``[flight_computer]``: a computer that commands the thrusters by command words."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.config.model import ConfigModel, Positive
 
 
 class WordsCan(ConfigModel):
-    """The CAN bus of the words."""
+    """The CAN bus of the command words."""
 
     interface: str = "socketcan"  # a python-can interface
     channel: str | None = None
@@ -28,12 +28,12 @@ class WordsLine(ConfigModel):
 
 
 class FlightComputer(ConfigModel):
-    """Who opens the thrusters. words: the wire of the commands; none: the GNC of the scenario flies.
+    """Flight computer in the loop. command_words: its link to the bench; "none": the GNC of the scenario flies.
 
-    timeout_s: a word that is older opens nothing. lost_s: after so long without one the bench does as on_loss says.
+    timeout_s: age from which a command word opens no thruster. lost_s: time without one after which ``on_loss`` acts.
     """
 
-    words: Literal["none", "serial", "can"] = "none"
+    command_words: Literal["none", "serial", "can"] = "none"
     timeout_s: Positive = 0.1
     lost_s: Positive = 0.5
     on_loss: Literal["hold", "stop"] = "stop"
@@ -49,16 +49,16 @@ class FlightComputer(ConfigModel):
 
     @model_validator(mode="after")
     def _poses_go_to_who_flies(self) -> Self:
-        if self.words == "none" and self.poses.port is not None:
+        if self.command_words == "none" and self.poses.port is not None:
             raise ValueError(
-                'poses.port goes with words = "serial" or "can": who flies by other ways is told the poses'
+                'poses.port goes with command_words = "serial" or "can": other GNCs receive the poses by other means'
             )
         return self
 
     def wires(self) -> list[Wire]:
         """Return the wires that are opened, also those without an address in the file."""
         keys = {"serial": [WireKey("serial.port", "serial")], "can": [WireKey("can.channel", "can")]}.get(
-            self.words, []
+            self.command_words, []
         )
         if self.poses.port is not None:
             keys.append(WireKey("poses.port", "serial"))

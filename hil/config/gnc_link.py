@@ -15,8 +15,8 @@ class GncLink(ConfigModel):
     coast_cycles: Annotated[int, Field(ge=0, le=50)] = 1  # for which the last command stands; then thrusters are closed
     timeout_cycles: Annotated[int, Field(ge=1, le=10_000)] = 3  # without an answer: the GNC is lost
     on_loss: Literal["hold", "stop"] = "stop"
-    rejoin_s: Positive = 300.0  # wall time that a held bench waits for a GNC to come back
-    answer_share: Annotated[float, Field(gt=0.0, le=0.8)] = 0.5  # lock-step: of a cycle that an answer is waited for
+    reconnect_timeout_s: Positive = 300.0  # wall-clock time that a held bench waits for the GNC
+    reply_timeout_fraction: Annotated[float, Field(gt=0.0, le=0.8)] = 0.5  # lock-step: of a cycle
 
     @model_validator(mode="after")
     def _coasts_no_longer_than_it_trusts(self) -> Self:

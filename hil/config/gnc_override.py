@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from hil.config.load import Loaded, apply_setting, check_table, load_scenario, merge_tables, read_with_bases, shipped
+from hil.config.load import Loaded, apply_settings, check_table, load_scenario, merge_tables, read_with_bases, shipped
+from hil.config.renamed_keys import with_present_names
 from hil.config.scenario import GncConfig, Scenario
 from hil.errors import BadInput, Problem
 
@@ -30,8 +31,7 @@ def with_other_gnc(flown: Scenario, source: str, file: str | None, settings: Seq
     if foreign:
         text = f"cannot be changed in a replay: allowed are keys of {' and '.join(_TABLES)}, as gnc.pkf...=..."
         raise BadInput([Problem("--set", setting, text) for setting in foreign])
-    for setting in settings:
-        apply_setting(table, setting, "", origin)
+    apply_settings(table, settings, Scenario, origin)
     return check_table(table, Scenario, source, origin)
 
 
@@ -44,11 +44,11 @@ def _tables_of(file: str) -> dict[str, Any]:
         names = ", ".join(shipped("scenarios"))
         raise BadInput.single("--gnc", file, f"no such file: give a TOML file with [gnc...] tables, or {names}")
     origin: dict[str, str] = {}
-    own = read_with_bases(path, "scenarios", origin, chain=())
+    own = read_with_bases(path, "scenarios", Scenario, origin)
     if any(source != str(path) for source in origin.values()):  # it extends another file
         return _of_scenario(file)
     if own and set(own) <= set(GncConfig.model_fields):
-        return {"gnc": own}
+        return with_present_names("Scenario", {"gnc": own}, file)
     foreign = sorted(set(own) - {*_TABLES, "name"})
     if foreign:
         text = f"cannot be changed in a replay: allowed are {', '.join(_TABLES)}, or the tables of gnc themselves"

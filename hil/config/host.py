@@ -1,4 +1,4 @@
-"""The computer that the loop runs on: part of a rig file."""
+"""Rig files, table ``[host]``: the computer that runs the loop."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from pydantic import Field
 
 from hil.config.model import ConfigModel, Positive
 
-LateCycle = Literal["log", "hold", "safe_stop"]
+OnOverrun = Literal["log", "hold", "safe_stop"]
 
 
 class HostConfig(ConfigModel):
-    """What the loop asks of its computer, and what happens when it does not keep up."""
+    """Real-time privileges of the loop, and its overrun policy."""
 
-    fifo: bool = True  # ask for SCHED_FIFO, for the loop's thread alone
-    cpu: Annotated[int, Field(ge=0)] | None = None  # keep the loop's thread on this one
-    insist_on_realtime: bool = True  # a hardware rig does not run without SCHED_FIFO and locked memory
-    late_cycle: LateCycle | None = None  # None: safe_stop on hardware, log otherwise
-    late_cycles_max: Annotated[int, Field(ge=0)] = 5  # periods that may be lost ...
-    late_cycles_window_s: Positive = 1.0  # ... within this time, before late_cycle comes
-    late_wakeup_us: Positive = 1000.0  # a cycle that begins later than this counts as a late wake-up
+    fifo: bool = True  # request SCHED_FIFO for the thread of the loop
+    cpu: Annotated[int, Field(ge=0)] | None = None  # CPU to which the thread of the loop is pinned
+    require_realtime: bool = True  # a hardware rig is refused without SCHED_FIFO and locked memory
+    on_overrun: OnOverrun | None = None  # None: safe_stop on hardware, log otherwise
+    overruns_max: Annotated[int, Field(ge=0)] = 5  # periods that may be lost ...
+    overruns_window_s: Positive = 1.0  # ... within this time, before on_overrun acts
+    late_wakeup_us: Positive = 1000.0  # lateness from which a cycle counts as a late wake-up

@@ -16,12 +16,12 @@ _CONTROL: Final = (
     "deadband_m",
     "lead_s",
     "period_s",
-    "caution",
+    "deadband_sigmas",
     "correction_rate_mps",
     "deadband_deg",
     "attitude_lead_s",
     "attitude_period_s",
-    "attitude_caution",
+    "attitude_deadband_sigmas",
     "slew_rate_degps",
 )
 _CORRIDOR: Final = (

@@ -16,16 +16,18 @@ from pydantic import BaseModel, ValidationError
 from hil.config.driver_registry import DeviceTable, model_of_field
 from hil.config.model import ConfigModel
 from hil.config.protocol import Protocol
+from hil.config.renamed_keys import present_key, with_present_names
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
+from hil.config.vmu_geometry import VmuGeometry
 from hil.errors import BadInput, Problem
 
 Model = TypeVar("Model", bound=ConfigModel)
 Table = dict[str, Any]
 
 _SUFFIXES = {"targets": (".json", ".toml")}  # a scene may come from another program, as JSON
-_WORDS = {"targets": "scene"}
+_WORDS = {"targets": "scene", "geometries": "geometry"}
 _FILES_OF_KEYS = {
     "protocol": (".toml",),
     "scene": (".json", ".toml"),
@@ -86,10 +88,11 @@ def load_protocol(name: str) -> Loaded[Protocol]:
     return _load(name, "protocols", Protocol, (), prefix="")
 
 
-def load_file(path: Path, model: type[Model]) -> Loaded[Model]:
-    """Return the file at ``path``, JSON or TOML as its name ends, checked against ``model``; raise BadInput."""
+def load_geometry(path: str) -> Loaded[VmuGeometry]:
+    """Return the vision unit's geometry file at ``path``, JSON or TOML as its name ends; raise BadInput."""
     origin: dict[str, str] = {}
-    return check_table(read_with_bases(path, "", origin, chain=()), model, str(path), origin, prefix="")
+    table = read_with_bases(Path(path), "geometries", VmuGeometry, origin)
+    return check_table(table, VmuGeometry, path, origin)
 
 
 def load_scene(name: str) -> Loaded[Scene]:
@@ -100,9 +103,8 @@ def load_scene(name: str) -> Loaded[Scene]:
 def _load(name: str, kind: str, model: type[Model], settings: Sequence[str], prefix: str) -> Loaded[Model]:
     path = _find(name, kind)
     origin: dict[str, str] = {}
-    table = read_with_bases(path, kind, origin, chain=())
-    for text in settings:
-        apply_setting(table, text, prefix, origin)
+    table = read_with_bases(path, kind, model, origin)
+    apply_settings(table, settings, model, origin, prefix)
     return check_table(table, model, str(path), origin, prefix)
 
 
@@ -133,9 +135,11 @@ def _find(name: str, kind: str) -> Path:
     raise BadInput.single(name, "", f"{reason}: give {names} or the path of a {what} file ({patterns})")
 
 
-def read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple[Path, ...]) -> Table:
-    """Return the file's table laid over that of the file it extends; ``origin`` gets the file of each key."""
-    table = _read_table(path)
+def read_with_bases(
+    path: Path, kind: str, model: type[ConfigModel], origin: dict[str, str], chain: tuple[Path, ...] = ()
+) -> Table:
+    """Return the file's table merged over that of the file it extends; ``origin`` gets the file of each key."""
+    table = with_present_names(model.__name__, _read_table(path), str(path))
     _find_files_beside(table, path.parent)
     base_name = table.pop("extends", None)
     base: Table = {}
@@ -150,7 +154,7 @@ def read_with_bases(path: Path, kind: str, origin: dict[str, str], chain: tuple[
             raise BadInput.single(str(path), "extends", text) from error
         if base_path.resolve() in chain or base_path.resolve() == path.resolve():
             raise BadInput.single(str(path), "extends", f"{base_name!r}: the files extend each other in a ring")
-        base = read_with_bases(base_path, kind, origin, (*chain, path.resolve()))
+        base = read_with_bases(base_path, kind, model, origin, (*chain, path.resolve()))
     merge_tables(base, table, str(path), origin, "")
     return base
 
@@ -200,26 +204,46 @@ def _note_origin(value: Any, dotted: str, source: str, origin: dict[str, str]) -
             _note_origin(inner, f"{dotted}.{key}", source, origin)
 
 
-def apply_setting(table: Table, text: str, prefix: str, origin: dict[str, str]) -> None:
-    """Put ``key=value`` into ``table``; raise BadInput where it is none. prefix: may stand before the key."""
+def apply_settings(
+    table: Table, settings: Sequence[str], model: type[ConfigModel], origin: dict[str, str], prefix: str = ""
+) -> None:
+    """Put each ``key=value`` of ``settings`` into ``table``, the later over the earlier; raise BadInput.
+
+    prefix: may stand before the keys. A key may have an earlier name, but not that and the present one.
+    """
+    parsed = [_parse_setting(text, prefix) for text in settings]
+    given = {".".join(path) for path, _ in parsed}
+    for text, (path, value) in zip(settings, parsed, strict=True):
+        key = ".".join(path)
+        new = present_key(model.__name__, key)
+        if new != key and new in given:
+            raise BadInput.single("--set", f"{prefix}{key}", f"is now {prefix}{new}, and both are given")
+        for name in reversed(path):
+            value = {name: value}
+        value = with_present_names(model.__name__, value, "--set")
+        place = table
+        for depth, name in enumerate(new.split(".")):
+            value = value[name]
+            if depth + 1 == len(path):
+                place[name] = value
+                break
+            place = place.setdefault(name, {})
+            if not isinstance(place, dict):
+                raise BadInput.single("--set", text, f"{name} is not a table")
+        _note_origin(value, new, "--set", origin)
+
+
+def _parse_setting(text: str, prefix: str) -> tuple[list[str], Any]:
+    """Return the path and the value of ``key=value``; raise BadInput."""
     key, equals, value_text = text.partition("=")
     key = key.strip()
     if not equals or not key:
         raise BadInput.single("--set", text, "must look like gnc.control.deadband_m=0.004 or rig.vmu.timeout_s=0.5")
-    key = key.removeprefix(prefix)
     try:
         value = tomllib.loads(f"value = {value_text}")["value"]
     except tomllib.TOMLDecodeError:
-        value = value_text.strip()  # a bare word: the shell has eaten its quotes
-    *parents, last = key.split(".")
-    place = table
-    for parent in parents:
-        inner = place.setdefault(parent, {})
-        if not isinstance(inner, dict):
-            raise BadInput.single("--set", text, f"{parent} is not a table")
-        place = inner
-    place[last] = value
-    _note_origin(value, key, "--set", origin)
+        value = value_text.strip()  # a bare word: the shell has removed its quotes
+    return key.removeprefix(prefix).split("."), value
 
 
 def _problems(

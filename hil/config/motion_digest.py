@@ -1,4 +1,4 @@
-"""A fingerprint of everything in a rig that decides how it moves: a sign-off holds for one such fingerprint."""
+"""Digest of everything in a rig that decides its motion: a sign-off is valid for one digest."""
 
 from __future__ import annotations
 
@@ -8,24 +8,29 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.config.load import load_protocol
+from hil.config.renamed_keys import with_first_names
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 
 _TABLES: Final = ("kind", "bench", "rails", "turntable", "io", "safety", "target_manipulator")
 
 
 def motion_digest(rig: Rig) -> str:
-    """Return "sha256:..." over the tables that matter for motion, and over the files that they name.
+    """Return "sha256:..." over the tables that decide the motion and over the files that they name.
 
-    Left out are the leads, which ``hil identify`` measures on a rig that is signed off already: a setpoint is cut
-    to the limits after its lead. Raises BadInput where a protocol file cannot be read.
+    Keys count under their first names, so that a sign-off outlasts a renaming. Excluded are the leads, which
+    ``hil identify`` measures on a signed-off rig: setpoints are limited after their lead. Raises BadInput if a
+    protocol file cannot be read.
     """
-    table = rig.model_dump(mode="json", include=set(_TABLES))
+    table = with_first_names("Rig", rig.model_dump(mode="json", include=set(_TABLES)))
     for device, names in (("rails", RAIL_NAMES), ("turntable", GIMBAL_NAMES), ("target_manipulator", RAIL_NAMES)):
         for name in names if table[device] is not None else ():
             del table[device][name]["lead_s"]
     if rig.turntable.ascii is not None:
         protocol = load_protocol(rig.turntable.ascii.protocol).value
-        table["turntable"]["ascii"]["protocol"] = protocol.model_dump(mode="json")
+        dump = with_first_names("Protocol", protocol.model_dump(mode="json"))
+        if dump["emulator"]["torque_off"] is None:
+            dump["emulator"]["torque_off"] = 2  # its first default
+        table["turntable"]["ascii"]["protocol"] = dump
     _put_files_for_paths(table)
     text = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"

@@ -1,4 +1,4 @@
-"""What a recording keeps beside the numbers: part of a rig file."""
+"""Rig files, table ``[recording]``: camera images of a recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from hil.config.model import ConfigModel
 
 
 class RecordingTable(ConfigModel):
-    """pictures: how those of rendered cameras are kept; only png, and each of them, replays to the very same poses."""
+    """images: encoding of rendered images; their replay is bit-exact with png and image_interval_s = 0 only."""
 
-    pictures: Literal["none", "jpeg", "png"] = "jpeg"
-    picture_each_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.5  # between two of a camera; 0: every exposure
+    images: Literal["none", "jpeg", "png"] = "jpeg"
+    image_interval_s: Annotated[float, Field(ge=0.0, le=3600.0)] = (
+        0.5  # between two images of a camera; 0: every exposure
+    )

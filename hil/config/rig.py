@@ -11,7 +11,7 @@ from hil.config.console import ConsoleTable
 from hil.config.driver_registry import DeviceTable, Wire
 from hil.config.flight_computer import FlightComputer
 from hil.config.gnc_link import GncLink
-from hil.config.host import HostConfig, LateCycle
+from hil.config.host import HostConfig, OnOverrun
 from hil.config.io import Io
 from hil.config.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
 from hil.config.rail_map import RailMap
@@ -35,15 +35,15 @@ class BenchGeometry(ConfigModel):
 
     lever_arm_m: Triple  # in c: turntable's rotation centre to the chaser's reference point
     gimbal_order: Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"] = "zyx"  # outer to inner
-    camera_station_m: Triple = (0.6, 0.0, 0.0)  # in c: chaser's reference point to the left camera
+    camera_position_m: Triple = (0.6, 0.0, 0.0)  # in c: chaser's reference point to the left camera
     camera_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))  # rows: v axes in c
-    ring_station_m: Triple = (0.0, 0.0, 0.0)  # in H: target's reference point to the ring centre
+    led_ring_position_m: Triple = (0.0, 0.0, 0.0)  # in H: target's reference point to the ring centre
     park_after_run: bool = False  # at the end of a run all axes go to their park_m and park_deg
-    ring_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))  # rows: t axes in H
+    led_ring_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))  # rows: t axes in H
 
     @model_validator(mode="after")
     def _axes_are_right_handed(self) -> Self:
-        for name, m in (("camera_axes", self.camera_axes), ("ring_axes", self.ring_axes)):
+        for name, m in (("camera_axes", self.camera_axes), ("led_ring_axes", self.led_ring_axes)):
             gram = [[sum(a * b for a, b in zip(p, q, strict=True)) for q in m] for p in m]
             identity = all(abs(gram[i][j] - (i == j)) < 1e-9 for i in range(3) for j in range(3))
             cross = (
@@ -185,7 +185,7 @@ class Rails(DeviceTable):
     following_error_max_m: Positive = 0.05  # at rest
     following_error_per_speed_s: NotNegative = 0.0  # m more for each m/s of commanded speed
     lost_packets_max: Positive = 5.0
-    lost_packets_forget_s: Positive = 1.0  # after which one lost packet is forgiven
+    lost_packets_window_s: Positive = 1.0  # after which one lost packet is forgiven
     encoder_sigma_m: NotNegative = 0.0  # noise of the emulated encoders
     servo: Servo
     x: RailAxis
@@ -226,7 +226,7 @@ class Turntable(DeviceTable):
     following_error_max_deg: Positive = 2.0  # at rest
     following_error_per_speed_s: NotNegative = 0.0  # deg more for each deg/s of commanded speed
     lost_packets_max: Positive = 5.0
-    lost_packets_forget_s: Positive = 1.0  # after which one lost packet is forgiven
+    lost_packets_window_s: Positive = 1.0  # after which one lost packet is forgiven
     encoder_sigma_deg: NotNegative = 0.0  # noise of the emulated encoders
     servo: Servo
     roll: GimbalAxis
@@ -272,7 +272,7 @@ class Vmu(DeviceTable):
     timeout_s: Positive = 0.4
     rate_hz: Positive = 6.25
     lost_packets_max: Positive = 10.0
-    lost_packets_forget_s: Positive | None = None  # left away: the time of two frames
+    lost_packets_window_s: Positive | None = None  # left away: the time of two frames
     processing_s: NotNegative = 0.0  # from exposure to the first byte
     clock: Literal["shared", "own"] = "shared"  # time stamps are bench time, or of a clock of the unit's own
     camera: RigCamera = RigCamera()
@@ -329,9 +329,9 @@ class Rig(ConfigModel):
         return self
 
     @property
-    def late_cycle(self) -> LateCycle:
-        """What is done about late cycles: the file's word, or what suits the kind of rig."""
-        return self.host.late_cycle or ("safe_stop" if self.kind == "hardware" else "log")
+    def on_overrun(self) -> OnOverrun:
+        """Overrun policy: that of the file, else the default of the kind of rig."""
+        return self.host.on_overrun or ("safe_stop" if self.kind == "hardware" else "log")
 
     @model_validator(mode="after")
     def _hardware_says_whether_it_has_io(self) -> Self:

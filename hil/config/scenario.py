@@ -91,7 +91,7 @@ class Imu(ConfigModel):
     accelerometer_noise_mps2: NotNegative
 
 
-class Pictures(ConfigModel):
+class RenderedImages(ConfigModel):
     """What the rendered cameras are like, and what else than LEDs they see."""
 
     psf_sigma_px: Positive = 1.0
@@ -114,9 +114,9 @@ class VisionNoise(ConfigModel):
     reported_sigma_scale: Positive = 1.0  # what the unit says of its noise against what it is
     latency_s: Delay = 0.0
     latency_jitter_s: Delay = 0.0
-    duplicate_share: Share = 0.0
-    loss_share: Share = 0.0
-    pictures: Pictures = Pictures()
+    duplicate_probability: Share = 0.0
+    loss_probability: Share = 0.0
+    images: RenderedImages = RenderedImages()
 
 
 class Navigation(ConfigModel):
@@ -170,13 +170,13 @@ class Phase(ConfigModel):
     acceleration_mps2: Positive | None = None
     deceleration_mps2: Positive | None = None
     duration_s: NotNegative | None = None  # of a hold
-    until_s: NotNegative | None = None  # of a wait; left away: waits for the order
+    end_time_s: NotNegative | None = None  # of a wait; left away: waits for the order
 
     @model_validator(mode="after")
     def _keys_suit_the_kind(self) -> Self:
         moving = ("point_m", "speed_mps", "acceleration_mps2", "deceleration_mps2")
-        allowed = {"hold": ("duration_s",), "wait": ("until_s",)}.get(self.kind, moving)
-        given = [name for name in (*moving, "duration_s", "until_s") if getattr(self, name) is not None]
+        allowed = {"hold": ("duration_s",), "wait": ("end_time_s",)}.get(self.kind, moving)
+        given = [name for name in (*moving, "duration_s", "end_time_s") if getattr(self, name) is not None]
         foreign = [name for name in given if name not in allowed]
         if foreign:
             raise ValueError(f'{foreign[0]} does not go with kind = "{self.kind}", which takes: {", ".join(allowed)}')
@@ -241,12 +241,12 @@ class Control(ConfigModel):
     deadband_m: Positive
     lead_s: Positive
     period_s: Positive
-    caution: NotNegative = 0.0
+    deadband_sigmas: NotNegative = 0.0
     correction_rate_mps: Positive = 0.05
     deadband_deg: Positive
     attitude_lead_s: Positive
     attitude_period_s: Positive
-    attitude_caution: NotNegative = 0.0
+    attitude_deadband_sigmas: NotNegative = 0.0
     slew_rate_degps: Positive = 0.6
 
 
@@ -279,12 +279,12 @@ class Requirements(ConfigModel):
     propellant_factor: Positive = 3.0  # propellant of the run over the impulsive least of its reference and slews
 
 
-class Reach(ConfigModel):
+class Reachability(ConfigModel):
     """How far the chaser may get off its plan, for the check that the bench can follow it (docs/reach.md)."""
 
-    corridor_share: NotNegative = 0.5  # of the corridor's half angle, beside Table III
+    corridor_fraction: NotNegative = 0.5  # of the corridor's half angle, beside Table III
     attitude_margin_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 1.0
-    catch_up_s: NotNegative = 0.2
+    startup_lag_s: NotNegative = 0.2
 
 
 class Scenario(ConfigModel):
@@ -301,7 +301,7 @@ class Scenario(ConfigModel):
     vmu: VisionNoise
     gnc: GncConfig
     requirements: Requirements
-    reach: Reach = Reach()
+    reachability: Reachability = Reachability()
     monitor: DockingMonitor = DockingMonitor()
     dispersions: Dispersions = Dispersions()
     console: InFlight = InFlight()

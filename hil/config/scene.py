@@ -209,12 +209,12 @@ class Scene(ConfigModel):
     fps: Annotated[float, Field(gt=0.0, le=1000.0)]
     fields: Literal["whole", "upper_first", "lower_first"] = "whole"
     target: Target
-    reserve: Target | None = None
+    backup: Target | None = None
 
-    def chosen(self, which: Literal["basic", "reserve"]) -> Target:
-        """Return the basic or the reserve target; ValueError where the scene has no reserve."""
+    def chosen(self, which: Literal["basic", "backup"]) -> Target:
+        """Return the basic or the backup target; ValueError if the scene has no backup target."""
         if which == "basic":
             return self.target
-        if self.reserve is None:
-            raise ValueError("reserve: the scene has no reserve target")
-        return self.reserve
+        if self.backup is None:
+            raise ValueError("backup: the scene has no backup target")
+        return self.backup

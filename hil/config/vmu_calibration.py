@@ -25,9 +25,9 @@ class Calibration(ConfigModel):
     lever_arm_m: Triple
     """of the rig, as ``gimbal_order`` and the next four: hil/config/rig.py"""
     gimbal_order: Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"]
-    camera_station_m: Triple
+    camera_position_m: Triple
     camera_axes: Matrix3
-    target_station_m: Triple
+    target_position_m: Triple
     target_axes: Matrix3
     sigma: dict[str, NotNegative] = Field(default_factory=dict)
     """standard deviation of each number, in the unit that stands in its name"""

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from hil.config.live_tunable import range_of, value_of
 from hil.config.load import Loaded
+from hil.config.renamed_keys import present_key
 from hil.config.scenario import Scenario
 from hil.console.lease import LeaseRefused
 from hil.setup.assembly import Job
@@ -77,6 +78,7 @@ class Tuner:
         """Return the change of ``key`` to ``value``. Raises Refused, or BadInput where the scenario does not suit."""
         scenario = self._scenario.value
         allowed = scenario.console.adjustable
+        key = present_key("Scenario", key) if isinstance(key, str) else key
         if key not in allowed or not isinstance(key, str):
             raise LeaseRefused(
                 f"{key!r}: this scenario lets nobody change it in flight; it allows {', '.join(allowed) or '-'}"

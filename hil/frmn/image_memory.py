@@ -32,4 +32,4 @@ class PictureMemory(NamedTuple):
 
 def wanted_pictures(rig: Rig) -> ImagePolicy:
     """Return which pictures ``rig`` wants."""
-    return ImagePolicy(rig.recording.pictures, rig.recording.picture_each_s)
+    return ImagePolicy(rig.recording.images, rig.recording.image_interval_s)

@@ -77,7 +77,7 @@ class UdpGnc(ExternalGnc):
         self._config = config
         self._lock_step = lock_step
         self._period_s = period_s
-        patience_s = None if period_s is None else config.answer_share * period_s
+        patience_s = None if period_s is None else config.reply_timeout_fraction * period_s
         self._answers = ReplyReceiver(NAME, link, self._inbox, self.account, briefing.setup, lock_step, patience_s)
         self._missed = 0  # cycles on end
         self._held_since_s: float | None = None
@@ -135,8 +135,8 @@ class UdpGnc(ExternalGnc):
             self._held_since_s = None
             return
         self._held_since_s = self._held_since_s or now_s
-        if self.not_ready and now_s - self._held_since_s > self._config.rejoin_s:
-            raise self._lost(f"has not come back within {self._config.rejoin_s:g} s")
+        if self.not_ready and now_s - self._held_since_s > self._config.reconnect_timeout_s:
+            raise self._lost(f"has not come back within {self._config.reconnect_timeout_s:g} s")
         if self._period_s is None:
             self.link.wait(_IDLE_S)
 

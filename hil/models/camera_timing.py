@@ -15,8 +15,8 @@ TRAVEL = np.dtype(
     [
         ("latency_s", "f8"),  # constant part
         ("jitter_s", "f8"),  # largest random part, uniform
-        ("duplicate_share", "f8"),  # 0..1 of the frames that come twice
-        ("loss_share", "f8"),  # 0..1 of those that never come
+        ("duplicate_probability", "f8"),  # 0..1 of the frames that come twice
+        ("loss_probability", "f8"),  # 0..1 of those that never come
     ],
     align=True,
 )
@@ -42,6 +42,6 @@ def delays(travel, draws, out):
     """
     for i in range(2):
         out[i] = travel.latency_s + draws[2 + i] * travel.jitter_s
-    if draws[0] < travel.loss_share:
+    if draws[0] < travel.loss_probability:
         return 0
-    return 2 if draws[1] < travel.duplicate_share else 1
+    return 2 if draws[1] < travel.duplicate_probability else 1

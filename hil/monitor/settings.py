@@ -23,7 +23,7 @@ class MonitorSettings:
     """
 
     region: Region | None = None
-    target: Literal["basic", "reserve"] = "basic"
+    target: Literal["basic", "backup"] = "basic"
     calculation: Literal["exact", "paper"] = "exact"
     motion: Literal["corrected", "printed"] = "corrected"
     q: float = 0.5

@@ -63,10 +63,10 @@ def vision(scenario: Scenario) -> np.record:
 def stations(rig: Rig) -> np.record:
     """Return STATIONS."""
     params = new(MOUNTING)
-    params.camera_station = rig.bench.camera_station_m
+    params.camera_station = rig.bench.camera_position_m
     params.q_vc = quat.from_matrix(np.array(rig.bench.camera_axes))
-    params.ring_station = rig.bench.ring_station_m
-    params.q_th = quat.from_matrix(np.array(rig.bench.ring_axes))
+    params.ring_station = rig.bench.led_ring_position_m
+    params.q_th = quat.from_matrix(np.array(rig.bench.led_ring_axes))
     params.position_variance = rig.vmu.bench_sigma_m**2
     params.attitude_variance = math.radians(rig.vmu.bench_sigma_deg) ** 2
     return params
@@ -150,7 +150,7 @@ def guidance(scenario: Scenario) -> np.record:
         params.acceleration[k] = phase.acceleration_mps2 or settings.acceleration_mps2
         params.deceleration[k] = phase.deceleration_mps2 or settings.deceleration_mps2
         params.duration_s[k] = phase.duration_s or 0.0
-        params.until_s[k] = math.inf if phase.until_s is None else phase.until_s
+        params.until_s[k] = math.inf if phase.end_time_s is None else phase.end_time_s
     params.axis = scenario.gnc.corridor.axis
     axial_start = float(np.dot(scenario.initial.position_m, params.axis))
     # no farther out than the start, which the bench is known to reach
@@ -218,7 +218,7 @@ def control(scenario: Scenario, strength: Array) -> np.record:
 
     params.dt_s = step_s
     params.deadband = six(settings.deadband_m, math.radians(settings.deadband_deg))
-    params.caution = six(settings.caution, settings.attitude_caution)
+    params.caution = six(settings.deadband_sigmas, settings.attitude_deadband_sigmas)
     params.lead = six(settings.lead_s, settings.attitude_lead_s)
     params.correction_rate = six(settings.correction_rate_mps, math.radians(settings.slew_rate_degps))
     params.period = [max(1, round(s / step_s)) for s in six(settings.period_s, settings.attitude_period_s)]

@@ -89,7 +89,7 @@ def no_pictures(path: Path, of: str) -> BadInput:
     """Return what is said of a recording without pictures; of: whose."""
     text = (
         f"holds no pictures of {of}: a run has some with {of_source(of)} = rendered "
-        "on a rig whose recording.pictures is jpeg or png"
+        "on a rig whose recording.images is jpeg or png"
     )
     return BadInput.single(str(path), "", text)
 

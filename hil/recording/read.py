@@ -20,6 +20,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from pydantic import ValidationError
 
 from hil.config.model import ConfigModel
+from hil.config.renamed_keys import present_setting, with_present_names
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.fields import record_dtype
@@ -219,7 +220,7 @@ def load(path: Path) -> Recorded:
         _rows(found, "/cycle"),
         _rows(found, "/vmu/frames"),
         _rows(found, "/monitor/portions"),
-        found.lines.get(show.LOG_TOPIC, []),
+        [present_note(note) for note in found.lines.get(show.LOG_TOPIC, [])],
         json.loads(summary) if summary else None,
         found.intact,
         found.files,
@@ -255,6 +256,11 @@ def _rows(found: Contents, topic: str) -> np.ndarray:
     return rows
 
 
+def present_note(note: dict[str, Any]) -> dict[str, Any]:
+    """Return a log line with the present name of the key that it sets, if it sets one."""
+    return note | {"message": present_setting("Scenario", note["message"])} if note.get("kind") == "setting" else note
+
+
 def _model(found: Contents, name: str, model: type[_Model]) -> _Model:
     return _model_of(found.path, found.run, found.files, name, model)
 
@@ -263,7 +269,8 @@ def _model_of(path: Path, run: dict[str, str], files: dict[str, str], name: str,
     if name not in files:
         raise BadInput.single(str(path), name, "is missing in this recording")
     try:
-        return model.model_validate_json(files[name])
+        table = with_present_names(model.__name__, json.loads(files[name]), f"{path}: {name}", named_at_most=1)
+        return model.model_validate_json(json.dumps(table))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

@@ -69,8 +69,8 @@ def _spread(sigma: Array, row: str, scenario: Scenario) -> Array:
     """
     control = scenario.gnc.control
     deadband, caution = {
-        "position_m": (control.deadband_m, control.caution),
-        "attitude_deg": (control.deadband_deg, control.attitude_caution),
+        "position_m": (control.deadband_m, control.deadband_sigmas),
+        "attitude_deg": (control.deadband_deg, control.attitude_deadband_sigmas),
     }.get(row, (0.0, 0.0))
     spread: Array = np.hypot(sigma, (deadband + caution * sigma) / np.sqrt(3.0))
     return spread

@@ -98,7 +98,7 @@ def _timing(outcome: Outcome, rig: Rig, rate_hz: float) -> dict[str, Any]:
         "late_wakeups": int(np.count_nonzero(lateness_s * 1e6 > rig.host.late_wakeup_us)),
         "lateness_us": lateness_percentiles_us(lateness_s),
         "lateness_histogram": lateness_histogram(lateness_s),
-        "late_cycle": rig.late_cycle,
+        "late_cycle": rig.on_overrun,
         "privileges": [{"name": g.name, "granted": g.granted, "detail": g.detail} for g in outcome.privileges],
     }
 

@@ -197,9 +197,9 @@ def wired_bench(
 def _insist_on_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
     """Raise BadInput where hardware would be run by a loop that is not in real time."""
     host = rig.value.host
-    if rig.value.kind != "hardware" or not host.insist_on_realtime:
+    if rig.value.kind != "hardware" or not host.require_realtime:
         return
-    key = "host.insist_on_realtime"
+    key = "host.require_realtime"
     problems = [
         Problem(rig.where(key), f"rig.{key}", f"true, but {grant}")
         for grant in realtime.refused()

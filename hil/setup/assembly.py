@@ -125,7 +125,7 @@ def assemble(
         loop.target = PlacedTarget(target, rig.moved_target)
     loop.now.row["truth"] = gnc_params.initial_truth(job.truth)
     draw_initial_imu_errors(job.truth, job.seed, loop.now.imu)
-    overrun_monitor = OverrunMonitor(rig.late_cycle, rig.host.late_cycles_max, rig.host.late_cycles_window_s)
+    overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s)
     overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
     loop.gnc.request_hold = safety.request_hold
     return Runner(
@@ -144,7 +144,7 @@ def _seat(job: Job, rig: Rig, rate: Rate) -> GncBackend:
     scenario, computer = job.scenario.value, rig.flight_computer
     if job.seat is not None:
         return job.seat(scenario)
-    if computer.words == "none":
+    if computer.command_words == "none":
         return make_backend(scenario)
     return CommandWordGnc(
         computer,
@@ -203,9 +203,9 @@ def _links(rig: Rig, rails: AxisGroup, turntable: AxisGroup, source: PoseSource)
     watches = []
     for device, config in ((rails, rig.rails), (turntable, rig.turntable)):
         if isinstance(device, CountsLosses):
-            bucket = LeakyBucket(config.lost_packets_max, config.lost_packets_forget_s)
+            bucket = LeakyBucket(config.lost_packets_max, config.lost_packets_window_s)
             watches.append(LinkWatch(device.name, bucket, device.lost_packets))
-    forget_s = rig.vmu.lost_packets_forget_s or _FRAMES_TO_FORGET / rig.vmu.rate_hz
+    forget_s = rig.vmu.lost_packets_window_s or _FRAMES_TO_FORGET / rig.vmu.rate_hz
     bucket = LeakyBucket(rig.vmu.lost_packets_max, forget_s)
     return [*watches, LinkWatch(source.name, bucket, lambda: _lost_frames(source.counters()))]
 

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hil.checks.compatibility import approach_problems, flight_problems
-from hil.config.load import Loaded, apply_setting, check_table
+from hil.config.load import Loaded, apply_settings, check_table
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.errors import BadInput
@@ -44,7 +44,7 @@ def with_setting(scenario: Scenario, setting: str, source: str) -> Loaded[Scenar
     """Return ``scenario`` with ``key=value`` laid over, checked anew. Raises BadInput; source: for its words."""
     table = scenario.model_dump(mode="json", exclude_none=True)
     origin: dict[str, str] = {}
-    apply_setting(table, setting, "", origin)
+    apply_settings(table, [setting], Scenario, origin)
     return check_table(table, Scenario, source, dict.fromkeys(origin, source))
 
 

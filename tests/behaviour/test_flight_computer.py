@@ -24,7 +24,7 @@ def test_words_over_a_serial_port_fly_the_bench_and_their_end_stops_it() -> None
     (words, words_port), (poses, poses_port) = _pty(), _pty()
     settings = (
         *UNHURRIED,
-        "rig.flight_computer.words=serial",
+        "rig.flight_computer.command_words=serial",
         "rig.flight_computer.timeout_s=0.3",  # on a computer that is busy
         "rig.flight_computer.lost_s=1.0",
         f"rig.flight_computer.serial.port={words_port}",

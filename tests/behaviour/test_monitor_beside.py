@@ -112,7 +112,7 @@ def test_monitor_vision_unit_and_truth_agree_in_their_sigmas(
 def test_a_wrong_station_shows_as_many_sigmas(
     scenario: Scenario, rig: Rig, history: np.ndarray, recorded: Watched
 ) -> None:
-    moved = scenario.monitor.model_copy(update={"camera_station_m": (0.82, 0.0, -0.5)})
+    moved = scenario.monitor.model_copy(update={"camera_position_m": (0.82, 0.0, -0.5)})
     found = judge_monitor(recorded, history, scenario.model_copy(update={"monitor": moved}), rig)
     assert found["quantities"]["range_m"]["truth"]["rms"] == pytest.approx(0.02, rel=0.1)
     assert found["quantities"]["range_m"]["truth"]["share_in_2_sigma"] == 0.0

@@ -160,7 +160,7 @@ def hardware(tmp_path: Path) -> str:
 @pytest.mark.usefixtures("refused")
 def test_hardware_is_refused_without_real_time(hardware: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["run", "scheme-1", "--rig", hardware]) == 2
-    lines = [line for line in capsys.readouterr().err.splitlines() if "insist_on_realtime" in line]
+    lines = [line for line in capsys.readouterr().err.splitlines() if "require_realtime" in line]
     assert len(lines) == 2
     assert "mlockall refused: Cannot allocate memory (ENOMEM)" in lines[0]
     assert "sched_fifo refused: Operation not permitted (EPERM)" in lines[1]
@@ -168,7 +168,7 @@ def test_hardware_is_refused_without_real_time(hardware: str, capsys: pytest.Cap
 
 @pytest.mark.usefixtures("refused")
 def test_hardware_runs_without_real_time_when_told_to(hardware: str) -> None:
-    rig = load_rig(hardware, ["rig.host.insist_on_realtime=false"])
+    rig = load_rig(hardware, ["rig.host.require_realtime=false"])
     told: list[str] = []
     job = build.Job(load_scenario("scheme-1"), rig, 0, 1.0, 1.0)
     with build.runner(job, lambda *_: None, told.append) as runner:

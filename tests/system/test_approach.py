@@ -79,7 +79,7 @@ SHORT = (
 
 
 def test_phases_are_flown_in_order_and_docking_waits_for_the_ready_state() -> None:
-    outcome = _run("scheme-1", 0, 80.0, *SHORT, "gnc.guidance.phases.ready.until_s=40.0")
+    outcome = _run("scheme-1", 0, 80.0, *SHORT, "gnc.guidance.phases.ready.end_time_s=40.0")
     begun = [(event.t_s, event.text) for event in outcome.events if event.text.startswith("phase")]
     assert [text for _, text in begun] == [f"phase {name} begins" for name in ("approach", "pause", "ready", "dock")]
     assert begun[2][0] - begun[1][0] == pytest.approx(4.0, abs=0.021)
@@ -89,7 +89,7 @@ def test_phases_are_flown_in_order_and_docking_waits_for_the_ready_state() -> No
 
 def test_docking_phase_is_refused_while_the_ready_state_does_not_hold() -> None:
     outcome = _run(
-        "scheme-1", 0, 40.0, *SHORT, "gnc.guidance.phases.ready.until_s=15.0", "requirements.radial_distance_m=1e-6"
+        "scheme-1", 0, 40.0, *SHORT, "gnc.guidance.phases.ready.end_time_s=15.0", "requirements.radial_distance_m=1e-6"
     )
     assert "phase dock begins" not in _texts(outcome)
     assert _texts(outcome)[-1] == "docking: no-go, the ready state does not hold"

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from hil.cli.main import execute
-from hil.config.load import load_file, load_rig
-from hil.config.vmu_geometry import VmuGeometry
+from hil.config.load import load_geometry, load_rig
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.model import Setup, TurntableModel
 from hil.vmu.calibration.synthetic import plan, shifted
@@ -81,7 +80,7 @@ def test_led_views_give_a_geometry_file_that_a_later_check_agrees_with(led_views
     files = ["--out", str(out), "--rig-out", str(rig_out), "--json", str(report), "--figure", str(tmp_path / "f.png")]
     assert execute(["calibrate", str(led_views), *SET, *LOOSE, "--date", "2026-03-01", "--id", "first", *files]) == 0
     truth, turntable = truth_of(True)
-    found = load_file(out, VmuGeometry).value
+    found = load_geometry(str(out)).value
     assert found.calibration is not None
     assert (found.calibration.id, found.calibration.date) == ("first", "2026-03-01")
     for name, value in (("fx", found.left.fx), ("fy", found.left.fy), ("cx", found.left.cx), ("cy", found.left.cy)):

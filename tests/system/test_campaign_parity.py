@@ -20,8 +20,8 @@ CLOSE = ("initial.position_m=[0.55, 0.01, -0.01]", "initial.attitude_deg=[0.3, 0
 LATE = (
     "vmu.latency_s=0.07",
     "vmu.latency_jitter_s=0.3",
-    "vmu.duplicate_share=0.2",
-    "vmu.loss_share=0.1",
+    "vmu.duplicate_probability=0.2",
+    "vmu.loss_probability=0.1",
     "rig.vmu.timeout_s=2.0",
 )
 OF_THE_CLOCK = ("sampled_s", "received_s", "commanded_s", "on_wire_s", "lateness_s")
@@ -90,7 +90,7 @@ def test_dispersed_case_has_the_bits_of_the_cycle() -> None:
 
 @pytest.mark.parametrize(
     "settings",
-    [("vmu.loss_share=0.9",), ("rig.rails.following_error_max_m=0.00002",)],
+    [("vmu.loss_probability=0.9",), ("rig.rails.following_error_max_m=0.00002",)],
     ids=["silent vision unit", "following error"],
 )
 def test_fault_ends_both_at_the_same_cycle_with_the_same_words(settings: tuple[str, ...]) -> None:

@@ -78,7 +78,7 @@ def lab_file(path: Path, wired: Rig) -> str:
         '[vmu]\nclock = "own"\n'
         f'[vmu.rs422]\nport = "{wired.vmu.rs422.port}"\n'
         f"[io]\nport = {wired.io.port}\n"
-        '[host]\ninsist_on_realtime = false\nlate_cycle = "log"\n'
+        '[host]\nrequire_realtime = false\non_overrun = "log"\n'
     )
     return str(path)
 

@@ -30,7 +30,7 @@ pytestmark = pytest.mark.xdist_group("campaign")
 
 OF_THE_CLOCK = ("sampled_s", "received_s", "commanded_s", "on_wire_s", "lateness_s")
 """Stamps of devices, which a loop without devices does not have."""
-LATE = ("vmu.latency_s=0.07", "vmu.loss_share=0.2", "rig.vmu.timeout_s=2.0")
+LATE = ("vmu.latency_s=0.07", "vmu.loss_probability=0.2", "rig.vmu.timeout_s=2.0")
 STEP = "    gnc_state *g = gnc;"
 NO_ESTIMATE = "output->estimate = input->t_s > g->first_s + SETTLED_S; => "
 

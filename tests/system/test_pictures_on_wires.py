@@ -23,8 +23,8 @@ SETTINGS = (
     "vmu.source=rendered",
     "monitor.source=rendered",
     "rig.vmu.rate_hz=4.0",  # a busy computer draws and encodes these as well
-    "rig.recording.pictures=png",
-    "rig.recording.picture_each_s=0",
+    "rig.recording.images=png",
+    "rig.recording.image_interval_s=0",
 )
 
 

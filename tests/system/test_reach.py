@@ -62,7 +62,7 @@ REFUSALS = {
     ),
     "gimbal's range, by the dispersion": (
         ("rig.turntable.pitch.travel_deg=[-0.5, 45.0]",),
-        "reach.attitude_margin_deg: turntable.pitch would go to -1.01 deg (planned 0.00 deg) at 7.7 s, "
+        "reachability.attitude_margin_deg: turntable.pitch would go to -1.01 deg (planned 0.00 deg) at 7.7 s, "
         "allowed -0.5 to 45 deg by rig.turntable.pitch.travel_deg",
     ),
     "gimbal's speed": (
@@ -93,7 +93,7 @@ REFUSALS = {
     "a start that is too fast to catch up with": (
         ("initial.velocity_mps=[0.0, 0.0, 0.05]", "rig.rails.z.acceleration_max_mps2=0.1"),
         "initial.velocity_mps: rails.z would need 0.5 s at 0.0 s to catch up with 0.05 m/s at 0.1 m/s2, "
-        "allowed 0.2 s by reach.catch_up_s",
+        "allowed 0.2 s by reachability.startup_lag_s",
     ),
 }
 

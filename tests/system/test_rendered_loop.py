@@ -86,7 +86,7 @@ def test_a_calibration_that_contradicts_the_led_ring_gives_no_pose(tmp_path: Pat
 
 
 def test_lights_that_are_no_leds_do_not_mislead() -> None:
-    poses, t_v, _ = seen("vmu.pictures.decoy_lights=5")
+    poses, t_v, _ = seen("vmu.images.decoy_lights=5")
     assert len(poses) >= 18
     assert np.abs(np.array([pose.t_v for pose in poses]) - t_v).max() < 5e-3
 

@@ -26,7 +26,7 @@ from tests.support.run_settings import typed
 pytestmark = pytest.mark.xdist_group("vision unit")
 
 RENDERED = ("vmu.source=rendered", "monitor.source=rendered", "initial.position_m=[2.0, -0.05, 0.05]")
-ALL_PNG = ("rig.recording.pictures=png", "rig.recording.picture_each_s=0")
+ALL_PNG = ("rig.recording.images=png", "rig.recording.image_interval_s=0")
 
 
 def record(folder: Path, duration_s: float, *settings: str, rig: str = "mock") -> Path:
@@ -206,10 +206,10 @@ def test_jpeg_now_and_then_replays_with_a_word_on_it(tmp_path: Path, capsys: pyt
 
 
 def test_none_are_kept_where_none_are_wanted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = record(tmp_path / "run", 0.4, "vmu.source=rendered", "rig.recording.pictures=none")
+    path = record(tmp_path / "run", 0.4, "vmu.source=rendered", "rig.recording.images=none")
     line = refused(capsys, "replay", str(path), "--vmu")
     assert "holds no pictures of the vision unit" in line
-    assert "recording.pictures" in line
+    assert "recording.images" in line
 
 
 def test_a_recording_without_pictures_is_one_line(recorded_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -255,6 +255,6 @@ def test_options_that_do_not_go_together_are_named(
 
 
 def test_a_wrong_setting_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    line = refused(capsys, "run", "scheme-1", "--set", "rig.recording.pictures=bmp")
-    assert "recording.pictures" in line
+    line = refused(capsys, "run", "scheme-1", "--set", "rig.recording.images=bmp")
+    assert "recording.images" in line
     assert "jpeg" in line

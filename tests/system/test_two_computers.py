@@ -39,7 +39,7 @@ def test_lock_step_gives_the_trajectory_of_one_process_bit_by_bit(scheme: str, d
     assert gnc.flight.steps == cycles
 
 
-LATE = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_share=0.2", "vmu.loss_share=0.1")
+LATE = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_probability=0.2", "vmu.loss_probability=0.1")
 """Poses that come late, out of order and several in a cycle."""
 ABORT = ("gnc.abort.at_s=2.0",)
 """The plan changes on the bench's side, and control boosts on the other."""

@@ -104,7 +104,7 @@ class CommandWordReceiver:
         self._newest = Latest(NAME)
         self.received = self.lost = self.repeated = 0
         wire: WordWire
-        if config.words == "can":
+        if config.command_words == "can":
             wire = CanWords(config)
         else:
             wire = SerialWords(str(config.serial.port), config.serial.baud)

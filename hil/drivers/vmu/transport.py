@@ -11,7 +11,7 @@ from hil.models.camera_timing import TRAVEL, TRAVEL_DRAWS, delays
 class Transport:
     """Draws for each frame how long after its exposure it arrives; the same generator, the same fate.
 
-    latency_s: constant part. jitter_s: largest random part, uniform. duplicate_share, loss_share: 0..1 of
+    latency_s: constant part. jitter_s: largest random part, uniform. duplicate_probability, loss_probability: 0..1 of
     the frames that come twice, or never.
     """
 
@@ -20,13 +20,13 @@ class Transport:
         generator: np.random.Generator,
         latency_s: float = 0.0,
         jitter_s: float = 0.0,
-        duplicate_share: float = 0.0,
-        loss_share: float = 0.0,
+        duplicate_probability: float = 0.0,
+        loss_probability: float = 0.0,
     ) -> None:
         self._generator = generator
         self._travel = new(TRAVEL)
         self._travel.latency_s, self._travel.jitter_s = latency_s, jitter_s
-        self._travel.duplicate_share, self._travel.loss_share = duplicate_share, loss_share
+        self._travel.duplicate_probability, self._travel.loss_probability = duplicate_probability, loss_probability
         self._delays = np.empty(2)
 
     @property

@@ -70,7 +70,7 @@ def geometry_table(
         "lever_arm_m": turntable.lever_arm.tolist(),
         "gimbal_order": "".join(_ORDER[k] for k in turntable.order),
         **mounting_keys(setup),
-        "target_station_m": setup.theta[TARGET_STATION:SCALE].tolist(),
+        "target_position_m": setup.theta[TARGET_STATION:SCALE].tolist(),
         "target_axes": setup.target_axes.T.tolist(),
         "sigma": {
             f"{p.name}_{p.unit}" if p.unit else p.name: float(s * p.shown)
@@ -85,7 +85,7 @@ def geometry_table(
 def mounting_keys(setup: Setup) -> dict[str, Any]:
     """Return the keys of a rig file's ``[bench]`` that say where the left camera is."""
     return {
-        "camera_station_m": setup.theta[CAMERA_STATION:TARGET_TURN].tolist(),
+        "camera_position_m": setup.theta[CAMERA_STATION:TARGET_TURN].tolist(),
         "camera_axes": setup.camera_axes.tolist(),
     }
 
@@ -95,7 +95,10 @@ def rig_table(setup: Setup, on_leds: bool) -> dict[str, Any]:
     bench = mounting_keys(setup)
     if not on_leds:
         return {"bench": bench}
-    bench |= {"ring_station_m": setup.theta[TARGET_STATION:SCALE].tolist(), "ring_axes": setup.target_axes.T.tolist()}
+    bench |= {
+        "led_ring_position_m": setup.theta[TARGET_STATION:SCALE].tolist(),
+        "led_ring_axes": setup.target_axes.T.tolist(),
+    }
     return {"bench": bench, "vmu": {"leds_m": setup.points.tolist()}}
 
 
@@ -161,8 +164,8 @@ def read_back(geometry: VmuGeometry, source: str) -> Calibrated:
     theta = np.zeros(COMMON)
     theta[0:9], theta[9:18] = lens_numbers(geometry.left), lens_numbers(geometry.right)
     theta[TURN:BASELINE], theta[BASELINE:CAMERA_TURN] = geometry.right_rotation_rad, geometry.baseline_m
-    theta[CAMERA_STATION:TARGET_TURN] = found.camera_station_m
-    theta[TARGET_STATION:SCALE] = found.target_station_m
+    theta[CAMERA_STATION:TARGET_TURN] = found.camera_position_m
+    theta[TARGET_STATION:SCALE] = found.target_position_m
     theta[SCALE] = 1.0
     sizes = np.array([[c.width, c.height] for c in (geometry.left, geometry.right)], dtype=float)
     target_axes = np.ascontiguousarray(np.array(found.target_axes).T)

@@ -132,12 +132,12 @@ class Setup:
             theta[first : first + 9] = lens_numbers(camera)
         theta[TURN:BASELINE] = geometry.right_rotation_rad
         theta[BASELINE:CAMERA_TURN] = geometry.baseline_m
-        theta[CAMERA_STATION:TARGET_TURN] = bench.camera_station_m
-        theta[TARGET_STATION:SCALE] = bench.ring_station_m
+        theta[CAMERA_STATION:TARGET_TURN] = bench.camera_position_m
+        theta[TARGET_STATION:SCALE] = bench.led_ring_position_m
         theta[SCALE] = 1.0
         sizes = np.array([[c.width, c.height] for c in (geometry.left, geometry.right)], dtype=float)
         leds = np.array(geometry.leds_m, dtype=float)
-        target_axes = np.ascontiguousarray(np.array(bench.ring_axes).T)
+        target_axes = np.ascontiguousarray(np.array(bench.led_ring_axes).T)
         return cls(theta, np.array(bench.camera_axes), target_axes, leds if points is None else points, sizes)
 
     def folded(self) -> Setup:

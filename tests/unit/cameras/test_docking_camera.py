@@ -16,7 +16,7 @@ from hil.maths import euler
 from hil.params import gnc as gnc_params
 
 STEP_S = 0.02
-PLACED = DockingMonitor(camera_station_m=(0.8, 0.1, -0.5), target_station_m=(-0.3, 0.05, -0.45))
+PLACED = DockingMonitor(camera_position_m=(0.8, 0.1, -0.5), target_position_m=(-0.3, 0.05, -0.45))
 STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
@@ -117,7 +117,7 @@ def test_a_run_refuses_a_scene_that_is_not_there(scheme_1: Scenario, tmp_path: o
     assert said("monitor.scene=missing") == []  # nobody looks
     rendered = "monitor.source=rendered"
     assert said(rendered) == []
-    assert said(rendered, "monitor.target=reserve") == []
+    assert said(rendered, "monitor.target=backup") == []
     assert "unknown scene: give atv, bright-cross" in said(rendered, "monitor.scene=missing")[0]
-    text = 'monitor.target: "reserve": scene bright-cross has the basic target alone'
-    assert said(rendered, "monitor.scene=bright-cross", "monitor.target=reserve")[0].endswith(text)
+    text = 'monitor.target: "backup": scene bright-cross has the basic target alone'
+    assert said(rendered, "monitor.scene=bright-cross", "monitor.target=backup")[0].endswith(text)

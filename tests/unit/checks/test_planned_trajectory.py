@@ -32,7 +32,7 @@ def test_plan_goes_from_the_start_through_every_phase_to_the_end_of_the_list() -
         _plan(
             'gnc.guidance.sequence=["approach", "look", "hold", "dock", "back"]',
             "gnc.guidance.phases.look.kind=wait",
-            "gnc.guidance.phases.look.until_s=200.0",
+            "gnc.guidance.phases.look.end_time_s=200.0",
             "gnc.guidance.phases.hold.kind=hold",
             "gnc.guidance.phases.hold.duration_s=30.0",
             "gnc.guidance.phases.dock.kind=final",

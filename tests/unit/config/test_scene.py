@@ -48,7 +48,7 @@ def test_shipped_scenes_load_and_have_a_reserve_and_an_inverse_one() -> None:
     scenes = {name: load_scene(name).value for name in shipped("targets")}
     assert all(scene.name == name for name, scene in scenes.items())
     atv = scenes["atv"]
-    assert atv.chosen("reserve") is atv.reserve is not None
+    assert atv.chosen("backup") is atv.backup is not None
     assert atv.chosen("basic") is atv.target
     other = scenes["bright-cross"].target
     assert other.disc is not None
@@ -79,8 +79,8 @@ def test_near_parts_alone_and_far_parts_alone_are_scenes(write: Callable[[Change
 
 def test_a_scene_without_reserve_says_so(write: Callable[[Change], str]) -> None:
     scene = load_scene(write(lambda table: None)).value
-    with pytest.raises(ValueError, match="no reserve target"):
-        scene.chosen("reserve")
+    with pytest.raises(ValueError, match="no backup target"):
+        scene.chosen("backup")
 
 
 @pytest.mark.parametrize("key", ["camera", "fps", "target", "camera.f", "camera.width", "target.disc.radius_m"])

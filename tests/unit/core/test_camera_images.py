@@ -237,7 +237,7 @@ def test_vision_tells_the_run_s_time_when_it_begins_changes_and_stands() -> None
 
 @pytest.fixture
 def png_rig() -> Rig:
-    return load_rig("mock", ("rig.recording.pictures=png", "rig.recording.picture_each_s=0")).value
+    return load_rig("mock", ("rig.recording.images=png", "rig.recording.image_interval_s=0")).value
 
 
 def test_another_process_gets_ring_and_time_by_their_descriptors(png_rig: Rig) -> None:
@@ -251,7 +251,7 @@ def test_another_process_gets_ring_and_time_by_their_descriptors(png_rig: Rig) -
     (row,) = ring.reader().read()
     assert (row["t_s"], row["bench_s"], row["number"]) == (2.5, 12.5, 7)
     assert (row["width_px"], row["height_px"]) == (6, 4)
-    none = load_rig("mock", ("rig.recording.pictures=none",)).value
+    none = load_rig("mock", ("rig.recording.images=none",)).value
     assert PictureMemory(*memory).maker(none) is None
     ring.close()
     run.close()
@@ -336,4 +336,4 @@ def test_a_ring_that_forgot_pictures_says_so() -> None:
 
 def test_the_shipped_rigs_keep_two_jpegs_a_second() -> None:
     found = load_rig("emulated").value.recording
-    assert SimpleNamespace(**found.model_dump()) == SimpleNamespace(pictures="jpeg", picture_each_s=0.5)
+    assert SimpleNamespace(**found.model_dump()) == SimpleNamespace(images="jpeg", image_interval_s=0.5)

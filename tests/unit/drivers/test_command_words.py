@@ -70,7 +70,7 @@ def until(condition: Callable[[], object]) -> None:
 
 def test_newest_word_comes_over_a_serial_port_and_losses_are_counted(wire: tuple[int, str]) -> None:
     here, path = wire
-    receiver = CommandWordReceiver(FlightComputer(words="serial", serial=WordsLine(port=path)), lambda: 12.5)
+    receiver = CommandWordReceiver(FlightComputer(command_words="serial", serial=WordsLine(port=path)), lambda: 12.5)
     receiver.open()
     try:
         spoilt = bytearray(encode(Word(2, 1)))
@@ -84,7 +84,7 @@ def test_newest_word_comes_over_a_serial_port_and_losses_are_counted(wire: tuple
 
 
 def test_newest_word_comes_over_can_from_its_identifier_alone() -> None:
-    config = FlightComputer(words="can", can=WordsCan(interface="virtual", channel="words", identifier=0x120))
+    config = FlightComputer(command_words="can", can=WordsCan(interface="virtual", channel="words", identifier=0x120))
     receiver = CommandWordReceiver(config, lambda: 1.0)
     receiver.open()
     try:
@@ -100,7 +100,7 @@ def test_newest_word_comes_over_can_from_its_identifier_alone() -> None:
 def test_newest_word_comes_over_a_serial_can_adapter(wire: tuple[int, str]) -> None:
     here, path = wire
     receiver = CommandWordReceiver(
-        FlightComputer(words="can", can=WordsCan(interface="serial", channel=path)), lambda: 1.0
+        FlightComputer(command_words="can", can=WordsCan(interface="serial", channel=path)), lambda: 1.0
     )
     receiver.open()
     try:
@@ -113,7 +113,9 @@ def test_newest_word_comes_over_a_serial_can_adapter(wire: tuple[int, str]) -> N
 
 
 def test_port_that_is_not_there_is_named() -> None:
-    receiver = CommandWordReceiver(FlightComputer(words="serial", serial=WordsLine(port="/dev/none")), lambda: 0.0)
+    receiver = CommandWordReceiver(
+        FlightComputer(command_words="serial", serial=WordsLine(port="/dev/none")), lambda: 0.0
+    )
     with pytest.raises(LinkLost, match="flight computer: cannot open /dev/none"):
         receiver.open()
 
@@ -157,7 +159,7 @@ class Bench:
     def __init__(self, scenario: Scenario, **config: object) -> None:
         self.said, self.now_s, self.held = Said(), 0.0, ""
         self.seat = CommandWordGnc(
-            FlightComputer(words="serial", **config),  # type: ignore[arg-type]
+            FlightComputer(command_words="serial", **config),  # type: ignore[arg-type]
             self.said,  # type: ignore[arg-type]
             None,
             lambda: self.now_s,
@@ -204,9 +206,9 @@ def test_longer_silence_stops_or_holds_as_configured(scheme_1: Scenario) -> None
 
 
 def test_wire_is_asked_for_and_a_mock_rig_has_no_flight_computer() -> None:
-    (problem,) = flight_computer_problems(load_rig("mock", ["rig.flight_computer.words=serial"]))
+    (problem,) = flight_computer_problems(load_rig("mock", ["rig.flight_computer.command_words=serial"]))
     assert "a mock rig has no wall clock" in str(problem)
-    (problem,) = flight_computer_problems(load_rig("emulated", ["rig.flight_computer.words=can"]))
+    (problem,) = flight_computer_problems(load_rig("emulated", ["rig.flight_computer.command_words=can"]))
     assert "rig.flight_computer.can.channel: is missing" in str(problem)
     with pytest.raises(BadInput, match=r"lost_s = 0.01: must not be below timeout_s"):
         load_rig("emulated", ["rig.flight_computer.lost_s=0.01"])

@@ -50,7 +50,9 @@ def test_frame_is_exposed_on_the_beat_and_handed_out_after_the_latency() -> None
 
 
 def test_frames_may_come_out_of_order_twice_or_never() -> None:
-    vmu = opened(Transport(np.random.default_rng(3), 0.0, 0.5, duplicate_share=0.3, loss_share=0.2), timeout_s=10.0)
+    vmu = opened(
+        Transport(np.random.default_rng(3), 0.0, 0.5, duplicate_probability=0.3, loss_probability=0.2), timeout_s=10.0
+    )
     frames = [frame for k in range(5001) for frame in vmu.poll(k * 0.02)]
     counters = [frame.counter for frame in frames]
     seen = set(counters)

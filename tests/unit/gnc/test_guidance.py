@@ -107,7 +107,7 @@ def test_wait_ends_at_the_order_and_a_final_phase_is_held_without_leave() -> Non
 
 
 def test_wait_ends_at_its_time() -> None:
-    params = listed(*FIVE, "phases.ready.until_s=480.0")
+    params = listed(*FIVE, "phases.ready.end_time_s=480.0")
     state = begun(params)
     assert at(params, state, 479.9).phase == 3
     assert at(params, state, 480.0).phase == 4

@@ -74,8 +74,8 @@ def test_hold_is_asked_for_once_until_the_bucket_is_empty_again() -> None:
 def test_hardware_stops_unless_told_otherwise(kind: str, action: str) -> None:
     emulated = load_rig("emulated").value
     rig = emulated.model_copy(update={"kind": kind})
-    assert rig.late_cycle == action
-    assert Rig.model_validate(rig.model_dump() | {"host": {"late_cycle": "hold"}}, strict=False).late_cycle == "hold"
+    assert rig.on_overrun == action
+    assert Rig.model_validate(rig.model_dump() | {"host": {"on_overrun": "hold"}}, strict=False).on_overrun == "hold"
 
 
 def test_run_that_loses_too_many_periods_ends_as_a_safe_stop(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ def test_first_exposure_is_the_next_multiple(now_s: float, number: int) -> None:
 
 def test_frames_are_late_lost_and_doubled_as_often_as_asked(rng: np.random.Generator) -> None:
     travel = new(TRAVEL)
-    travel.latency_s, travel.jitter_s, travel.duplicate_share, travel.loss_share = 0.1, 0.2, 0.3, 0.25
+    travel.latency_s, travel.jitter_s, travel.duplicate_probability, travel.loss_probability = 0.1, 0.2, 0.3, 0.25
     out, counts, late = np.empty(2), [], []
     for draws in rng.random((4000, 4)):
         counts.append(delays(travel, draws, out))

@@ -78,7 +78,7 @@ def test_gimbal_that_is_off_turns_and_shifts_the_camera(mock_rig: Rig) -> None:
     history["feedback"]["gimbal_rad"][:, 2] += math.radians(0.02)  # yaw, the outermost: about z_L
     found = judge_bench_error(history, mock_rig, DT, 0.0)
     assert found["pose_error_deg"]["rms"] == pytest.approx(0.02, rel=1e-6)
-    arm = np.array(mock_rig.bench.camera_station_m) + np.array(mock_rig.bench.lever_arm_m)
+    arm = np.array(mock_rig.bench.camera_position_m) + np.array(mock_rig.bench.lever_arm_m)
     arm_H = quat.transform_back(np.array(history["truth"]["q_CH"][0]), arm)
     assert found["pose_error_mm"]["rms"] == pytest.approx(1e3 * math.hypot(*arm_H[:2]) * math.radians(0.02), rel=1e-6)
 

@@ -37,7 +37,7 @@ def test_where_and_by_how_much_a_twin_leaves(scheme_1: Scenario) -> None:
     assert found.largest == pytest.approx(50.0)
     assert found.at_s == pytest.approx(2.0)
     control = scheme_1.gnc.control
-    deadband = (control.deadband_m + control.caution * 0.003) / np.sqrt(3.0)  # equally likely anywhere in it
+    deadband = (control.deadband_m + control.deadband_sigmas * 0.003) / np.sqrt(3.0)  # equally likely anywhere in it
     assert found.sigmas == pytest.approx(0.05 / (np.hypot(0.003, deadband) * np.sqrt(2.0)))
     assert found.left_s == pytest.approx(6.0)
     assert found.beyond == pytest.approx(210 / 500)

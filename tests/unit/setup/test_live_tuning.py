@@ -152,7 +152,7 @@ def test_page_is_offered_exactly_what_the_scenario_allows_with_value_unit_and_ra
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("gnc.control.caution", -1, "gnc.control.caution: -1: allowed is 0 or more"),
+        ("gnc.control.deadband_sigmas", -1, "gnc.control.deadband_sigmas: -1: allowed is 0 or more"),
         (DEADBAND, 0, "gnc.control.deadband_m: 0: allowed is above 0"),
         (DEADBAND, "0.1", "gnc.control.deadband_m: '0.1' is no number"),
         (DEADBAND, True, "is no number"),
@@ -178,7 +178,7 @@ def test_change_that_cannot_be_is_refused_in_words(key: Any, value: Any, words: 
         ("gnc.navigation.gate_sigma", "\u03c3"),
         ("gnc.corridor.closing_rate_slope_per_s", "1/s"),
         ("gnc.control.lead_s", "s"),
-        ("gnc.control.caution", ""),
+        ("gnc.control.deadband_sigmas", ""),
     ],
 )
 def test_unit_of_a_setting_is_that_of_its_name(key: str, unit: str) -> None:

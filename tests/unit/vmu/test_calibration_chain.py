@@ -37,11 +37,11 @@ def test_pixels_are_those_of_bench_kinematics_and_stations(mock_rig: Rig) -> Non
     params, stations = np.zeros(1, BENCH_PARAMS)[0], np.zeros(1, MOUNTING)[0]
     params["lever_arm"], params["order"] = turntable.lever_arm, turntable.order
     stations["camera_station"], stations["ring_station"] = (
-        mock_rig.bench.camera_station_m,
-        mock_rig.bench.ring_station_m,
+        mock_rig.bench.camera_position_m,
+        mock_rig.bench.led_ring_position_m,
     )
     stations["q_vc"] = quat.from_matrix(np.array(mock_rig.bench.camera_axes))
-    stations["q_th"] = quat.from_matrix(np.array(mock_rig.bench.ring_axes))
+    stations["q_th"] = quat.from_matrix(np.array(mock_rig.bench.led_ring_axes))
     r_CT_H, q_CH, t_v, q_vt = np.empty(3), np.empty(4), np.empty(3), np.empty(4)
     pose_of_axes(params, AXES[:3], AXES[3:], r_CT_H, q_CH)
     camera_pose(stations, r_CT_H, q_CH, t_v, q_vt)
