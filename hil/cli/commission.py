@@ -42,9 +42,9 @@ def commission_command(
     scenario, rig = load_scenario(scenario_name, settings), load_rig(rig_name, settings)
     _check_rig(rig, unattended)
 
-    from hil.commission.emulated import AutoOperator
-    from hil.commission.file import as_toml, signed_before
+    from hil.commission.auto_operator import AutoOperator
     from hil.commission.prompt import OperatorPrompt, Scripted, StepFailed
+    from hil.commission.sign_off import as_toml, signed_before
     from hil.commission.steps import Commissioning
     from hil.session import build
 

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.bench.identify import Series, StepFit, SweepFit, fit_sine, fit_step, fit_sweep
+from hil.commission.response_fit import Series, StepFit, SweepFit, fit_sine, fit_step, fit_sweep
 from hil.config.rig import LEAD_MAX_S
 from hil.core.messages import AXES, Array, new
 from hil.core.modes import Mode

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.commission.emergency import Button, EmergencyStopTrial
+from hil.commission.emergency_stop import Button, EmergencyStopTrial
 from hil.commission.identity import expected_identity, see_vision_unit
 from hil.commission.prompt import OperatorPrompt, StepFailed
 from hil.commission.slow_mover import MoveResult, SlowMover, shown, size

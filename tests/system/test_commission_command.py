@@ -14,7 +14,7 @@ import pytest
 
 from hil.checks.compatibility import sign_off_gap
 from hil.cli.main import execute
-from hil.commission.emulated import AutoOperator
+from hil.commission.auto_operator import AutoOperator
 from hil.commission.prompt import Scripted, StepFailed
 from hil.commission.steps import Commissioning
 from hil.config.load import load_rig, load_scenario

@@ -1,4 +1,4 @@
-"""Every fault of the emulated devices, on real wires: found, named, and the bench stands."""
+"""Each fault of the emulated devices, on real wires: detected, named, and the axes at rest."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from hil.commission.fault_matrix import GOES_ON, TIGHT, FaultCase, matrix, rehearse, representatives
 from hil.core.modes import Mode
 from hil.session.build import WiredBench, check, warm_up, wired_bench
+from sims.fault_matrix import CONTINUES, TIGHT, FaultCase, matrix, representatives, run_case
 from tests.support.run_settings import UNHURRIED, make_job
 
 pytestmark = pytest.mark.wires
@@ -25,20 +25,20 @@ def bench() -> Iterator[WiredBench]:
         yield made
 
 
-def _rehearse(bench: WiredBench, case: FaultCase) -> None:
-    finding = rehearse(bench, case)
-    assert finding.as_expected, finding
-    if case.expected == GOES_ON:
+def _check(bench: WiredBench, case: FaultCase) -> None:
+    reaction = run_case(bench, case)
+    assert reaction.as_expected, reaction
+    if case.expected == CONTINUES:
         return
-    # a dead coupler lets the relay open, and the drives may be the first to say so
+    # a dead coupler lets the relay open, and the drives may report first
     names = (case.device, "bench: emergency stop") if "estop" in case.line else (case.device,)
     torque = "safe torque off" if case.device == "io" else case.device
-    assert any(name in finding.alarm for name in (*names, torque)), finding
+    assert any(name in reaction.alarm for name in (*names, torque)), reaction
 
 
 @pytest.mark.parametrize("case", representatives(), ids=lambda case: case.name)
-def test_a_fault_is_found_and_named_and_the_axes_stand(bench: WiredBench, case: FaultCase) -> None:
-    _rehearse(bench, case)
+def test_fault_is_detected_and_named_and_the_axes_are_at_rest(bench: WiredBench, case: FaultCase) -> None:
+    _check(bench, case)
 
 
 @pytest.mark.slow
@@ -46,7 +46,7 @@ def test_a_fault_is_found_and_named_and_the_axes_stand(bench: WiredBench, case: 
     "case", matrix((Mode.RUNNING, Mode.STANDBY, Mode.ARMED, Mode.HOLD)), ids=lambda case: case.name
 )
 def test_every_fault_in_every_mode_that_can_have_it(bench: WiredBench, case: FaultCase) -> None:
-    _rehearse(bench, case)
+    _check(bench, case)
 
 
 def test_the_table_holds_every_fault_of_every_device_and_motion_faults_where_axes_move() -> None:

@@ -13,7 +13,7 @@ from rich.console import Console
 from hil.checks.compatibility import sign_off_gap, sign_off_problems
 from hil.cli.commission import Terminal
 from hil.cli.main import execute
-from hil.commission.file import as_toml, signed_before
+from hil.commission.sign_off import as_toml, signed_before
 from hil.commission.steps import AxisFound, Found
 from hil.config.load import load_rig
 from hil.config.motion_digest import motion_digest

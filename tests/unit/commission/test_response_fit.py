@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hil.bench.identify import Series, SweepFit, fit_sine, fit_step, fit_sweep
+from hil.commission.response_fit import Series, SweepFit, fit_sine, fit_step, fit_sweep
 from hil.models.servo import servo_step
 
 DT = 0.02
