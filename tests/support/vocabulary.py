@@ -34,7 +34,7 @@ WORDS = {
     "lamp": r"lamps?",
     "a word on": r"an? (?!command )(?:\w+ )?words? (?:on|with|for|about)|in words|word for word",
     "picture": r"pictures?|pictured",
-    "share": r"shares? of|(?:the|a|an|its|this|that|same|smaller|larger|smallest|largest|what|given) shares?"
+    "share": r"shares? of|(?:the|a|an|its|this|same|smaller|larger|smallest|largest|what|given) shares?"
     r"(?! (?:memory|a|an|the|no|one|its))",
     "go on": r"(?:goes|go|went|gone|going) on",
     "where there is": r"where (?:there (?:is|are)|none|nothing|no|one (?:is|was))",
@@ -77,9 +77,10 @@ WORDS = {
     "dear": r"dear|dearer",
     "haste": r"haste",
     "life": r"(?:another|this|its|one) life(?![- ]cycle|time)|says that it lives|lives? on",
-    "a, not per": r"(?:times|cycles|frames|images|pictures|messages|datagrams|samples|rows|bytes|[kKMG]B|updates|runs"
-    r"|cases|once|twice|seconds|steps|words|commands|poses|packets|requests|events|lines?|file|page) an? (?:second"
-    r"|minute|hour|day|cycle|frame|step|case|image|picture|file|run|axis|row|page|core|period|computer|side)",
+    "a, not per": r"times an? (?:second|minute|hour|day|cycle)"
+    r"|(?:cycles|frames|images|pictures|messages|datagrams|samples|rows|bytes|[kKMG]B|updates|runs|cases|once|twice"
+    r"|seconds|steps|words|commands|poses|packets|requests|events|lines?|file|page) an? (?:second|minute|hour|day"
+    r"|cycle|frame|step|case|image|picture|file|run|axis|row|page|core|period|computer|side)",
 }
 Line = tuple[int, str, str]  # number, kind of text, text
 
