@@ -43,9 +43,9 @@ def commission_command(
     _check_rig(rig, unattended)
 
     from hil.commission.auto_operator import AutoOperator
-    from hil.commission.prompt import OperatorPrompt, Scripted, StepFailed
+    from hil.commission.prompt import OperatorPrompt, ScriptedPrompt, StepFailed
     from hil.commission.sign_off import as_toml, signed_before
-    from hil.commission.steps import Commissioning
+    from hil.commission.steps import Commissioning, CommissioningPlan
     from hil.session import build
 
     job = build.Job(scenario, rig, 0, scenario.value.step_s, speed)
@@ -55,12 +55,12 @@ def commission_command(
         if problems := flight_problems(scenario, rig):
             raise BadInput(problems)
     compile_kernels_with_notice(job, console)
-    dialogue: OperatorPrompt = Scripted(show=_show(Console())) if unattended else Terminal(Console())
+    prompt: OperatorPrompt = ScriptedPrompt(show=_show(Console())) if unattended else Terminal(Console())
     before = signed_before(rig.value)
     chosen = [k for k, name in enumerate(AXES) if name in axes or not axes]
     others = [k for k, name in enumerate(AXES) if name in before]
     who = by or ("nobody (--yes)" if unattended else _asked_name())
-    if rig.value.kind == "hardware" and not dialogue.ask(
+    if rig.value.kind == "hardware" and not prompt.ask(
         "The axes will move. Is the bench clear of people, and the emergency stop in your hand?"
     ):
         return _failed("nothing was moved", console)
@@ -69,19 +69,20 @@ def commission_command(
     ) as bench:
         emulated = AutoOperator(bench.board, bench.addresses) if bench.board is not None else None
         button = emulated if emulated is not None and rig.value.has_io else None
-        witness = emulated.place if emulated is not None else None
-        steps = Commissioning(bench.runner(), rig.value, dialogue, chosen, others, ends, button, witness)
+        true_position = emulated.position if emulated is not None else None
+        plan = CommissioningPlan(chosen, others, ends)
+        steps = Commissioning(bench.runner(), rig.value, prompt, plan, button, true_position)
         try:
-            found = steps.run()
+            findings = steps.run()
         except StepFailed as failure:
             return _failed(str(failure), console)
     if out_path is None:
-        dialogue.tell("all steps passed; nothing was written, because there is no --out")
+        prompt.show("all steps passed; nothing was written, because there is no --out")
         return _SIGNED
-    text = as_toml(found, rig.value, base_of(rig_name, out_path), who, day or _today())
+    text = as_toml(findings, rig.value, base_of(rig_name, out_path), who, day or _today())
     Path(out_path).write_text(text, encoding="utf-8")
     left = [name for k, name in enumerate(AXES) if k not in chosen and k not in others]
-    dialogue.tell(
+    prompt.show(
         f"{out_path}: {len(chosen)} axes signed, left: {', '.join(left)}"
         if left
         else f"{out_path}: the rig is signed off"
@@ -144,17 +145,17 @@ def _show(console: Console) -> Callable[[str], None]:
 
 
 class Terminal:
-    """A technician at a terminal; yes and no are typed."""
+    """Prompt of a technician at a terminal."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
 
-    def tell(self, text: str) -> None:
+    def show(self, text: str) -> None:
         """Print a line."""
         self._console.print(text, highlight=False, soft_wrap=True, markup=False)
 
     def ask(self, question: str) -> bool:
-        """Ask until the answer is y or n; where nobody can type, it is no."""
+        """Ask until the answer is y or n; no at the end of the input."""
         with suppress(EOFError):
             while True:
                 self._console.print(f"{question} [y/n] ", end="", highlight=False, soft_wrap=True, markup=False)

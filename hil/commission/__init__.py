@@ -1,1 +1,1 @@
-"""Commissioning: a technician takes a rig from its emergency stop to a slow dry run, and signs it off."""
+"""Commissioning of a rig: emergency stop, identity, sign and scale, limits, dry run, sign-off; axis identification."""

@@ -1,4 +1,4 @@
-"""Who stands in for a technician at an emulated bench."""
+"""Simulated technician of an emulated bench."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from hil.drivers.shared_state import SharedAxisState
 
 
 class AutoOperator:
-    """Hand and eye of a technician at an emulated bench: the emergency stop's control port, and the axis board."""
+    """Presses the emergency stop through its control port, and reads true positions from the shared axis state."""
 
-    def __init__(self, board: SharedAxisState, addresses: dict[str, str]) -> None:
-        self._board = board
+    def __init__(self, state: SharedAxisState, addresses: dict[str, str]) -> None:
+        self._state = state
         self._addresses = addresses
 
     def press(self) -> None:
         """Press the emergency stop."""
-        self._say("on estop")
+        self._send("on estop")
 
     def release(self) -> None:
-        """Release it."""
-        self._say("off estop")
+        """Release the emergency stop."""
+        self._send("off estop")
 
-    def place(self, axis: int, now_s: float) -> float:
-        """Return where an axis truly is, m or rad."""
-        position, _ = self._board.read("rails" if axis < 3 else "turntable", now_s)
+    def position(self, axis: int, now_s: float) -> float:
+        """Return the true position of an axis, m or rad."""
+        position, _ = self._state.read("rails" if axis < 3 else "turntable", now_s)
         return float(position[axis % 3])
 
-    def _say(self, line: str) -> None:
+    def _send(self, line: str) -> None:
         control = FaultControl(self._addresses["io.faults"])
         try:
             control.send(line)

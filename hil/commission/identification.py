@@ -1,7 +1,7 @@
-"""Moves the axes of a bench one by one, gently, and measures how each follows its setpoints.
+"""Identification of the axes: moves them one at a time, and measures delay and bandwidth of each.
 
-All motion goes through ``Bench.command``: limits, supervisor and emergency stop hold as in a run. The
-leads of the rig file are left out while measuring; what is found is the lead that the axis needs.
+All motion goes through ``BenchStage.command``: limits, safety monitor and emergency stop act as in a run. The leads of
+the rig file are not applied during the measurement; the result is the lead that the axis requires.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.rate_keeper import Tick
 
 FREQUENCIES_HZ: Final = (0.5, 0.8, 1.25, 2.0, 3.15, 5.0, 8.0)
-_SHARE_OF_CYCLE_RATE: Final = 1.0 / 6.0  # fastest sine
+_CYCLE_RATE_FRACTION: Final = 1.0 / 6.0  # highest frequency
 _SWEEP_M, _SWEEP_RAD = 0.003, math.radians(0.3)  # largest amplitude
 _STEP_M, _STEP_RAD = 0.001, math.radians(0.1)  # largest step
-_SHARE_OF_RATE: Final = 0.3
-_SHARE_OF_ACCELERATION: Final = 0.3
-_SHARE_OF_TRAVEL: Final = 0.25
+_RATE_FRACTION: Final = 0.3
+_ACCELERATION_FRACTION: Final = 0.3
+_TRAVEL_FRACTION: Final = 0.25
 _STEPS: Final = 8
-_STEP_EVERY_S: Final = 0.5
-_STEP_CYCLES: Final = 5  # a step is spread over so many where acceleration asks for it
-_STEP_SHARE: Final = 0.9  # of the speed that an axis may take on, or lose, in a cycle
-_FITTED_S: Final = 2.0  # of each sine at least, beside its fading in and out
+_STEP_PERIOD_S: Final = 0.5
+_STEP_CYCLES: Final = 5  # largest duration of a step that the acceleration limit does not allow in one cycle
+_STEP_FRACTION: Final = 0.9  # of the speed change that the acceleration limit allows in a cycle
+_FITTED_S: Final = 2.0  # least, of each sine without its fading in and out
 _FITTED_PERIODS: Final = 2
-_TELL_EVERY: Final = 10
+_PROGRESS_CYCLES: Final = 10
 _SETTLE_S: Final = 3.0
 RESIDUAL_MAX: Final = 0.1
 DELAY_SIGMA_MAX_S: Final = 0.002
-GAIN_ERROR_MAX: Final = 0.1  # of the slowest sine: an axis that is stuck or wrongly scaled does not follow
+GAIN_ERROR_MAX: Final = 0.1  # of the lowest frequency: an axis that is stuck or wrongly scaled exceeds it
 
 Path = Callable[[int, float], tuple[float, float]]
-"""Gives, for a cycle and the time since the first one, position about the centre and rate."""
+"""Returns, for a cycle and the time since the first one, position about the centre and rate."""
 
-Tell = Callable[[str, float], None]
-"""Told now and then what is under way and how far along everything is, 0..1."""
+OnProgress = Callable[[str, float], None]
+"""Called periodically with the present step and the completed fraction, 0..1."""
 
 
 @dataclass(frozen=True)
 class AxisResult:
-    """What was found of one axis, and why it is not to be trusted (empty where it is)."""
+    """Result of one axis, and the reason for a rejection (empty if accepted)."""
 
     axis: str
     step: StepFit
@@ -63,13 +63,13 @@ class AxisResult:
 
     @property
     def lead_s(self) -> float:
-        """By how much its setpoints are to be taken ahead."""
+        """Time by which its setpoints must be advanced."""
         return self.sweep.delay_s
 
 
 @dataclass(frozen=True)
 class _Sine:
-    """One sine that fades in and out, over ``periods`` and one more at each end."""
+    """One sine of ``periods`` periods, plus one period each for fading in and out."""
 
     frequency_hz: float
     amplitude: float
@@ -80,7 +80,7 @@ class _Sine:
         return (self.periods + 2) / self.frequency_hz
 
     def path(self, _cycle: int, t_s: float) -> tuple[float, float]:
-        """Return position about the centre and rate, ``t_s`` after the begin."""
+        """Return position about the centre and rate at ``t_s`` after the start."""
         w = math.tau * self.frequency_hz
         edge_s = min(t_s, self.duration_s - t_s)
         if edge_s <= 0.0:
@@ -94,27 +94,27 @@ class _Sine:
 
 
 class Identification:
-    """Measures axes of an open bench in standby. Raises BenchError; whoever opened the bench stops it then."""
+    """Measures axes of an open bench in standby. Raises BenchError; the caller then stops the bench."""
 
-    def __init__(self, sequencer: MotionSequencer, tell: Tell) -> None:
+    def __init__(self, sequencer: MotionSequencer, on_progress: OnProgress) -> None:
         self._sequencer = sequencer
         self._bench = sequencer.loop.bench
         self._now = sequencer.loop.now
         self._params = self._bench.params.copy()
         self._params.lead = 0.0
         self._dt = float(self._params.dt_s)
-        self._tell = tell
+        self._on_progress = on_progress
         self._title = ""
         self._done_s, self._all_s = 0.0, 1.0
-        self._wanted = new(AXES)
+        self._target = new(AXES)
 
     def measure(self, axes: Sequence[int]) -> list[AxisResult]:
-        """Move each of ``axes`` (0..2 rails, 3..5 gimbals) to and fro and put it back where it stood."""
+        """Measure each of ``axes`` (0..2 rails, 3..5 gimbals) and return it to its initial position."""
         self._all_s = sum(self._axis_s(axis) for axis in axes)
         self._sequencer.home()
         self._sequencer.begin()
         tick = self._sequencer.seed_for_run()
-        self._sequencer.modes.go(Mode.PLACING)  # every check of the supervisor is on in this mode
+        self._sequencer.modes.go(Mode.PLACING)  # all safety checks are active in this mode
         results = []
         for axis in axes:
             result, tick = self._axis(axis, tick)
@@ -123,16 +123,16 @@ class Identification:
         return results
 
     def _axis(self, axis: int, tick: Tick) -> tuple[AxisResult, Tick]:
-        stood_at = self._bench.motion.position.copy()
-        centre = stood_at.copy()
-        room = self._room(axis)
-        centre[axis] = min(self._params.high[axis] - room, max(self._params.low[axis] + room, centre[axis]))
+        start = self._bench.motion.position.copy()
+        centre = start.copy()
+        amplitude = self._largest_amplitude(axis)
+        centre[axis] = min(self._params.high[axis] - amplitude, max(self._params.low[axis] + amplitude, centre[axis]))
         name = self._bench.axis_names[axis]
         self._title = f"{name}: steps"
         tick = self._move(centre, tick)
         staircase = self._steps(axis)
         steps, tick = self._record(axis, centre, tick, len(staircase), lambda cycle, _: (staircase[cycle], 0.0))
-        # held from when they are sent, not from the moment they belong to
+        # held from the time they are sent, not from the time they refer to
         steps = Series(steps.commanded_s - self._dt, steps.position, steps.rate, steps.measured_s, steps.measured)
         points = []
         for sine in self._sines(axis):
@@ -140,92 +140,92 @@ class Identification:
             cycles = math.ceil(sine.duration_s / self._dt) + 1
             series, tick = self._record(axis, centre, tick, cycles, sine.path)
             points.append(fit_sine(_middle(series, sine), sine.frequency_hz))
-        tick = self._move(stood_at, tick)
-        return _judged(name, fit_step(steps), fit_sweep(points, self._dt)), tick
+        tick = self._move(start, tick)
+        return _result(name, fit_step(steps), fit_sweep(points, self._dt)), tick
 
-    def _room(self, axis: int) -> float:
-        """Return how far the axis may go from its centre."""
+    def _largest_amplitude(self, axis: int) -> float:
+        """Return the largest distance of the axis from its centre."""
         largest = _SWEEP_M if axis < 3 else _SWEEP_RAD
-        return min(largest, _SHARE_OF_TRAVEL * float(self._params.high[axis] - self._params.low[axis]))
+        return min(largest, _TRAVEL_FRACTION * float(self._params.high[axis] - self._params.low[axis]))
 
     def _sines(self, axis: int) -> list[_Sine]:
-        """Return the sines, within shares of travel, speed and acceleration also while they fade."""
+        """Return the sines, within fractions of travel, speed and acceleration, also while fading."""
         sines = []
-        for f in (f for f in FREQUENCIES_HZ if f <= _SHARE_OF_CYCLE_RATE / self._dt * (1.0 + 1e-9)):
+        for f in (f for f in FREQUENCIES_HZ if f <= _CYCLE_RATE_FRACTION / self._dt * (1.0 + 1e-9)):
             w = math.tau * f
             amplitude = min(
-                self._room(axis),
-                _SHARE_OF_RATE * self._params.rate_max[axis] / w,
-                _SHARE_OF_ACCELERATION * self._params.acceleration_max[axis] / w**2,
+                self._largest_amplitude(axis),
+                _RATE_FRACTION * self._params.rate_max[axis] / w,
+                _ACCELERATION_FRACTION * self._params.acceleration_max[axis] / w**2,
             )
             sines.append(_Sine(f, float(amplitude), max(_FITTED_PERIODS, math.ceil(_FITTED_S * f))))
         return sines
 
     def _steps(self, axis: int) -> list[float]:
-        """Return the position, cycle by cycle, of steps to and fro, each as steep as goes without a rate."""
-        slope = _STEP_SHARE * float(self._params.acceleration_max[axis]) * self._dt**2
-        largest = min(_STEP_M if axis < 3 else _STEP_RAD, self._room(axis))
+        """Return the position per cycle of alternating steps, each as steep as possible without feed-forward rate."""
+        slope = _STEP_FRACTION * float(self._params.acceleration_max[axis]) * self._dt**2
+        largest = min(_STEP_M if axis < 3 else _STEP_RAD, self._largest_amplitude(axis))
         cycles = min(_STEP_CYCLES, math.ceil(largest / slope))
         size = min(largest, cycles * slope)
-        each = round(_STEP_EVERY_S / self._dt)
+        each = round(_STEP_PERIOD_S / self._dt)
         up = [min(size, (k + 1) * size / cycles) for k in range(each)]
-        down = [size - place for place in up]
+        down = [size - position for position in up]
         return _STEPS // 2 * (up + down)
 
     def _axis_s(self, axis: int) -> float:
-        return _STEPS * _STEP_EVERY_S + sum(sine.duration_s for sine in self._sines(axis))
+        return _STEPS * _STEP_PERIOD_S + sum(sine.duration_s for sine in self._sines(axis))
 
     def _record(self, axis: int, centre: Array, tick: Tick, cycles: int, path: Path) -> tuple[Series, Tick]:
-        """Let ``axis`` go along ``path`` for so many cycles; return what it was told and where it went."""
-        told: list[tuple[float, float, float]] = []
-        seen: dict[float, float] = {}
-        begun_s = tick.now_s
+        """Move ``axis`` along ``path`` for ``cycles`` cycles; return its setpoints and encoder samples."""
+        sent: list[tuple[float, float, float]] = []
+        samples: dict[float, float] = {}
+        start_s = tick.now_s
         for cycle in range(cycles):
-            self._aim(axis, centre, *path(cycle, tick.now_s - begun_s))
-            self._bench.command(self._wanted, tick.now_s, self._now.setpoint, self._params)
-            place, rate = _of_axis(self._now.setpoint, axis)
-            told.append((tick.now_s + self._dt, place, rate))
+            self._aim(axis, centre, *path(cycle, tick.now_s - start_s))
+            self._bench.command(self._target, tick.now_s, self._now.setpoint, self._params)
+            position, rate = _of_axis(self._now.setpoint, axis)
+            sent.append((tick.now_s + self._dt, position, rate))
             tick = self._next(tick)
             sample = self._bench.feedback[axis // 3]
-            seen[sample.t_s] = float(sample.position[axis % 3])
-        commanded_s, position, rate_told = np.array(told).T
-        at = np.array(sorted(seen.items()))
-        return Series(commanded_s, position, rate_told, at[:, 0], at[:, 1]), tick
+            samples[sample.t_s] = float(sample.position[axis % 3])
+        commanded_s, positions, rates = np.array(sent).T
+        measured = np.array(sorted(samples.items()))
+        return Series(commanded_s, positions, rates, measured[:, 0], measured[:, 1]), tick
 
     def _move(self, target: Array, tick: Tick) -> Tick:
-        """Move to ``target`` (6,) as to a start pose and wait until the axes stand."""
-        there = new(AXES)
-        there.rail_m, there.gimbal_rad = target[:3], target[3:]
+        """Move slowly to ``target`` (6,) and wait until the axes are at rest."""
+        end = new(AXES)
+        end.rail_m, end.gimbal_rad = target[:3], target[3:]
         start = new(AXES)
         start.rail_m, start.gimbal_rad = self._bench.motion.position[:3], self._bench.motion.position[3:]
-        move = Move(self._params, start, there)
-        begun_s = tick.now_s
-        while tick.now_s - begun_s < move.duration_s + 2.0 * self._dt or not self._stands(tick):
-            if tick.now_s - begun_s > move.duration_s + _SETTLE_S:
+        move = Move(self._params, start, end)
+        start_s = tick.now_s
+        while tick.now_s - start_s < move.duration_s + 2.0 * self._dt or not self._at_rest(tick):
+            if tick.now_s - start_s > move.duration_s + _SETTLE_S:
                 raise SafetyTrip("bench", "standstill", "not reached", f"{_SETTLE_S:g} s after a move")
-            move.at(tick.now_s - begun_s + self._dt, self._wanted)
-            self._bench.command(self._wanted, tick.now_s, self._now.setpoint, self._params)
+            move.at(tick.now_s - start_s + self._dt, self._target)
+            self._bench.command(self._target, tick.now_s, self._now.setpoint, self._params)
             tick = self._next(tick, counts=False)
         return tick
 
-    def _stands(self, tick: Tick) -> bool:
+    def _at_rest(self, tick: Tick) -> bool:
         return self._bench.at_rest(tick.now_s, self._now.feedback)
 
-    def _aim(self, axis: int, centre: Array, place: float, rate: float) -> None:
+    def _aim(self, axis: int, centre: Array, offset: float, rate: float) -> None:
         position, speed = centre.copy(), np.zeros(6)
-        position[axis] += place
+        position[axis] += offset
         speed[axis] = rate
-        self._wanted.rail_m, self._wanted.gimbal_rad = position[:3], position[3:]
-        self._wanted.rail_mps, self._wanted.gimbal_radps = speed[:3], speed[3:]
+        self._target.rail_m, self._target.gimbal_rad = position[:3], position[3:]
+        self._target.rail_mps, self._target.gimbal_radps = speed[:3], speed[3:]
 
     def _next(self, before: Tick, counts: bool = True) -> Tick:
-        """Take the next cycle, supervised as in a run."""
+        """Wait for the next cycle, with the safety checks of a run."""
         tick = self._sequencer.tick()
         self._sequencer.hold_requested(Mode.PLACING)
         if counts:
             self._done_s += tick.now_s - before.now_s
-        if self._sequencer.ticks % _TELL_EVERY == 0:
-            self._tell(self._title, min(1.0, self._done_s / self._all_s))
+        if self._sequencer.ticks % _PROGRESS_CYCLES == 0:
+            self._on_progress(self._title, min(1.0, self._done_s / self._all_s))
         return tick
 
 
@@ -237,22 +237,22 @@ def _of_axis(axes: np.record, axis: int) -> tuple[float, float]:
 
 
 def _middle(series: Series, sine: _Sine) -> Series:
-    """Return the whole periods of a sine that neither fades in nor out."""
-    begin_s = series.commanded_s[0] + 1.0 / sine.frequency_hz
-    end_s = begin_s + sine.periods / sine.frequency_hz - 1e-9
-    told = (series.commanded_s >= begin_s - 1e-9) & (series.commanded_s < end_s)
-    went = (series.measured_s >= begin_s - 1e-9) & (series.measured_s < end_s)
+    """Return the complete periods of a sine without its fading in and out."""
+    start_s = series.commanded_s[0] + 1.0 / sine.frequency_hz
+    end_s = start_s + sine.periods / sine.frequency_hz - 1e-9
+    sent = (series.commanded_s >= start_s - 1e-9) & (series.commanded_s < end_s)
+    measured = (series.measured_s >= start_s - 1e-9) & (series.measured_s < end_s)
     return Series(
-        series.commanded_s[told],
-        series.position[told],
-        series.rate[told],
-        series.measured_s[went],
-        series.measured[went],
+        series.commanded_s[sent],
+        series.position[sent],
+        series.rate[sent],
+        series.measured_s[measured],
+        series.measured[measured],
     )
 
 
-def _judged(name: str, step: StepFit, sweep: SweepFit) -> AxisResult:
-    """Return the result with the first reason not to trust it."""
+def _result(name: str, step: StepFit, sweep: SweepFit) -> AxisResult:
+    """Return the result with the first reason for a rejection."""
     slowest = sweep.points[0]
     reason = ""
     if abs(slowest.gain - 1.0) > GAIN_ERROR_MAX:
@@ -262,7 +262,7 @@ def _judged(name: str, step: StepFit, sweep: SweepFit) -> AxisResult:
     elif step.residual > RESIDUAL_MAX:
         reason = f"residual of the steps {100.0 * step.residual:.1f} %, allowed {100.0 * RESIDUAL_MAX:g} %"
     elif abs(sweep.delay_s) > LEAD_MAX_S:
-        reason = f"delay {1e3 * sweep.delay_s:.1f} ms, allowed {1e3 * LEAD_MAX_S:g} ms to either side"
+        reason = f"delay {1e3 * sweep.delay_s:.1f} ms, allowed {1e3 * LEAD_MAX_S:g} ms"
     elif sweep.delay_sigma_s > DELAY_SIGMA_MAX_S:
-        reason = f"delay known to {1e3 * sweep.delay_sigma_s:.2f} ms, allowed {1e3 * DELAY_SIGMA_MAX_S:g} ms"
+        reason = f"sigma of the delay {1e3 * sweep.delay_sigma_s:.2f} ms, allowed {1e3 * DELAY_SIGMA_MAX_S:g} ms"
     return AxisResult(name, step, sweep, reason)

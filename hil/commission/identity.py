@@ -1,4 +1,4 @@
-"""What the devices of a rig must say they are, and whether the vision unit is there."""
+"""Identity of the devices, and check of the vision unit."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ _FIRST_FRAME_S: Final = 5.0
 
 
 def expected_identity(rig: Rig) -> list[str]:
-    """Return a line for rails and turntable, which have been opened: their drivers refuse any other identity."""
+    """Return a line per axis group; both are open, and their drivers reject any other identity."""
     return [
         f"{key}: three axes, {_as_required(table.entry.identity(table) if table.has_wires else {})}"
         for key, table in (("rails", rig.rails), ("turntable", rig.turntable))
     ]
 
 
-def see_vision_unit(runner: Runner, sequencer: MotionSequencer, rig: Rig, dialogue: OperatorPrompt) -> None:
-    """Open the vision unit beside axes that stand, and wait for a frame; it is closed with the bench.
+def check_vision_unit(runner: Runner, sequencer: MotionSequencer, rig: Rig, prompt: OperatorPrompt) -> None:
+    """Open the vision unit while the axes are at rest, and wait for a frame; it is closed with the bench.
 
-    Raises DeviceError; LinkTimeout where no frame comes.
+    Raises DeviceError; LinkTimeout if no frame arrives.
     """
     source = runner.source
     source.open(runner.now_s())
-    begun_s = now_s = sequencer.begin().now_s
+    start_s = now_s = sequencer.begin().now_s
     while not (frames := source.poll(now_s)):
-        if now_s - begun_s > _FIRST_FRAME_S:
+        if now_s - start_s > _FIRST_FRAME_S:
             raise LinkTimeout(source.name, f"no pose within {_FIRST_FRAME_S:g} s")
         now_s = sequencer.tick().now_s
     required = rig.vmu.identity.model_dump(exclude_none=True)
     distance_m = float(np.linalg.norm(frames[-1].t_v))
-    dialogue.tell(f"vmu: {_as_required(required)}, sees the target at {distance_m:.3f} m")
+    prompt.show(f"vmu: {_as_required(required)}, target measured at {distance_m:.3f} m")
 
 
 def _as_required(required: Mapping[str, str]) -> str:
     if not required:
-        return "answers; the rig file asks for no identity"
+        return "responds; the rig file requires no identity"
     return f"{', '.join(f'{name} {value}' for name, value in required.items())}: as expected"

@@ -1,4 +1,4 @@
-"""How commissioning talks with the technician, and what it tells of a step that failed."""
+"""Dialogue of commissioning with the technician, and the error of a failed step."""
 
 from __future__ import annotations
 
@@ -8,52 +8,46 @@ from typing import Protocol
 
 
 class OperatorPrompt(Protocol):
-    """Somebody who looks at the bench and says what they see."""
+    """Technician at the bench, who reads lines and answers questions."""
 
-    def tell(self, text: str) -> None:
+    def show(self, text: str) -> None:
         """Show a line."""
 
     def ask(self, question: str) -> bool:
-        """Wait for yes or no. Called from a thread of its own: the axes are kept under command meanwhile."""
+        """Wait for yes or no. Called from a separate thread: the axes stay under command meanwhile."""
 
 
-class Scripted:
-    """Answers by ``answer``, with yes if there is none; keeps what was told and asked."""
+class ScriptedPrompt:
+    """Prompt that answers by ``answer`` (default: always yes), and stores the lines and questions."""
 
     def __init__(
         self, answer: Callable[[str], bool] = lambda _: True, show: Callable[[str], None] | None = None
     ) -> None:
-        self.told: list[str] = []
-        self.asked: list[str] = []
+        self.lines: list[str] = []
+        self.questions: list[str] = []
         self._answer = answer
-        self._show = show
+        self._show = show or (lambda _: None)
 
-    def tell(self, text: str) -> None:
-        """Keep the line."""
-        self.told.append(text)
-        if self._show is not None:
-            self._show(text)
+    def show(self, text: str) -> None:
+        """Store the line."""
+        self.lines.append(text)
+        self._show(text)
 
     def ask(self, question: str) -> bool:
         """Answer at once."""
-        self.asked.append(question)
+        self.questions.append(question)
         answer = self._answer(question)
-        if self._show is not None:
-            self._show(f"{question} {'yes' if answer else 'no'}")
+        self._show(f"{question} {'yes' if answer else 'no'}")
         return answer
 
 
-def ask_meanwhile(dialogue: OperatorPrompt, question: str, meanwhile: Callable[[], None]) -> bool:
-    """Ask in a thread of its own and do ``meanwhile`` over and over until the answer is there.
+def ask_meanwhile(prompt: OperatorPrompt, question: str, meanwhile: Callable[[], None]) -> bool:
+    """Ask in a separate thread and repeat ``meanwhile`` until the answer arrives.
 
-    The caller's thread hears Ctrl-C all the time.
+    The caller's thread still receives Ctrl-C.
     """
     answers: list[bool] = []
-
-    def wait() -> None:
-        answers.append(dialogue.ask(question))
-
-    thread = threading.Thread(target=wait, name="question", daemon=True)
+    thread = threading.Thread(target=lambda: answers.append(prompt.ask(question)), name="question", daemon=True)
     thread.start()
     while thread.is_alive():
         meanwhile()
@@ -61,9 +55,9 @@ def ask_meanwhile(dialogue: OperatorPrompt, question: str, meanwhile: Callable[[
 
 
 class StepFailed(Exception):
-    """A step of commissioning that did not find what it must; nothing is signed.
+    """Failed step of commissioning; nothing is signed off.
 
-    what: axis or device, and the step. expected, found: with units. advice: what to do about it.
+    what: axis or device, and the step. expected, found: with units. advice: the remedy.
     """
 
     def __init__(self, what: str, expected: str, found: str, advice: str) -> None:

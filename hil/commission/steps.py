@@ -1,4 +1,4 @@
-"""The steps of commissioning, in their order; the first one that fails ends it."""
+"""Steps of commissioning in their order; the first failed step ends it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from hil.commission.emergency_stop import Button, EmergencyStopTrial
-from hil.commission.identity import expected_identity, see_vision_unit
+from hil.commission.emergency_stop import Button, EmergencyStopTest
+from hil.commission.identity import check_vision_unit, expected_identity
 from hil.commission.prompt import OperatorPrompt, StepFailed
 from hil.commission.slow_mover import MoveResult, SlowMover, shown, size
 from hil.config.rig import Rig
@@ -20,20 +20,20 @@ from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.runner import Runner
 
 SCALE_ERROR_MAX: Final = 0.02
-_WAY_M, _WAY_RAD = 0.020, math.radians(2.0)
-_SHARE_OF_TRAVEL: Final = 0.25  # that such a way may take
+_MOVE_M, _MOVE_RAD = 0.020, math.radians(2.0)
+_TRAVEL_FRACTION: Final = 0.25  # largest, of such a move
 _SHORT_OF_END_M, _SHORT_OF_END_RAD = 0.005, math.radians(0.5)
-_LAST_M, _LAST_RAD = 0.05, math.radians(5.0)  # before an end, at a crawl
+_LAST_M, _LAST_RAD = 0.05, math.radians(5.0)  # before an end of the travel, at crawl speed
 _STRAIGHT_M: Final = 0.1  # of the dry run, from the start pose towards the target
-_SHOWN: Final = {-1: "on the low switch", 0: "off its switches", 1: "on the high switch"}
+_SWITCH_TEXTS: Final = {-1: "on the low switch", 0: "off its switches", 1: "on the high switch"}
 
-Witness = Callable[[int, float], float]
-"""Tells, on an emulated bench, where an axis truly is at a bench time: what a technician would see."""
+TruePosition = Callable[[int, float], float]
+"""Returns the true position of an axis of an emulated bench at a bench time, which a technician would measure."""
 
 
 @dataclass(frozen=True)
-class AxisFound:
-    """What was found of one axis: share by which its encoder goes too far, largest following error (m or rad)."""
+class AxisFindings:
+    """Findings of one axis: relative scale error of its encoder, largest following error (m or rad)."""
 
     axis: int
     name: str
@@ -42,200 +42,206 @@ class AxisFound:
 
 
 @dataclass
-class Found:
-    """What commissioning found; dry_run: the largest following errors (6,), None where it was not flown."""
+class Findings:
+    """Findings of commissioning; dry_run: largest following errors (6,), None without a dry run."""
 
-    axes: list[AxisFound] = field(default_factory=list)
+    axes: list[AxisFindings] = field(default_factory=list)
     dry_run: Array | None = None
 
 
-class Commissioning:
-    """Takes ``axes`` (0..2 rails, 3..5 gimbals) of a bench through all steps.
+@dataclass(frozen=True)
+class CommissioningPlan:
+    """Scope of a commissioning. axes: to be commissioned, 0..2 rails, 3..5 gimbals. signed: axes signed off before; if
+    both together are all six, a dry run follows. ends: whether the ends of the travels are approached."""
 
-    others: axes that were found in order before; with all six together there is a dry run. ends: whether the ends
-    of the travels are approached. button, witness: of an emulated bench.
-    """
+    axes: Sequence[int]
+    signed: Sequence[int] = ()
+    ends: bool = False
+
+    @property
+    def complete(self) -> bool:
+        return set(self.axes) | set(self.signed) == set(range(6))
+
+
+class Commissioning:
+    """Commissions axes of a bench in all steps. button, true_position: of an emulated bench."""
 
     def __init__(
         self,
         runner: Runner,
         rig: Rig,
-        dialogue: OperatorPrompt,
-        axes: Sequence[int],
-        others: Sequence[int] = (),
-        ends: bool = False,
+        prompt: OperatorPrompt,
+        plan: CommissioningPlan,
         button: Button | None = None,
-        witness: Witness | None = None,
+        true_position: TruePosition | None = None,
     ) -> None:
         self._runner = runner
         self._rig = rig
-        self._dialogue = dialogue
-        self._axes = axes
-        self._whole = set(axes) | set(others) == set(range(6))
-        self._ends = ends
+        self._prompt = prompt
+        self._plan = plan
         self._button = button
-        self._witness = witness
+        self._true_position = true_position
         self._bench = runner.loop.bench
         self._params = self._bench.params
 
-    def run(self) -> Found:
-        """Go through all steps. Raises StepFailed, BenchError; the axes are stopped first."""
-        found = Found()
+    def run(self) -> Findings:
+        """Run all steps. Raises StepFailed, BenchError; the axes are stopped first."""
+        findings = Findings()
         self._title("emergency stop")
-        EmergencyStopTrial(self._runner.loop.safety_io, self._runner.rate, self._dialogue, self._button).run()
+        EmergencyStopTest(self._runner.loop.safety_io, self._runner.rate, self._prompt, self._button).run()
         self._title("identity of the devices")
         with self._runner.axes_only() as sequencer:
-            see_vision_unit(self._runner, sequencer, self._rig, self._dialogue)
+            check_vision_unit(self._runner, sequencer, self._rig, self._prompt)
             for line in expected_identity(self._rig):
-                self._dialogue.tell(line)
-            crawler = self._under_command(sequencer)
-            for axis in self._axes:
-                found.axes.append(self._sign_and_scale(crawler, axis))
-            self._limits(crawler)
-            if self._whole:
-                found.dry_run = self._dry_run(crawler)
-            crawler.end()
-        return found
+                self._prompt.show(line)
+            mover = self._under_command(sequencer)
+            for axis in self._plan.axes:
+                findings.axes.append(self._sign_and_scale(mover, axis))
+            self._limits(mover)
+            if self._plan.complete:
+                findings.dry_run = self._dry_run(mover)
+            mover.end()
+        return findings
 
     def _under_command(self, sequencer: MotionSequencer) -> SlowMover:
-        crawler = SlowMover(sequencer, self._dialogue)
+        mover = SlowMover(sequencer, self._prompt)
         homing = [state.name.lower().replace("_", " ") for group in self._bench.feedback for state in group.homing]
         needed = [name for name, state in zip(self._bench.axis_names, homing, strict=True) if state != "done"]
         if needed:
             self._title("homing")
-            self._dialogue.tell(f"{', '.join(needed)}: not homed, will look for the home switch")
-        crawler.begin()
+            self._prompt.show(f"{', '.join(needed)}: not homed, will search for the home switch")
+        mover.begin()
         if needed:
-            places = ", ".join(self._place(crawler, self._bench.axis_names.index(name)) for name in needed)
-            self._insist(
-                crawler,
+            places = ", ".join(self._position_text(mover, self._bench.axis_names.index(name)) for name in needed)
+            self._require_yes(
+                mover,
                 needed[0],
                 "homing",
-                f"Homed: {places}. Is that where they are?",
-                "home_m or home_deg in the rig file, and at the home switch",
+                f"Homed: {places}. Are these the true positions?",
+                "home_m or home_deg in the rig file, and the home switch",
             )
-        return crawler
+        return mover
 
-    def _sign_and_scale(self, crawler: SlowMover, axis: int) -> AxisFound:
+    def _sign_and_scale(self, mover: SlowMover, axis: int) -> AxisFindings:
         name = self._bench.axis_names[axis]
         self._title(f"{name}: sign and scale")
-        stood_at = crawler.stands_at()
-        way = self._way(axis, float(stood_at[axis]))
-        target = stood_at.copy()
-        target[axis] += way
-        truly = self._truly(crawler, axis)
-        there = crawler.crawl(axis, target)
-        truly = self._truly(crawler, axis) - truly
-        error = self._scale_error(axis, way, there, truly)
-        self._dialogue.tell(
-            f"{name}: told {shown(axis, way)}, encoder {shown(axis, float(there.went[axis]))}, "
+        start = mover.setpoints()
+        distance = self._test_distance(axis, float(start[axis]))
+        target = start.copy()
+        target[axis] += distance
+        before = self._measured(mover, axis)
+        there = mover.crawl(axis, target)
+        measured = self._measured(mover, axis) - before
+        error = self._scale_error(axis, distance, there, measured)
+        self._prompt.show(
+            f"{name}: commanded {shown(axis, distance)}, encoder {shown(axis, float(there.travelled[axis]))}, "
             f"following error {size(axis, float(there.error_max[axis]))}"
         )
         moved = "carriage" if axis < 3 else "turntable"
-        question = f"Has the {moved} moved along {name} by {shown(axis, way)} (measure it; signs: docs/frames.md)?"
-        self._insist(crawler, name, "sign and scale", question, "sign and scale of drive and rig file")
-        back = crawler.crawl(axis, stood_at)
-        return AxisFound(axis, name, error, float(max(there.error_max[axis], back.error_max[axis])))
+        question = f"Has the {moved} moved along {name} by {shown(axis, distance)} (measure it; signs: docs/frames.md)?"
+        self._require_yes(mover, name, "sign and scale", question, "sign and scale of drive and rig file")
+        back = mover.crawl(axis, start)
+        return AxisFindings(axis, name, error, float(max(there.error_max[axis], back.error_max[axis])))
 
-    def _way(self, axis: int, place: float) -> float:
-        """Return a short way that the axis has room for, towards positive where it can."""
+    def _test_distance(self, axis: int, position: float) -> float:
+        """Return a short distance within the travel, positive if possible."""
         low, high = float(self._params.low[axis]), float(self._params.high[axis])
-        way = min(_WAY_M if axis < 3 else _WAY_RAD, _SHARE_OF_TRAVEL * (high - low))
-        return way if place + way <= high else -way
+        distance = min(_MOVE_M if axis < 3 else _MOVE_RAD, _TRAVEL_FRACTION * (high - low))
+        return distance if position + distance <= high else -distance
 
-    def _truly(self, crawler: SlowMover, axis: int) -> float:
-        """Return where the axis is seen to be, nan where only the technician can see it."""
-        return math.nan if self._witness is None else self._witness(axis, crawler.now_s())
+    def _measured(self, mover: SlowMover, axis: int) -> float:
+        """Return the true position of the axis, nan if only the technician can measure it."""
+        return math.nan if self._true_position is None else self._true_position(axis, mover.now_s())
 
-    def _scale_error(self, axis: int, way: float, followed: MoveResult, truly: float) -> float:
-        """Return by which share the encoder went too far; StepFailed where it, or the axis itself, went wrong."""
+    def _scale_error(self, axis: int, distance: float, move: MoveResult, measured: float) -> float:
+        """Return the relative scale error of the encoder; raise StepFailed if encoder or axis exceed the tolerance."""
         name = self._bench.axis_names[axis]
-        error = float(followed.went[axis]) / way - 1.0
-        allowed = f"{shown(axis, way)} within {100.0 * SCALE_ERROR_MAX:g} %"
+        error = float(move.travelled[axis]) / distance - 1.0
+        allowed = f"{shown(axis, distance)} within {100.0 * SCALE_ERROR_MAX:g} %"
+        advice = "set the counts per revolution in the drive, or the scale in the rig file"
         if abs(error) > SCALE_ERROR_MAX:
-            found = f"{shown(axis, float(followed.went[axis]))} by the encoder"
-            raise StepFailed(f"{name}: scale", allowed, found, "set the counts a turn, or the scale in the rig file")
-        if truly * way < 0.0:
-            found = f"{shown(axis, truly)} by the eye"
-            advice = "motor and encoder are both the wrong way round: change both signs in the drive"
-            raise StepFailed(f"{name}: sign", allowed, found, advice)
-        if abs(truly / way - 1.0) > SCALE_ERROR_MAX:
-            found = f"{shown(axis, truly)} by the eye"
-            raise StepFailed(f"{name}: scale", allowed, found, "set the counts a turn, or the scale in the rig file")
+            found = f"{shown(axis, float(move.travelled[axis]))} by the encoder"
+            raise StepFailed(f"{name}: scale", allowed, found, advice)
+        found = f"{shown(axis, measured)} measured"
+        if measured * distance < 0.0:
+            signs = "motor and encoder both have the wrong sign: invert both in the drive"
+            raise StepFailed(f"{name}: sign", allowed, found, signs)
+        if abs(measured / distance - 1.0) > SCALE_ERROR_MAX:
+            raise StepFailed(f"{name}: scale", allowed, found, advice)
         return error
 
-    def _limits(self, crawler: SlowMover) -> None:
+    def _limits(self, mover: SlowMover) -> None:
         self._title("limits")
         switches = [switch for group in self._bench.feedback for switch in group.limit]
-        for axis in self._axes:
+        for axis in self._plan.axes:
             params = self._params
             low, high = shown(axis, float(params.low[axis])), shown(axis, float(params.high[axis]))
             rate = shown(axis, float(params.rate_max[axis])).removeprefix("+")
             acceleration = shown(axis, float(params.acceleration_max[axis])).removeprefix("+")
-            self._dialogue.tell(
-                f"{self._place(crawler, axis)}, {_SHOWN[switches[axis]]}; travel {low} to {high}, "
+            self._prompt.show(
+                f"{self._position_text(mover, axis)}, {_SWITCH_TEXTS[switches[axis]]}; travel {low} to {high}, "
                 f"at most {rate}/s and {acceleration}/s2"
             )
-        names = ", ".join(self._bench.axis_names[axis] for axis in self._axes)
-        question = "Is each limit switch beyond its travel, with room to brake?"
-        self._insist(crawler, names, "limits", question, "travel_m, travel_deg or the switches")
-        for axis in self._axes if self._ends else ():
-            self._approach_ends(crawler, axis)
+        names = ", ".join(self._bench.axis_names[axis] for axis in self._plan.axes)
+        question = "Is each limit switch beyond the travel by at least the braking distance?"
+        self._require_yes(mover, names, "limits", question, "travel_m, travel_deg or the switches")
+        for axis in self._plan.axes if self._plan.ends else ():
+            self._approach_ends(mover, axis)
 
-    def _approach_ends(self, crawler: SlowMover, axis: int) -> None:
-        name, stood_at = self._bench.axis_names[axis], crawler.stands_at()
+    def _approach_ends(self, mover: SlowMover, axis: int) -> None:
+        name, start = self._bench.axis_names[axis], mover.setpoints()
         short, last = (_SHORT_OF_END_M, _LAST_M) if axis < 3 else (_SHORT_OF_END_RAD, _LAST_RAD)
         for end, inwards in ((float(self._params.low[axis]), 1.0), (float(self._params.high[axis]), -1.0)):
-            near, target = stood_at.copy(), stood_at.copy()
+            near, target = start.copy(), start.copy()
             near[axis], target[axis] = end + inwards * last, end + inwards * short
-            crawler.slowly(near)
-            crawler.crawl(axis, target)
-            question = f"{name} stands {size(axis, short)} before the end of its travel. Is its switch still free?"
-            self._insist(crawler, name, "limits", question, "its travel in the rig file, or the switch")
-        crawler.slowly(stood_at)
+            mover.slowly(near)
+            mover.crawl(axis, target)
+            question = f"{name} is {size(axis, short)} before the end of its travel. Is its limit switch still free?"
+            self._require_yes(mover, name, "limits", question, "its travel in the rig file, or the limit switch")
+        mover.slowly(start)
 
-    def _dry_run(self, crawler: SlowMover) -> Array:
-        """Move to the start pose and a short straight piece on, at a quarter of the speed limits."""
+    def _dry_run(self, mover: SlowMover) -> Array:
+        """Move to the start pose and a short distance towards the target, at a quarter of the speed limits."""
         self._title("dry run")
-        question = "The bench will go to the scenario's start pose at a quarter of its speed. Is its way clear?"
-        self._insist(crawler, "bench", "dry run", question, "its way")
-        there = crawler.slowly(self._axes_at(0.0))
-        straight = crawler.slowly(self._axes_at(_STRAIGHT_M))
+        question = "The bench will move to the scenario's start pose at a quarter of its speed. Is its path clear?"
+        self._require_yes(mover, "bench", "dry run", question, "the path of the axes")
+        there = mover.slowly(self._axes_at(0.0))
+        straight = mover.slowly(self._axes_at(_STRAIGHT_M))
         worst = np.maximum(there.error_max, straight.error_max)
         fastest = np.maximum(there.rate_max, straight.rate_max)
         for axis, name in enumerate(self._bench.axis_names):
             rms = max(float(there.error_rms[axis]), float(straight.error_rms[axis]))
-            self._dialogue.tell(
+            self._prompt.show(
                 f"{name}: following error at most {size(axis, float(worst[axis]))}, rms {size(axis, rms)}, "
                 f"fastest {size(axis, float(fastest[axis]))}/s"
             )
             if fastest[axis] > self._params.rate_max[axis]:
                 limit = f"at most {size(axis, float(self._params.rate_max[axis]))}/s"
                 found = f"{size(axis, float(fastest[axis]))}/s"
-                raise StepFailed(f"{name}: speed", limit, found, "look at the drive's speed limit and scale")
+                raise StepFailed(f"{name}: speed", limit, found, "check the drive's speed limit and scale")
         return worst
 
     def _axes_at(self, on_m: float) -> Array:
-        """Return the axes (6,) at the start pose, ``on_m`` nearer to the target; SafetyTrip beyond the travel."""
+        """Return the axes (6,) at the start pose, ``on_m`` closer to the target; raise SafetyTrip beyond the travel."""
         truth, rest, axes = self._runner.loop.now.truth, np.zeros(3), new(AXES)
         distance = float(np.linalg.norm(truth.r_CT_H))
-        place = truth.r_CT_H * (1.0 - min(on_m / distance, 0.5))
-        self._bench.axes_of(place, rest, truth.q_CH, rest, axes)
-        found = np.concatenate([axes.rail_m, axes.gimbal_rad])
+        position = truth.r_CT_H * (1.0 - min(on_m / distance, 0.5))
+        self._bench.axes_of(position, rest, truth.q_CH, rest, axes)
+        positions = np.concatenate([axes.rail_m, axes.gimbal_rad])
         for axis, name in enumerate(self._bench.axis_names):
             low, high = float(self._params.low[axis]), float(self._params.high[axis])
-            if not low <= found[axis] <= high:
+            if not low <= positions[axis] <= high:
                 allowed = f"{shown(axis, low)} to {shown(axis, high)}"
-                raise SafetyTrip(name, "dry run", shown(axis, float(found[axis])), allowed)
-        return found
+                raise SafetyTrip(name, "dry run", shown(axis, float(positions[axis])), allowed)
+        return positions
 
-    def _place(self, crawler: SlowMover, axis: int) -> str:
-        return f"{self._bench.axis_names[axis]} at {shown(axis, float(crawler.encoders()[axis]))}"
+    def _position_text(self, mover: SlowMover, axis: int) -> str:
+        return f"{self._bench.axis_names[axis]} at {shown(axis, float(mover.encoders()[axis]))}"
 
-    def _insist(self, crawler: SlowMover, what: str, step: str, question: str, advice: str) -> None:
-        """Ask the technician; StepFailed at a no."""
-        if not crawler.ask(question):
-            raise StepFailed(f"{what}: {step}", f'"{question}" yes', "no by the technician", f"look at {advice}")
+    def _require_yes(self, mover: SlowMover, what: str, step: str, question: str, advice: str) -> None:
+        """Ask the technician; raise StepFailed if the answer is no."""
+        if not mover.ask(question):
+            raise StepFailed(f"{what}: {step}", f'"{question}" yes', "no by the technician", f"check {advice}")
 
     def _title(self, text: str) -> None:
-        self._dialogue.tell(f"-- {text}")
+        self._prompt.show(f"-- {text}")

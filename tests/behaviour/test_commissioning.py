@@ -1,4 +1,4 @@
-"""The steps of commissioning on a mock bench: what each one finds, and that nothing moves on after a failure."""
+"""Steps of commissioning on a mock bench: findings, and no motion after a failure."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.commission.prompt import Scripted, StepFailed
-from hil.commission.steps import Commissioning, Found, Witness
+from hil.commission.prompt import ScriptedPrompt, StepFailed
+from hil.commission.steps import Commissioning, CommissioningPlan, Findings, TruePosition
 from hil.core.modes import Mode
 from hil.drivers.io.mock import MockIo
 from hil.errors import SafetyTrip
@@ -30,7 +30,7 @@ OTHERS = (1, 2, 3, 4)
 
 @dataclass
 class Button:
-    """The emergency stop of the mock coupler. dead: its wire is broken; relay_dead: the relay does not open."""
+    """Emergency stop of the mock coupler. dead: its wire is broken."""
 
     io: MockIo
     dead: bool = False
@@ -46,10 +46,10 @@ class Button:
 
 @dataclass
 class Trial:
-    """One commissioning; ``fails`` where it ended before its end."""
+    """One commissioning; ``fails``: the failed step."""
 
-    dialogue: Scripted
-    found: Found | None = None
+    prompt: ScriptedPrompt
+    found: Findings | None = None
     fails: StepFailed | None = None
     calls: list[str] = field(default_factory=list)
     places: list[np.ndarray] = field(default_factory=list)
@@ -66,11 +66,11 @@ def commissioned(
     others: tuple[int, ...] = (),
     answer: Callable[[str], bool] = lambda _: True,
     prepare: Prepare = lambda *_: None,
-    witness: Witness | None = None,
+    true_position: TruePosition | None = None,
     ends: bool = False,
 ) -> Trial:
     job = make_job(STEP_S, settings)
-    trial = Trial(Scripted(answer))
+    trial = Trial(ScriptedPrompt(answer))
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         lines, bench = runner.loop.safety_io, runner.loop.bench
         assert isinstance(lines, SafetyIoStage)
@@ -86,7 +86,8 @@ def commissioned(
 
         bench._send = sent  # type: ignore[method-assign]
         prepare(runner, trial, button)
-        steps = Commissioning(runner, job.rig.value, trial.dialogue, axes, others, ends, button, witness)
+        plan = CommissioningPlan(axes, others, ends)
+        steps = Commissioning(runner, job.rig.value, trial.prompt, plan, button, true_position)
         try:
             trial.found = steps.run()
         except StepFailed as failure:
@@ -118,7 +119,7 @@ def test_axes_are_found_in_order_one_at_a_time_and_stand_where_they_stood() -> N
 
 def test_steps_come_in_their_order() -> None:
     trial = commissioned((X, YAW), others=OTHERS)
-    titles = [line for line in trial.dialogue.told if line.startswith("-- ")]
+    titles = [line for line in trial.prompt.lines if line.startswith("-- ")]
     assert titles == [
         "-- emergency stop",
         "-- identity of the devices",
@@ -147,23 +148,23 @@ def test_ends_of_the_travel_are_approached_when_asked_for() -> None:
     yaw = np.degrees(np.array(trial.places)[:, YAW])
     assert yaw.min() == pytest.approx(-59.5, abs=1e-6)
     assert yaw.max() == pytest.approx(59.5, abs=1e-6)
-    assert sum("Is its switch still free?" in question for question in trial.dialogue.asked) == 2
+    assert sum("Is its limit switch still free?" in question for question in trial.prompt.questions) == 2
 
 
 def test_incremental_axis_is_homed_before_it_is_moved() -> None:
     trial = commissioned((Y,), 'rig.rails.y.encoder="incremental"', "rig.rails.y.home_m=0.05")
     assert trial.fails is None
-    assert "rails.y: not homed, will look for the home switch" in trial.dialogue.told
-    assert any("Homed: rails.y at +" in question for question in trial.dialogue.asked)
+    assert "rails.y: not homed, will search for the home switch" in trial.prompt.lines
+    assert any("Homed: rails.y at +" in question for question in trial.prompt.questions)
 
 
 @pytest.mark.parametrize(
     ("words", "step"),
     [
-        ("no power", "io: emergency stop"),
+        ("without power", "io: emergency stop"),
         ("Has the carriage moved along rails.x by +20.00 mm", "rails.x: sign and scale"),
         ("Is each limit switch beyond", "rails.x: limits"),
-        ("Is its way clear", "bench: dry run"),
+        ("Is its path clear", "bench: dry run"),
     ],
 )
 def test_no_of_the_technician_ends_it_with_the_axes_stopped(words: str, step: str) -> None:
@@ -173,11 +174,11 @@ def test_no_of_the_technician_ends_it_with_the_axes_stopped(words: str, step: st
     assert trial.fails.what == step
     assert "the technician" in trial.fails.found
     assert trial.calls == ([] if step.startswith("io") else ["stop", "close"])
-    assert words in trial.dialogue.asked[-1]
+    assert words in trial.prompt.questions[-1]
 
 
-def _scaled(factor: float) -> Witness:
-    """Return an eye that sees ``factor`` times the way that the encoder tells."""
+def _scaled(factor: float) -> TruePosition:
+    """Return a measured position of ``factor`` times the encoder position."""
     runners: list[Runner] = []
 
     def look(axis: int, now_s: float) -> float:
@@ -189,22 +190,22 @@ def _scaled(factor: float) -> Witness:
 
 
 @pytest.mark.parametrize(("factor", "step"), [(1.1, "scale"), (0.9, "scale"), (-1.0, "sign")])
-def test_axis_that_goes_otherwise_than_its_encoder_says_is_found_by_eye(factor: float, step: str) -> None:
+def test_axis_that_deviates_from_its_encoder_is_detected_by_measurement(factor: float, step: str) -> None:
     look = _scaled(factor)
     trial = commissioned(
         (YAW,),
-        witness=look,
+        true_position=look,
         prepare=lambda runner, *_: look.runners.append(runner),  # type: ignore[attr-defined]
     )
     assert trial.fails is not None
     assert trial.fails.what == f"turntable.yaw: {step}"
     assert "+2.000 deg within 2 %" in trial.fails.expected
-    assert f"{2.0 * factor:+.3f} deg by the eye" in trial.fails.found
+    assert f"{2.0 * factor:+.3f} deg measured" in trial.fails.found
     assert trial.calls == ["stop", "close"]
 
 
 def _encoder(factor: float) -> Prepare:
-    """Let the encoder of x count ``factor`` times its way from where it stands at first."""
+    """Scale the encoder of x by ``factor`` about its initial position."""
 
     def prepare(runner: Runner, *_: Any) -> None:
         rails = runner.loop.bench.rails
@@ -225,9 +226,9 @@ def _encoder(factor: float) -> Prepare:
 @pytest.mark.parametrize(
     ("factor", "step", "word"),
     [
-        (-1.0, "sign", "change one of both signs"),
+        (-1.0, "sign", "invert one of them"),
         (0.0, "following", "does not follow"),
-        (1.05, "scale", "counts a turn"),
+        (1.05, "scale", "counts per revolution"),
     ],
 )
 def test_encoder_that_does_not_go_with_the_command_is_found(factor: float, step: str, word: str) -> None:
@@ -263,7 +264,7 @@ def test_relay_that_closes_by_itself_after_the_release_is_found() -> None:
 
     trial = commissioned((X,), prepare=by_itself)
     assert trial.fails is not None
-    assert trial.fails.found == "closed by itself"
+    assert trial.fails.found == "closed without reset"
     assert trial.calls == []
 
 

@@ -15,8 +15,8 @@ import pytest
 from hil.checks.compatibility import sign_off_gap
 from hil.cli.main import execute
 from hil.commission.auto_operator import AutoOperator
-from hil.commission.prompt import Scripted, StepFailed
-from hil.commission.steps import Commissioning
+from hil.commission.prompt import ScriptedPrompt, StepFailed
+from hil.commission.steps import Commissioning, CommissioningPlan
 from hil.config.load import load_rig, load_scenario
 from hil.config.motion_digest import motion_digest
 from hil.core.modes import Mode
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.wires
 
 X, Y, YAW = 0, 1, 5
 SPEED = 2.0
-_ATTEMPTS = 3  # a computer that is busy with other things trips the watchdogs: not what is tested here
+_ATTEMPTS = 3  # a busy computer trips the watchdogs, which is not tested here
 _BETWEEN_SESSIONS_S = 0.4  # the I/O process may still be at the stop of the one before
 SIGNED = ("rails.x", "rails.z", "turntable.roll", "turntable.pitch")
 RIG = """
@@ -69,7 +69,7 @@ def commission(bench: WiredBench, axis: int) -> tuple[StepFailed, Runner]:
     for _ in range(_ATTEMPTS):
         time.sleep(_BETWEEN_SESSIONS_S)
         runner = bench.runner()
-        steps = Commissioning(runner, rig, Scripted(), [axis], button=technician, witness=technician.place)
+        steps = Commissioning(runner, rig, ScriptedPrompt(), CommissioningPlan([axis]), technician, technician.position)
         try:
             with pytest.raises(StepFailed) as raised:
                 steps.run()
@@ -82,20 +82,20 @@ def commission(bench: WiredBench, axis: int) -> tuple[StepFailed, Runner]:
 @pytest.mark.parametrize(
     ("fault", "axis", "what", "found"),
     [
-        ("rails: on reversed y", Y, "rails.y: sign", "by the encoder; encoder and motor do not turn the same way"),
-        ("rails: on mirrored y", Y, "rails.y: sign", "by the eye; motor and encoder are both the wrong way round"),
+        ("rails: on reversed y", Y, "rails.y: sign", "by the encoder; encoder and motor have opposite signs"),
+        ("rails: on mirrored y", Y, "rails.y: sign", "measured; motor and encoder both have the wrong sign"),
         pytest.param(
             "rails: on scaled y 1.1",
             Y,
             "rails.y: scale",
-            "+18.* mm by the eye; set the counts a turn",
+            "+18.* mm measured; set the counts per revolution",
             marks=pytest.mark.slow,
         ),
         pytest.param(
             "turntable: on scaled yaw 0.9",
             YAW,
             "turntable.yaw: scale",
-            "+2.2.* deg by the eye; set the counts a turn",
+            "+2.2.* deg measured; set the counts per revolution",
             marks=pytest.mark.slow,
         ),
         pytest.param(
@@ -158,8 +158,8 @@ def test_whole_path_ends_in_a_rig_file_that_is_signed_off(rig_file: Path, capsys
         "limits",
         "dry run",
     ]
-    assert "io: emergency stop seen, safety chain open" in told
-    assert "io: released, chain stayed open, closed again at the reset" in told
+    assert "io: emergency stop detected, safety chain open" in told
+    assert "io: released, chain stayed open, closed again after the reset" in told
     assert told.strip().endswith("the rig is signed off")
     rig = load_rig(str(out)).value
     assert sign_off_gap(rig) == ""

@@ -14,7 +14,7 @@ from hil.checks.compatibility import sign_off_gap, sign_off_problems
 from hil.cli.commission import Terminal
 from hil.cli.main import execute
 from hil.commission.sign_off import as_toml, signed_before
-from hil.commission.steps import AxisFound, Found
+from hil.commission.steps import AxisFindings, Findings
 from hil.config.load import load_rig
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
@@ -32,9 +32,9 @@ io.port = 505
 """
 
 
-def found(axes: range | list[int], whole: bool) -> Found:
-    results = [AxisFound(k, NAMES[k], 0.001, 0.0004 if k < 3 else math.radians(0.05)) for k in axes]
-    return Found(results, np.full(6, 0.001) if whole else None)
+def found(axes: range | list[int], whole: bool) -> Findings:
+    results = [AxisFindings(k, NAMES[k], 0.001, 0.0004 if k < 3 else math.radians(0.05)) for k in axes]
+    return Findings(results, np.full(6, 0.001) if whole else None)
 
 
 @pytest.fixture
