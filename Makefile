@@ -1,15 +1,15 @@
-# make demo   sets everything up and flies scheme 1
-# make test   sets everything up and runs all checks: format, lint, types, import layers, tests
-# make slow   runs the long evidence that is left out of "make test"
-# make oracle checks the truth against Basilisk, in an environment of its own
-# make bench  measures what a cycle costs, beside filterpy and Basilisk, in one run
-# make lateness measures how punctual the loop is, beside cyclictest, in about 10 minutes
+# make demo   installs and runs scheme 1
+# make test   installs and runs all checks: format, lint, types, import layers, tests
+# make slow   runs the long tests that "make test" omits
+# make oracle compares the truth with Basilisk, in a separate environment
+# make bench  measures the cost of a cycle, and of filterpy and Basilisk, in one run
+# make lateness measures the lateness of the loop and of cyclictest, in about 10 minutes
 # make tidy   formats the sources
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-# one worker of the tests has those on wires, which wait most of the time, and two have the others
+# one worker runs the tests on wires, which mostly wait, and two run the others
 WORKERS := 3
 
 # the C example is built in the tests
@@ -46,13 +46,13 @@ tidy: .venv/ready
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-# one install for everything; runs again only when what is to be installed has changed
+# one install for everything; repeated only after a change of the dependencies
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
-# Basilisk wants an older matplotlib than constraints.txt pins
+# Basilisk needs an older matplotlib than constraints.txt pins
 .venv-oracle/ready: pyproject.toml constraints-oracle.txt
 	$(PYTHON) -m venv .venv-oracle
 	.venv-oracle/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints-oracle.txt \
