@@ -4,13 +4,13 @@
  *                       hil run scheme-1 --set gnc.library=mygnc.so
  * As a program:         see gnc_udp.c
  *
- * Filter. Between poses the gyro turns the attitude, and the accelerometer together with the relative motion on an
- * orbit (Hill, Clohessy and Wiltshire) moves the position. A pose pulls the estimate towards what it says it saw at
- * its moment of exposure; how hard is given by one bandwidth. The position's observer also learns the accelerometer's
- * bias; that of the attitude needs none, the gyros drift slowly.
+ * Filter. Between poses the gyro propagates the attitude, and the accelerometer together with the relative motion on
+ * an orbit (Hill, Clohessy and Wiltshire) propagates the position. A pose corrects the estimate at its time of
+ * exposure, with gains given by one bandwidth. The position observer also estimates the accelerometer's bias; that of
+ * the attitude needs none, the gyros drift slowly.
  *
- * Control. Each axis looks at s = error + lead * rate. It fires against s from the edge of a dead band until s has
- * come back to a part of it; a large error is worked off at a limited rate.
+ * Control. The switching function of each axis is s = error + lead * rate. The axis fires against s from the edge of a
+ * dead band until s has returned to a fraction of it; a large error is corrected at a limited rate.
  */
 #include <math.h>
 #include <stdlib.h>
@@ -18,15 +18,15 @@
 
 #include "hil_gnc.h"
 
-static const double BANDWIDTH_RADPS = 0.15;    /* of the position's observer */
-static const double SETTLED_S = 10.0;          /* after the first pose; from then on the estimate is told */
-static const double ATTITUDE_SHARE = 0.15;     /* of an attitude's difference that a pose takes away */
-static const double LONGEST_GAP_S = 1.0;       /* between poses; after a longer one they pull no harder */
+static const double BANDWIDTH_RADPS = 0.15;    /* of the position observer */
+static const double SETTLED_S = 10.0;          /* after the first pose; from then on the estimate is sent */
+static const double ATTITUDE_GAIN = 0.15;     /* fraction of an attitude difference that a pose corrects */
+static const double LONGEST_GAP_S = 1.0;       /* between poses; limits the gain */
 static const double LEAD_S[2] = {5.0, 2.5};    /* force, torque */
 static const double DEAD_BAND[2] = {6e-3, 2e-3}; /* m, rad */
-static const double NOISE_BAND = 1.0;          /* of the poses' sigma, by which the dead band of a force is wider */
-static const double BACK_TO[2] = {0.4, 0.3};   /* part of the dead band at which an axis stops firing */
-static const double RATE_MAX[2] = {0.01, 5e-3}; /* m/s, rad/s, at which an error is worked off */
+static const double NOISE_BAND = 1.0;          /* of the poses' sigma, added to the dead band of a force */
+static const double RELEASE[2] = {0.4, 0.3};   /* fraction of the dead band at which an axis stops firing */
+static const double RATE_MAX[2] = {0.01, 5e-3}; /* m/s, rad/s, at which an error is corrected */
 
 typedef struct {
     hil_gnc_setup setup;
@@ -34,7 +34,7 @@ typedef struct {
     double first_s, pose_s; /* times of the first and of the newest pose */
     double r[3], v[3];      /* m, m/s in H */
     double q[4];            /* q_CH */
-    double w[3];            /* rad/s, chaser against H, in c */
+    double w[3];            /* rad/s, chaser relative to H, in c */
     double sigma_m;         /* of the newest pose */
     double bias[3];         /* m/s^2, accelerometer, in c */
     int firing[6];          /* -1, 0, 1 */
@@ -42,7 +42,7 @@ typedef struct {
 
 /* --- vectors and quaternions ------------------------------------------------------------------------------------ */
 
-/* The matrix A that turns components in H into components in c. */
+/* The matrix A that transforms components in H to components in c. */
 static void matrix_of(const double q[4], double a[3][3])
 {
     const double x = q[0], y = q[1], z = q[2], s = q[3];
@@ -66,8 +66,8 @@ static void to_h(double a[3][3], const double in_c[3], double out[3])
         out[i] = a[0][i] * in_c[0] + a[1][i] * in_c[1] + a[2][i] * in_c[2];
 }
 
-/* Turn c by the small rotation vector phi, rad, in c. */
-static void turn(double q[4], const double phi[3])
+/* Rotate c by the small rotation vector phi, rad, in c. */
+static void rotate(double q[4], const double phi[3])
 {
     const double x = 0.5 * phi[0], y = 0.5 * phi[1], z = 0.5 * phi[2];
     const double p[4] = {
@@ -81,8 +81,8 @@ static void turn(double q[4], const double phi[3])
         q[i] = p[i] / length;
 }
 
-/* The rotation vector, rad, in c, that takes the attitude `from` to the attitude `to`; exact while it is small. */
-static void turn_between(const double from[4], const double to[4], double phi[3])
+/* The rotation vector, rad, in c, from the attitude `from` to the attitude `to`; valid for small angles. */
+static void rotation_between(const double from[4], const double to[4], double phi[3])
 {
     const double scalar = to[0] * from[0] + to[1] * from[1] + to[2] * from[2] + to[3] * from[3];
     const double twice = scalar < 0.0 ? -2.0 : 2.0;
@@ -93,11 +93,11 @@ static void turn_between(const double from[4], const double to[4], double phi[3]
 
 /* --- navigation ------------------------------------------------------------------------------------------------- */
 
-/* Move the estimate on by one step of the IMU. */
+/* Propagate the estimate by one step of the IMU. */
 static void predict(gnc_state *g, const hil_gnc_input *in)
 {
     const double dt = g->setup.step_s, n = g->setup.mean_motion_radps;
-    const double orbit_h[3] = {0.0, -n, 0.0}; /* rate of H against inertial space */
+    const double orbit_h[3] = {0.0, -n, 0.0}; /* rate of H relative to inertial space */
     double a[3][3], orbit_c[3], phi[3], force_c[3], force_h[3];
 
     matrix_of(g->q, a);
@@ -116,10 +116,10 @@ static void predict(gnc_state *g, const hil_gnc_input *in)
         g->r[i] += dt * g->v[i] + 0.5 * dt * dv;
         g->v[i] += dv;
     }
-    turn(g->q, phi);
+    rotate(g->q, phi);
 }
 
-/* Begin with the first pose; the chaser moves as the plan has it. */
+/* Start with the first pose and the planned velocity. */
 static void start(gnc_state *g, const hil_gnc_input *in, const hil_gnc_pose *pose)
 {
     double a[3][3], back[3];
@@ -134,7 +134,7 @@ static void start(gnc_state *g, const hil_gnc_input *in, const hil_gnc_pose *pos
     g->started = 1;
 }
 
-/* Pull the estimate towards a pose. What it saw belongs to its exposure, a little before now. */
+/* Correct the estimate by a pose, at its time of exposure. */
 static void correct(gnc_state *g, double now_s, const hil_gnc_pose *pose)
 {
     const double age_s = now_s - pose->t_s;
@@ -142,19 +142,19 @@ static void correct(gnc_state *g, double now_s, const hil_gnc_pose *pose)
     double a[3][3], phi[3], then[4], seen[3], error[3], error_c[3];
 
     if (gap_s <= 0.0)
-        return; /* it came twice, or later than a newer one */
+        return; /* a duplicate, or older than the newest one */
     g->pose_s = pose->t_s;
     g->sigma_m = sqrt((pose->covariance_position_m2[0][0] + pose->covariance_position_m2[1][1]
                        + pose->covariance_position_m2[2][2]) / 3.0);
     memcpy(then, g->q, sizeof then);
     for (int i = 0; i < 3; i++)
         phi[i] = -age_s * g->w[i];
-    turn(then, phi);
-    turn_between(then, pose->q_CH, phi);
+    rotate(then, phi);
+    rotation_between(then, pose->q_CH, phi);
     for (int i = 0; i < 3; i++)
-        phi[i] *= ATTITUDE_SHARE;
-    turn(g->q, phi);
-    turn(then, phi);
+        phi[i] *= ATTITUDE_GAIN;
+    rotate(g->q, phi);
+    rotate(then, phi);
     matrix_of(then, a);
     to_h(a, pose->r_TC_C_m, seen);
     for (int i = 0; i < 3; i++)
@@ -172,13 +172,13 @@ static void correct(gnc_state *g, double now_s, const hil_gnc_pose *pose)
 
 /* --- control ---------------------------------------------------------------------------------------------------- */
 
-/* Keep up one axis; kind: 0 force, 1 torque; more: by which the dead band is wider. Returns the demand. */
+/* Return the demand of one axis; kind: 0 force, 1 torque; more: added to the dead band. */
 static int fire(int firing, int kind, double error, double rate, double more)
 {
     const double band = DEAD_BAND[kind] + more;
     const double reach = LEAD_S[kind] * RATE_MAX[kind];
     const double s = fmax(-reach, fmin(reach, error)) + LEAD_S[kind] * rate;
-    const double edge = firing != 0 && firing * s < 0.0 ? BACK_TO[kind] * band : band;
+    const double edge = firing != 0 && firing * s < 0.0 ? RELEASE[kind] * band : band;
     return s > edge ? -1 : s < -edge ? 1 : 0;
 }
 
@@ -192,14 +192,14 @@ static void control(gnc_state *g, const hil_gnc_input *in, hil_gnc_output *out)
     matrix_of(g->q, a);
     to_c(a, off_h, off);
     to_c(a, rate_h, rate);
-    turn_between(in->reference_q_CH, g->q, phi);
+    rotation_between(in->reference_q_CH, g->q, phi);
     for (int i = 0; i < 3; i++) {
         out->force[i] = g->firing[i] = fire(g->firing[i], 0, off[i], rate[i], NOISE_BAND * g->sigma_m);
         out->torque[i] = g->firing[3 + i] = fire(g->firing[3 + i], 1, phi[i], g->w[i], 0.0);
     }
 }
 
-/* --- what the bench calls --------------------------------------------------------------------------------------- */
+/* --- called by the bench ---------------------------------------------------------------------------------------- */
 
 int hil_gnc_protocol(void)
 {
@@ -232,7 +232,7 @@ int hil_gnc_step(void *gnc, const hil_gnc_input *input, hil_gnc_output *output)
             start(g, input, &input->poses[i]);
     }
     if (!g->started)
-        return 0; /* nothing is known yet: nothing is fired */
+        return 0; /* no estimate yet: no demands */
     control(g, input, output);
     output->estimate = input->t_s > g->first_s + SETTLED_S;
     memcpy(output->r_CT_H_m, g->r, sizeof g->r);

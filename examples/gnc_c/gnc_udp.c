@@ -1,11 +1,11 @@
-/* The GNC of gnc.c (or any other with the functions of hil_gnc.h) as a program of its own, over UDP.
+/* The GNC of gnc.c (or any other with the functions of hil_gnc.h) as a separate program, over UDP.
  *
  *     cc -O2 -I"$(hil gnc-header --folder)" gnc_udp.c gnc.c -o gnc_udp -lm
  *     hil dss scheme-1 --lock-step &          # on the computer of the bench
  *     ./gnc_udp 127.0.0.1 24500               # on this one: address and port of hil dss
  *
- * The datagrams are those of docs/protocols.md: a header of 32 bytes, and a struct of hil_gnc.h. This program says
- * hello until the bench answers, then answers each setup and each input by one output.
+ * The datagrams are those of docs/protocols.md: a header of 32 bytes, and a struct of hil_gnc.h. This program sends
+ * hello until the bench replies, then replies to each setup and each input with one output.
  */
 #define _POSIX_C_SOURCE 200809L
 #include <netdb.h>
@@ -19,12 +19,12 @@
 
 #include "hil_gnc.h"
 
-enum { VERSION = 1, HEADER = 32, LARGEST = 1472, SILENT = 10 /* waits of 0.1 s, then hello is said again */ };
+enum { VERSION = 1, HEADER = 32, LARGEST = 1472, SILENT = 10 /* time-outs of 0.1 s, then hello is sent again */ };
 enum { HELLO = 1, CELL = 2, GOODBYE = 4, REFUSED = 5 };
 enum { SETUP = 1, INPUT = 2, OUTPUT = 3 };
 enum { ROLE_GNC = 2, OFFERS = 1, WANTS = 2 };
 
-typedef struct { /* laid out by the compiler as the datagram's header is: no gaps */
+typedef struct { /* layout of the datagram's header, without gaps */
     char magic[4];
     uint32_t crc;
     uint8_t version, kind;
@@ -42,7 +42,7 @@ typedef struct {
 } hello;
 
 static int wire;        /* the socket */
-static uint32_t writer; /* of this start of the program */
+static uint32_t writer; /* identifies this start of the program */
 
 static double now_s(void)
 {
@@ -63,7 +63,7 @@ static uint32_t crc32(const uint8_t *bytes, size_t count)
     return ~crc;
 }
 
-static void say(int kind, int cell, const void *payload, size_t size)
+static void send_datagram(int kind, int cell, const void *payload, size_t size)
 {
     static uint32_t counts[8];
     uint8_t datagram[LARGEST];
@@ -75,19 +75,19 @@ static void say(int kind, int cell, const void *payload, size_t size)
     h.crc = crc32(datagram + 8, HEADER - 8 + size);
     memcpy(datagram, &h, HEADER);
     if (send(wire, datagram, HEADER + size, 0) < 0)
-        return; /* nobody listens there yet: hello is said again */
+        return; /* the bench is not listening yet: hello is sent again */
 }
 
-static void say_hello(void)
+static void send_hello(void)
 {
     hello h = {ROLE_GNC, 3, "gnc_udp", {{OUTPUT, sizeof(hil_gnc_output), 0, OFFERS},
                                         {SETUP, sizeof(hil_gnc_setup), 0, WANTS},
                                         {INPUT, sizeof(hil_gnc_input), 0, WANTS}}};
-    say(HELLO, 0, &h, sizeof h);
+    send_datagram(HELLO, 0, &h, sizeof h);
 }
 
-/* Wait up to 0.1 s for a good datagram; return the size of its payload, -1 without one. */
-static long hear(header *h, uint8_t payload[LARGEST])
+/* Wait up to 0.1 s for a valid datagram; return the size of its payload, -1 without one. */
+static long receive(header *h, uint8_t payload[LARGEST])
 {
     uint8_t datagram[LARGEST + 1];
     const ssize_t got = recv(wire, datagram, sizeof datagram, 0);
@@ -132,10 +132,10 @@ int main(int argc, char **argv)
     }
     writer = (uint32_t)(now_s() * 1000.0) ^ ((uint32_t)getpid() << 16);
     for (;;) {
-        const long size = hear(&h, payload);
+        const long size = receive(&h, payload);
         if (size < 0) {
             if (gnc == NULL || ++silent > SILENT)
-                say_hello();
+                send_hello();
             continue;
         }
         silent = 0;
@@ -163,7 +163,7 @@ int main(int argc, char **argv)
         } else if (h.cell == INPUT && size == sizeof(hil_gnc_input) && gnc != NULL) {
             hil_gnc_input input;
             memcpy(&input, payload, sizeof input);
-            if (input.cycle != cycle || input.mode != mode) { /* else the answer to it was lost: say it again */
+            if (input.cycle != cycle || input.mode != mode) { /* otherwise the reply was lost: send it again */
                 memset(&output, 0, sizeof output);
                 output.cycle = input.cycle;
                 output.state = HIL_GNC_WORKING;
@@ -174,6 +174,6 @@ int main(int argc, char **argv)
         } else {
             continue;
         }
-        say(CELL, OUTPUT, &output, sizeof output);
+        send_datagram(CELL, OUTPUT, &output, sizeof output);
     }
 }

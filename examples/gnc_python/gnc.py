@@ -3,9 +3,9 @@
     hil dss scheme-1 --lock-step &              # on the computer of the bench
     python gnc.py 127.0.0.1 24500               # on this one: address and port of hil dss
 
-It needs numpy alone. The datagrams are those of docs/protocols.md, the records those of docs/your-own-gnc.md.
-Frames: H is Hill's frame of the target, c the chaser's body; q_CH, scalar last, turns components in H into components
-in c.
+It needs only numpy. The datagrams are those of docs/protocols.md, the records those of docs/your-own-gnc.md.
+Frames: H is the target's Hill frame, c the chaser's body frame; q_CH, scalar last, transforms components in H to
+components in c.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ SETUP_CELL, INPUT_CELL, OUTPUT_CELL = range(1, 4)
 OFFERS, WANTS = 1, 2
 RUNNING = 2
 WORKING = 1
-SILENT = 20  # waits for a datagram, on end, after which hello is said again
+SILENT = 20  # consecutive time-outs after which hello is sent again
 
 SETUP = np.dtype(
     [
@@ -59,48 +59,48 @@ OUTPUT = np.dtype(
 
 
 def matrix_of(q):
-    """Return the matrix that turns components in H into components in c."""
+    """Return the matrix that transforms components in H to components in c."""
     v, s = q[:3], q[3]
     cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
     return (s * s - v @ v) * np.eye(3) + 2.0 * np.outer(v, v) - 2.0 * s * cross
 
 
-def turned(q, phi):
-    """Return ``q`` after c has turned by the small rotation vector ``phi``, rad, in c."""
+def rotated(q, phi):
+    """Return ``q`` after a rotation of c by the small rotation vector ``phi``, rad, in c."""
     v, s, half = q[:3], q[3], 0.5 * phi
     p = np.append(v + s * half - np.cross(half, v), s - half @ v)
     return p / np.linalg.norm(p)
 
 
-def turn_between(start, end):
-    """Return the rotation vector, rad, in c, from the attitude ``start`` to ``end``; exact while it is small."""
+def rotation_between(start, end):
+    """Return the rotation vector, rad, in c, from the attitude ``start`` to ``end``; valid for small angles."""
     vector = start[3] * end[:3] - end[3] * start[:3] + np.cross(end[:3], start[:3])
     return 2.0 * vector * (-1.0 if start @ end < 0.0 else 1.0)
 
 
 class Navigation:
-    """Position, velocity and attitude: predicted with the IMU, pulled towards each pose."""
+    """Position, velocity and attitude: predicted with the IMU, corrected by each pose."""
 
-    BANDWIDTH_RADPS = 0.15  # of the position's observer
-    ATTITUDE_SHARE = 0.15  # of an attitude's difference that a pose takes away
-    LONGEST_GAP_S = 1.0  # between poses; after a longer one they pull no harder
-    SETTLED_S = 10.0  # after the first pose; from then on the estimate is told
+    BANDWIDTH_RADPS = 0.15  # of the position observer
+    ATTITUDE_GAIN = 0.15  # fraction of an attitude difference that a pose corrects
+    LONGEST_GAP_S = 1.0  # between poses; limits the gain
+    SETTLED_S = 10.0  # after the first pose; from then on the estimate is sent
 
     def __init__(self, setup):
         self.dt, self.n = float(setup["step_s"]), float(setup["mean_motion_radps"])
         self.started = False
         self.settled = False
 
-    def step(self, told):
+    def step(self, data):
         """Take the IMU's sample and the poses of an input."""
-        now_s = float(told["t_s"])
+        now_s = float(data["t_s"])
         if self.started:
-            self.predict(told["rate_radps"], told["force_mps2"])
-        for pose in told["poses"][: told["n_poses"]]:
+            self.predict(data["rate_radps"], data["force_mps2"])
+        for pose in data["poses"][: data["n_poses"]]:
             if self.started:
                 self.correct(now_s, pose)
             else:
-                self.start(pose, told["reference_v_CT_H_mps"])
+                self.start(pose, data["reference_v_CT_H_mps"])
         self.settled = self.started and now_s > self.first_s + self.SETTLED_S
 
     def start(self, pose, v):
@@ -113,22 +113,22 @@ class Navigation:
 
     def predict(self, rate, force):
         a, n, dt = matrix_of(self.q), self.n, self.dt
-        self.w = rate - a @ np.array([0.0, -n, 0.0])  # the gyro also feels the turn of H
+        self.w = rate - a @ np.array([0.0, -n, 0.0])  # the gyro also measures the rotation of H
         r, v = self.r, self.v
         hill = np.array([2 * n * v[2], -n * n * r[1], -2 * n * v[0] + 3 * n * n * r[2]])
         dv = dt * (a.T @ (force - self.bias) + hill)
         self.r, self.v = r + dt * v + 0.5 * dt * dv, v + dv
-        self.q = turned(self.q, dt * self.w)
+        self.q = rotated(self.q, dt * self.w)
 
     def correct(self, now_s, pose):
         age_s, gap_s = now_s - float(pose["t_s"]), float(pose["t_s"]) - self.pose_s
         if gap_s <= 0.0:
-            return  # it came twice, or later than a newer one
+            return  # a duplicate, or older than the newest one
         self.pose_s, gap_s = float(pose["t_s"]), min(gap_s, self.LONGEST_GAP_S)
         self.sigma_m = float(np.sqrt(np.trace(pose["covariance_position_m2"]) / 3.0))
-        then = turned(self.q, -age_s * self.w)  # what it saw belongs to its exposure
-        pull = self.ATTITUDE_SHARE * turn_between(then, pose["q_CH"])
-        self.q, then = turned(self.q, pull), turned(then, pull)
+        then = rotated(self.q, -age_s * self.w)  # at the time of exposure
+        correction = self.ATTITUDE_GAIN * rotation_between(then, pose["q_CH"])
+        self.q, then = rotated(self.q, correction), rotated(then, correction)
         a = matrix_of(then)
         error = -a.T @ pose["r_TC_C_m"] - (self.r - age_s * self.v)
         b = self.BANDWIDTH_RADPS  # three poles at -b, as gains for one gap
@@ -138,24 +138,24 @@ class Navigation:
 
 
 class Control:
-    """Fires an axis against error + lead * rate, from the edge of a dead band back to a part of it."""
+    """On/off control of error + lead * rate per axis: fires from the edge of a dead band back to a fraction of it."""
 
     LEAD_S = np.array([5.0] * 3 + [2.5] * 3)
     DEAD_BAND = np.array([6e-3] * 3 + [2e-3] * 3)  # m, rad
-    BACK_TO = np.array([0.4] * 3 + [0.3] * 3)
-    REACH = LEAD_S * np.array([0.01] * 3 + [5e-3] * 3)  # of an error: greatest rate at which it is worked off
+    RELEASE = np.array([0.4] * 3 + [0.3] * 3)
+    REACH = LEAD_S * np.array([0.01] * 3 + [5e-3] * 3)  # limits the rate at which an error is corrected
 
     def __init__(self):
         self.firing = np.zeros(6, dtype=int)
 
-    def step(self, told, nav):
+    def step(self, data, nav):
         """Return the six demands."""
         a = matrix_of(nav.q)
-        error = np.append(a @ (nav.r - told["reference_r_CT_H_m"]), turn_between(told["reference_q_CH"], nav.q))
-        rate = np.append(a @ (nav.v - told["reference_v_CT_H_mps"]), nav.w)
+        error = np.append(a @ (nav.r - data["reference_r_CT_H_m"]), rotation_between(data["reference_q_CH"], nav.q))
+        rate = np.append(a @ (nav.v - data["reference_v_CT_H_mps"]), nav.w)
         s = np.clip(error, -self.REACH, self.REACH) + self.LEAD_S * rate
         band = self.DEAD_BAND + np.array([nav.sigma_m] * 3 + [0.0] * 3)
-        edge = np.where(self.firing * s < 0.0, self.BACK_TO * band, band)
+        edge = np.where(self.firing * s < 0.0, self.RELEASE * band, band)
         self.firing = np.where(s > edge, -1, np.where(s < -edge, 1, 0))
         return self.firing
 
@@ -164,16 +164,16 @@ class Gnc:
     def __init__(self, setup):
         self.navigation, self.control = Navigation(setup), Control()
 
-    def answer(self, told):
-        """Return the output to an input."""
+    def answer(self, data):
+        """Return the output for an input."""
         out = np.zeros((), OUTPUT)
-        out["cycle"], out["state"] = told["cycle"], WORKING
-        if told["mode"] != RUNNING:
+        out["cycle"], out["state"] = data["cycle"], WORKING
+        if data["mode"] != RUNNING:
             return out
         nav = self.navigation
-        nav.step(told)
+        nav.step(data)
         if nav.started:
-            demands = self.control.step(told, nav)
+            demands = self.control.step(data, nav)
             out["force"], out["torque"] = demands[:3], demands[3:]
             out["estimate"] = nav.settled
             out["r_CT_H_m"], out["v_CT_H_mps"] = nav.r, nav.v
@@ -191,21 +191,21 @@ class Wire:
         self.writer = (int(time.time() * 1000) ^ os.getpid() << 16) & 0xFFFFFFFF
         self.counts = {}
 
-    def say(self, kind, cell, payload):
+    def send(self, kind, cell, payload):
         self.counts[kind] = self.counts.get(kind, 0) + 1
         now_s = time.monotonic()
         head = HEADER.pack(b"FRMN", 0, 1, kind, cell, len(payload), 0, self.writer, self.counts[kind], now_s)
         crc = zlib.crc32(head[8:] + payload)
-        with contextlib.suppress(ConnectionRefusedError):  # the bench is not there, or not yet
+        with contextlib.suppress(ConnectionRefusedError):  # the bench is not listening yet
             self.socket.send(head[:4] + struct.pack("<I", crc) + head[8:] + payload)
 
     def hello(self):
         cells = [(OUTPUT_CELL, OUTPUT, OFFERS), (SETUP_CELL, SETUP, WANTS), (INPUT_CELL, INPUT, WANTS)]
         entries = b"".join(struct.pack("<4H", number, dtype.itemsize, 0, use) for number, dtype, use in cells)
-        self.say(HELLO, 0, struct.pack("<ii32s", 2, len(cells), b"gnc.py") + entries.ljust(128, b"\0"))
+        self.send(HELLO, 0, struct.pack("<ii32s", 2, len(cells), b"gnc.py") + entries.ljust(128, b"\0"))
 
-    def hear(self):
-        """Return (kind, cell, payload) of a good datagram, None when none has come for 0.1 s."""
+    def receive(self):
+        """Return (kind, cell, payload) of a valid datagram, None after 0.1 s without one."""
         try:
             datagram = self.socket.recv(2048)
         except (TimeoutError, ConnectionRefusedError):
@@ -222,15 +222,15 @@ class Wire:
 def main(host, port):
     wire, gnc, last, answer, silent = Wire(host, port), None, None, None, 0
     while True:
-        heard = wire.hear()
-        if heard is None:
+        received = wire.receive()
+        if received is None:
             silent += 1
             if gnc is None or silent > SILENT:
                 time.sleep(0.02)
                 wire.hello()
             continue
         silent = 0
-        kind, cell, payload = heard
+        kind, cell, payload = received
         if kind == GOODBYE:
             return 0
         if kind == REFUSED:
@@ -241,12 +241,12 @@ def main(host, port):
             answer = np.zeros((), OUTPUT)
             answer["cycle"], answer["state"] = -1, WORKING
         elif kind == CELL and cell == INPUT_CELL and len(payload) == INPUT.itemsize and gnc is not None:
-            told = np.frombuffer(payload, INPUT)[0]
-            if (told["cycle"], told["mode"]) != last:  # else the answer to it was lost: say it again
-                answer, last = gnc.answer(told), (told["cycle"], told["mode"])
+            data = np.frombuffer(payload, INPUT)[0]
+            if (data["cycle"], data["mode"]) != last:  # otherwise the reply was lost: send it again
+                answer, last = gnc.answer(data), (data["cycle"], data["mode"])
         else:
             continue
-        wire.say(CELL, OUTPUT_CELL, answer.tobytes())
+        wire.send(CELL, OUTPUT_CELL, answer.tobytes())
 
 
 if __name__ == "__main__":
