@@ -15,9 +15,8 @@ import numpy as np
 from rich.progress import track
 
 from hil.config.load import load_rig, load_scenario
-from hil.report.paper import TABLE_V
 from hil.report.summary import summarise
-from hil.report.verdict import ROW_NAMES
+from hil.report.verdict import ROW_NAMES, TABLE_V
 from hil.session import build
 
 

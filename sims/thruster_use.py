@@ -12,9 +12,8 @@ import matplotlib as mpl
 import numpy as np
 
 from hil.config.load import load_rig, load_scenario
-from hil.report.paper import TABLE_V
 from hil.report.summary import summarise
-from hil.report.verdict import ROW_NAMES, deviations
+from hil.report.verdict import ROW_NAMES, TABLE_V, deviations
 from hil.session import build
 
 mpl.use("Agg")

@@ -14,11 +14,10 @@ from hil.bench.kinematics import write_axes
 from hil.campaign import loop_kernel
 from hil.campaign.loop_kernel import LOOP_PARAMS, LOOP_STATE, SERVO, run_loop
 from hil.campaign.tally_kernel import RUN_STATS, start_tally
-from hil.config.rig import Rails, Rig, Turntable
+from hil.config.rig import BENCH_AXES, Rails, Rig, Turntable
 from hil.config.scenario import Scenario
 from hil.core.messages import AXES, CYCLE, MAX_POSES, POSE, VMU_FRAME, Array, new
 from hil.drivers.axes import ServoAxes
-from hil.drivers.base import GIMBAL_NAMES, RAIL_NAMES, full_names
 from hil.dynamics.imu import IMU_NOISE
 from hil.dynamics.vision import VISION_NOISE
 from hil.errors import BenchError, LinkTimeout, ProtocolError, SafetyTrip
@@ -38,7 +37,6 @@ from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_bu
 from hil.setup.gnc_setup import gnc_setup
 
 _SPARE_FRAMES: Final = 4
-_AXES: Final = (*full_names("rails", RAIL_NAMES), *full_names("turntable", GIMBAL_NAMES))
 
 
 class CaseRunner:
@@ -160,7 +158,7 @@ class CaseRunner:
         rest = np.zeros(3)
         write_axes(state.rails.position, rest, state.turntable.position, rest, standing)
         breach = guards.first_beyond_travel(self._limits.guard, standing, self._limits.slack, state.breach)
-        return "" if breach == guards.NOTHING else str(breach_alarm(0.0, _AXES, breach, state.breach).trip())
+        return "" if breach == guards.NOTHING else str(breach_alarm(0.0, BENCH_AXES, breach, state.breach).trip())
 
     def _reason(self, code: int) -> str:
         """Return why a run ended, in the words of ``hil run``."""
@@ -180,8 +178,8 @@ class CaseRunner:
         if code == loop_kernel.NOT_FINITE:
             wanted = [*state.next.rail_m, *state.next.gimbal_rad]
             axis = next((i for i, value in enumerate(wanted) if not math.isfinite(value)), 0)
-            return str(SafetyTrip(_AXES[axis], "setpoint", str(wanted[axis]), "a finite number"))
-        return str(breach_alarm(0.0, _AXES, code, state.breach).trip())
+            return str(SafetyTrip(BENCH_AXES[axis], "setpoint", str(wanted[axis]), "a finite number"))
+        return str(breach_alarm(0.0, BENCH_AXES, code, state.breach).trip())
 
     def _gnc_fault(self) -> BenchError:
         assert self._library is not None

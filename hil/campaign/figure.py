@@ -9,8 +9,7 @@ import numpy as np
 
 from hil.campaign.store import Store, whole_or_not_at_all
 from hil.config.scenario import Scenario
-from hil.report.paper import TABLE_V
-from hil.report.verdict import ROW_NAMES, tolerances
+from hil.report.verdict import ROW_NAMES, TABLE_V, tolerances
 
 _MOST_POINTS = 2000  # of a curve
 _PANELS = (

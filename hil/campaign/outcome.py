@@ -12,8 +12,8 @@ from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.loop.runner import COMPLETED
-from hil.report.energy import energy_part
 from hil.report.verdict import ROW_NAMES, tolerances, verdict_of
+from hil.report.verdict_parts import energy_part
 
 _AXES: Final = ("x", "y", "z")
 _TRIPLES: Final = (

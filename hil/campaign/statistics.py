@@ -12,8 +12,7 @@ from hil.campaign.outcome import FLAGS
 from hil.campaign.store import Store
 from hil.core.messages import Array
 from hil.loop.runner import COMPLETED
-from hil.report.paper import TABLE_V
-from hil.report.verdict import ROW_NAMES
+from hil.report.verdict import ROW_NAMES, TABLE_V
 
 CONFIDENCE: Final = 0.95
 PERCENTILES: Final = (5.0, 50.0, 95.0, 99.0)

@@ -13,7 +13,7 @@ from hil.bench.kinematics import axes_of_pose
 from hil.checks.reachability import reach_problems
 from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.rig import BENCH_AXES, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import AXES, MAX_THRUSTERS, new
 from hil.errors import BadInput, Problem
@@ -155,9 +155,8 @@ def sign_off_gap(rig: Rig) -> str:
         return "is missing"
     if found.digest is None:
         digest = motion_digest(rig)
-        names = [f"rails.{name}" for name in RAIL_NAMES] + [f"turntable.{name}" for name in GIMBAL_NAMES]
         signed = {name for name, axis in found.axes.items() if axis.digest == digest}
-        left = ", ".join(name for name in names if name not in signed)
+        left = ", ".join(name for name in BENCH_AXES if name not in signed)
         return f"is not complete, left: {left or 'the dry run'}"
     if found.digest != motion_digest(rig):
         return f"does not hold: the rig was changed after it was signed off on {found.date}"

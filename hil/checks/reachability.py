@@ -13,13 +13,12 @@ import numpy as np
 from hil.bench import reachability
 from hil.checks.planned_trajectory import PlanSample, control_bounds, moments
 from hil.config.load import Loaded
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.rig import BENCH_AXES, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import Problem
 from hil.params import gnc as gnc_params
 
-AXES_OF_THE_BENCH = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" for name in GIMBAL_NAMES))
 _ROUNDING = 1e-9
 _DEGREES = math.degrees(1.0)
 
@@ -101,7 +100,7 @@ class _Findings:
             low, high = self._bench.low[axis] * scale, self._bench.high[axis] * scale
             self._say(
                 self._point_key(k, axis),
-                f"{AXES_OF_THE_BENCH[axis]} would go to {value:.{digits}f} {unit} "
+                f"{BENCH_AXES[axis]} would go to {value:.{digits}f} {unit} "
                 f"(planned {planned:.{digits}f} {unit}) {self._when(k)}, "
                 f"allowed {low:g} to {high:g} {unit} by {_rig_key(axis, 'travel', unit)}",
             )
@@ -112,7 +111,7 @@ class _Findings:
             planned = f"planned {asked.planned_rate[k, axis]:.3g} {unit}/s, the rest is" if axis < 3 else "all of it is"
             self._say(
                 self._rate_key(k, axis),
-                f"{AXES_OF_THE_BENCH[axis]} would go at up to {asked.rate[k, axis] * scale:.3g} {unit}/s "
+                f"{BENCH_AXES[axis]} would go at up to {asked.rate[k, axis] * scale:.3g} {unit}/s "
                 f"({planned} control) {self._when(k)}, allowed "
                 f"{self._bench.rate_max[axis] * scale:g} {unit}/s by {_rig_key(axis, 'rate_max', f'{unit}ps')}",
             )
@@ -122,7 +121,7 @@ class _Findings:
             unit, scale, _ = _unit(axis)
             self._say(
                 "chaser.thrusters.force_n",
-                f"{AXES_OF_THE_BENCH[axis]} would be asked for up to "
+                f"{BENCH_AXES[axis]} would be asked for up to "
                 f"{asked.acceleration[k, axis] * scale:.3g} {unit}/s2 {self._when(k)}, allowed "
                 f"{self._bench.acceleration_max[axis] * scale:g} {unit}/s2 "
                 f"by {_rig_key(axis, 'acceleration_max', f'{unit}ps2')}",
@@ -140,7 +139,7 @@ class _Findings:
             moved = axis < 3 and abs(initial.velocity_mps[axis]) >= abs(own[axis])
             self._say(
                 "initial.velocity_mps" if moved else "initial.rate_degps",
-                f"{AXES_OF_THE_BENCH[axis]} would need {takes_s[axis]:.2g} s at 0.0 s to catch up with "
+                f"{BENCH_AXES[axis]} would need {takes_s[axis]:.2g} s at 0.0 s to catch up with "
                 f"{rate[axis] * scale:.3g} {unit}/s at {self._bench.acceleration_max[axis] * scale:g} {unit}/s2, "
                 f"allowed {allowed_s:g} s by reachability.startup_lag_s",
             )
@@ -211,7 +210,7 @@ def _unit(axis: int) -> tuple[str, float, int]:
 
 
 def _rig_key(axis: int, name: str, unit: str) -> str:
-    return f"rig.{AXES_OF_THE_BENCH[axis]}.{name}_{unit}"
+    return f"rig.{BENCH_AXES[axis]}.{name}_{unit}"
 
 
 def _pixels(margin_px: float) -> str:

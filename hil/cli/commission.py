@@ -13,11 +13,10 @@ from typing import Final
 from rich.console import Console
 
 from hil.checks.compatibility import flight_problems
-from hil.cli.identify import AXES
 from hil.cli.output import base_of, check_rig_path
 from hil.cli.warm_up import compile_kernels_with_notice
 from hil.config.load import Loaded, load_rig, load_scenario
-from hil.config.rig import Rig
+from hil.config.rig import BENCH_AXES, Rig
 from hil.errors import BadInput, Problem
 
 _SIGNED, _FAILED = 0, 1
@@ -57,8 +56,8 @@ def commission_command(
     compile_kernels_with_notice(job, console)
     prompt: OperatorPrompt = ScriptedPrompt(show=_show(Console())) if unattended else Terminal(Console())
     before = signed_before(rig.value)
-    chosen = [k for k, name in enumerate(AXES) if name in axes or not axes]
-    others = [k for k, name in enumerate(AXES) if name in before]
+    chosen = [k for k, name in enumerate(BENCH_AXES) if name in axes or not axes]
+    others = [k for k, name in enumerate(BENCH_AXES) if name in before]
     who = by or ("nobody (--yes)" if unattended else _asked_name())
     if rig.value.kind == "hardware" and not prompt.ask(
         "The axes will move. Is the bench clear of people, and the emergency stop in your hand?"
@@ -81,7 +80,7 @@ def commission_command(
         return _SIGNED
     text = as_toml(findings, rig.value, base_of(rig_name, out_path), who, day or _today())
     Path(out_path).write_text(text, encoding="utf-8")
-    left = [name for k, name in enumerate(AXES) if k not in chosen and k not in others]
+    left = [name for k, name in enumerate(BENCH_AXES) if k not in chosen and k not in others]
     prompt.show(
         f"{out_path}: {len(chosen)} axes signed, left: {', '.join(left)}"
         if left
@@ -99,7 +98,9 @@ def _failed(text: str, console: Console) -> int:
 def _check_options(
     axes: Sequence[str], out_path: str | None, by: str | None, day: str | None, settings: Sequence[str], speed: float
 ) -> None:
-    problems = [Problem("--axis", "", f"{a}: unknown, give {', '.join(AXES)}") for a in axes if a not in AXES]
+    problems = [
+        Problem("--axis", "", f"{a}: unknown, give {', '.join(BENCH_AXES)}") for a in axes if a not in BENCH_AXES
+    ]
     if not (math.isfinite(speed) and speed > 0.0):
         problems.append(Problem("--speed", "", f"{speed:g}: must be above 0"))
     if by is not None and not by.strip():

@@ -16,10 +16,9 @@ from hil.cli.progress import Bar
 from hil.cli.warm_up import compile_kernels_with_notice
 from hil.commission.identification import AxisResult, Identification
 from hil.config.load import Loaded, load_rig, load_scenario
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.rig import BENCH_AXES, Rig
 from hil.errors import BadInput, Problem
 
-AXES = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" for name in GIMBAL_NAMES))
 _PASSED, _FAILED = 0, 1
 
 
@@ -51,7 +50,7 @@ def identify_command(
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
-    chosen = [k for k, name in enumerate(AXES) if name in axes or not axes]
+    chosen = [k for k, name in enumerate(BENCH_AXES) if name in axes or not axes]
     with (
         Bar(console, "opening the axes") as bar,
         build.runner(job, lambda *_: None, announce) as runner,
@@ -68,7 +67,9 @@ def identify_command(
 
 
 def _check_options(axes: Sequence[str], out_path: str | None, json_path: str | None, speed: float) -> None:
-    problems = [Problem("--axis", "", f"{a}: unknown, give {', '.join(AXES)}") for a in axes if a not in AXES]
+    problems = [
+        Problem("--axis", "", f"{a}: unknown, give {', '.join(BENCH_AXES)}") for a in axes if a not in BENCH_AXES
+    ]
     if not (math.isfinite(speed) and speed > 0.0):
         problems.append(Problem("--speed", "", f"{speed:g}: must be above 0"))
     problems += check_rig_path("--out", out_path)

@@ -25,7 +25,7 @@ def preflight_command(
     if problems:
         raise BadInput(problems)
     scenario, rig = load_scenario(scenario_name, settings), load_rig(rig_name, settings)
-    from hil.preflight.lateness import picture
+    from hil.preflight.lateness import histogram_lines
     from hil.preflight.run import preflight
 
     progress = Console(stderr=True)
@@ -43,7 +43,7 @@ def preflight_command(
         console.print(table)
         if found.lateness is not None:
             console.print("Lateness of an empty loop, cycles (bars: logarithm)")
-            for line in picture(found.lateness):
+            for line in histogram_lines(found.lateness):
                 console.print(f"  {line}", highlight=False)
         failed = sum(check.passed is False for check in found.checks)
         word = "[bold green]PASS[/]" if found.passed else f"[bold red]FAIL[/]: {failed} of {len(found.checks)} checks"

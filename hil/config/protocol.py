@@ -8,8 +8,8 @@ from typing import Annotated, Final, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from hil.config.model import ConfigModel
+from hil.config.rig import GIMBAL_NAMES
 
-AXIS_NAMES: Final = ("roll", "pitch", "yaw")
 OF_AXIS: Final = ("position", "rate", "status", "fault")
 OF_DEVICE: Final = ("model", "serial", "firmware", "ignore")
 ACTIONS: Final = ("identify", "enable", "set", "hold", "quick_stop", "clear_faults", "status", "home")
@@ -220,7 +220,7 @@ class Protocol(ConfigModel):
         for step in getattr(self.requests, action):
             for _, place in template_places(self.replies[step.reply]):
                 name, _, axis = place.partition(".")
-                found |= {(name, each) for each in ((axis,) if axis else AXIS_NAMES)}
+                found |= {(name, each) for each in ((axis,) if axis else GIMBAL_NAMES)}
         return found
 
     def warnings(self) -> list[str]:
@@ -248,8 +248,8 @@ class Protocol(ConfigModel):
         for step in self.requests.set:
             for _, place in template_places(step.send):
                 name, _, axis = place.partition(".")
-                sent |= {(name, each) for each in ((axis,) if axis else AXIS_NAMES)}
-        for axis in AXIS_NAMES:
+                sent |= {(name, each) for each in ((axis,) if axis else GIMBAL_NAMES)}
+        for axis in GIMBAL_NAMES:
             if ("position", axis) not in sent:
                 raise ValueError(f"requests.set: sends no position of {axis}")
             for name in ("position", "status"):
@@ -274,7 +274,7 @@ def numbers(key: str, names: Names) -> dict[int, str]:
 
 def _axis_fields(each_axis: bool) -> list[str]:
     """Return the fields of axes that a template may have."""
-    named = [f"{name}.{axis}" for name in OF_AXIS for axis in AXIS_NAMES]
+    named = [f"{name}.{axis}" for name in OF_AXIS for axis in GIMBAL_NAMES]
     return [*named, "axis", *OF_AXIS] if each_axis else named
 
 

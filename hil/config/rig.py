@@ -21,6 +21,7 @@ from hil.config.sign_off import SignOff
 
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
+BENCH_AXES = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" for name in GIMBAL_NAMES))
 
 
 NodeId = Annotated[int, Field(ge=1, le=127)]

@@ -15,7 +15,7 @@ import numpy as np
 from hil.core.clock import WallClock
 from hil.core.messages import Array
 from hil.core.realtime import FIFO, FIFO_PRIORITY, RealTime, no_garbage_collection
-from hil.loop.overrun_monitor import lateness_percentiles_us
+from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.loop.rate_keeper import WallRate
 from hil.preflight.check import PreflightCheck
 
@@ -29,14 +29,17 @@ _BAR = 40
 
 @dataclass(frozen=True, slots=True)
 class Lateness:
-    """What was measured. histogram: upper edge of a bin, us, and cycles in it; skipped: periods lost whole."""
+    """Measured lateness of an empty loop.
+
+    histogram: as of ``lateness_histogram``, up to the last bin with cycles; skipped: complete periods lost.
+    """
 
     period_s: float
     cycles: int
     skipped: int
     scheduling: str
     percentiles_us: dict[str, float]
-    histogram: tuple[tuple[float, int], ...]
+    histogram: list[dict[str, float | int | None]]
 
 
 def measure(period_s: float) -> Lateness:
@@ -56,18 +59,14 @@ def measure(period_s: float) -> Lateness:
 def summarise(period_s: float, lateness_s: Array, skipped: int, scheduling: str) -> Lateness:
     """Return the percentiles and the histogram of ``lateness_s`` (n,)."""
     percentiles = lateness_percentiles_us(lateness_s)
-    return Lateness(period_s, len(lateness_s), skipped, scheduling, percentiles, _histogram(lateness_s))
+    return Lateness(
+        period_s, len(lateness_s), skipped, scheduling, percentiles, _occupied(lateness_histogram(lateness_s))
+    )
 
 
-def _histogram(lateness_s: Array) -> tuple[tuple[float, int], ...]:
-    """Return bins that double from 1 us, up to the one that holds the latest."""
-    bins: list[tuple[float, int]] = []
-    low, high = -np.inf, 1.0
-    late_us = lateness_s * 1e6
-    while sum(count for _, count in bins) < len(late_us):
-        bins.append((high, int(np.count_nonzero((late_us > low) & (late_us <= high)))))
-        low, high = high, 2.0 * high
-    return tuple(bins)
+def _occupied(bins: list[dict[str, float | int | None]]) -> list[dict[str, float | int | None]]:
+    """Return the bins up to the last one with cycles."""
+    return bins[: max((i + 1 for i, b in enumerate(bins) if b["cycles"]), default=0)]
 
 
 def lateness_check(found: Lateness) -> PreflightCheck:
@@ -84,13 +83,14 @@ def lateness_check(found: Lateness) -> PreflightCheck:
     return PreflightCheck("lateness", fine, value, advice)
 
 
-def picture(found: Lateness) -> list[str]:
-    """Return the histogram as lines of text; the bars' lengths are in proportion to the logarithm of the counts."""
-    most = max((count for _, count in found.histogram), default=0)
+def histogram_lines(found: Lateness) -> list[str]:
+    """Return the histogram as lines of text; the bars are proportional to the logarithm of the counts."""
+    counts = [int(b["cycles"] or 0) for b in found.histogram]
     lines = []
-    for high, count in found.histogram:
-        bar = "#" * max(1, round(_BAR * np.log1p(count) / np.log1p(most))) if count else ""
-        lines.append(f"up to {high:>7.0f} us {count:>7} {bar}".rstrip())
+    for entry, count in zip(found.histogram, counts, strict=True):
+        bar = "#" * max(1, round(_BAR * np.log1p(count) / np.log1p(max(counts)))) if count else ""
+        edge = f"below {entry['below_us']:>6.0f} us" if entry["below_us"] is not None else "later".ljust(15)
+        lines.append(f"{edge} {count:>7} {bar}".rstrip())
     return lines
 
 

@@ -40,7 +40,7 @@ class Preflight:
             "passed": self.passed,
             "rate_hz": self.rate_hz,
             "lateness_us": late.percentiles_us if late else None,
-            "lateness_histogram": [{"up_to_us": high, "cycles": n} for high, n in late.histogram] if late else None,
+            "lateness_histogram": [{**b, "up_to_us": b["below_us"]} for b in late.histogram] if late else None,
             "checks": [{"name": c.name, "passed": c.passed, "value": c.value, "advice": c.advice} for c in self.checks],
         }
 

@@ -1,7 +1,7 @@
-"""How far the camera of the bench was from where the truth had it, by the encoders, in each cycle.
+"""Bench error: pose of the bench's camera, by the encoders, against the truth, in each cycle.
 
-Truth and encoders belong to moments of their own: a row's truth is of ``t_s``, its feedback was taken
-at ``sampled_s``, on wires most of a cycle earlier. The encoders are brought to the truth's moments first.
+A row's truth is of ``t_s``, its feedback was sampled at ``sampled_s``, on wires most of a cycle earlier: the encoders
+are interpolated to the times of the truth first.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ _TIME_SLACK_S = 1e-6
 
 
 def judge_bench_error(history: np.ndarray, rig: Rig, step_s: float, settled_s: float) -> dict[str, Any]:
-    """Return the pose error at the left camera, and its share of the navigation error.
+    """Return the pose error at the left camera, and its fraction of the navigation error.
 
     ``pose_error_mm`` and ``pose_error_deg``: rms and max over the run. ``share_of_navigation_error`` and
-    ``share_of_attitude_error``: rms of the pose error by rms of the estimate's error, both from
-    ``settled_s`` on (all, where the run ended before). What the run did not have is None.
+    ``share_of_attitude_error``: rms of the pose error over rms of the estimate's error, both from
+    ``settled_s`` on (over all if the run ended before). None for quantities that the run does not have.
     """
     rows, distance, angle = pose_errors(history, rig, step_s)
     if not len(rows):
@@ -36,7 +36,7 @@ def judge_bench_error(history: np.ndarray, rig: Rig, step_s: float, settled_s: f
 
 
 def pose_errors(history: np.ndarray, rig: Rig, step_s: float) -> tuple[np.ndarray, Array, Array]:
-    """Return the rows (n,) of which the encoders are known, and the left camera's errors then: m, rad, (n,)."""
+    """Return the rows (n,) with known encoders, and the left camera's errors in them: m, rad, (n,)."""
     rows, rail_m, gimbal_rad = encoders_at_truth(history)
     distance, angle = np.empty(len(rows)), np.empty(len(rows))
     if len(rows):
@@ -55,7 +55,7 @@ def pose_errors(history: np.ndarray, rig: Rig, step_s: float) -> tuple[np.ndarra
 
 
 def encoders_at_truth(history: np.ndarray) -> tuple[np.ndarray, Array, Array]:
-    """Return the rows (n,) of which the encoders are known at ``t_s``, and rails, m, and gimbals, rad, (n, 3) then."""
+    """Return the rows (n,) with encoders known at ``t_s``, and rails, m, and gimbals, rad, (n, 3), at that time."""
     if not len(history):
         return history, np.empty((0, 3)), np.empty((0, 3))
     sampled_s, feedback = history["sampled_s"], history["feedback"]
@@ -68,7 +68,7 @@ def encoders_at_truth(history: np.ndarray) -> tuple[np.ndarray, Array, Array]:
 
 
 def _at(t_s: Array, sampled_s: Array, values: Array) -> Array:
-    """Return ``values`` (m, 3), known at ``sampled_s`` (m,), at the moments ``t_s`` (n,): shape (n, 3)."""
+    """Return ``values`` (m, 3), sampled at ``sampled_s`` (m,), interpolated to ``t_s`` (n,): shape (n, 3)."""
     when, first = np.unique(sampled_s, return_index=True)
     return np.column_stack([np.interp(t_s, when, values[first, i]) for i in range(3)])
 
@@ -88,8 +88,8 @@ def _navigation_shares(rows: np.ndarray, distance: Array, angle: Array, settled_
     truth, estimate = rows["truth"][chosen], rows["navigation"][chosen]
     offset = np.linalg.norm(truth["r_CT_H"] - estimate["r_CT_H"], axis=1)
     cosine = np.abs(np.sum(truth["q_CH"] * estimate["q_CH"], axis=1))
-    turn = 2.0 * np.arccos(np.minimum(1.0, cosine))
-    return _shares(_ratio(distance[chosen], offset), _ratio(angle[chosen], turn))
+    angle_off = 2.0 * np.arccos(np.minimum(1.0, cosine))
+    return _shares(_ratio(distance[chosen], offset), _ratio(angle[chosen], angle_off))
 
 
 def _shares(position: float | None, attitude: float | None) -> dict[str, float | None]:
@@ -97,7 +97,7 @@ def _shares(position: float | None, attitude: float | None) -> dict[str, float |
 
 
 def _ratio(error: Array, whole: Array) -> float | None:
-    """Return rms by rms, None where that is no number."""
+    """Return the ratio of the rms values, None if it is not finite."""
     below = float(np.sqrt(np.mean(whole**2)))
     above = float(np.sqrt(np.mean(error**2)))
     return above / below if below > 0.0 and np.isfinite(above) and np.isfinite(below) else None

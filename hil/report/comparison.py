@@ -1,4 +1,4 @@
-"""Two or more recorded runs beside each other; of one scenario on two rigs: where one leaves the other."""
+"""Comparison of recorded runs: key numbers side by side and, for one scenario, the divergence of their truths."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _QUANTITIES: Final = (
 
 @dataclass(frozen=True)
 class RunDivergence:
-    """How far two runs' truths are apart in one axis.
+    """Divergence of the truths of two runs in one axis.
 
-    largest: |difference| in ``unit``, at ``at_s``. sigmas: largest by the standard deviations of both runs together,
-    of filter and dead band, None where the filters have none. beyond: share of the time above LEFT_SIGMAS. left_s: when
-    it began to be above for a second, None for never. of_tolerance: largest by Table III's tolerance.
+    largest: |difference| in ``unit``, at ``at_s``. sigmas: largest over the standard deviations of both runs together,
+    of filter and dead band, None if the filters have none. beyond: fraction of the time above LEFT_SIGMAS. left_s:
+    start of the first excursion of a second or more, None for never. of_tolerance: largest over Table III's tolerance.
     """
 
     name: str
@@ -41,8 +41,8 @@ class RunDivergence:
     of_tolerance: float
 
 
-def part(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[RunDivergence]:
-    """Return the partings of two runs of ``scenario``, histories of CYCLE, over the time that both have flown."""
+def divergences(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[RunDivergence]:
+    """Return the divergence of two runs of ``scenario``, histories of CYCLE, over the time that both cover."""
     n = min(len(a), len(b))
     a, b = a[:n], b[:n]
     if not n:
@@ -55,7 +55,7 @@ def part(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[RunDivergence
         apart = np.abs(getattr(of_a, row) - getattr(of_b, row))
         spread = np.hypot(*(_spread(of_sigma * rows["navigation"][sigma], row, scenario) for rows in (a, b)))
         for i, axis in enumerate("xyz"):
-            content = _parting(
+            content = _divergence(
                 f"{name} {axis}", unit, scale, apart[:, i], spread[:, i], known, a["t_s"], scenario.step_s
             )
             found.append(RunDivergence(**content, of_tolerance=float(apart[:, i].max() / allowed[row][i])))
@@ -63,9 +63,9 @@ def part(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[RunDivergence
 
 
 def _spread(sigma: Array, row: str, scenario: Scenario) -> Array:
-    """Return the standard deviation, (n, 3), that the truth of one run has about its plan.
+    """Return the standard deviation, (n, 3), of the truth of one run about its plan.
 
-    Control sees the estimate, and lets it drift freely through its dead band: equally likely anywhere in it.
+    Control acts on the estimate and lets it drift through its dead band: uniformly distributed within it.
     """
     control = scenario.gnc.control
     deadband, caution = {
@@ -76,7 +76,7 @@ def _spread(sigma: Array, row: str, scenario: Scenario) -> Array:
     return spread
 
 
-def _parting(
+def _divergence(
     name: str, unit: str, scale: float, apart: Array, spread: Array, known: np.ndarray, t_s: Array, step_s: float
 ) -> dict[str, Any]:
     worst = int(np.argmax(apart))
@@ -102,7 +102,7 @@ def _parting(
 
 
 def _first_stretch(out: np.ndarray, t_s: Array, least: int) -> float | None:
-    """Return when ``out`` first began to hold for ``least`` cycles on end, None for never."""
+    """Return the start of the first ``least`` or more consecutive cycles with ``out``, None for never."""
     edges = np.diff(np.concatenate([[0], out.astype(np.int8), [0]]))
     for begin, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
         if end - begin >= least:
@@ -111,7 +111,7 @@ def _first_stretch(out: np.ndarray, t_s: Array, least: int) -> float | None:
 
 
 def key_numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return what is laid beside each other of several runs: label and text."""
+    """Return the numbers that are compared across runs: label and text."""
     navigation, thrusters, timing = summary["navigation"], summary["thrusters"], summary["timing"]
     bench, latency = summary["bench"], summary["latency"]
     return [
@@ -126,7 +126,7 @@ def key_numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("mean NEES attitude, 6 states", _text(navigation["nees_akf"], ".2f")),
         ("propellant, kg", _text(thrusters["propellant_kg"], ".4f")),
         ("firings", str(sum(thrusters["thruster_firings"]))),
-        ("camera off, rms mm", _text(bench["pose_error_mm"]["rms"], ".3f")),
+        ("camera error, rms mm", _text(bench["pose_error_mm"]["rms"], ".3f")),
         ("pose to command p50 p99, ms", _times(latency["pose_to_command_ms"])),
         ("setpoint to encoder p50 p99, ms", _times(latency["setpoint_to_encoder_ms"])),
         ("overruns, periods lost", f"{timing['overruns']}, {timing['skipped_periods']}"),
@@ -135,7 +135,7 @@ def key_numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def same_flight(runs: Sequence[dict[str, str]]) -> bool:
-    """Return whether all metadata of ``runs`` name one scenario and one step."""
+    """Return whether all metadata in ``runs`` have the same scenario and step."""
     return len({(run["scenario"], run["step_s"]) for run in runs}) == 1
 
 

@@ -1,4 +1,4 @@
-"""The docking monitor of a run beside the vision unit and the truth, each in its own sigmas."""
+"""Comparison of the docking monitor with the vision unit and the truth, each in its own sigmas."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _SHORTEST_S: Final = 0.1
 
 
 def judge_monitor(watched: Watched, history: np.ndarray, scenario: Scenario, rig: Rig) -> dict[str, Any]:
-    """Return what goes into the JSON: counts, times, and for each of QUANTITIES errors and how many sigmas they are.
+    """Return the JSON content: counts, times, and for each of QUANTITIES the errors and their size in sigmas.
 
-    truth: the simulated chaser. bench: where the encoders say that the camera was, whose pictures were drawn from it;
-    what the axes lag behind the truth is an error of the monitor against the truth alone.
+    truth: the simulated chaser. bench: the camera's position by the encoders, from which its images were rendered;
+    the lag of the axes behind the truth is an error of the monitor against the truth only.
     """
     known = [portion for portion in watched.portions if portion.frames and len(history)]
     known = [portion for portion in known if portion.t_s <= history["t_s"][-1]]
@@ -76,7 +76,7 @@ def _longest_gap(watched: Watched, history: np.ndarray) -> float | None:
 
 
 def _figures(errors: Floats, sigmas: Floats) -> dict[str, float | int] | None:
-    """Return the figures of one quantity; None where it was never observed."""
+    """Return the figures of one quantity; None if it was never observed."""
     known = np.isfinite(errors) & np.isfinite(sigmas)
     if not known.any():
         return None
@@ -93,10 +93,9 @@ def _figures(errors: Floats, sigmas: Floats) -> dict[str, float | int] | None:
 
 
 def _difference(one: Floats, other: Floats) -> Floats:
-    """Return one - other, (n, 12); angles by the shorter way."""
+    """Return one - other, (n, 12); angles within +-pi."""
     found = one - other
-    turn = 2.0 * np.pi
-    found[:, _ANGLES] = (found[:, _ANGLES] + np.pi) % turn - np.pi
+    found[:, _ANGLES] = (found[:, _ANGLES] + np.pi) % (2.0 * np.pi) - np.pi
     return found
 
 
@@ -114,14 +113,14 @@ class _Truth:
             self._values[:, _RATE] = np.gradient(self._values[:, _RANGE], self._t)
 
     def at(self, times: Floats) -> Floats:
-        """Return (n, 12), SI, straight lines between the rows."""
+        """Return (n, 12), SI, interpolated linearly between the rows."""
         if not len(self._t):
             return np.full((len(times), len(QUANTITIES)), np.nan)
         return np.column_stack([np.interp(times, self._t, column) for column in self._values.T])
 
 
 def _bench(history: np.ndarray, scenario: Scenario, rig: Rig, times: Floats) -> Floats:
-    """Return QUANTITIES (n, 12), SI, of the camera where the encoders had it."""
+    """Return QUANTITIES (n, 12), SI, of the camera by the encoders."""
     track = EncoderTrack(gnc_params.bench(rig, scenario.step_s), stations(scenario.monitor))
     track.add(history)
     found = np.empty((len(times), len(QUANTITIES)))
@@ -165,7 +164,7 @@ def _nearest(sorted_times: Floats, times: Floats) -> NDArray[np.int64]:
     return np.where(closer, before, after)
 
 
-_ROWS: Final = (  # quantity, label, what one unit is in SI, unit
+_ROWS: Final = (  # quantity, label, unit in SI, unit
     ("range_m", "range", 1e-3, "mm"),
     ("range_rate_mps", "range rate", 1e-3, "mm/s"),
     ("d1_m", "d1", 1e-3, "mm"),
@@ -180,14 +179,14 @@ _ROWS: Final = (  # quantity, label, what one unit is in SI, unit
 
 
 def monitor_lines(found: dict[str, Any]) -> list[str]:
-    """Return the comparison as people read it, a line each."""
+    """Return the comparison as lines of text."""
     status = ", ".join(f"{count} {name}" for name, count in found["status"].items()) or "none"
     lines = [
         f"Monitor     {found['scene']}: {found['frames']} frames of {found['frame_ms']['mean']:.1f} ms each, "
         f"portions: {status}, longest time without one {found['longest_gap_s'] or 0.0:.2f} s"
     ]
     if found["failure"] or found["missed_rows"]:
-        lines.append(f"            {found['failure'] or 'came late'}, {found['missed_rows']} cycles missed")
+        lines.append(f"            {found['failure'] or 'late'}, {found['missed_rows']} cycles missed")
     lines.append(
         f"            {'rms error (sigma, in 2 sigma)':24}{'monitor to truth':>27}{'monitor to encoders':>27}"
         f"{'vision unit to truth':>27}{'one to the other':>27}"

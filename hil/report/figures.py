@@ -23,10 +23,10 @@ from hil.report.verdict import Verdict, deviations, tolerances
 mpl.use("Agg")
 mpl.rcParams["svg.hashsalt"] = "hil"  # the same run draws the same bytes
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by the colour-blind
-_POINTS = 1500  # in a line: more is not seen
+COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable for the colour-blind
+_POINTS = 1500  # per line: more are not visible
 _WIDTH_IN = 11.0
-_TAIL = 0.005  # of the NIS' mean on either side of its band
+_TAIL = 0.005  # probability that the mean NIS is beyond either side of its band
 _ROWS = (
     ("position_m", "distance, m", ("x - 0.4 m", "y", "z")),
     ("velocity_mps", "rate, m/s", ("x", "y", "z")),
@@ -50,7 +50,7 @@ def thin(t_s: Array, values: Array) -> tuple[Array, Array]:
 
 
 def figures(history: np.ndarray, scenario: Scenario, rig: Rig, verdict: Verdict) -> Iterator[tuple[str, str]]:
-    """Yield title and picture (a ``data:`` address) of each figure that the run has something for."""
+    """Yield title and image (a ``data:`` address) of each figure for which the run has data."""
     yield "Truth against the ready state (bench paper figures 6 and 7)", _drawn(_motion(history, scenario, verdict))
     known = history[history["navigation"]["valid"] == 1]
     if len(known):
@@ -62,12 +62,12 @@ def figures(history: np.ndarray, scenario: Scenario, rig: Rig, verdict: Verdict)
     yield "Security: margins of the estimate", _drawn(_security(history))
     rows, distance, angle = pose_errors(history, rig, scenario.step_s)
     if len(rows):
-        yield "Bench: the camera against the truth, by the encoders", _drawn(_bench(rows["t_s"], distance, angle))
+        yield "Bench: camera against the truth, by the encoders", _drawn(_bench(rows["t_s"], distance, angle))
     yield "Lateness of the cycles", _drawn(_lateness(history["lateness_s"]))
 
 
 def _drawn(figure: Any) -> str:
-    """Return ``figure`` as an address that holds all of it."""
+    """Return ``figure`` as a ``data:`` address."""
     from matplotlib import pyplot as plt
 
     file = io.BytesIO()
@@ -198,7 +198,7 @@ def _bench(t_s: Array, distance: Array, angle: Array) -> Any:
     figure, axes = _axes(1, 2, 2.6)
     for plot, values, label in zip(axes[0], (1e3 * distance, np.degrees(angle)), ("mm", "deg"), strict=True):
         _line(plot, t_s, values, color=COLOURS[0])
-        plot.set_ylabel(f"camera off, {label}")
+        plot.set_ylabel(f"camera error, {label}")
         plot.set_xlabel("time, s")
     return figure
 

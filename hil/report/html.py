@@ -1,4 +1,4 @@
-"""Pieces of a page: every text is escaped here, nothing is loaded from anywhere."""
+"""Elements of a self-contained HTML page: every text is escaped here, nothing is loaded from elsewhere."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ img { width: 100%; height: auto; } pre { white-space: pre-wrap; font-size: 12px;
 
 
 def page(title: str, body: Sequence[str]) -> str:
-    """Return a whole page."""
+    """Return a complete page."""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -42,7 +42,7 @@ def paragraph(text: str, kind: str = "") -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "", words: bool = False) -> str:
-    """Return a table; cells that begin with "out" are marked. words: all columns are text."""
+    """Return a table; cells with a failure are marked. words: all columns are text."""
     opening = '<table class="words">' if words else "<table>"
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
     top = "".join(f'<th scope="col">{escape(word)}</th>' for word in head)
@@ -55,12 +55,12 @@ def _cell(word: str) -> str:
     return f"<td{kind}>{escape(word)}</td>"
 
 
-def picture(title: str, address: str) -> str:
+def image(title: str, address: str) -> str:
     """Return a figure with its title; address: ``data:``."""
     assert address.startswith("data:")
     return f'<figure><figcaption>{escape(title)}</figcaption><img alt="{escape(title)}" src="{address}"></figure>'
 
 
 def folded(title: str, text: str) -> str:
-    """Return text that opens at a click."""
+    """Return text that is folded until clicked."""
     return f"<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>"

@@ -1,4 +1,4 @@
-"""How long things took in a run: from a pose's last byte to the thrusters' command, from a setpoint to the encoder."""
+"""Latencies of a run: from a pose's last byte to the thruster command, and from a setpoint to the encoder."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 from hil.core.messages import Array
 
 _WINDOW_S = 1.0
-_SLOWEST = (0.0005, math.radians(0.02))  # m/s and rad/s, rms: slower windows say nothing of a delay
+_SLOWEST = (0.0005, math.radians(0.02))  # m/s and rad/s, rms: slower windows do not determine a delay
 _SIGMA_MAX_S = 0.002
 _LEAST_SAMPLES = 10
 _KNOWN_WITHIN = 2  # rows after the command
-_STAMP_S = 1e-3  # a command is stamped just after its lines have been handed over
+_STAMP_S = 1e-3  # a command is stamped just after its lines were passed on
 
 
 def measure_latency(history: np.ndarray, step_s: float) -> dict[str, Any]:
-    """Return p50, p99 and max, ms of bench time, of both ways; None where nothing was to be measured.
+    """Return p50, p99 and max, ms of bench time, of each latency; None if there was nothing to measure.
 
     ``pose_to_command_ms``: from the last byte of a pose's frame to the command of the cycle that used
-    it. ``pose_to_wire_ms``: to the moment at which the coupler of the digital lines was given a command that
-    changed them. ``setpoint_to_encoder_ms``: from the sending of a setpoint to the encoder's arrival there, one
+    it. ``pose_to_wire_ms``: to the time at which the coupler of the digital lines received a command that
+    changed them. ``setpoint_to_encoder_ms``: from sending a setpoint to the encoder's arrival at it, one
     value for each second in which an axis moved.
     """
     return {
@@ -42,25 +42,25 @@ def pose_to_command_s(history: np.ndarray) -> Array:
 def pose_to_wire_s(history: np.ndarray) -> Array:
     """Return a time for each cycle that used a pose and changed a digital line of a thruster, s.
 
-    A row's ``on_wire_s`` is of the newest change that was known at its beginning. A change that was not on the
-    wire before the next one came is left out.
+    A row's ``on_wire_s`` is that of the newest change known at its start. Changes that were not on the wire before
+    the next one are omitted.
     """
     wire_s, commanded_s = history["on_wire_s"], history["commanded_s"]
     found = []
     for k in np.flatnonzero(history["pose"]["fresh"] > 0):
         later = wire_s[k + 1 : k + 1 + _KNOWN_WITHIN]
-        told = later[later >= commanded_s[k] - _STAMP_S]
-        if k and len(told) and (history["command"]["on"][k] != history["command"]["on"][k - 1]).any():
-            found.append(told[0] - history["received_s"][k])
+        changed = later[later >= commanded_s[k] - _STAMP_S]
+        if k and len(changed) and (history["command"]["on"][k] != history["command"]["on"][k - 1]).any():
+            found.append(changed[0] - history["received_s"][k])
     return np.array(found)
 
 
 def setpoint_to_encoder_s(history: np.ndarray, step_s: float) -> Array:
     """Return a time for each axis and each window of a second in which it moved, s.
 
-    A row's setpoint belongs to ``t_s`` and was sent a step earlier; its feedback was taken at
-    ``sampled_s``. While an axis follows with a delay d, its encoder stands d times the speed behind:
-    d is fitted to each window by least squares. Windows that leave it uncertain are left out.
+    A row's setpoint belongs to ``t_s`` and was sent a step earlier; its feedback was sampled at
+    ``sampled_s``. While an axis follows with a delay d, its encoder lags by d times the speed:
+    d is fitted to each window by least squares. Windows with an uncertain d are omitted.
     """
     rows = history[1:]  # the first setpoint of a run is its last one before it
     found = []
@@ -74,7 +74,7 @@ def setpoint_to_encoder_s(history: np.ndarray, step_s: float) -> Array:
 
 
 def _delay_of_window(behind: Array, speed: Array, axis: int) -> list[float]:
-    """Return the delay, s, of a window as a list of one; of none where it is too slow or does not fit."""
+    """Return the delay, s, of a window as a list of one; empty if the motion is too slow or does not fit."""
     square = float(speed @ speed)
     if not square >= len(speed) * _SLOWEST[axis // 3] ** 2:
         return []
@@ -85,15 +85,15 @@ def _delay_of_window(behind: Array, speed: Array, axis: int) -> list[float]:
 
 
 def _of_axis(rows: np.ndarray, axis: int) -> tuple[Array, Array, Array]:
-    """Return the moments of the encoder's samples, how far it was behind the setpoint then, and its speed."""
+    """Return times of the encoder's samples, its lag behind the setpoint at them, and its speed."""
     i, place, rate = (axis, "rail_m", "rail_mps") if axis < 3 else (axis - 3, "gimbal_rad", "gimbal_radps")
-    told, went, told_s = rows["setpoint"], rows["feedback"][place][:, i], rows["t_s"]
-    known = rows["sampled_s"][:, axis // 3] >= (told_s[0] if len(rows) else 0.0)
+    setpoint, measured, setpoint_s = rows["setpoint"], rows["feedback"][place][:, i], rows["t_s"]
+    known = rows["sampled_s"][:, axis // 3] >= (setpoint_s[0] if len(rows) else 0.0)
     t_s = rows["sampled_s"][known, axis // 3]
     if not len(t_s):
         return t_s, t_s, t_s
-    behind = np.interp(t_s, told_s, told[place][:, i]) - went[known]
-    return t_s, behind, np.interp(t_s, told_s, told[rate][:, i])
+    behind = np.interp(t_s, setpoint_s, setpoint[place][:, i]) - measured[known]
+    return t_s, behind, np.interp(t_s, setpoint_s, setpoint[rate][:, i])
 
 
 def _percentiles(values: Array) -> dict[str, float | None]:

@@ -1,4 +1,4 @@
-"""The report of one or more recorded runs: one page that holds everything."""
+"""Report of one or more recorded runs: a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from typing import Any, Final
 from hil.loop.runner import Outcome
 from hil.recording.read import Recorded
 from hil.report import html
-from hil.report.comparison import LEFT_SIGMAS, key_numbers, part, same_flight
+from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_flight
 from hil.report.figures import figures
-from hil.report.paper import TABLE_V
 from hil.report.summary import summarise
-from hil.report.table import ROW_LABELS, parts_in_words
-from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
+from hil.report.table import ROW_LABELS, verdict_lines
+from hil.report.verdict import ROW_NAMES, TABLE_V, Verdict, deviations, judge, tolerances
 
 BROKE_OFF: Final = "the recording broke off"
 _VERSIONS: Final = ("hil", "schema_version", "python", "numpy", "numba", "scipy", "mcap", "system", "host")
@@ -37,7 +36,7 @@ class Judged:
 
 
 def judged(recorded: Recorded) -> Judged:
-    """Return the run's numbers as recorded; of a run that broke off, what its cycles tell."""
+    """Return the run's numbers as recorded; of a run that broke off, those of its cycles."""
     scenario, history = recorded.scenario, recorded.cycles
     summary = recorded.summary
     if summary is None:
@@ -49,7 +48,7 @@ def judged(recorded: Recorded) -> Judged:
 
 
 def report(runs: Sequence[Recorded]) -> str:
-    """Return the page, HTML; runs: one, or several to be compared. Each has at least one cycle."""
+    """Return the page, HTML; runs: one, or several to compare. Each has at least one cycle."""
     all_judged = [judged(run) for run in runs]
     title = all_judged[0].name if len(runs) == 1 else f"{len(runs)} runs compared"
     body = [html.heading(1, title)]
@@ -66,31 +65,31 @@ def _one(run: Judged, alone: bool) -> Iterator[str]:
         yield html.heading(1, run.name)
     yield html.paragraph("PASS" if summary["passed"] else "FAIL", f"verdict {'pass' if summary['passed'] else 'fail'}")
     yield html.paragraph(
-        f"{recorded.run['run']}, begun {recorded.run['started_utc']}, {len(recorded.cycles)} cycles recorded, "
+        f"{recorded.run['run']}, started {recorded.run['started_utc']}, {len(recorded.cycles)} cycles recorded, "
         f"ended: {summary['stop']}"
     )
     if not recorded.intact or recorded.summary is None:
-        yield html.paragraph(f"{BROKE_OFF} or is damaged: this is what is whole in it.", "note")
+        yield html.paragraph(f"{BROKE_OFF} or is damaged: the page shows its intact part.", "note")
     dropped = int((recorded.end or {}).get("dropped", "0"))
     if dropped:
         yield html.paragraph(f"{dropped} messages are missing in this recording.", "note")
     yield from _verdict(run)
     yield html.heading(2, "Figures")
     for title, address in figures(recorded.cycles, recorded.scenario, recorded.rig, run.verdict):
-        yield html.picture(title, address)
+        yield html.image(title, address)
     yield from _numbers(summary)
-    yield from _diary(recorded, summary)
-    yield from _made_of(recorded)
+    yield from _events(recorded, summary)
+    yield from _configuration(recorded)
 
 
 def _verdict(run: Judged) -> Iterator[str]:
     summary, scenario = run.summary, run.recorded.scenario
     yield html.heading(2, "Verdict")
-    rows = [("ok" if passed else "fail", name, text) for name, passed, text in parts_in_words(summary["verdict"])]
+    rows = [("ok" if passed else "fail", name, text) for name, passed, text in verdict_lines(summary["verdict"])]
     yield html.table(("", "part", ""), rows, words=True)
     paper = TABLE_V.get(summary["scenario"])
     if run.verdict.worst is None:
-        yield html.paragraph("The ready phase was not reached, so there is nothing to lay beside Table V.", "note")
+        yield html.paragraph("The ready phase was not reached: there is no comparison with Table V.", "note")
         return
     allowed, lines = tolerances(scenario.requirements), []
     for name in ROW_NAMES:
@@ -110,7 +109,7 @@ def _verdict(run: Judged) -> Iterator[str]:
     beside = f"{paper.ready_time_s:g}" if paper and paper.ready_time_s is not None else "-"
     lines.append(("ready, s", "", f"{summary['ready_time_s']:.2f}", "", beside, ""))
     head = ("", "Table III", "here", "margin", "Table V", "")
-    yield html.table(head, lines, "Ready phase: largest deviations against Table III, beside the paper's Table V")
+    yield html.table(head, lines, "Ready phase: largest deviations against Table III, and the paper's Table V")
 
 
 def _numbers(summary: dict[str, Any]) -> Iterator[str]:
@@ -127,7 +126,7 @@ def _numbers(summary: dict[str, Any]) -> Iterator[str]:
     timing = summary["timing"]
     asked = [(p["name"], "granted" if p["granted"] else "refused", p["detail"]) for p in timing["privileges"]]
     if asked:
-        yield html.table(("asked of the system", "", ""), asked, "Real time", words=True)
+        yield html.table(("requested of the system", "", ""), asked, "Real time", words=True)
     latency = [
         (name.replace("_", " "), *("-" if value is None else f"{value:.2f}" for value in times.values()))
         for name, times in summary["latency"].items()
@@ -138,7 +137,7 @@ def _numbers(summary: dict[str, Any]) -> Iterator[str]:
         yield html.table(("vision unit", "count"), counted)
 
 
-def _diary(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:
+def _events(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:
     yield html.heading(2, "Faults, alarms, events")
     if summary["faults"]:
         yield html.table(("fault",), [(text,) for text in summary["faults"]], words=True)
@@ -152,7 +151,7 @@ def _diary(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:
     yield html.table(("run, s", "bench, s", "kind", "source", ""), rows, words=True)
 
 
-def _made_of(recorded: Recorded) -> Iterator[str]:
+def _configuration(recorded: Recorded) -> Iterator[str]:
     yield html.heading(2, "Configuration and versions")
     named = sorted(name for name in recorded.run if name.startswith("calibration_") and name not in _CALIBRATION)
     rows = [(name.replace("_", " "), recorded.run.get(name, "")) for name in (*_VERSIONS, *_CALIBRATION, *named)]
@@ -166,14 +165,14 @@ def _comparison(runs: Sequence[Judged]) -> Iterator[str]:
     rows = [(label, *(found[label] for found in numbers)) for label in numbers[0]]
     yield html.table(("", *(run.name for run in runs)), rows, "Side by side")
     if not same_flight([run.recorded.run for run in runs]):
-        yield html.paragraph("These are not runs of one scenario, so their trajectories are not compared.", "note")
+        yield html.paragraph("The runs have different scenarios: their trajectories are not compared.", "note")
         return
     first = runs[0]
     for other in runs[1:]:
-        yield _partings(first, other)
+        yield _divergences(first, other)
 
 
-def _partings(first: Judged, other: Judged) -> str:
+def _divergences(first: Judged, other: Judged) -> str:
     a, b = first.recorded, other.recorded
     rows = [
         (
@@ -185,16 +184,16 @@ def _partings(first: Judged, other: Judged) -> str:
             "never" if found.left_s is None else f"{found.left_s:.2f}",
             f"{100.0 * found.of_tolerance:.0f} %",
         )
-        for found in part(a.cycles, b.cycles, a.scenario)
+        for found in divergences(a.cycles, b.cycles, a.scenario)
     ]
     head = (
         "truth",
-        "apart at most",
+        "largest difference",
         "at, s",
         "in sigmas",
         f"of the time beyond {LEFT_SIGMAS:g} sigma",
-        f"left for 1 s and more, s (> {LEFT_SIGMAS:g} sigma)",
+        f"first beyond for 1 s or more, s (> {LEFT_SIGMAS:g} sigma)",
         "of Table III",
     )
-    caption = f"Twin consistency: {other.name} against {first.name}; sigma: both filters' own, and dead bands"
+    caption = f"Twin consistency: {other.name} against {first.name}; sigma: of both filters and dead bands"
     return html.table(head, rows, caption)

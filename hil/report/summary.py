@@ -1,4 +1,4 @@
-"""The key numbers of a run, under the names of ``hil run --json``."""
+"""Key numbers of a run, with the keys of ``hil run --json``."""
 
 from __future__ import annotations
 
@@ -17,23 +17,18 @@ from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.loop.runner import COMPLETED, Outcome
 from hil.params import gnc as gnc_params
 from hil.report.bench_error import judge_bench_error
-from hil.report.energy import judge_energy
-from hil.report.field_of_view import judge_field_of_view
 from hil.report.latency import measure_latency
-from hil.report.security import judge_security
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
+from hil.report.verdict_parts import judge_energy, judge_field_of_view, judge_security
 
-SETTLED_S = 100.0  # navigation is judged from here on, as in physics of the paper's numerical run
+SETTLED_S = 100.0  # navigation errors count from here on, as in the paper's numerical simulation
 _TORQUE_WINDOW_S = (360.0, 400.0)  # bench paper Fig. 8
 
 
 def summarise(
     outcome: Outcome, scenario: Scenario, rig: Rig, rig_name: str, seed: int, rate_hz: float
 ) -> tuple[dict[str, Any], Verdict]:
-    """Return the run's numbers as they go into JSON, and the verdict.
-
-    Quantities that the run did not get far enough to have are None.
-    """
+    """Return the run's numbers as JSON content, and the verdict; None for quantities that the run did not reach."""
     history = outcome.history
     verdict = judge(deviations(history, scenario.requirements), scenario.requirements)
     aborted = bool(len(history) and history["supervision"]["aborted"][-1])
@@ -60,7 +55,7 @@ def summarise(
         "verdict": parts,
         "navigation": navigation_errors(history),
         "thrusters": thrusters,
-        "gnc": flown_by(scenario),
+        "gnc": gnc_summary(scenario),
         "vision": outcome.vision_counters,
         "bench": _bench(history, outcome) | judge_bench_error(history, rig, scenario.step_s, SETTLED_S),
         "latency": measure_latency(history, scenario.step_s),
@@ -73,14 +68,14 @@ def summarise(
     return summary, verdict
 
 
-def flown_by(scenario: Scenario) -> dict[str, Any]:
-    """Return the library that flew, with the digest of its file; None where the GNC here did."""
+def gnc_summary(scenario: Scenario) -> dict[str, Any]:
+    """Return the GNC library with the digest of its file; None for the built-in GNC."""
     path = scenario.gnc.library
     return {"library": path, "sha256": digest_of(path) if path is not None else None}
 
 
 def sign_off_summary(rig: Rig) -> dict[str, Any] | None:
-    """Who commissioned the rig, and whether that was waived; None where no hardware moves."""
+    """Return who commissioned the rig and whether that was waived; None if no hardware moves."""
     if rig.kind != "hardware":
         return None
     found, gap = rig.sign_off or SignOff(), sign_off_gap(rig)
@@ -88,7 +83,7 @@ def sign_off_summary(rig: Rig) -> dict[str, Any] | None:
 
 
 def _timing(outcome: Outcome, rig: Rig, rate_hz: float) -> dict[str, Any]:
-    """Lateness, lost periods, and what the operating system granted; of the closed loop, where there was one."""
+    """Return lateness and lost periods of the closed loop, and what the operating system granted."""
     lateness_s = outcome.history["lateness_s"]
     return {
         "rate_hz": rate_hz,
@@ -104,7 +99,7 @@ def _timing(outcome: Outcome, rig: Rig, rate_hz: float) -> dict[str, Any]:
 
 
 def _control_precision(verdict: Verdict, scenario: Scenario) -> dict[str, Any]:
-    """Table III over the ready phase; ``margin``: the least of 1 - deviation / tolerance, None if never ready."""
+    """Return Table III over the ready phase; margin: the least of 1 - deviation / tolerance, None if never ready."""
     allowed = tolerances(scenario.requirements)
     worst = verdict.worst
     margin = None if worst is None else min(float((1.0 - worst[n] / allowed[n]).min()) for n in ROW_NAMES)
@@ -116,7 +111,7 @@ def _list(values: Array) -> list[float]:
 
 
 def navigation_errors(history: np.ndarray) -> dict[str, Any]:
-    """Errors of the estimate against the truth, and the filters' own bound, from SETTLED_S on (all, if shorter)."""
+    """Return the errors of the estimate, and the filters' own bound, from SETTLED_S on (over all, if shorter)."""
     known = history[history["navigation"]["valid"] == 1]
     late = known[known["t_s"] >= SETTLED_S]
     chosen = late if len(late) else known
@@ -136,12 +131,12 @@ def navigation_errors(history: np.ndarray) -> dict[str, Any]:
 
 
 def attitude_error(history: np.ndarray) -> Array:
-    """Return the small turn from the estimated to the true attitude in each row of CYCLE, (n, 3), rad, in c."""
+    """Return the small-angle rotation from the estimated to the true attitude in each row, (n, 3), rad, in c."""
     q, p = history["truth"]["q_CH"], history["navigation"]["q_CH"]
     # twice the vector part of q_true * conj(q_estimate)
     vector = p[:, 3:] * q[:, :3] - q[:, 3:] * p[:, :3] + np.cross(q[:, :3], p[:, :3])
-    turn: Array = 2.0 * vector * np.sign(np.sum(p * q, axis=1))[:, None]
-    return turn
+    rotation: Array = 2.0 * vector * np.sign(np.sum(p * q, axis=1))[:, None]
+    return rotation
 
 
 def _rms(values: Array) -> list[float] | None:
@@ -150,7 +145,7 @@ def _rms(values: Array) -> list[float] | None:
 
 
 def _mean(values: Array) -> float | None:
-    """Return the mean of what is there, None where nothing is."""
+    """Return the mean of the finite values, None without any."""
     known = values[np.isfinite(values)]
     return float(np.mean(known)) if len(known) else None
 
@@ -174,7 +169,7 @@ def _thrusters(history: np.ndarray, scenario: Scenario) -> dict[str, Any]:
 
 
 def _propellant(truth: np.ndarray, open_s: float, scenario: Scenario) -> float:
-    """Return the mass that was lost, kg; where the truth does not lose any, that of valves open for ``open_s``."""
+    """Return the propellant used, kg; if the truth loses no mass, that of valves open for ``open_s``."""
     if len(truth) and scenario.truth.mass_loss:
         return float(truth["mass_kg"][0] - truth["mass_kg"][-1])
     thrusters = scenario.chaser.thrusters
@@ -182,7 +177,7 @@ def _propellant(truth: np.ndarray, open_s: float, scenario: Scenario) -> float:
 
 
 def _bench(history: np.ndarray, outcome: Outcome) -> dict[str, Any]:
-    """Commanded against measured axes, largest and rms; the setpoint of a row is the one for its moment."""
+    """Return commanded against measured axes, rms and largest; a row's setpoint is that for its own time."""
     rows = history[1:]
     if not len(rows):
         return {"limited_cycles": outcome.limited_cycles}

@@ -1,4 +1,4 @@
-"""The verdict as people read it: Table III row by row, beside the paper's Table V."""
+"""Verdict as text: Table III row by row, and the paper's Table V."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from rich.table import Table
 
 from hil.config.scenario import Requirements
 from hil.core.realtime import REAL_TIME
-from hil.report.paper import TABLE_V
-from hil.report.verdict import ROW_NAMES, Verdict, tolerances
+from hil.report.verdict import ROW_NAMES, TABLE_V, Verdict, tolerances
 
 ROW_LABELS = {
     "position_m": ("distance", ("x - 0.4 m", "y", "z"), "mm", 1e3),
@@ -47,7 +46,7 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
 
 
 def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
-    """Print who commissioned the hardware, or that somebody waived it."""
+    """Print who commissioned the hardware, or that commissioning was waived."""
     if sign_off is None:
         return
     if sign_off["waived"]:
@@ -71,7 +70,7 @@ def _print_timing(timing: dict[str, Any], console: Console) -> None:
         console.print(f"Host        {_host_text(timing['privileges'])}", highlight=False, soft_wrap=True)
     if timing["overruns"]:
         console.print(
-            f"            this host could not keep up: {timing['overruns']} cycles came late; try a lower --speed",
+            f"            this host is too slow: {timing['overruns']} cycles were late; try a lower --speed",
             style="yellow",
             highlight=False,
             soft_wrap=True,
@@ -110,7 +109,7 @@ def _ready_phase(summary: dict[str, Any], verdict: Verdict, requirements: Requir
     return table
 
 
-def parts_in_words(parts: dict[str, Any]) -> list[tuple[str, bool, str]]:
+def verdict_lines(parts: dict[str, Any]) -> list[tuple[str, bool, str]]:
     """Return name, verdict and key numbers of each of the four parts."""
     return [
         (name.replace("_", " "), parts[name]["passed"], text)
@@ -125,7 +124,7 @@ def parts_in_words(parts: dict[str, Any]) -> list[tuple[str, bool, str]]:
 
 def _print_parts(parts: dict[str, Any], console: Console) -> None:
     """Print a line for each of the four parts of the verdict."""
-    for name, passed, text in parts_in_words(parts):
+    for name, passed, text in verdict_lines(parts):
         word = "[green]ok  [/]" if passed else "[red]fail[/]"
         console.print(f"{word} {name:<18} {text}", highlight=False, soft_wrap=True)
 
@@ -136,7 +135,7 @@ def _precision_text(part: dict[str, Any]) -> str:
 
 def _security_text(part: dict[str, Any]) -> str:
     if "corridor_margin_m" not in part:
-        return "nothing flown"
+        return "no cycle was run"
     text = (
         f"corridor margin {part['corridor_margin_m']:.3f} m, "
         f"closing-rate margin {1e3 * part['closing_margin_mps']:.1f} mm/s, nearest {part['nearest_m']:.3f} m"
@@ -162,7 +161,7 @@ def _energy_text(part: dict[str, Any]) -> str:
 
 def _view_text(part: dict[str, Any]) -> str:
     if part["at_s"] is None:
-        return "nothing flown"
+        return "no cycle was run"
     margin = "behind a camera" if part["margin_px"] is None else f"least margin {part['margin_px']:.0f} px"
     return f"{margin} at {part['at_s']:.2f} s, range {part['range_m']:.2f} m"
 
@@ -182,12 +181,12 @@ def _print_times(summary: dict[str, Any], paper_s: float | None, console: Consol
 
 def _print_library(gnc: dict[str, Any], console: Console) -> None:
     if gnc["library"] is not None:
-        console.print(f"Flown by    {gnc['library']}", highlight=False, soft_wrap=True, markup=False)
+        console.print(f"GNC         {gnc['library']}", highlight=False, soft_wrap=True, markup=False)
 
 
 def _print_navigation(navigation: dict[str, Any], console: Console) -> None:
     if navigation["position_rmse_m"] is None:
-        console.print("Navigation  no estimate: no pose came, or the GNC gave none", highlight=False)
+        console.print("Navigation  no estimate: no pose arrived, or the GNC gave none", highlight=False)
         return
     bound = navigation["position_bound_m"]
     angle_bound = navigation["attitude_bound_deg"]
@@ -202,14 +201,14 @@ def _print_navigation(navigation: dict[str, Any], console: Console) -> None:
 
 
 def _print_bench(bench: dict[str, Any], latency: dict[str, Any], console: Console) -> None:
-    """Print how well the bench showed the truth, and how long pose and setpoint took."""
-    way, turn = bench["pose_error_mm"], bench["pose_error_deg"]
-    if way["rms"] is not None and turn["rms"] is not None:
-        share = bench["share_of_navigation_error"]
+    """Print the bench error and the latencies of pose and setpoint."""
+    distance, angle = bench["pose_error_mm"], bench["pose_error_deg"]
+    if distance["rms"] is not None and angle["rms"] is not None:
+        fraction = bench["share_of_navigation_error"]
         console.print(
-            f"Bench       camera off by rms {way['rms']:.3f} max {way['max']:.3f} mm, "
-            f"rms {turn['rms']:.4f} max {turn['max']:.4f} deg"
-            + (f", {100.0 * share:.1f} % of the navigation error" if share is not None else ""),
+            f"Bench       camera error rms {distance['rms']:.3f} max {distance['max']:.3f} mm, "
+            f"rms {angle['rms']:.4f} max {angle['max']:.4f} deg"
+            + (f", {100.0 * fraction:.1f} % of the navigation error" if fraction is not None else ""),
             highlight=False,
             soft_wrap=True,
         )

@@ -42,7 +42,7 @@ def test_preflight_on_mock_prints_a_table_and_its_verdict_is_its_exit_code(
     assert (found["scenario"], found["rig"], found["rate_hz"]) == ("scheme-1", "mock", 50.0)
     assert _own(found) == {"reach of scheme-1": True, "devices": None}
     assert sum(row["cycles"] for row in found["lateness_histogram"]) == 25
-    for words in ("Preflight of mock for scheme-1", "what to do", "Lateness of an empty loop", "up to"):
+    for words in ("Preflight of mock for scheme-1", "what to do", "Lateness of an empty loop", "below"):
         assert words in printed
     assert ("PASS" in printed) == found["passed"]
 

@@ -12,8 +12,7 @@ import pytest
 
 from hil.cli.main import execute
 from hil.config.load import load_scenario
-from hil.report.paper import TABLE_V
-from hil.report.verdict import ROW_NAMES
+from hil.report.verdict import ROW_NAMES, TABLE_V
 from hil.session import build
 from tests.support.run_settings import make_job, typed
 

@@ -7,7 +7,7 @@ import pytest
 
 from hil.config.scenario import Scenario
 from hil.core.messages import CYCLE
-from hil.report.comparison import part
+from hil.report.comparison import divergences
 from hil.report.figures import thin
 
 STEP_S = 0.02
@@ -24,7 +24,7 @@ def flight(n: int = 500) -> np.ndarray:
 
 
 def test_a_run_against_itself_never_leaves(scheme_1: Scenario) -> None:
-    found = part(flight(), flight(), scheme_1)
+    found = divergences(flight(), flight(), scheme_1)
     assert len(found) == 9
     assert all((p.largest, p.sigmas, p.beyond, p.left_s) == (0.0, 0.0, 0.0, None) for p in found)
 
@@ -33,7 +33,7 @@ def test_where_and_by_how_much_a_twin_leaves(scheme_1: Scenario) -> None:
     other = flight()
     other["truth"]["r_CT_H"][100:110, 1] = 0.05  # too short to count as leaving
     other["truth"]["r_CT_H"][300:, 1] = 0.04
-    found = {p.name: p for p in part(flight(), other, scheme_1)}["position y"]
+    found = {p.name: p for p in divergences(flight(), other, scheme_1)}["position y"]
     assert found.largest == pytest.approx(50.0)
     assert found.at_s == pytest.approx(2.0)
     control = scheme_1.gnc.control
@@ -48,7 +48,7 @@ def test_without_sigmas_the_distance_alone_is_told(scheme_1: Scenario) -> None:
     a, b = flight(), flight(400)
     a["navigation"]["sigma_r_m"] = np.nan
     b["truth"]["r_CT_H"][:, 0] = 0.01
-    found = part(a, b, scheme_1)[0]
+    found = divergences(a, b, scheme_1)[0]
     assert (found.sigmas, found.left_s) == (None, None)
     assert found.largest == pytest.approx(10.0)
 

@@ -11,8 +11,14 @@ from scipy.integrate import solve_ivp
 from hil.config.scenario import Scenario
 from hil.core.messages import CYCLE
 from hil.params import gnc as gnc_params
-from hil.report.energy import impulsive_delta_v, judge_energy, slew_impulse
-from hil.report.security import drift, drift_over_an_orbit, judge_security
+from hil.report.verdict_parts import (
+    drift,
+    drift_over_an_orbit,
+    impulsive_delta_v,
+    judge_energy,
+    judge_security,
+    slew_impulse,
+)
 
 W0 = 8.2e-4
 

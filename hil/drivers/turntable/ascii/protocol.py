@@ -11,7 +11,8 @@ import re
 from collections.abc import Mapping
 from typing import Final
 
-from hil.config.protocol import AXIS_NAMES, OF_AXIS, NonNegativeInt, Protocol, Step, numbers, template_places
+from hil.config.protocol import OF_AXIS, NonNegativeInt, Protocol, Step, numbers, template_places
+from hil.config.rig import GIMBAL_NAMES
 from hil.drivers.turntable.ascii.frames import BrokenLine, Framing
 from hil.errors import FaultKind
 
@@ -150,9 +151,9 @@ class AsciiProtocol:
         self._error = MessageTemplate(protocol, protocol.errors.reply) if protocol.errors else None
         self._errors = numbers("errors.names", protocol.error_names)
         self._faults = numbers("faults.names", protocol.faults.names)
-        self.set_tells_all = {(name, axis) for name in ("position", "status") for axis in AXIS_NAMES} <= protocol.gives(
-            "set"
-        )
+        self.set_tells_all = {
+            (name, axis) for name in ("position", "status") for axis in GIMBAL_NAMES
+        } <= protocol.gives("set")
 
     def request(self, sequence: int, line: AsciiCommand, axis: int, values: Mapping[Key, Value]) -> bytes:
         """Return a request."""
@@ -216,5 +217,5 @@ def _key(name: str, axis: int) -> Key:
     """Return the key of a field as a template names it."""
     field, _, of = name.partition(".")
     if of:
-        return field, AXIS_NAMES.index(of)
+        return field, GIMBAL_NAMES.index(of)
     return (field, axis) if field in OF_AXIS else (field, DEVICE)
