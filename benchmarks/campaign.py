@@ -1,8 +1,8 @@
-"""What a campaign costs: closed-loop seconds a second, over workers, and beside other ways to do it.
+"""Cost of a campaign: closed-loop seconds per second, over workers, and of other implementations.
 
     python benchmarks/campaign.py [--seconds 10] [--rounds 3] [--scaling]
 
-One run on one machine, nothing else running: compare the lines with each other.
+One run on one machine, nothing else running: compare the rows with each other.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def spec(scheme: str = "scheme-1") -> Spec:
 
 
 def loop_speed(scheme: str, repeats: int = 15) -> float:
-    """Return the best simulated seconds a second of one run without dispersions, its set-up included."""
+    """Return the best simulated seconds per second of one run without dispersions, including set-up."""
     scenario = load_scenario(scheme).value
     flight = CaseRunner(scenario, load_rig("mock").value, scenario.duration_s)
     taken = []
@@ -46,7 +46,7 @@ def loop_speed(scheme: str, repeats: int = 15) -> float:
 
 
 def copy(seconds: float) -> None:
-    """Be one independent copy: say that it is warm, wait for the word, then count cases for ``seconds``."""
+    """Run one independent copy: report that it is warm, wait for the start, then count cases for ``seconds``."""
     chosen = spec()
     run_batch(chosen, 0, 3)
     print("ready", flush=True)
@@ -59,7 +59,7 @@ def copy(seconds: float) -> None:
 
 
 def copies_rate(number: int, seconds: float) -> float:
-    """Return the cases a second of ``number`` independent copies that run at once."""
+    """Return the cases per second of ``number`` independent copies that run at once."""
     command = [sys.executable, __file__, "--copy", str(seconds)]
     running = [
         subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(number)
@@ -75,7 +75,7 @@ def copies_rate(number: int, seconds: float) -> float:
 
 
 def workers_rate(workers: int, seconds: float, speed: float) -> float:
-    """Return the cases a second of a campaign with ``workers`` processes once all are warm, to its last batch."""
+    """Return the cases per second of a campaign with ``workers`` processes once all are warm, to its last batch."""
     chosen = spec()
     settled = 3 * workers
     batches = settled + max(4 * workers, round(workers * seconds * speed / 20.0))
@@ -88,7 +88,7 @@ def workers_rate(workers: int, seconds: float, speed: float) -> float:
 
 
 def plain_speed(span_s: float = 20.0) -> float:
-    """Return the simulated seconds a second of the numpy and filterpy loop."""
+    """Return the simulated seconds per second of the numpy and filterpy loop."""
     from plain_loop import PlainLoop
 
     PlainLoop().run(1.0)
@@ -99,7 +99,7 @@ def plain_speed(span_s: float = 20.0) -> float:
 
 
 def basilisk_speed(span_s: float = 400.0) -> float | None:
-    """Return the simulated seconds a second of two craft in Basilisk under the same field, without any GNC."""
+    """Return the simulated seconds per second of two spacecraft in Basilisk in the same field, without a GNC."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracle"))
     try:
         from tests.support.basilisk_pair import Pair, write_field
@@ -124,8 +124,8 @@ def basilisk_speed(span_s: float = 400.0) -> float | None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement over workers")
-    parser.add_argument("--rounds", type=int, default=3, help="of workers beside copies")
-    parser.add_argument("--scaling", action="store_true", help="measure nothing but workers beside copies")
+    parser.add_argument("--rounds", type=int, default=3, help="of workers and copies")
+    parser.add_argument("--scaling", action="store_true", help="measure only workers and copies")
     parser.add_argument("--copy", type=float, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.copy is not None:
@@ -138,7 +138,7 @@ def main() -> None:
 
 
 def speeds_of_one_core() -> None:
-    """Print the compiled loop beside other ways to fly it."""
+    """Print the speed of the compiled loop and of other implementations."""
     print("closed-loop seconds simulated a second, one core, best run of 400 s")
     speeds = {scheme: loop_speed(scheme) for scheme in ("scheme-1", "scheme-2", "scheme-3")}
     for scheme, speed in speeds.items():
@@ -155,12 +155,12 @@ def speeds_of_one_core() -> None:
 
 
 def scaling(seconds: float, rounds: int) -> None:
-    """Print the rate of two workers beside that of two independent copies."""
+    """Print the rate of two workers and of two independent copies."""
     one = copies_rate(1, seconds)
     print(f"  one copy {one:.2f}, one worker {workers_rate(1, seconds, one):.2f}")
     shares = []
     for turn in range(rounds):
-        # in turns, and either of them first: what else the computer does then spoils both alike
+        # alternating, either of them first: other load then affects both alike
         if turn % 2 == 0:
             copies, workers = copies_rate(2, seconds), workers_rate(2, seconds, one)
         else:

@@ -1,11 +1,12 @@
-"""The loop's lateness with clients at its console, beside none, in turns of one run.
+"""Lateness of the loop with and without clients at its console, alternating within one run.
 
 python benchmarks/console.py [--rig emulated] [--clients 3] [--browser] [--rounds 4] [--seconds 15]
 
-A session of scheme 1 is opened by a console as ``hil console`` serves it; clients connect for a turn, leave for the
-next, and so on. --browser: the clients are pages in a headless Chromium, otherwise processes that read all messages.
+A session of scheme 1 is opened by a console as ``hil console`` serves it; clients connect for one interval,
+leave for the next, and so on. --browser: the clients are pages in a headless Chromium, otherwise processes that read
+all messages.
 The clients run at niceness 10: they share this computer with emulated wires.
-Lateness is the clock just after the loop's wait minus its deadline; the table has the whole run's cycles by turn.
+Lateness is the clock just after the loop's wait minus its deadline; the table has the cycles of the run by interval.
 """
 
 from __future__ import annotations
@@ -42,12 +43,12 @@ PATIENT = (
     "rig.turntable.lost_packets_max=1e6",
 )
 """It is the loop that is measured: emulated wires go through kernel threads that a software renderer can starve."""
-_SETTLE_S = 1.0  # after each change of turn, left out: a client that starts is not one that watches
+_SETTLE_S = 1.0  # omitted after each change: a starting client is not a watching one
 _START_WALL_S = 20.0
 
 
 def read_everything(address: str) -> None:
-    """Be a client that reads all it gets."""
+    """Run a client that reads all messages."""
     from websockets.sync.client import connect
 
     with connect(f"ws://{address}/ws", max_size=None) as line:
@@ -58,7 +59,7 @@ def read_everything(address: str) -> None:
 
 
 def browse(address: str, pages: int) -> None:
-    """Be pages in a browser, each with a context of its own."""
+    """Run pages in a browser, each with a separate context."""
     from playwright.sync_api import sync_playwright
 
     path = shutil.which("chromium") or shutil.which("google-chrome")
@@ -75,7 +76,7 @@ def browse(address: str, pages: int) -> None:
 
 
 class Console:
-    """A console in this process, which is not the loop's, with its desk in reach."""
+    """Console in this process, separate from the loop, with access to its service."""
 
     def __init__(self, rig: str, duration_s: float) -> None:
         choice = Choice(scenario="scheme-1", rig=rig, duration_s=duration_s, settings=PATIENT, on_loss="continue")
@@ -127,7 +128,7 @@ def start(command: list[str]) -> subprocess.Popen[str]:
 
 
 def turns(console: Console, clients: int, kind: str, rounds: int, seconds: float) -> list[tuple[bool, float, float]]:
-    """Let clients come and go; return (with clients, begin, end) of each turn, time of the run."""
+    """Connect and disconnect clients; return (with clients, begin, end) of each interval, time of the run."""
     found = []
     command = [sys.executable, __file__, kind, console.address, "--clients", str(clients)]
     for _ in range(rounds):

@@ -1,4 +1,4 @@
-"""Pictures a second of the rendered docking camera, on one core: drawing, and with light and noise.
+"""Images per second of the rendered docking camera, on one core: drawing, and with light and noise.
 
 python benchmarks/docking_camera.py [pictures]
 """

@@ -1,4 +1,4 @@
-"""Cost of the navigation filters, in microseconds, beside filterpy's of the same size, in one run.
+"""Cost of the navigation filters and of filterpy's of the same size, in microseconds, in one run.
 
 python benchmarks/filters.py
 """
@@ -49,7 +49,7 @@ def filterpy_costs() -> dict[str, float]:
 
 @njit(nogil=True)
 def many(params, state, pose, zero, what, n):
-    """Do one of the four steps ``n`` times, without Python in between."""
+    """Run one of the four steps ``n`` times, without Python in between."""
     position, attitude = state.filters.pkf, state.filters.akf
     gain_a, out = np.empty((6, 3)), np.empty(3)
     gain_p, h, h_turn = np.empty((9, 3)), np.empty((3, 9)), np.empty((3, 3))

@@ -1,11 +1,11 @@
-"""Round trips and lateness of the reflective memory between two processes at 1 kHz, beside pyzmq and a plain UDP ping.
+"""Round trips and lateness of mailboxes between two processes at 1 kHz, compared with pyzmq and a plain UDP ping.
 
 python benchmarks/frmn.py [--seconds 10] [--rounds 3] [--rate-hz 1000] [--namespaces] [--only LINE...]
 
-One process sends GNC_INPUT (1056 bytes with its header) at the rate and the other answers at once by GNC_OUTPUT
-(272 bytes). Four lines, interleaved round by round: cells over the product's link; the same bytes by two bare UDP
-sockets; by pyzmq PAIR sockets over TCP (left out where pyzmq is not installed); and ``hil dss`` with ``hil gnc``
-themselves, running free at the rate, with lateness and the GNC's own computation in the trip. --namespaces: the
+One process sends GNC_INPUT (1056 bytes with its header) at the rate and the other replies at once with GNC_OUTPUT
+(272 bytes). Four rows, interleaved round by round: mailboxes over the product's link; the same bytes by two bare UDP
+sockets; by pyzmq PAIR sockets over TCP (omitted if pyzmq is not installed); and ``hil dss`` with ``hil gnc``
+themselves, free-running at the rate, including lateness and the GNC's computation. --namespaces: the
 sides are in two network namespaces joined by a veth pair (needs root), otherwise on 127.0.0.1.
 """
 
@@ -42,7 +42,7 @@ SILENCE_S = 1.0
 
 @dataclass
 class Hosts:
-    """Where the two sides are: addresses, and what to put before the far side's command."""
+    """Location of the two sides: addresses, and prefix of the far side's command."""
 
     here: str = "127.0.0.1"
     there: str = "127.0.0.1"
@@ -51,7 +51,7 @@ class Hosts:
 
 @dataclass
 class Trips:
-    """Of one line: round trips and lateness, us, answers that never came."""
+    """Of one row: round trips and lateness, us, missing replies."""
 
     trips_us: list[np.ndarray]
     late_us: list[np.ndarray]
@@ -70,7 +70,7 @@ class Trips:
 
 
 def ping(rate_hz: float, count: int, send: Callable[[int], None], receive: Callable[[], int | None], to: Trips) -> None:
-    """Send at the rate, take answers until the next deadline; ``receive`` gives the number of an answer, or None."""
+    """Send at the rate, receive replies until the next deadline; ``receive`` returns the number of a reply, or None."""
     sent_ns, back_ns, late = np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count)
     period_ns = round(1e9 / rate_hz)
     with RealTime() as real_time, no_garbage_collection(), real_time.realtime_priority():
@@ -94,7 +94,7 @@ def ping(rate_hz: float, count: int, send: Callable[[int], None], receive: Calla
 
 
 def ping_link(hosts: Hosts, rate_hz: float, count: int, to: Trips) -> None:
-    """Ping by cells."""
+    """Ping by mailboxes."""
     link = Link(Role.DSS, "ping", ("gnc.setup", "gnc.input"), ("gnc.output",), (hosts.here, PORTS["link"]))
     with far_side("link", hosts):
         while not link.joined:
@@ -199,7 +199,7 @@ NAMES = {
 
 
 def answer(line: str, here: str, there: str) -> None:
-    """Be the far side of ``line`` until nothing has come for a while."""
+    """Run the far side of ``line`` until it times out."""
     with RealTime() as real_time, real_time.realtime_priority():
         _answers(line, here, there)
 
@@ -244,7 +244,7 @@ def _answers(line: str, here: str, there: str) -> None:
 
 @contextmanager
 def far_side(line: str, hosts: Hosts) -> Iterator[None]:
-    """Have the far side of ``line`` in a process of its own."""
+    """Run the far side of ``line`` in a separate process."""
     command = [*hosts.before, sys.executable, __file__, "--answer", line, hosts.there, hosts.here]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
         try:
@@ -278,13 +278,13 @@ def one_host() -> Iterator[Hosts]:
 
 
 def main() -> None:
-    """Run all lines in turn, round by round; print the table."""
+    """Run all rows in turn, round by round; print the table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--rate-hz", type=float, default=1000.0)
     parser.add_argument("--namespaces", action="store_true")
-    parser.add_argument("--only", nargs="+", choices=list(PINGS), help="lines to run")
+    parser.add_argument("--only", nargs="+", choices=list(PINGS), help="rows to run")
     parser.add_argument("--answer", nargs=3, metavar=("LINE", "HERE", "THERE"), help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.answer:

@@ -1,11 +1,11 @@
-"""Lateness of the loop's wake-ups beside cyclictest's, interleaved in one run, alone and beside others.
+"""Lateness of the loop's wake-ups and of cyclictest, interleaved in one run, alone and with other load.
 
 python benchmarks/lateness.py [--rounds 5] [--seconds 12] [--rate-hz 1000] [--without-cycle]
 
-Two lines of the product: the bare loop (wait and one row into the telemetry ring) and the whole cycle on
+Two rows of the product: the bare loop (wait and one row into the telemetry ring) and the whole cycle on
 the mock rig. Lateness is the clock just after the wait minus the deadline. Reference: Debian's rt-tests,
 ``cyclictest --policy=fifo -p 90 -m --default-system``. Without --default-system it holds
-/dev/cpu_dma_latency at 0, which on a virtual machine makes matters worse and the comparison unfair.
+/dev/cpu_dma_latency at 0, which on a virtual machine increases the lateness and makes the comparison unfair.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from hil.loop.rate_keeper import Tick, WallRate
 from hil.session import build
 
 ROWS = 2048
-LONGEST_US = 20_000  # cyclictest's histogram; what is later counts as this
+LONGEST_US = 20_000  # cyclictest's histogram; larger values count as this
 GOAL = {"p50": 0.05, "p99": 0.15, "p99.9": 0.5}  # of cyclictest's
 GOAL_MISSED_PPM = 300  # more than cyclictest, on a shared virtual machine
 SITUATIONS = ("alone", "two readers", "two readers and a hog on each CPU")
@@ -59,7 +59,7 @@ with open(path, "wb") as out:
 
 @dataclass
 class Tally:
-    """Pooled blocks of one line in one situation: lateness and end of the cycle after its deadline, us."""
+    """Pooled blocks of one row in one situation: lateness and end of the cycle after its deadline, us."""
 
     late_us: list[np.ndarray] = field(default_factory=list)
     end_us: list[np.ndarray] = field(default_factory=list)
@@ -76,7 +76,7 @@ class Tally:
 
 
 class MeasuredRate(WallRate):
-    """Notes how long after its deadline each cycle ended."""
+    """Rate keeper that records how long after its deadline each cycle ended."""
 
     def __init__(self, clock: WallClock, step_s: float) -> None:
         self.ends_ns: list[int] = []
@@ -107,7 +107,7 @@ def bare_block(cycles: int, rate_hz: float, ring: Ring, tally: Tally) -> None:
 
 
 def cycle_block(cycles: int, rate_hz: float, ring: Ring, tally: Tally) -> None:
-    """Run scheme 1 on the mock rig, its steps paced to ``rate_hz`` on the wall."""
+    """Run scheme 1 on the mock rig, its steps paced to ``rate_hz`` in real time."""
     scenario = load_scenario("scheme-1")
     step_s = scenario.value.step_s
     job = build.Job(scenario, load_rig("mock"), 0, (cycles - 1) * step_s, 1.0)
@@ -122,7 +122,7 @@ def cycle_block(cycles: int, rate_hz: float, ring: Ring, tally: Tally) -> None:
 
 
 def cyclictest_block(cycles: int, rate_hz: float, _ring: Ring, tally: Tally) -> None:
-    """Run cyclictest and read its histogram, 1 us a bucket."""
+    """Run cyclictest and read its histogram, 1 us per bucket."""
     period_us = round(1e6 / rate_hz)
     command = ["cyclictest", "--policy=fifo", "-p", "90", "-m", "--default-system", "-q", "-t", "1"]
     command += ["-i", str(period_us), "-l", str(cycles), "-h", str(LONGEST_US)]
@@ -150,7 +150,7 @@ LINES: dict[str, Callable[[int, float, Ring, Tally], None]] = {
 
 @contextmanager
 def company(situation: str, ring: Ring) -> Iterator[list[str]]:
-    """Start what runs beside the loop; give the files in which the readers note what they got and lost."""
+    """Start the processes that run with the loop; yield the files with the readers' received and lost rows."""
     with ExitStack() as stack:
         notes = []
         if situation != SITUATIONS[0]:
@@ -182,7 +182,7 @@ def check_readers(notes: list[str], ring: Ring) -> int:
             if len(words) == 2 and sum(map(int, words)) == ring.written:
                 break
             if time.monotonic() > give_up_s:
-                sys.exit(f"rows unaccounted for: {ring.written} written, a reader says {words}")
+                sys.exit(f"rows unaccounted for: {ring.written} written, a reader reports {words}")
             time.sleep(0.05)
         lost = max(lost, int(words[1]))
     return lost
@@ -195,7 +195,7 @@ def steal_ms() -> float:
 
 
 def measure(situation: str, lines: list[str], rounds: int, cycles: int, rate_hz: float) -> tuple[dict[str, Tally], int]:
-    """Return each line's pooled blocks, taken in turn in an order that changes, and the rows that a reader lost."""
+    """Return the pooled blocks of each row, taken in changing order, and the rows that a reader lost."""
     tallies = {line: Tally() for line in lines}
     order, lost = random.Random(1), 0
     for _ in range(rounds):
@@ -242,7 +242,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=12.0, help="of each block of each round")
     parser.add_argument("--rate-hz", type=float, default=1000.0)
-    parser.add_argument("--without-cycle", action="store_true", help="leave the whole cycle out")
+    parser.add_argument("--without-cycle", action="store_true", help="omit the whole cycle")
     options = parser.parse_args()
     lines = [line for line in LINES if line != "whole cycle and ring" or not options.without_cycle]
     if shutil.which("cyclictest") is None:

@@ -1,9 +1,9 @@
-"""What each stage of the campaign's compiled loop costs, in nanoseconds of processor time a cycle.
+"""Cost of each stage of the campaign's compiled loop, in nanoseconds of processor time per cycle.
 
     python benchmarks/loop_stages.py [--scheme scheme-1]
 
-Each stage is run many times over on the records of a flight in its middle, as the loop calls it; what a pose costs
-is spread over the cycles between two exposures. One run on one machine: compare the lines with each other.
+Each stage is run repeatedly on the records of a run in its middle, as the loop calls it; the cost of a pose is
+distributed over the cycles between two exposures. One run on one machine: compare the rows with each other.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hil.gnc import navigation
 from hil.maths import stack
 from hil.params import gnc as gnc_params
 
-REPEATS, TIMES, FLIGHTS = 100, 1_000, 30  # short ones: some of them nothing else disturbs
+REPEATS, TIMES, FLIGHTS = 100, 1_000, 30  # short ones: some are undisturbed
 
 
 @kernel
@@ -47,7 +47,7 @@ def expose(params, state, vision_noise, travel_draws, leds, frames, tally, n):
     for _ in range(n):
         state.on_the_way, state.first_exposure = 0, state.next_exposure
         until_s = (state.next_exposure + 0.5) / params.vmu_rate_hz
-        state.rails.t_s = state.turntable.t_s = until_s  # the axes move in a stage of their own
+        state.rails.t_s = state.turntable.t_s = until_s  # the axes move in a separate stage
         loop._expose(params, state, until_s, vision_noise, travel_draws, leds, frames, tally)
 
 
@@ -75,7 +75,7 @@ def fuse(params, state, memory, poses, n):
 
 @kernel
 def decide(params, state, sets, n):
-    state.fuses_now = 0  # the filters' consistency is a line of its own
+    state.fuses_now = 0  # the filters' consistency is a separate row
     for _ in range(n):
         loop._decide(params, state, sets, state.now.t_s)
 
@@ -112,7 +112,7 @@ def follow(params, state, n):
 
 
 def best_ns(flight: CaseRunner, work: Callable[[int], object]) -> float:
-    """Return the least time of one call, ns, each measurement from the same state."""
+    """Return the shortest time of one call, ns, each measurement from the same state."""
     kept = flight._state_block.copy(), flight._memory.copy()
     work(1)
     found = []

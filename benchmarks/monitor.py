@@ -1,8 +1,8 @@
-"""What a frame of 768 x 576 costs the docking monitor on one core: followed, and found in the whole picture.
+"""Cost of a frame of 768 x 576 in the docking monitor on one core: tracked, and searched in the whole image.
 
     python benchmarks/monitor.py [--frames 100]
 
-Medians and best times, ms; other load on the machine shows in the medians. One run on one machine.
+Medians and best times, ms; other load on the machine affects the medians. One run on one machine.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def frames_at(scene: Scene, d3: float, count: int) -> list[VideoFrame]:
 
 
 def main() -> None:
-    """Print a row a range."""
+    """Print one row per range."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=100)
     given = parser.parse_args()

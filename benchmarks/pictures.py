@@ -1,9 +1,10 @@
-"""What pictures cost: time and room of one, room on the disk of a run, and what the loop feels of them: nothing.
+"""Cost of images: time and size of one, disk space of a run, and the lateness of the loop.
 
 python benchmarks/pictures.py [--seconds 20] [--loop]
 
-Runs are scheme 1 with rendered vision unit (6.25 pairs a second of 1024 x 1024) and docking monitor (12.5 frames a
-second of 768 x 576). --loop: also on the emulated rig in real time, with and without pictures, for the loop's lateness.
+Runs are scheme 1 with rendered vision unit (6.25 pairs of 1024 x 1024 per second) and docking monitor (12.5
+frames of 768 x 576 per second). --loop: also on the emulated rig in real time, with and without images, for the
+loop's lateness.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def median_ms(action) -> float:
 
 
 def one_picture(path: Path, camera: str) -> None:
-    """Print what a picture of ``camera`` in the recording at ``path`` costs in each encoding."""
+    """Print the cost of an image of ``camera`` in the recording at ``path`` in each encoding."""
     image = next(iter(pictures(path, camera))).image(path)
     ring = Ring.create(PICTURE, SLOTS, "pictures")
     for encoding in ENCODINGS:

@@ -1,8 +1,8 @@
-"""The closed loop as one would write it without a compiler: numpy, filterpy's filters, the same algorithm.
+"""Closed loop in plain Python: numpy, filterpy's filters, the same algorithm.
 
-The truth under the whole field (held over a step as the product holds it), IMU, poses at 6.25 Hz, filterpy's
-KalmanFilter for position and for the attitude's small error, the reference line, a phase plane an axis, thruster
-sets. The bench, the late poses and all bookkeeping are left out: this loop does less than the product's.
+The truth in the whole field (constant over a step as in the product), IMU, poses at 6.25 Hz, filterpy's
+KalmanFilter for position and for the attitude error, the reference line, a phase plane per axis, thruster
+sets. Bench, late poses and all bookkeeping are omitted: this loop does less than the product's.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Field:
 
 
 class PlainLoop:
-    """scheme-1 with gravity, gravity gradient and thrusters; array, sunlight and centre of mass are left out."""
+    """scheme-1 with gravity, gravity gradient and thrusters; array, solar pressure and centre of mass are omitted."""
 
     def __init__(self, seed=0):
         scenario = load_scenario("scheme-1").value
@@ -244,7 +244,7 @@ class PlainLoop:
         self.on = (votes > 0).astype(float)
 
     def run(self, span_s):
-        """Fly ``span_s``; return the final position and attitude angles, deg, against H."""
+        """Simulate ``span_s``; return the final position and attitude angles, deg, relative to H."""
         for k in range(round(span_s / self.dt)):
             if k:
                 self.predict()

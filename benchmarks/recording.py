@@ -1,10 +1,10 @@
-"""What recording costs: microseconds a cycle in the loop, and what comes to the disk.
+"""Cost of recording: microseconds per cycle in the loop, and data rate on disk.
 
 python benchmarks/recording.py [--seconds 20]
 
 A paced loop puts rows of a real run of scheme 1 into the rings of the recorder process, as a run on wires does, at
-50 Hz and at 1 kHz, with a frame of the vision unit at 12.5 Hz. Beside it, in turn: the same loop that puts its rows
-into a ring which nobody reads, which every run on wires does in any case. The difference is what recording adds.
+50 Hz and at 1 kHz, with a frame of the vision unit at 12.5 Hz. In alternation: the same loop with a ring
+without a reader, as in every run on wires. The difference is the cost of recording.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ RATES_HZ = (50.0, 1000.0)
 
 
 def flown() -> np.ndarray:
-    """Return rows of a run on the mock rig: what compresses as a real one does."""
+    """Return rows of a run on the mock rig, with realistic compressibility."""
     job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 20.0, 1.0)
     with build.runner(job, lambda *_: None, lambda _: None) as runner:
         return runner.run().history
@@ -37,7 +37,7 @@ def flown() -> np.ndarray:
 def paced(
     rows: np.ndarray, rate_hz: float, seconds: float, cycles: Telemetry, arrivals: Telemetry | None
 ) -> np.ndarray:
-    """Put a row each period, and now and then a frame; return what each cycle cost, us."""
+    """Write a row each period, and periodically a frame; return the cost of each cycle, us."""
     n, each = round(rate_hz * seconds), round(rate_hz / FRAME_HZ)
     cost_us = np.empty(n)
     row, frame = rows[:1].copy(), np.zeros(1, ARRIVAL)
@@ -78,7 +78,7 @@ def measure(rows: np.ndarray, rate_hz: float, seconds: float) -> None:
             account = taken.break_off("benchmark")
         used_s = cpu_s() - before_s
     print(f"\n{rate_hz:g} Hz, {seconds:g} s")
-    print(f"  ring that nobody reads  {shown(alone)}")
+    print(f"  ring without a reader  {shown(alone)}")
     print(f"  recorded                {shown(recorded)}")
     print(f"  recording adds          {np.median(recorded) - np.median(alone):+.2f} us at the median")
     print(

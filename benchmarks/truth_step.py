@@ -1,8 +1,8 @@
-"""What a step of the truth costs, and the same span in Basilisk where it is installed.
+"""Cost of a step of the truth, and of the same span in Basilisk if installed.
 
     python benchmarks/truth_step.py [--span-s 400]
 
-One run on one machine: compare the lines with each other, not with those of another computer.
+One run on one machine: compare the rows with each other, not with those of another computer.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def steps(params, field, span, truth, on, n):
 
 @kernel
 def pulls(params, field, r, n):
-    """Evaluate the harmonics ``n`` times at places 1 m apart; return a sum, so that nothing is left out."""
+    """Evaluate the harmonics ``n`` times at positions 1 m apart; return a sum, so that nothing is optimised away."""
     total = 0.0
     for i in range(n):
         x, _, _ = moon_gravity.harmonics(params, field, r[0] + i, r[1], r[2])
@@ -89,7 +89,7 @@ def main() -> None:
 
 
 def _basilisk(span_s: float) -> None:
-    """Fly both under the same field, of a Moon that does not turn, with Basilisk's Runge-Kutta 4 at the same step."""
+    """Propagate both in the same field, of a Moon without rotation, with Basilisk's Runge-Kutta 4 at the same step."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracle"))
     try:
         from tests.support.basilisk_pair import Pair, write_field

@@ -1,10 +1,10 @@
-"""Cost of a stereo pair of 1024 x 1024, beside OpenCV's SimpleBlobDetector and solvePnP on the same images.
+"""Cost of a stereo pair of 1024 x 1024, and of OpenCV's SimpleBlobDetector and solvePnP on the same images.
 
 python benchmarks/vmu.py [images]
 
-One thread, time of the processor. tracked: in windows about the predicted LEDs. full frame: the whole images, no idea
-of the pose. OpenCV is helped: it is told which blob is which LED, by the truth, and starts at the true pose; left
-camera alone, as solvePnP has it.
+One thread, processor time. tracked: in windows about the predicted LEDs. full frame: the whole images,
+without a predicted pose. OpenCV gets the identities of the blobs from the truth and starts at the true pose; left
+camera only, as in solvePnP.
 """
 
 from __future__ import annotations

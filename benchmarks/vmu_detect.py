@@ -1,4 +1,4 @@
-"""Time and accuracy of the vision unit's detector beside OpenCV's SimpleBlobDetector, on the same images.
+"""Time and accuracy of the vision unit's detector and of OpenCV's SimpleBlobDetector, on the same images.
 
 python benchmarks/vmu_detect.py [--range-m 3.0 ...]
 """
@@ -33,7 +33,7 @@ def cameras() -> CameraPair:
 
 
 def cost_ms(call: Callable[[Array], object], images: list[Array]) -> float:
-    """Return the least over the repeats of the mean processor time of ``call`` an image, ms: others' load left out."""
+    """Return the minimum over the repeats of the mean processor time of ``call`` per image, ms."""
     for image in images:
         call(image)
     means = []
@@ -56,18 +56,18 @@ def blob_detector() -> cv2.SimpleBlobDetector:
 
 
 def missed_and_error(found: list[Array], places: list[Array]) -> tuple[int, int, float]:
-    """Return how many LEDs were missed, how many lights were found besides, and the RMS error of the rest, px."""
-    missed, besides, squares = 0, 0, []
+    """Return the number of missed LEDs, the number of other detected lights, and the RMS error of the rest, px."""
+    missed, others, squares = 0, 0, []
     for spots, leds in zip(found, places, strict=True):
-        besides += len(spots)
+        others += len(spots)
         for place in leds:
             distance = np.hypot(*(spots - place).T) if len(spots) else np.array([np.inf])
             if distance.min() > 2.0:
                 missed += 1
             else:
-                besides -= 1
+                others -= 1
                 squares += list((spots[distance.argmin()] - place) ** 2)
-    return missed, besides, float(np.sqrt(np.mean(squares))) if squares else float("nan")
+    return missed, others, float(np.sqrt(np.mean(squares))) if squares else float("nan")
 
 
 def measure(range_m: float) -> None:
@@ -84,7 +84,7 @@ def measure(range_m: float) -> None:
         half = 12.0 + 12.0 / range_m
         windows.append(np.hstack([seen - half, seen + half]))
     drawing = cost_ms(lambda _: renderer.image(0, t_v, STRAIGHT, None, rng), images)
-    # the same window for all images is that of each: the target hardly moves
+    # one window for all images: the target hardly moves
     full, tracked = cost_ms(detector.spots, images), cost_ms(lambda i: detector.spots(i, windows[0]), images)
     blob = cost_ms(blobs.detect, images)
     own = [np.column_stack([s["u"], s["v"]]) for s in map(detector.spots, images)]
@@ -94,10 +94,9 @@ def measure(range_m: float) -> None:
         f"blobs {blob:6.2f} ms  draw {drawing:5.2f} ms"
     )
     for name, found in (("hil", own), ("SimpleBlobDetector", theirs)):
-        missed, besides, error = missed_and_error(found, places)
+        missed, others, error = missed_and_error(found, places)
         print(
-            f"         {name:19} missed {missed:3d} of {sum(map(len, places))}, "
-            f"besides {besides:3d}, RMS {error:.4f} px"
+            f"         {name:19} missed {missed:3d} of {sum(map(len, places))}, others {others:3d}, RMS {error:.4f} px"
         )
 
 
@@ -105,6 +104,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--range-m", type=float, nargs="*", default=[0.5, 0.7, 1.0, 2.0, 3.0, 6.0, 9.0, 12.0])
     cv2.setNumThreads(1)
-    print(f"{SIZE} x {SIZE}, one camera, processor time of one core; 2 lights besides the LEDs, 5 hot pixels")
+    print(f"{SIZE} x {SIZE}, one camera, processor time of one core; 2 other lights, 5 hot pixels")
     for given in parser.parse_args().range_m:
         measure(given)

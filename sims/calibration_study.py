@@ -1,9 +1,9 @@
-"""What a calibration and a drift check are worth: errors beside their reported sigmas over many simulated sets.
+"""Accuracy of calibration and drift check: errors relative to reported sigmas over many simulated sets.
 
     python sims/calibration_study.py [SETS [LEDs] [board]]
 
-Every set has other cameras, mounting, target and noise. Exit code 1 where an error is not what its sigma says, where a
-drift is missed, or where one is reported that is not there.
+Every set has other cameras, mounting, target and noise. Exit code 1 if an error is inconsistent with its sigma, or a
+drift is missed or reported wrongly.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ MUST_FIND = ("baseline", "mounting")
 
 @dataclass(frozen=True)
 class Kind:
-    """A way to calibrate: how many views, from which ranges, and how many for the check."""
+    """Kind of calibration: number of views, ranges, and number of views for the check."""
 
     name: str
     on_leds: bool
@@ -83,7 +83,7 @@ def main(words: list[str]) -> int:
 
 
 def one_set(kind: Kind, seed: int) -> tuple[Array, dict[str, tuple[bool, str, float]]]:
-    """Return errors over sigmas, and for each drift: found or not, the part that moved, and the shift in pixels."""
+    """Return errors over sigmas, and for each drift: detected or not, the part that moved, and the shift in pixels."""
     rig = load_rig("mock").value
     turntable = TurntableModel.of(rig.bench)
     rng = np.random.default_rng(seed)
@@ -100,7 +100,7 @@ def one_set(kind: Kind, seed: int) -> tuple[Array, dict[str, tuple[bool, str, fl
 
 
 def made(paper: Setup, kind: Kind, rng: np.random.Generator) -> Setup:
-    """Return cameras, mounting, target and layout as they may come out of a workshop."""
+    """Return cameras, mounting, target and layout with random workshop tolerances."""
     spread = np.zeros(COMMON)
     for part in ("left", "right"):
         spread[PARTS[part]] = (10.0, 10.0, 10.0, 10.0, 0.05, 0.02, 5e-4, 5e-4, 0.01)
@@ -113,7 +113,7 @@ def made(paper: Setup, kind: Kind, rng: np.random.Generator) -> Setup:
 
 
 def in_sigmas(fit: RefinementFit, truth: Setup, kind: Kind) -> Array:
-    """Return the errors of all numbers that were found over their sigmas."""
+    """Return the errors of all estimated parameters over their sigmas."""
     error = fit.setup.theta - truth.theta
     for part, mine, other in (
         ("mounting", fit.setup.camera_axes, truth.camera_axes),

@@ -1,4 +1,4 @@
-"""The bench paper's numerical simulation (IV.A): both readings of Table I, beside Table II.
+"""The bench paper's numerical simulation (IV.A): both readings of Table I, compared with Table II.
 
 python sims/fusion_study.py [runs]
 """

@@ -1,4 +1,4 @@
-"""Writes a rendered approach as a video with its truth, to try ``hil monitor`` on.
+"""Rendered approach as a video with its truth, as input for ``hil monitor``.
 
 python sims/monitor_film.py approach.mkv truth.csv [--scene atv] [--start-m 9] [--rate-mps -0.12] [--pictures 150]
 hil monitor approach.mkv --scene atv --out motion.csv --screen screen.png

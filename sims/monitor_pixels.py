@@ -1,12 +1,12 @@
-"""Errors of the disc's centre and radius and of the cross' centre in pixels, beside the bound and beside OpenCV.
+"""Errors of the disc's centre and radius and of the cross' centre in pixels, compared with the bound and with OpenCV.
 
     python sims/monitor_pixels.py [--pictures 200]
 
 The bound is that of edges between known grey values, blurred by a known Gaussian, in white noise: a length of edge
-carries the information ``c^2 / (2 sqrt(pi) b s^2)`` a pixel about its place (c: contrast, b: blur, s: noise). A
+carries the information ``c^2 / (2 sqrt(pi) b s^2)`` per pixel about its position (c: contrast, b: blur, s: noise). A
 circle of radius R has ``sigma_R = (2 pi R I)^-1/2`` and ``sqrt(2)`` times that for each coordinate of its centre.
-OpenCV: HoughCircles on the smoothed picture and fitEllipse on the disc's border at Otsu's threshold, both in a
-square about the disc. All see the same pictures, the disc seen head-on so that its image is a circle.
+OpenCV: HoughCircles on the smoothed image and fitEllipse on the disc's border at Otsu's threshold, both in a
+square about the disc. All use the same images, with the disc head-on so that its image is a circle.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ BLUR_PX = 0.8
 
 
 def truth_px(scene: Scene, d: Floats) -> Floats:
-    """Return u, v, radius of the disc and u, v of the cross' centre for a camera at d, not turned, px."""
+    """Return u, v, radius of the disc and u, v of the cross' centre for a camera at d without rotation, px."""
     f, target = scene.camera.f, scene.target
     assert target.disc is not None
     assert target.cross is not None
@@ -99,7 +99,7 @@ def study(scene: Scene, d3: float, noise: float, pictures: int) -> dict[str, Flo
         phi = np.array([0.0, 0.0, rng.uniform(-0.1, 0.1)])
         image = renderer.picture(d, phi, 0.0, rng)
         true = truth_px(scene, d)
-        # the place of the disc in the picture is not changed by the roll about the optical axis but turned by it
+        # roll about the optical axis rotates the position of the disc in the image
         c, s = math.cos(phi[2]), math.sin(phi[2])
         axis = np.array([scene.camera.cx, scene.camera.cy])
         turn = np.array([[c, -s], [s, c]])

@@ -1,7 +1,7 @@
-"""How honest the docking monitor is on rendered approaches: errors in their sigmas, column by column.
+"""Consistency of the docking monitor on rendered approaches: errors in sigmas, column by column.
 
-python sims/monitor_study.py independent [--portions 2000]   a fresh monitor for each portion
-python sims/monitor_study.py continuous [--portions 200]     sequences, each portion carried on to the next
+python sims/monitor_study.py independent [--portions 2000]   a new monitor for each portion
+python sims/monitor_study.py continuous [--portions 200]     sequences, each portion carried over to the next
 Add --scene bright-cross (50 Hz half frames, bright on dark), --seed N, --worst N to list the largest errors.
 """
 
@@ -32,7 +32,7 @@ RANGES_M = (1.3, 40.0)
 
 @dataclass(frozen=True)
 class Flight:
-    """d and phi (6,) at 0 s, their rates and accelerations, SI: what one portion sees."""
+    """d and phi (6,) at 0 s, their rates and accelerations, SI, during one portion."""
 
     place: Floats
     rate: Floats
@@ -53,7 +53,7 @@ class Flight:
 
 
 def draw_flight(rng: np.random.Generator, settings: MonitorSettings, ranges: tuple[float, float] = RANGES_M) -> Flight:
-    """Return a flight with the target in the picture: closing or departing, up to 3 deg of passive angles and roll."""
+    """Return a flight with the target in the image: closing or departing, up to 3 deg of passive angles and roll."""
     d3 = float(np.exp(rng.uniform(*np.log(ranges))))
     passive = rng.uniform(-0.05, 0.05, 2)
     sight = rng.uniform(-0.03, 0.03, 2) * min(1.0, (d3 - 0.5) / 3.0)
@@ -77,7 +77,7 @@ def draw_conditions(rng: np.random.Generator) -> Conditions:
 
 
 def one_portion(scene: Scene, rng: np.random.Generator, settings: MonitorSettings) -> tuple[Flight, Result]:
-    """Return a flight and what a fresh monitor says after its first portion."""
+    """Return a flight and the result of a new monitor after its first portion."""
     flight = draw_flight(rng, settings)
     renderer = TargetRenderer(scene, conditions=draw_conditions(rng))
     monitor = Monitor(scene, settings)
@@ -112,7 +112,7 @@ class Coverage:
         self.places.append(truth[6])
 
     def print(self) -> None:
-        """Print a row a column."""
+        """Print one row per column."""
         print(f"statuses: {dict(self.statuses)}, not consistent: {self.inconsistent}")
         ratios, sigmas = np.array(self.ratios), np.array(self.sigmas)
         print(f"{'column':20s} {'n':>5s} {'in 2 sigma, %':>14s} {'rms, sigmas':>12s} {'mean +-':>15s} {'largest':>8s}")
@@ -130,7 +130,7 @@ class Coverage:
 
 
 def independent(scene: Scene, portions: int, seed: int, worst: int) -> Coverage:
-    """Return the coverage over ``portions`` portions with a monitor of their own each."""
+    """Return the coverage over ``portions`` portions with a separate monitor each."""
     settings = MonitorSettings()
     coverage = Coverage()
     listed: list[tuple[float, str]] = []
@@ -150,7 +150,7 @@ def independent(scene: Scene, portions: int, seed: int, worst: int) -> Coverage:
 
 
 def continuous(scene: Scene, portions: int, seed: int) -> Coverage:
-    """Return the coverage of sequences of 20 portions, approach and departure in turn, under changing motion."""
+    """Return the coverage of sequences of 20 portions, alternately approach and departure, under changing motion."""
     settings = MonitorSettings()
     coverage = Coverage()
     length = 20
@@ -167,7 +167,7 @@ def continuous(scene: Scene, portions: int, seed: int) -> Coverage:
 
 
 class Sway:
-    """A flight at an even rate with a slow sway in all six, whose accelerations are of the size that is allowed for."""
+    """Flight at a uniform rate with a slow sway in all six components, with accelerations of the allowed size."""
 
     def __init__(self, mean: Flight, rng: np.random.Generator, settings: MonitorSettings) -> None:
         self._mean = replace(mean, acceleration=np.zeros(6))
@@ -193,7 +193,7 @@ class Sway:
 
 
 def main() -> None:
-    """Run the study that the command line names."""
+    """Run the study selected on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("study", choices=("independent", "continuous"))
     parser.add_argument("--portions", type=int)

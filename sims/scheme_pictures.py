@@ -23,7 +23,7 @@ ROWS = (
     ("attitude_deg", "angle, deg", ("theta1", "theta2", "theta3")),
     ("rate_degps", "angular rate, deg/s", ("omega1", "omega2", "omega3")),
 )
-COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by the colour-blind
+COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable with colour blindness
 
 
 def main(name: str, path: str) -> None:

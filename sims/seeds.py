@@ -1,4 +1,4 @@
-"""One scheme over many seeds on the mock rig: pass rate, the worst seed of each cell beside Table V, propellant.
+"""One scheme over many seeds on the mock rig: pass rate, the worst seed of each cell and Table V, propellant.
 
 python sims/seeds.py scheme-1 200 vmu.latency_s=0.1
 """

@@ -1,4 +1,4 @@
-"""Propellant, firings and limit cycles of the schemes over many seeds, as a table and a picture.
+"""Propellant, firings and limit cycles of the schemes over many seeds, as a table and a figure.
 
 python sims/thruster_use.py docs/pictures/thruster-use.png --seeds 20 --latency 0.1
 """
@@ -20,7 +20,7 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 SCHEMES = ("scheme-1", "scheme-2", "scheme-3")
-COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by the colour-blind
+COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable with colour blindness
 
 
 def fly(name: str, seed: int, settings: list[str]) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
@@ -36,7 +36,7 @@ def fly(name: str, seed: int, settings: list[str]) -> tuple[dict[str, Any], np.n
 
 
 def row(name: str, runs: list[dict[str, Any]]) -> str:
-    """Return the scheme's line of the table."""
+    """Return the scheme's row of the table."""
     energy = [run["verdict"]["energy"] for run in runs]
     propellant = np.array([part["propellant_kg"] for part in energy])
     allowed = energy[0]["factor"] * energy[0]["least_propellant_kg"]
@@ -85,7 +85,7 @@ def main() -> None:
         axes[1].step(firings, (np.arange(len(firings)) + 1) / len(firings), where="post", color=colour)
         axes[2].plot(flown[0][1], flown[0][2], color=colour, linewidth=0.7)
     axes[0].set_xlabel("propellant, kg")
-    axes[0].set_ylabel("share of seeds")
+    axes[0].set_ylabel("fraction of seeds")
     axes[0].legend(loc="lower right")
     axes[1].set_xlabel("firings")
     axes[2].set_xlabel("y, mm")

@@ -1,10 +1,10 @@
-"""How well the vision unit finds spots: error against the Cramer-Rao bound, covariance, detection, false spots.
+"""Accuracy of the spot detector: error relative to the Cramer-Rao bound, covariance, detection, false spots.
 
 python sims/vmu_spots.py [--images N] [--picture docs/pictures/vmu-spots.png]
 
-Nine LEDs of a tilted target stand at random places between the pixels of a small image, over ranges and noises. The
-bound is that of a centre when everything else is known, from the noise that the renderer draws; the
-errors include what the detector did not know: background, flux, sharpness and shot noise.
+Nine LEDs of a tilted target are at random sub-pixel positions of a small image, over ranges and noise levels. The
+bound is that of a centre with all other parameters given, for the noise of the renderer; the errors include
+the parameters that the detector estimates: background, flux, sharpness and shot noise.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ LOOKS = {
 
 @dataclass
 class Row:
-    """What many spots of one look at one range gave; ratio: RMS error over that of the bound."""
+    """Result of many spots of one appearance at one range; ratio: RMS error over that of the bound."""
 
     found: float
     extra: int
@@ -87,7 +87,7 @@ def bound(look: RingAppearance, spot: Array, flux: float) -> tuple[Array, float]
 
 
 def study(look: RingAppearance, range_m: float, images: int, seed: int) -> Row:
-    """Return what ``images`` images of nine LEDs at a range gave."""
+    """Return the result of ``images`` images of nine LEDs at a range."""
     rng = np.random.default_rng(seed)
     pair, detector = camera(), SpotDetector((SIZE, SIZE))
     errors, expected, squares, snrs, found, extra, within = [], [], [], [], 0, 0, []
@@ -131,7 +131,7 @@ def study(look: RingAppearance, range_m: float, images: int, seed: int) -> Row:
 
 
 def faint(snr: float, images: int, seed: int, look: RingAppearance = PLAIN) -> tuple[float, float]:
-    """Return the share of lights of ``snr`` (flux over its sigma, the shape known) found, and false spots an image."""
+    """Return the detected fraction of lights of ``snr`` (flux over sigma, given shape), and false spots per image."""
     rng = np.random.default_rng(seed)
     renderer, detector = RingRenderer(camera(), np.zeros((1, 3)), look), SpotDetector((SIZE, SIZE))
     variance = look.read_noise_levels**2 + look.background_levels / look.electrons_per_level + 1.0 / 12.0
@@ -166,7 +166,7 @@ def draw(rows: dict[str, list[Row]], shares: dict[float, tuple[float, float]], p
     middle.set(xlabel="range, m", ylim=(0.6, 1.8), title="o: error / bound, x: error / reported sigma")
     middle.axhline(1.0, color="0.6", linewidth=1)
     right.plot(list(shares), [share for share, _ in shares.values()], "o-", color="#0072b2", linewidth=1)
-    right.set(xlabel="SNR of the flux", title="share of faint lights found")
+    right.set(xlabel="SNR of the flux", title="fraction of faint lights detected")
     figure.savefig(path, dpi=100)
     print(path)
 
@@ -198,7 +198,7 @@ def main(images: int, only: str | None, picture: str | None) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=int, default=30)
-    parser.add_argument("--look", choices=LOOKS, help="of all looks, only this one")
+    parser.add_argument("--look", choices=LOOKS, help="only this appearance")
     parser.add_argument("--picture")
     given = parser.parse_args()
     main(given.images, given.look, given.picture)

@@ -1,12 +1,12 @@
-"""How well the vision unit tells LEDs and poses, over random poses.
+"""LED identification and pose accuracy of the vision unit, over random poses.
 
-python sims/vmu_study.py identity     which subsets of LEDs, with decoys, one camera black: what is said, what is wrong
+python sims/vmu_study.py identity     subsets of LEDs, with decoys, one camera black: statuses and errors
 python sims/vmu_study.py track        the same with a prediction, ring with a raised LED and flat ring
 python sims/vmu_study.py coverage     2-sigma coverage and error over bound, on spots
 python sims/vmu_study.py flat         the flat ring: statuses and coverage over range
 python sims/vmu_study.py images       error over the bound from the pixels' noise, over range, on rendered images
 python sims/vmu_study.py drops        an approach of rendered images with 30 % of the frames lost, decoys, dark LEDs
-python sims/vmu_study.py folder TRUTH CSV   a table of hil vmu's CSV beside its truth
+python sims/vmu_study.py folder TRUTH CSV   hil vmu's CSV compared with its truth
 
 All but the last take --poses N, --seed N.
 """
@@ -34,14 +34,14 @@ from hil.vmu.spots import SPOT
 from hil.vmu.unit import Solution, VisionUnit
 
 SIGMA_PX = 0.05
-WRONG = 60.0  # chi-square of six components that no right pose reaches
+WRONG = 60.0  # chi-square of six components beyond that of any right pose
 NAMES = ("x", "y", "z", "rx", "ry", "rz")
 RANGES_M = (0.6, 0.9, 1.3, 2.0, 3.0, 4.5, 6.0, 9.0, 12.0)
 LENS = {"fx": 1200.0, "fy": 1200.0, "width": 1024, "height": 1024, "distortion": (-0.08, 0.02, 3e-4, -2e-4, 0.0)}
 
 
 def geometry(raised_m: float) -> VmuGeometry:
-    """Return a ring of six LEDs, one of them raised, before two cameras 0.2 m apart."""
+    """Return a ring of six LEDs, one of them raised, in front of two cameras 0.2 m apart."""
     angles = np.radians(60.0 * np.arange(6))
     leds = np.column_stack([0.12 * np.cos(angles), 0.12 * np.sin(angles), np.zeros(6)])
     leds[0, 2] = -raised_m
@@ -72,7 +72,7 @@ class Truth:
 
 
 class Stage:
-    """Cameras and LEDs, and random places of them that both cameras see whole."""
+    """Cameras and LEDs, and random poses that are complete in both images."""
 
     def __init__(self, chosen: VmuGeometry) -> None:
         self.geometry, self.pair, self.leds = chosen, camera_pair(chosen), led_positions(chosen)
@@ -101,7 +101,7 @@ class Stage:
     def spots(
         self, truth: Truth, lit: Array, decoys: int, black: int | None, rng: np.random.Generator
     ) -> list[np.ndarray]:
-        """Return both images' spots in random order: LEDs, lights in space, half as many again in one image alone."""
+        """Return both images' spots in random order: LEDs, lights in space, and half as many in one image only."""
         near = [truth.t * rng.uniform(0.8, 1.2) + rng.uniform(-0.3, 0.3, 3) * truth.t[2] for _ in range(decoys)]
         points = [*(self.leds[lit] @ truth.r.T + truth.t), *near]
         found = []
@@ -118,7 +118,7 @@ class Stage:
         return found
 
     def bound(self, truth: Truth, covariances: list[list[Array | None]]) -> Array:
-        """Return the Cramer-Rao bound (6, 6) of the pose for spots of given covariances (2, 2) a camera and LED."""
+        """Return the Cramer-Rao bound (6, 6) of the pose for spots of given covariances (2, 2) per camera and LED."""
         found, used = [], np.full((2, MAX_LEDS), -1, np.int64)
         for c in range(2):
             seen = [n for n, value in enumerate(covariances[c]) if value is not None]
@@ -143,7 +143,7 @@ def outcome(solution: Solution, truth: Truth) -> str:
 
 
 def prediction_of(truth: Truth, rng: np.random.Generator, sigma_deg: float = 1.5) -> Prediction:
-    """Return a prediction that is as wrong as it says: 1 % of the range, a few degrees."""
+    """Return a prediction with errors according to its covariance: 1 % of the range, a few degrees."""
     sigmas = np.repeat([0.005 + 0.01 * truth.t[2], np.radians(sigma_deg)], 3)
     e = sigmas * rng.standard_normal(6)
     r = Rotation.from_rotvec(e[3:]).as_matrix() @ truth.r
@@ -241,7 +241,7 @@ def images(poses: int, seed: int, raised_m: float) -> None:
 
 
 def drops(poses: int, seed: int, raised_m: float) -> None:
-    """Fly from 9 m to 0.9 m in ``poses`` frames of rendered images."""
+    """Approach from 9 m to 0.9 m in ``poses`` frames of rendered images."""
     stage, rng = Stage(geometry(raised_m)), np.random.default_rng(seed)
     renderer, statuses, worst = RingRenderer(stage.pair, stage.leds, RingAppearance()), Counter[str](), 0.0
     for k in range(poses):
