@@ -237,9 +237,9 @@ def _answers(line: str, here: str, there: str) -> None:
         while pong.poll(10_000):
             pong.send(pong.recv()[:BACK])
     else:
-        from hil.cli.two_computers import gnc_command
+        from hil.cli.gnc import gnc
 
-        gnc_command("scheme-1", f"{there}:{PORTS['loop']}", None, (), 60.0, None)
+        gnc("scheme-1", dss=f"{there}:{PORTS['loop']}")
 
 
 @contextmanager

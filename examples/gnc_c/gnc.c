@@ -1,6 +1,6 @@
 /* A small GNC for the bench: a complementary filter on poses and IMU, and on/off control with a dead band.
  *
- * As a shared library:  cc -O2 -fPIC -shared -I"$(hil gnc-header --folder)" gnc.c -o mygnc.so -lm
+ * As a shared library:  cc -O2 -fPIC -shared -I"$(hil gnc header --folder)" gnc.c -o mygnc.so -lm
  *                       hil run scheme-1 --set gnc.library=mygnc.so
  * As a program:         see gnc_udp.c
  *

@@ -1,6 +1,6 @@
 /* The GNC of gnc.c (or any other with the functions of hil_gnc.h) as a separate program, over UDP.
  *
- *     cc -O2 -I"$(hil gnc-header --folder)" gnc_udp.c gnc.c -o gnc_udp -lm
+ *     cc -O2 -I"$(hil gnc header --folder)" gnc_udp.c gnc.c -o gnc_udp -lm
  *     hil dss scheme-1 --lock-step &          # on the computer of the bench
  *     ./gnc_udp 127.0.0.1 24500               # on this one: address and port of hil dss
  *

@@ -37,7 +37,9 @@ _CONNECT_S: Final = 10.0
 class Engine(Protocol):
     """Flies batches."""
 
-    workers: int
+    @property
+    def workers(self) -> int:
+        """Number of workers."""
 
     def fly(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
         """Give first case and rows of each of the ``batches``; closing it ends the work. Raises CampaignStopped."""

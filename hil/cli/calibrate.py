@@ -1,200 +1,274 @@
-"""``hil calibrate``: cameras, stereo, mounting and LED layout from views at known places of the bench; drift check."""
+"""``hil calibrate``: cameras, stereo, mounting and LED layout from views at known bench positions; drift check."""
 
 from __future__ import annotations
 
 import datetime
-import math
-import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
 from rich.console import Console
 
-from hil.cli.output import base_of, check_json_path, check_picture_path, check_rig_path, write_json
-from hil.cli.progress import Bar
-from hil.config.load import load_geometry, load_rig
-from hil.errors import BadInput, Problem
-from hil.vmu.geometry import geometry_of_rig
+from hil.cli.options import Flag, Group, Names, Output, Settings, above_zero, refuse
+from hil.cli.output import (
+    base_of,
+    check_figure_path,
+    check_json_path,
+    check_rig_path,
+    write_json,
+    write_text,
+)
+from hil.cli.progress import ProgressBar
+from hil.errors import Problem
 
 if TYPE_CHECKING:
     from hil.vmu.calibration.board import Board
 
 _PASSED, _FAILED = 0, 1
-_PARTS = ("left", "right", "stereo", "mounting", "leds")
+_PARTS: Final = ("left", "right", "stereo", "mounting", "leds")
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What the command line says; as in ``hil calibrate --help``."""
+@dataclass(frozen=True)
+class StartOptions:
+    """Options of target and initial values."""
 
-    views: str
-    check: str | None
-    board: str | None
-    square_mm: float | None
-    rig: str
-    geometry: str | None
-    keep: tuple[str, ...]
-    moved: bool
-    out: str | None
-    rig_out: str | None
-    json: str | None
-    figure: str | None
-    id: str | None
-    date: str | None
-    rail_sigma_mm: float
-    gimbal_sigma_deg: float
-    led_sigma_mm: float
-    square_sigma_percent: float
-    max_rms_px: float
-    max_error_mm: float
-    range_m: float
-    max_mounting_mm: float
-    max_mounting_deg: float
-    max_square_percent: float
-    max_drift_px: float
-    alarm: float
-    settings: tuple[str, ...]
+    board: str | None = None
+    """Inner corners of the chessboard that is the target, 11x8; default: the LEDs."""
+    square_mm: float | None = None
+    """Side of a square of the board."""
+    rig: str = "mock"
+    """mock, emulated, or the path of a rig file: lever arm, gimbals, nominal mounting and LEDs."""
+    geometry: str | None = None
+    """Initial cameras and LEDs, instead of the rig file's."""
+    keep: Names = ()
+    """left, right, stereo, mounting or leds: held at its initial value; may be given more than once."""
+
+    def problems(self) -> list[Problem]:
+        """Return a problem for each option that cannot be used."""
+        return _board_problems(self.board, self.square_mm) + [
+            Problem("--keep", "", f"{part}: unknown, give {', '.join(_PARTS)}")
+            for part in self.keep
+            if part not in _PARTS
+        ]
 
 
-def calibrate_command(options: Options) -> int:
-    """Do ``hil calibrate``; return its exit code. Raises BadInput where nothing can be found."""
-    _check_options(options)
-    return _calibrate(options) if options.check is None else _check(options)
+@dataclass(frozen=True)
+class ResultOptions:
+    """Options of the results."""
+
+    out: Output = None
+    """Geometry file (*.toml) to write."""
+    rig_out: Output = None
+    """Rig file (*.toml) to write: it extends this rig by the measured mounting."""
+    json: Output = None
+    """File for the numbers, - for standard output."""
+    figure: str | None = None
+    """Figure of residuals, views and errors in millimetres over range (PNG, PDF or SVG)."""
+    id: str | None = None
+    """Name of the calibration."""
+    date: str | None = None
+    """Date of the calibration, 2026-03-01; default: today."""
+
+    def problems(self) -> list[Problem]:
+        """Return a problem for each option that cannot be used."""
+        problems = []
+        if self.date is not None and not _is_date(self.date):
+            problems.append(Problem("--date", "", f"{self.date}: must be a date like 2026-03-01"))
+        problems += check_rig_path("--out", self.out) + check_rig_path("--rig-out", self.rig_out)
+        return problems + check_json_path("--json", self.json) + check_figure_path("--figure", self.figure)
 
 
-def _calibrate(options: Options) -> int:
-    rig = load_rig(options.rig, options.settings)
+@dataclass(frozen=True)
+class BenchSigmas:
+    """Standard deviations of the bench and the target."""
+
+    rail_sigma_mm: float = 0.05
+    """Standard deviation of a rail's position error against its encoder."""
+    gimbal_sigma_deg: float = 0.005
+    """Standard deviation of a gimbal's error against its encoder."""
+    led_sigma_mm: float = 1.0
+    """Standard deviation of the LEDs' nominal positions."""
+    square_sigma_percent: float = 0.1
+    """Standard deviation of the nominal square size."""
+
+
+@dataclass(frozen=True)
+class LimitOptions:
+    """Limits of a calibration."""
+
+    max_rms_px: float = 0.3
+    """Limit of the residuals, RMS."""
+    max_error_mm: float = 2.0
+    """Limit of a point's position uncertainty from the calibration at --range-m, 1 sigma."""
+    range_m: float = 2.0
+    """Working range at which the errors are assessed."""
+    max_mounting_mm: float = 1.0
+    """Limit of the standard deviation of the camera's position."""
+    max_mounting_deg: float = 0.05
+    """Limit of the standard deviation of the camera's axes."""
+    max_square_percent: float = 0.3
+    """Limit of the difference between the board's nominal size and its size measured by the rails."""
+
+
+@dataclass(frozen=True)
+class DriftOptions:
+    """Options of the drift check."""
+
+    check: str | None = None
+    """Geometry file of hil calibrate: check for drift since that calibration with a few views."""
+    moved: Flag = False
+    """With --check: the LED ring has been removed and remounted since."""
+    max_drift_px: float = 0.03
+    """With --check: a smaller drift is accepted, RMS over all pixels."""
+    alarm: float = 1e-3
+    """With --check: probability of a chance result below which a drift is significant."""
+
+
+_START, _RESULT, _SIGMAS, _LIMITS, _DRIFT = (
+    StartOptions(),
+    ResultOptions(),
+    BenchSigmas(),
+    LimitOptions(),
+    DriftOptions(),
+)
+
+
+def calibrate(
+    views: str,
+    /,
+    *,
+    start: Group[StartOptions] = _START,
+    result: Group[ResultOptions] = _RESULT,
+    sigmas: Group[BenchSigmas] = _SIGMAS,
+    limits: Group[LimitOptions] = _LIMITS,
+    drift: Group[DriftOptions] = _DRIFT,
+    settings: Settings = (),
+) -> int:
+    """Calibrate the vision unit from views at known bench positions, or check an earlier calibration for drift.
+
+    Parameters
+    ----------
+    views
+        Folder with views.csv and the images (docs/calibration.md), or the path of such a CSV file.
+    """
+    problems = [problem for group in (start, sigmas, limits, drift) for problem in _not_positive(group)]
+    problems += start.problems()
+    if drift.check is not None:
+        given = {"geometry": start.geometry, "keep": start.keep, "out": result.out, "rig-out": result.rig_out}
+        given["figure"] = result.figure
+        problems += [Problem("--check", "", f"goes without --{name}") for name, value in given.items() if value]
+    elif drift.moved:
+        problems.append(Problem("--moved", "", "goes with --check only"))
+    refuse(problems + result.problems())
+    if drift.check is not None:
+        return _check(views, drift.check, start, result.json, limits, drift)
+    return _calibrate(views, start, result, sigmas, limits, settings)
+
+
+def _calibrate(
+    views: str,
+    start: StartOptions,
+    result: ResultOptions,
+    sigmas: BenchSigmas,
+    limits: LimitOptions,
+    settings: Sequence[str],
+) -> int:
+    import numpy as np
+
+    from hil.cli.calibrate_tables import print_outcome
+    from hil.config.load import load_geometry, load_rig
     from hil.vmu.calibration import job
     from hil.vmu.calibration.files import Label, as_toml, geometry_table, rig_table
+    from hil.vmu.calibration.report import as_json
     from hil.vmu.calibration.views import read_views
+    from hil.vmu.geometry import geometry_of_rig
 
-    if options.geometry is not None:
-        geometry = load_geometry(options.geometry).value
-    else:
-        geometry = geometry_of_rig(rig.value)
-    board = _board(options)
-    views = read_views(Path(options.views))
-    sigma = np.array([1e-3 * options.rail_sigma_mm] * 3 + [math.radians(options.gimbal_sigma_deg)] * 3)
-    given = job.Given(board, options.keep, sigma, 1e-3 * options.led_sigma_mm, 0.01 * options.square_sigma_percent)
-    limits = job.CalibrationLimits(
-        options.max_rms_px,
-        options.max_error_mm,
-        options.range_m,
-        options.max_mounting_mm,
-        options.max_mounting_deg,
-        options.max_square_percent,
-    )
-    date = options.date or datetime.datetime.now().astimezone().date().isoformat()
-    label = Label(options.id or f"vmu-{date}", date, job.target_name(board))
-    with Bar(Console(stderr=True), "reading the views") as bar:
-        guess = options.geometry is not None
-        outcome = job.calibrate(views, rig.value, geometry, given, limits, label, guess, bar.tell)
+    rig = load_rig(start.rig, settings)
+    guess = start.geometry is not None
+    geometry = load_geometry(start.geometry).value if start.geometry is not None else geometry_of_rig(rig.value)
+    board = _board(start)
+    loaded = read_views(Path(views))
+    sigma = np.array([1e-3 * sigmas.rail_sigma_mm] * 3 + [np.radians(sigmas.gimbal_sigma_deg)] * 3)
+    given = job.Given(board, start.keep, sigma, 1e-3 * sigmas.led_sigma_mm, 0.01 * sigmas.square_sigma_percent)
+    date = result.date or datetime.datetime.now().astimezone().date().isoformat()
+    label = Label(result.id or f"vmu-{date}", date, job.target_name(board))
+    with ProgressBar(Console(stderr=True), "reading the views") as bar:
+        limit_values = job.CalibrationLimits(*(getattr(limits, field.name) for field in fields(limits)))
+        outcome = job.calibrate(loaded, rig.value, geometry, given, limit_values, label, guess, bar.show)
     fit = outcome.solved.fit
-    if options.out is not None:
+    if result.out is not None:
         used = len(outcome.solved.sightings.names)
         table = geometry_table(label, fit, outcome.turntable, sigma, geometry, used)
-        _write(options.out, as_toml(table, "Vision unit: LEDs and cameras, as hil calibrate found them."))
-    if options.rig_out is not None:
-        content = {"extends": base_of(options.rig, options.rig_out), **rig_table(fit.setup, board is None)}
-        _write(options.rig_out, as_toml(content, f"Mounting of the cameras, from calibration {label.id}."))
-    from hil.vmu.calibration.report import as_json
-
-    if options.json is not None:
-        write_json(as_json(outcome), options.json)
-    if options.figure is not None:
+        write_text(as_toml(table, "Vision unit: LEDs and cameras, as measured by hil calibrate."), result.out)
+    if result.rig_out is not None:
+        content = {"extends": base_of(start.rig, result.rig_out), **rig_table(fit.setup, board is None)}
+        write_text(as_toml(content, f"Mounting of the cameras, from calibration {label.id}."), result.rig_out)
+    if result.json is not None:
+        write_json(as_json(outcome), result.json)
+    if result.figure is not None:
         from hil.vmu.calibration.figure import draw
 
-        draw(outcome, options.figure)
-    if options.json != "-":
-        from hil.cli.calibrate_tables import print_outcome
-
+        draw(outcome, result.figure)
+    if result.json != "-":
         print_outcome(outcome, Console())
     return _PASSED if outcome.passed else _FAILED
 
 
-def _check(options: Options) -> int:
+def _check(
+    views: str, known_path: str, start: StartOptions, json_path: str | None, limits: LimitOptions, drift: DriftOptions
+) -> int:
+    from hil.cli.calibrate_tables import print_check
+    from hil.config.load import load_geometry
     from hil.vmu.calibration import job
     from hil.vmu.calibration.files import read_back
+    from hil.vmu.calibration.report import drift_as_json
     from hil.vmu.calibration.views import read_views
 
-    assert options.check is not None
-    known = read_back(load_geometry(options.check).value, options.check)
-    views = read_views(Path(options.views))
-    with Bar(Console(stderr=True), "reading the views") as bar:
-        checked = job.check(views, known, _board(options), options.moved, options.range_m, bar.tell)
-    limits = {"rms_px": options.max_rms_px, "drift_px": options.max_drift_px, "alarm": options.alarm}
+    known = read_back(load_geometry(known_path).value, known_path)
+    loaded = read_views(Path(views))
+    with ProgressBar(Console(stderr=True), "reading the views") as bar:
+        checked = job.check(loaded, known, _board(start), drift.moved, limits.range_m, bar.show)
+    allowed = {"rms_px": limits.max_rms_px, "drift_px": drift.max_drift_px, "alarm": drift.alarm}
     found = checked.drift
-    drifted = found.chance < options.alarm and found.explanations[0].shift_px > options.max_drift_px
-    passed = not drifted and found.rms_px <= options.max_rms_px
-    if options.json is not None:
-        from hil.vmu.calibration.report import drift_as_json
-
-        write_json(drift_as_json(checked, passed, limits), options.json)
-    if options.json != "-":
-        from hil.cli.calibrate_tables import print_check
-
-        print_check(checked, passed, limits, Console())
+    drifted = found.chance < drift.alarm and found.explanations[0].shift_px > drift.max_drift_px
+    passed = not drifted and found.rms_px <= limits.max_rms_px
+    if json_path is not None:
+        write_json(drift_as_json(checked, passed, allowed), json_path)
+    if json_path != "-":
+        print_check(checked, passed, allowed, Console())
     return _PASSED if passed else _FAILED
 
 
-def _write(path: str, text: str) -> None:
-    """Write the whole file or none of it."""
-    partial = Path(f"{path}.part")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
+def _not_positive(group: Any) -> list[Problem]:
+    """Return a problem for each number of a group of options that is not above 0."""
+    found = []
+    for field in fields(group):
+        value = getattr(group, field.name)
+        if isinstance(value, float):
+            found += above_zero(f"--{field.name.replace('_', '-')}", value)
+    return found
 
 
-def _board(options: Options) -> Board | None:
+def _board(start: StartOptions) -> Board | None:
     from hil.vmu.calibration.board import Board
 
-    if options.board is None or options.square_mm is None:
+    if start.board is None or start.square_mm is None:
         return None
-    columns, rows = (int(word) for word in options.board.split("x"))
-    return Board(columns, rows, 1e-3 * options.square_mm)
+    columns, rows = (int(number) for number in start.board.split("x"))
+    return Board(columns, rows, 1e-3 * start.square_mm)
 
 
-def _check_options(options: Options) -> None:
-    problems: list[Problem] = []
-    positive = (
-        "square_mm rail_sigma_mm gimbal_sigma_deg led_sigma_mm square_sigma_percent max_rms_px max_error_mm range_m "
-        "max_mounting_mm max_mounting_deg max_square_percent max_drift_px alarm"
-    )
-    for name in positive.split():
-        value = getattr(options, name)
-        if value is not None and not (math.isfinite(value) and value > 0.0):
-            problems.append(Problem(f"--{name.replace('_', '-')}", "", f"{value:g}: must be above 0"))
-    problems += _board_problems(options.board, options.square_mm)
-    problems += [
-        Problem("--keep", "", f"{part}: unknown, give {', '.join(_PARTS)}")
-        for part in options.keep
-        if part not in _PARTS
-    ]
-    if options.date is not None and not _is_date(options.date):
-        problems.append(Problem("--date", "", f"{options.date}: must be a date like 2026-03-01"))
-    if options.check is not None:
-        given = [n for n in ("geometry", "keep", "out", "rig_out", "figure") if getattr(options, n)]
-        problems += [Problem("--check", "", f"goes without --{name.replace('_', '-')}") for name in given]
-    elif options.moved:
-        problems.append(Problem("--moved", "", "goes with --check alone"))
-    problems += check_rig_path("--out", options.out) + check_rig_path("--rig-out", options.rig_out)
-    problems += check_json_path("--json", options.json) + check_picture_path("--figure", options.figure)
-    if problems:
-        raise BadInput(problems)
-
-
-def _board_problems(board: str | None, square_mm: float | None) -> Sequence[Problem]:
+def _board_problems(board: str | None, square_mm: float | None) -> list[Problem]:
     if board is None:
-        return [Problem("--square-mm", "", "goes with --board alone")] if square_mm is not None else []
+        return [Problem("--square-mm", "", "goes with --board only")] if square_mm is not None else []
     found = re.fullmatch(r"(\d{1,2})x(\d{1,2})", board)
     if found is None:
         return [Problem("--board", "", f"{board}: must be COLUMNSxROWS of inner corners, as 11x8")]
-    columns, rows = (int(word) for word in found.groups())
+    columns, rows = (int(number) for number in found.groups())
     if columns == rows or min(columns, rows) < 3:
-        text = "columns and rows must be at least 3 and differ, or the board could lie any way round"
+        text = "columns and rows must be at least 3 and differ, or the orientation of the board is ambiguous"
         return [Problem("--board", "", f"{board}: {text}")]
     return [Problem("--square-mm", "", "is missing: the side of a square, measured")] if square_mm is None else []
 

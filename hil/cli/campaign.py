@@ -1,136 +1,193 @@
-"""``hil campaign``: many closed loops of one scenario, or of two beside each other, or along a key."""
+"""``hil campaign``: Monte Carlo campaign of one scenario, a comparison of two, or a sweep of a key."""
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
 
+from hil.cli.options import Group, Integer, Output, Settings, at_least, duration_problems, refuse
 from hil.cli.output import check_json_path, write_json
-from hil.cli.progress import Bar
-from hil.errors import BadInput, Problem
+from hil.cli.progress import ProgressBar
+from hil.errors import Problem
 
-_DONE, _FAILED = 0, 1
+if TYPE_CHECKING:
+    from hil.campaign.campaign import Campaign, Progress, Sweep
+    from hil.campaign.engines import DaskEngine, Engine, LocalEngine
+    from hil.campaign.store import Store
+
+_DONE = 0
 _UNITS = {"position_m": "m", "velocity_mps": "m/s", "attitude_deg": "deg", "rate_degps": "deg/s"}
 
 
-def campaign_command(
-    scenario_name: str,
-    runs: int,
-    seed: int,
-    workers: int,
-    scheduler: str | None,
-    out: str,
-    against: str | None,
-    sweep_text: str | None,
-    duration_s: float | None,
-    settings: Sequence[str],
-    json_path: str | None,
+@dataclass(frozen=True)
+class EngineOptions:
+    """Options of the workers."""
+
+    workers: Integer = 0
+    """Number of processes on this computer; 0: one per core."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, tcp://host:8786, whose workers are used instead."""
+
+    def problems(self) -> list[Problem]:
+        """Return a problem for each option that cannot be used."""
+        found = at_least(workers=(self.workers, 0))
+        if self.scheduler is not None and self.workers:
+            found.append(Problem("--workers", "", "not together with --scheduler, which has its own workers"))
+        return found
+
+    def engine(self) -> DaskEngine | LocalEngine:
+        """Return the engine that runs the cases."""
+        from hil.campaign.engines import DaskEngine, LocalEngine
+
+        if self.scheduler:
+            return DaskEngine(self.scheduler)
+        return LocalEngine(self.workers or len(os.sched_getaffinity(0)))
+
+
+@dataclass(frozen=True)
+class VariationOptions:
+    """Options of a second scenario or a sweep."""
+
+    against: str | None = None
+    """A second scenario, run with the same seeds: differences with confidence intervals."""
+    sweep: str | None = None
+    """key=low:high:n, as gnc.control.deadband_m=0.002:0.02:10: one campaign per value."""
+
+    def problems(self) -> list[Problem]:
+        """Return a problem if both are given."""
+        both = self.against is not None and self.sweep is not None
+        return [Problem("--against", "", "not together with --sweep")] if both else []
+
+    def folders(self, out: Path, number: int) -> list[Path]:
+        """Return the folders of ``number`` campaigns."""
+        if number == 1:
+            return [out]
+        pair = self.against is not None
+        return [out / name for name in (("first", "second") if pair else (f"sweep-{i:03d}" for i in range(number)))]
+
+
+@dataclass(frozen=True)
+class CaseOptions:
+    """Options of the cases."""
+
+    runs: Integer
+    """Number of cases, numbered from 0. A case depends on its number and the seed only."""
+    seed: Integer = 0
+    """Seed of the whole campaign."""
+    duration: float | None = None
+    """Run time in seconds, instead of the scenario's."""
+    settings: Settings = ()
+
+    def problems(self) -> list[Problem]:
+        """Return a problem for each option that is out of range."""
+        return at_least(runs=(self.runs, 1), seed=(self.seed, 0)) + duration_problems(self.duration)
+
+
+_ENGINE_DEFAULTS, _ONE_SCENARIO = EngineOptions(), VariationOptions()
+
+
+def campaign(
+    scenario: str,
+    /,
+    *,
+    cases: Group[CaseOptions],
+    out: Output,
+    workers: Group[EngineOptions] = _ENGINE_DEFAULTS,
+    variation: Group[VariationOptions] = _ONE_SCENARIO,
+    json: Output = None,
 ) -> int:
-    """Do ``hil campaign``; return its exit code. Raises BadInput before anything is flown."""
-    _check_options(runs, seed, workers, scheduler, against, sweep_text, duration_s, json_path)
-    from hil.campaign.campaign import Campaign, Sweep, campaigns_of
-    from hil.campaign.engines import DaskEngine, LocalEngine
+    """Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, sensitivities.
+
+    Parameters
+    ----------
+    scenario
+        scheme-1, scheme-2, scheme-3, or the path of a scenario file; [dispersions] in it sets what varies.
+    out
+        Folder for the results; a partial campaign in it is resumed.
+    json
+        File for the summary, - for standard output.
+    """
+    assert out is not None
+    refuse(cases.problems() + workers.problems() + variation.problems() + check_json_path("--json", json))
+
+    from hil.campaign.campaign import Sweep, campaigns_of
     from hil.campaign.store import parquet
 
     parquet()
-    sweep = None if sweep_text is None else Sweep.parse(sweep_text)
+    sweep = None if variation.sweep is None else Sweep.parse(variation.sweep)
     console = Console(stderr=True)
     with console.status("checking the scenario"):
-        campaigns: list[Campaign] = campaigns_of(scenario_name, settings, seed, duration_s, sweep)
-        if against is not None:
-            campaigns += campaigns_of(against, settings, seed, duration_s, None)
-    folders = _folders(Path(out), len(campaigns), against is not None)
-    engine = DaskEngine(scheduler) if scheduler else LocalEngine(workers or len(os.sched_getaffinity(0)))
+        campaigns: list[Campaign] = campaigns_of(scenario, cases.settings, cases.seed, cases.duration, sweep)
+        if variation.against is not None:
+            campaigns += campaigns_of(variation.against, cases.settings, cases.seed, cases.duration, None)
+    folders = variation.folders(Path(out), len(campaigns))
+    engine = workers.engine()
     with ExitStack() as held:
         held.callback(engine.close)
-        stores = [
-            held.enter_context(campaign.store(folder)) for campaign, folder in zip(campaigns, folders, strict=True)
-        ]
-        with console.status("compiling the loop where it is not yet, up to a minute or two"):
+        stores = [held.enter_context(each.store(folder)) for each, folder in zip(campaigns, folders, strict=True)]
+        with console.status("compiling the loop if it is not cached, up to two minutes"):
             campaigns[0].warm_up()
-        found = _fly(campaigns, stores, runs, engine, console, Path(out), scenario_name, against, sweep)
-    if json_path is not None:
-        write_json(found, json_path)
-    if json_path != "-":
+        summaries = _run_all(campaigns, stores, cases.runs, engine, console)
+        if sweep is not None:
+            found = _sweep_results(sweep, stores, summaries, cases.runs, Path(out))
+        elif variation.against is not None:
+            found = _comparison((scenario, variation.against), stores, summaries, Path(out))
+        else:
+            found = dict(summaries[0])
+    if json is not None:
+        write_json(found, json)
+    if json != "-":
         _render(found, Console())
         Console().print(f"results in {out}", highlight=False, soft_wrap=True)
     return _DONE
 
 
-def _check_options(
-    runs: int,
-    seed: int,
-    workers: int,
-    scheduler: str | None,
-    against: str | None,
-    sweep: str | None,
-    duration_s: float | None,
-    json_path: str | None,
-) -> None:
-    problems = [
-        Problem(name, "", f"{value}: must be at least {least}")
-        for name, value, least in (("--runs", runs, 1), ("--seed", seed, 0), ("--workers", workers, 0))
-        if value < least
-    ]
-    if scheduler is not None and workers:
-        problems.append(Problem("--workers", "", "not together with --scheduler, whose workers are the cluster's"))
-    if against is not None and sweep is not None:
-        problems.append(Problem("--against", "", "not together with --sweep"))
-    if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0.0):
-        problems.append(Problem("--duration", "", f"{duration_s:g}: must be a time above 0 s"))
-    problems += check_json_path("--json", json_path)
-    if problems:
-        raise BadInput(problems)
-
-
-def _folders(out: Path, number: int, pair: bool) -> list[Path]:
-    if number == 1:
-        return [out]
-    return [out / name for name in (("first", "second") if pair else (f"sweep-{i:03d}" for i in range(number)))]
-
-
-def _fly(
-    campaigns: Sequence[Any],
-    stores: Sequence[Any],
-    runs: int,
-    engine: Any,
-    console: Console,
-    out: Path,
-    name: str,
-    against: str | None,
-    sweep: Any,
-) -> dict[str, Any]:
-    """Fly all campaigns one after the other; return what is to be shown."""
-    from hil.campaign.campaign import Progress, compare_stores, sweep_summary, write_summary
-    from hil.campaign.figure import draw_percentiles, draw_sweep
+def _run_all(
+    campaigns: Sequence[Campaign], stores: Sequence[Store], runs: int, engine: Engine, console: Console
+) -> list[dict[str, Any]]:
+    """Run the campaigns one after the other; return their summaries."""
+    from hil.campaign.figure import draw_percentiles
 
     summaries = []
-    with Bar(console, "campaign") as bar:
-        for i, (campaign, store) in enumerate(zip(campaigns, stores, strict=True)):
+    with ProgressBar(console, "campaign") as bar:
+        for i, (each, store) in enumerate(zip(campaigns, stores, strict=True)):
 
             def watch(now: Progress, i: int = i) -> None:
-                share = (i + now.done / now.runs) / len(campaigns)
-                bar.tell(f"{now.title} {now.done} of {now.runs} cases, {now.speed:.0f} x real time", share)
+                fraction = (i + now.done / now.runs) / len(campaigns)
+                bar.show(f"{now.title} {now.done} of {now.runs} cases, {now.speed:.0f} x real time", fraction)
 
-            summaries.append(campaign.fly(store, runs, engine, watch))
-            draw_percentiles(store, campaign.scenario.value, store.folder / "percentiles.png")
-    if sweep is not None:
-        found = sweep_summary(sweep, stores)
-        draw_sweep(found, out / "sweep.png")
-        write_summary(out / "sweep.json", found)
-        return {"scenario": summaries[0]["scenario"], "runs": runs, "seed": summaries[0]["seed"], "sweep": found}
-    if against is not None:
-        found = compare_stores((name, stores[0]), (against, stores[1]))
-        write_summary(out / "comparison.json", found)
-        return {"first": summaries[0], "second": summaries[1], "comparison": found}
-    return dict(summaries[0])
+            summaries.append(each.fly(store, runs, engine, watch))
+            draw_percentiles(store, each.scenario.value, store.folder / "percentiles.png")
+    return summaries
+
+
+def _sweep_results(
+    sweep: Sweep, stores: Sequence[Store], summaries: Sequence[dict[str, Any]], runs: int, out: Path
+) -> dict[str, Any]:
+    from hil.campaign.campaign import sweep_summary, write_summary
+    from hil.campaign.figure import draw_sweep
+
+    found = sweep_summary(sweep, stores)
+    draw_sweep(found, out / "sweep.png")
+    write_summary(out / "sweep.json", found)
+    return {"scenario": summaries[0]["scenario"], "runs": runs, "seed": summaries[0]["seed"], "sweep": found}
+
+
+def _comparison(
+    names: tuple[str, str], stores: Sequence[Store], summaries: Sequence[dict[str, Any]], out: Path
+) -> dict[str, Any]:
+    from hil.campaign.campaign import compare_stores, write_summary
+
+    found = compare_stores((names[0], stores[0]), (names[1], stores[1]))
+    write_summary(out / "comparison.json", found)
+    return {"first": summaries[0], "second": summaries[1], "comparison": found}
 
 
 def _render(found: dict[str, Any], console: Console) -> None:
@@ -144,7 +201,7 @@ def _render(found: dict[str, Any], console: Console) -> None:
         _render_summary(found, console)
 
 
-def _share(rate: dict[str, Any]) -> str:
+def _rate_text(rate: dict[str, Any]) -> str:
     return (
         f"{rate['passed']} of {rate['runs']}, {100.0 * rate['rate']:.2f} % "
         f"({100.0 * rate['low']:.2f} .. {100.0 * rate['high']:.2f})"
@@ -167,9 +224,9 @@ def _render_summary(summary: dict[str, Any], console: Console) -> None:
             )
     console.print(rows)
     console.print(
-        f"pass        {_share(summary['pass_rate']['passed'])}, Wilson {summary['confidence']:.0%}", highlight=False
+        f"pass        {_rate_text(summary['pass_rate']['passed'])}, Wilson {summary['confidence']:.0%}", highlight=False
     )
-    console.print(f"all parts   {_share(summary['pass_rate']['passed_all_parts'])}", highlight=False)
+    console.print(f"all parts   {_rate_text(summary['pass_rate']['passed_all_parts'])}", highlight=False)
     for name, unit in (("ready_time_s", "s"), ("propellant_kg", "kg"), ("firings", "")):
         spread = summary["percentiles"][name]
         if spread["n"]:
@@ -185,9 +242,9 @@ def _render_summary(summary: dict[str, Any], console: Console) -> None:
     for outcome, ranking in summary["sensitivity"].items():
         strong = [row for row in ranking if row["significant"]][:4]
         text = (
-            ", ".join(f"{row['dispersion']} {row['rank_correlation']:+.2f}" for row in strong) or "nothing stands out"
+            ", ".join(f"{row['dispersion']} {row['rank_correlation']:+.2f}" for row in strong) or "nothing significant"
         )
-        console.print(f"{outcome} hangs on: {text}", highlight=False, soft_wrap=True, markup=False)
+        console.print(f"sensitivity of {outcome}: {text}", highlight=False, soft_wrap=True, markup=False)
 
 
 def _render_comparison(found: dict[str, Any], console: Console) -> None:
@@ -219,5 +276,5 @@ def _render_sweep(found: dict[str, Any], console: Console) -> None:
     for point in found["points"]:
         means = (point[name]["mean"] for name in ("propellant_kg", "firings", "ready_time_s"))
         cells = ("-" if mean is None else f"{mean:.4g}" for mean in means)
-        rows.add_row(f"{point['value']:.6g}", _share(point["pass_rate"]), *cells)
+        rows.add_row(f"{point['value']:.6g}", _rate_text(point["pass_rate"]), *cells)
     console.print(rows)

@@ -1,65 +1,114 @@
-"""``hil commission``: from the emergency stop to a slow dry run, and a rig file that is signed off."""
+"""``hil commission``: from the emergency stop to a slow dry run, and a rig file with the sign-off."""
 
 from __future__ import annotations
 
-import math
+import datetime
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from datetime import date, datetime
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Annotated, Final
 
+from cyclopts import Parameter
 from rich.console import Console
 
-from hil.checks.compatibility import flight_problems
-from hil.cli.output import base_of, check_rig_path
-from hil.cli.warm_up import compile_kernels_with_notice
-from hil.config.load import Loaded, load_rig, load_scenario
-from hil.config.rig import BENCH_AXES, Rig
+from hil.cli.options import Flag, Group, Names, Output, Settings, above_zero, refuse
+from hil.cli.output import axis_problems, base_of, check_rig_path, chosen_axes
 from hil.errors import BadInput, Problem
+
+if TYPE_CHECKING:
+    from hil.config.load import Loaded
+    from hil.config.rig import Rig
 
 _SIGNED, _FAILED = 0, 1
 _YES: Final = {"y", "yes"}
 _NO: Final = {"n", "no"}
 
 
-def commission_command(
-    rig_name: str,
-    axes: Sequence[str],
-    out_path: str | None,
-    by: str | None,
-    day: str | None,
-    ends: bool,
-    unattended: bool,
-    scenario_name: str,
-    settings: Sequence[str],
-    speed: float,
-) -> int:
-    """Do ``hil commission``; return its exit code. Raises BadInput before anything is started."""
-    _check_options(axes, out_path, by, day, settings, speed)
-    scenario, rig = load_scenario(scenario_name, settings), load_rig(rig_name, settings)
-    _check_rig(rig, unattended)
+@dataclass(frozen=True)
+class SignOffOptions:
+    """Options of the sign-off."""
 
+    out: Output = None
+    """Rig file (*.toml) to write: it extends this rig by the sign-off that a run on hardware requires."""
+    operator: Annotated[str | None, Parameter(name=("--operator", "--by"))] = None
+    """Operator's name; prompted for if omitted."""
+    date: str | None = None
+    """Date of the sign-off, 2026-03-01; default: today."""
+
+    def problems(self) -> list[Problem]:
+        """Return a problem for each option that cannot be used."""
+        found = []
+        if self.operator is not None and not self.operator.strip():
+            found.append(Problem("--operator", "", "is empty, give a name"))
+        if self.date is not None and not _is_day(self.date):
+            found.append(Problem("--date", "", f"{self.date}: must look like 2026-03-01"))
+        return found + check_rig_path("--out", self.out)
+
+
+_UNSIGNED = SignOffOptions()
+
+
+def commission(
+    rig: str = "emulated",
+    *,
+    axis: Names = (),
+    sign_off: Group[SignOffOptions] = _UNSIGNED,
+    limits: Flag = False,
+    yes: Flag = False,
+    scenario: str = "scheme-1",
+    settings: Settings = (),
+    speed: float = 1.0,
+) -> int:
+    """Take a rig from its emergency stop, one axis at a time, to a slow dry run, and sign it off.
+
+    Parameters
+    ----------
+    rig
+        emulated, or the path of a rig file.
+    axis
+        rails.x, turntable.yaw ...; may be given more than once. By default all six, one after the other.
+    limits
+        Also approach both ends of each axis' travel.
+    yes
+        Answer every question with yes, on emulated rigs only.
+    scenario
+        Gives the cycle of the bench and the start pose of the dry run.
+    speed
+        Simulation speed relative to real time, on an emulated rig.
+    """
+    problems = axis_problems(axis) + above_zero("--speed", speed) + sign_off.problems()
+    if sign_off.out is not None:
+        changed = [text for text in settings if text.startswith("rig.")]
+        advice = "a sign-off is valid for the rig file as it is: write the setting into that file"
+        problems += [Problem("--set", text, f"not together with --out: {advice}") for text in changed]
+    refuse(problems)
+
+    from hil.checks.compatibility import flight_problems
+    from hil.cli.warm_up import compile_kernels_with_notice
     from hil.commission.auto_operator import AutoOperator
     from hil.commission.prompt import OperatorPrompt, ScriptedPrompt, StepFailed
     from hil.commission.sign_off import as_toml, signed_before
     from hil.commission.steps import Commissioning, CommissioningPlan
+    from hil.config.load import load_rig, load_scenario
+    from hil.config.rig import BENCH_AXES
     from hil.session import build
 
-    job = build.Job(scenario, rig, 0, scenario.value.step_s, speed)
+    loaded, loaded_rig = load_scenario(scenario, settings), load_rig(rig, settings)
+    _check_rig(loaded_rig, yes)
+    job = build.Job(loaded, loaded_rig, 0, loaded.value.step_s, speed)
     console = Console(stderr=True)
     with console.status("checking that the rig can follow the scenario"):
         build.check_rig(job)
-        if problems := flight_problems(scenario, rig):
-            raise BadInput(problems)
+        refuse(flight_problems(loaded, loaded_rig))
     compile_kernels_with_notice(job, console)
-    prompt: OperatorPrompt = ScriptedPrompt(show=_show(Console())) if unattended else Terminal(Console())
-    before = signed_before(rig.value)
-    chosen = [k for k, name in enumerate(BENCH_AXES) if name in axes or not axes]
+    prompt: OperatorPrompt = ScriptedPrompt(show=_show(Console())) if yes else Terminal(Console())
+    before = signed_before(loaded_rig.value)
+    chosen = chosen_axes(axis)
     others = [k for k, name in enumerate(BENCH_AXES) if name in before]
-    who = by or ("nobody (--yes)" if unattended else _asked_name())
-    if rig.value.kind == "hardware" and not prompt.ask(
+    who = sign_off.operator or ("nobody (--yes)" if yes else _asked_name())
+    if loaded_rig.value.kind == "hardware" and not prompt.ask(
         "The axes will move. Is the bench clear of people, and the emergency stop in your hand?"
     ):
         return _failed("nothing was moved", console)
@@ -67,24 +116,25 @@ def commission_command(
         job, lambda text: console.print(text, style="dim", highlight=False, soft_wrap=True)
     ) as bench:
         emulated = AutoOperator(bench.board, bench.addresses) if bench.board is not None else None
-        button = emulated if emulated is not None and rig.value.has_io else None
+        button = emulated if emulated is not None and loaded_rig.value.has_io else None
         true_position = emulated.position if emulated is not None else None
-        plan = CommissioningPlan(chosen, others, ends)
-        steps = Commissioning(bench.runner(), rig.value, prompt, plan, button, true_position)
+        plan = CommissioningPlan(chosen, others, limits)
+        steps = Commissioning(bench.runner(), loaded_rig.value, prompt, plan, button, true_position)
         try:
             findings = steps.run()
         except StepFailed as failure:
             return _failed(str(failure), console)
-    if out_path is None:
+    if sign_off.out is None:
         prompt.show("all steps passed; nothing was written, because there is no --out")
         return _SIGNED
-    text = as_toml(findings, rig.value, base_of(rig_name, out_path), who, day or _today())
-    Path(out_path).write_text(text, encoding="utf-8")
+    day = sign_off.date or datetime.datetime.now().astimezone().date().isoformat()
+    text = as_toml(findings, loaded_rig.value, base_of(rig, sign_off.out), who, day)
+    Path(sign_off.out).write_text(text, encoding="utf-8")
     left = [name for k, name in enumerate(BENCH_AXES) if k not in chosen and k not in others]
     prompt.show(
-        f"{out_path}: {len(chosen)} axes signed, left: {', '.join(left)}"
+        f"{sign_off.out}: {len(chosen)} axes signed, left: {', '.join(left)}"
         if left
-        else f"{out_path}: the rig is signed off"
+        else f"{sign_off.out}: the rig is signed off"
     )
     return _SIGNED
 
@@ -95,50 +145,25 @@ def _failed(text: str, console: Console) -> int:
     return _FAILED
 
 
-def _check_options(
-    axes: Sequence[str], out_path: str | None, by: str | None, day: str | None, settings: Sequence[str], speed: float
-) -> None:
-    problems = [
-        Problem("--axis", "", f"{a}: unknown, give {', '.join(BENCH_AXES)}") for a in axes if a not in BENCH_AXES
-    ]
-    if not (math.isfinite(speed) and speed > 0.0):
-        problems.append(Problem("--speed", "", f"{speed:g}: must be above 0"))
-    if by is not None and not by.strip():
-        problems.append(Problem("--by", "", "is empty, give a name"))
-    if day is not None and not _is_day(day):
-        problems.append(Problem("--date", "", f"{day}: must look like 2026-03-01"))
-    if out_path is not None:
-        changed = [text for text in settings if text.startswith("rig.")]
-        advice = "a sign-off holds for the rig file as it stands, write it into that"
-        problems += [Problem("--set", text, f"not together with --out: {advice}") for text in changed]
-    problems += check_rig_path("--out", out_path)
-    if problems:
-        raise BadInput(problems)
-
-
 def _is_day(text: str) -> bool:
     with suppress(ValueError):
-        return re.fullmatch(r"\d{4}-\d{2}-\d{2}", text) is not None and bool(date.fromisoformat(text))
+        return re.fullmatch(r"\d{4}-\d{2}-\d{2}", text) is not None and bool(datetime.date.fromisoformat(text))
     return False
 
 
-def _today() -> str:
-    return datetime.now().astimezone().date().isoformat()
-
-
 def _check_rig(rig: Loaded[Rig], unattended: bool) -> None:
-    """Raise BadInput where there is nothing to commission, or nobody to look."""
+    """Raise BadInput if there is nothing to commission, or no operator at a hardware rig."""
     if rig.value.kind == "mock":
         raise BadInput.single(rig.where("kind"), "rig.kind", '"mock": there are no devices to commission')
     if rig.value.kind == "hardware" and unattended:
-        raise BadInput.single("--yes", "", f"{rig.value.name} is hardware: somebody must look at it and answer")
+        raise BadInput.single("--yes", "", f"{rig.value.name} is hardware: an operator must watch the bench and answer")
 
 
 def _asked_name() -> str:
     with suppress(EOFError):
         if name := Console().input("Your name, for the sign-off: ").strip():
             return name
-    raise BadInput.single("--by", "", "is missing: somebody must look at the bench and sign")
+    raise BadInput.single("--operator", "", "is missing: an operator must watch the bench and sign")
 
 
 def _show(console: Console) -> Callable[[str], None]:
@@ -146,7 +171,7 @@ def _show(console: Console) -> Callable[[str], None]:
 
 
 class Terminal:
-    """Prompt of a technician at a terminal."""
+    """Operator at a terminal, who types yes or no."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -156,7 +181,7 @@ class Terminal:
         self._console.print(text, highlight=False, soft_wrap=True, markup=False)
 
     def ask(self, question: str) -> bool:
-        """Ask until the answer is y or n; no at the end of the input."""
+        """Ask until the answer is y or n; without standard input the answer is no."""
         with suppress(EOFError):
             while True:
                 self._console.print(f"{question} [y/n] ", end="", highlight=False, soft_wrap=True, markup=False)

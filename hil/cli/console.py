@@ -1,55 +1,83 @@
-"""``hil console``: the page from which a session at the bench is seen and commanded."""
+"""``hil console``: the operator's page of a session at the bench."""
 
 from __future__ import annotations
 
 import datetime
 import importlib.util
 import sys
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
-from hil.config.console import OnLoss
+from hil.cli.options import Flag, Group, Integer, RunOptions, refuse
 from hil.errors import BadInput
 
 _NEEDED = ("fastapi", "uvicorn", "websockets")
 
 
-def console_command(
-    host: str,
-    port: int,
-    token_file: str | None,
-    rig_name: str,
-    scenario_name: str,
-    seed: int,
-    duration_s: float | None,
-    speed: float,
-    settings: Sequence[str],
-    on_loss: OnLoss | None,
-    record: str | None,
+@dataclass(frozen=True)
+class ServerOptions:
+    """Options of the web server."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on. Any but this computer's own requires a token."""
+    port: Integer = 8765
+    """Port; 0 takes any free one."""
+    token_file: str | None = None
+    """File with the token that a page must send, readable by its owner only."""
+
+
+_SERVER_DEFAULTS, _RUN_DEFAULTS = ServerOptions(), RunOptions()
+
+
+def console(
+    *,
+    server: Group[ServerOptions] = _SERVER_DEFAULTS,
+    rig: str = "emulated",
+    scenario: str = "scheme-1",
+    options: Group[RunOptions] = _RUN_DEFAULTS,
+    on_loss: Literal["hold", "continue", "stop"] | None = None,
+    record: str = "recordings",
+    no_record: Flag = False,
 ) -> int:
-    """Do ``hil console``; return its exit code. Raises BadInput before anything listens."""
+    """Serve the page that displays and commands a session at the bench, until Ctrl-C.
+
+    Parameters
+    ----------
+    rig
+        mock, emulated, or the path of a rig file: preselected on the page.
+    scenario
+        scheme-1, scheme-2, scheme-3, or the path of a scenario file: preselected on the page.
+    on_loss
+        Reaction of the loop when the operator's page is lost while the bench moves, instead of the rig's
+        console.on_loss.
+    record
+        Folder for the recordings, one file per session, and their catalogue.
+    no_record
+        Do not record.
+    """
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         raise BadInput.single("hil console", "", f"{', '.join(missing)} missing: pip install 'hil-bench[console]'")
+    refuse(options.problems())
 
-    from hil.cli.run import check_options
     from hil.console.serve import listen, read_token, serve
     from hil.console.session import Choice
 
-    check_options(seed, duration_s, speed, None)
     choice = Choice(
-        scenario=scenario_name,
-        rig=rig_name,
-        seed=seed,
-        duration_s=duration_s,
-        speed=speed,
-        settings=tuple(settings),
+        scenario=scenario,
+        rig=rig,
+        seed=options.seed,
+        duration_s=options.duration,
+        speed=options.speed,
+        settings=options.settings,
         on_loss=on_loss,
-        record=None if record is None else str(Path(record).absolute()),
+        record=None if no_record else str(Path(record).absolute()),
     )
     choice.job()
+    host, token_file = server.host, server.token_file
     token = None if token_file is None else read_token(token_file)
-    with listen(host, port, token) as listener:
+    with listen(host, server.port, token) as listener:
         shown = f"[{host}]" if ":" in host else host
         _say(f"console on http://{shown}:{listener.getsockname()[1]}/")
         try:

@@ -1,26 +1,37 @@
-"""``hil emulate``: the emulated devices of a rig, alone."""
+"""``hil emulate``: the emulated devices of a rig, without a loop."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Sequence
 
 from rich.console import Console
 
-from hil.config.load import load_rig, load_scenario
-from hil.core.clock import WallClock
+from hil.cli.options import Settings
 from hil.errors import BadInput
 
 
-def emulate_command(rig_name: str, scenario_name: str, settings: Sequence[str], speed: float) -> int:
-    """Start them, say where they listen, stay until Ctrl-C."""
+def emulate(rig: str = "emulated", *, scenario: str = "scheme-1", settings: Settings = (), speed: float = 1.0) -> int:
+    """Start the emulated devices of a rig, print their addresses, and run until Ctrl-C.
+
+    Parameters
+    ----------
+    rig
+        emulated, or the path of a rig file.
+    scenario
+        Gives the noise of the emulated vision unit.
+    speed
+        Simulation speed relative to real time.
+    """
+    from hil.config.load import load_rig, load_scenario
+    from hil.core.clock import WallClock
     from hil.processes.emulators import EmulatedDevices
 
-    scenario, rig = load_scenario(scenario_name, settings), load_rig(rig_name, settings)
-    if rig.value.kind != "emulated":
-        raise BadInput.single(rig.source, "kind", f'"{rig.value.kind}": only "emulated" has devices to emulate')
+    loaded, loaded_rig = load_scenario(scenario, settings), load_rig(rig, settings)
+    if loaded_rig.value.kind != "emulated":
+        text = f'"{loaded_rig.value.kind}": only "emulated" has devices to emulate'
+        raise BadInput.single(loaded_rig.source, "kind", text)
     console = Console()
-    with EmulatedDevices(scenario.value, rig.value, WallClock(speed=speed), seed=0) as emulated:
+    with EmulatedDevices(loaded.value, loaded_rig.value, WallClock(speed=speed), seed=0) as emulated:
         _, addresses = emulated.wait_ready()
         for process in emulated.processes:
             for name, address in addresses.items():

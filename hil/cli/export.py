@@ -1,35 +1,60 @@
-"""``hil export``: the numbers of a recording for other tools."""
+"""``hil export``: numbers and images of a recording for other programs."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
+from cyclopts import Parameter
 from rich.console import Console
 
+from hil.cli.options import refuse
 from hil.cli.output import check_json_path
-from hil.core.camera_images import LEFT, MONITOR
 from hil.errors import BadInput
-from hil.recording.export import export
-from hil.recording.export_images import FOLDERS, export_pictures
-from hil.recording.read import load
-from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
 
 
-def export_command(recording: str, form: Literal["parquet", "csv"], out: str | None) -> int:
-    """Do ``hil export``; return its exit code. Raises BadInput."""
+def export(
+    recording: str,
+    /,
+    *,
+    form: Annotated[Literal["parquet", "csv"], Parameter(name="--format")] = "csv",
+    out: Annotated[str | None, Parameter(name=("--out", "-o"))] = None,
+    images: Annotated[str | None, Parameter(name=("--images", "--pictures"))] = None,
+) -> int:
+    """Write the numbers of a recording as Parquet or CSV, or its camera images.
+
+    Parameters
+    ----------
+    recording
+        File of hil run --record, of any version.
+    form
+        parquet requires the extra of that name: pip install 'hil-bench[parquet]'.
+    out
+        File to write; default: the recording's name with the format's ending.
+    images
+        Folder for the camera images, with their times and calibration, instead of the numbers.
+    """
+    if images is not None:
+        return _export_images(recording, images, out)
     target = Path(out) if out is not None else Path(recording).with_suffix(f".{form}")
-    if problems := check_json_path("--out", str(target)):
-        raise BadInput(problems)
-    for path, rows in export(Path(recording), form, target):
+    refuse(check_json_path("--out", str(target)))
+
+    from hil.recording import export as numbers
+
+    for path, rows in numbers.export(Path(recording), form, target):
         Console().print(f"{path}: {rows} rows", highlight=False, soft_wrap=True, markup=False)
     return 0
 
 
-def export_pictures_command(recording: str, folder: str, out: str | None) -> int:
-    """Do ``hil export --pictures``; return its exit code. Raises BadInput."""
+def _export_images(recording: str, folder: str, out: str | None) -> int:
     if out is not None:
-        raise BadInput.single("--out", "", "goes with the numbers of a recording, not with --pictures")
+        raise BadInput.single("--out", "", "goes with the numbers of a recording, not with --images")
+
+    from hil.core.camera_images import LEFT, MONITOR
+    from hil.recording.export_images import FOLDERS, export_pictures
+    from hil.recording.read import load
+    from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
+
     recorded = load(Path(recording))
     found = export_pictures(recorded, Path(folder))
 
@@ -38,9 +63,9 @@ def export_pictures_command(recording: str, folder: str, out: str | None) -> int
 
     for camera, count in found.pictures.items():
         if count:
-            say(f"{found.folder / FOLDERS[camera]}: {count} pictures")
+            say(f"{found.folder / FOLDERS[camera]}: {count} images")
     if found.jpeg:
-        say("recorded as JPEG: they are not what was looked at then")
+        say("recorded as JPEG: not identical with the images that were evaluated")
     root = found.folder
     if found.pictures[LEFT]:
         rate_hz = recorded.rig.vmu.rate_hz
@@ -48,5 +73,5 @@ def export_pictures_command(recording: str, folder: str, out: str | None) -> int
     if found.pictures[MONITOR]:
         say(f"hil monitor {root / FOLDERS[MONITOR]} --scene {root / SCENE_FILE} --out monitor.csv")
         if not found.whole:
-            say("not every frame was recorded: hil monitor takes frames for evenly spaced that are not")
+            say("not every frame was recorded: hil monitor assumes evenly spaced frames")
     return 0

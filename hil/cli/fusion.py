@@ -3,49 +3,59 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from typing import Any, Literal
 
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from hil.cli.output import check_json_path, check_picture_path, write_json
-from hil.config.load import load_rig, load_scenario
-from hil.errors import BadInput, Problem
-
-Reading = Literal["swapped", "printed"]
+from hil.cli.options import Integer, Output, Settings, at_least, refuse
+from hil.cli.output import check_figure_path, check_json_path, write_json
 
 _PASSED, _FAILED = 0, 1
 LARGEST_RATIO = 1.05
-"""RMSE over bound up to which the filters are said to sit on the bound."""
+"""Greatest RMSE over bound with which the filters count as optimal."""
 
 
-def fusion_command(
-    reading: Reading,
-    runs: int,
-    seed: int,
-    settings: Sequence[str],
-    workers: int,
-    json_path: str | None,
-    figure: str | None,
+def fusion(
+    *,
+    vmu_noise: Literal["swapped", "printed"] = "swapped",
+    runs: Integer = 100,
+    seed: Integer = 0,
+    settings: Settings = (),
+    workers: Integer = 0,
+    json: Output = None,
+    figure: str | None = None,
 ) -> int:
-    """Do ``hil fusion``; return its exit code."""
-    problems = [
-        Problem(name, "", f"{value}: must be at least {least}")
-        for name, value, least in (("--runs", runs, 1), ("--seed", seed, 0), ("--workers", workers, 0))
-        if value < least
-    ]
-    problems += check_json_path("--json", json_path) + check_picture_path("--figure", figure)
-    if problems:
-        raise BadInput(problems)
-    load_scenario("scheme-2", settings)  # these say what is wrong with the settings before anything starts
+    """Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.
+
+    Parameters
+    ----------
+    vmu_noise
+        Table I's rows of the vision unit as the text requires (swapped) or as printed.
+    runs
+        Number of runs, each with its own noise and initial errors.
+    seed
+        Seed of all random numbers, independent of the number of workers.
+    workers
+        Number of processes; 0: one per core.
+    json
+        File for the numbers, - for standard output.
+    figure
+        Figure of one run's errors with their 3-sigma band, as the paper's Fig. 5 (PNG, PDF or SVG).
+    """
+    problems = at_least(runs=(runs, 1), seed=(seed, 0), workers=(workers, 0))
+    refuse(problems + check_json_path("--json", json) + check_figure_path("--figure", figure))
+
+    from hil.config.load import load_rig, load_scenario
+
+    load_scenario("scheme-2", settings)  # report errors of the settings before the start
     load_rig("mock", settings)
     from hil.campaign.fusion import Study, run_fusion
 
     console = Console(stderr=True)
-    with console.status("compiling the kernels where they are not yet"):
-        Study(tuple(settings), reading, seed).bound()
+    with console.status("compiling the kernels that are not cached"):
+        Study(settings, vmu_noise, seed).bound()
     done = iter(track(range(runs), "runs", console=console, disable=not console.is_terminal, transient=True))
     counted = 0
 
@@ -56,15 +66,15 @@ def fusion_command(
         counted = finished
 
     workers = workers or len(os.sched_getaffinity(0))
-    found = run_fusion(reading, runs, seed, tuple(settings), workers, watch)
-    if json_path is not None:
-        write_json(found, json_path)
+    found = run_fusion(vmu_noise, runs, seed, settings, workers, watch)
+    if json is not None:
+        write_json(found, json)
     if figure is not None:
         from hil.campaign.fusion_figure import draw
 
-        draw(reading, seed, tuple(settings), figure)
+        draw(vmu_noise, seed, settings, figure)
     passed = _passed(found)
-    if json_path != "-":
+    if json != "-":
         _render(found, passed, Console())
     return _PASSED if passed else _FAILED
 

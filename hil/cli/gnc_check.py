@@ -1,42 +1,64 @@
-"""``hil gnc-check``: is a GNC of the user's own fit to be flown?"""
+"""``hil gnc check``: test of an external GNC before its first run."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from hil.cli.options import Flag, Output, Settings, refuse, wait_problems
 from hil.cli.output import check_json_path, write_json
-from hil.config.load import load_scenario
-from hil.errors import BadInput, Problem
-from hil.gnc_check.check import Report, check_gnc
-from hil.gnc_check.gnc_under_test import GncUnderTest, LibraryPartner, LinkPartner, check_link
+from hil.errors import BadInput
+
+if TYPE_CHECKING:
+    from hil.gnc_check.check import Report
+    from hil.gnc_check.gnc_under_test import GncUnderTest
 
 _PASSED, _FAILED = 0, 1
 
 
-def gnc_check_command(
-    gnc: str, scenario_name: str, dial: bool, wait_s: float, settings: Sequence[str], json_path: str | None
+def gnc_check(
+    gnc: str,
+    /,
+    *,
+    scenario: str = "scheme-1",
+    dial: Flag = False,
+    wait: float = 60.0,
+    settings: Settings = (),
+    json: Output = None,
 ) -> int:
-    """Do ``hil gnc-check``; return its exit code. Raises BadInput where there is nothing to check."""
-    problems = check_json_path("--json", json_path)
-    if not (math.isfinite(wait_s) and wait_s > 0.0):
-        problems.append(Problem("--wait", "", f"{wait_s:g}: must be a time above 0 s"))
-    if problems:
-        raise BadInput(problems)
-    scenario = load_scenario(scenario_name, settings).value
+    """Check an external GNC: latency, signs, units and order.
+
+    Parameters
+    ----------
+    gnc
+        A shared library (*.so), or HOST:PORT of this computer on which to wait for a GNC.
+    scenario
+        Gives vehicle, step and Table III.
+    dial
+        HOST:PORT is the address of a GNC that waits for the bench.
+    wait
+        Wall-clock time to wait for the GNC, s.
+    json
+        File for the findings, - for standard output.
+    """
+    refuse(check_json_path("--json", json) + wait_problems(wait))
+
+    from hil.config.load import load_scenario
+    from hil.gnc_check.check import check_gnc
+
+    loaded = load_scenario(scenario, settings).value
     console = Console(stderr=True)
-    partner = _partner(gnc, dial, wait_s, console)
+    partner = _partner(gnc, dial, wait, console)
     try:
         with console.status("waiting for the GNC") as status:
-            report = check_gnc(partner, scenario, lambda name: status.update(f"playing: {name}"))
+            report = check_gnc(partner, loaded, lambda name: status.update(f"playing: {name}"))
     finally:
         partner.close()
-    if json_path is not None:
-        write_json(report.as_json(), json_path)
-    if json_path != "-":
+    if json is not None:
+        write_json(report.as_json(), json)
+    if json != "-":
         _print(report)
     return _PASSED if report.passed else _FAILED
 
@@ -44,12 +66,13 @@ def gnc_check_command(
 def _partner(gnc: str, dial: bool, wait_s: float, console: Console) -> GncUnderTest:
     from hil.frmn.udp import parse_address, shown
     from hil.frmn.wire import PORT
+    from hil.gnc_check.gnc_under_test import LibraryPartner, LinkPartner, check_link
 
     if Path(gnc).suffix == ".so" or Path(gnc).exists():
-        return LibraryPartner(gnc, "hil gnc-check")
+        return LibraryPartner(gnc, "hil gnc check")
     if ":" not in gnc:
-        raise BadInput.single("hil gnc-check", "", f"{gnc}: give a shared library (*.so) or HOST:PORT")
-    address = parse_address("hil gnc-check", gnc, PORT)
+        raise BadInput.single("hil gnc check", "", f"{gnc}: give a shared library (*.so) or HOST:PORT")
+    address = parse_address("hil gnc check", gnc, PORT)
     link = check_link(None if dial else address, address if dial else None)
     if not dial:
         console.print(f"waiting for a GNC on {shown(link.address)}", style="dim", highlight=False)

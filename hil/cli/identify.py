@@ -1,48 +1,71 @@
-"""``hil identify``: how late each axis is, measured, and a rig file that makes up for it."""
+"""``hil identify``: measured delay of each axis, and a rig file with leads that compensate it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from hil.cli.output import base_of, check_json_path, check_rig_path, write_json
-from hil.cli.progress import Bar
-from hil.cli.warm_up import compile_kernels_with_notice
-from hil.commission.identification import AxisResult, Identification
-from hil.config.load import Loaded, load_rig, load_scenario
-from hil.config.rig import BENCH_AXES, Rig
-from hil.errors import BadInput, Problem
+from hil.cli.options import Flag, Names, Output, Settings, above_zero, refuse
+from hil.cli.output import axis_problems, base_of, check_json_path, check_rig_path, chosen_axes, write_json
+from hil.cli.progress import ProgressBar
+from hil.errors import BadInput
+
+if TYPE_CHECKING:
+    from hil.commission.identification import AxisResult
 
 _PASSED, _FAILED = 0, 1
 
 
-def identify_command(
-    rig_name: str,
-    axes: Sequence[str],
-    out_path: str | None,
-    json_path: str | None,
-    confirmed: bool,
-    scenario_name: str,
-    settings: Sequence[str],
-    speed: float,
+def identify(
+    rig: str = "emulated",
+    *,
+    axis: Names = (),
+    out: Output = None,
+    json: Output = None,
+    yes: Flag = False,
+    scenario: str = "scheme-1",
+    settings: Settings = (),
+    speed: float = 1.0,
 ) -> int:
-    """Do ``hil identify``; return its exit code. Raises BadInput before anything is started."""
-    _check_options(axes, out_path, json_path, speed)
-    scenario, rig = load_scenario(scenario_name, settings), load_rig(rig_name, settings)
-    if rig.value.kind == "hardware" and not confirmed:
-        raise BadInput.single(
-            "--yes", "", f"{rig.value.name} is hardware and its axes will move: clear the bench, then add --yes"
-        )
+    """Move one axis at a time, a few millimetres or tenths of a degree, and measure its delay and bandwidth.
 
+    Parameters
+    ----------
+    rig
+        mock, emulated, or the path of a rig file.
+    axis
+        rails.x, turntable.yaw ...; may be given more than once. By default all six, one after the other.
+    out
+        Rig file (*.toml) to write: it extends this rig by the leads that compensate the delays.
+    json
+        File for the numbers, - for standard output.
+    yes
+        Confirm that the bench is clear (required for hardware rigs).
+    scenario
+        Gives the cycle of the bench, and the position of the axes of a mock rig.
+    speed
+        Simulation speed relative to real time, on an emulated rig.
+    """
+    problems = axis_problems(axis) + above_zero("--speed", speed)
+    refuse(problems + check_rig_path("--out", out) + check_json_path("--json", json))
+
+    from hil.cli.warm_up import compile_kernels_with_notice
+    from hil.commission.identification import Identification
+    from hil.config.load import load_rig, load_scenario
     from hil.session import build
 
-    job = build.Job(scenario, rig, 0, scenario.value.step_s, speed)
+    loaded, loaded_rig = load_scenario(scenario, settings), load_rig(rig, settings)
+    if loaded_rig.value.kind == "hardware" and not yes:
+        raise BadInput.single(
+            "--yes", "", f"{loaded_rig.value.name} is hardware and its axes will move: clear the bench, then add --yes"
+        )
+    job = build.Job(loaded, loaded_rig, 0, loaded.value.step_s, speed)
     build.check_rig(job)
     console = Console(stderr=True)
     compile_kernels_with_notice(job, console)
@@ -50,32 +73,19 @@ def identify_command(
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
-    chosen = [k for k, name in enumerate(BENCH_AXES) if name in axes or not axes]
     with (
-        Bar(console, "opening the axes") as bar,
+        ProgressBar(console, "opening the axes") as bar,
         build.runner(job, lambda *_: None, announce) as runner,
         runner.axes_only() as sequencer,
     ):
-        results = Identification(sequencer, bar.tell).measure(chosen)
-    if json_path is not None:
-        write_json(as_json(results, rig_name, scenario.value.step_s), json_path)
-    if out_path is not None:
-        Path(out_path).write_text(as_toml(results, rig_name, out_path, settings), encoding="utf-8")
-    if json_path != "-":
-        _print(results, rig, Console())
+        results = Identification(sequencer, bar.show).measure(chosen_axes(axis))
+    if json is not None:
+        write_json(as_json(results, rig, loaded.value.step_s), json)
+    if out is not None:
+        Path(out).write_text(as_toml(results, rig, out, settings), encoding="utf-8")
+    if json != "-":
+        _print(results, loaded_rig.value.name, Console())
     return _PASSED if all(result.passed for result in results) else _FAILED
-
-
-def _check_options(axes: Sequence[str], out_path: str | None, json_path: str | None, speed: float) -> None:
-    problems = [
-        Problem("--axis", "", f"{a}: unknown, give {', '.join(BENCH_AXES)}") for a in axes if a not in BENCH_AXES
-    ]
-    if not (math.isfinite(speed) and speed > 0.0):
-        problems.append(Problem("--speed", "", f"{speed:g}: must be above 0"))
-    problems += check_rig_path("--out", out_path)
-    problems += check_json_path("--json", json_path)
-    if problems:
-        raise BadInput(problems)
 
 
 def as_json(results: Sequence[AxisResult], rig_name: str, step_s: float) -> dict[str, Any]:
@@ -122,8 +132,8 @@ def _axis_as_json(result: AxisResult, step_s: float) -> dict[str, Any]:
 
 
 def as_toml(results: Sequence[AxisResult], rig_name: str, out_path: str, settings: Sequence[str] = ()) -> str:
-    """Return a rig file that lays the leads over the rig they were measured on; axes that failed stay as they are."""
-    lines = ["# Leads that make up for the delays of the axes, measured by hil identify."]
+    """Return a rig file that extends the measured rig by the leads; failed axes stay unchanged."""
+    lines = ["# Leads that compensate the delays of the axes, measured by hil identify."]
     lines += [f"# measured with --set {text}" for text in settings]
     lines += ["", f'extends = "{base_of(rig_name, out_path)}"']
     for result in results:
@@ -135,9 +145,9 @@ def as_toml(results: Sequence[AxisResult], rig_name: str, out_path: str, setting
     return "\n".join(lines) + "\n"
 
 
-def _print(results: Sequence[AxisResult], rig: Loaded[Rig], console: Console) -> None:
+def _print(results: Sequence[AxisResult], rig_name: str, console: Console) -> None:
     table = Table(
-        title=f"Axes of {rig.value.name}",
+        title=f"Axes of {rig_name}",
         title_justify="left",
         box=box.SIMPLE_HEAD,
         collapse_padding=True,

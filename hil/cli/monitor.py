@@ -1,26 +1,28 @@
-"""``hil monitor``: the docking monitor on a recording, a folder of pictures or a camera."""
+"""``hil monitor``: the docking monitor on a video, a folder of images or a camera."""
 
 from __future__ import annotations
 
 import csv
 import math
 import os
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 from rich.console import Console
 from rich.table import Table
 
+from hil.cli.options import Group, Output, refuse
 from hil.cli.output import check_json_path, write_json
-from hil.cli.progress import Bar
-from hil.config.load import load_scene
-from hil.config.scene import Scene
+from hil.cli.progress import ProgressBar
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
+    from hil.config.scene import Scene
     from hil.monitor.frame_result import FrameResult
     from hil.monitor.preprocess import Region
     from hil.monitor.results import Portion
@@ -28,48 +30,89 @@ if TYPE_CHECKING:
 _PASSED = 0
 
 
-def monitor_command(
+@dataclass(frozen=True)
+class MonitorOptions:
+    """Options of the measurement."""
+
+    roi: str | None = None
+    """Initial region of interest: u,v,width,height in px."""
+    target: Literal["basic", "backup", "reserve"] = "basic"
+    """The scene's basic or its backup target (reserve: earlier name of backup)."""
+    calculation: Literal["exact", "paper"] = "exact"
+    """The exact projection, or the paper's small-angle relations."""
+    motion: Literal["corrected", "printed"] = "corrected"
+    """The paper's portions as corrected, or as printed."""
+    q: float = 0.5
+    """Weight of the previous portion, 0 to 1."""
+
+    @property
+    def chosen_target(self) -> Literal["basic", "backup"]:
+        return "basic" if self.target == "basic" else "backup"
+
+
+_DEFAULTS = MonitorOptions()
+
+
+def monitor(
     video: str,
-    scene_name: str,
-    out: str,
-    screen: str | None,
-    json_path: str | None,
-    roi: str | None,
-    target: Literal["basic", "backup"],
-    calculation: Literal["exact", "paper"],
-    motion: Literal["corrected", "printed"],
-    q: float,
-    frames_path: str | None,
+    /,
+    *,
+    scene: str,
+    out: Output,
+    screen: Output = None,
+    json: Output = None,
+    frames: Output = None,
+    options: Group[MonitorOptions] = _DEFAULTS,
 ) -> int:
-    """Do ``hil monitor``; return its exit code."""
-    problems = check_json_path("--out", out) + check_json_path("--json", json_path)
-    problems += check_json_path("--frames", frames_path)
-    if not 0.0 <= q <= 1.0:
-        problems.append(Problem("--q", "", f"{q:g}: must be 0 to 1"))
-    if problems:
-        raise BadInput(problems)
-    loaded = load_scene(scene_name)
-    scene = loaded.value
-    if target == "backup" and scene.backup is None:
-        raise BadInput.single(loaded.source, "backup", "is missing: --target backup needs it")
-    region = _region(roi, scene)
+    """Measure range, range rate and angles on the video of an approach, each with its standard deviation.
+
+    Parameters
+    ----------
+    video
+        Video file, folder of images, or the number of a camera.
+    scene
+        Camera and target: atv, bright-cross, or the path of a scene file (JSON or TOML).
+    out
+        CSV file to write, one row per portion of 10 frames, - for standard output.
+    screen
+        Video (.mp4, .mkv, .avi) or image (.png) of the operator's screen.
+    json
+        File for a summary, - for standard output.
+    frames
+        CSV file with one row per frame: used or not, the reason, and its own pose.
+    """
+    assert out is not None
+    problems = check_json_path("--out", out) + check_json_path("--json", json) + check_json_path("--frames", frames)
+    if not 0.0 <= options.q <= 1.0:
+        problems.append(Problem("--q", "", f"{options.q:g}: must be 0 to 1"))
+    refuse(problems)
+
+    from hil.config.load import load_scene
     from hil.monitor.monitor import Monitor, watch
     from hil.monitor.settings import MonitorSettings
     from hil.monitor.sources import open_source
 
-    source = open_source(video, loaded)
-    monitor = Monitor(
-        scene, MonitorSettings(region=region, target=target, calculation=calculation, motion=motion, q=q, q_attitude=q)
+    loaded = load_scene(scene)
+    if options.chosen_target == "backup" and loaded.value.backup is None:
+        raise BadInput.single(loaded.source, "backup", "is missing: --target backup needs it")
+    settings = MonitorSettings(
+        region=_region(options.roi, loaded.value),
+        target=options.chosen_target,
+        calculation=options.calculation,
+        motion=options.motion,
+        q=options.q,
+        q_attitude=options.q,
     )
+    source = open_source(video, loaded)
     console = Console(stderr=True)
     portions: list[Portion] = []
     looks: list[FrameResult] = []
     with ExitStack() as stack:
-        table = stack.enter_context(_Rows(out, _columns()))
-        each = stack.enter_context(_Rows(frames_path, _FRAME_COLUMNS)) if frames_path is not None else None
-        painter = stack.enter_context(_painter(screen, scene, source.name)) if screen is not None else None
-        bar = stack.enter_context(Bar(console, "compiling the kernels where they are not yet"))
-        for frame, look, done in watch(monitor, source):
+        table = stack.enter_context(_CsvFile(out, _columns()))
+        each = stack.enter_context(_CsvFile(frames, _FRAME_COLUMNS)) if frames is not None else None
+        painter = stack.enter_context(_painter(screen, loaded.value, source.name)) if screen is not None else None
+        bar = stack.enter_context(ProgressBar(console, "compiling the kernels that are not cached"))
+        for frame, look, done in watch(Monitor(loaded.value, settings), source):
             looks.append(look)
             if each is not None:
                 each.write(_frame_row(look))
@@ -79,11 +122,11 @@ def monitor_command(
                 portions.append(portion)
                 table.write(_row(portion))
             if source.pictures:
-                bar.tell("frames", min(len(looks) / source.pictures, 1.0))
+                bar.show("frames", min(len(looks) / source.pictures, 1.0))
     summary = _summary(portions, looks)
-    if json_path is not None:
-        write_json(summary, json_path)
-    if json_path != "-" and out != "-":
+    if json is not None:
+        write_json(summary, json)
+    if json != "-" and out != "-":
         _render(summary, portions, Console())
     return _PASSED
 
@@ -95,7 +138,7 @@ def _region(roi: str | None, scene: Scene) -> Region | None:
     if roi is None:
         return None
     width, height = scene.camera.width, scene.camera.height
-    allowed = f"must be u,v,width,height in whole px within the picture of {width} x {height}, at least 32 x 32"
+    allowed = f"must be u,v,width,height in whole px within the image of {width} x {height}, at least 32 x 32"
     try:
         left, top, wide, high = (int(part) for part in roi.split(","))
     except ValueError:
@@ -139,16 +182,14 @@ def _frame_row(look: FrameResult) -> list[str]:
     ]  # fmt: skip
 
 
-class _Rows:
-    """A CSV file that appears under its name when it is complete; "-" is standard output."""
+class _CsvFile:
+    """CSV file that gets its name when it is complete; "-" is standard output."""
 
     def __init__(self, path: str, columns: tuple[str, ...]) -> None:
         self._path, self._columns = path, columns
         self._file: TextIO | None = None
 
-    def __enter__(self) -> _Rows:
-        import sys
-
+    def __enter__(self) -> _CsvFile:
         if self._path == "-":
             self._writer = csv.writer(sys.stdout, lineterminator="\n")
         else:
@@ -168,7 +209,7 @@ class _Rows:
         if self._file is None:
             return
         self._file.close()
-        # what a broken recording gave stays beside, so that nobody takes it for the whole; Ctrl-C ends a camera's
+        # results of a broken recording stay in the .part file; Ctrl-C ends the recording of a camera
         if kind is None or issubclass(kind, KeyboardInterrupt):
             os.replace(f"{self._path}.part", self._path)
 

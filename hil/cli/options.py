@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, TypeVar
 
 import cyclopts
 from cyclopts import Parameter
+
+from hil.errors import BadInput, Problem
 
 Settings = Annotated[
     tuple[str, ...],
@@ -14,11 +18,69 @@ Settings = Annotated[
 ]
 
 
-def _whole_number(_type: object, tokens: Sequence[cyclopts.Token]) -> int:
-    """Return a whole number; cyclopts by itself would cut 1.5 to 1."""
+def _integer(_type: object, tokens: Sequence[cyclopts.Token]) -> int:
+    """Return an integer; cyclopts by itself would truncate 1.5 to 1."""
     return int(tokens[0].value)
 
 
-Whole = Annotated[int, Parameter(converter=_whole_number)]
-MaybeWhole = Annotated[int | None, Parameter(converter=_whole_number)]
+Integer = Annotated[int, Parameter(converter=_integer)]
+OptionalInteger = Annotated[int | None, Parameter(converter=_integer)]
+Flag = Annotated[bool, Parameter(negative=())]
+Names = Annotated[tuple[str, ...], Parameter(negative=())]
 Output = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
+
+_T = TypeVar("_T")
+Group = Annotated[_T, Parameter(name="*")]
+"""A dataclass of options, each of which stands for itself on the command line."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of a closed-loop run."""
+
+    seed: Integer = 0
+    """Seed of all random numbers: the same seed gives the same run on the mock rig."""
+    duration: float | None = None
+    """Run time in seconds, instead of the scenario's."""
+    settings: Settings = ()
+    speed: float = 1.0
+    """Simulation speed relative to real time, on a rig that is paced by the wall clock."""
+
+    def problems(self) -> list[Problem]:
+        """Return a problem for each option that is out of range."""
+        found = []
+        if self.seed < 0:
+            found.append(Problem("--seed", "", f"{self.seed}: must not be negative"))
+        return found + duration_problems(self.duration) + above_zero("--speed", self.speed)
+
+
+def above_zero(option: str, value: float | None, what: str = "above 0") -> list[Problem]:
+    """Return a problem if ``value`` is not a finite number above zero; None is one."""
+    if value is None or (math.isfinite(value) and value > 0.0):
+        return []
+    return [Problem(option, "", f"{value:g}: must be {what}")]
+
+
+def duration_problems(duration_s: float | None) -> list[Problem]:
+    """Return a problem if ``--duration`` is out of range."""
+    return above_zero("--duration", duration_s, "a time above 0 s")
+
+
+def wait_problems(wait_s: float) -> list[Problem]:
+    """Return a problem if ``--wait`` is out of range."""
+    return above_zero("--wait", wait_s, "a time above 0 s")
+
+
+def at_least(**options: tuple[int, int]) -> list[Problem]:
+    """Return a problem for each option, given as name=(value, least), that is less than allowed."""
+    return [
+        Problem(f"--{name}", "", f"{value}: must be at least {least}")
+        for name, (value, least) in options.items()
+        if value < least
+    ]
+
+
+def refuse(problems: Sequence[Problem]) -> None:
+    """Raise BadInput if there are problems."""
+    if problems:
+        raise BadInput(problems)

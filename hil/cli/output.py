@@ -1,21 +1,21 @@
-"""Files that commands write: checked before the work begins, written whole or not at all."""
+"""Options of output files, checked before the work starts, and files that are written completely or not at all."""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.config.load import shipped
 from hil.errors import Problem
 
-PICTURES = (".png", ".pdf", ".svg")
+_FIGURES = (".png", ".pdf", ".svg")
 
 
 def check_json_path(option: str, path: str | None) -> list[Problem]:
-    """Return a problem where no file can be written to ``path``, "-" for standard output."""
+    """Return a problem if no file can be written to ``path``, "-" for standard output."""
     if path is None or path == "-":
         return []
     if Path(path).is_dir():
@@ -25,26 +25,31 @@ def check_json_path(option: str, path: str | None) -> list[Problem]:
     return []
 
 
-def check_picture_path(option: str, path: str | None) -> list[Problem]:
-    """Return a problem where no picture can be written to ``path``."""
-    if path is not None and Path(path).suffix.lower() not in PICTURES:
-        return [Problem(option, "", f"{path}: must end in {', '.join(PICTURES)}")]
+def check_figure_path(option: str, path: str | None) -> list[Problem]:
+    """Return a problem if no figure can be written to ``path``."""
+    if path is not None and Path(path).suffix.lower() not in _FIGURES:
+        return [Problem(option, "", f"{path}: must end in {', '.join(_FIGURES)}")]
     return check_json_path(option, path)
 
 
 def write_json(content: dict[str, Any], path: str) -> None:
-    """Write ``content`` to ``path``, "-" for standard output: the whole file or none of it."""
+    """Write ``content`` to ``path``, "-" for standard output, completely or not at all."""
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     if path == "-":
         sys.stdout.write(text)
         return
+    write_text(text, path)
+
+
+def write_text(text: str, path: str) -> None:
+    """Write ``text`` to ``path``, completely or not at all."""
     partial = Path(f"{path}.part")
     partial.write_text(text, encoding="utf-8")
     os.replace(partial, path)
 
 
 def check_rig_path(option: str, path: str | None) -> list[Problem]:
-    """Return a problem where no new rig file can be written to ``path``."""
+    """Return a problem if no new rig file can be written to ``path``."""
     if path is not None and not path.endswith(".toml"):
         return [Problem(option, "", f"{path}: must end in .toml")]
     if path is not None and Path(path).exists():
@@ -52,8 +57,25 @@ def check_rig_path(option: str, path: str | None) -> list[Problem]:
     return check_json_path(option, path)
 
 
+def axis_problems(axes: Sequence[str]) -> list[Problem]:
+    """Return a problem for each name that is no axis of the bench."""
+    from hil.config.rig import BENCH_AXES
+
+    allowed = ", ".join(BENCH_AXES)
+    return [Problem("--axis", "", f"{axis}: unknown, give {allowed}") for axis in axes if axis not in BENCH_AXES]
+
+
+def chosen_axes(axes: Sequence[str]) -> list[int]:
+    """Return the indices of the named axes, of all six if none is named."""
+    from hil.config.rig import BENCH_AXES
+
+    return [k for k, name in enumerate(BENCH_AXES) if name in axes or not axes]
+
+
 def base_of(rig_name: str, out_path: str) -> str:
     """Return what ``extends`` needs to find the rig from beside the file at ``out_path``."""
+    from hil.config.load import shipped
+
     if rig_name in shipped("rigs"):
         return rig_name
     return Path(os.path.relpath(Path(rig_name).resolve(), Path(out_path).resolve().parent)).as_posix()

@@ -1,41 +1,56 @@
-"""``hil preflight``: the table of what was checked, and what to do about it."""
+"""``hil preflight``: checks of host and rig, with advice."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from hil.cli.options import Flag, Output, Settings, refuse
 from hil.cli.output import check_json_path, write_json
-from hil.config.load import load_rig, load_scenario
-from hil.errors import BadInput
 
 _PASSED, _FAILED = 0, 1
 _WORDS = {True: "[green]pass[/]", False: "[bold red]fail[/]", None: "note"}
 
 
-def preflight_command(
-    rig_name: str, scenario_name: str, settings: Sequence[str], json_path: str | None, enable_drives: bool
+def preflight(
+    *,
+    rig: str = "mock",
+    scenario: str = "scheme-1",
+    settings: Settings = (),
+    json: Output = None,
+    devices: Flag = False,
 ) -> int:
-    """Do ``hil preflight``; return its exit code. Raises BadInput before anything is started."""
-    problems = check_json_path("--json", json_path)
-    if problems:
-        raise BadInput(problems)
-    scenario, rig = load_scenario(scenario_name, settings), load_rig(rig_name, settings)
-    from hil.preflight.lateness import histogram_lines
-    from hil.preflight.run import preflight
+    """Check whether this host and a rig can run in real time and reach a scenario; exit code 0 or 1.
 
+    Parameters
+    ----------
+    rig
+        mock, emulated, or the path of a rig file.
+    scenario
+        Gives the rate and the plan that the rig has to follow.
+    json
+        File for the results, - for standard output.
+    devices
+        Also open rails and turntable of a hardware rig: the drives are enabled and hold their positions.
+    """
+    refuse(check_json_path("--json", json))
+
+    from hil.config.load import load_rig, load_scenario
+    from hil.preflight import run
+    from hil.preflight.lateness import histogram_lines
+
+    loaded, loaded_rig = load_scenario(scenario, settings), load_rig(rig, settings)
     progress = Console(stderr=True)
     with progress.status("") as status:
-        found = preflight(scenario, rig, Path.cwd(), enable_drives, lambda text: status.update(f"{text} ..."))
-    if json_path is not None:
-        write_json({"scenario": scenario.value.name, "rig": rig_name, **found.numbers()}, json_path)
-    if json_path != "-":
+        found = run.preflight(loaded, loaded_rig, Path.cwd(), devices, lambda text: status.update(f"{text} ..."))
+    if json is not None:
+        write_json({"scenario": loaded.value.name, "rig": rig, **found.numbers()}, json)
+    if json != "-":
         console = Console()
-        table = Table(title=f"Preflight of {rig_name} for {scenario.value.name}")
+        table = Table(title=f"Preflight of {rig} for {loaded.value.name}")
         for heading in ("check", "result", "found", "what to do"):
             table.add_column(heading, overflow="fold")
         for check in found.checks:

@@ -1,18 +1,16 @@
-"""A progress bar that is drawn by whoever tells it something: no thread of its own beside the loop."""
+"""Progress bar that is drawn by its caller's updates: no thread beside the loop."""
 
 from __future__ import annotations
-
-from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 
-class Bar:
-    """Shown on a terminal alone, and gone at the end. title: of what comes before the first word."""
+class ProgressBar(Progress):
+    """Bar on a terminal only, removed at the end. title: shown before the first update."""
 
     def __init__(self, console: Console, title: str) -> None:
-        self._progress = Progress(
+        super().__init__(
             TextColumn("{task.description}"),
             BarColumn(),
             TaskProgressColumn(),
@@ -21,20 +19,11 @@ class Bar:
             console=console,
             auto_refresh=False,
             transient=True,
+            disable=not console.is_terminal,
         )
-        self._visible = console.is_terminal
-        self._task = self._progress.add_task(title, total=1.0)
+        self._task = self.add_task(title, total=1.0)
 
-    def __enter__(self) -> Self:
-        if self._visible:
-            self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._visible:
-            self._progress.stop()
-
-    def tell(self, title: str, share: float) -> None:
-        """Show what is under way and how far along it is, 0..1."""
-        if self._visible:
-            self._progress.update(self._task, description=title, completed=share, refresh=True)
+    def show(self, title: str, fraction: float) -> None:
+        """Show the present step and the completed fraction, 0..1."""
+        if not self.disable:
+            self.update(self._task, description=title, completed=fraction, refresh=True)

@@ -1,17 +1,27 @@
-"""``hil recover``: a recording that broke off, made whole."""
+"""``hil recover``: restores a truncated recording."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
+from cyclopts import Parameter
 from rich.console import Console
 
-from hil.recording.recover import recover
 
+def recover(recording: str, /, *, out: Annotated[str | None, Parameter(name=("--out", "-o"))] = None) -> int:
+    """Restore a truncated recording in a new file; the file itself stays unchanged.
 
-def recover_command(recording: str, out: str | None) -> int:
-    """Do ``hil recover``; return its exit code. Raises BadInput."""
-    found = recover(Path(recording), Path(out) if out is not None else None)
+    Parameters
+    ----------
+    recording
+        File of a recorder that was killed, or whose disk was full.
+    out
+        File to write; default: NAME.recovered.mcap beside the recording.
+    """
+    from hil.recording import recover as recovery
+
+    found = recovery.recover(Path(recording), Path(out) if out is not None else None)
     if found.out is None:
         text = f"{recording} is intact: {found.messages} messages over {found.length_s:.2f} s, nothing to recover"
     else:

@@ -1,26 +1,24 @@
-"""``hil replay``: recorded inputs through today's GNC, laid beside what was recorded."""
+"""``hil replay``: recorded inputs through the present GNC, vision unit or docking monitor, and the differences."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from hil.cli.options import Flag, Output, Settings, refuse
 from hil.cli.output import check_json_path, write_json
 from hil.cli.text_table import columns
-from hil.config.gnc_override import with_other_gnc
-from hil.config.scenario import Scenario
-from hil.core.fields import leaf_fields
-from hil.core.messages import CYCLE_FIELDS
-from hil.errors import BadInput
-from hil.recording.read import Recorded, load
-from hil.recording.replay import Difference, Replayed, follows, replay
-from hil.report.summary import navigation_errors
+from hil.errors import Problem
+
+if TYPE_CHECKING:
+    from hil.config.scenario import Scenario
+    from hil.recording.read import Recorded
+    from hil.recording.replay import Difference, Replayed
 
 _SAME, _DIFFERS = 0, 1
-_UNITS = {field.name: field.unit for field in leaf_fields(CYCLE_FIELDS)}
 _ROWS = (
     ("position_rmse_m", "position rmse", "mm", 1e3),
     ("velocity_rmse_mps", "velocity rmse", "mm/s", 1e3),
@@ -30,10 +28,61 @@ _ROWS = (
 )
 
 
-def replay_command(recording: str, gnc: str | None, settings: Sequence[str], json_path: str | None) -> int:
-    """Do ``hil replay``; return its exit code. Raises BadInput."""
-    if problems := check_json_path("--json", json_path):
-        raise BadInput(problems)
+def replay(
+    recording: str,
+    /,
+    *,
+    gnc: str | None = None,
+    settings: Settings = (),
+    vmu: Flag = False,
+    geometry: str | None = None,
+    monitor: Flag = False,
+    scene: str | None = None,
+    json: Output = None,
+) -> int:
+    """Replay the recorded inputs of a run through the present GNC and compare bit by bit.
+
+    Parameters
+    ----------
+    recording
+        File of hil run --record.
+    gnc
+        TOML file with other [gnc...] tables, or a scenario whose GNC is used.
+    vmu
+        Replay the recorded stereo images through the vision unit instead.
+    geometry
+        With --vmu: geometry file (hil calibrate) instead of the recorded one.
+    monitor
+        Replay the recorded frames of the docking monitor instead.
+    scene
+        With --monitor: scene, shipped or a file, instead of the recorded one.
+    json
+        File for the differences, - for standard output.
+    """
+    problems = check_json_path("--json", json)
+    if not (vmu or monitor or geometry is not None or scene is not None):
+        refuse(problems)
+        return _replay_gnc(recording, gnc, settings, json)
+    if geometry is not None and not vmu:
+        problems.append(Problem("--geometry", "", "goes with --vmu"))
+    if scene is not None and not monitor:
+        problems.append(Problem("--scene", "", "goes with --monitor"))
+    for option, given in (("--gnc", gnc is not None), ("--set", bool(settings))):
+        if given:
+            problems.append(Problem(option, "", "goes with a replay of the GNC, not with --vmu or --monitor"))
+    refuse(problems)
+
+    from hil.cli.replay_images import replay_images
+
+    return replay_images(recording, vmu, geometry, monitor, scene, json)
+
+
+def _replay_gnc(recording: str, gnc: str | None, settings: Sequence[str], json_path: str | None) -> int:
+    from hil.config.gnc_override import with_other_gnc
+    from hil.recording.read import load
+    from hil.recording.replay import replay
+    from hil.report.summary import navigation_errors
+
     recorded = load(Path(recording))
     changed = gnc is not None or bool(settings)
     scenario = with_other_gnc(recorded.scenario, recording, gnc, settings).value if changed else recorded.scenario
@@ -75,44 +124,49 @@ def _event(event: tuple[float, str, str]) -> dict[str, Any]:
 def _print(
     recorded: Recorded, scenario: Scenario, found: Replayed, changed: bool, errors: dict[str, Any], console: Console
 ) -> None:
-    def say(text: str) -> None:
+    from hil.recording.replay import follows
+
+    def show(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True, markup=False)
 
     if not recorded.intact:
-        say(f"{recorded.path} broke off or is damaged: what is whole in it is replayed")
+        show(f"{recorded.path} is truncated or damaged: its intact part is replayed")
     if found.ended:
-        say(found.ended)
+        show(found.ended)
     for note in recorded.notes:
         if note["kind"] == "setting":
-            says = (
-                "" if follows(recorded, scenario, note["message"]) else "; not in this replay, which has another value"
-            )
-            say(f"changed in flight by {note['name']}, from cycle {note['cycle']} on: {note['message']}{says}")
+            applied = follows(recorded, scenario, note["message"])
+            suffix = "" if applied else "; not in this replay, which has another value"
+            show(f"changed in flight by {note['name']}, from cycle {note['cycle']} on: {note['message']}{suffix}")
     of = f"{recorded.run['scenario']} on {recorded.run['rig']}, seed {recorded.run['seed']}, {len(found.rows)} cycles"
     if found.identical:
-        say(f"identical, bit by bit: {of}")
+        show(f"identical, bit by bit: {of}")
         return
     if found.differences:
         for line in _table(found.differences):
-            say(line)
+            show(line)
     for word, events in (("no longer", found.missing_events), ("new", found.new_events)):
         for t_s, source, text in events:
-            say(f"{word:<9} {t_s:.2f} s {source}: {text}")
+            show(f"{word:<9} {t_s:.2f} s {source}: {text}")
     if changed:
         for line in _navigation(errors):
-            say(line)
+            show(line)
     if found.differences:
         first = min(found.differences, key=lambda d: d.first_cycle)
-        say(f"differs from cycle {first.first_cycle} on, {first.first_s:.2f} s: {of}")
+        show(f"differs from cycle {first.first_cycle} on, {first.first_s:.2f} s: {of}")
     elif found.ended:
-        say(f"identical as far as it was replayed: {of}")
+        show(f"identical as far as it was replayed: {of}")
 
 
 def _table(differences: Sequence[Difference]) -> list[str]:
+    from hil.core.fields import leaf_fields
+    from hil.core.messages import CYCLE_FIELDS
+
+    units = {field.name: field.unit for field in leaf_fields(CYCLE_FIELDS)}
     rows = [
         (
             d.field,
-            _UNITS[d.field],
+            units[d.field],
             str(d.cycles),
             str(d.first_cycle),
             f"{d.first_s:.2f}",
@@ -122,7 +176,7 @@ def _table(differences: Sequence[Difference]) -> list[str]:
         )
         for d in differences
     ]
-    head = ("differs", "unit", "cycles", "from cycle", "at, s", "there by", "at most by", "at, s")
+    head = ("differs", "unit", "cycles", "from cycle", "at, s", "initially by", "at most by", "at, s")
     return columns(head, rows, frozenset({0, 1}))
 
 

@@ -1,4 +1,4 @@
-"""``hil replay --vmu`` and ``--monitor``: recorded pictures through today's vision unit and docking monitor."""
+"""``hil replay --vmu`` and ``--monitor``: recorded images through the present vision unit and docking monitor."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from hil.cli.output import check_json_path, write_json
+from hil.cli.output import write_json
 from hil.cli.text_table import columns
 from hil.config.load import load_geometry, load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
-from hil.errors import BadInput, Problem
+from hil.errors import BadInput
 from hil.monitor.results import QUANTITIES
 from hil.recording.read import Recorded, load
 from hil.recording.replay_images import ImageComponent, PicturesReplayed, replay_monitor, replay_vision_unit
@@ -22,23 +22,13 @@ _SAME, _DIFFERS = 0, 1
 _SHOWN: Final = {"m": ("mm", 1e3), "rad": ("deg", 57.29577951308232), "m/s": ("mm/s", 1e3)}
 
 
-def replay_pictures_command(
-    recording: str,
-    vmu: bool,
-    geometry: str | None,
-    monitor: bool,
-    scene: str | None,
-    other_gnc: str | None,
-    json_path: str | None,
+def replay_images(
+    recording: str, vmu: bool, geometry: str | None, monitor: bool, scene: str | None, json_path: str | None
 ) -> int:
-    """Do ``hil replay --vmu --monitor``; return its exit code. Raises BadInput.
-
-    other_gnc: an option of the replay of the GNC that was given as well.
-    """
-    _check_options(vmu, geometry, monitor, scene, other_gnc, json_path)
+    """Replay the images of a recording; return the exit code. Raises BadInput if it has none."""
     recorded = load(Path(recording))
     found: dict[str, tuple[PicturesReplayed, bool]] = {}
-    with Console(stderr=True).status("looking at the pictures again"):
+    with Console(stderr=True).status("replaying the images"):
         if vmu:
             found["vmu"] = (replay_vision_unit(recorded, _geometry(recorded, geometry)), geometry is not None)
         if monitor:
@@ -51,33 +41,17 @@ def replay_pictures_command(
     return _SAME if same else _DIFFERS
 
 
-def _check_options(
-    vmu: bool, geometry: str | None, monitor: bool, scene: str | None, other_gnc: str | None, json_path: str | None
-) -> None:
-    problems = check_json_path("--json", json_path)
-    if geometry is not None and not vmu:
-        problems.append(Problem("--geometry", "", "goes with --vmu"))
-    if scene is not None and not monitor:
-        problems.append(Problem("--scene", "", "goes with --monitor"))
-    if other_gnc is not None:
-        problems.append(Problem(other_gnc, "", "goes with a replay of the GNC, not with --vmu or --monitor"))
-    if problems:
-        raise BadInput(problems)
-
-
 def _geometry(recorded: Recorded, path: str | None) -> VmuGeometry:
     if path is not None:
         return load_geometry(path).value
     if recorded.scenario.vmu.source != "rendered":
-        raise BadInput.single(str(recorded.path), "", 'holds no pictures of the vision unit: vmu.source was "model"')
+        raise BadInput.single(str(recorded.path), "", 'holds no images of the vision unit: vmu.source was "model"')
     return recorded.calibration(GEOMETRY_FILE, VmuGeometry)
 
 
 def _scene(recorded: Recorded, name: str | None) -> Scene:
     if recorded.scenario.monitor.source == "none":
-        raise BadInput.single(
-            str(recorded.path), "", 'holds no pictures of a docking monitor: monitor.source was "none"'
-        )
+        raise BadInput.single(str(recorded.path), "", 'holds no images of a docking monitor: monitor.source was "none"')
     return load_scene(name).value if name is not None else recorded.calibration(SCENE_FILE, Scene)
 
 
@@ -107,24 +81,24 @@ def _as_json(recorded: Recorded, found: dict[str, tuple[PicturesReplayed, bool]]
 
 
 def _print(recorded: Recorded, found: dict[str, tuple[PicturesReplayed, bool]], console: Console) -> None:
-    def say(text: str) -> None:
+    def show(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True, markup=False)
 
     if not recorded.intact:
-        say(f"{recorded.path} broke off or is damaged: what is whole in it is replayed")
+        show(f"{recorded.path} is truncated or damaged: its intact part is replayed")
     for name, (replayed, _) in found.items():
         what = "poses" if name == "vmu" else "portions"
         of = f"{replayed.of}, {replayed.pictures} exposures, {replayed.compared} {what}"
         for remark in replayed.remarks:
-            say(remark)
+            show(remark)
         if replayed.identical:
-            say(f"identical, bit by bit: {of}")
+            show(f"identical, bit by bit: {of}")
             continue
         for line in _tables(replayed, what):
-            say(line)
+            show(line)
         firsts = [d.first_s for d in replayed.differences if d.first_s is not None]
         since = f" from {min(firsts):.2f} s on" if firsts else ""
-        say(f"differs{since}: {of}")
+        show(f"differs{since}: {of}")
 
 
 def _tables(replayed: PicturesReplayed, what: str) -> list[str]:
@@ -134,9 +108,9 @@ def _tables(replayed: PicturesReplayed, what: str) -> list[str]:
         head = ("differs", "unit", what, "from, s", "at most by", "sigmas", "at, s")
         lines += columns(head, [_row(d) for d in replayed.differences], frozenset({0, 1}))
     if replayed.missing:
-        lines.append(f"{replayed.missing} {what} of the recording do not come out any more")
+        lines.append(f"{replayed.missing} recorded {what} are missing in the replay")
     if replayed.new:
-        lines.append(f"{replayed.new} {what} come out that are not in the recording")
+        lines.append(f"{replayed.new} {what} of the replay are not in the recording")
     return lines
 
 

@@ -1,32 +1,48 @@
-"""``hil report``: a page about recorded runs."""
+"""``hil report``: self-contained HTML report of recorded runs."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
+from cyclopts import Parameter
 from rich.console import Console
 
+from hil.cli.options import refuse
 from hil.cli.output import check_json_path
 from hil.errors import BadInput, Problem
-from hil.recording.read import load
 
 
-def report_command(recordings: Sequence[str], out: str) -> int:
-    """Do ``hil report``; return its exit code. Raises BadInput."""
+def report(
+    recordings: Annotated[list[str], Parameter(negative=())],
+    /,
+    *,
+    out: Annotated[str, Parameter(name=("--out", "-o"))],
+) -> int:
+    """Write a self-contained HTML report of a run, or a comparison of several.
+
+    Parameters
+    ----------
+    recordings
+        Files of hil run --record.
+    out
+        File to write, *.html.
+    """
     problems = check_json_path("--out", out)
     if Path(out).suffix.lower() not in (".html", ".htm"):
         problems.append(Problem("--out", "", f"{out}: must end in .html"))
-    if problems:
-        raise BadInput(problems)
+    refuse(problems)
+
+    from hil.recording.read import load
+
     runs = [load(Path(name)) for name in recordings]
     if empty := [Problem(str(run.path), "", "no cycle is recorded") for run in runs if not len(run.cycles)]:
         raise BadInput(empty)
 
-    from hil.report.page import report  # matplotlib takes a second
+    from hil.report import page  # slow import of matplotlib
 
-    text = report(runs)
+    text = page.report(runs)
     partial = Path(f"{out}.part")
     try:
         partial.write_text(text, encoding="utf-8")

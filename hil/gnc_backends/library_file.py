@@ -31,7 +31,7 @@ class Library:
         self._source = source
         if not self.path.is_file():
             raise self._refusal(
-                "no such file: give the path of a shared library (hil gnc-header says what it must have)"
+                "no such file: give the path of a shared library (hil gnc header says what it must have)"
             )
         exact = _keeps_subnormals()
         try:
@@ -42,11 +42,11 @@ class Library:
             raise self._refusal("makes this process round small numbers to zero: build it without -ffast-math")
         missing = [name for name in _SYMBOLS if not hasattr(self._loaded, name)]
         if missing:
-            raise self._refusal(f"has no function {', '.join(missing)}: hil gnc-header says what it must have")
+            raise self._refusal(f"has no function {', '.join(missing)}: hil gnc header says what it must have")
         self._declare()
         spoken = self._loaded.hil_gnc_protocol()
         if spoken != PROTOCOL:
-            raise self._refusal(f"speaks protocol {spoken}, this bench speaks {PROTOCOL}: build it with hil gnc-header")
+            raise self._refusal(f"speaks protocol {spoken}, this bench speaks {PROTOCOL}: build it with hil gnc header")
 
     def _declare(self) -> None:
         loaded = self._loaded

@@ -141,4 +141,4 @@ def check_link(bind: tuple[str, int] | None, peer: tuple[str, int] | None) -> Li
     """Return a link of which this side plays the bench's part."""
     from hil.frmn.mailboxes import Role
 
-    return Link(Role.DSS, "hil gnc-check", ("gnc.setup", "gnc.input"), ("gnc.output",), bind, peer, _PATIENCE_S)
+    return Link(Role.DSS, "hil gnc check", ("gnc.setup", "gnc.input"), ("gnc.output",), bind, peer, _PATIENCE_S)

@@ -137,7 +137,7 @@ def test_whole_path_ends_in_a_rig_file_that_is_signed_off(rig_file: Path, capsys
         "--axis",
         "turntable.yaw",
         "--yes",
-        "--by",
+        "--operator",
         "T. Echnician",
         "--date",
         "2026-03-02",
@@ -171,7 +171,19 @@ def test_whole_path_ends_in_a_rig_file_that_is_signed_off(rig_file: Path, capsys
 
 @pytest.mark.slow
 def test_ctrl_c_at_a_question_ends_as_a_safe_stop() -> None:
-    command = [sys.executable, "-m", "hil", "commission", "emulated", "--axis", "rails.y", "--by", "T", "--speed", "2"]
+    command = [
+        sys.executable,
+        "-m",
+        "hil",
+        "commission",
+        "emulated",
+        "--axis",
+        "rails.y",
+        "--operator",
+        "T",
+        "--speed",
+        "2",
+    ]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, text=True, **pipes) as process:  # type: ignore[call-overload]
         try:

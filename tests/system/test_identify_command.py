@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.cli.identify import AXES
 from hil.cli.main import execute
 from hil.config.load import load_rig
+from hil.config.rig import BENCH_AXES
 
 pytestmark = pytest.mark.wires
 
@@ -139,4 +139,4 @@ def test_axis_is_measured_over_a_wire(tmp_path: Path) -> None:
 def test_all_axes_are_measured_over_their_wires(tmp_path: Path) -> None:
     numbers = tmp_path / "numbers.json"
     assert execute(["identify", "emulated", "--json", str(numbers)]) == 0
-    assert set(json.loads(numbers.read_text())["axes"]) == set(AXES)
+    assert set(json.loads(numbers.read_text())["axes"]) == set(BENCH_AXES)

@@ -186,7 +186,8 @@ def test_digest_covers_what_stands_in_the_protocol_file_and_not_where_it_lies(tm
         (("emulated", "--out", "lab.ini"), ("--out", "lab.ini", ".toml")),
         (("emulated", "--date", "1.3.2026"), ("--date", "1.3.2026", "2026-03-01")),
         (("emulated", "--date", "2026-13-01"), ("--date", "2026-13-01")),
-        (("emulated", "--by", " "), ("--by", "give a name")),
+        (("emulated", "--operator", " "), ("--operator", "give a name")),
+        (("emulated", "--by", " "), ("--operator", "give a name")),
         (("emulated", "--speed", "0"), ("--speed", "above 0")),
         (
             ("emulated", "--out", "new.toml", "--set", "rig.rails.timeout_s=1.0"),
@@ -205,7 +206,7 @@ def test_bad_option_is_refused_in_a_line(
 
 def test_nobody_answers_for_a_technician_on_hardware(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["commission", str(lab), "--yes"]) == 2
-    assert "--yes: lab is hardware: somebody must look" in capsys.readouterr().err
+    assert "--yes: lab is hardware: an operator must watch the bench and answer" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

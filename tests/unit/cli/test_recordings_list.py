@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.cli.runs import _print
+from hil.cli.recordings import _print
 
 ENTRY = {
     "started_utc": "2026-11-01T14:30:00Z",

@@ -1,57 +1,88 @@
-"""``hil runs``: the catalogue of recorded runs as people and programs read it."""
+"""``hil recordings list``: the catalogue of recorded runs."""
 
 from __future__ import annotations
 
 import sqlite3
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from cyclopts import App, Parameter
+
+from hil.cli.options import Flag, Output, refuse
 from hil.cli.output import check_json_path, write_json
 from hil.cli.text_table import columns
 from hil.errors import BadInput, Problem
-from hil.recording.catalogue import NAME, Catalogue, RecordingFilter
-from hil.recording.utc import utc_text
 
 _FOLDER = "recordings"
 
+app = App(name="recordings")
 
-def runs_command(
-    folder: str | None, failed: bool, passed: bool, scenario: str | None, since: str | None, json_path: str | None
+
+@app.command(name="list", help="List the recorded runs of a folder.")
+def list_recordings(
+    folder: Annotated[str | None, Parameter(name=("--record", "--folder"))] = None,
+    *,
+    failed: Flag = False,
+    passed: Flag = False,
+    scenario: str | None = None,
+    since: str | None = None,
+    json: Output = None,
 ) -> int:
-    """Do ``hil runs``; return its exit code. Raises BadInput."""
-    problems = check_json_path("--json", json_path)
+    """List the recorded runs of a folder.
+
+    Parameters
+    ----------
+    folder
+        Recordings folder (default: ./recordings, else .).
+    failed
+        Only runs that did not pass: verdict fail, safe-stopped, truncated.
+    passed
+        Only runs that passed.
+    scenario
+        Only runs of the scenario of this name.
+    since
+        Only runs started then or later: 2026-11-01, or 2026-11-01T14:30, UTC.
+    json
+        File for the entries, - for standard output.
+    """
+    problems = check_json_path("--json", json)
     if failed and passed:
         problems.append(Problem("--failed", "", "does not go together with --passed"))
-    if problems:
-        raise BadInput(problems)
-    wanted = RecordingFilter(failed, passed, scenario, _begin(since))
+    refuse(problems)
+
+    from hil.recording.catalogue import Catalogue, RecordingFilter
+
     catalogue = Catalogue(_folder(folder))
     try:
-        entries = catalogue.runs(wanted)
+        entries = catalogue.runs(RecordingFilter(failed, passed, scenario, _begin(since)))
     except sqlite3.Error as error:
         raise BadInput.single(str(catalogue.path), "", f"cannot be read: {error}") from error
-    if json_path is not None:
-        write_json({"catalogue": str(catalogue.path), "runs": entries}, json_path)
-    if json_path != "-":
+    if json is not None:
+        write_json({"catalogue": str(catalogue.path), "runs": entries}, json)
+    if json != "-":
         _print(entries, catalogue.path)
     return 0
 
 
 def _folder(given: str | None) -> Path:
+    from hil.recording.catalogue import NAME
+
     if given is not None:
         return Path(given).parent if Path(given).name == NAME else Path(given)
     for folder in (Path(_FOLDER), Path()):
         if (folder / NAME).is_file():
             return folder
-    text = f"neither {_FOLDER}/{NAME} nor ./{NAME} is there: give the folder that hil run --record wrote to"
-    raise BadInput.single("hil runs", "", text)
+    text = f"neither {_FOLDER}/{NAME} nor ./{NAME} exists: give the folder of hil run --record"
+    raise BadInput.single("hil recordings list", "", text)
 
 
 def _begin(since: str | None) -> str | None:
-    """Return ``since`` as the catalogue writes times."""
+    """Return ``since`` in the catalogue's time format."""
     if since is None:
         return None
+    from hil.recording.utc import utc_text
+
     try:
         moment = datetime.fromisoformat(since)
     except ValueError as error:
@@ -61,7 +92,7 @@ def _begin(since: str | None) -> str | None:
     return utc_text(round(moment.timestamp() * 1e9))
 
 
-_HEAD = ("begun, UTC", "scenario", "rig", "seed", "verdict", "ready", "propellant", "position rmse", "file")
+_HEAD = ("started, UTC", "scenario", "rig", "seed", "verdict", "ready", "propellant", "position rmse", "file")
 
 
 def _print(entries: list[dict[str, Any]], path: Path) -> None:

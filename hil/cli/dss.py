@@ -1,0 +1,140 @@
+"""``hil dss``: the bench for a GNC in another process or on another computer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from hil.cli.options import Flag, Group, Output, RunOptions, refuse, wait_problems
+from hil.cli.output import check_json_path
+from hil.errors import BadInput
+
+if TYPE_CHECKING:
+    from hil.config.load import Loaded
+    from hil.config.rig import Rig
+    from hil.config.scenario import Scenario
+    from hil.frmn.udp import Address
+    from hil.loop.runner import Runner
+
+_RUN_DEFAULTS = RunOptions()
+
+
+@dataclass(frozen=True)
+class GncLinkOptions:
+    """Options of the link to the GNC."""
+
+    listen: str | None = None
+    """Address and port on which the bench waits for a GNC; 127.0.0.1:24500 unless --gnc is given."""
+    gnc: str | None = None
+    """Address and port of the GNC, the only peer that is accepted; instead of --listen."""
+    lock_step: Flag = False
+    """Each cycle waits for the reply of the GNC; on a mock rig the trajectory is that of hil run."""
+    wait: float = 60.0
+    """Wall-clock time to wait for a GNC, s."""
+
+
+_LINK_DEFAULTS = GncLinkOptions()
+
+
+def dss(
+    scenario: str,
+    /,
+    *,
+    rig: str = "mock",
+    options: Group[RunOptions] = _RUN_DEFAULTS,
+    link_options: Group[GncLinkOptions] = _LINK_DEFAULTS,
+    json: Output = None,
+    record: str | None = None,
+) -> int:
+    """Run the bench, with dynamics and vision unit, for a GNC in another process or on another computer.
+
+    Parameters
+    ----------
+    scenario
+        scheme-1, scheme-2, scheme-3, or the path of a scenario file.
+    rig
+        mock, emulated, or the path of a rig file; gnc_link in it sets the reaction to missing replies.
+    json
+        File for the numbers of the run, - for standard output.
+    record
+        Folder for the recording and its catalogue; see hil recordings list.
+    """
+    lock_step, wait_s = link_options.lock_step, link_options.wait
+    refuse(options.problems() + wait_problems(wait_s) + check_json_path("--json", json))
+    bind, peer = link_addresses("--listen", link_options.listen, "--gnc", link_options.gnc)
+
+    from hil.config.load import load_rig, load_scenario
+
+    loaded, loaded_rig = load_scenario(scenario, options.settings), load_rig(rig, options.settings)
+    _check_gnc_is_remote(loaded, loaded_rig)
+    is_mock = loaded_rig.value.kind == "mock"
+    if is_mock and lock_step and options.speed != 1.0:
+        text = f"{options.speed:g}: in lock-step a mock rig is not paced by the wall clock: omit --speed"
+        raise BadInput.single("--speed", "", text)
+    console = Console(stderr=True)
+
+    from hil.cli.run import RunRequest, run_job
+    from hil.cli.warm_up import compile_kernels_with_notice
+    from hil.core.operator_commands import AutoResumeOperator
+    from hil.frmn.udp import shown
+    from hil.gnc_backends.udp import gnc_link
+    from hil.session import build
+    from hil.setup.udp_backend import mirror_of, remote_gnc
+
+    length_s = loaded.value.duration_s if options.duration is None else options.duration
+    paced = is_mock and not lock_step
+    job = build.Job(loaded, loaded_rig, options.seed, length_s, options.speed, paced=paced)
+    link = gnc_link(f"hil dss {loaded.value.name}", bind, peer)
+    try:
+        with console.status("checking that the rig can follow the scenario"):
+            build.check(job)
+        compile_kernels_with_notice(job, console)
+        period_s = loaded.value.step_s / options.speed if paced or not is_mock else None
+        backend = remote_gnc(loaded.value, link, loaded_rig.value.gnc_link, lock_step, period_s)
+        where = f"the GNC at {shown(peer)}" if peer else f"a GNC on {shown(link.address)}"
+        console.print(f"waiting for {where}", style="dim", highlight=False, soft_wrap=True)
+        console.print(f"flown by {backend.connect(wait_s)}", style="dim", highlight=False, soft_wrap=True, markup=False)
+        operator = AutoResumeOperator() if loaded_rig.value.gnc_link.on_loss == "hold" else None
+
+        def attach(runner: Runner) -> None:
+            runner.loop.telemetry = mirror_of(runner, link)
+            if operator is not None:
+                operator.mode = lambda: runner.safety.modes.mode
+
+        def link_stats() -> dict[str, Any]:
+            return {"gnc_link": backend.account.as_json()}
+
+        job = replace(job, seat=lambda _: backend)
+        return run_job(RunRequest(job, rig, console, json, record, {}, operator, attach, link_stats))
+    finally:
+        link.close("the bench has ended")
+
+
+def _check_gnc_is_remote(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> None:
+    """Raise BadInput if scenario or rig name another GNC than that of the link."""
+    if scenario.value.gnc.library is not None:
+        text = "the GNC is at the other end of the UDP link; use hil run with a shared library"
+        raise BadInput.single(scenario.where("gnc.library"), "gnc.library", text)
+    if (wire := rig.value.flight_computer.command_words) != "none":
+        key = "flight_computer.command_words"
+        text = f'"{wire}": the GNC is at the other end of the UDP link; use hil run with a flight computer'
+        raise BadInput.single(rig.where(key), f"rig.{key}", text)
+
+
+def link_addresses(
+    listen_option: str, listen: str | None, peer_option: str, peer: str | None
+) -> tuple[Address | None, Address | None]:
+    """Return the address to listen on, or the only peer: one of both; by default this computer's own address."""
+    from hil.frmn.udp import LOOPBACK, parse_address
+    from hil.frmn.wire import PORT
+
+    if listen is not None and peer is not None:
+        raise BadInput.single(peer_option, "", f"{peer}: give this or {listen_option}, not both")
+    if peer is not None:
+        found = parse_address(peer_option, peer, PORT)
+        if found[1] == 0:
+            raise BadInput.single(peer_option, "", f"{peer}: must name a port")
+        return None, found
+    return parse_address(listen_option, listen if listen is not None else LOOPBACK, PORT), None

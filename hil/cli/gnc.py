@@ -1,0 +1,90 @@
+"""``hil gnc``: the GNC of a scenario in a process of its own; ``hil gnc header``: the C header for external GNCs."""
+
+from __future__ import annotations
+
+import sys
+
+from cyclopts import App
+from rich.console import Console
+
+from hil.cli.dss import link_addresses
+from hil.cli.options import Flag, Output, Settings, refuse, wait_problems
+from hil.cli.output import check_json_path, write_json
+
+app = App(name="gnc")
+app.command("hil.cli.gnc_check:gnc_check", name="check", help="Check an external GNC: latency, signs, units and order.")
+
+
+@app.default
+def gnc(
+    scenario: str,
+    /,
+    *,
+    dss: str | None = None,
+    listen: str | None = None,
+    settings: Settings = (),
+    wait: float = 60.0,
+    json: Output = None,
+) -> int:
+    """Run the GNC of a scenario for a bench in another process or on another computer, until the bench disconnects.
+
+    Parameters
+    ----------
+    scenario
+        scheme-1, scheme-2, scheme-3, or the path of a scenario file.
+    dss
+        Address and port of the bench; 127.0.0.1:24500 unless --listen is given.
+    listen
+        Address and port on which the GNC waits for a bench (hil dss --gnc), instead of --dss.
+    wait
+        Wall-clock time to wait for a bench, at first and after it became silent, s.
+    json
+        File for the numbers of the GNC, - for standard output.
+    """
+    refuse(wait_problems(wait) + check_json_path("--json", json))
+    bind, peer = link_addresses("--listen", listen, "--dss", dss)
+
+    from hil.config.load import load_scenario
+    from hil.core.realtime import RealTime, no_garbage_collection
+    from hil.frmn.udp import LOOPBACK, shown
+    from hil.frmn.wire import PORT
+    from hil.processes.gnc_server import GncServer, gnc_side
+
+    if bind is not None and listen is None:  # by default the bench on this computer
+        bind, peer = None, (LOOPBACK, PORT)
+    loaded = load_scenario(scenario, settings).value
+    console = Console(stderr=True)
+
+    def announce(text: str) -> None:
+        console.print(text, style="dim", highlight=False, soft_wrap=True, markup=False)
+
+    link = gnc_side(f"hil gnc {loaded.name}", bind, peer)
+    try:
+        with console.status("compiling the kernels that are not cached"):
+            server = GncServer(loaded, link, announce)
+        announce(f"ready on {shown(link.address)}" + (f", the bench is at {shown(peer)}" if peer else ""))
+        with RealTime() as realtime, no_garbage_collection(), realtime.realtime_priority():
+            stats = server.serve(wait)
+    finally:
+        link.close("the GNC has ended")
+    for complaint in link.complaints:
+        announce(complaint)
+    announce(f"{stats.steps} steps, {stats.bridged} bridged: {stats.end}")
+    if json is not None:
+        write_json(stats.as_json(link), json)
+    return 0
+
+
+@app.command(help="Print hil_gnc.h, the C header of the records between the bench and an external GNC.")
+def header(*, folder: Flag = False) -> int:
+    """Print hil_gnc.h, the C header of the records between the bench and an external GNC.
+
+    Parameters
+    ----------
+    folder
+        Print the folder of the file, for -I of a C compiler.
+    """
+    from hil.gnc_backends.c_header import HEADER_FILE
+
+    sys.stdout.write(f"{HEADER_FILE.parent}\n" if folder else HEADER_FILE.read_text(encoding="utf-8"))
+    return 0

@@ -1,0 +1,71 @@
+"""The command line: each command is declared once, imported when it is called, and found under its earlier name."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import subprocess
+import sys
+
+import pytest
+
+from hil.cli.main import _EARLIER_NAMES, COMMANDS, GROUPS, execute
+
+HEAVY = ("numba", "numpy", "pydantic", "hil.config", "hil.core")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_summary_of_each_command_is_that_of_its_function(name: str) -> None:
+    function = getattr(importlib.import_module(f"hil.cli.{name}"), name)
+    text = inspect.getdoc(function)
+    assert text is not None
+    assert " ".join(text.split("\n\n")[0].split()) == COMMANDS[name]
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, *GROUPS])
+def test_help_of_a_command_loads_nothing_that_its_run_needs(name: str) -> None:
+    script = f"import sys; from hil.cli.main import execute; execute(['{name}', '--help']); print(*sys.modules)"
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert f"Usage: hil {name}" in found.stdout
+    assert not set(HEAVY) & set(found.stdout.splitlines()[-1].split())
+
+
+def test_list_of_commands_has_each_one_and_no_earlier_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["--help"]) == 0
+    listed = {line[2:14].strip() for line in capsys.readouterr().out.splitlines() if line[:2] == "\u2502 "}
+    assert listed >= {*COMMANDS, *GROUPS}
+    assert not listed & set(_EARLIER_NAMES)
+
+
+@pytest.mark.parametrize(
+    ("earlier", "present"),
+    [
+        (["gnc-check", "mygnc"], ["gnc", "check", "mygnc"]),
+        (["gnc-header", "--folder"], ["gnc", "header", "--folder"]),
+        (["runs", "nowhere", "--failed", "--passed"], ["recordings", "list", "nowhere", "--failed", "--passed"]),
+        (["commission", "--by", " "], ["commission", "--operator", " "]),
+    ],
+)
+def test_earlier_name_does_the_same(earlier: list[str], present: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    code = execute(earlier)
+    printed = capsys.readouterr()
+    assert execute(present) == code
+    assert capsys.readouterr() == printed
+    assert printed.out or printed.err
+
+
+def test_gnc_of_a_scenario_is_beside_the_commands_of_its_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["gnc", "scheme-9"]) == 2
+    assert "scheme-9: unknown scenario" in capsys.readouterr().err
+
+
+def test_no_function_of_the_command_line_has_nine_parameters() -> None:
+    names = [*COMMANDS, *GROUPS, "gnc_check", "output", "options", "replay_images", "calibrate_tables"]
+    for name in names:
+        module = importlib.import_module(f"hil.cli.{name}")
+        for found in vars(module).values():
+            if inspect.isfunction(found) and found.__module__ == module.__name__:
+                assert len(inspect.signature(found).parameters) < 9, found
+            if dataclasses.is_dataclass(found) and found.__module__ == module.__name__:
+                assert len(dataclasses.fields(found)) < 10, found
