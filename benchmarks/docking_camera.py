@@ -1,6 +1,6 @@
 """Images per second of the rendered docking camera, on one core: drawing, and with light and noise.
 
-python benchmarks/docking_camera.py [pictures]
+python benchmarks/docking_camera.py [images]
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 
-ALL = ("README.md", "CHANGELOG.md", "docs", "benchmarks/README.md", "configs", "hil")
+ALL = ("README.md", "CHANGELOG.md", "docs", "benchmarks", "configs", "examples", "hil", "sims")
 
 # name of the word -> pattern; the field's term or plain English replaces it ("if" for "where", "per" for "a")
 WORDS = {
@@ -84,7 +84,7 @@ WORDS = {
 }
 Line = tuple[int, str, str]  # number, kind of text, text
 
-PATTERNS = {word: re.compile(rf"(?<![\w-])(?:{pattern})(?![\w-])", re.IGNORECASE) for word, pattern in WORDS.items()}
+PATTERNS = {word: re.compile(rf"(?<![\w/-])(?:{pattern})(?![\w-])", re.IGNORECASE) for word, pattern in WORDS.items()}
 
 # legitimate uses of these words, removed from a line before it is checked: terms of the field, titles, physical objects
 ALLOWED = re.compile(r"rate keeper|hand-eye|in other words", re.IGNORECASE)
@@ -156,7 +156,7 @@ def _toml(path: Path) -> Iterator[Line]:
 
 
 def _page(path: Path) -> Iterator[Line]:
-    """Yield comments, string literals with a space, and text between tags of the console's page."""
+    """Yield comments, string literals with a space, and text between tags, of the console's page or of C."""
     for number, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
         for comment in re.findall(r"(?:^|\s)//.*|/\*.*?(?:\*/|$)|^\s*\*.*", text):
             yield number, "comment", CODE.sub("", comment)
@@ -172,6 +172,8 @@ READERS: dict[str, Callable[[Path], Iterator[Line]]] = {
     ".toml": _toml,
     ".js": _page,
     ".html": _page,
+    ".c": _page,
+    ".h": _page,
 }
 
 

@@ -7,7 +7,19 @@ import pytest
 from tests.support import vocabulary
 
 # files and folders of vocabulary.ALL that are free of private words
-CHECKED = ("README.md", "CHANGELOG.md", "docs", "benchmarks/README.md", "configs", "hil/__init__.py", "hil/__main__.py")
+CHECKED = (
+    "README.md",
+    "CHANGELOG.md",
+    "docs",
+    "benchmarks",
+    "configs",
+    "examples",
+    "sims",
+    "hil/commission",
+    "hil/safety",
+    "hil/__init__.py",
+    "hil/__main__.py",
+)
 
 
 @pytest.mark.parametrize("path", CHECKED)
