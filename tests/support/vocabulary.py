@@ -38,7 +38,7 @@ WORDS = {
     r"(?! (?:memory|a|an|the|no|one|its))",
     "go on": r"(?:goes|go|went|gone|going) on",
     "where there is": r"where (?:there (?:is|are)|none|nothing|no|one (?:is|was))",
-    "beside": r"besides?",
+    "beside": r"beside",
     "stations": r"stations?",
     "seat": r"seats?",
     "eye": r"(?<!hand-)eyes?",
