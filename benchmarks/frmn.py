@@ -33,6 +33,7 @@ from hil.frmn.mailboxes import Role
 from hil.gnc_backends.udp import gnc_link
 from hil.loop.rate_keeper import WallRate
 from hil.session import build
+from hil.session.warm_up import warm_up
 from hil.setup.udp_backend import remote_gnc
 
 THERE, BACK = 32 + GNC_INPUT.itemsize, 32 + GNC_OUTPUT.itemsize
@@ -174,12 +175,12 @@ def ping_loop(hosts: Hosts, rate_hz: float, count: int, to: Trips) -> None:
     speed = rate_hz * step_s
     count = min(count, round(scenario.value.duration_s / step_s))
     job = build.Job(scenario, load_rig("mock", settings), 0, (count - 1) * step_s, speed, paced=True)
-    build.warm_up(job)
+    warm_up(job)
     link = gnc_link("bench", (hosts.here, PORTS["loop"]), None)
     seat = remote_gnc(scenario.value, link, job.rig.value.gnc_link, False, 1.0 / rate_hz)
     with far_side("loop", hosts):
         seat.connect(120.0)
-        with build.runner(replace(job, seat=lambda _: seat), lambda *_: None, lambda _: None) as runner:
+        with build.runner(replace(job, seat=lambda _: seat)) as runner:
             outcome = runner.run()
     if outcome.faults:
         print(f"the run of the loop ended early: {outcome.stop}")

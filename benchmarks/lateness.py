@@ -31,6 +31,7 @@ from hil.core.realtime import RealTime, no_garbage_collection
 from hil.frmn.ring import Ring
 from hil.loop.rate_keeper import Tick, WallRate
 from hil.session import build
+from hil.session.warm_up import warm_up
 
 ROWS = 2048
 LONGEST_US = 20_000  # cyclictest's histogram; larger values count as this
@@ -113,7 +114,7 @@ def cycle_block(cycles: int, rate_hz: float, ring: Ring, tally: Tally) -> None:
     job = build.Job(scenario, load_rig("mock"), 0, (cycles - 1) * step_s, 1.0)
     with RealTime() as real_time:
         rate = MeasuredRate(WallClock(speed=rate_hz * step_s), step_s)
-        outcome = build.in_memory(job, rate, precedence=real_time, telemetry=ring).run()
+        outcome = build.in_memory(job, rate, scheduling=real_time, telemetry=ring).run()
     tally.late_us.append(1e6 * outcome.history["lateness_s"])
     tally.end_us.append(1e-3 * np.array(rate.ends_ns[-len(outcome.history) + 1 :]))
     tally.missed += outcome.skipped_periods
@@ -249,7 +250,7 @@ def main() -> None:
         print("cyclictest is not installed, so there is nothing to compare with: apt-get install rt-tests")
         lines.remove("cyclictest")
     if not options.without_cycle:
-        build.warm_up(build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0, 1.0))
+        warm_up(build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0, 1.0))
     with RealTime() as real_time, real_time.realtime_priority():
         print("; ".join(map(str, real_time.grants)))
     print(f"{options.rate_hz:g} Hz, {options.rounds} rounds of {options.seconds:g} s a line, in turn; us p50 p99 p99.9")

@@ -30,7 +30,7 @@ RATES_HZ = (50.0, 1000.0)
 def flown() -> np.ndarray:
     """Return rows of a run on the mock rig, with realistic compressibility."""
     job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 20.0, 1.0)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         return runner.run().history
 
 

@@ -25,7 +25,8 @@ from hil.core.modes import Mode
 from hil.core.operator_commands import Operator, OperatorCommand
 from hil.drivers.fault_injection import AXIS, WIRE, FaultControl
 from hil.loop.runner import Runner
-from hil.session.build import Job, WiredBench, check, warm_up, wired_bench
+from hil.session.build import Job, WiredBench, check, wired_bench
+from hil.session.warm_up import warm_up
 
 TRIPS, CONTINUES = "trips", "continues"
 STANDSTILL: Final = 2e-3  # m/s or rad/s

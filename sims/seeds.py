@@ -24,7 +24,7 @@ def fly(scheme: str, seed: int, settings: tuple[str, ...]) -> dict[str, Any]:
     """Return the numbers of one run."""
     scenario = load_scenario(scheme, settings)
     job = build.Job(scenario, load_rig("mock", settings), seed, scenario.value.duration_s, 1.0)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         outcome = runner.run()
     return summarise(
         outcome, scenario.value, load_rig("mock", settings).value, "mock", seed, 1.0 / scenario.value.step_s

@@ -22,7 +22,7 @@ from typing import Any, Final, Protocol, Self
 from hil.campaign.batch import Case, Rows, Spec, run_batch
 from hil.campaign.dispersions import case_seed
 from hil.campaign.outcome import failed_row
-from hil.drivers.emulator_process import die_with_parent
+from hil.core.child_process import die_with_parent
 from hil.errors import BadInput, CampaignStopped
 
 Batch = tuple[int, int]

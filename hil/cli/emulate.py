@@ -24,7 +24,7 @@ def emulate(rig: str = "emulated", *, scenario: str = "scheme-1", settings: Sett
     """
     from hil.config.load import load_rig, load_scenario
     from hil.core.clock import WallClock
-    from hil.processes.emulators import EmulatedDevices
+    from hil.drivers.emulated_devices import EmulatedDevices
 
     loaded, loaded_rig = load_scenario(scenario, settings), load_rig(rig, settings)
     if loaded_rig.value.kind != "emulated":
@@ -33,10 +33,9 @@ def emulate(rig: str = "emulated", *, scenario: str = "scheme-1", settings: Sett
     console = Console()
     with EmulatedDevices(loaded.value, loaded_rig.value, WallClock(speed=speed), seed=0) as emulated:
         _, addresses = emulated.wait_ready()
-        for process in emulated.processes:
-            for name, address in addresses.items():
-                if name.split(".")[0] == process.name:
-                    console.print(f"{name} on {address} (process {process.pid})", highlight=False)
+        for name, address in addresses.items():
+            pid = emulated.pids[name.split(".")[0]]
+            console.print(f"{name} on {address} (process {pid})", highlight=False)
         try:
             console.print("Ctrl-C ends them")
             signal.pause()

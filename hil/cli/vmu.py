@@ -102,7 +102,7 @@ def vmu(
         problems.append(Problem("--baud", "", f"{sender.baud}: must be above 0"))
     refuse(problems)
 
-    from hil.cli.warm_up import left_at_once_on_ctrl_c
+    from hil.cli.warm_up import exit_on_ctrl_c
     from hil.config.load import load_geometry
     from hil.drivers.vmu.sender import FrameSender
     from hil.vmu.folder import ImageFolder
@@ -120,7 +120,7 @@ def vmu(
         count = len(images)
     live = isinstance(images, StreamPairs) and images.live
     console = Console(stderr=True)
-    with left_at_once_on_ctrl_c(), console.status("compiling the kernels that are not cached"):
+    with exit_on_ctrl_c(), console.status("compiling the kernels that are not cached"):
         unit = VisionUnit(loaded)
         unit.warm_up()
     if overlay is not None:

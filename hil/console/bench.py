@@ -35,7 +35,7 @@ class ConsoleBench:
     runner: Runner
     telemetry: Ring
     notes: EventRecorder | None
-    watched: with_docking_monitor.Look
+    watched: with_docking_monitor.MonitorResults
     addresses: dict[str, str] = field(default_factory=dict)
     rings: dict[str, Ring] = field(default_factory=dict)
 

@@ -1,19 +1,16 @@
-"""One session at the bench, as a process of its own: ``python -m hil.console.session``, started by the console.
+"""One session at the bench, in a process of its own (``hil.processes.console_session``).
 
-It gets its configuration as a JSON line on stdin and speaks with the console over a socket pair
-(``hil.console.remote_operator``). It is the loop's process: nothing of the web is in it. It says, in this order,
-``{"word": ...}`` for what is being started, ``{"hello": ...}`` with the descriptors of what it shares once the bench is
-up, what ``RemoteOperator`` tells, and at last ``{"ended": ...}``, or ``{"refused": [...]}`` where it could not
-begin. It outlives a console that dies, and brings the bench to a stand then.
+It exchanges messages with the console over a socket pair (``hil.console.remote_operator``). It sends, in this order,
+``{"word": ...}`` for each step of the start, ``{"hello": ...}`` with the descriptors of the shared memory once the
+bench is ready, the messages of ``RemoteOperator``, and at last ``{"ended": ...}``, or ``{"refused": [...]}`` if
+it cannot start.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import signal
 import socket
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,15 +22,15 @@ from hil.config.model import ConfigModel
 from hil.console.bench import ConsoleBench, opened
 from hil.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.console.status import CELLS
-from hil.core.jit import kernels_are_cached, mark_kernels_cached, prepare_kernel_cache
 from hil.errors import BadInput, BenchError
 from hil.frmn.mailbox import MailboxBlock
 from hil.loop.runner import Outcome
-from hil.processes.docking_monitor import Watched
 from hil.recording.session import Recording, recording
 from hil.report.docking_monitor import judge_monitor
 from hil.report.summary import summarise
 from hil.session import build
+from hil.session.warm_up import compile_kernels
+from hil.setup.docking_monitor import MonitorOutcome
 
 _LAST_WORDS_WALL_S: Final = 2.0
 
@@ -101,11 +98,7 @@ def _prepare(job: build.Job, words: OutgoingMessages) -> None:
         build.check(build.Job(job.scenario, job.rig, job.seed, job.duration_s, 1.0))
     else:
         build.check(job)
-    if not kernels_are_cached():
-        prepare_kernel_cache()
-        words.say(word=build.FIRST_START)
-    build.warm_up(job)
-    mark_kernels_cached()
+    compile_kernels(job, lambda text: words.say(word=text))
 
 
 @contextmanager
@@ -135,7 +128,7 @@ def _say_hello(channel: socket.socket, bench: ConsoleBench, status: MailboxBlock
 
 
 def _how_it_ended(
-    choice: Choice, job: build.Job, outcome: Outcome, watched: Watched | None, taken: Recording | None
+    choice: Choice, job: build.Job, outcome: Outcome, watched: MonitorOutcome | None, taken: Recording | None
 ) -> dict[str, Any]:
     """Return what the console is told of the end; the recording is closed with it."""
     rate_hz = 1.0 / job.scenario.value.step_s
@@ -156,17 +149,3 @@ def _how_it_ended(
         account = taken.finish(summary) if summary else taken.break_off(outcome.stop)
         ended["recording"] = {"file": str(taken.path), "dropped": account.dropped, "problem": account.problem}
     return ended
-
-
-def main() -> None:
-    """Be the child."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # also where a shell started the console with Ctrl-C ignored
-        signal.signal(number, signal.default_int_handler)
-    configuration = json.loads(sys.stdin.readline())
-    choice = Choice.model_validate(configuration["choice"], strict=False)
-    with socket.socket(fileno=configuration["channel"]) as channel:
-        run_session(choice, channel)
-
-
-if __name__ == "__main__":
-    main()

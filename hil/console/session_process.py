@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import itertools
 import json
-import os
 import signal
 import socket
-import subprocess
-import sys
-import tempfile
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -20,6 +15,7 @@ import numpy as np
 from hil.console.bench import RINGS
 from hil.console.session import Choice
 from hil.console.status import CELLS, empty_status
+from hil.core.child_process import ChildProcess
 from hil.core.messages import CYCLE
 from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Reader, Ring
@@ -31,14 +27,12 @@ _SHARED_AT_MOST: Final = 8
 _DTYPES: Final = {"telemetry": CYCLE, **RINGS}
 _ANSWER_WALL_S: Final = 2.0
 _STOP_WALL_S: Final = 5.0  # for a bench to be stopped and its processes ended
-_LAST_WORDS_BYTES: Final = 2000
 
 
 class SessionProcess:
     """One session. ``on_words`` is called, in the event loop, with each message that is not an answer.
 
-    ready: the bench is up. ended: the process has said its last word, or has died; ``why`` then holds its stderr's end
-    where it died without one.
+    ready: the bench is up. ended: the process has sent its last message, or has died.
     """
 
     def __init__(self, choice: Choice, on_words: Callable[[dict[str, Any]], None]) -> None:
@@ -56,31 +50,22 @@ class SessionProcess:
         self.file = ""
         """That the session is recorded into; "" where it is not."""
         self._status = empty_status()
-        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
         self._channel, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._channel.setblocking(False)
         configuration = {"choice": choice.model_dump(mode="json"), "channel": there.fileno()}
         try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "hil.console.session"],
-                stdin=subprocess.PIPE,
-                stdout=self._stderr,
-                stderr=self._stderr,
-                pass_fds=(there.fileno(),),
-                start_new_session=True,  # Ctrl-C at the console's terminal is the console's to act upon
+            self._child = ChildProcess(
+                "console session", "hil.processes.console_session", configuration, (there.fileno(),), new_session=True
             )
         finally:
             there.close()
-        assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError), self._process.stdin as stdin:
-            stdin.write(json.dumps(configuration).encode() + b"\n")
         self._dying: asyncio.Task[None] | None = None
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._channel, self._read)
 
     @property
     def pid(self) -> int:
-        return self._process.pid
+        return self._child.pid
 
     async def ask(self, **message: Any) -> str:
         """Send one packet that wants an answer; return it: "" for done, else why not."""
@@ -144,19 +129,17 @@ class SessionProcess:
 
     def interrupt(self) -> None:
         """Let a session that is still being opened end."""
-        with contextlib.suppress(ProcessLookupError):
-            self._process.send_signal(signal.SIGINT)
+        self._child.signal(signal.SIGINT)
 
     async def close(self) -> None:
         """End the session: by its own way out, then at once. Idempotent."""
-        if self._process.poll() is None:
+        if not self._child.exit_status():
             if not (self.ready and self.send(order="stop", id=0)):
                 self.interrupt()
             for number in (signal.SIGTERM, signal.SIGKILL):
                 if await self._gone_within(_STOP_WALL_S):
                     break
-                with contextlib.suppress(ProcessLookupError):
-                    self._process.send_signal(number)
+                self._child.signal(number)
         await self._gone_within(_STOP_WALL_S)
         if self._dying is not None:
             await self._dying
@@ -165,7 +148,7 @@ class SessionProcess:
 
     async def _gone_within(self, wall_s: float) -> bool:
         end = self._loop.time() + wall_s
-        while self._process.poll() is None:
+        while not self._child.exit_status():
             if self._loop.time() > end:
                 return False
             await asyncio.sleep(0.01)
@@ -176,7 +159,7 @@ class SessionProcess:
 
         uvloop lets go of a line on which an error stands, and one does where a session ended with packets unread.
         """
-        if not self.ended and self._dying is None and self._process.poll() is not None:
+        if not self.ended and self._dying is None and self._child.exit_status():
             while self._read():
                 pass
 
@@ -221,15 +204,10 @@ class SessionProcess:
     async def _died(self) -> None:
         """Say how the process ended that has closed its end without a last word."""
         await self._gone_within(_STOP_WALL_S)  # it may be writing down why
-        text = self._last_words().splitlines()
-        self._on_words({"refused": [f"the session's process ended without a word: {self._how()}", *text[-12:]]})
+        how = self._child.exit_status() or "closed its channel"
+        lines = self._child.last_stderr().splitlines()[1:]
+        self._on_words({"refused": [f"the session's process {how} without a result", *lines[-12:]]})
         self.ended = True
-
-    def _how(self) -> str:
-        code = self._process.poll()
-        if code is None:
-            return "it still runs"
-        return f"by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
 
     def _end(self) -> None:
         self.ended = True
@@ -246,9 +224,4 @@ class SessionProcess:
             if block is not None:
                 block.close()
         self._block = self._recording = None
-        self._stderr.close()
-
-    def _last_words(self) -> str:
-        size = os.fstat(self._stderr.fileno()).st_size
-        start = max(0, size - _LAST_WORDS_BYTES)
-        return os.pread(self._stderr.fileno(), _LAST_WORDS_BYTES, start).decode(errors="replace").strip()
+        self._child.close()

@@ -68,7 +68,7 @@ class SchedulingPolicy(Protocol):
         """Let the calling thread be the loop's for as long as this lasts. Raises BenchError when that fails."""
 
 
-class NoPrecedence:
+class DefaultScheduling:
     """For simulated time, which has no deadlines."""
 
     def __init__(self) -> None:

@@ -11,13 +11,13 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.clock import WallClock
 from hil.drivers.base import AxisGroup, PoseSource
+from hil.drivers.emulated_devices import EmulatedDevices
+from hil.drivers.factory import make_drivers
 from hil.errors import BenchError, DeviceError, LinkTimeout
 from hil.loop.rate_keeper import WallRate
 from hil.loop.safety_io_stage import SafetyIoStage, chain_kept_closed
 from hil.preflight.check import PreflightCheck
 from hil.preflight.ports import port_checks
-from hil.processes.emulators import EmulatedDevices
-from hil.processes.io_server import drivers
 
 _FIRST_SAMPLE_S = 5.0
 _POLL_S = 0.01
@@ -44,7 +44,7 @@ def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[Prefli
 
 def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
     """Return the checks of the devices, with the safety chain closed for those that are enabled."""
-    rails, turntable, source, _ = drivers(rig, clock)
+    rails, turntable, source, _ = make_drivers(rig, clock)
     if rig.io is None or not rig.has_io:
         return device_checks(rails, turntable, source, clock, enable_drives)
     if not enable_drives:

@@ -1,22 +1,15 @@
-"""How late this host wakes up the loop: measured with the product's own rate keeper in a process of its own.
-
-``python -m hil.preflight.lateness PERIOD_S DURATION_S`` is that process.
-"""
+"""Lateness of an empty loop on this host, measured with the loop's own rate keeper in a child process."""
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from dataclasses import dataclass
 
 import numpy as np
 
-from hil.core.clock import WallClock
+from hil.core.child_process import ChildProcess
 from hil.core.messages import Array
-from hil.core.realtime import FIFO, FIFO_PRIORITY, RealTime, no_garbage_collection
+from hil.errors import DeviceError
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
-from hil.loop.rate_keeper import WallRate
 from hil.preflight.check import PreflightCheck
 
 DURATION_S = 5.0
@@ -45,13 +38,13 @@ class Lateness:
 def measure(period_s: float) -> Lateness:
     """Return the lateness of an empty loop over DURATION_S, with the privileges that this user gets.
 
-    Raises RuntimeError when the process does not come back with it.
+    Raises RuntimeError if the measurement fails.
     """
-    program = [sys.executable, "-m", "hil.preflight.lateness", repr(period_s), repr(DURATION_S)]
+    configuration = {"period_s": period_s, "duration_s": DURATION_S}
     try:
-        done = subprocess.run(program, capture_output=True, text=True, timeout=DURATION_S + _START_S, check=True)
-        found = json.loads(done.stdout)
-    except (OSError, ValueError, subprocess.SubprocessError) as error:
+        with ChildProcess("lateness probe", "hil.processes.lateness_probe", configuration) as child:
+            found = child.receive(DURATION_S + _START_S)
+    except DeviceError as error:
         raise RuntimeError(f"the lateness could not be measured: {error}") from error
     return summarise(period_s, np.array(found["lateness_s"]), found["skipped"], found["scheduling"])
 
@@ -92,21 +85,3 @@ def histogram_lines(found: Lateness) -> list[str]:
         edge = f"below {entry['below_us']:>6.0f} us" if entry["below_us"] is not None else "later".ljust(15)
         lines.append(f"{edge} {count:>7} {bar}".rstrip())
     return lines
-
-
-def _run(period_s: float, duration_s: float) -> dict[str, object]:
-    """Keep the rate for ``duration_s``; a lost period counts as lateness of the cycle after it."""
-    rate = WallRate(WallClock(), period_s)
-    lateness_s = []
-    with RealTime() as realtime, realtime.realtime_priority(), no_garbage_collection():
-        scheduling = f"SCHED_FIFO {FIFO_PRIORITY}" if realtime.granted(FIFO) else "SCHED_OTHER"
-        rate.restart()
-        for _ in range(max(1, round(duration_s / period_s))):
-            before = rate.skipped_periods
-            late_s = rate.wait().lateness_s
-            lateness_s.append(late_s + (rate.skipped_periods - before) * period_s)
-    return {"lateness_s": lateness_s, "skipped": rate.skipped_periods, "scheduling": scheduling}
-
-
-if __name__ == "__main__":
-    json.dump(_run(float(sys.argv[1]), float(sys.argv[2])), sys.stdout)

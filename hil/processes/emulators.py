@@ -1,13 +1,13 @@
-"""Emulated devices of a rig: the child processes' program, and the parent's hold on all of them.
+"""Emulator process: one emulated device, with a control port for its faults.
 
-``python -m hil.processes.emulators DEVICE`` is a child; it gets its configuration from its parent.
+``python -m hil.processes.emulators`` is started by ``EmulatedDevices``, once per device of an emulated rig.
 """
 
 from __future__ import annotations
 
-import sys
+import threading
 from collections.abc import Sequence
-from typing import Any, Literal, Self
+from typing import Protocol
 
 from hil.cameras.factory import make_pose_sensor
 from hil.cameras.pose_model import transport
@@ -15,156 +15,107 @@ from hil.config.driver_registry import DeviceTable
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.camera_images import ThreadedImageSink
+from hil.core.child_process import Message, Service, serve
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
 from hil.core.realtime import take_fifo
-from hil.drivers.emulator_process import Emulator, EmulatorProcess, serve
+from hil.drivers.fault_injection import ControlPort, Faults
 from hil.drivers.shared_state import SharedAxisState
 from hil.frmn.image_memory import PictureMemory
 from hil.setup.assembly import start_axes
 
-_READY_WALL_S = 60.0  # the first start compiles
 _FIFO_PRIORITY = 40  # below everything that the bench itself is run by
 
 
-def devices(rig: Rig) -> tuple[str, ...]:
-    """Return the names of the devices that ``rig`` has."""
-    return ("rails", "turntable", "vmu", *(("io",) if rig.has_io else ()), *(("target",) if rig.moved_target else ()))
-
-
-class EmulatedDevices:
-    """Starts an emulator process for each device of ``rig`` and keeps them until ``close``.
-
-    pictures: where a rendered vision unit puts its pictures; None: nowhere.
-    """
-
-    def __init__(
-        self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int, pictures: PictureMemory | None = None
-    ) -> None:
-        self.board = SharedAxisState.create()
-        self._rig = rig
-        configuration = {
-            "scenario": scenario.model_dump(mode="json"),
-            "rig": rig.model_dump(mode="json"),
-            "epoch_ns": clock.epoch_ns,
-            "speed": clock.speed,
-            "seed": seed,
-            "board": self.board.descriptor,
-        }
-        self.processes: list[EmulatorProcess] = []
-        self._with_pictures: EmulatorProcess | None = None
-        try:
-            for device in devices(rig):
-                program = [sys.executable, "-m", "hil.processes.emulators", device]
-                shown = pictures if device == "vmu" else None
-                told = {**configuration, "pictures": shown}
-                descriptors = (self.board.descriptor, *(shown.descriptors if shown else ()))
-                self.processes.append(EmulatorProcess(device, program, told, descriptors))
-                if shown:
-                    self._with_pictures = self.processes[-1]
-        except BaseException:
-            self.close()
-            raise
+class Emulator(Service, Protocol):
+    """An emulated device, and the faults that can be injected into it."""
 
     @property
-    def pids(self) -> dict[str, int]:
-        """The process of each device: stopping it is pulling the device's plug."""
-        return {process.name: process.pid for process in self.processes}
+    def faults(self) -> Faults | None: ...
 
-    def wait_ready(self) -> tuple[Rig, dict[str, str]]:
-        """Return the rig with the wires that the emulators opened, and where each one listens.
 
-        Raises DeviceError when one does not come up.
-        """
-        addresses: dict[str, str] = {}
-        for process in self.processes:
-            addresses |= process.wait_ready(_READY_WALL_S)
-        return _connected(self._rig, addresses), addresses
+class FaultInjectionService:
+    """Serves an emulator, and the control port of its faults if it has some."""
+
+    def __init__(self, emulator: Emulator) -> None:
+        self._emulator = emulator
+        self._port = ControlPort(emulator.faults) if emulator.faults else None
+
+    def start(self) -> dict[str, str]:
+        """Open the wires; return name -> address, with the control port as ``DEVICE.faults``."""
+        addresses, faults = self._emulator.start(), self._emulator.faults
+        if faults is None or self._port is None:
+            return addresses
+        return {**addresses, f"{faults.device}.faults": self._port.address}
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve the wires until ``stop`` is set."""
+        self._emulator.run(stop)
 
     def close(self) -> None:
-        """End all of them, together and at once: an emulated device has nothing to bring to safety. Idempotent.
-
-        A unit that has pictures on their way may hand them over before.
-        """
-        for process in self.processes:
-            if process is self._with_pictures:
-                process.close()
-        for process in self.processes:
-            process.kill()
-        for process in self.processes:
-            process.close()
-        self.board.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        """Close control port and wires."""
+        if self._port is not None:
+            self._port.close()
+        self._emulator.close()
 
 
-def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
-    """Return ``rig`` with the emulators' addresses in place of its wires."""
-    names = {"target_manipulator": "target"}
-    tables = {key: table.connected(names.get(key, key), addresses) for key, table in rig.device_tables().items()}
-    return rig.model_copy(update=tables)
-
-
-def make_emulator(
-    device: Literal["rails", "turntable", "vmu", "io", "target"], configuration: dict[str, Any]
-) -> Emulator:
-    """Return the emulator of ``device`` for the configuration that the parent sent."""
+def make_emulator(configuration: Message) -> Emulator:
+    """Return the emulator of the device that ``configuration`` names."""
+    device, seed = configuration["device"], configuration["seed"]
     scenario = Scenario.model_validate(configuration["scenario"], strict=False)
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     board = SharedAxisState(configuration["board"])
-    seed = configuration["seed"]
     table: DeviceTable | None = getattr(rig, "target_manipulator" if device == "target" else device)
     assert table is not None
     emulator: Emulator
     if device == "io":
         emulator = table.make_emulator(clock, board.write_chain, seed=seed)
-        return emulator
-    if device != "vmu":
+    elif device == "vmu":
+        emulator = _vision_unit(table, scenario, rig, clock, seed, board, configuration["pictures"])
+    else:
         emulator = table.make_emulator(clock, board, seed=seed, name=device)
-        return emulator
-    shown = _pictures(configuration["pictures"], rig)
-    eye = make_pose_sensor(scenario, rig, seed, shown)
-    rehearsed = make_pose_sensor(scenario, rig, seed)  # compiles, and leaves the noise of the other one alone
+    return emulator
+
+
+def _vision_unit(
+    table: DeviceTable,
+    scenario: Scenario,
+    rig: Rig,
+    clock: WallClock,
+    seed: int,
+    board: SharedAxisState,
+    memory: Sequence[int] | None,
+) -> Emulator:
+    encoder = PictureMemory(*memory).maker(rig) if memory else None
+    images = ThreadedImageSink(encoder) if encoder else None  # a thread: the unit keeps time
+    sensor = make_pose_sensor(scenario, rig, seed, images)
+    rehearsed = make_pose_sensor(scenario, rig, seed)  # compiles, and leaves the other one's noise alone
     start = start_axes(scenario, rig)
-    for k in range(3):  # the search in whole pictures, then windows
+    for k in range(3):  # the search in whole images, then windows
         rehearsed.look(start.rail_m, start.gimbal_rad, k / rig.vmu.rate_hz)
 
     def pose_at(t_s: float) -> PoseFrame | None:
         rails, _ = board.read("rails", t_s)
         gimbals, _ = board.read("turntable", t_s)
-        return eye.look(rails, gimbals, t_s)
+        return sensor.look(rails, gimbals, t_s)
 
-    at_end = shown.close if shown else lambda: None
-    emulator = table.make_emulator(clock, pose_at, transport(scenario.vmu, seed), seed=seed, at_end=at_end)
+    at_end = images.close if images else lambda: None
+    emulator: Emulator = table.make_emulator(clock, pose_at, transport(scenario.vmu, seed), seed=seed, at_end=at_end)
     return emulator
 
 
-def _pictures(memory: Sequence[int] | None, rig: Rig) -> ThreadedImageSink | None:
-    """Return what takes a rendered unit's pictures: in a thread of its own, for the unit keeps time."""
-    maker = PictureMemory(*memory).maker(rig) if memory else None
-    return ThreadedImageSink(maker) if maker else None
+def make(configuration: Message) -> Service:
+    """Return the service of the emulator; its threads get a real-time priority, as real hardware keeps time.
 
-
-def _keep_time(device: str, speed: float) -> None:
-    """Let emulated hardware keep time whatever else this computer does, as real hardware would.
-
-    At more than the speed of time the emulators together can fill a core, which a real-time policy must not: then
-    only the coupler has it, whose relay opens when it sleeps through 50 ms.
+    Above real time the emulators together can fill a core, which a real-time policy must not: then only the coupler
+    has it, whose relay opens if it does not run for 50 ms.
     """
-    if speed <= 1.0 or device == "io":
+    service = FaultInjectionService(make_emulator(configuration))
+    if configuration["speed"] <= 1.0 or configuration["device"] == "io":
         take_fifo(_FIFO_PRIORITY)
-
-
-def _make(configuration: dict[str, Any]) -> Emulator:
-    emulator = make_emulator(sys.argv[1], configuration)  # type: ignore[arg-type]
-    _keep_time(sys.argv[1], configuration["speed"])
-    return emulator
+    return service
 
 
 if __name__ == "__main__":
-    serve(_make)
+    serve(make)

@@ -1,148 +1,140 @@
-"""The I/O process: has the real drivers, and moves what they say and hear through shared memory.
+"""I/O process: serves rails, turntable and vision unit to the loop through shared memory.
 
-``python -m hil.processes.io_server`` is the child; it gets its configuration from its parent. It watches the
-loop: when the loop's heartbeat ceases it stops all axes by itself, whatever became of the loop.
+``python -m hil.processes.io_server`` is started by ``IoProcesses``. It monitors the loop's heartbeat: when that
+ceases it stops all axes, whatever has happened to the loop.
 """
 
 from __future__ import annotations
 
 import signal
 import socket
-from typing import Any
 
 import numpy as np
 
 from hil.config.rig import Rig
+from hil.core.child_process import Message, serve
 from hil.core.clock import WallClock
 from hil.core.messages import VMU_FRAME, AxisFeedback
 from hil.drivers.base import AxisGroup, Jogs, Parks, PoseSource
-from hil.drivers.emulator_process import serve
+from hil.drivers.factory import make_drivers
 from hil.drivers.remote import io_layout
-from hil.drivers.remote.host import LOOP_SILENCE_MAX_S, DeviceServer, raise_priority
 from hil.drivers.remote.io_layout import IoSharedMemory
+from hil.drivers.remote.server import LOOP_SILENCE_MAX_S, DeviceServer, raise_priority
 from hil.errors import BenchError, LinkLost
 
 
-def drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource, AxisGroup | None]:
-    """Return the drivers of a rig with wires: rails, turntable, vision unit, what moves the target."""
-    target = rig.moved_target.make_driver(clock, "target") if rig.moved_target else None
-    rails, turntable = rig.rails.make_driver(clock, "rails"), rig.turntable.make_driver(clock, "turntable")
-    return rails, turntable, rig.vmu.make_driver(clock), target
-
-
-class DeviceHost(DeviceServer):
-    """Rails, turntable and vision unit, served for the loop; the axes are stopped when the loop falls silent."""
+class IoServer(DeviceServer):
+    """Server of rails, turntable and vision unit; stops the axes when the loop's heartbeat ceases."""
 
     def __init__(
         self,
         axes: dict[str, AxisGroup],
         poses: PoseSource,
-        exchange: IoSharedMemory,
+        memory: IoSharedMemory,
         requests: socket.socket,
         clock: WallClock,
     ) -> None:
-        super().__init__({**axes, "vmu": poses}, exchange, requests, clock, io_layout.HOST)
+        super().__init__({**axes, "vmu": poses}, memory, requests, clock, io_layout.IO)
         self._axes = axes
         self._poses = poses
-        self._lost_loop = False
+        self._loop_lost = False
         self._setpoint = np.zeros(1, io_layout.SETPOINT)
         self._frame = np.zeros(1, VMU_FRAME)
-        self._taken = dict.fromkeys(axes, 0)  # setpoints
-        self._jogged = dict.fromkeys(axes, False)
-        self._shown_s = dict.fromkeys(axes, -1.0)
+        self._setpoint_number = dict.fromkeys(axes, 0)
+        self._jogging = dict.fromkeys(axes, False)
+        self._feedback_s = dict.fromkeys(axes, -1.0)
 
-    def serve(self, now_s: float) -> None:
-        """Hand over setpoints, feedback and poses; listen for the loop."""
+    def step(self, now_s: float) -> None:
+        """Pass on setpoints, feedback and poses; check the loop's heartbeat."""
         for name in self._axes:
-            self._serve_axes(name, now_s)
-        self._serve_poses(now_s)
-        self._watch_the_loop(now_s)
+            self._step_axes(name, now_s)
+        self._step_poses(now_s)
+        self._check_loop(now_s)
 
     def close(self) -> None:
-        """Stop all axes, then let go of everything."""
+        """Stop all axes, then close all devices."""
         now_s = self.clock.now_s()
         for device in self._axes.values():
             device.stop(now_s)
         super().close()
 
-    def begin(self, name: str) -> None:
-        """Leave out setpoints from before the opening, and have feedback there when the opening is answered."""
+    def on_opened(self, name: str) -> None:
+        """Skip setpoints from before the opening, and write the first feedback before the request is answered."""
         if name in self._axes:
             before = np.zeros(1, io_layout.SETPOINT)
-            self._jogged[name] = False
-            self._taken[name] = self.exchange.block[f"{name}.setpoint"].read(before)[0]
-            self._show(name, self._axes[name].read(self.clock.now_s()))
+            self._jogging[name] = False
+            self._setpoint_number[name] = self.memory.block[f"{name}.setpoint"].read(before)[0]
+            self._write_feedback(name, self._axes[name].read(self.clock.now_s()))
 
-    def _serve_axes(self, name: str, now_s: float) -> None:
-        device, block = self._axes[name], self.exchange.block
-        if self.stop_is_new(name):
-            self.stop_soon(device, now_s)
+    def _step_axes(self, name: str, now_s: float) -> None:
+        device, block = self._axes[name], self.memory.block
+        if self.stop_requested(name):
+            self.stop_in_thread(device, now_s)
         if name not in self.served:
             return
         try:
             number, sent_s = block[f"{name}.setpoint"].read(self._setpoint)
-            if number != self._taken[name]:
-                self._taken[name] = number
+            if number != self._setpoint_number[name]:
+                self._setpoint_number[name] = number
                 self._pass_on(device, sent_s)
             feedback = device.read(now_s)
         except BenchError as error:
             self.fail(name, error, now_s)
             return
-        if feedback.t_s != self._shown_s[name]:
-            self._show(name, feedback)
+        if feedback.t_s != self._feedback_s[name]:
+            self._write_feedback(name, feedback)
 
     def _pass_on(self, device: AxisGroup, sent_s: float) -> None:
         position, rate, kind = self._setpoint["position"][0], self._setpoint["rate"][0], int(self._setpoint["kind"][0])
         if kind == io_layout.GOAL and isinstance(device, Parks):
             device.move_to(position, rate, sent_s)
             return
-        if (kind == io_layout.JOGGED) != self._jogged[device.name] and isinstance(device, Jogs):
-            self._jogged[device.name] = kind == io_layout.JOGGED
+        if (kind == io_layout.JOGGED) != self._jogging[device.name] and isinstance(device, Jogs):
+            self._jogging[device.name] = kind == io_layout.JOGGED
             device.set_jogging(kind == io_layout.JOGGED)
         device.send(position, rate, sent_s)
 
-    def _show(self, name: str, feedback: AxisFeedback) -> None:
-        self._shown_s[name] = feedback.t_s
+    def _write_feedback(self, name: str, feedback: AxisFeedback) -> None:
+        self._feedback_s[name] = feedback.t_s
         record = np.zeros(1, io_layout.FEEDBACK)
         io_layout.write_feedback(record, feedback)
-        self.exchange.block[f"{name}.feedback"].write(record, feedback.t_s)
+        self.memory.block[f"{name}.feedback"].write(record, feedback.t_s)
 
-    def _serve_poses(self, now_s: float) -> None:
+    def _step_poses(self, now_s: float) -> None:
         if "vmu" not in self.served:
             return
         try:
             for frame in self._poses.poll(now_s):
                 frame.write_to(self._frame)
-                self.exchange.frames.put(self._frame)
+                self.memory.frames.put(self._frame)
         except BenchError as error:
             self.fail("vmu", error, now_s)
 
-    def _watch_the_loop(self, now_s: float) -> None:
-        """Stop everything when the loop has gone silent in a time in which it was to be heard."""
-        silent_s = self.silent_s(io_layout.LOOP, now_s)
+    def _check_loop(self, now_s: float) -> None:
+        """Stop everything once the loop's heartbeat has ceased while it was due."""
+        silent_s = self.silence_s(io_layout.LOOP, now_s)
         if silent_s <= LOOP_SILENCE_MAX_S:
-            self._lost_loop = False
+            self._loop_lost = False
             return
-        if self._lost_loop:
+        if self._loop_lost:
             return
-        self._lost_loop = True
+        self._loop_lost = True
         for name, device in self._axes.items():
-            self.stop_soon(device, now_s)
+            self.stop_in_thread(device, now_s)
             if name in self.served:
                 self.fail(name, LinkLost(name, f"stopped: the loop has been silent for {silent_s:.3f} s"), now_s)
 
 
-def make_host(configuration: dict[str, Any]) -> DeviceHost:
-    """Return the host for the configuration that the parent sent; threads of this process get its priority."""
+def make(configuration: Message) -> IoServer:
+    """Return the server of the configured rig; the threads of this process get its priority."""
     raise_priority()
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
-    rails, turntable, poses, target = drivers(rig, clock)
+    rails, turntable, poses, target = make_drivers(rig, clock)
     axes = {"rails": rails, "turntable": turntable} | ({"target": target} if target is not None else {})
-    exchange = IoSharedMemory.attach(tuple(configuration["descriptors"]))
-    requests = socket.socket(fileno=configuration["requests"])
-    return DeviceHost(axes, poses, exchange, requests, clock)
+    memory = IoSharedMemory.attach(tuple(configuration["descriptors"]))
+    return IoServer(axes, poses, memory, socket.socket(fileno=configuration["requests"]), clock)
 
 
 if __name__ == "__main__":
-    serve(make_host, when_orphaned=signal.SIGTERM)
+    serve(make, when_orphaned=signal.SIGTERM)

@@ -1,6 +1,6 @@
-"""Compiles the navigation filters into the kernel cache: the half of the work that a second core can do.
+"""Compilation of the navigation filters into the kernel cache, on a second core.
 
-``python -m hil.processes.precompile`` is started beside the first run of a program that finds its cache empty.
+``python -m hil.processes.precompile`` is started beside the first run of a program that finds its kernel cache empty.
 """
 
 from __future__ import annotations
@@ -8,15 +8,15 @@ from __future__ import annotations
 import numpy as np
 
 from hil.config.load import load_scenario
+from hil.core.child_process import Parent
 from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
-from hil.drivers.emulator_process import die_with_parent
 from hil.gnc import navigation
 from hil.gnc.fusion import MEMORY, STEP
 from hil.params import gnc as gnc_params
 
 
 def compile_navigation() -> None:
-    """Call the kernels of navigation once, with the types that the loop calls them with."""
+    """Call the kernels of navigation once, with the types of the loop's calls."""
     params = gnc_params.navigation(load_scenario("scheme-1").value)
     state = new(navigation.NAVIGATION_STATE)
     poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
@@ -24,6 +24,11 @@ def compile_navigation() -> None:
     navigation.normalised_errors(state.fusion.filters, new(TRUTH), new(IMU), np.empty(2))
 
 
-if __name__ == "__main__":
-    die_with_parent()  # nobody waits for this work then
+def main() -> None:
+    """Compile; the parent's end ends this process."""
+    Parent()
     compile_navigation()
+
+
+if __name__ == "__main__":
+    main()

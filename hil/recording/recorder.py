@@ -1,27 +1,22 @@
-"""The recorder process: drains the rings of a run on wires into its file. The loop never waits for it.
+"""Recorder: drains the rings of a run on the wall clock into its file. The loop never waits for it.
 
-``python -m hil.recording.recorder`` is the child; it gets its configuration from its parent. It ends when its
-parent says how the run ended, or is gone: then it takes what the rings still hold and closes the file.
+It ends when its parent sends the end of the run, or dies: then it drains the rings and closes the file.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import select
-import signal
-import socket
 import sqlite3
-import sys
 import time
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from hil.core.camera_images import PICTURE
+from hil.core.child_process import Message, Parent
 from hil.core.messages import ARRIVAL, CYCLE
 from hil.errors import BadInput
 from hil.frmn.mailbox import Mailbox, MailboxBlock
@@ -30,9 +25,9 @@ from hil.monitor.results import PORTION
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
 from hil.recording.schema import NOTE
 from hil.recording.utc import utc_text
-from hil.recording.writer import FLUSH_S, RecordingHeader, RecordingStats, RunFile
+from hil.recording.writer import FLUSH_S, RecordingHeader, RunFile
 
-_LOOK_WALL_S: Final = 0.02
+_POLL_WALL_S: Final = 0.02
 _AT_MOST: Final = 512  # rows at once, so that no look lasts long
 _PICTURES_AT_MOST: Final = 2
 _NICENESS: Final = -10  # before what is not in real time; it takes a few percent of a CPU
@@ -45,7 +40,6 @@ KINDS: Final = {
     "portions": PORTION,
 }
 """Ring by its name in ``Taps`` -> what is in it."""
-READY: Final = b"ready\n"
 
 STATE: Final = np.dtype([("cycles", "i8"), ("dropped", "i8"), ("size_bytes", "i8"), ("trouble", "S128")])
 """How a recording stands, for whoever watches it: written each ``FLUSH_S`` while the recorder lives, with the time by
@@ -67,7 +61,7 @@ class Recorder:
         self._flushed_s = time.monotonic()
         self._tell()
 
-    def look(self) -> bool:
+    def poll(self) -> bool:
         """Write what has come; return whether there may be more."""
         more = False
         for name, reader in self._readers.items():
@@ -93,26 +87,30 @@ class Recorder:
 
     def drain(self) -> None:
         """Write all that there is."""
-        while self.look():
+        while self.poll():
             pass
 
 
-def record_until_told(recorder: Recorder, parent: socket.socket) -> dict[str, Any] | None:
-    """Record until the parent says how the run ended, or is gone: None."""
-    said = b""
+def record_until_ended(recorder: Recorder, parent: Parent) -> Message | None:
+    """Record until the parent sends the end of the run; return that message, None if the parent has died."""
     while True:
-        wait_s = 0.0 if recorder.look() else _LOOK_WALL_S
-        if select.select([parent], [], [], wait_s)[0]:
-            part = parent.recv(1 << 16)
-            said += part
-            if not part or said.endswith(b"\n"):
-                recorder.drain()
-                return json.loads(said) if said.endswith(b"\n") else None
+        wait_s = 0.0 if recorder.poll() else _POLL_WALL_S
+        try:
+            message = parent.receive(wait_s)
+        except TimeoutError:
+            continue
+        except EOFError:
+            message = None
+        recorder.drain()
+        return message
 
 
-def record(configuration: dict[str, Any]) -> None:
-    """Be the recorder of one run."""
-    parent = socket.socket(fileno=configuration["socket"])
+def run_child(parent: Parent) -> None:
+    """Record the run of the process that started this one into one file."""
+    with suppress(OSError):  # if allowed: rows that wait too long in a ring are overwritten
+        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    np.seterr(all="ignore")  # NaN and infinity are recorded as they are
+    configuration = parent.configuration
     rings = {
         name: Ring(descriptor, KINDS[name], slots, name) for name, (descriptor, slots) in configuration["rings"].items()
     }
@@ -120,37 +118,17 @@ def record(configuration: dict[str, Any]) -> None:
     try:
         file = RunFile(path, RecordingHeader(**configuration["header"]))
     except OSError as error:
-        parent.sendall(f"{error.strerror}\n".encode())
+        parent.send(problem=error.strerror)
         return
-    parent.sendall(READY)
+    parent.send(problem="")
     block = MailboxBlock(configuration["state"], CELLS, "recorder")
     recorder = Recorder(file, rings, block["state"])
-    said = record_until_told(recorder, parent)
-    if said is None:
-        account = file.finish({"stop": "the loop's process was gone", "ended_utc": utc_text()})
-        with suppress(sqlite3.Error, BadInput):
-            Catalogue(path.parent).end(
-                configuration["run"], utc_text(), BROKEN_OFF, account.cycles, account.dropped, {}
-            )
+    end = record_until_ended(recorder, parent)
+    if end is not None:
+        stats = file.finish(end["end"], end["summary"])
+        with suppress(OSError):
+            parent.send(**asdict(stats))
         return
-    account = file.finish(said["end"], said["summary"])
-    _answer(parent, account)
-
-
-def _answer(parent: socket.socket, account: RecordingStats) -> None:
-    with suppress(OSError):
-        parent.sendall(json.dumps(asdict(account)).encode() + b"\n")
-
-
-def main() -> None:
-    """Read the configuration from standard input and record; Ctrl-C is the parent's."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the parent's end says when to end
-    with suppress(OSError):  # where it may: what stands in a ring too long is lost
-        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
-    np.seterr(all="ignore")  # what is not a number is recorded as it is
-    record(json.loads(sys.stdin.readline()))
-
-
-if __name__ == "__main__":
-    main()
+    stats = file.finish({"stop": "the loop's process was gone", "ended_utc": utc_text()})
+    with suppress(sqlite3.Error, BadInput):
+        Catalogue(path.parent).end(configuration["run"], utc_text(), BROKEN_OFF, stats.cycles, stats.dropped, {})

@@ -23,9 +23,9 @@ from hil.maths import quat
 from hil.monitor.monitor import Monitor
 from hil.monitor.results import PORTION, QUANTITIES, Portion, portion_of, portion_row
 from hil.monitor.sources import WHOLE, VideoFrame, exposure
-from hil.processes.docking_monitor import settings_of
 from hil.recording import images
 from hil.recording.read import Recorded
+from hil.setup.docking_monitor import settings_of
 from hil.vmu.unit import VisionUnit
 
 VMU, DOCKING_MONITOR = "the vision unit", "the docking monitor"

@@ -4,15 +4,9 @@ from __future__ import annotations
 
 import json
 import secrets
-import select
-import signal
-import socket
 import sqlite3
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -20,7 +14,8 @@ import numpy as np
 
 from hil import __version__
 from hil.core import camera_images
-from hil.errors import BadInput
+from hil.core.child_process import ChildProcess
+from hil.errors import BadInput, DeviceError
 from hil.frmn.image_memory import wanted_pictures
 from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
@@ -192,7 +187,7 @@ class _InMemory:
 
 
 class _Process:
-    """The recorder process and the rings that lead to it. Started in the thread that lives as long as the run."""
+    """The recorder process and its rings; start it from a thread that lives as long as the run."""
 
     def __init__(self, job: Job, path: Path, run: str, header: RecordingHeader) -> None:
         self._path = path
@@ -205,73 +200,45 @@ class _Process:
         self._run_time = RunTime.create()
         self.taps = RecordingSinks(**self._rings, run_time=self._run_time)
         self.state: MailboxBlock | None = MailboxBlock.create(recorder.CELLS, "recorder")
-        self._socket, there = socket.socketpair()
         configuration = {
             "file": str(path),
             "run": run,
             "header": {"run": header.run, "files": header.files, "started_ns": header.started_ns},
             "rings": {name: (ring.descriptor, ring.slots) for name, ring in self._rings.items()},
             "state": self.state.descriptor,
-            "socket": there.fileno(),
         }
-        descriptors = (*(ring.descriptor for ring in self._rings.values()), self.state.descriptor, there.fileno())
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", "hil.recording.recorder"], stdin=subprocess.PIPE, pass_fds=descriptors
-        )
-        there.close()
-        assert self._child.stdin is not None
-        with suppress(BrokenPipeError):
-            self._child.stdin.write(json.dumps(configuration).encode() + b"\n")
-            self._child.stdin.close()
-        said = self._hear(_READY_WALL_S)
-        if said != recorder.READY:
+        descriptors = (*(ring.descriptor for ring in self._rings.values()), self.state.descriptor)
+        self._child = ChildProcess("recorder process", "hil.processes.recorder", configuration, descriptors)
+        try:
+            problem = self._child.wait_ready(_READY_WALL_S)["problem"]
+        except DeviceError as error:
+            problem = str(error)
+        if problem:
             self._close()
-            raise OSError(0, said.decode(errors="replace").strip() or "the recorder process did not start")
+            raise OSError(0, problem)
 
     @property
     def pid(self) -> int:
         return self._child.pid
 
     def finish(self, end: dict[str, str], summary: str) -> RecordingStats:
-        """Let the recorder close the file; tell what became of it, also where the recorder has died."""
-        with suppress(OSError):
-            self._socket.sendall(json.dumps({"end": end, "summary": summary}).encode() + b"\n")
-        said = self._hear(_FINISH_WALL_S)
-        code = self._close()
-        if said.endswith(b"\n"):
-            return RecordingStats(**json.loads(said))
-        how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-        size = self._path.stat().st_size if self._path.exists() else 0
-        text = f"{self._path}: the recorder process {how}; make what it wrote whole with hil recover"
-        return RecordingStats(None, 0, size, text)
-
-    def _hear(self, within_s: float) -> bytes:
-        """Return the line that the recorder says within ``within_s`` of wall time, what came of it otherwise."""
-        said = b""
-        give_up_s = time.monotonic() + within_s
-        while not said.endswith(b"\n"):
-            if not select.select([self._socket], [], [], max(0.0, give_up_s - time.monotonic()))[0]:
-                break
-            try:
-                part = self._socket.recv(1 << 16)
-            except OSError:
-                break
-            if not part:
-                break
-            said += part
-        return said
-
-    def _close(self) -> int:
-        """Let go of everything; return the recorder's exit code."""
-        self._socket.close()
+        """Let the recorder close the file; return its statistics, or the problem if the recorder has died."""
+        self._child.send({"end": end, "summary": summary})
         try:
-            code = self._child.wait(_EXIT_WALL_S)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            code = self._child.wait()
+            return RecordingStats(**self._child.receive(_FINISH_WALL_S))
+        except DeviceError:
+            size = self._path.stat().st_size if self._path.exists() else 0
+            status = f"{self._child.exit_status() or 'does not answer'}{self._child.last_stderr()}"
+            text = f"{self._path}: complete the file with hil recover: the recorder process {status}"
+            return RecordingStats(None, 0, size, text)
+        finally:
+            self._close()
+
+    def _close(self) -> None:
+        """End the recorder and release the rings."""
+        self._child.close(_EXIT_WALL_S)
         for ring in self._rings.values():
             ring.close()
         self._run_time.close()
         if self.state is not None:
             self.state.close()
-        return code

@@ -15,7 +15,7 @@ from hil.monitor.kernels.cross_check import of_chaser, of_measured_pose
 from hil.monitor.kernels.derived import quantities
 from hil.monitor.results import QUANTITIES
 from hil.params import gnc as gnc_params
-from hil.processes.docking_monitor import Watched
+from hil.setup.docking_monitor import MonitorOutcome
 
 Floats = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ _BENCH_RATE_S: Final = 0.5  # half the time over which the encoders' positions a
 _SHORTEST_S: Final = 0.1
 
 
-def judge_monitor(watched: Watched, history: np.ndarray, scenario: Scenario, rig: Rig) -> dict[str, Any]:
+def judge_monitor(watched: MonitorOutcome, history: np.ndarray, scenario: Scenario, rig: Rig) -> dict[str, Any]:
     """Return the JSON content: counts, times, and for each of QUANTITIES the errors and their size in sigmas.
 
     truth: the simulated chaser. bench: the camera's position by the encoders, from which its images were rendered;
@@ -67,7 +67,7 @@ def judge_monitor(watched: Watched, history: np.ndarray, scenario: Scenario, rig
     }
 
 
-def _longest_gap(watched: Watched, history: np.ndarray) -> float | None:
+def _longest_gap(watched: MonitorOutcome, history: np.ndarray) -> float | None:
     """Return the longest time, s, without a row of the monitor's table, from the run's start to its end."""
     if not len(history):
         return None

@@ -1,4 +1,4 @@
-"""A run with the docking monitor watching, where the scenario wants it: beside the loop, or after a run in memory."""
+"""A run with the docking monitor of its scenario: in a process beside the loop, or after a run in memory."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from hil.errors import DeviceError
 from hil.frmn.ring import Ring
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import Outcome, Runner
-from hil.processes.docking_monitor import MonitorProcess, Watched, watch_recorded
 from hil.recording.taps import RecordingSinks
 from hil.session import build
+from hil.setup.docking_monitor import MonitorOutcome, MonitorProcess, monitor_recorded
 
-Look = Callable[[Outcome], Watched | None]
-"""Gives what the monitor saw of the run that has ended; None where there is no monitor."""
+MonitorResults = Callable[[Outcome], MonitorOutcome | None]
+"""Returns the monitor's results for the run that has ended; None if the scenario has no monitor."""
 
 
 @contextmanager
 def beside(
     job: build.Job, telemetry: Ring, announce: Callable[[str], None], taps: RecordingSinks | None = None
-) -> Iterator[Look]:
-    """Let the docking monitor watch the cycles in ``telemetry`` from a process of its own, where the scenario wants it.
+) -> Iterator[MonitorResults]:
+    """Run the scenario's docking monitor, if it has one, on the cycles in ``telemetry`` in a process of its own.
 
-    Raises DeviceError when that process does not come up.
+    Raises DeviceError if that process does not start.
     """
     scenario = job.scenario.value
     if scenario.monitor.source == "none":
@@ -36,20 +36,20 @@ def beside(
         announce("starting the docking monitor; its first start compiles its kernels")
         process.wait_ready()
         announce(f"docking monitor process {process.pid}")
-        yield lambda _: _what_is_left(process, scenario.monitor.scene)
+        yield lambda _: _results(process, scenario.monitor.scene)
 
 
 @contextmanager
 def runner(
     job: build.Job,
-    on_progress: ProgressCallback,
-    announce: Callable[[str], None],
+    on_progress: ProgressCallback = lambda *_: None,
+    announce: Callable[[str], None] = lambda _: None,
     taps: RecordingSinks | None = None,
     operator: Operator | None = None,
-) -> Iterator[tuple[Runner, Look]]:
-    """Give a Runner for ``job`` as ``build.runner`` does, and what to ask for the monitor afterwards.
+) -> Iterator[tuple[Runner, MonitorResults]]:
+    """Give a Runner for ``job`` as ``build.runner`` does, and the source of the monitor's results.
 
-    Raises DeviceError when an emulator, or the monitor's process, does not come up.
+    Raises DeviceError if a process does not start.
     """
     scenario, rig, seed = job.scenario.value, job.rig.value, job.seed
     if scenario.monitor.source == "none":
@@ -59,27 +59,27 @@ def runner(
     if rig.kind == "mock":
         scene = load_scene(scenario.monitor.scene).value
         with build.runner(job, on_progress, announce, operator, taps) as in_memory:
-            outlets = (taps.monitor_maker(rig), taps.portions) if taps else ()
-            yield in_memory, lambda outcome: watch_recorded(scenario, scene, rig, seed, outcome.history, *outlets)
+            sinks = (taps.monitor_maker(rig), taps.portions) if taps else ()
+            yield in_memory, lambda outcome: monitor_recorded(scenario, scene, rig, seed, outcome.history, *sinks)
         return
     with (
         build.wired_bench(job, announce, taps) as bench,
-        beside(job, bench.telemetry, announce, taps) as look,
+        beside(job, bench.telemetry, announce, taps) as results,
     ):
-        yield bench.runner(on_progress, operator), look
+        yield bench.runner(on_progress, operator), results
 
 
 def _rings(taps: RecordingSinks | None) -> tuple[Ring | None, Ring | None]:
-    """Return the rings for the monitor's pictures and portions, where a recorder reads some."""
+    """Return the rings of the monitor's images and portions, if a recorder reads them."""
     if taps is None:
         return None, None
-    pictures, portions = (tap if isinstance(tap, Ring) else None for tap in (taps.monitor_pictures, taps.portions))
-    return pictures, portions
+    images, portions = (sink if isinstance(sink, Ring) else None for sink in (taps.monitor_pictures, taps.portions))
+    return images, portions
 
 
-def _what_is_left(process: MonitorProcess, scene: str) -> Watched:
-    """Return what the monitor saw; a monitor that failed spoils no run, and says so."""
+def _results(process: MonitorProcess, scene: str) -> MonitorOutcome:
+    """Return the monitor's results, or its failure: a monitor that fails does not end the run."""
     try:
         return process.finish()
     except DeviceError as error:
-        return Watched(scene, failure=str(error))
+        return MonitorOutcome(scene, failure=str(error))

@@ -1,10 +1,11 @@
-"""The loop put together from its parts, whatever the devices are: stages, supervisor, runner, and the mocks."""
+"""Assembly of a loop from its parts, for any devices: stages, safety monitor, runner; and the mock devices."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from hil.config.scenario import Scenario
 from hil.core.camera_images import MakesPictures
 from hil.core.messages import AXES, CYCLE, PoseFrame, new
 from hil.core.operator_commands import Operator
-from hil.core.realtime import NoPrecedence, SchedulingPolicy
+from hil.core.realtime import DefaultScheduling, SchedulingPolicy
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
 from hil.drivers.command_words.poses import PoseForwarder
 from hil.drivers.command_words.receiver import CommandWordReceiver
@@ -46,20 +47,40 @@ from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import backend_setup, gnc_setup
 
-_FRAMES_TO_FORGET = 2.0  # in their time one lost frame is forgiven, where the rig file says nothing else
+_FRAMES_TO_FORGET = 2.0  # one lost frame drains from the bucket in their time, unless the rig file sets another
 
 
-Devices = tuple[AxisGroup, AxisGroup, PoseSource, DiscreteIo | None, AxisGroup | None]
-"""Rails, turntable, vision unit, digital lines, what moves the target."""
+class Devices(NamedTuple):
+    """Devices of a bench. source: the vision unit; io: the digital I/O; target: the axes that move the target."""
+
+    rails: AxisGroup
+    turntable: AxisGroup
+    source: PoseSource
+    io: DiscreteIo | None
+    target: AxisGroup | None
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """What a run is connected to besides its devices. operator: gives the commands; None: the run is unattended.
+
+    on_progress: called periodically with the mode and the completed fraction. scheduling: of the loop's thread.
+    telemetry: sink of each cycle's row. frames_to_arm: poses required before the loop is closed.
+    """
+
+    operator: Operator | None = None
+    on_progress: ProgressCallback = lambda *_: None
+    scheduling: SchedulingPolicy | None = None
+    telemetry: Telemetry | None = None
+    frames_to_arm: int = 0
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be run, checked.
+    """A run to do.
 
-    dispersed: the scenario as it is in truth, where chance has moved it away from what guidance, navigation and
-    control were told; None where it has not. seat: makes who flies, in place of what the scenario says. paced: a
-    mock rig runs on the wall clock.
+    dispersed: the true scenario, if it differs from the nominal one that guidance, navigation and control are designed
+    for. seat: makes the GNC backend, instead of the scenario's. paced: a mock rig runs on the wall clock.
     """
 
     scenario: Loaded[Scenario]
@@ -73,7 +94,7 @@ class Job:
 
     @property
     def truth(self) -> Scenario:
-        """The scenario of vehicle, sensors and start; ``scenario`` is that of the GNC."""
+        """Scenario of vehicle, sensors and start; ``scenario`` is the GNC's."""
         return self.dispersed or self.scenario.value
 
     @property
@@ -82,27 +103,10 @@ class Job:
         return round(self.duration_s / self.scenario.value.step_s) + 1
 
 
-def assemble(
-    job: Job,
-    rig: Rig,
-    rate: Rate,
-    rails: AxisGroup,
-    turntable: AxisGroup,
-    source: PoseSource,
-    io: DiscreteIo | None,
-    target: AxisGroup | None,
-    frames_to_arm: int,
-    on_progress: ProgressCallback,
-    operator: Operator | None = None,
-    precedence: SchedulingPolicy | None = None,
-    telemetry: Telemetry | None = None,
-) -> Runner:
-    """Return a Runner of ``job`` on these devices, kept in time by ``rate``.
-
-    frames_to_arm: poses required before the loop is closed. on_progress: called periodically with the mode and the
-    completed fraction.
-    """
+def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunContext) -> Runner:
+    """Return a Runner of ``job`` on these devices, timed by ``rate``."""
     scenario = job.scenario.value
+    rails, turntable, source, io, target = devices
     bench = gnc_params.bench(rig, scenario.step_s)
     axis_names = (*rails.axis_names, *turntable.axis_names)
     safety = SafetyMonitor(safety_limits(rig, bench), axis_names, _links(rig, rails, turntable, source))
@@ -110,9 +114,9 @@ def assemble(
         dss=_dss(job.truth, job.seed),
         bench=BenchStage(rails, turntable, bench, safety),
         vision=VisionStage(source, gnc_params.stations(rig)),
-        gnc=_seat(job, rig, rate),
+        gnc=_backend(job, rig, rate),
         history=np.zeros(job.cycles, CYCLE),
-        telemetry=telemetry or NoTelemetry(),
+        telemetry=context.telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
     )
     if io is not None and rig.io is not None:
@@ -131,16 +135,16 @@ def assemble(
     return Runner(
         loop,
         rate,
-        precedence or NoPrecedence(),
+        context.scheduling or DefaultScheduling(),
         overrun_monitor,
-        RunPlan(scenario.step_s, job.cycles, frames_to_arm, parking_place(rig), rig.bench.park_after_run),
-        on_progress,
-        operator,
+        RunPlan(scenario.step_s, job.cycles, context.frames_to_arm, park_position(rig), rig.bench.park_after_run),
+        context.on_progress,
+        context.operator,
     )
 
 
-def _seat(job: Job, rig: Rig, rate: Rate) -> GncBackend:
-    """Return who flies: whom the job names, a flight computer where the rig has one, or whom the scenario names."""
+def _backend(job: Job, rig: Rig, rate: Rate) -> GncBackend:
+    """Return the GNC backend: the job's, the rig's flight computer, or the scenario's, in this order."""
     scenario, computer = job.scenario.value, rig.flight_computer
     if job.seat is not None:
         return job.seat(scenario)
@@ -172,14 +176,14 @@ def make_gnc(scenario: Scenario) -> BuiltinGnc:
 
 
 def make_backend(scenario: Scenario) -> GncBackend:
-    """Return who flies ``scenario``: the GNC here, or the library that it names. Raises BadInput where that is none."""
+    """Return the built-in GNC, or the library that ``scenario`` names. Raises BadInput if it cannot be loaded."""
     if scenario.gnc.library is None:
         return make_gnc(scenario)
     return SharedLibraryGnc(Library(scenario.gnc.library), backend_setup(scenario))
 
 
 def library_problems(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return what keeps the library of ``scenario``, where it names one, from flying it."""
+    """Return why the GNC library of ``scenario``, if it has one, cannot be used."""
     path = scenario.value.gnc.library
     if path is None:
         return []
@@ -190,8 +194,8 @@ def library_problems(scenario: Loaded[Scenario]) -> list[Problem]:
         return list(error.problems)
 
 
-def parking_place(rig: Rig) -> np.record:
-    """Return AXES, at rest, where the bench is left: each axis' ``park_m`` or ``park_deg``."""
+def park_position(rig: Rig) -> np.record:
+    """Return AXES, at rest, of the park position: each axis' ``park_m`` or ``park_deg``."""
     axes: np.record = new(AXES)
     axes.rail_m = [getattr(rig.rails, name).park_m for name in RAIL_NAMES]
     axes.gimbal_rad = np.radians([getattr(rig.turntable, name).park_deg for name in GIMBAL_NAMES])
@@ -199,7 +203,7 @@ def parking_place(rig: Rig) -> np.record:
 
 
 def _links(rig: Rig, rails: AxisGroup, turntable: AxisGroup, source: PoseSource) -> list[LinkWatch]:
-    """Return a leaky bucket for each device that counts what its wire loses."""
+    """Return a leaky bucket for each device that counts lost packets."""
     watches = []
     for device, config in ((rails, rig.rails), (turntable, rig.turntable)):
         if isinstance(device, CountsLosses):
@@ -211,7 +215,7 @@ def _links(rig: Rig, rails: AxisGroup, turntable: AxisGroup, source: PoseSource)
 
 
 def _lost_frames(counters: dict[str, int]) -> int:
-    """Return the frames that did not come whole: one with a bad checksum leaves a gap in the numbers as well."""
+    """Return the number of lost frames; one with a bad checksum leaves a gap in the counter as well."""
     return max(counters.get("lost", 0), counters.get("crc_errors", 0))
 
 
@@ -221,7 +225,7 @@ def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
 
 
 def _dss(scenario: Scenario, seed: int) -> DssStage:
-    """Return the simulation with thrusters as chance has built them."""
+    """Return the dynamics simulation with this run's thruster errors."""
     return DssStage(
         dss_as_built(scenario, seed),
         gnc_params.field(scenario),
@@ -231,13 +235,13 @@ def _dss(scenario: Scenario, seed: int) -> DssStage:
 
 
 def dss_as_built(scenario: Scenario, seed: int) -> np.record:
-    """Return DSS_PARAMS with the thrusters that the run's seed gives."""
+    """Return DSS_PARAMS with the thruster errors drawn from the run's seed."""
     draws = stream(seed, "thrusters").standard_normal(gnc_params.thruster_draws_shape(scenario))
     return gnc_params.dss(scenario, draws)
 
 
 def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:
-    """Draw the true drift and bias about their means."""
+    """Draw the true gyro drift and accelerometer bias about their means."""
     draws = stream(seed, "initial").standard_normal(6)
     drift = np.array(scenario.imu.gyro_drift_degps) + scenario.imu.gyro_drift_initial_sigma_degps * draws[:3]
     bias_sigma = scenario.imu.accelerometer_bias_initial_sigma_mps2
@@ -245,11 +249,8 @@ def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> No
     imu.bias_C = np.array(scenario.imu.accelerometer_bias_mps2) + bias_sigma * draws[3:]
 
 
-def mocks(scenario: Scenario, rig: Rig, seed: int, pictures: MakesPictures | None = None) -> Devices:
-    """Return mocks of the devices; the axes stand at the start pose from the beginning.
-
-    pictures: takes those of a rendered vision unit.
-    """
+def mocks(scenario: Scenario, rig: Rig, seed: int, images: MakesPictures | None = None) -> Devices:
+    """Return mock devices whose axes are at the start pose. images: sink of a rendered vision unit's images."""
     from hil.drivers.io.mock import MockIo
     from hil.drivers.mock_axes import MockAxes
     from hil.drivers.vmu.mock import MockVmu
@@ -257,18 +258,18 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, pictures: MakesPictures | Non
     rails_config, turntable_config = axes_at_start(scenario, rig)
     rails = MockAxes("rails", RAIL_NAMES, rails_config)
     turntable = MockAxes("turntable", GIMBAL_NAMES, turntable_config)
-    eye = make_pose_sensor(scenario, rig, seed, pictures)
+    sensor = make_pose_sensor(scenario, rig, seed, images)
 
     def pose_at(t_s: float) -> PoseFrame | None:
-        return eye.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
+        return sensor.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
     target = MockAxes("target", RAIL_NAMES, rig.moved_target) if rig.moved_target else None
-    return rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io, target
+    return Devices(rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io, target)
 
 
 def axes_at_start(scenario: Scenario, rig: Rig) -> tuple[Rails, Turntable]:
-    """Return both devices' settings with the scenario's start pose as the place where their axes stand."""
+    """Return the settings of rails and turntable with the scenario's start pose as the initial position."""
     start = start_axes(scenario, rig)
     rails_config = rig.rails.model_copy(
         update={

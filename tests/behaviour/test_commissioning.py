@@ -71,7 +71,7 @@ def commissioned(
 ) -> Trial:
     job = make_job(STEP_S, settings)
     trial = Trial(ScriptedPrompt(answer))
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         lines, bench = runner.loop.safety_io, runner.loop.bench
         assert isinstance(lines, SafetyIoStage)
         assert isinstance(lines.io, MockIo)

@@ -46,7 +46,7 @@ def test_words_over_a_serial_port_fly_the_bench_and_their_end_stops_it() -> None
 
     thread = threading.Thread(target=compute, daemon=True)
     thread.start()
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         outcome = runner.run()
     silent.set()
     thread.join()

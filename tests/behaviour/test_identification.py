@@ -27,7 +27,7 @@ X, YAW = 0, 5
 @contextmanager
 def standing(*settings: str) -> Iterator[MotionSequencer]:
     job = make_job(STEP_S, settings)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner, runner.axes_only() as sequencer:
+    with build.runner(job) as runner, runner.axes_only() as sequencer:
         yield sequencer
 
 
@@ -133,7 +133,7 @@ def _in_the_middle(act: Callable[[MotionSequencer], Any]) -> tuple[BaseException
     """Let ``act`` happen while an axis is measured; return what came of it and the order of stop and close."""
     job = make_job(STEP_S)
     calls: list[str] = []
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         bench = runner.loop.bench
         stop, close = bench.stop, bench.close
         bench.stop = lambda now_s: (calls.append("stop"), stop(now_s))[1]  # type: ignore[method-assign,func-returns-value]

@@ -18,9 +18,9 @@ from hil.core.messages import CYCLE
 from hil.errors import LinkLost
 from hil.frmn.ring import Ring
 from hil.monitor.results import PORTION
-from hil.processes.docking_monitor import MonitorProcess, Watched, watch_recorded
 from hil.report.docking_monitor import judge_monitor, monitor_lines
 from hil.session import build, with_docking_monitor
+from hil.setup.docking_monitor import MonitorOutcome, MonitorProcess, monitor_recorded
 from tests.support.run_settings import UNHURRIED, make_job, typed
 
 pytestmark = pytest.mark.xdist_group("docking monitor")
@@ -42,18 +42,18 @@ def rig() -> Rig:
 def history() -> np.ndarray:
     """Return six seconds of scheme-1 on mocks."""
     job = make_job(6.0)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         return runner.run().history
 
 
 @pytest.fixture(scope="module")
-def recorded(scenario: Scenario, rig: Rig, history: np.ndarray) -> Watched:
+def recorded(scenario: Scenario, rig: Rig, history: np.ndarray) -> MonitorOutcome:
     """Return what the monitor sees in them."""
-    return watch_recorded(scenario, load_scene("atv").value, rig, 0, history)
+    return monitor_recorded(scenario, load_scene("atv").value, rig, 0, history)
 
 
 def test_the_process_sees_what_a_watch_of_the_recording_sees(
-    scenario: Scenario, rig: Rig, history: np.ndarray, recorded: Watched
+    scenario: Scenario, rig: Rig, history: np.ndarray, recorded: MonitorOutcome
 ) -> None:
     ring, pictures, portions = Ring.create(CYCLE, 2048), Ring.create(PICTURE, 16), Ring.create(PORTION, 16)
     try:
@@ -91,7 +91,7 @@ def test_a_monitor_that_dies_is_told_by_name(scenario: Scenario, rig: Rig) -> No
 
 
 def test_monitor_vision_unit_and_truth_agree_in_their_sigmas(
-    scenario: Scenario, rig: Rig, history: np.ndarray, recorded: Watched
+    scenario: Scenario, rig: Rig, history: np.ndarray, recorded: MonitorOutcome
 ) -> None:
     found = judge_monitor(recorded, history, scenario, rig)
     assert json.loads(json.dumps(found, allow_nan=False)) == found
@@ -110,7 +110,7 @@ def test_monitor_vision_unit_and_truth_agree_in_their_sigmas(
 
 
 def test_a_wrong_station_shows_as_many_sigmas(
-    scenario: Scenario, rig: Rig, history: np.ndarray, recorded: Watched
+    scenario: Scenario, rig: Rig, history: np.ndarray, recorded: MonitorOutcome
 ) -> None:
     moved = scenario.monitor.model_copy(update={"camera_position_m": (0.82, 0.0, -0.5)})
     found = judge_monitor(recorded, history, scenario.model_copy(update={"monitor": moved}), rig)
@@ -119,7 +119,7 @@ def test_a_wrong_station_shows_as_many_sigmas(
 
 
 def test_a_run_that_ended_before_its_first_cycle_has_nothing_to_compare(scenario: Scenario, rig: Rig) -> None:
-    found = judge_monitor(Watched("atv"), np.zeros(0, CYCLE), scenario, rig)
+    found = judge_monitor(MonitorOutcome("atv"), np.zeros(0, CYCLE), scenario, rig)
     assert (found["frames"], found["portions"], found["longest_gap_s"]) == (0, 0, None)
     assert all(each is None for figures in found["quantities"].values() for each in figures.values())
     assert len(monitor_lines(found)) > 2
@@ -127,7 +127,7 @@ def test_a_run_that_ended_before_its_first_cycle_has_nothing_to_compare(scenario
 
 def test_run_without_monitor_has_none(rig: Rig) -> None:
     job = make_job(0.1)
-    with with_docking_monitor.runner(job, lambda *_: None, lambda _: None) as (runner, look):
+    with with_docking_monitor.runner(job) as (runner, look):
         assert look(runner.run()) is None
 
 

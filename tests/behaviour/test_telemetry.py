@@ -46,7 +46,7 @@ def test_reader_gets_the_very_rows_of_the_history() -> None:
 @pytest.mark.slow
 def test_another_process_attaches_to_a_run_on_wires_and_accounts_for_every_cycle() -> None:
     job = make_job(1.0, WIRES, rig="emulated")
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         ring = runner.loop.telemetry
         assert isinstance(ring, Ring)
         command = [sys.executable, "-c", READER, str(ring.descriptor), "1.0"]

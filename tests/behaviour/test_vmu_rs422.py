@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hil.config.rig import SerialLine, Vmu
+from hil.core.child_process import ChildProcess
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.base import PoseSource
-from hil.drivers.emulator_process import EmulatorProcess
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.vmu import COUNTERS
 from hil.drivers.vmu.codec import FRAME_BYTES, STATUS_NO_POSE, encode, encode_status
@@ -34,7 +34,7 @@ CHILD = """
 import numpy as np
 from hil.core.clock import WallClock
 from hil.config.rig import Vmu
-from hil.drivers.emulator_process import serve
+from hil.core.child_process import serve
 from hil.drivers.vmu.emulator import VmuEmulator
 from hil.core.messages import PoseFrame
 pose = PoseFrame(0, 0.0, 0.0, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6) * 1e-4)
@@ -262,17 +262,23 @@ def test_emulator_exposes_on_the_beat_and_sends_after_processing_and_line_time()
     [(signal.SIGKILL, LinkLost, 0.4), (signal.SIGSTOP, LinkTimeout, 0.4)],
 )
 def test_dead_and_frozen_unit_surface_within_the_time_out(
-    number: signal.Signals, error_class: type[DeviceError], bound_s: float
+    number: signal.Signals,
+    error_class: type[DeviceError],
+    bound_s: float,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    (tmp_path / "unit_child.py").write_text(CHILD)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{Path.cwd()}:{os.environ.get('PYTHONPATH', '')}")
     clock = WallClock()
     settings = config()
-    child = EmulatorProcess(
-        "vmu",
-        [sys.executable, "-c", CHILD],
+    child = ChildProcess(
+        "vmu emulator",
+        "unit_child",
         {"vmu": settings.model_dump(), "epoch_ns": clock.epoch_ns, "speed": clock.speed},
     )
     try:
-        vmu = Rs422Vmu(config(child.wait_ready(20.0)["vmu"]), clock)
+        vmu = Rs422Vmu(config(child.wait_ready(20.0)["addresses"]["vmu"]), clock)
         vmu.open(clock.now_s())
         try:
             desk = Desk(clock, None, vmu)  # type: ignore[arg-type]

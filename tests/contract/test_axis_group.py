@@ -20,7 +20,7 @@ from hil.drivers.mock_axes import MockAxes
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
 from hil.drivers.remote.devices import IoLink, RemoteAxes
-from hil.drivers.remote.io_layout import HOST, IoSharedMemory
+from hil.drivers.remote.io_layout import IO, IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
 from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.ascii.driver import AsciiTurntable
@@ -29,7 +29,7 @@ from hil.drivers.turntable.cia402.driver import Cia402Turntable
 from hil.drivers.turntable.cia402.emulator import Cia402Emulator
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, SafetyTrip
-from hil.processes.io_server import DeviceHost
+from hil.processes.io_server import IoServer
 
 pytestmark = pytest.mark.wires
 
@@ -114,12 +114,12 @@ def _behind_the_io_process(config: Rails | Turntable) -> Iterator[Backend]:
         "rails": MockAxes("rails", RAIL_NAMES, RIG.rails),
         "turntable": MockAxes("turntable", GIMBAL_NAMES, RIG.turntable),
     }
-    host = DeviceHost(axes, MockVmu(RIG.vmu, lambda t_s: None), memory, there, clock)
+    host = IoServer(axes, MockVmu(RIG.vmu, lambda t_s: None), memory, there, clock)
     host.start()
     thread = threading.Thread(target=host.run, args=(stop,))
     thread.start()
-    requests = IoRequests(here)
-    link = IoLink(HOST, memory, requests, clock, lambda: "")
+    requests = IoRequests(here, IO)
+    link = IoLink(IO, memory, requests, clock, lambda: "")
     device = RemoteAxes("rails" if isinstance(config, Rails) else "turntable", config, link)
     try:
         yield Backend(device, clock.now_s, lambda s: _pass(device, clock, s), *_travel(config))

@@ -98,7 +98,7 @@ def operate(
     """Run scheme 1 on the mock rig under ``script``; it ends a session that would wait for ever by itself."""
     operator = Operator(plan, attended)
     job = make_job(duration_s, settings)
-    with build.runner(job, lambda *_: None, lambda _: None, operator) as runner:
+    with build.runner(job, operator=operator) as runner:
         bench = runner.loop.bench
         session = Session(runner, operator, Recorded(bench.rails), Recorded(bench.turntable))
         bench.rails, bench.turntable = session.rails, session.turntable

@@ -21,6 +21,7 @@ from hil.loop.cycle import Loop
 from hil.loop.runner import Outcome
 from hil.processes.gnc_server import GncServer, gnc_side
 from hil.session import build
+from hil.session.warm_up import warm_up
 from hil.setup.udp_backend import mirror_of, remote_gnc
 
 LOCAL: Address = (LOOPBACK, 0)
@@ -78,7 +79,7 @@ class Split:
     def fly(self) -> Outcome:
         """Wait for the GNC, then run."""
         self.seat.connect(60.0)
-        with build.runner(self.job, lambda *_: None, lambda _: None, self.operator) as runner:
+        with build.runner(self.job, operator=self.operator) as runner:
             if self.operator is not None:
                 self.operator.mode = lambda: runner.safety.modes.mode
             self.loop = loop = runner.loop
@@ -116,7 +117,7 @@ def split_bench(
     """Give the bench's side of a split run on a mock rig; in lock-step as fast as it goes, free on the wall clock."""
     scenario, rig = load_scenario(scenario_name, settings), load_rig("mock", settings)
     job = build.Job(scenario, rig, seed, duration_s, speed, paced=not lock_step)
-    build.warm_up(job)  # nothing compiles while the other side waits
+    warm_up(job)  # nothing compiles while the other side waits
     link = gnc_link("test dss", None if peer else LOCAL, peer)
     period_s = None if lock_step else scenario.value.step_s / speed
     try:

@@ -17,7 +17,7 @@ from tests.support.run_settings import make_job
 
 def _run(scenario: str, seed: int, duration_s: float, *settings: str) -> Outcome:
     job = make_job(duration_s, settings, scenario=scenario, seed=seed)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         return runner.run()
 
 

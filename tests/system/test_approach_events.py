@@ -45,7 +45,7 @@ def test_decision_after_an_abort_is_no_go(diary: ApproachEventLog) -> None:
 def test_order_to_go_on_is_answered_once() -> None:
     settings = ["initial.position_m=[0.4,0.0,0.0]", "initial.attitude_deg=[0.0,0.0,0.0]"]
     job = make_job(20.0, settings)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         gnc = runner.loop.gnc
         gnc.order_go()
         events = runner.run().events
@@ -55,7 +55,7 @@ def test_order_to_go_on_is_answered_once() -> None:
 
 def test_order_to_abort_is_obeyed_in_the_same_cycle() -> None:
     job = make_job(2.0)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         runner.loop.gnc.order_abort()
         outcome = runner.run()
     assert outcome.history["supervision"]["aborted"][0] == 3

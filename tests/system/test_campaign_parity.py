@@ -39,7 +39,7 @@ def both(
         truth, told = design.apply(design.values(case))
         seed = case_seed(11, case)
     job = build.Job(scenario, rig, seed, duration_s, 1.0, truth)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         outcome = runner.run()
     flight = CaseRunner(told, rig.value, duration_s)
     flight.fly(truth, seed + 1)  # what was flown before leaves no trace

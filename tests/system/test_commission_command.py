@@ -25,6 +25,7 @@ from hil.errors import DeviceError
 from hil.loop.runner import Runner
 from hil.session import build
 from hil.session.build import WiredBench
+from hil.session.warm_up import warm_up
 
 pytestmark = pytest.mark.wires
 
@@ -56,7 +57,7 @@ def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def bench(rig_file: Path) -> Iterator[WiredBench]:
     job = build.Job(load_scenario("scheme-1"), load_rig(str(rig_file)), 0, 0.02, SPEED)
-    build.warm_up(job)
+    warm_up(job)
     with build.wired_bench(job) as wired:
         yield wired
 

@@ -8,8 +8,9 @@ import pytest
 
 from hil.core.modes import Mode
 from hil.drivers.fault_injection import FaultControl
-from hil.session.build import check, warm_up
+from hil.session.build import check
 from hil.session.build import runner as make_runner
+from hil.session.warm_up import warm_up
 from tests.support.run_settings import NEAR, UNHURRIED, make_job
 
 # the fault matrix presses it in the normal run

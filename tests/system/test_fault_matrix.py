@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import pytest
 
 from hil.core.modes import Mode
-from hil.session.build import WiredBench, check, warm_up, wired_bench
+from hil.session.build import WiredBench, check, wired_bench
+from hil.session.warm_up import warm_up
 from sims.fault_matrix import CONTINUES, TIGHT, FaultCase, matrix, representatives, run_case
 from tests.support.run_settings import UNHURRIED, make_job
 

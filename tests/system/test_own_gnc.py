@@ -50,7 +50,7 @@ def flown(library: Path, duration_s: float, *settings: str, operator: Operator |
     chosen = (f"gnc.library={library}", *settings)
     job = make_job(duration_s, chosen, seed=3)
     build.check(job)
-    with build.runner(job, lambda *_: None, lambda _: None, operator) as runner:
+    with build.runner(job, operator=operator) as runner:
         return runner.run()
 
 

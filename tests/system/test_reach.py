@@ -198,7 +198,7 @@ def _limited_cycles_of_a_random_run(seed: int, scenario: str, duration_s: float)
     flown, rig = load_scenario(scenario, settings), _barely_enough(scenario, settings)
     assert reach_problems(flown, rig) == []
     job = build.Job(flown, rig, seed, duration_s, 1.0)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         outcome = runner.run()
     assert outcome.stop == "completed"
     return outcome.limited_cycles

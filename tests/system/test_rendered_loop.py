@@ -94,7 +94,7 @@ def test_lights_that_are_no_leds_do_not_mislead() -> None:
 def test_the_filters_live_on_pictures() -> None:
     settings = (RENDERED, "initial.position_m=[1.2, -0.05, 0.05]")
     job = make_job(12.0, settings)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         history = runner.run().history
     late = history[history["t_s"] > 6.0]
     error = late["navigation"]["r_CT_H"] - late["truth"]["r_CT_H"]

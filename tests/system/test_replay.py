@@ -26,7 +26,7 @@ def record(folder: Path, scenario: str, duration_s: float, *settings: str) -> Re
     """Return a recorded run on the mock rig."""
     job = make_job(duration_s, settings, scenario=scenario, seed=1)
     with recording(job, "mock", folder, lambda _: None) as taken:
-        with build.runner(job, lambda *_: None, lambda _: None, taps=taken.taps) as runner:
+        with build.runner(job, taps=taken.taps) as runner:
             outcome = runner.run()
         taken.finish(summarise(outcome, job.scenario.value, job.rig.value, "mock", 1, 50.0)[0])
     recorded = load(taken.path)

@@ -31,7 +31,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, dict[
 
 def _history(scenario: str, seed: int, duration_s: float, *settings: str) -> np.ndarray:
     job = make_job(duration_s, settings, scenario=scenario, seed=seed)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         return runner.run().history
 
 

@@ -26,7 +26,7 @@ def in_one_process(scenario: str, duration_s: float, settings: tuple[str, ...] =
     ],
 )
 def test_lock_step_gives_the_trajectory_of_one_process_bit_by_bit(scheme: str, duration_s: float) -> None:
-    with build.runner(in_one_process(scheme, duration_s), lambda *_: None, lambda _: None) as runner:
+    with build.runner(in_one_process(scheme, duration_s)) as runner:
         alone = runner.run()
     with split_bench(scheme, duration_s) as bench, gnc_thread(scheme, bench.link.address) as gnc:
         apart = bench.fly()
@@ -47,7 +47,7 @@ ABORT = ("gnc.abort.at_s=2.0",)
 
 @pytest.mark.parametrize("settings", [LATE, ABORT])
 def test_lock_step_gives_the_same_also_with_late_poses_and_in_an_abort(settings: tuple[str, ...]) -> None:
-    with build.runner(in_one_process("scheme-1", 4.0, settings, seed=3), lambda *_: None, lambda _: None) as runner:
+    with build.runner(in_one_process("scheme-1", 4.0, settings, seed=3)) as runner:
         alone = runner.run()
     with split_bench("scheme-1", 4.0, settings, seed=3) as bench, gnc_thread("scheme-1", bench.link.address, settings):
         apart = bench.fly()
@@ -58,7 +58,7 @@ def test_lock_step_gives_the_same_also_with_late_poses_and_in_an_abort(settings:
 def test_answer_from_before_an_abort_is_not_taken_for_the_one_after_it() -> None:
     """A slow network makes the bench ask twice, so that each answer comes twice, too."""
     settings = ("gnc.abort.at_s=1.4",)
-    with build.runner(in_one_process("scheme-1", 1.6, settings), lambda *_: None, lambda _: None) as runner:
+    with build.runner(in_one_process("scheme-1", 1.6, settings)) as runner:
         alone = runner.run()
     with (
         split_bench("scheme-1", 1.6, settings) as bench,

@@ -1,4 +1,4 @@
-"""The loop's side of devices that other processes serve: AxisGroup, PoseSource, DiscreteIo over shared memory."""
+"""Devices that other processes serve, for the loop: AxisGroup, PoseSource and DiscreteIo over shared memory."""
 
 from __future__ import annotations
 
@@ -19,57 +19,55 @@ from hil.drivers.remote.requests import IoRequests
 from hil.errors import DeviceError, LinkLost, LinkTimeout
 
 SILENCE_MAX_S = 0.1
-"""Wall time that the process which serves a device may be silent."""
-_PROCESSES = {io_layout.HOST: "I/O process", io_layout.GUARD: "watchdog process"}
-
-
+"""Wall time without a heartbeat of the serving process after which its devices count as lost."""
 _CLOSE_WALL_S = 1.0
 _LOSSES = ("lost", "retries", "crc_errors", "protocol_errors")
 
 
 class IoLink:
-    """What all devices of one process share: the memory, its requests, and whether it is alive.
+    """Link to a serving process, shared by its devices: memory, requests and heartbeat.
 
-    name: HOST or GUARD. ended: tells how the process ended, "" while it lives.
+    name: IO or WATCHDOG. exit_status: returns how the process ended, "" while it runs.
     """
 
     def __init__(
-        self, name: str, exchange: IoSharedMemory, requests: IoRequests, clock: Clock, ended: Callable[[], str]
+        self, name: str, memory: IoSharedMemory, requests: IoRequests, clock: Clock, exit_status: Callable[[], str]
     ) -> None:
-        self.exchange = exchange
+        self.memory = memory
         self.requests = requests
         self.clock = clock
         self._name = name
-        self._process = _PROCESSES[name]
-        self._ended = ended
+        self._exit_status = exit_status
         self._heartbeat = np.zeros(1, io_layout.HEARTBEAT)
 
     def beat(self, now_s: float, watched: bool) -> None:
-        """Tell that the loop is alive; watched: silence from now on means that it is not."""
+        """Send the loop's heartbeat; watched: the next one is due, and its absence stops the bench."""
         self._heartbeat["watched"] = watched
-        self.exchange.block[io_layout.LOOP].write(self._heartbeat, now_s)
+        self.memory.block[io_layout.LOOP].write(self._heartbeat, now_s)
 
     def check(self, device: str, now_s: float) -> None:
-        """Raise LinkLost, in the name of ``device``, when its process has ended or is silent."""
-        if ended := self._ended():
-            raise LinkLost(device, f"{self._process} {ended}")
-        _, beat_s = self.exchange.block[self._name].read(self._heartbeat)
+        """Raise LinkLost for ``device`` if its process has ended or is silent."""
+        if ended := self._exit_status():
+            raise LinkLost(device, f"{self._name} process {ended}")
+        _, beat_s = self.memory.block[self._name].read(self._heartbeat)
         age_s = (now_s - beat_s) / self.clock.speed
         if age_s > SILENCE_MAX_S:
-            raise LinkLost(device, f"{self._process} has been silent for {age_s:.3f} s, allowed {SILENCE_MAX_S:g} s")
+            raise LinkLost(
+                device, f"{self._name} process has been silent for {age_s:.3f} s, allowed {SILENCE_MAX_S:g} s"
+            )
 
     def wake(self) -> None:
-        """Let the process look at once."""
-        self.exchange.wake(self._name)
+        """Let the process start its next period at once."""
+        self.memory.wake(self._name)
 
 
 class _RemoteDevice:
-    """What axes and pose sources have in common."""
+    """Common part of all remote devices."""
 
     def __init__(self, name: str, link: IoLink) -> None:
         self.name = name
         self._link = link
-        self._block = link.exchange.block
+        self._block = link.memory.block
         self._failure = self._block[f"{name}.failure"]
         self._failures_before = 0
         self._record = np.zeros(1, io_layout.FAILURE)
@@ -77,7 +75,7 @@ class _RemoteDevice:
 
     def _open(self, now_s: float) -> None:
         self._failures_before = self._failure.read(self._record)[0]
-        answer = self._link.requests.ask("open", self.name)
+        answer = self._link.requests.request("open", self.name)
         if "failure" in answer:
             self._record[0] = tuple(field.encode() for field in answer["failure"])
             raise io_layout.failure_of(self._record)
@@ -91,30 +89,30 @@ class _RemoteDevice:
         self._link.check(self.name, now_s)
 
     def counters(self) -> dict[str, int]:
-        """Return what the driver counted since ``open``, some 0.1 s old."""
+        """Return the driver's counts since ``open``, some 0.1 s old."""
         record = np.zeros(1, io_layout.COUNTERS)
         self._block[f"{self.name}.counters"].read(record)
         return io_layout.counters_of(record)
 
     def lost_packets(self) -> int:
-        """Return how many packets the driver counted as lost or damaged since ``open``."""
-        counted = self.counters()
-        return sum(counted.get(name, 0) for name in _LOSSES)
+        """Return the number of packets lost or damaged since ``open``."""
+        counters = self.counters()
+        return sum(counters.get(name, 0) for name in _LOSSES)
 
     def close(self) -> None:
-        """Let the I/O process close the device. Idempotent, never raises."""
+        """Let the serving process close the device. Idempotent, never raises."""
         if not self._is_open:
             return
         self._is_open = False
         with contextlib.suppress(DeviceError):
             self._link.check(self.name, self._link.clock.now_s())
-            self._link.requests.ask("close", self.name, _CLOSE_WALL_S)
+            self._link.requests.request("close", self.name, _CLOSE_WALL_S)
 
 
 class RemoteAxes(_RemoteDevice):
-    """Rails or turntable behind the I/O process. ``read`` is the loop's sign of life: call it in every cycle.
+    """Rails, turntable or target axes in the I/O process. ``read`` sends the loop's heartbeat: call it in every cycle.
 
-    When the signs cease, the I/O process stops the axes by itself.
+    When the heartbeat ceases, the I/O process stops the axes.
     """
 
     def __init__(self, name: str, config: Rails | Turntable, link: IoLink) -> None:
@@ -132,7 +130,7 @@ class RemoteAxes(_RemoteDevice):
         self._kind = io_layout.CYCLIC
 
     def open(self, now_s: float) -> None:
-        """Let the I/O process open the device; the axes hold where they stand. Raises DeviceError."""
+        """Let the I/O process open the device; the axes hold their position. Raises DeviceError."""
         self.close()
         self._link.beat(now_s, watched=False)
         self._feedback_before = self._block[f"{self.name}.feedback"].read(self._feedback)[0]
@@ -143,26 +141,26 @@ class RemoteAxes(_RemoteDevice):
     def home(self, now_s: float) -> None:
         """Start homing in the I/O process. Raises DeviceError."""
         self._check(now_s)
-        self._link.requests.ask("home", self.name)
+        self._link.requests.request("home", self.name)
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
-        """Hand over the newest setpoint; return the accepted position, or where a stopped device stands."""
+        """Send the newest setpoint; return the accepted position, or the measured one if the device is stopped."""
         self._check(now_s)
         low, high = (ANYWHERE_LOW, ANYWHERE_HIGH) if self._kind == io_layout.JOGGED else (self._low, self._high)
         accepted = accepted_setpoint(self.axis_names, position, low, high)
         wanted_rate = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
         if self._stopped or self._kind == io_layout.GOAL:
             return np.array(self._feedback["position"][0])
-        self._hand_over(accepted, np.where(accepted == position, wanted_rate, 0.0), now_s)
+        self._write_setpoint(accepted, np.where(accepted == position, wanted_rate, 0.0), now_s)
         return accepted
 
-    def _hand_over(self, position: Array, rate: Array, now_s: float) -> None:
+    def _write_setpoint(self, position: Array, rate: Array, now_s: float) -> None:
         self._setpoint["position"], self._setpoint["rate"], self._setpoint["kind"] = position, rate, self._kind
         self._block[f"{self.name}.setpoint"].write(self._setpoint, now_s)
         self._link.wake()
 
     def set_jogging(self, on: bool) -> None:
-        """While on, take setpoints of axes that are not homed, and cut none to the travel."""
+        """While on, accept setpoints of axes that are not homed, without the limits of the travel."""
         self._kind = io_layout.JOGGED if on else io_layout.CYCLIC
 
     def read(self, now_s: float) -> AxisFeedback:
@@ -179,7 +177,7 @@ class RemoteAxes(_RemoteDevice):
         return feedback
 
     def stop(self, now_s: float) -> None:
-        """Order the quick stop through the shared memory, so that it takes no time; idempotent, never raises."""
+        """Order the quick stop through the shared memory, without waiting; idempotent, never raises."""
         if self._stopped or not self._is_open:
             return
         self._stopped = True
@@ -190,40 +188,40 @@ class RemoteAxes(_RemoteDevice):
 
 
 class RemoteTurntable(RemoteAxes):
-    """A turntable behind the I/O process: its drives go to their parking place by themselves."""
+    """A turntable in the I/O process; its drives move to the parking position in their own profile."""
 
     def move_to(self, position: Array, rate: Array, now_s: float) -> Array:
-        """Let the axes go to position (3,), rad, at most at rate (3,), rad/s; return the goal that was accepted."""
+        """Move the axes to position (3,), rad, at most at rate (3,), rad/s; return the accepted goal."""
         self._check(now_s)
         goal = accepted_setpoint(self.axis_names, position, self._low, self._high)
         speed = accepted_setpoint(self.axis_names, np.abs(rate), np.zeros(3), self._rate_max, "rate")
         if not self._stopped:
             self._kind = io_layout.GOAL
-            self._hand_over(goal, speed, now_s)
+            self._write_setpoint(goal, speed, now_s)
         return goal
 
 
 class RemotePoses(_RemoteDevice):
-    """The vision unit behind the I/O process."""
+    """The vision unit in the I/O process."""
 
     def __init__(self, config: Vmu, link: IoLink) -> None:
         super().__init__("vmu", link)
-        self._frames = link.exchange.frames.reader(from_now=True)
+        self._frames = link.memory.frames.reader(from_now=True)
 
     def open(self, now_s: float) -> None:
         """Let the I/O process open the unit. Raises DeviceError."""
         self.close()
-        self._frames = self._link.exchange.frames.reader(from_now=True)
+        self._frames = self._link.memory.frames.reader(from_now=True)
         self._open(now_s)
 
     def poll(self, now_s: float) -> list[PoseFrame]:
-        """Return the frames that came since the last call, oldest first. Raises DeviceError."""
+        """Return the frames received since the last call, oldest first. Raises DeviceError."""
         self._check(now_s)
         return [PoseFrame.from_record(record) for record in self._frames.read()]
 
 
 class RemoteIo(_RemoteDevice):
-    """The digital lines behind the watchdog process, which pulses the charge pump while everybody is alive."""
+    """The digital I/O in the watchdog process, which pulses the charge pump while all heartbeats continue."""
 
     def __init__(self, config: Io, link: IoLink) -> None:
         super().__init__("io", link)
@@ -237,10 +235,10 @@ class RemoteIo(_RemoteDevice):
         self._open(now_s)
 
     def pulse(self, now_s: float) -> None:
-        """Do nothing: the watchdog pulses for the loop as long as it hears its heartbeat."""
+        """Do nothing: the watchdog pulses while it receives the loop's heartbeat."""
 
     def write(self, outputs: IoOutputs, now_s: float) -> None:
-        """Hand over the outputs. Raises DeviceError once the link failed."""
+        """Send the outputs. Raises DeviceError once the link has failed."""
         self._check(now_s)
         self._block["io.outputs"].write(io_layout.outputs_record(outputs), now_s)
         self._link.wake()
@@ -256,7 +254,7 @@ class RemoteIo(_RemoteDevice):
         return inputs
 
     def stop(self, now_s: float) -> None:
-        """Let the watchdog set all outputs off; takes no time, idempotent, never raises."""
+        """Let the watchdog set all outputs off, without waiting; idempotent, never raises."""
         if self._is_open:
             self._stop["number"] += 1
             self._block["io.stop"].write(self._stop, now_s)

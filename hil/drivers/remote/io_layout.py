@@ -1,7 +1,7 @@
-"""What passes between the loop and the I/O process, and the shared memory that it passes through.
+"""Shared memory between the loop, the I/O process and the watchdog process, and the layout of its records.
 
-The loop writes setpoints, outputs and its heartbeat; the I/O process and the watchdog write feedback, pose
-frames, inputs, counters, errors and their own heartbeats. Nobody waits for anybody.
+The loop writes setpoints, outputs and its heartbeat; the I/O process and the watchdog process write feedback, pose
+frames, inputs, counters, errors and their own heartbeats. No process waits for another.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from hil.frmn.ring import Ring
 
 AXIS_DEVICES: Final = ("rails", "turntable", "target")
 DEVICES: Final = (*AXIS_DEVICES, "vmu", "io")
-LOOP, HOST, GUARD = "loop", "host", "guard"
-"""Cells of the heartbeats: of the loop, of the I/O process, of the watchdog."""
+LOOP, IO, WATCHDOG = "loop", "I/O", "watchdog"
+"""The processes; mailboxes of their heartbeats."""
 
 SETPOINT: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3), ("kind", "i8")])
 CYCLIC, JOGGED, GOAL = 0, 1, 2
-"""Kinds of setpoints: of homed axes within their travel; of axes that are jogged; the place where they are to park."""
+"""Kinds of setpoints: of homed axes within their travel; of axes that are jogged; the position to park at."""
 FEEDBACK: Final = np.dtype(
     [("t_s", "f8"), ("position", "f8", 3), ("rate", "f8", 3), ("homing", "i8", 3), ("limit", "i8", 3)]
 )
@@ -42,8 +42,8 @@ _KINDS: Final[dict[str, type[DeviceError]]] = {kind.__name__: kind for kind in (
 
 LAYOUT: Final = {
     LOOP: HEARTBEAT,
-    HOST: HEARTBEAT,
-    GUARD: HEARTBEAT,
+    IO: HEARTBEAT,
+    WATCHDOG: HEARTBEAT,
     **{f"{device}.setpoint": SETPOINT for device in AXIS_DEVICES},
     **{f"{device}.feedback": FEEDBACK for device in AXIS_DEVICES},
     **{f"{device}.stop": STOP for device in (*AXIS_DEVICES, "io")},
@@ -55,7 +55,7 @@ LAYOUT: Final = {
 
 
 class IoSharedMemory:
-    """All sides' view of the shared memory. wakes: descriptors of the eventfds that rouse HOST and GUARD."""
+    """The shared memory, in each process. wakes: descriptors of the eventfds that wake IO and WATCHDOG."""
 
     def __init__(self, block: MailboxBlock, frames: Ring, wakes: dict[str, int]) -> None:
         self.block = block
@@ -64,27 +64,27 @@ class IoSharedMemory:
 
     @classmethod
     def create(cls) -> IoSharedMemory:
-        """Make new memory; hand ``descriptors`` to the other processes (``pass_fds``)."""
-        wakes = {name: os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC) for name in (HOST, GUARD)}
+        """Create new memory; pass ``descriptors`` to the other processes (``pass_fds``)."""
+        wakes = {name: os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC) for name in (IO, WATCHDOG)}
         return cls(MailboxBlock.create(LAYOUT, "io"), Ring.create(VMU_FRAME, _FRAMES, "poses"), wakes)
 
     @classmethod
     def attach(cls, descriptors: tuple[int, int, int, int]) -> IoSharedMemory:
-        """Join the memory that another process made."""
-        block, frames, host, guard = descriptors
-        ring = Ring(frames, VMU_FRAME, _FRAMES, "poses")
-        return cls(MailboxBlock(block, LAYOUT, "io"), ring, {HOST: host, GUARD: guard})
+        """Attach to the memory that another process created."""
+        block, frames, io, watchdog = descriptors
+        wakes = {IO: io, WATCHDOG: watchdog}
+        return cls(MailboxBlock(block, LAYOUT, "io"), Ring(frames, VMU_FRAME, _FRAMES, "poses"), wakes)
 
     @property
     def descriptors(self) -> tuple[int, int, int, int]:
-        return self.block.descriptor, self.frames.descriptor, self.wakes[HOST], self.wakes[GUARD]
+        return self.block.descriptor, self.frames.descriptor, self.wakes[IO], self.wakes[WATCHDOG]
 
     def wake(self, name: str) -> None:
-        """Let HOST or GUARD look at once; never waits."""
+        """Let IO or WATCHDOG start its next period at once; never waits."""
         os.eventfd_write(self.wakes[name], 1)
 
     def close(self) -> None:
-        """Let go of the memory; idempotent."""
+        """Release the memory; idempotent."""
         while self.wakes:
             os.close(self.wakes.popitem()[1])
         self.block.close()
@@ -97,7 +97,7 @@ def write_feedback(record: np.ndarray, feedback: AxisFeedback) -> None:
 
 
 def read_feedback(record: np.ndarray) -> AxisFeedback:
-    """Return what ``record``, shape (1,) of FEEDBACK, holds; its arrays are copies."""
+    """Return the feedback in ``record``, shape (1,) of FEEDBACK; its arrays are copies."""
     t_s, position, rate, homing, limit = record[0].item()
     del position, rate
     return AxisFeedback(
@@ -118,7 +118,7 @@ def inputs_record(inputs: IoInputs) -> np.ndarray:
 
 
 def read_inputs(record: np.ndarray) -> IoInputs:
-    """Return what ``record``, shape (1,) of INPUTS, holds."""
+    """Return the inputs in ``record``, shape (1,) of INPUTS."""
     t_s, estop_closed, chain_closed, names, thrusters_s = record[0].item()
     interlocks = tuple(names.decode().split("\n")) if names else ()
     return IoInputs(t_s, bool(estop_closed), bool(chain_closed), interlocks, thrusters_s)
@@ -134,12 +134,12 @@ def outputs_record(outputs: IoOutputs) -> np.ndarray:
 
 
 def read_outputs(record: np.ndarray) -> IoOutputs:
-    """Return what ``record``, shape (1,) of OUTPUTS, holds."""
+    """Return the outputs in ``record``, shape (1,) of OUTPUTS."""
     return IoOutputs(bool(record["enable"][0]), record["thrusters"][0].tobytes()[: int(record["count"][0])])
 
 
 def failure_record(error: BenchError, device: str) -> np.ndarray:
-    """Return ``error`` as FAILURE, shape (1,); what is no DeviceError becomes one of ``device``."""
+    """Return ``error`` as FAILURE, shape (1,); any other error than a DeviceError becomes one of ``device``."""
     record = np.zeros(1, FAILURE)
     if isinstance(error, DeviceError):
         fault = error.kind.value.encode() if isinstance(error, DriveFault) else b""
@@ -150,7 +150,7 @@ def failure_record(error: BenchError, device: str) -> np.ndarray:
 
 
 def failure_of(record: np.ndarray) -> DeviceError:
-    """Return the error that ``record``, shape (1,) of FAILURE, tells of."""
+    """Return the error in ``record``, shape (1,) of FAILURE."""
     kind, device, what, fault = (field.decode(errors="replace") for field in record[0])
     if kind == DriveFault.__name__:
         return DriveFault(device, what, FaultKind(fault))
@@ -165,6 +165,6 @@ def counters_record(counters: dict[str, int]) -> np.ndarray:
 
 
 def counters_of(record: np.ndarray) -> dict[str, int]:
-    """Return the counters that ``record``, shape (1,) of COUNTERS, tells of."""
+    """Return the counters in ``record``, shape (1,) of COUNTERS."""
     counted: dict[str, int] = json.loads(record["text"][0] or b"{}")
     return counted

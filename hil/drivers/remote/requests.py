@@ -1,4 +1,4 @@
-"""Requests that may take their time: open, home, close. One JSON line each way over a socket pair."""
+"""Requests that take longer than a cycle: open, home, close. One JSON line each way over a socket pair."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ ANSWER_WALL_S: Final = 30.0
 
 
 class IoRequests:
-    """The loop's end: asks the I/O process and waits for its answer."""
+    """The loop's end: sends requests to the process ``name``, IO or WATCHDOG, and waits for the answers."""
 
-    def __init__(self, end: socket.socket) -> None:
+    def __init__(self, end: socket.socket, name: str) -> None:
+        self._process = f"{name} process"
         self._socket = end
         self._lines = end.makefile("rwb")
         self._lock = threading.Lock()
 
-    def ask(self, do: str, device: str, within_s: float = ANSWER_WALL_S) -> dict[str, Any]:
-        """Return the answer, which has ``within_s`` of wall time.
+    def request(self, do: str, device: str, within_s: float = ANSWER_WALL_S) -> dict[str, Any]:
+        """Return the answer, which may take ``within_s`` of wall time.
 
-        Raises LinkLost when the I/O process is gone, LinkTimeout when it stays silent; then the line is not to be
-        used again.
+        Raises LinkLost if the process has ended, LinkTimeout if it does not answer; do not use the line after that.
         """
         try:
             with self._lock:
@@ -33,15 +33,15 @@ class IoRequests:
                 self._lines.flush()
                 line = self._lines.readline()
         except TimeoutError as silence:
-            raise LinkTimeout(device, f"I/O process did not {do} it within {within_s:g} s") from silence
+            raise LinkTimeout(device, f"{self._process} did not {do} it within {within_s:g} s") from silence
         except (OSError, ValueError) as cause:
-            raise LinkLost(device, f"I/O process is gone: {cause}") from cause
+            raise LinkLost(device, f"{self._process} has ended: {cause}") from cause
         if not line:
-            raise LinkLost(device, "I/O process is gone")
+            raise LinkLost(device, f"{self._process} has ended")
         answer: dict[str, Any] = json.loads(line)
         return answer
 
     def close(self) -> None:
-        """Hang up; idempotent."""
+        """Close the socket; idempotent."""
         self._lines.close()
         self._socket.close()

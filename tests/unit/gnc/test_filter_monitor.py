@@ -16,7 +16,7 @@ from tests.support.run_settings import make_job
 def events_of(*settings: str, duration_s: float = 120.0, scheme: str = "scheme-1") -> list[Event]:
     """Return what the watch told in a run on the mock rig."""
     job = make_job(duration_s, settings, scenario=scheme)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         runner.run()
         watch = runner.loop.gnc.watch
         assert watch is not None
@@ -75,7 +75,7 @@ def test_wrong_q_of_the_accelerometer_is_seen() -> None:
 def test_shadow_agrees_with_the_compiled_filters_also_on_late_poses() -> None:
     settings = ("gnc.shadow.enabled=true", "vmu.latency_jitter_s=0.3")
     job = build.Job(load_scenario("scheme-1", settings), load_rig("mock", ("rig.vmu.timeout_s=1.0",)), 0, 20.0, 1.0)
-    with build.runner(job, lambda *_: None, lambda _: None) as runner:
+    with build.runner(job) as runner:
         runner.run()
         watch = runner.loop.gnc.watch
     assert watch is not None

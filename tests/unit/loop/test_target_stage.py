@@ -85,7 +85,7 @@ def test_run_places_the_target_first_and_is_the_same_run_otherwise() -> None:
     found = []
     for settings in ((), (SETTING,)):
         job = make_job(2.0, settings, seed=1)
-        with make_runner(job, lambda *_: None, lambda _: None) as runner:
+        with make_runner(job) as runner:
             outcome = runner.run()
             assert outcome.stop == "completed"
             found.append((outcome, runner.loop.target))

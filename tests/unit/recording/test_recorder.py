@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +14,7 @@ from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
 from hil.recording.header import file_digests
 from hil.recording.read import contents
-from hil.recording.recorder import CELLS, Recorder, record_until_told
+from hil.recording.recorder import CELLS, Recorder, record_until_ended
 from hil.recording.writer import RecordingHeader, RunFile
 
 
@@ -36,17 +34,24 @@ def recorder_of(path: Path, slots: int, rows: int) -> Iterator[tuple[RunFile, Re
     block.close()
 
 
+class _Parent:
+    """A parent that sends one message, or ends without one."""
+
+    def __init__(self, message: dict[str, object] | None) -> None:
+        self._message = message
+
+    def receive(self, timeout_s: float) -> dict[str, object]:
+        if self._message is None:
+            raise EOFError
+        return self._message
+
+
 @pytest.mark.parametrize("told", [None, {"end": {"stop": "completed"}, "summary": "{}"}])
 def test_all_that_waits_in_the_ring_is_written_before_the_end(tmp_path: Path, told: dict[str, object] | None) -> None:
     path = tmp_path / "run.mcap"
-    here, there = socket.socketpair()
-    if told:
-        here.sendall(json.dumps(told).encode() + b"\n")
-    here.close()
     with recorder_of(path, 2048, 1500) as (file, recorder):
-        assert record_until_told(recorder, there) == told
+        assert record_until_ended(recorder, _Parent(told)) == told  # type: ignore[arg-type]
         account = file.finish({})
-    there.close()
     assert (account.cycles, account.dropped) == (1500, 0)
     np.testing.assert_array_equal(contents(path).flat("/cycle")["t_s"], 0.001 * np.arange(1500))
 

@@ -1,4 +1,4 @@
-"""What every process that serves devices for the loop does: answers requests, keeps a beat, tells failures."""
+"""Server of devices for the loop: answers requests, sends a heartbeat, reports failures."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.errors import BenchError
 
 LOOP_SILENCE_MAX_S: Final = 0.05
-"""Wall time without a heartbeat of a process that is to be heard after which the bench is stopped."""
+"""Wall time without a due heartbeat after which the bench is stopped."""
 FIFO_PRIORITY: Final = 60
-"""Below the loop's, above everything else: what the loop commands must get out."""
+"""Below the loop's, above everything else: the loop's commands must be sent."""
 _COUNTERS_EVERY: Final = 50  # periods
 
 
 def raise_priority() -> None:
-    """Put this thread, and those it starts, before everything but the loop, where the system allows it.
+    """Schedule this thread, and those it starts, before everything but the loop, if the system allows it.
 
-    Kernels are loaded now: later that would keep the interpreter from every other thread for a tenth of a second.
+    Kernels are loaded now: later that would keep the interpreter from every other thread for 0.1 s.
     """
     nothing = np.zeros(3)
     accepted_setpoint(("", "", ""), nothing, nothing, nothing)
@@ -40,7 +40,7 @@ def raise_priority() -> None:
 
 
 class Device(Protocol):
-    """What is common to everything that can be served."""
+    """Any device that can be served."""
 
     def open(self, now_s: float) -> None: ...
 
@@ -48,47 +48,45 @@ class Device(Protocol):
 
 
 class Stoppable(Protocol):
-    """What can be brought to a stand."""
+    """A device with a stop."""
 
     def stop(self, now_s: float) -> None: ...
 
 
 class DeviceServer:
-    """Serves ``devices`` by name from ``run`` until it is told to stop; then all are closed.
+    """Serves ``devices`` by name in ``run`` until it is stopped, then closes all of them.
 
-    name: HOST or GUARD, the cell of this process' heartbeat. period_wall_s: longest time between two looks at
-    everything. Subclasses say in ``serve`` what is done in each.
+    name: IO or WATCHDOG, the mailbox of this process' heartbeat. period_wall_s: longest time between two steps.
+    Subclasses define ``step``.
     """
-
-    faults = None
 
     def __init__(
         self,
         devices: Mapping[str, Device],
-        exchange: IoSharedMemory,
+        memory: IoSharedMemory,
         requests: socket.socket,
         clock: WallClock,
         name: str,
         period_wall_s: float = 0.001,
     ) -> None:
-        self.exchange = exchange
+        self.memory = memory
         self.clock = clock
-        self._period_wall_s = period_wall_s
         self.served: set[str] = set()
+        self._period_wall_s = period_wall_s
         self._devices = devices
         self._requests = requests
-        self._beat = exchange.block[name]
-        self._wake = exchange.wakes[name]
+        self._beat = memory.block[name]
+        self._wake = memory.wakes[name]
         self._heartbeat = np.zeros(1, io_layout.HEARTBEAT)
         self._heartbeat["watched"] = 1
-        self._heard = np.zeros(1, io_layout.HEARTBEAT)
+        self._peer_heartbeat = np.zeros(1, io_layout.HEARTBEAT)
         self._stop = np.zeros(1, io_layout.STOP)
         self._stops: dict[str, int] = {}
 
     def start(self) -> dict[str, str]:
-        """Begin to answer; nothing is opened before the loop asks for it."""
+        """Accept requests; no device is opened before the loop requests it."""
         self._beat.write(self._heartbeat, self.clock.now_s())
-        threading.Thread(target=self._answer, name="requests", daemon=True).start()
+        threading.Thread(target=self._handle_requests, name="requests", daemon=True).start()
         return {}
 
     def run(self, stop: threading.Event) -> None:
@@ -101,72 +99,72 @@ class DeviceServer:
                     os.eventfd_read(self._wake)
             now_s = self.clock.now_s()
             self._beat.write(self._heartbeat, now_s)
-            self.serve(now_s)
+            self.step(now_s)
             periods += 1
             if periods % _COUNTERS_EVERY == 0:
                 for name in tuple(self.served):
-                    self._tell_counters(name, now_s)
+                    self._write_counters(name, now_s)
 
     def close(self) -> None:
-        """Let go of all devices."""
+        """Close all devices."""
         for device in self._devices.values():
             device.close()
 
-    def serve(self, now_s: float) -> None:
-        """Do a period's work."""
+    def step(self, now_s: float) -> None:
+        """Do the work of one period."""
         raise NotImplementedError
 
-    def begin(self, name: str) -> None:
-        """Do what is due when a device has been opened, before the loop is told."""
+    def on_opened(self, name: str) -> None:
+        """Act on the opening of a device, before the request is answered."""
 
-    def silent_s(self, cell: str, now_s: float) -> float:
-        """Return for how long, s of wall time, a process that is to be heard has been silent; 0 where it may be."""
-        number, heard_s = self.exchange.block[cell].read(self._heard)
-        return (now_s - heard_s) / self.clock.speed if number and self._heard["watched"][0] else 0.0
+    def silence_s(self, sender: str, now_s: float) -> float:
+        """Return the wall time, s, since the last heartbeat of ``sender``; 0 while none is due."""
+        number, beat_s = self.memory.block[sender].read(self._peer_heartbeat)
+        return (now_s - beat_s) / self.clock.speed if number and self._peer_heartbeat["watched"][0] else 0.0
 
-    def stop_is_new(self, device: str) -> bool:
-        """Return whether the loop has ordered another stop of ``device``."""
-        number, _ = self.exchange.block[f"{device}.stop"].read(self._stop)
+    def stop_requested(self, device: str) -> bool:
+        """Return whether the loop has ordered another stop of ``device`` since the last call."""
+        number, _ = self.memory.block[f"{device}.stop"].read(self._stop)
         if number == self._stops.get(device, 0):
             return False
         self._stops[device] = number
         return True
 
-    def stop_soon(self, device: Stoppable, now_s: float) -> None:
-        """Stop ``device`` without waiting for it: stopping may take a moment of its own, the heartbeat must not."""
+    def stop_in_thread(self, device: Stoppable, now_s: float) -> None:
+        """Stop ``device`` in a thread: a stop may take longer than a period, and the heartbeat must go on."""
         threading.Thread(target=device.stop, args=(now_s,), name="stop", daemon=True).start()
 
     def fail(self, name: str, error: BenchError, now_s: float) -> None:
-        """Tell the loop, once; the device is not asked any more until it is opened again."""
+        """Report the failure to the loop; the device is not served any more until it is opened again."""
         self.served.discard(name)
-        self.exchange.block[f"{name}.failure"].write(io_layout.failure_record(error, name), now_s)
+        self.memory.block[f"{name}.failure"].write(io_layout.failure_record(error, name), now_s)
 
-    def _tell_counters(self, name: str, now_s: float) -> None:
+    def _write_counters(self, name: str, now_s: float) -> None:
         count = getattr(self._devices[name], "counters", None)
         if count is not None:
-            self.exchange.block[f"{name}.counters"].write(io_layout.counters_record(count()), now_s)
+            self.memory.block[f"{name}.counters"].write(io_layout.counters_record(count()), now_s)
 
-    def _answer(self) -> None:
-        """Answer requests one after the other; the end of the socket ends it."""
+    def _handle_requests(self) -> None:
+        """Answer requests one after the other, until the loop closes its end of the socket."""
         with self._requests, self._requests.makefile("rwb") as lines:
             for line in lines:
                 request = json.loads(line)
-                answer = self._do(request["do"], request["device"])
+                answer = self._handle(request["do"], request["device"])
                 with contextlib.suppress(OSError):
                     lines.write(json.dumps(answer).encode() + b"\n")
                     lines.flush()
 
-    def _do(self, do: str, name: str) -> dict[str, Any]:
+    def _handle(self, do: str, name: str) -> dict[str, Any]:
         device, now_s = self._devices[name], self.clock.now_s()
         try:
             if do == "open":
                 self.served.discard(name)
                 device.open(now_s)
-                self.begin(name)
+                self.on_opened(name)
                 self.served.add(name)
             elif do == "close":
                 self.served.discard(name)
-                self._tell_counters(name, now_s)
+                self._write_counters(name, now_s)
                 device.close()
             elif do == "home":
                 device.home(now_s)  # type: ignore[attr-defined]

@@ -24,12 +24,12 @@ from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses, RemoteTurntable
-from hil.drivers.remote.host import LOOP_SILENCE_MAX_S
-from hil.drivers.remote.io_layout import HOST, SETPOINT, IoSharedMemory
+from hil.drivers.remote.io_layout import IO, SETPOINT, WATCHDOG, IoSharedMemory
+from hil.drivers.remote.processes import IoProcesses
 from hil.drivers.remote.requests import IoRequests
+from hil.drivers.remote.server import LOOP_SILENCE_MAX_S
 from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError
-from hil.processes.io_client import HostProcesses
-from hil.processes.io_server import DeviceHost
+from hil.processes.io_server import IoServer
 
 pytestmark = pytest.mark.wires
 
@@ -130,12 +130,12 @@ def sides() -> Iterator[Sides]:
         "turntable": StoppableAxes("turntable", GIMBAL_NAMES, RIG.turntable),
     }
     unit = ScriptedVmu()
-    host = DeviceHost(dict(axes), unit, memory, there, clock)
+    host = IoServer(dict(axes), unit, memory, there, clock)
     host.start()
     thread = threading.Thread(target=host.run, args=(stop,))
     thread.start()
-    requests, ended = IoRequests(here), list[str]()
-    link = IoLink(HOST, memory, requests, clock, lambda: ended[0] if ended else "")
+    requests, ended = IoRequests(here, IO), list[str]()
+    link = IoLink(IO, memory, requests, clock, lambda: ended[0] if ended else "")
     rails, turntable = RemoteAxes("rails", RIG.rails, link), RemoteTurntable("turntable", RIG.turntable, link)
     made = Sides(clock, axes, unit, rails, turntable, RemotePoses(RIG.vmu, link), ended)
     try:
@@ -286,10 +286,10 @@ PARENT = f"""
 import sys, time
 from hil.core.clock import WallClock
 from hil.config.load import load_rig
-from hil.processes.io_client import HostProcesses
-io = HostProcesses(load_rig("emulated", {WIRES!r}).value, WallClock())
+from hil.drivers.remote.processes import IoProcesses
+io = IoProcesses(load_rig("emulated", {WIRES!r}).value, WallClock())
 io.wait_ready()
-print(io.pids['host'], flush=True)
+print(io.pids['I/O'], flush=True)
 time.sleep(60)
 """
 
@@ -306,12 +306,26 @@ def test_the_io_process_ends_with_its_parent() -> None:
 
 
 def test_a_killed_io_process_is_missed() -> None:
-    with HostProcesses(RIG, WallClock()) as io:
+    with IoProcesses(RIG, WallClock()) as io:
         io.wait_ready()
         rails = io.devices()[0]
-        os.kill(io.pids[HOST], signal.SIGKILL)
-        with pytest.raises(LinkLost, match="rails: I/O process is gone"):
+        os.kill(io.pids[IO], signal.SIGKILL)
+        with pytest.raises(LinkLost, match="rails: I/O process has ended"):
             rails.open(0.0)
+
+
+def test_a_dead_watchdog_is_called_watchdog() -> None:
+    with IoProcesses(RIG, WallClock()) as io:
+        os.kill(io.pids[WATCHDOG], signal.SIGKILL)
+        with pytest.raises(LinkLost, match=r"^watchdog process: was ended by SIGKILL before it was ready"):
+            io.wait_ready()
+    with IoProcesses(RIG, WallClock()) as io:
+        io.wait_ready()
+        lines = io.devices()[3]
+        assert lines is not None
+        os.kill(io.pids[WATCHDOG], signal.SIGKILL)
+        with pytest.raises(LinkLost, match=r"^io: watchdog process has ended"):
+            lines.open(0.0)
 
 
 def _lives(pid: int) -> bool:

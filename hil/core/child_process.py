@@ -1,0 +1,304 @@
+"""Child processes of a bench: start, configuration, ready message, results and end, the same for all of them.
+
+The parent starts ``python -m module`` and sends the configuration down the child's stdin; the child sends its ready
+message up its stdout. Every message is one line of JSON. The end of stdin asks the child to end. A child's stderr is
+kept in a file, and the error that reports the child's failure quotes its last lines.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Protocol, Self
+
+from hil.errors import LinkLost, LinkTimeout, ProtocolError
+
+_PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
+_EXIT_WALL_S: Final = 0.2  # allowed from the end of stdin to the end of the process
+_TERMINATE_WALL_S: Final = 0.05
+_KILL_WALL_S: Final = 1.0  # for the kernel to release the memory of a killed process
+_SERVICE_EXIT_WALL_S: Final = 0.1  # allowed for a service to return once it is told to stop
+_STDERR_BYTES: Final = 2000
+
+Message = dict[str, Any]
+"""One line of JSON, an object."""
+
+
+class ChildProcess:
+    """A child process that runs ``python -m module``; ``name`` is its name in errors and in the list of processes.
+
+    The constructor starts the child and returns; start several, then ``wait_ready`` for each. ``pass_fds`` are open in
+    the child under the same numbers. new_session: keep the terminal's Ctrl-C away from the child. The kernel takes the
+    *thread* that starts a child for its parent: start it from one that lives as long as the bench. Raises LinkLost if
+    the process cannot be started.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        module: str,
+        configuration: Mapping[str, Any],
+        pass_fds: Sequence[int] = (),
+        new_session: bool = False,
+    ) -> None:
+        self.name = name
+        self._ready: Message | None = None
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", module, name],
+                bufsize=0,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._stderr,
+                pass_fds=pass_fds,
+                start_new_session=new_session,
+            )
+        except OSError as cause:
+            self._stderr.close()
+            raise LinkLost(name, f"cannot be started: {cause}") from cause
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._stdin, self._stdout = self._process.stdin, self._process.stdout
+        self._lines = _LineReader(self._stdout.fileno())
+        self.send(configuration)
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def wait_ready(self, timeout_s: float) -> Message:
+        """Return the child's ready message, which it sends within ``timeout_s`` of wall time.
+
+        Raises LinkLost if the child has ended, LinkTimeout if it sends nothing, ProtocolError if the line is no JSON
+        object.
+        """
+        if self._ready is None:
+            self._ready = self._receive(timeout_s, "was not ready", "before it was ready")
+        return self._ready
+
+    def receive(self, timeout_s: float) -> Message:
+        """Return the child's next message. Raises as ``wait_ready`` does."""
+        return self._receive(timeout_s, "sent nothing", "without a result")
+
+    def _receive(self, timeout_s: float, if_silent: str, if_ended: str) -> Message:
+        try:
+            line = self._lines.read(timeout_s)
+        except TimeoutError:
+            raise LinkTimeout(self.name, f"{if_silent} within {timeout_s:g} s{self.last_stderr()}") from None
+        if not line.endswith(b"\n"):
+            self.wait_end(_EXIT_WALL_S)
+            how = self.exit_status() or "closed its output"
+            raise LinkLost(self.name, f"{how} {if_ended}{self.last_stderr()}")
+        try:
+            message = json.loads(line)
+        except ValueError:
+            message = None
+        if not isinstance(message, dict):
+            raise ProtocolError(self.name, f"sent {line!r}, expected a JSON object{self.last_stderr()}")
+        return message
+
+    def send(self, message: Mapping[str, Any]) -> None:
+        """Send one message; if the child has ended, the next ``receive`` reports it."""
+        with contextlib.suppress(BrokenPipeError):
+            rest = memoryview(json.dumps(message).encode() + b"\n")
+            while rest:
+                rest = rest[os.write(self._stdin.fileno(), rest) :]
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send the child a signal; without effect once it has ended."""
+        self._process.send_signal(number)
+
+    def exit_status(self) -> str:
+        """Return how the child ended, "" while it runs; never waits."""
+        code = self._process.poll()
+        if code is None:
+            return ""
+        return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+
+    def wait_end(self, timeout_s: float) -> bool:
+        """Wait for the child to end, ``timeout_s`` of wall time at most; return whether it has."""
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def ask_to_end(self) -> None:
+        """Close the child's stdin and return at once. To end several, ask all before closing each."""
+        self._stdin.close()
+
+    def kill(self) -> None:
+        """End the child by SIGKILL, like a loss of power; ``close`` then only cleans up."""
+        self._process.kill()
+
+    def close(self, exit_wall_s: float = _EXIT_WALL_S) -> None:
+        """End the child: close its stdin, wait ``exit_wall_s``, then send SIGTERM and at last SIGKILL. Idempotent."""
+        self.ask_to_end()
+        if not self.wait_end(exit_wall_s):
+            self._process.terminate()
+            if not self.wait_end(_TERMINATE_WALL_S):
+                self._process.kill()
+                self.wait_end(_KILL_WALL_S)
+        self._stdout.close()
+        self._stderr.close()
+
+    def last_stderr(self) -> str:
+        """Return a colon and the last lines of the child's stderr, or ""."""
+        if self._stderr.closed:
+            return ""
+        # pread: the child goes on writing at the file position that both share
+        start = max(0, os.fstat(self._stderr.fileno()).st_size - _STDERR_BYTES)
+        text = os.pread(self._stderr.fileno(), _STDERR_BYTES, start).decode(errors="replace").strip()
+        return f":\n{text}" if text else ""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Parent:
+    """The child's connection to its parent. Make it first in ``main``: it reads the configuration.
+
+    when_orphaned: signal that the kernel sends this process when its parent dies; None: the child outlives its parent.
+    on_interrupt: handler of SIGINT, which a terminal sends to parent and children; by default it is ignored, because
+    the parent stops the bench before it ends its children. What the child prints goes to its stderr.
+    """
+
+    def __init__(
+        self, when_orphaned: signal.Signals | None = signal.SIGKILL, on_interrupt: Any = signal.SIG_IGN
+    ) -> None:
+        signal.signal(signal.SIGINT, on_interrupt)
+        if when_orphaned is not None:
+            die_with_parent(when_orphaned)
+        self._up = os.dup(sys.stdout.fileno())
+        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+        self._lines = _LineReader(sys.stdin.fileno())
+        try:
+            self.configuration = self.receive(None)
+        except EOFError:
+            raise SystemExit("the parent has ended") from None
+
+    def send(self, **message: Any) -> None:
+        """Send one message. Raises BrokenPipeError if the parent has ended."""
+        rest = memoryview(json.dumps(message).encode() + b"\n")
+        while rest:
+            rest = rest[os.write(self._up, rest) :]
+
+    def receive(self, timeout_s: float | None) -> Message:
+        """Return the next message. Raises TimeoutError, and EOFError when the parent asks this process to end."""
+        line = self._lines.read(timeout_s)
+        if not line.endswith(b"\n"):
+            raise EOFError
+        message: Message = json.loads(line)
+        return message
+
+    def wait_end(self, timeout_s: float) -> bool:
+        """Wait ``timeout_s``; return whether the parent has asked this process to end. For a child without requests."""
+        try:
+            self.receive(timeout_s)
+        except TimeoutError:
+            return False
+        except EOFError:
+            return True
+        return False
+
+
+class _LineReader:
+    """Lines that arrive at a descriptor, with time limits."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._received = b""
+
+    def read(self, timeout_s: float | None) -> bytes:
+        """Return the next line; at the end of the file what has come of it. Raises TimeoutError."""
+        deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while b"\n" not in self._received:
+            left_s = None if deadline_s is None else max(0.0, deadline_s - time.monotonic())
+            if not select.select([self._descriptor], [], [], left_s)[0]:
+                raise TimeoutError
+            part = os.read(self._descriptor, 1 << 16)
+            if not part:
+                return self._received
+            self._received += part
+        line, _, self._received = self._received.partition(b"\n")
+        return line + b"\n"
+
+
+def die_with_parent(number: int = signal.SIGKILL) -> None:
+    """Let the kernel send this process the signal ``number`` when its parent dies."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+
+
+class Service(Protocol):
+    """A server that a child process runs until its parent asks it to end."""
+
+    def start(self) -> dict[str, str]:
+        """Open what it serves; return name -> address."""
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve until ``stop`` is set."""
+
+    def close(self) -> None:
+        """Release everything."""
+
+
+def serve(make: Callable[[Message], Service], when_orphaned: signal.Signals = signal.SIGKILL) -> None:
+    """Run, as the child, the service that ``make`` returns for the configuration, until stdin ends or SIGTERM.
+
+    The ready message is ``{"addresses": {name: address}}``. when_orphaned: SIGTERM instead of SIGKILL lets the child
+    stop what it drives. An error of the service ends the process with a traceback.
+    """
+    parent = Parent(when_orphaned)
+    ended, end = os.pipe()
+    signal.signal(signal.SIGTERM, lambda *_: os.write(end, b"t"))
+    service = make(parent.configuration)
+    try:
+        addresses = service.start()
+        # what was imported stays: a collection that walks through all of it lasts longer than a drive's watchdog
+        gc.collect()
+        gc.freeze()
+        parent.send(addresses=addresses)
+        _run_until(service, ended, end)
+    finally:
+        service.close()
+
+
+def _run_until(service: Service, ended: int, end: int) -> None:
+    """Run the service in a thread until a byte comes out of ``ended`` or stdin ends; raise what it raised."""
+    stop = threading.Event()
+    failures: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            service.run(stop)
+        except BaseException as error:
+            failures.append(error)
+        finally:
+            os.write(end, b"r")
+
+    worker = threading.Thread(target=run, name="service", daemon=True)
+    worker.start()
+    stdin = sys.stdin.fileno()
+    while True:
+        ready, _, _ = select.select([ended, stdin], [], [])
+        if ended in ready or not os.read(stdin, 4096):
+            break
+    stop.set()
+    worker.join(_SERVICE_EXIT_WALL_S)  # one that hangs on its wire ends with the process
+    if failures:
+        raise failures[0]

@@ -1,0 +1,94 @@
+"""Emulated devices of a rig, each in a child process, so that killing one is like a loss of its power."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.core.child_process import ChildProcess
+from hil.core.clock import WallClock
+from hil.drivers.shared_state import SharedAxisState
+from hil.frmn.image_memory import PictureMemory
+
+_READY_WALL_S = 60.0  # the first start compiles
+
+
+class EmulatedDevices:
+    """Starts an emulator process for each device of ``rig`` and keeps them until ``close``.
+
+    pictures: where a rendered vision unit puts its images; None: nowhere.
+    """
+
+    def __init__(
+        self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int, pictures: PictureMemory | None = None
+    ) -> None:
+        self.board = SharedAxisState.create()
+        self._rig = rig
+        configuration = {
+            "scenario": scenario.model_dump(mode="json"),
+            "rig": rig.model_dump(mode="json"),
+            "epoch_ns": clock.epoch_ns,
+            "speed": clock.speed,
+            "seed": seed,
+            "board": self.board.descriptor,
+        }
+        self._processes: dict[str, ChildProcess] = {}
+        self._sends_images = "vmu" if pictures else ""
+        try:
+            for device in _devices(rig):
+                images = pictures if device == "vmu" else None
+                self._processes[device] = ChildProcess(
+                    f"{device} emulator",
+                    "hil.processes.emulators",
+                    {**configuration, "device": device, "pictures": images},
+                    (self.board.descriptor, *(images.descriptors if images else ())),
+                )
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Process of each device, by the device's name; to stop it is to cut the device's power."""
+        return {device: process.pid for device, process in self._processes.items()}
+
+    def wait_ready(self) -> tuple[Rig, dict[str, str]]:
+        """Return the rig with the wires that the emulators opened, and the address of each wire and control port.
+
+        Raises DeviceError if an emulator does not start.
+        """
+        addresses: dict[str, str] = {}
+        for process in self._processes.values():
+            addresses |= process.wait_ready(_READY_WALL_S)["addresses"]
+        return _connected(self._rig, addresses), addresses
+
+    def close(self) -> None:
+        """End all of them, together and at once: an emulated device has nothing to bring to a safe state. Idempotent.
+
+        A vision unit that sends images ends in order, so that the last ones arrive.
+        """
+        if self._sends_images in self._processes:
+            self._processes[self._sends_images].close()
+        for process in self._processes.values():
+            process.kill()
+        for process in self._processes.values():
+            process.close()
+        self.board.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _devices(rig: Rig) -> tuple[str, ...]:
+    return ("rails", "turntable", "vmu", *(("io",) if rig.has_io else ()), *(("target",) if rig.moved_target else ()))
+
+
+def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
+    """Return ``rig`` with the emulators' addresses in place of its wires."""
+    names = {"target_manipulator": "target"}
+    tables = {key: table.connected(names.get(key, key), addresses) for key, table in rig.device_tables().items()}
+    return rig.model_copy(update=tables)

@@ -1,0 +1,91 @@
+"""The processes that serve the loop's devices: the I/O process, and the watchdog process of a rig with digital I/O."""
+
+from __future__ import annotations
+
+import socket
+from typing import Final, Self
+
+from hil.config.rig import Rig
+from hil.core.child_process import ChildProcess
+from hil.core.clock import WallClock
+from hil.drivers.base import DiscreteIo
+from hil.drivers.remote.devices import IoLink, RemoteAxes, RemoteIo, RemotePoses, RemoteTurntable
+from hil.drivers.remote.io_layout import IO, WATCHDOG, IoSharedMemory
+from hil.drivers.remote.requests import IoRequests
+
+_READY_WALL_S: Final = 60.0
+_MODULES: Final = {IO: "hil.processes.io_server", WATCHDOG: "hil.processes.watchdog"}
+
+
+class _Process:
+    """One of the processes, its requests and its link."""
+
+    def __init__(self, name: str, rig: Rig, clock: WallClock, memory: IoSharedMemory) -> None:
+        here, there = socket.socketpair()
+        configuration = {
+            "rig": rig.model_dump(mode="json"),
+            "epoch_ns": clock.epoch_ns,
+            "speed": clock.speed,
+            "descriptors": memory.descriptors,
+            "requests": there.fileno(),
+        }
+        descriptors = (*memory.descriptors, there.fileno())
+        try:
+            self.child = ChildProcess(f"{name} process", _MODULES[name], configuration, descriptors)
+        finally:
+            there.close()
+        self.requests = IoRequests(here, name)
+        self.link = IoLink(name, memory, self.requests, clock, self.child.exit_status)
+
+
+class IoProcesses:
+    """Starts the processes that ``rig`` needs; ``close`` ends them, and they stop the bench first."""
+
+    def __init__(self, rig: Rig, clock: WallClock) -> None:
+        self._rig = rig
+        self._memory = IoSharedMemory.create()
+        self._processes: dict[str, _Process] = {}
+        try:
+            for name in (IO, *((WATCHDOG,) if rig.has_io else ())):
+                self._processes[name] = _Process(name, rig, clock, self._memory)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Process numbers of IO and, if there is one, WATCHDOG."""
+        return {name: process.child.pid for name, process in self._processes.items()}
+
+    def wait_ready(self) -> None:
+        """Return once all serve. Raises DeviceError if one does not start."""
+        for process in self._processes.values():
+            process.child.wait_ready(_READY_WALL_S)
+
+    def devices(self) -> tuple[RemoteAxes, RemoteAxes, RemotePoses, DiscreteIo | None, RemoteAxes | None]:
+        """Return the loop's rails, turntable, vision unit, digital I/O, and axes of the target."""
+        rig, link = self._rig, self._processes[IO].link
+        watchdog = self._processes.get(WATCHDOG)
+        lines = RemoteIo(rig.io, watchdog.link) if watchdog is not None and rig.io is not None else None
+        return (
+            RemoteAxes("rails", rig.rails, link),
+            RemoteTurntable("turntable", rig.turntable, link),
+            RemotePoses(rig.vmu, link),
+            lines,
+            RemoteAxes("target", rig.moved_target, link) if rig.moved_target is not None else None,
+        )
+
+    def close(self) -> None:
+        """End the processes. Idempotent."""
+        for process in self._processes.values():
+            process.child.ask_to_end()
+        for process in self._processes.values():
+            process.child.close()
+            process.requests.close()
+        self._memory.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

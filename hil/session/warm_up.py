@@ -1,0 +1,85 @@
+"""Compilation of the loop's kernels before anything moves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from hil.bench.kinematics import MOTION
+from hil.bench.stopping import brake_step
+from hil.core.child_process import ChildProcess
+from hil.core.clock import SimulatedClock
+from hil.core.jit import kernels_are_cached, mark_kernels_cached, prepare_kernel_cache
+from hil.core.messages import AXES, new
+from hil.core.modes import Mode
+from hil.loop.bench_stage import Move
+from hil.loop.rate_keeper import SimulatedRate
+from hil.loop.runner import Runner
+from hil.params import gnc as gnc_params
+from hil.session.build import in_memory
+from hil.setup.assembly import Job, make_gnc, start_axes
+
+FIRST_START = "first start: compiling the kernels for this computer, once, about a minute"
+_CYCLES = 10
+_CHILD_WALL_S = 120.0
+
+
+def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
+    """Call every kernel of the loop once, so that nothing compiles once the bench is powered.
+
+    announce: receives FIRST_START if the kernels are not in the cache yet, and then the time that they took.
+    """
+    if kernels_are_cached():
+        warm_up(job)
+        return
+    prepare_kernel_cache()
+    announce(FIRST_START)
+    started_s = time.perf_counter()
+    with ChildProcess("precompile process", "hil.processes.precompile", {}) as child:
+        try:
+            _warm_up_all_but_navigation(job)
+            child.wait_end(_CHILD_WALL_S)
+        finally:
+            child.kill()  # what it has not compiled is compiled here
+    warm_up(job)
+    mark_kernels_cached()
+    announce(f"kernels compiled in {time.perf_counter() - started_s:.1f} s")
+
+
+def warm_up(job: Job) -> None:
+    """Call every kernel of the loop once, in memory."""
+    scenario, rig = job.scenario.value, job.rig.value
+    Move(gnc_params.bench(rig, scenario.step_s), new(AXES), start_axes(scenario, rig)).at(0.1, new(AXES))
+    brake_step(gnc_params.bench(rig, scenario.step_s), new(MOTION), new(AXES))
+    _short_run(job).run()
+
+
+def _warm_up_all_but_navigation(job: Job) -> None:
+    """Call the kernels of every stage but navigation once."""
+    loop = _short_run(job).loop
+    loop.safety_io.open(SimulatedRate(SimulatedClock(), job.scenario.value.step_s))
+    now = loop.now
+    loop.bench.open(0.0)
+    loop.vision.source.open(0.0)
+    loop.bench.read(0.0, now.feedback)
+    loop.bench.safety.modes.mode = Mode.RUNNING
+    loop.bench.seed_for_run(0.0, now.feedback)
+    loop.bench.check(0.0, now.feedback)
+    loop.bench.brake(0.0, now.setpoint)
+    loop.vision.receive(0.0, 0.0, now.row[0])
+    gnc = make_gnc(job.scenario.value)
+    gnc.guide(0.0, now.supervision, now.reference)
+    gnc.supervise(0.0, now.navigation, now.reference, now.supervision)
+    gnc.control(now.navigation, now.reference, now.command)
+    loop.dss.step(now.truth, now.command)
+    loop.dss.sample_imu(now.truth, now.imu)
+    loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), 0.0, now.setpoint)
+
+
+def _short_run(job: Job) -> Runner:
+    """Return a short run of ``job`` on mocks with the built-in GNC, for any rig and any GNC of the job."""
+    scenario = job.scenario.value
+    builtin = scenario.model_copy(update={"gnc": scenario.gnc.model_copy(update={"library": None})})
+    short = Job(replace(job.scenario, value=builtin), job.rig, 0, _CYCLES * scenario.step_s, 1.0)
+    return in_memory(short, SimulatedRate(SimulatedClock(), scenario.step_s))

@@ -1,0 +1,247 @@
+"""Docking monitor of a run: rendered camera and monitor, in this process or in a child process.
+
+Its only input is the measured axis positions in the rows of CYCLE. The loop neither waits for it nor uses its results.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Self
+
+import numpy as np
+
+from hil.cameras.docking import RenderedCamera
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.config.scene import Scene
+from hil.core.camera_images import MONITOR, PICTURE, CameraImage, ImageEncoder, MakesPictures
+from hil.core.child_process import ChildProcess, Message, Parent
+from hil.core.messages import CYCLE
+from hil.frmn.image_memory import wanted_pictures
+from hil.frmn.ring import NoTelemetry, Ring, Telemetry
+from hil.monitor.monitor import Monitor
+from hil.monitor.results import PORTION, Portion, portion_row
+from hil.monitor.screen.overlay import with_words
+from hil.monitor.settings import MonitorSettings
+from hil.monitor.sources import WHOLE, VideoFrame
+
+NAME: Final = "docking monitor"
+_NICE: Final = 10  # lower priority than the processes that move the bench
+_POLL_S: Final = 0.02
+_READY_WALL_S: Final = 300.0  # the first start compiles
+_FINISH_WALL_S: Final = 120.0  # above real time, frames wait to be processed at the end of the run
+
+
+@dataclass
+class MonitorOutcome:
+    """Results of the docking monitor over a run.
+
+    lag_s: longest time by which the newest row was ahead of a frame when that was processed. missed_rows: cycles that
+    were overwritten before they were read. failure: why the monitor ended early, "" if it did not.
+    """
+
+    scene: str
+    frames: int = 0
+    portions: list[Portion] = field(default_factory=list)
+    frame_mean_s: float = 0.0
+    frame_max_s: float = 0.0
+    lag_s: float = 0.0
+    missed_rows: int = 0
+    failure: str = ""
+
+
+class CameraMonitor:
+    """Rendered camera and docking monitor. images: sink of the camera's images; portions: of rows of PORTION."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        scene: Scene,
+        rig: Rig,
+        seed: int,
+        images: MakesPictures | None = None,
+        portions: Telemetry | None = None,
+    ) -> None:
+        config = scenario.monitor
+        self.outcome = MonitorOutcome(config.scene)
+        self._camera = RenderedCamera(scene, config, rig, scenario.step_s, seed)
+        self._monitor = Monitor(scene, settings_of(scenario))
+        self._images = images
+        self._portions = portions or NoTelemetry()
+        self._spent_s = 0.0
+        self._newest_s = 0.0
+
+    def update(self, read: Callable[[], np.ndarray]) -> None:
+        """Process every frame up to the newest row; ``read`` returns the new rows, (n,) of CYCLE."""
+        self._add(read())
+        outcome = self.outcome
+        for frame in self._camera.frames():
+            start = time.perf_counter()
+            portions = self._monitor.feed(frame)
+            spent_s = time.perf_counter() - start
+            self._keep(portions)
+            self._put_image(frame)
+            self._spent_s += spent_s
+            outcome.frames += 1
+            outcome.frame_max_s = max(outcome.frame_max_s, spent_s)
+            outcome.frame_mean_s = self._spent_s / outcome.frames
+            outcome.lag_s = max(outcome.lag_s, self._newest_s - frame.t_s)
+            self._add(read())  # before the ring overwrites them, however long a frame takes
+
+    def finish(self) -> MonitorOutcome:
+        """Return the results, with the frames of an unfinished portion."""
+        self._keep(self._monitor.finish())
+        return self.outcome
+
+    def _add(self, rows: np.ndarray) -> None:
+        if len(rows):
+            self._camera.track.add(rows)
+            self._newest_s = float(rows["t_s"][-1])
+
+    def _keep(self, portions: Sequence[Portion]) -> None:
+        for portion in portions:
+            self.outcome.portions.append(portion)
+            self._portions.put(portion_row(portion))
+
+    def _put_image(self, frame: VideoFrame) -> None:
+        """Send the frame with its overlay if one is due; a half frame with each line twice."""
+        look = self._monitor.last
+        if self._images is None or look is None or not self._images.due(frame.t_s):
+            return
+        image = frame.image if frame.field == WHOLE else np.repeat(frame.image, 2, axis=0)
+        newest = self.outcome.portions[-1] if self.outcome.portions else None
+        shapes = with_words(look.seen, newest)
+        self._images.put(
+            CameraImage(MONITOR, image, t_s=frame.t_s, number=frame.number, status=look.status, shapes=shapes)
+        )
+
+
+def settings_of(scenario: Scenario) -> MonitorSettings:
+    """Return the settings of the docking monitor of a run of ``scenario``; guidance limits how fast a rate changes."""
+    guidance = scenario.gnc.guidance
+    acceleration = max(guidance.acceleration_mps2, guidance.deceleration_mps2)
+    return MonitorSettings(target=scenario.monitor.target, acceleration_mps2=acceleration)
+
+
+def monitor_recorded(
+    scenario: Scenario,
+    scene: Scene,
+    rig: Rig,
+    seed: int,
+    history: np.ndarray,
+    images: MakesPictures | None = None,
+    portions: Telemetry | None = None,
+) -> MonitorOutcome:
+    """Return the monitor's results for the rows ``history`` (n,) of CYCLE of a run that has ended."""
+    monitor = CameraMonitor(scenario, scene, rig, seed, images, portions)
+    unread = [history]
+    monitor.update(lambda: unread.pop() if unread else history[:0])
+    outcome = monitor.finish()
+    outcome.lag_s = 0.0
+    return outcome
+
+
+class MonitorProcess:
+    """The docking monitor in a child process; start it from a thread that lives as long as the bench.
+
+    telemetry: ring of CYCLE that it reads. images, portions: rings of PICTURE and PORTION that it fills.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        scene: Scene,
+        rig: Rig,
+        seed: int,
+        telemetry: Ring,
+        images: Ring | None = None,
+        portions: Ring | None = None,
+    ) -> None:
+        rings = {
+            name: (ring.descriptor, ring.slots)
+            for name, ring in (("telemetry", telemetry), ("images", images), ("portions", portions))
+            if ring is not None
+        }
+        configuration = {
+            "scenario": scenario.model_dump(mode="json"),
+            "scene": scene.model_dump(mode="json"),
+            "rig": rig.model_dump(mode="json"),
+            "seed": seed,
+            "rings": rings,
+        }
+        descriptors = [descriptor for descriptor, _ in rings.values()]
+        self._child = ChildProcess(NAME, "hil.processes.docking_monitor", configuration, descriptors)
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    def wait_ready(self) -> None:
+        """Return once every kernel is compiled. Raises DeviceError."""
+        self._child.wait_ready(_READY_WALL_S)
+
+    def finish(self) -> MonitorOutcome:
+        """End the monitor; return its results. Raises DeviceError."""
+        self._child.ask_to_end()
+        result = self._child.receive(_FINISH_WALL_S)
+        portions = [
+            Portion(**row | {name: np.array(row[name]) for name in ("values", "sigmas")}) for row in result["portions"]
+        ]
+        return MonitorOutcome(**result | {"portions": portions})
+
+    def close(self) -> None:
+        """End the child at once. Idempotent."""
+        self._child.kill()
+        self._child.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def run_child(parent: Parent) -> None:
+    """Monitor the run of the process that started this one, until it closes stdin; send the results."""
+    configuration = parent.configuration
+    scenario = Scenario.model_validate(configuration["scenario"], strict=False)
+    scene = Scene.model_validate(configuration["scene"], strict=False)
+    rig = Rig.model_validate(configuration["rig"], strict=False)
+    rings: dict[str, tuple[int, int]] = configuration["rings"]
+    _warm_up(scenario, scene, rig)
+    os.nice(_NICE)  # nothing moves before this
+    reader = Ring(rings["telemetry"][0], CYCLE, rings["telemetry"][1]).reader()
+    policy = wanted_pictures(rig)
+    images, portions = None, None
+    if "images" in rings and policy.encoding != "none":
+        images = ImageEncoder(Ring(rings["images"][0], PICTURE, rings["images"][1], "pictures"), policy)
+    if "portions" in rings:
+        portions = Ring(rings["portions"][0], PORTION, rings["portions"][1], "portions")
+    monitor = CameraMonitor(scenario, scene, rig, configuration["seed"], images, portions)
+    parent.send()
+    while not parent.wait_end(_POLL_S):
+        monitor.update(reader.read)
+    monitor.update(reader.read)
+    outcome = monitor.finish()
+    outcome.missed_rows = reader.lost
+    parent.send(**_as_json(outcome))
+
+
+def _as_json(outcome: MonitorOutcome) -> Message:
+    """Return ``outcome`` for a line of JSON; NaN stays NaN."""
+    rows: list[dict[str, Any]] = [
+        {**vars(portion), "values": portion.values.tolist(), "sigmas": portion.sigmas.tolist()}
+        for portion in outcome.portions
+    ]
+    return {**vars(outcome), "portions": rows}
+
+
+def _warm_up(scenario: Scenario, scene: Scene, rig: Rig) -> None:
+    """Monitor a bench at rest for a second, so that every kernel is compiled."""
+    rows = np.zeros(3, CYCLE)
+    rows["t_s"] = rows["sampled_s"][:, 0] = rows["sampled_s"][:, 1] = (0.0, 0.6, 1.2)
+    rows["feedback"]["rail_m"][:, 0] = 5.0
+    monitor_recorded(scenario, scene, rig, 0, rows)
