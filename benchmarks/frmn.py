@@ -31,7 +31,7 @@ from hil.core.realtime import RealTime, no_garbage_collection
 from hil.frmn.link import Link
 from hil.frmn.mailboxes import Role
 from hil.gnc_backends.udp import gnc_link
-from hil.loop.rate_keeper import WallRate
+from hil.loop.rate_keeper import WallClockRate
 from hil.session import build
 from hil.session.warm_up import warm_up
 from hil.setup.udp_backend import remote_gnc
@@ -75,7 +75,7 @@ def ping(rate_hz: float, count: int, send: Callable[[int], None], receive: Calla
     sent_ns, back_ns, late = np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count)
     period_ns = round(1e9 / rate_hz)
     with RealTime() as real_time, no_garbage_collection(), real_time.realtime_priority():
-        rate = WallRate(WallClock(), 1.0 / rate_hz)
+        rate = WallClockRate(WallClock(), 1.0 / rate_hz)
         rate.restart()
         for k in range(count):
             late[k] = rate.wait().lateness_s

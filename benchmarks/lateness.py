@@ -29,7 +29,7 @@ from hil.core.clock import WallClock
 from hil.core.messages import CYCLE
 from hil.core.realtime import RealTime, no_garbage_collection
 from hil.frmn.ring import Ring
-from hil.loop.rate_keeper import Tick, WallRate
+from hil.loop.rate_keeper import Tick, WallClockRate
 from hil.session import build
 from hil.session.warm_up import warm_up
 
@@ -76,7 +76,7 @@ class Tally:
         return 1e6 * self.missed / (self.missed + sum(map(len, self.late_us)))
 
 
-class MeasuredRate(WallRate):
+class MeasuredRate(WallClockRate):
     """Rate keeper that records how long after its deadline each cycle ended."""
 
     def __init__(self, clock: WallClock, step_s: float) -> None:
@@ -94,7 +94,7 @@ def bare_block(cycles: int, rate_hz: float, ring: Ring, tally: Tally) -> None:
     row = np.zeros(1, CYCLE)
     now_ns = time.perf_counter_ns
     with RealTime() as real_time, no_garbage_collection(), real_time.realtime_priority():
-        rate = WallRate(WallClock(), 1.0 / rate_hz)
+        rate = WallClockRate(WallClock(), 1.0 / rate_hz)
         rate.restart()
         for k in range(cycles):
             tick = rate.wait()

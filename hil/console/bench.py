@@ -14,7 +14,7 @@ from hil.core.messages import CYCLE
 from hil.core.realtime import RealTime
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.frmn.run_time import RunTime
-from hil.loop.rate_keeper import WallRate
+from hil.loop.rate_keeper import WallClockRate
 from hil.loop.runner import Runner
 from hil.monitor.results import PORTION
 from hil.recording.session import SLOTS, fed_by
@@ -58,7 +58,7 @@ def opened(
         watched = stack.enter_context(with_docking_monitor.beside(job, taps.cycles, announce, taps))
         host = job.rig.value.host
         realtime = stack.enter_context(RealTime(host.fifo, host.cpu))
-        rate = WallRate(WallClock(speed=job.speed), job.scenario.value.step_s)
+        rate = WallClockRate(WallClock(speed=job.speed), job.scenario.value.step_s)
         maker = taps.maker(job.rig.value) if job.scenario.value.vmu.source == "rendered" else None
         pictures = ThreadedImageSink(maker) if maker else None
         if pictures:

@@ -107,7 +107,7 @@ def _recorded(choice: Choice, job: build.Job, announce: Callable[[str], None]) -
     if choice.record is None:
         yield None
         return
-    with recording(job, choice.rig, Path(choice.record), announce, on_the_wall=True) as taken:
+    with recording(job, choice.rig, Path(choice.record), announce, paced=True) as taken:
         yield taken
 
 

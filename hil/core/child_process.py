@@ -28,7 +28,7 @@ _PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
 _EXIT_WALL_S: Final = 0.2  # allowed from the end of stdin to the end of the process
 _TERMINATE_WALL_S: Final = 0.05
 _KILL_WALL_S: Final = 1.0  # for the kernel to release the memory of a killed process
-_SERVICE_EXIT_WALL_S: Final = 0.1  # allowed for a service to return once it is told to stop
+_SERVICE_EXIT_WALL_S: Final = 0.1  # allowed for a service to return after ``stop`` is set
 _STDERR_BYTES: Final = 2000
 
 Message = dict[str, Any]
@@ -158,7 +158,7 @@ class ChildProcess:
         """Return a colon and the last lines of the child's stderr, or ""."""
         if self._stderr.closed:
             return ""
-        # pread: the child goes on writing at the file position that both share
+        # pread: the child continues to write at the file position that both share
         start = max(0, os.fstat(self._stderr.fileno()).st_size - _STDERR_BYTES)
         text = os.pread(self._stderr.fileno(), _STDERR_BYTES, start).decode(errors="replace").strip()
         return f":\n{text}" if text else ""

@@ -1,4 +1,4 @@
-"""Bench time: seconds since the bench was opened. Whoever needs "now" is handed a clock or a number."""
+"""Bench time: seconds since the bench was opened. Time is injected as a clock or a number."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Bench time in seconds; ``speed`` is bench seconds a wall second (inf: no wall clock)."""
+    """Bench time in seconds; ``speed`` is relative to real time (inf: no wall clock)."""
 
     @property
     def speed(self) -> float: ...
@@ -18,7 +18,7 @@ class Clock(Protocol):
 
 @dataclass(slots=True)
 class SimulatedClock:
-    """Time that stands until it is told to go on."""
+    """Time that changes only when ``t_s`` is set."""
 
     t_s: float = 0.0
     speed: float = field(default=float("inf"), init=False)
@@ -42,11 +42,11 @@ class WallClock:
         return self.epoch_ns + round(t_s / self.speed * 1e9)
 
     def wall_s(self, duration_s: float) -> float:
-        """Return how long ``duration_s`` of bench time lasts on the wall."""
+        """Return the wall time, s, of ``duration_s`` of bench time."""
         return duration_s / self.speed
 
     def sleep_until(self, t_s: float) -> None:
-        """Sleep until bench time ``t_s``; return at once when that is past."""
+        """Sleep until bench time ``t_s``; return at once if that has passed."""
         left_ns = self.wall_ns(t_s) - time.monotonic_ns()
         if left_ns > 0:
             time.sleep(left_ns * 1e-9)

@@ -1,6 +1,6 @@
-"""What the loop asks of the operating system: to run first, to stay in memory, to wake on time.
+"""Real-time privileges requested from the operating system: scheduling policy, locked memory, timer slack.
 
-Every request may be refused; the run goes on without it and its report says so. All of it is undone at the end.
+Any request may be refused; the run continues without it and reports the refusal. All are undone at the end.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from hil.errors import BenchError
 FIFO_PRIORITY: Final = 80
 FIFO, NICE, SLICE, MEMORY, SLACK, CPU = "sched_fifo", "nice", "slice", "mlockall", "timer_slack", "cpu"
 REAL_TIME: Final = (FIFO, MEMORY)
-"""Without these a loop is at the mercy of whatever else the computer does."""
+"""Without these, other processes of the computer delay the loop."""
 
 _NICE: Final = -15
-_SLICE_NS: Final = 100_000  # the shortest that the scheduler takes: a short slice is an early deadline
+_SLICE_NS: Final = 100_000  # the shortest that the scheduler accepts: a short slice is an early deadline
 _SLACK_NS: Final = 1
 SWITCH_INTERVAL_S: Final = 5e-5  # damage limit for the I/O threads that share the loop's interpreter
 
@@ -46,7 +46,7 @@ _HINTS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """One request: its name, whether it was granted, what was granted or why not, and what would help."""
+    """Result of one request: its name, whether it was granted, what was granted or why not, and a hint."""
 
     name: str
     granted: bool
@@ -60,12 +60,12 @@ class Grant:
 
 
 class SchedulingPolicy(Protocol):
-    """What the loop was given, and the place at the front that its thread takes while cycles have deadlines."""
+    """Privileges of the loop, and the priority of its thread while cycles have deadlines."""
 
     grants: list[Grant]
 
     def realtime_priority(self) -> AbstractContextManager[None]:
-        """Let the calling thread be the loop's for as long as this lasts. Raises BenchError when that fails."""
+        """Give the calling thread the loop's priority as long as this lasts. Raises BenchError if that fails."""
 
 
 class DefaultScheduling:
@@ -79,14 +79,14 @@ class DefaultScheduling:
 
 
 class RealTime:
-    """Asks for everything that makes wake-ups punctual; a context in which the bench is opened, run and closed.
+    """Requests all privileges; a context in which the bench is opened, run and closed.
 
-    Entering locks the memory (some 0.5 s: do it before a drive is enabled) and raises the niceness of this
-    process, of the threads and processes that it starts, and finds out whether SCHED_FIFO is allowed.
-    ``realtime_priority`` gives the loop's thread alone its real-time priority. Others do not get it: together they
-    can fill a core, and the kernel then takes 50 ms of each second away from all of them.
+    Entering locks the memory (some 0.5 s: do it before a drive is enabled), raises the niceness of this process and of
+    the threads and processes that it starts, and tests whether SCHED_FIFO is allowed. ``realtime_priority`` gives the
+    loop's thread its real-time priority. No other thread gets it: together they can fill a core, and the kernel then
+    withholds 50 ms of each second from all of them.
 
-    fifo: whether to ask for SCHED_FIFO at all. cpu: that the loop's thread is to stay on, None for any.
+    fifo: whether to request SCHED_FIFO. cpu: the CPU of the loop's thread, None for any.
     """
 
     def __init__(self, fifo: bool = True, cpu: int | None = None) -> None:
@@ -100,16 +100,16 @@ class RealTime:
         before_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         self._undo.append(lambda: sys.setswitchinterval(before_s))
-        self._ask(MEMORY, self._lock_memory)
-        self._ask(FIFO, self._try_fifo)
-        self._ask(NICE, self._raise_niceness)
+        self._request(MEMORY, self._lock_memory)
+        self._request(FIFO, self._try_fifo)
+        self._request(NICE, self._raise_niceness)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._undo_all()
 
     def refused(self) -> list[Grant]:
-        """Return what was refused so far."""
+        """Return the requests refused so far."""
         return [grant for grant in self.grants if not grant.granted]
 
     def granted(self, name: str) -> bool:
@@ -122,12 +122,12 @@ class RealTime:
         outside, self._undo = self._undo, []
         try:
             if self._cpu is not None:
-                self._ask(CPU, self._stay_on_cpu)
-            self._ask(SLACK, _cut_timer_slack, self._undo)
+                self._request(CPU, self._stay_on_cpu)
+            self._request(SLACK, _cut_timer_slack, self._undo)
             if self.granted(FIFO):
-                self._go_fifo()
+                self._enter_fifo()
             else:
-                self._ask(SLICE, _shorten_slice, self._undo)
+                self._request(SLICE, _shorten_slice, self._undo)
             yield
         finally:
             self._undo_all()
@@ -137,7 +137,7 @@ class RealTime:
         while self._undo:
             self._undo.pop()()
 
-    def _ask(self, name: str, request: Callable[..., str], *arguments: object) -> None:
+    def _request(self, name: str, request: Callable[..., str], *arguments: object) -> None:
         try:
             self.grants.append(Grant(name, True, request(*arguments)))
         except OSError as refusal:
@@ -145,13 +145,13 @@ class RealTime:
             self.grants.append(Grant(name, False, _why(refusal), hint))
 
     def _lock_memory(self) -> str:
-        """Keep all pages in memory; those to come only where no limit could make a later allocation fail."""
+        """Lock all pages; future ones only if no limit could make a later allocation fail."""
         free = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY or _has_capability(
             _CAP_IPC_LOCK
         )
         _call("mlockall", _MCL_CURRENT | (_MCL_FUTURE if free else 0))
         self._undo.append(lambda: _call("munlockall"))
-        return "all memory locked" if free else "the memory of the start locked"
+        return "all memory locked" if free else "memory of the start locked"
 
     def _try_fifo(self) -> str:
         if not self._fifo:
@@ -161,20 +161,20 @@ class RealTime:
         os.sched_setscheduler(0, *before)
         return f"SCHED_FIFO {FIFO_PRIORITY}"
 
-    def _go_fifo(self) -> None:
+    def _enter_fifo(self) -> None:
         before = os.sched_getscheduler(0), os.sched_getparam(0)
 
-        def go_back() -> None:
+        def restore() -> None:
             try:
                 os.sched_setscheduler(0, *before)
-            except PermissionError:  # without CAP_SYS_NICE the mark about children stays
+            except PermissionError:  # without CAP_SYS_NICE the reset-on-fork flag stays
                 os.sched_setscheduler(0, before[0] | os.SCHED_RESET_ON_FORK, before[1])
 
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(FIFO_PRIORITY))
         except OSError as refusal:
-            raise BenchError(f"host: SCHED_FIFO was allowed before and is not any more: {_why(refusal)}") from refusal
-        self._undo.append(go_back)
+            raise BenchError(f"host: SCHED_FIFO was granted before and is refused now: {_why(refusal)}") from refusal
+        self._undo.append(restore)
 
     def _raise_niceness(self) -> str:
         before = os.getpriority(os.PRIO_PROCESS, 0)
@@ -191,9 +191,9 @@ class RealTime:
 
 
 def take_fifo(priority: int) -> None:
-    """Put this thread, and those it starts, under SCHED_FIFO for good, where the system allows it.
+    """Put this thread, and those it starts, under SCHED_FIFO until they end, if the system allows it.
 
-    For processes beside the loop's: what the system allows is in the loop's report.
+    For processes other than the loop's, which reports what the system allows.
     """
     with suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -201,9 +201,9 @@ def take_fifo(priority: int) -> None:
 
 @contextmanager
 def no_garbage_collection(freeze: bool = True) -> Iterator[None]:
-    """Keep the collector's pauses away from enabled drives: one full collection can outlast their watchdogs.
+    """Disable garbage collection while drives are enabled: one full collection can exceed their watchdogs' time-out.
 
-    freeze: collect first, and let the collector forget what there is.
+    freeze: collect first, and exclude all present objects from later collections.
     """
     if freeze:
         gc.collect()
@@ -224,7 +224,7 @@ def _cut_timer_slack(undo: list[Callable[[], object]]) -> str:
 
 
 def _shorten_slice(undo: list[Callable[[], object]]) -> str:
-    """Ask the fair scheduler for a short slice, which needs no privilege. Older kernels take the call and ignore it."""
+    """Request a short slice of the fair scheduler; needs no privilege. Older kernels accept and ignore the call."""
     before = _slice_ns()
     _set_slice_ns(_SLICE_NS)
     if _slice_ns() != _SLICE_NS:
@@ -252,7 +252,7 @@ def _has_capability(number: int) -> bool:
 
 
 def _call(name: str, *arguments: object) -> int:
-    """Call the C library's ``name``; raise OSError when it fails. Whole numbers go as longs."""
+    """Call the C library's ``name``; raise OSError if it fails. Integers are passed as longs."""
     library = ctypes.CDLL(None, use_errno=True)
     longs = [ctypes.c_long(value) if isinstance(value, int) else value for value in arguments]
     result = int(getattr(library, name)(*longs))

@@ -1,4 +1,4 @@
-"""Keeps the rate of the loop: absolute deadlines, late cycles counted and not made up."""
+"""Rate keeper of the loop: absolute deadlines; late cycles are counted, never made up."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Protocol
 from hil.core.clock import SimulatedClock, WallClock
 
 _SPIN_NS = 200_000  # the last of each wait: the kernel's wake-up is coarser than this
-_SPIN_SHARE = 0.5  # of a period at most: the kernel takes the CPU from a real-time thread that never sleeps
+_SPIN_FRACTION = 0.5  # of a period at most: the kernel preempts a real-time thread that never sleeps
 
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One cycle's moment: bench time now, bench time at which the run's time is zero, wall lateness.
+    """Start of one cycle: bench time, bench time at which run time is zero, and lateness in wall time.
 
-    skipped: periods that the cycle before ate by ending ``overrun_s`` (wall) after this one's deadline.
+    skipped: periods lost because the previous cycle ended ``overrun_s`` (wall time) after this one's deadline.
     """
 
     now_s: float
@@ -27,35 +27,35 @@ class Tick:
 
 
 class Rate(Protocol):
-    """Gives the moment of each cycle, and counts since ``restart``: executed + skipped_periods == elapsed periods."""
+    """Starts each cycle and counts since ``restart``: executed + skipped_periods == elapsed periods."""
 
     executed: int
-    """Cycles that were begun."""
+    """Cycles started."""
     overruns: int
-    """Cycles that ended after the next one's deadline."""
+    """Cycles that ended after the deadline of the next one."""
     skipped_periods: int
-    """Periods in which no cycle was begun, because one before was under way."""
-    on_the_wall: bool
-    """Whether cycles have deadlines."""
+    """Periods in which no cycle started, because an earlier one was still running."""
+    paced: bool
+    """Whether cycles have deadlines on the wall clock."""
 
     def now_s(self) -> float:
         """Return bench time."""
 
     def restart(self) -> None:
-        """Let the next cycle be number 0 of a new count, one period from now."""
+        """Start a new count; its cycle 0 is one period from now."""
 
     def wait(self) -> Tick:
         """Wait for the next cycle's deadline."""
 
 
 class SimulatedRate:
-    """As fast as it goes: cycle k is at exactly ``k * step_s`` after the restart."""
+    """Simulated time without waiting: cycle k is at exactly ``k * step_s`` after the restart."""
 
     def __init__(self, clock: SimulatedClock, step_s: float) -> None:
         self._clock = clock
         self._step_s = step_s
         self.executed = self.overruns = self.skipped_periods = 0
-        self.on_the_wall = False
+        self.paced = False
         self.restart()
 
     def now_s(self) -> float:
@@ -71,20 +71,20 @@ class SimulatedRate:
         return Tick(self._clock.t_s, self._zero_s, 0.0)
 
 
-class WallRate:
+class WallClockRate:
     """Absolute deadlines on the monotonic clock.
 
-    A cycle that ends after the next deadline is an overrun: the periods that it ate are skipped and
-    counted, the run's time lags by them, and no cycle is made up.
+    A cycle that ends after the next deadline is an overrun: the periods that it covers are skipped and counted, and
+    run time is delayed by them; no cycle is made up.
     """
 
     def __init__(self, clock: WallClock, step_s: float) -> None:
         self._clock = clock
         self._step_s = step_s
         self._period_ns = round(step_s / clock.speed * 1e9)
-        self._spin_ns = min(_SPIN_NS, int(_SPIN_SHARE * self._period_ns))
+        self._spin_ns = min(_SPIN_NS, int(_SPIN_FRACTION * self._period_ns))
         self.executed = self.overruns = self.skipped_periods = 0
-        self.on_the_wall = True
+        self.paced = True
         self.restart()
 
     def now_s(self) -> float:

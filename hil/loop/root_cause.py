@@ -21,7 +21,7 @@ def root_cause(fault: BenchError, loop: Loop, rate: Rate) -> BenchError:
     An emergency stop, an opened interlock or a dead coupler removes the torque, and the drives may report that before
     the safety chain is read. Waits until the chain has been read; in simulated time it does not wait.
     """
-    if isinstance(loop.safety_io, NoSafetyIo) or not rate.on_the_wall:
+    if isinstance(loop.safety_io, NoSafetyIo) or not rate.paced:
         return fault
     torque_is_off = isinstance(fault, DriveFault) and fault.kind is FaultKind.TORQUE_OFF
     start_s = now_s = rate.now_s()

@@ -110,7 +110,7 @@ class Runner:
 
     def run(self) -> Outcome:
         """Run to the end, to a fault, or to Ctrl-C; in each case the bench is stopped."""
-        with no_garbage_collection(freeze=self.rate.on_the_wall):
+        with no_garbage_collection(freeze=self.rate.paced):
             stop = self._run()
         end = Mode.SAFE_STOP if self._faults else Mode.STANDBY
         if self._modes.mode is not end:
@@ -132,7 +132,7 @@ class Runner:
     @contextmanager
     def axes_only(self) -> Iterator[MotionSequencer]:
         """Open the axes without the vision unit and yield their sequencer; stop the axes first on exit."""
-        with no_garbage_collection(freeze=self.rate.on_the_wall):
+        with no_garbage_collection(freeze=self.rate.paced):
             try:
                 self.loop.safety_io.open(self.rate)
                 self.loop.bench.open(self.rate.now_s())
@@ -305,7 +305,7 @@ class Runner:
                 if alarm is None:
                     break
                 self.operator.rejections.append(alarm.text)
-            if not self.rate.on_the_wall:
+            if not self.rate.paced:
                 time.sleep(_PAUSE_S)  # simulated time runs without waiting: leave the CPU to other threads
         self._shut_down()
         self._faults.clear()

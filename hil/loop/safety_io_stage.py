@@ -135,7 +135,7 @@ def chain_kept_closed(lines: SafetyIo, rate: Rate) -> Iterator[None]:
     For callers that own the lines; in a run the watchdog process pulses. No operation in simulated time, which does
     not advance meanwhile.
     """
-    if not (isinstance(lines, SafetyIoStage) and rate.on_the_wall):
+    if not (isinstance(lines, SafetyIoStage) and rate.paced):
         yield
         return
     ended = threading.Event()

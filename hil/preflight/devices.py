@@ -14,7 +14,7 @@ from hil.drivers.base import AxisGroup, PoseSource
 from hil.drivers.emulated_devices import EmulatedDevices
 from hil.drivers.factory import make_drivers
 from hil.errors import BenchError, DeviceError, LinkTimeout
-from hil.loop.rate_keeper import WallRate
+from hil.loop.rate_keeper import WallClockRate
 from hil.loop.safety_io_stage import SafetyIoStage, chain_kept_closed
 from hil.preflight.check import PreflightCheck
 from hil.preflight.ports import port_checks
@@ -51,7 +51,7 @@ def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool
         advice = "--devices opens it, which closes the safety chain"
         skipped = PreflightCheck("device io", None, "skipped", advice)
         return [skipped, *device_checks(rails, turntable, source, clock, enable_drives)]
-    rate = WallRate(clock, scenario.step_s)
+    rate = WallClockRate(clock, scenario.step_s)
     lines = SafetyIoStage(rig.io.make_driver(clock), np.zeros(rig.io.thruster_lines, dtype=np.int64))
     try:
         lines.open(rate)

@@ -13,8 +13,8 @@ from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.preflight.check import PreflightCheck
 
 DURATION_S = 5.0
-SHARE_OF_PERIOD = 0.1
-"""p99.9 of the lateness must stay below this share of the period."""
+FRACTION_OF_PERIOD = 0.1
+"""Limit of the 99.9th percentile of the lateness, as a fraction of the period."""
 
 _START_S = 60.0
 _BAR = 40
@@ -63,16 +63,16 @@ def _occupied(bins: list[dict[str, float | int | None]]) -> list[dict[str, float
 
 
 def lateness_check(found: Lateness) -> PreflightCheck:
-    """Return whether the loop can keep its rate on this host."""
+    """Return the check that the loop can keep its rate on this host."""
     p = found.percentiles_us
-    allowed_us = SHARE_OF_PERIOD * found.period_s * 1e6
+    allowed_us = FRACTION_OF_PERIOD * found.period_s * 1e6
     fine = p["p999"] < allowed_us
     value = (
         f"p50 {p['p50']:.0f}, p99 {p['p99']:.0f}, p99.9 {p['p999']:.0f}, max {p['max']:.0f} us under "
         f"{found.scheduling}, {found.cycles} cycles at {1.0 / found.period_s:g} Hz, {found.skipped} periods lost; "
-        f"p99.9 allowed below {allowed_us:.0f} us ({SHARE_OF_PERIOD:.0%} of the period)"
+        f"p99.9 allowed below {allowed_us:.0f} us ({FRACTION_OF_PERIOD:.0%} of the period)"
     )
-    advice = "" if fine else "end what else runs here, see scheduling and governor, or take a host of your own"
+    advice = "" if fine else "stop other processes, see scheduling and governor, or use a dedicated host"
     return PreflightCheck("lateness", fine, value, advice)
 
 

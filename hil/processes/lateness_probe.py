@@ -6,12 +6,12 @@
 from hil.core.child_process import Message, Parent
 from hil.core.clock import WallClock
 from hil.core.realtime import FIFO, FIFO_PRIORITY, RealTime, no_garbage_collection
-from hil.loop.rate_keeper import WallRate
+from hil.loop.rate_keeper import WallClockRate
 
 
 def measure(period_s: float, duration_s: float) -> Message:
     """Keep the rate for ``duration_s``; a lost period counts as lateness of the cycle after it."""
-    rate = WallRate(WallClock(), period_s)
+    rate = WallClockRate(WallClock(), period_s)
     lateness_s = []
     with RealTime() as realtime, realtime.realtime_priority(), no_garbage_collection():
         scheduling = f"SCHED_FIFO {FIFO_PRIORITY}" if realtime.granted(FIFO) else "SCHED_OTHER"

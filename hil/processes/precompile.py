@@ -1,6 +1,6 @@
 """Compilation of the navigation filters into the kernel cache, on a second core.
 
-``python -m hil.processes.precompile`` is started beside the first run of a program that finds its kernel cache empty.
+``python -m hil.processes.precompile`` is started by ``compile_kernels`` when the kernel cache is empty.
 """
 
 from __future__ import annotations

@@ -89,11 +89,11 @@ class Recording:
 
 @contextmanager
 def recording(
-    job: Job, rig_name: str, folder: Path, announce: Callable[[str], None], on_the_wall: bool = False
+    job: Job, rig_name: str, folder: Path, announce: Callable[[str], None], paced: bool = False
 ) -> Iterator[Recording]:
     """Give a recording of ``job`` in ``folder``, which is made if need be.
 
-    on_the_wall: the run keeps the time of the wall though its rig is a mock: a process of its own records it, too.
+    paced: the run keeps the time of the wall though its rig is a mock: a process of its own records it, too.
     Whatever leaves without ``finish`` is entered as broken off. Raises BadInput where nothing can be written there.
     """
     started_ns = utc_ns()
@@ -105,7 +105,7 @@ def recording(
     header = header_of(job, rig_name, run, started_ns)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        in_memory = job.rig.value.kind == "mock" and not on_the_wall
+        in_memory = job.rig.value.kind == "mock" and not paced
         made: _Recorder = _InMemory(path, header) if in_memory else _Process(job, path, run, header)
     except OSError as error:
         text = f"{folder}: cannot record there: {error.strerror or error}"

@@ -32,7 +32,7 @@ from hil.drivers.shared_state import SharedAxisState
 from hil.errors import BadInput, Problem
 from hil.frmn.ring import Ring, Telemetry
 from hil.loop.motion_sequences import ProgressCallback
-from hil.loop.rate_keeper import Rate, SimulatedRate, WallRate
+from hil.loop.rate_keeper import Rate, SimulatedRate, WallClockRate
 from hil.loop.runner import Runner
 from hil.recording.taps import EventRecorder, RecordingSinks
 from hil.setup.assembly import Devices, RunContext, assemble, library_problems, mocks
@@ -99,7 +99,7 @@ def runner(
         rate: Rate = SimulatedRate(SimulatedClock(), scenario.step_s)
         scheduling = None
         if job.paced:
-            rate = WallRate(WallClock(speed=job.speed), scenario.step_s)
+            rate = WallClockRate(WallClock(speed=job.speed), scenario.step_s)
             scheduling = stack.enter_context(RealTime(rig.host.fifo, rig.host.cpu))
         made = in_memory(job, rate, on_progress, scheduling, telemetry, operator, images)
         if taps:
@@ -130,7 +130,7 @@ class WiredBench:
 
     def runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
         """Return a Runner of the job."""
-        rate = WallRate(self.clock, self.job.scenario.value.step_s)
+        rate = WallClockRate(self.clock, self.job.scenario.value.step_s)
         context = RunContext(operator, on_progress, self.realtime, self.telemetry, _FRAMES_TO_ARM)
         made = assemble(self.job, self.rig, rate, self.devices, context)
         if self.taps:

@@ -1,4 +1,4 @@
-"""A run with the docking monitor of its scenario: in a process beside the loop, or after a run in memory."""
+"""A run with the docking monitor of its scenario: in a process of its own, or after a run in memory."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class Devices(NamedTuple):
 
 @dataclass(frozen=True)
 class RunContext:
-    """What a run is connected to besides its devices. operator: gives the commands; None: the run is unattended.
+    """Connections of a run other than its devices. operator: gives the commands; None: the run is unattended.
 
     on_progress: called periodically with the mode and the completed fraction. scheduling: of the loop's thread.
     telemetry: sink of each cycle's row. frames_to_arm: poses required before the loop is closed.

@@ -1,4 +1,4 @@
-"""What a GNC that is not ours may know before the run: GNC_SETUP from the scenario as the GNC has it."""
+"""Setup of an external GNC: the record GNC_SETUP, from the nominal scenario, and the setup of its backend."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.params import gnc as gnc_params
 
 
 def gnc_setup(scenario: Scenario) -> np.record:
-    """Return GNC_SETUP: the nominal vehicle and plan, no seed and nothing that chance has moved."""
+    """Return GNC_SETUP: the nominal vehicle and plan, without the seed and without dispersions."""
     setup = new(GNC_SETUP)
     chaser, thrusters = scenario.chaser, scenario.chaser.thrusters
     control = gnc_params.control(scenario, gnc_params.allocation(chaser)[1])
@@ -39,7 +39,7 @@ def gnc_setup(scenario: Scenario) -> np.record:
 
 
 def backend_setup(scenario: Scenario) -> BackendSetup:
-    """Return what the seat of whoever flies ``scenario`` in place of our GNC is made from."""
+    """Return the setup of a backend that replaces the built-in GNC for ``scenario``."""
     return BackendSetup(
         gnc_setup(scenario),
         gnc_params.guidance(scenario),

@@ -1,7 +1,6 @@
-"""What of the GNC may be changed between two cycles: its parameter records, built anew from a checked scenario.
+"""Live tuning of the GNC: its parameter records, rebuilt from a checked scenario and exchanged between two cycles.
 
-The same function serves the session, whose loop takes the records over, and the replay, which does so at the same
-cycle: both get the same bits.
+Session and replay use the same function at the same cycle, so both get the same bits.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ class Tuning(NamedTuple):
 
 
 def tuning(scenario: Scenario) -> Tuning:
-    """Return the records that the GNC of ``scenario`` has."""
+    """Return the parameter records of the GNC of ``scenario``."""
     _, strength = gnc_params.allocation(scenario.chaser)
     return Tuning(
         gnc_params.navigation(scenario), gnc_params.supervision(scenario), gnc_params.control(scenario, strength)
@@ -41,7 +40,7 @@ def tuning(scenario: Scenario) -> Tuning:
 
 
 def with_setting(scenario: Scenario, setting: str, source: str) -> Loaded[Scenario]:
-    """Return ``scenario`` with ``key=value`` laid over, checked anew. Raises BadInput; source: for its words."""
+    """Return ``scenario`` with ``key=value`` applied, validated. Raises BadInput, which names ``source``."""
     table = scenario.model_dump(mode="json", exclude_none=True)
     origin: dict[str, str] = {}
     apply_settings(table, [setting], Scenario, origin)
@@ -49,18 +48,18 @@ def with_setting(scenario: Scenario, setting: str, source: str) -> Loaded[Scenar
 
 
 def check_in_flight(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> None:
-    """Raise BadInput where a scenario that is being flown could not have been begun with these settings."""
+    """Raise BadInput if a run could not have been started with the settings of this scenario."""
     if problems := [*approach_problems(scenario), *flight_problems(scenario, rig)]:
         raise BadInput(problems)
 
 
 def packed(records: Tuning) -> str:
-    """Return ``records`` as text, for a way between processes."""
+    """Return ``records`` as text, to send them to another process."""
     return base64.b64encode(b"".join(record.tobytes() for record in records)).decode()
 
 
 def unpacked(text: str) -> Tuning:
-    """Return what ``packed`` has made a text of. Raises ValueError for anything else."""
+    """Return the records that ``packed`` has encoded. Raises ValueError for any other text."""
     data = base64.b64decode(text, validate=True)
     sizes = [layout.itemsize for layout in _LAYOUTS]
     if len(data) != sum(sizes):

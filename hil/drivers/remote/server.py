@@ -131,7 +131,7 @@ class DeviceServer:
         return True
 
     def stop_in_thread(self, device: Stoppable, now_s: float) -> None:
-        """Stop ``device`` in a thread: a stop may take longer than a period, and the heartbeat must go on."""
+        """Stop ``device`` in a thread: a stop may take longer than a period, and the heartbeat must continue."""
         threading.Thread(target=device.stop, args=(now_s,), name="stop", daemon=True).start()
 
     def fail(self, name: str, error: BenchError, now_s: float) -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hil.core.clock import SimulatedClock, WallClock
 from hil.loop import rate_keeper as rate_module
-from hil.loop.rate_keeper import SimulatedRate, WallRate
+from hil.loop.rate_keeper import SimulatedRate, WallClockRate
 
 STEP_S = 0.02
 MS = 1_000_000
@@ -41,8 +41,8 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> FakeTime:
     return fake
 
 
-def wall_rate(fake: FakeTime, speed: float = 1.0) -> WallRate:
-    return WallRate(WallClock(epoch_ns=fake.ns, speed=speed), STEP_S)
+def wall_rate(fake: FakeTime, speed: float = 1.0) -> WallClockRate:
+    return WallClockRate(WallClock(epoch_ns=fake.ns, speed=speed), STEP_S)
 
 
 def test_cycles_come_at_absolute_deadlines_that_do_not_drift(fake: FakeTime) -> None:
@@ -158,6 +158,6 @@ def test_restart_begins_a_new_count(fake: FakeTime) -> None:
 
 
 def test_wait_never_spins_through_a_whole_period(fake: FakeTime) -> None:
-    rate = WallRate(WallClock(epoch_ns=fake.ns), 0.0002)
+    rate = WallClockRate(WallClock(epoch_ns=fake.ns), 0.0002)
     rate.wait()
     assert fake.slept_ns == [pytest.approx(100_000, abs=5_000)]

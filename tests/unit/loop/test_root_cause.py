@@ -16,7 +16,7 @@ OPEN_INTERLOCK = SafetyTrip("io", "interlock", "open", "closed")
 class SteppedRate:
     """A rate whose time goes on by 10 ms whenever it is asked for."""
 
-    on_the_wall = True
+    paced = True
 
     def __init__(self) -> None:
         self._now_s = 0.0
