@@ -93,6 +93,8 @@ class ChildProcess:
         return self._receive(timeout_s, "sent nothing", "without a result")
 
     def _receive(self, timeout_s: float, if_silent: str, if_ended: str) -> Message:
+        if self._stdout.closed:
+            raise LinkLost(self.name, f"{self.exit_status()} {if_ended}")
         try:
             line = self._lines.read(timeout_s)
         except TimeoutError:

@@ -233,7 +233,13 @@ def run_child(parent: Parent) -> None:
 def _as_json(outcome: MonitorOutcome) -> Message:
     """Return ``outcome`` for a line of JSON; NaN stays NaN."""
     rows: list[dict[str, Any]] = [
-        {**vars(portion), "values": portion.values.tolist(), "sigmas": portion.sigmas.tolist()}
+        {
+            "t_s": portion.t_s,
+            "frames": portion.frames,
+            "status": portion.status,
+            "values": portion.values.tolist(),
+            "sigmas": portion.sigmas.tolist(),
+        }
         for portion in outcome.portions
     ]
     return {**vars(outcome), "portions": rows}
