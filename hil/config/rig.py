@@ -77,6 +77,11 @@ class RailAxis(ConfigModel):
     lead_s: Lead = 0.0  # by which setpoints are taken ahead; hil identify measures it
 
     @property
+    def limits(self) -> tuple[float, float, float, float, float]:
+        """Low and high end of the travel, highest rate, highest acceleration, park position."""
+        return *self.travel_m, self.rate_max_mps, self.acceleration_max_mps2, self.park_m
+
+    @property
     def home(self) -> float:
         return self.home_m
 
@@ -101,6 +106,11 @@ class GimbalAxis(ConfigModel):
     home_deg: float = 0.0  # place of the home switch
     homing_rate_degps: Positive = 5.0
     lead_s: Lead = 0.0  # by which setpoints are taken ahead; hil identify measures it
+
+    @property
+    def limits(self) -> tuple[float, float, float, float, float]:
+        """Low and high end of the travel, highest rate, highest acceleration, park position."""
+        return *self.travel_deg, self.rate_max_degps, self.acceleration_max_degps2, self.park_deg
 
     @property
     def home(self) -> float:
@@ -177,18 +187,38 @@ class AsciiTurntableLine(SerialLine):
     identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)  # what it must say
 
 
-class Rails(DeviceTable):
+class AxisGroupTable(DeviceTable):
+    """Table of three axes, each in a table of its own name."""
+
+    axis_names: ClassVar[tuple[str, str, str]]
+    si_per_unit: ClassVar[float]  # of positions in the file: 1 for m, rad per degree
+
+    timeout_s: Positive = 0.4
+    servo: Servo
+
+    @property
+    def axes(self) -> tuple[RailAxis | GimbalAxis, ...]:
+        """The axes in the order of ``axis_names``."""
+        return tuple(getattr(self, name) for name in self.axis_names)
+
+    @property
+    def encoder_sigma(self) -> float:
+        """Noise of the emulated encoders, in the unit of the file."""
+        raise NotImplementedError
+
+
+class Rails(AxisGroupTable):
     """Three rails: x, y, z."""
 
     device: ClassVar = "rails"
+    axis_names: ClassVar = RAIL_NAMES
+    si_per_unit: ClassVar = 1.0
 
-    timeout_s: Positive = 0.4
     following_error_max_m: Positive = 0.05  # at rest
     following_error_per_speed_s: NotNegative = 0.0  # m more for each m/s of commanded speed
     lost_packets_max: Positive = 5.0
     lost_packets_window_s: Positive = 1.0  # after which one lost packet is forgiven
     encoder_sigma_m: NotNegative = 0.0  # noise of the emulated encoders
-    servo: Servo
     x: RailAxis
     y: RailAxis
     z: RailAxis
@@ -218,18 +248,18 @@ class TargetManipulator(Rails):
         return self
 
 
-class Turntable(DeviceTable):
+class Turntable(AxisGroupTable):
     """Three gimbals: roll, pitch, yaw."""
 
     device: ClassVar = "turntable"
+    axis_names: ClassVar = GIMBAL_NAMES
+    si_per_unit: ClassVar = math.pi / 180.0
 
-    timeout_s: Positive = 0.4
     following_error_max_deg: Positive = 2.0  # at rest
     following_error_per_speed_s: NotNegative = 0.0  # deg more for each deg/s of commanded speed
     lost_packets_max: Positive = 5.0
     lost_packets_window_s: Positive = 1.0  # after which one lost packet is forgiven
     encoder_sigma_deg: NotNegative = 0.0  # noise of the emulated encoders
-    servo: Servo
     roll: GimbalAxis
     pitch: GimbalAxis
     yaw: GimbalAxis

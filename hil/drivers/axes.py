@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from hil.config.rig import Rails, Turntable
+from hil.config.rig import AxisGroupTable
 from hil.core.messages import Array
 from hil.models.servo import servo_step
 
@@ -18,19 +16,8 @@ class ServoAxes:
     gimbals roll pitch yaw. The axes start at their park position, at rest.
     """
 
-    def __init__(self, config: Rails | Turntable) -> None:
-        if isinstance(config, Rails):
-            rails = (config.x, config.y, config.z)
-            rows = [(a.travel_m[0], a.travel_m[1], a.rate_max_mps, a.acceleration_max_mps2, a.park_m) for a in rails]
-            scale = 1.0
-        else:
-            gimbals = (config.roll, config.pitch, config.yaw)
-            rows = [
-                (a.travel_deg[0], a.travel_deg[1], a.rate_max_degps, a.acceleration_max_degps2, a.park_deg)
-                for a in gimbals
-            ]
-            scale = math.pi / 180.0
-        table = np.array(rows) * scale
+    def __init__(self, config: AxisGroupTable) -> None:
+        table = np.array([axis.limits for axis in config.axes]) * config.si_per_unit
         self.low, self.high, self.rate_max, self.acceleration_max, self.position = (
             np.ascontiguousarray(column) for column in table.T
         )

@@ -16,9 +16,6 @@ from hil.core.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFram
 from hil.errors import SafetyTrip
 from hil.maths.limits import cut_to_range
 
-RAIL_NAMES = ("x", "y", "z")
-GIMBAL_NAMES = ("roll", "pitch", "yaw")
-
 
 @runtime_checkable
 class AxisGroup(Protocol):
@@ -137,9 +134,12 @@ def full_names(device: str, short: tuple[str, str, str]) -> tuple[str, str, str]
     return (f"{device}.{short[0]}", f"{device}.{short[1]}", f"{device}.{short[2]}")
 
 
-ANYWHERE_LOW = np.full(3, -np.finfo(float).max)
-ANYWHERE_HIGH = np.full(3, np.finfo(float).max)
-"""Bounds for ``accepted_setpoint`` of axes that are jogged: any finite number."""
+_UNLIMITED = np.full(3, np.finfo(float).max)
+
+
+def setpoint_bounds(low: Array, high: Array, jogging: bool) -> tuple[Array, Array]:
+    """Return the bounds of setpoints, (3,) each: the travel, or any finite number while jogging."""
+    return (-_UNLIMITED, _UNLIMITED) if jogging else (low, high)
 
 
 def accepted_setpoint(

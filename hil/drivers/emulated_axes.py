@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Turntable
+from hil.config.rig import AxisGroupTable
 from hil.core.clock import WallClock
 from hil.core.messages import Array, Homing
 from hil.drivers.axes import ServoAxes
@@ -39,7 +39,7 @@ class EmulatedAxes:
     def __init__(
         self,
         device: str,
-        config: Rails | Turntable,
+        config: AxisGroupTable,
         clock: WallClock,
         board: SharedAxisState,
         faults: Faults | None = None,
@@ -47,12 +47,11 @@ class EmulatedAxes:
         seed: int = 0,
     ) -> None:
         self.device = device
-        self.names = RAIL_NAMES if isinstance(config, Rails) else GIMBAL_NAMES
+        self.names = config.axis_names
         self.faults = faults or Faults(device, kinds(WIRE, AXIS), self.names)
         self.overdue = [False, False, False]
         self.torque_off = False
-        scale = 1.0 if isinstance(config, Rails) else math.pi / 180.0
-        axes = [getattr(config, name) for name in self.names]
+        scale, axes = config.si_per_unit, config.axes
         self._unit = scale
         self._axes = ServoAxes(config)
         self._board = board

@@ -12,6 +12,8 @@ The control port speaks lines of text (``nc 127.0.0.1 PORT`` will do); each gets
 from __future__ import annotations
 
 import contextlib
+import heapq
+import itertools
 import json
 import math
 import socket
@@ -180,6 +182,35 @@ class FaultyWire:
         for _ in range(int(self._generator.integers(1, 4)) if damaged else 0):
             damaged[int(self._generator.integers(len(damaged)))] ^= 1 << int(self._generator.integers(8))
         return bytes(damaged)
+
+
+class FaultyChannel:
+    """Packets in transit in one direction of a wire, under its faults. Times are bench time, s.
+
+    Packets due at the same time keep their order.
+    """
+
+    def __init__(self, faults: Faults, generator: np.random.Generator) -> None:
+        self._wire = FaultyWire(faults, generator)
+        self._in_transit: list[tuple[float, int, bytes]] = []
+        self._number = itertools.count()
+
+    def put(self, packet: bytes, now_s: float) -> None:
+        """Send one packet at ``now_s``."""
+        for delay_s, arriving in self._wire.passed(packet):
+            heapq.heappush(self._in_transit, (now_s + delay_s, next(self._number), arriving))
+
+    @property
+    def next_s(self) -> float:
+        """Time at which the next packet arrives, infinite without one."""
+        return self._in_transit[0][0] if self._in_transit else math.inf
+
+    def due(self, now_s: float) -> list[bytes]:
+        """Return the packets that have arrived by ``now_s``."""
+        arrived = []
+        while self.next_s <= now_s:
+            arrived.append(heapq.heappop(self._in_transit)[2])
+        return arrived
 
 
 class ControlPort:

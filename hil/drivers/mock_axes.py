@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.rig import Rails, Turntable
+from hil.config.rig import AxisGroupTable
 from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing
 from hil.drivers.axes import ServoAxes
-from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, accepted_setpoint, full_names
+from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
 from hil.errors import DeviceError, LinkLost, SafetyTrip
 
 _BRAKE_STEP_S: Final = 0.002
@@ -27,14 +27,13 @@ class MockAxes:
     ``home`` lets all that need it creep to their home switches.
     """
 
-    def __init__(self, name: str, short_names: tuple[str, str, str], config: Rails | Turntable) -> None:
+    def __init__(self, name: str, config: AxisGroupTable) -> None:
         self.name = name
-        self.axis_names = full_names(name, short_names)
+        self.axis_names = full_names(name, config.axis_names)
         self._axes = ServoAxes(config)
-        scale = 1.0 if isinstance(config, Rails) else math.pi / 180.0
-        self._home = [scale * getattr(config, short).home for short in short_names]
-        self._homing_rate = [scale * getattr(config, short).homing_rate for short in short_names]
-        self._incremental = [getattr(config, short).encoder == "incremental" for short in short_names]
+        self._home = [config.si_per_unit * axis.home for axis in config.axes]
+        self._homing_rate = [config.si_per_unit * axis.homing_rate for axis in config.axes]
+        self._incremental = [axis.encoder == "incremental" for axis in config.axes]
         self._homing = HOMED
         self._counted_from: Array = np.zeros(3)  # where an encoder that has not been homed has its zero
         self._limit = NO_LIMIT
@@ -67,11 +66,10 @@ class MockAxes:
         """Take the setpoint at ``now_s``; a stopped device stays where it is and returns that place."""
         self._check()
         axes = self._axes
-        if self._jogging:
-            accepted = accepted_setpoint(self.axis_names, position, ANYWHERE_LOW, ANYWHERE_HIGH)
-        else:
+        if not self._jogging:
             self._refuse_without_home()
-            accepted = accepted_setpoint(self.axis_names, position, axes.low, axes.high)
+        bounds = setpoint_bounds(axes.low, axes.high, self._jogging)
+        accepted = accepted_setpoint(self.axis_names, position, *bounds)
         feedforward = accepted_setpoint(self.axis_names, rate, -axes.rate_max, axes.rate_max, "rate")
         self._move(now_s)
         if self._stopped:

@@ -256,15 +256,15 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, images: MakesPictures | None 
     from hil.drivers.vmu.mock import MockVmu
 
     rails_config, turntable_config = axes_at_start(scenario, rig)
-    rails = MockAxes("rails", RAIL_NAMES, rails_config)
-    turntable = MockAxes("turntable", GIMBAL_NAMES, turntable_config)
+    rails = MockAxes("rails", rails_config)
+    turntable = MockAxes("turntable", turntable_config)
     sensor = make_pose_sensor(scenario, rig, seed, images)
 
     def pose_at(t_s: float) -> PoseFrame | None:
         return sensor.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
-    target = MockAxes("target", RAIL_NAMES, rig.moved_target) if rig.moved_target else None
+    target = MockAxes("target", rig.moved_target) if rig.moved_target else None
     return Devices(rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io, target)
 
 

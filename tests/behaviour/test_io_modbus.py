@@ -142,7 +142,7 @@ def test_chain_opens_within_ten_milliseconds_of_the_button(desk: Desk) -> None:
 
 
 def test_a_dead_coupler_is_a_lost_link(desk: Desk) -> None:
-    desk.emulator._loop.call_soon_threadsafe(lambda: [t.abort() for t in desk.emulator.connections])
+    desk.emulator._loop.call_soon_threadsafe(desk.emulator.port.disconnect)
     seen, _ = desk.run_until_something_is_wrong(10.0)
     assert seen.startswith("LinkLost: io: ")
     assert "closed the connection" in seen

@@ -72,8 +72,7 @@ def _travel(config: Rails | Turntable) -> tuple[np.ndarray, np.ndarray]:
 @contextmanager
 def _mock(config: Rails | Turntable) -> Iterator[Backend]:
     clock = SimulatedClock()
-    names = ("rails", RAIL_NAMES) if isinstance(config, Rails) else ("turntable", GIMBAL_NAMES)
-    device = MockAxes(*names, config)
+    device = MockAxes(config.device, config)
 
     def pass_time(seconds: float) -> None:
         clock.t_s += seconds
@@ -111,8 +110,8 @@ def _behind_the_io_process(config: Rails | Turntable) -> Iterator[Backend]:
     here, there = socket.socketpair()
     memory = IoSharedMemory.create()
     axes: dict[str, AxisGroup] = {
-        "rails": MockAxes("rails", RAIL_NAMES, RIG.rails),
-        "turntable": MockAxes("turntable", GIMBAL_NAMES, RIG.turntable),
+        "rails": MockAxes("rails", RIG.rails),
+        "turntable": MockAxes("turntable", RIG.turntable),
     }
     host = IoServer(axes, MockVmu(RIG.vmu, lambda t_s: None), memory, there, clock)
     host.start()
@@ -120,7 +119,7 @@ def _behind_the_io_process(config: Rails | Turntable) -> Iterator[Backend]:
     thread.start()
     requests = IoRequests(here, IO)
     link = IoLink(IO, memory, requests, clock, lambda: "")
-    device = RemoteAxes("rails" if isinstance(config, Rails) else "turntable", config, link)
+    device = RemoteAxes(config.device, config, link)
     try:
         yield Backend(device, clock.now_s, lambda s: _pass(device, clock, s), *_travel(config))
     finally:

@@ -89,7 +89,7 @@ class _RefusedError(Exception):
         self.code = code
 
 
-def answer(image: Image, request: bytes) -> bytes:
+def respond(image: Image, request: bytes) -> bytes:
     """Return the coupler's answer (PDU) to a request (PDU, at least one byte); writes go into ``image.coils``.
 
     What cannot be done is answered by a Modbus exception; nothing is raised on any bytes.

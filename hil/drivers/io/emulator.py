@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import struct
-import threading
 from collections.abc import Callable
 from typing import Final
 
@@ -12,28 +10,29 @@ from hil.config.io import Io
 from hil.core.clock import WallClock
 from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, InjectableFault, kinds
 from hil.drivers.io import NAME
-from hil.drivers.io.codec import Image, LineMap, answer
+from hil.drivers.io.codec import Image, LineMap, respond
 from hil.drivers.io.relay import SafetyRelay
+from hil.drivers.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
 from hil.maths.random_streams import stream
 
-STEP_S: Final = 0.004  # of bench time, between two looks at the relay
+STEP_S: Final = 0.004  # of bench time, between two updates of the relay
 IDENTITY: Final = ("hil", "io-coupler", "1.0")
 BUTTONS: Final = {
     "estop": InjectableFault("the emergency stop is pressed"),
     "interlock": InjectableFault("an interlock's contact is open", of_axis=True),
 }
-_HEADER: Final = struct.Struct(">HHHB")  # transaction, protocol 0, bytes from here on with the unit, unit
-_UNIT_BYTES: Final = 1
+_HEADER: Final = struct.Struct(">HHHB")  # transaction, protocol 0, length with the device id, device id
+_ID_BYTES: Final = 1
 _LONGEST: Final = 254  # bytes after the length field
 
-ChainBoard = Callable[[bool, float], None]
-"""Told whether the chain is closed, and when, s of bench time."""
+PublishChain = Callable[[bool, float], None]
+"""Receives whether the chain is closed, and the bench time, s."""
 
 
 class EmulatedCoupler:
-    """The coupler and what is wired to it. Time is handed in, s of bench time.
+    """The coupler with the relay and contacts wired to it. Times are bench time, s.
 
-    pump_timeout_s: what the emulated relay waits for an edge of the charge pump.
+    pump_timeout_s: longest time between two edges of the charge pump with which the relay stays closed.
     """
 
     def __init__(self, config: Io, pump_timeout_s: float) -> None:
@@ -63,111 +62,59 @@ class EmulatedCoupler:
                 image.inputs[address] = name not in open_now
         return closed
 
-    def answer(self, request: bytes, now_s: float) -> bytes:
-        """Return the answer (PDU) to a request (PDU)."""
+    def respond(self, request: bytes, now_s: float) -> bytes:
+        """Return the response (PDU) to a request (PDU)."""
         self.advance(now_s)
-        if self.faults.value("freeze") is not None:  # it accepts whatever comes, and its lines stay as they are
+        if self.faults.value("freeze") is not None:  # requests are accepted, the lines do not change
             frozen = Image(dict(self.image.coils), self.image.inputs, self.image.identity)
-            return answer(frozen, request)
-        answered = answer(self.image, request)
+            return respond(frozen, request)
+        response = respond(self.image, request)
         self.advance(now_s)
-        return answered
+        return response
 
 
-class IoEmulator:
-    """A coupler on 127.0.0.1, port by the system; ``tell`` hears of the chain every 4 ms of bench time.
+class IoEmulator(ModbusTcpEmulator):
+    """A coupler on 127.0.0.1, port by the system; calls ``publish`` with the chain's state every 4 ms of bench time.
 
-    Where bench time runs faster than the wall's, the relay waits for the charge pump as long on the wall
-    as it does at the speed of time: what it waits for is a program on this computer.
+    If bench time runs faster than real time, the relay waits for the charge pump as long, in wall time, as it does
+    in real time: the pump is a program of this computer.
     """
 
-    def __init__(self, config: Io, clock: WallClock, tell: ChainBoard, seed: int = 0) -> None:
-        self._clock = clock
-        self._tell = tell
-        self._unit = config.device_id
+    def __init__(self, config: Io, clock: WallClock, publish: PublishChain, seed: int = 0) -> None:
+        super().__init__(clock, STEP_S)
+        self._publish = publish
+        self._device_id = config.device_id
         self.coupler = EmulatedCoupler(config, config.pump_timeout_s * max(1.0, clock.speed))
         self.faults = self.coupler.faults
-        self._wire = FaultyWire(self.faults, stream(seed, "wire"))
-        self._loop = asyncio.new_event_loop()
-        self._server: asyncio.Server | None = None
-        self.connections: set[asyncio.Transport] = set()
-        tell(False, clock.now_s())
+        self.port = ModbusTcpPort(self._feed, FaultyWire(self.faults, stream(seed, "wire")), clock)
+        self._ports.append(self.port)
+        publish(False, clock.now_s())
 
     def start(self) -> dict[str, str]:
         """Listen; return ``{"io": "host:port"}``."""
-        self._server = self._loop.run_until_complete(
-            self._loop.create_server(lambda: _Connection(self._exchange, self.connections), "127.0.0.1", 0)
-        )
-        return {NAME: f"127.0.0.1:{self._server.sockets[0].getsockname()[1]}"}
+        self._listen()
+        return {NAME: self.port.address}
 
-    def run(self, stop: threading.Event) -> None:
-        """Serve until ``stop`` is set."""
-        self._loop.run_until_complete(self._serve(stop))
-
-    def close(self) -> None:
-        """Hang up. Idempotent."""
-        if self._loop.is_closed():
-            return
-        if self._server is not None:
-            self._server.close()
-        for connection in list(self.connections):
-            connection.close()
-        self._loop.run_until_complete(asyncio.sleep(0.01))  # let the connections' own callbacks see their end
-        self._loop.close()
-
-    async def _serve(self, stop: threading.Event) -> None:
-        tick_wall_s = self._clock.wall_s(STEP_S)
-        while not stop.is_set():
-            now_s = self._clock.now_s()
-            self._tell(self.coupler.advance(now_s), now_s)
-            await asyncio.sleep(tick_wall_s)
-
-    def _exchange(self, transport: asyncio.Transport, transaction: int, unit: int, request: bytes) -> None:
-        """Answer one request, as far as the wire lets it through."""
-        if unit != self._unit or self.faults.value("link_down") is not None:
-            return
+    def _step(self) -> None:
         now_s = self._clock.now_s()
-        answered = self.coupler.answer(request, now_s)
-        self._tell(self.coupler.relay.closed, now_s)
-        packet = _HEADER.pack(transaction, 0, len(answered) + _UNIT_BYTES, unit) + answered
-        for delay_s, arrived in self._wire.passed(packet):
-            self._loop.call_later(self._clock.wall_s(delay_s), _send, transport, arrived)
+        self._publish(self.coupler.advance(now_s), now_s)
 
-
-def _send(transport: asyncio.Transport, packet: bytes) -> None:
-    if not transport.is_closing():
-        transport.write(packet)
-
-
-class _Connection(asyncio.Protocol):
-    """Cuts one connection's bytes into requests; hangs up on bytes that are no Modbus TCP."""
-
-    def __init__(
-        self, exchange: Callable[[asyncio.Transport, int, int, bytes], None], everyone: set[asyncio.Transport]
-    ) -> None:
-        self._exchange = exchange
-        self._everyone = everyone
-        self._buffer = bytearray()
-        self._transport: asyncio.Transport
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
-        self._everyone.add(transport)
-
-    def connection_lost(self, cause: Exception | None) -> None:
-        self._everyone.discard(self._transport)
-
-    def data_received(self, data: bytes) -> None:
-        self._buffer += data
-        while len(self._buffer) >= _HEADER.size:
-            transaction, protocol, length, unit = _HEADER.unpack_from(self._buffer)
-            if protocol != 0 or not _UNIT_BYTES < length <= _LONGEST:
-                self._transport.abort()
-                return
-            end = _HEADER.size - _UNIT_BYTES + length
-            if len(self._buffer) < end:
-                return
-            request = bytes(self._buffer[_HEADER.size : end])
-            del self._buffer[:end]
-            self._exchange(self._transport, transaction, unit, request)
+    def _feed(self, data: bytes) -> tuple[int, list[bytes]]:
+        """Return the number of bytes consumed and the responses; ConnectionError for data that is not Modbus TCP."""
+        used = 0
+        responses: list[bytes] = []
+        while len(data) - used >= _HEADER.size:
+            transaction, protocol, length, device_id = _HEADER.unpack_from(data, used)
+            if protocol != 0 or not _ID_BYTES < length <= _LONGEST:
+                raise ConnectionAbortedError("not Modbus TCP")
+            end = used + _HEADER.size - _ID_BYTES + length
+            if len(data) < end:
+                break
+            request, used = data[used + _HEADER.size : end], end
+            if device_id == self._device_id and self.faults.value("link_down") is None:
+                now_s = self._clock.now_s()
+                response = self.coupler.respond(request, now_s)
+                self._publish(self.coupler.relay.closed, now_s)
+                header = _HEADER.pack(transaction, 0, len(response) + _ID_BYTES, device_id)
+                responses.append(header + response)
+        return used, responses

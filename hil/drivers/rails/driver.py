@@ -21,7 +21,7 @@ from hil.config.rig import Rails
 from hil.core.clock import WallClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import ServoAxes
-from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, RAIL_NAMES, accepted_setpoint, full_names
+from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
 from hil.drivers.latest import Latest
 from hil.drivers.loop_thread import LoopThread
 from hil.drivers.rails.codec import ControlFlags, RegisterMap, State
@@ -46,7 +46,7 @@ class ModbusRails(LoopThread):
 
     def __init__(self, config: Rails, clock: WallClock, name: str = "rails") -> None:
         self.name = name
-        self.axis_names = full_names(self.name, RAIL_NAMES)
+        self.axis_names = full_names(name, config.axis_names)
         self._config = config
         self._timeout_s = config.timeout_s
         self._clock = clock
@@ -98,8 +98,8 @@ class ModbusRails(LoopThread):
         Raises SafetyTrip as well while an axis has not been homed.
         """
         self._box.check()
-        low, high = (ANYWHERE_LOW, ANYWHERE_HIGH) if self._jogging else (self._low, self._high)
-        accepted = accepted_setpoint(self.axis_names, position, low, high)
+        bounds = setpoint_bounds(self._low, self._high, self._jogging)
+        accepted = accepted_setpoint(self.axis_names, position, *bounds)
         feedforward = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
         feedback = self._box.peek()
         if self._stopping and feedback is not None:

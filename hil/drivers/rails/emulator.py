@@ -1,57 +1,61 @@
-"""Emulated rails on the wire: three drives on Modbus TCP, or on one serial line, with the servo's dynamics."""
+"""Emulator of the rails: three drives on Modbus TCP, or on one serial line, with servo dynamics."""
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import heapq
 import threading
-from typing import Final
+from typing import Any, Final
 
 from hil.config.rail_wires import ModbusRtu
-from hil.config.rig import Rails
+from hil.config.rig import RAIL_NAMES, Rails
 from hil.core.clock import WallClock
-from hil.drivers.base import RAIL_NAMES, full_names
+from hil.drivers.base import full_names
 from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
-from hil.drivers.fault_injection import FaultyWire
+from hil.drivers.fault_injection import FaultyChannel, FaultyWire
+from hil.drivers.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.rails.codec import DriveIdentity, RegisterMap
-from hil.drivers.rails.modbus_server import EmulatedRailDrive, ModbusServer
+from hil.drivers.rails.modbus_server import DriveAccess, EmulatedRailDrive, ModbusServer
 from hil.drivers.rails.wiring import tcp_axes
 from hil.drivers.shared_state import SharedAxisState
 from hil.errors import FaultKind
 from hil.maths.random_streams import stream
 
 FIRMWARE: Final = (1, 0)
-_READ_BYTES: Final = 4096
-_SILENCE_S: Final = 0.02  # much longer than between the bytes of one request, however busy this host is
-_PTY_BITS_A_BYTE: Final = 10  # that PtyLine reckons with
+_SILENCE_S: Final = 0.02  # much longer than between the bytes of one request, also on a busy host
+_PTY_BITS_PER_BYTE: Final = 10  # of PtyLine
 
 
-class _Rails:
-    """The three drives, whatever their wire. seed: of everything that chance decides in them."""
+class EmulatedRails:
+    """The three drives, independent of the wire. seed: of all random numbers."""
 
     def __init__(
         self,
         config: Rails,
         clock: WallClock,
-        board: SharedAxisState,
+        shared: SharedAxisState,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
         name: str = "rails",
     ) -> None:
-        self._config = config
         self._clock = clock
         self._map = RegisterMap(config.map)
         self._identity = DriveIdentity(config.map.vendor, max(FIRMWARE, config.map.firmware_min))
-        self._axes = EmulatedAxes(name, config, clock, board, chain_closed=chain_closed, seed=seed)
+        self._axes = EmulatedAxes(name, config, clock, shared, chain_closed=chain_closed, seed=seed)
         self.faults = self._axes.faults
-        self._wire = FaultyWire(self.faults, stream(seed, "wire"))
+        self.wire_noise = stream(seed, "wire")
         torque_off = self._map.code_of(FaultKind.TORQUE_OFF)
         self.drives = [EmulatedRailDrive(self._axes, index, torque_off) for index in range(len(RAIL_NAMES))]
 
-    def _advance(self) -> None:
-        """Bring axes and drives to now."""
+    def server(self, device_ids: dict[int, int], tcp: bool) -> ModbusServer:
+        """Return the server of the drives behind one wire. device_ids: device id of each index."""
+        drives = {
+            device_id: DriveAccess(self.drives[index], self._map, self._clock)
+            for index, device_id in device_ids.items()
+        }
+        return ModbusServer(drives, self._map.encode_identity(self._identity), tcp)
+
+    def advance(self) -> None:
+        """Advance axes and drives to the present."""
         now_s = self._clock.now_s()
         self._axes.advance(now_s)
         for name, drive in zip(RAIL_NAMES, self.drives, strict=True):
@@ -61,24 +65,17 @@ class _Rails:
             drive.supervise(now_s)
 
 
-class RailsEmulator(_Rails):
-    """Three drives on 127.0.0.1, ports by the system; those with one host and port in the rig file share one.
+class RailsEmulator(ModbusTcpEmulator):
+    """Three drives on 127.0.0.1, ports by the system; axes of one host and port in the rig file share a port.
 
-    Their places go to the board every 4 ms of bench time.
+    Positions are written to ``shared`` every 4 ms of bench time. Further arguments are those of ``EmulatedRails``.
     """
 
-    def __init__(
-        self,
-        config: Rails,
-        clock: WallClock,
-        board: SharedAxisState,
-        chain_closed: ChainClosed | None = None,
-        seed: int = 0,
-        name: str = "rails",
-    ) -> None:
-        super().__init__(config, clock, board, chain_closed, seed, name)
-        self._loop = asyncio.new_event_loop()
-        self._ports: list[_TcpPort] = []
+    def __init__(self, config: Rails, clock: WallClock, shared: SharedAxisState, **kwargs: Any) -> None:
+        super().__init__(clock, STEP_S)
+        self._config = config
+        self._rails = EmulatedRails(config, clock, shared, **kwargs)
+        self.faults, self.drives = self._rails.faults, self._rails.drives
 
     def start(self) -> dict[str, str]:
         """Listen; return axis name -> "host:port"."""
@@ -87,118 +84,36 @@ class RailsEmulator(_Rails):
         axes = tcp_axes(self._config)
         for index, axis in enumerate(axes):
             groups.setdefault(index if axis.port is None else (axis.host, axis.port), []).append(index)
-        addresses: dict[str, str] = {}
+        wire = FaultyWire(self.faults, self._rails.wire_noise)
         for group in groups.values():
-            drives = {axes[index].device_id: self.drives[index] for index in group}
-            port = _TcpPort(
-                ModbusServer(drives, self._map, self._identity, self._clock, tcp=True), self._wire, self._clock
-            )
-            self._loop.run_until_complete(port.listen())
-            self._ports.append(port)
-            addresses |= {names[index]: f"127.0.0.1:{port.number}" for index in group}
-        return {name: addresses[name] for name in names}
+            server = self._rails.server({index: axes[index].device_id for index in group}, tcp=True)
+            self._ports.append(ModbusTcpPort(server.feed, wire, self._clock))
+        self._listen()
+        ports = {index: port for port, group in zip(self._ports, groups.values(), strict=True) for index in group}
+        return {name: ports[index].address for index, name in enumerate(names)}
 
-    def run(self, stop: threading.Event) -> None:
-        """Serve until ``stop`` is set."""
-        self._loop.run_until_complete(self._serve(stop))
+    def _step(self) -> None:
+        self._rails.advance()
 
-    def close(self) -> None:
-        """Hang up. Idempotent."""
-        if self._loop.is_closed():
-            return
-        self._loop.run_until_complete(self._shut_down())
-        self._loop.close()
-
-    async def _serve(self, stop: threading.Event) -> None:
-        tick_wall_s = self._clock.wall_s(STEP_S)
-        while not stop.is_set():
-            self._advance()
-            down = self.faults.value("link_down") is not None
-            for port in self._ports:
-                await (port.hang_up() if down else port.listen())
-            await asyncio.sleep(tick_wall_s)
-
-    async def _shut_down(self) -> None:
-        for port in self._ports:
-            await port.hang_up()
-        await asyncio.sleep(0.01)  # let the connections' own tasks see their end
+    def _is_up(self) -> bool:
+        return self.faults.value("link_down") is None
 
 
-class _TcpPort:
-    """A listening port and its connections; each answer passes the faulty wire."""
+class RtuRailsEmulator:
+    """Three drives on one serial line, a pseudo terminal with the timing of the real line."""
 
-    def __init__(self, slave: ModbusServer, wire: FaultyWire, clock: WallClock) -> None:
-        self.number = 0
-        self._slave = slave
-        self._wire = wire
+    def __init__(self, config: Rails, clock: WallClock, shared: SharedAxisState, **kwargs: Any) -> None:
         self._clock = clock
-        self._server: asyncio.Server | None = None
-        self._writers: set[asyncio.StreamWriter] = set()
-
-    async def listen(self) -> None:
-        """Take connections, always on the same port; nothing to do when it is listening."""
-        if self._server is None:
-            self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.number)
-            self.number = self._server.sockets[0].getsockname()[1]
-
-    async def hang_up(self) -> None:
-        """Close every connection and refuse new ones."""
-        if self._server is not None:
-            self._server.close()
-            self._server = None
-        for writer in self._writers:
-            writer.transport.abort()
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._writers.add(writer)
-        data = b""
-        try:
-            with contextlib.suppress(ConnectionError):
-                while received := await reader.read(_READ_BYTES):
-                    data += received
-                    used, answers = self._slave.feed(data)
-                    data = data[used:]
-                    for answer in answers:
-                        self._send(writer, answer)
-        finally:
-            self._writers.discard(writer)
-            writer.transport.abort()
-
-    def _send(self, writer: asyncio.StreamWriter, answer: bytes) -> None:
-        for delay_s, packet in self._wire.passed(answer):
-            if delay_s > 0.0:
-                asyncio.get_running_loop().call_later(self._clock.wall_s(delay_s), self._write, writer, packet)
-            else:
-                self._write(writer, packet)
-
-    def _write(self, writer: asyncio.StreamWriter, packet: bytes) -> None:
-        if writer in self._writers:
-            writer.write(packet)
-
-
-class RtuRailsEmulator(_Rails):
-    """Three drives on one serial line, a pseudo terminal that takes as long as the real one."""
-
-    def __init__(
-        self,
-        config: Rails,
-        clock: WallClock,
-        board: SharedAxisState,
-        chain_closed: ChainClosed | None = None,
-        seed: int = 0,
-        name: str = "rails",
-    ) -> None:
-        super().__init__(config, clock, board, chain_closed, seed, name)
         self._rtu = config.rtu or ModbusRtu()
-        drives = dict(zip(self._rtu.device_ids, self.drives, strict=True))
-        self._slave = ModbusServer(drives, self._map, self._identity, clock, tcp=False)
+        self._rails = EmulatedRails(config, clock, shared, **kwargs)
+        self.faults, self.drives = self._rails.faults, self._rails.drives
+        self._server = self._rails.server(dict(enumerate(self._rtu.device_ids)), tcp=False)
+        self._channel = FaultyChannel(self.faults, self._rails.wire_noise)
         self._line: PtyLine | None = None
-        self._on_the_way: list[tuple[float, int, bytes]] = []  # a heap by time of sending
-        self._sent = 0
 
     def start(self) -> dict[str, str]:
         """Open the line; return its path."""
-        self._line = PtyLine(round(self._rtu.baud * _PTY_BITS_A_BYTE / self._rtu.bits_per_byte), self._clock)
+        self._line = PtyLine(round(self._rtu.baud * _PTY_BITS_PER_BYTE / self._rtu.bits_per_byte), self._clock)
         return {self.faults.device: self._line.path}
 
     def run(self, stop: threading.Event) -> None:
@@ -206,33 +121,26 @@ class RtuRailsEmulator(_Rails):
         line = self._line
         if line is None:
             raise RuntimeError("start the emulator first")
-        data, heard_s = b"", 0.0
+        data, received_s = b"", 0.0
         while not stop.is_set():
             received = line.read(STEP_S)
-            self._advance()
+            self._rails.advance()
             if received:
                 now_s = self._clock.now_s()
-                # what was no request before a silence never will be one
-                data = received if now_s - heard_s > _SILENCE_S else data + received
-                heard_s = now_s
-                used, answers = self._slave.feed(data)
+                # an incomplete request ends with a silence
+                data = received if now_s - received_s > _SILENCE_S else data + received
+                received_s = now_s
+                used, responses = self._server.feed(data)
                 data = data[used:]
-                for answer in answers:
-                    self._take(answer)
-            self._send_what_is_due(line)
+                for response in responses:
+                    self._channel.put(response, now_s)
+            while packets := self._channel.due(self._clock.now_s()):
+                for packet in packets:
+                    line.write(packet)
+                    self._rails.advance()
 
     def close(self) -> None:
-        """Close the line; idempotent."""
+        """Close the line. Idempotent."""
         if self._line is not None:
             self._line.close()
         self._line = None
-
-    def _take(self, answer: bytes) -> None:
-        for delay_s, packet in self._wire.passed(answer):
-            heapq.heappush(self._on_the_way, (self._clock.now_s() + delay_s, self._sent, packet))
-            self._sent += 1
-
-    def _send_what_is_due(self, line: PtyLine) -> None:
-        while self._on_the_way and self._on_the_way[0][0] <= self._clock.now_s():
-            line.write(heapq.heappop(self._on_the_way)[2])
-            self._advance()

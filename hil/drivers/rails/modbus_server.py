@@ -1,4 +1,4 @@
-"""Emulated rail drives behind their Modbus registers: bytes of a request in, bytes of the answer out."""
+"""Modbus server of emulated rail drives: bytes of requests in, bytes of responses out."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import asyncio
 import logging
 import math
 from collections.abc import Coroutine, Sequence
-from functools import partial
 from typing import Any
 
 from pymodbus.constants import ExcCodes
@@ -19,15 +18,15 @@ from pymodbus.simulator.simcore import SimCore
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import WATCHDOG_S, EmulatedAxes
-from hil.drivers.rails.codec import Command, ControlFlags, DriveIdentity, RegisterBlock, RegisterMap, State, Status
+from hil.drivers.rails.codec import Command, ControlFlags, RegisterMap, State, Status
 
-logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a controller that hangs up is no error here
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a client that disconnects is not an error
 
 
 class EmulatedRailDrive:
-    """One axis: what the drive's firmware does with commands. No I/O; time is handed in.
+    """Firmware of the drive of one axis. No I/O; time is an argument.
 
-    torque_off_code: fault that it reports while the safety chain is open.
+    torque_off_code: fault code reported while the safety chain is open.
     """
 
     def __init__(self, axes: EmulatedAxes, index: int, torque_off_code: int = 7) -> None:
@@ -38,21 +37,21 @@ class EmulatedRailDrive:
         self._quick_stop = False
         self._fault = 0
         self._echo = 0
-        self._seeking = False
-        self._silent_from_s = math.inf  # when the watchdog ends a search
+        self._homing = False
+        self._homing_deadline_s = math.inf  # of the watchdog
 
     @property
     def held(self) -> bool:
-        """Whether the axis brakes or stands, whatever setpoint it was given."""
+        """Whether the axis brakes or holds, regardless of setpoints."""
         return not self._enabled or self._quick_stop or self._fault != 0
 
     def trip(self, fault: int) -> None:
-        """Let the drive report a fault and stop."""
+        """Enter fault ``fault`` and brake."""
         self._fault = fault
         self._axes.brake(self._index)
 
     def command(self, command: Command, now_s: float) -> None:
-        """Take what the controller wrote."""
+        """Execute a command of the controller."""
         self._axes.advance(now_s)
         self._echo = command.number
         self._enabled = bool(command.control & ControlFlags.ENABLE)
@@ -63,27 +62,27 @@ class EmulatedRailDrive:
         if command.control & ControlFlags.QUICK_STOP:
             self._quick_stop = True
         self._supervise_chain()
-        sought, self._seeking = self._seeking, bool(command.control & ControlFlags.HOME) and not self.held
-        self._silent_from_s = now_s + WATCHDOG_S
-        if self.held or (sought and not self._seeking and self._under_way):
+        was_homing, self._homing = self._homing, bool(command.control & ControlFlags.HOME) and not self.held
+        self._homing_deadline_s = now_s + WATCHDOG_S
+        if self.held or (was_homing and not self._homing and self._under_way):
             self._axes.brake(self._index)
-        elif self._seeking:
-            if not sought:
+        elif self._homing:
+            if not was_homing:
                 self._axes.home(self._index)
         else:
             self._axes.follow(self._index, command.position_m, command.rate_mps, now_s)
 
     def supervise(self, now_s: float) -> None:
-        """Make a quick stop when the controller has gone silent; tell when the torque is gone."""
+        """Make a quick stop if commands have ceased; enter the torque-off fault if the chain is open."""
         self._supervise_chain()
-        silent = self._under_way and now_s > self._silent_from_s
+        silent = self._under_way and now_s > self._homing_deadline_s
         if self._axes.overdue[self._index] or silent:
             self._axes.overdue[self._index] = False
             self._quick_stop = True
             self._axes.brake(self._index)
 
     def state(self, now_s: float) -> State:
-        """Return what the drive reports."""
+        """Return the state that the drive reports."""
         self._axes.advance(now_s)
         self.supervise(now_s)
         axes, i = self._axes, self._index
@@ -111,102 +110,96 @@ class EmulatedRailDrive:
             self.trip(self._torque_off_code)
 
 
-class ModbusServer:
-    """The drives on one wire. Answers what pymodbus, as a server, would answer; silent to foreign device ids.
+class DriveAccess:
+    """Access of the Modbus registers to one drive."""
 
-    drives: by device id.
+    def __init__(self, drive: EmulatedRailDrive, register_map: RegisterMap, clock: WallClock) -> None:
+        self.map = register_map
+        self._drive = drive
+        self._clock = clock
+
+    async def on_access(
+        self, function: int, start: int, address: int, count: int, *content: list[int] | Sequence[int] | None
+    ) -> ExcCodes | None:
+        """Execute a write, or update the state block before it is read (called by pymodbus).
+
+        content: registers of the device from ``start``, and the values to be written, None for a read.
+        """
+        registers, values = content
+        assert isinstance(registers, list)
+        if values is None:
+            state = self.map.state
+            encoded = self.map.encode_state(self._drive.state(self._clock.now_s()))
+            registers[state.address - start : state.address - start + state.count] = encoded
+            return None
+        block = self.map.command
+        written = registers[block.address - start : block.address - start + block.count]
+        written[address - block.address : address - block.address + count] = [int(value) for value in values]
+        try:
+            command = self.map.decode_command(written)
+        except ValueError:
+            return ExcCodes.ILLEGAL_VALUE
+        self._drive.command(command, self._clock.now_s())
+        return None
+
+    def device(self, device_id: int, identity: list[int]) -> SimDevice:
+        """Return the register file of the drive."""
+        command, state = self.map.command, self.map.state
+        blocks = [
+            (command.address, [0] * command.count, False),
+            (state.address, [0] * state.count, True),
+            (self.map.identity.address, identity, True),
+        ]
+        simdata = [
+            SimData(address, values=values, datatype=DataType.REGISTERS, readonly=readonly)
+            for address, values, readonly in sorted(blocks)
+        ]
+        return SimDevice(id=device_id, simdata=simdata, action=self.on_access)
+
+
+class ModbusServer:
+    """Server of the drives on one wire. Responds as pymodbus does; ignores other device ids.
+
+    drives: by device id. identity: registers of the identity block.
     """
 
-    def __init__(
-        self,
-        drives: dict[int, EmulatedRailDrive],
-        register_map: RegisterMap,
-        identity: DriveIdentity,
-        clock: WallClock,
-        tcp: bool,
-    ) -> None:
-        self._drives = drives
-        self._core = SimCore([_device(d, id_, register_map, identity, clock) for id_, d in drives.items()])
+    def __init__(self, drives: dict[int, DriveAccess], identity: list[int], tcp: bool) -> None:
+        self._device_ids = set(drives)
+        self._core = SimCore([drive.device(device_id, identity) for device_id, drive in drives.items()])
         decoder = DecodePDU(True)
         self._framer: FramerBase = FramerSocket(decoder) if tcp else FramerRTU(decoder)
 
     def feed(self, data: bytes) -> tuple[int, list[bytes]]:
-        """Return how many bytes of ``data`` are done with, and the answers to the requests in it."""
+        """Return the number of bytes consumed and the responses to the requests in them."""
         used = 0
-        answers: list[bytes] = []
+        responses: list[bytes] = []
         while used < len(data):
             try:
                 taken, request = self._framer.handleFrame(data[used:], 0, 0)
             except (ModbusException, IndexError):
-                return len(data), answers
+                return len(data), responses
             used += taken
             if request is None:
                 break
-            if request.dev_id in self._drives:
-                answers.append(self._framer.buildFrame(self._answer(request)))
-        return used, answers
+            if request.dev_id in self._device_ids:
+                responses.append(self._framer.buildFrame(self._respond(request)))
+        return used, responses
 
-    def _answer(self, request: ModbusPDU) -> ModbusPDU:
+    def _respond(self, request: ModbusPDU) -> ModbusPDU:
         try:
-            answer = _finished(request.datastore_update(self._core, request.dev_id))  # type: ignore[arg-type]
+            response = _result(request.datastore_update(self._core, request.dev_id))  # type: ignore[arg-type]
         except (ModbusException, ValueError):
-            answer = ExceptionResponse(request.function_code, ExcCodes.DEVICE_FAILURE)
-        answer.transaction_id, answer.dev_id = request.transaction_id, request.dev_id
-        return answer
+            response = ExceptionResponse(request.function_code, ExcCodes.DEVICE_FAILURE)
+        response.transaction_id, response.dev_id = request.transaction_id, request.dev_id
+        return response
 
 
-def _finished(step: Coroutine[Any, Any, ModbusPDU]) -> ModbusPDU:
-    """Return what a coroutine that waits for nothing returns."""
+def _result(step: Coroutine[Any, Any, ModbusPDU]) -> ModbusPDU:
+    """Return the result of a coroutine that does not suspend."""
     try:
         step.send(None)
     except StopIteration as end:
-        answer: ModbusPDU = end.value
-        return answer
+        response: ModbusPDU = end.value
+        return response
     step.close()
-    raise asyncio.InvalidStateError("the registers made somebody wait")
-
-
-def _device(
-    drive: EmulatedRailDrive, device_id: int, register_map: RegisterMap, identity: DriveIdentity, clock: WallClock
-) -> SimDevice:
-    """Return the register file of one drive; every access ends in ``drive``."""
-
-    def registers(block: RegisterBlock, values: list[int], readonly: bool) -> SimData:
-        return SimData(block.address, values=values, datatype=DataType.REGISTERS, readonly=readonly)
-
-    blocks = [
-        registers(register_map.command, [0] * register_map.command.count, readonly=False),
-        registers(register_map.state, [0] * register_map.state.count, readonly=True),
-        registers(register_map.identity, register_map.encode_identity(identity), readonly=True),
-    ]
-    simdata = sorted(blocks, key=lambda block: block.address)
-    return SimDevice(id=device_id, simdata=simdata, action=partial(_access, drive, register_map, clock))
-
-
-async def _access(
-    drive: EmulatedRailDrive,
-    register_map: RegisterMap,
-    clock: WallClock,
-    function: int,
-    start: int,
-    address: int,
-    count: int,
-    registers: list[int],
-    values: Sequence[int] | Sequence[bool] | None,
-) -> ExcCodes | None:
-    """Take a write, or bring the state block up to date before it is read (pymodbus calls this)."""
-    if values is None:
-        state = register_map.state
-        registers[state.address - start : state.address - start + state.count] = register_map.encode_state(
-            drive.state(clock.now_s())
-        )
-        return None
-    block = register_map.command
-    written = registers[block.address - start : block.address - start + block.count]
-    written[address - block.address : address - block.address + count] = [int(value) for value in values]
-    try:
-        command = register_map.decode_command(written)
-    except ValueError:
-        return ExcCodes.ILLEGAL_VALUE
-    drive.command(command, clock.now_s())
-    return None
+    raise asyncio.InvalidStateError("access to the registers was suspended")

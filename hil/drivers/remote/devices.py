@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.config.io import Io
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Turntable, Vmu
+from hil.config.rig import Rails, Turntable, Vmu
 from hil.core.clock import Clock
 from hil.core.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 from hil.drivers.axes import ServoAxes
-from hil.drivers.base import ANYWHERE_HIGH, ANYWHERE_LOW, accepted_setpoint, full_names
+from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
@@ -117,8 +117,7 @@ class RemoteAxes(_RemoteDevice):
 
     def __init__(self, name: str, config: Rails | Turntable, link: IoLink) -> None:
         super().__init__(name, link)
-        short = RAIL_NAMES if isinstance(config, Rails) else GIMBAL_NAMES
-        self.axis_names = full_names(name, short)
+        self.axis_names = full_names(name, config.axis_names)
         axes = ServoAxes(config)
         self._low, self._high, self._rate_max = axes.low, axes.high, axes.rate_max
         self._timeout_s = config.timeout_s
@@ -146,7 +145,7 @@ class RemoteAxes(_RemoteDevice):
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Send the newest setpoint; return the accepted position, or the measured one if the device is stopped."""
         self._check(now_s)
-        low, high = (ANYWHERE_LOW, ANYWHERE_HIGH) if self._kind == io_layout.JOGGED else (self._low, self._high)
+        low, high = setpoint_bounds(self._low, self._high, self._kind == io_layout.JOGGED)
         accepted = accepted_setpoint(self.axis_names, position, low, high)
         wanted_rate = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
         if self._stopped or self._kind == io_layout.GOAL:

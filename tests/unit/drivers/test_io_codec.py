@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.config.io import Io
-from hil.drivers.io.codec import Image, LineMap, answer, runs
+from hil.drivers.io.codec import Image, LineMap, respond, runs
 
 
 def image() -> Image:
@@ -51,21 +51,21 @@ REFUSED = [
 def test_requests_are_answered_as_in_the_transcript() -> None:
     memory = image()
     for request, expected in TRANSCRIPT:
-        assert answer(memory, bytes.fromhex(request)) == bytes.fromhex(expected), request
+        assert respond(memory, bytes.fromhex(request)) == bytes.fromhex(expected), request
 
 
 @pytest.mark.parametrize(("request_", "expected"), REFUSED)
 def test_what_cannot_be_done_is_refused_by_code_and_changes_nothing(request_: str, expected: str) -> None:
     memory = image()
-    assert answer(memory, bytes.fromhex(request_)) == bytes.fromhex(expected)
+    assert respond(memory, bytes.fromhex(request_)) == bytes.fromhex(expected)
     assert not any(memory.coils.values())
 
 
 @given(st.binary(min_size=1, max_size=300))
 def test_any_request_is_answered_and_creates_no_line(request_: bytes) -> None:
     memory = image()
-    answered = answer(memory, request_)
-    assert answered[0] & 0x7F == request_[0] & 0x7F
+    response = respond(memory, request_)
+    assert response[0] & 0x7F == request_[0] & 0x7F
     assert (len(memory.coils), memory.inputs) == (10, image().inputs)
 
 
@@ -86,6 +86,6 @@ def test_a_million_mutated_requests_are_answered() -> None:
         for _ in range(rng.randrange(4)):
             raw[rng.randrange(len(raw))] ^= rng.randrange(1, 256)
         cut = rng.randrange(1, len(raw) + 1) if rng.random() < 0.2 else len(raw)
-        answered = answer(memory, bytes(raw[:cut]))
-        assert 2 <= len(answered) <= 253
+        response = respond(memory, bytes(raw[:cut]))
+        assert 2 <= len(response) <= 253
     assert len(memory.coils) == 10

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from hil.config.rig import Rails, Turntable
-from hil.drivers.base import GIMBAL_NAMES, AxisGroup
+from hil.drivers.base import AxisGroup
 from hil.drivers.mock_axes import MockAxes
-from hil.drivers.rails.mock import MockRails
 from hil.errors import LinkLost, LinkTimeout, SafetyTrip
 
 CYCLE_S = 0.01
@@ -27,13 +26,13 @@ def rails_config() -> Rails:
     )
 
 
-def open_rails() -> MockRails:
-    rails = MockRails(rails_config())
+def open_rails() -> MockAxes:
+    rails = MockAxes("rails", rails_config())
     rails.open(0.0)
     return rails
 
 
-def drive(rails: MockRails, cycles: int) -> None:
+def drive(rails: MockAxes, cycles: int) -> None:
     for k in range(cycles):
         rails.send(np.array([6.0 + 0.002 * k, 0.001 * k, 0.5]), np.array([0.2, 0.1, 0.0]), k * CYCLE_S)
 
@@ -126,7 +125,7 @@ def test_injected_failure_comes_out_of_send_and_read() -> None:
 
 
 def test_closed_and_unopened_mocks_do_not_answer() -> None:
-    rails = MockRails(rails_config())
+    rails = MockAxes("rails", rails_config())
     rails.stop(0.0)
     with pytest.raises(LinkLost, match="is not open"):
         rails.read(0.0)
@@ -141,7 +140,7 @@ def test_turntable_moves_in_radians() -> None:
     axis = {"travel_deg": (-90.0, 90.0), "rate_max_degps": 30.0, "acceleration_max_degps2": 60.0}
     servo = {"gain_per_s": 10.0, "lag_s": 0.02}
     config = Turntable.model_validate({"driver": "mock", "servo": servo, "roll": axis, "pitch": axis, "yaw": axis})
-    table = MockAxes("turntable", GIMBAL_NAMES, config)
+    table = MockAxes("turntable", config)
     assert table.axis_names == ("turntable.roll", "turntable.pitch", "turntable.yaw")
     table.open(0.0)
     accepted = table.send(np.array([0.1, 2.0, 0.0]), np.zeros(3), 0.0)

@@ -35,7 +35,7 @@ def config(**changes: object) -> TargetManipulator:
 
 class Desk:
     def __init__(self) -> None:
-        self.axes = MockAxes("target", RAIL_NAMES, config())
+        self.axes = MockAxes("target", config())
         self.target = PlacedTarget(self.axes, config())
         self.rate = SimulatedRate(SimulatedClock(), 0.02)
         self.target.open(0.0)

@@ -10,13 +10,13 @@ import numpy as np
 
 from hil.config.load import load_protocol
 from hil.config.protocol import Protocol
-from hil.config.rig import AsciiTurntableLine, Turntable
+from hil.config.rig import GIMBAL_NAMES, AsciiTurntableLine, Turntable
 from hil.core.clock import Clock
 from hil.core.messages import Array, AxisFeedback, Homing
-from hil.drivers.base import GIMBAL_NAMES, full_names
+from hil.drivers.base import full_names
+from hil.drivers.cyclic_exchange import CyclicAxisGroup
 from hil.drivers.turntable.ascii.link import BURST, REPLY_S, AsciiTransport
 from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiCommand, AsciiProtocol, CommandRefused, Key, Value
-from hil.drivers.turntable.cyclic_exchange import CyclicTurntable
 from hil.errors import BadInput, BenchError, DeviceError, DriveFault, LinkTimeout, ProtocolError
 
 _SET_UP_WALL_S: Final = 2.0
@@ -33,8 +33,8 @@ class AsciiLink:
     each axis has its own.
     """
 
-    profiles = False
-    jogged = False
+    has_profiles = False
+    jogging = False
 
     def __init__(self, device: str, config: Turntable, line: AsciiTurntableLine, clock: Clock) -> None:
         self.device = device
@@ -106,7 +106,7 @@ class AsciiLink:
         for axis in range(3):
             values["position", axis] = float(position[axis])
             values["rate", axis] = float(rate[axis])
-        passive = self._stopped or not (self.jogged or all(known is Homing.DONE for known in self._homing))
+        passive = self._stopped or not (self.jogging or all(known is Homing.DONE for known in self._homing))
         self._wire.counts["exchanges"] += 1
         answer = self._perform("status", {}) if passive else self._perform("set", values)
         if answer is not None and not passive and not self._dialect.set_tells_all:
@@ -252,7 +252,7 @@ class AsciiLink:
         return Homing.FAILED if self._search_begun[axis] else Homing.NEEDED
 
 
-class AsciiTurntable(CyclicTurntable):
+class AsciiTurntable(CyclicAxisGroup):
     """Turntable on a serial port; ``config.ascii`` names port, baud rate and protocol file. Raises BadInput."""
 
     def __init__(self, config: Turntable, clock: Clock, name: str = "turntable") -> None:

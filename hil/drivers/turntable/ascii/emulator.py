@@ -11,11 +11,11 @@ from hil.config.rig import GIMBAL_NAMES, Turntable
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
+from hil.drivers.fault_injection import FaultyChannel
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.ascii.frames import BrokenLine
 from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiCommand, AsciiProtocol, CommandRefused, Key, Value
-from hil.drivers.turntable.faulty_channel import FaultyChannel
 from hil.errors import BadInput
 from hil.maths.random_streams import stream
 
@@ -49,7 +49,7 @@ class AsciiTurntableEmulator:
         self.dialect = AsciiProtocol(protocol)
         self.gimbals = EmulatedAxes(name, config, clock, board, chain_closed=chain_closed, seed=seed)
         self.faults = self.gimbals.faults
-        self._lane = FaultyChannel(self.faults, stream(seed, "wire"))
+        self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
         self.splitter = self.dialect.requests.splitter()
         self._enabled = [False, False, False]
         self._searching = [False, False, False]  # until the axis stands again
@@ -76,8 +76,8 @@ class AsciiTurntableEmulator:
             for request in self.splitter.feed(data) if data else ():
                 reply = self.answer(request)
                 if reply:
-                    self._lane.put(reply, self._clock.now_s())
-            for reply in self._lane.due(self._clock.now_s()):
+                    self._channel.put(reply, self._clock.now_s())
+            for reply in self._channel.due(self._clock.now_s()):
                 line.write(reply)
                 self._pass_time()
 

@@ -11,16 +11,16 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.rig import Cia402, Turntable
+from hil.config.rig import GIMBAL_NAMES, Cia402, Turntable
 from hil.core.clock import Clock
 from hil.core.messages import Array, AxisFeedback, Homing
-from hil.drivers.base import GIMBAL_NAMES, full_names
+from hil.drivers.base import full_names
+from hil.drivers.cyclic_exchange import CyclicAxisGroup
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.drivers.turntable.cia402.eds import Eds
 from hil.drivers.turntable.cia402.node import Node
 from hil.drivers.turntable.cia402.setup import DriveSetup, PortNetwork
-from hil.drivers.turntable.cyclic_exchange import CyclicTurntable
 from hil.errors import BadInput, DeviceError, LinkTimeout
 
 _ANSWER_S: Final = 0.04  # bench time within which the answers to one SYNC count
@@ -45,8 +45,8 @@ class Cia402Link:
         self._scale = wire.counts_per_turn
         axes = [getattr(config, name) for name in GIMBAL_NAMES]
         self._eds = Eds.of(wire, homing=any(axis.encoder == "incremental" for axis in axes))
-        self.profiles = self._eds.has_profiles
-        self.jogged = False
+        self.has_profiles = self._eds.has_profiles
+        self.jogging = False
         self._nodes = [
             Node(name, node_id, config, axis, wire, clock)
             for name, node_id, axis in zip(self.axis_names, wire.node_ids, axes, strict=True)
@@ -180,7 +180,7 @@ class Cia402Link:
     def _passes_setpoints(self) -> bool:
         if self._stopped or self._passive:
             return False
-        return self.jogged or all(node.homing is Homing.DONE for node in self._nodes)
+        return self.jogging or all(node.homing is Homing.DONE for node in self._nodes)
 
     def _send_controlwords(self, port: CanPort) -> None:
         for node in self._nodes:
@@ -238,7 +238,7 @@ class Cia402Link:
                 self._listening = True
 
 
-class Cia402Turntable(CyclicTurntable):
+class Cia402Turntable(CyclicAxisGroup):
     """Turntable on CAN; ``config.cia402`` names interface, channel, nodes, counts per turn and EDS. Raises BadInput."""
 
     def __init__(self, config: Turntable, clock: Clock, name: str = "turntable") -> None:

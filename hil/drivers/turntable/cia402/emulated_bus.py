@@ -12,12 +12,11 @@ import numpy as np
 
 from hil.config.rig import Cia402
 from hil.core.clock import WallClock
-from hil.drivers.fault_injection import Faults
+from hil.drivers.fault_injection import Faults, FaultyChannel
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.turntable.ascii.frames import crc16_ccitt
 from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.drivers.turntable.cia402.serial_can import Frame, SerialFrames, encode_serial
-from hil.drivers.turntable.faulty_channel import FaultyChannel
 
 _ALONE_AFTER_S = 1.0
 
@@ -42,7 +41,7 @@ class SerialStation:
 
     def __init__(self, bytes_per_s: float, clock: WallClock, faults: Faults, generator: np.random.Generator) -> None:
         self._faults = faults
-        self._lane = FaultyChannel(faults, generator)
+        self._channel = FaultyChannel(faults, generator)
         self._line = PtyLine(round(10.0 * bytes_per_s), clock)
         self.address = self._line.path
         self._frames = SerialFrames()
@@ -61,8 +60,8 @@ class SerialStation:
         now_s = self._clock.now_s()
         if now_s - self._heard_s < _ALONE_AFTER_S:
             for frame in frames:
-                self._lane.put(encode_serial(frame), now_s)
-        if arrived := self._lane.due(now_s):
+                self._channel.put(encode_serial(frame), now_s)
+        if arrived := self._channel.due(now_s):
             self._line.write(b"".join(arrived))
 
     def close(self) -> None:
@@ -74,7 +73,7 @@ class BusStation:
 
     def __init__(self, config: Cia402, clock: WallClock, faults: Faults, generator: np.random.Generator) -> None:
         self._faults = faults
-        self._lane = FaultyChannel(faults, generator)
+        self._channel = FaultyChannel(faults, generator)
         self._port = CanPort("turntable", config)
         self.address = str(config.channel)
         self._clock = clock
@@ -87,8 +86,8 @@ class BusStation:
         now_s = self._clock.now_s()
         for frame in frames:
             packet = encode_serial(frame)
-            self._lane.put(packet + crc16_ccitt(packet).to_bytes(2, "big"), now_s)
-        for packet in self._lane.due(now_s):
+            self._channel.put(packet + crc16_ccitt(packet).to_bytes(2, "big"), now_s)
+        for packet in self._channel.due(now_s):
             if crc16_ccitt(packet[:-2]).to_bytes(2, "big") == packet[-2:]:
                 self._port.send(*SerialFrames().feed(packet[:-2])[0])
 

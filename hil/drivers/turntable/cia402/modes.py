@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from hil.core.messages import Homing
+from hil.drivers.profiled_move import ProfiledMove, compile_profile
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.objects import ObjectDictionary
-from hil.drivers.turntable.profiled_move import ProfiledMove, compile_glide
 
 _BIT_4 = 0x10  # of the controlword: start
 _FOLLOWS = 0x1000  # statusword in cyclic synchronous position: the drive follows the target
@@ -57,10 +57,10 @@ class DriveMotion:
     def __init__(self, axis: AxisPort, objects: ObjectDictionary) -> None:
         self._axis = axis
         self._objects = objects
-        self._glide: ProfiledMove | None = None
+        self._profile: ProfiledMove | None = None
         self._goal = 0
         self._taken = False
-        compile_glide()
+        compile_profile()
 
     @property
     def mode(self) -> int:
@@ -68,7 +68,7 @@ class DriveMotion:
 
     def begin(self) -> None:
         """The drive was enabled, or its mode has changed: stay where the setpoint, or the axis, is."""
-        self._glide = None
+        self._profile = None
         self._taken = False
         if self.mode == codec.CYCLIC_SYNCHRONOUS_POSITION:
             self.follow()
@@ -100,8 +100,8 @@ class DriveMotion:
 
     def advance(self, now_s: float) -> None:
         """Go on along the profile."""
-        if self._glide is not None:
-            position, rate = self._glide.at(now_s)
+        if self._profile is not None:
+            position, rate = self._profile.at(now_s)
             self._axis.follow(round(position[0]), round(rate[0]), math.inf)
 
     def statusword(self) -> int:
@@ -110,7 +110,7 @@ class DriveMotion:
             stands = self._axis.homing() is Homing.DONE and not self._axis.moving()
             return _HOMING_WORD[self._axis.homing()] | codec.TARGET_REACHED * stands
         if self.mode == codec.PROFILE_POSITION:
-            there = self._glide is not None and abs(self._axis.feedback()[0] - self._goal) <= _CLOSE_COUNTS
+            there = self._profile is not None and abs(self._axis.feedback()[0] - self._goal) <= _CLOSE_COUNTS
             return codec.SETPOINT_TAKEN * self._taken | codec.TARGET_REACHED * there
         return _FOLLOWS
 
@@ -119,4 +119,4 @@ class DriveMotion:
         speed = np.array([float(self._objects.value(codec.PROFILE_VELOCITY))])
         acceleration = np.array([float(self._objects.value(codec.PROFILE_ACCELERATION))])
         start = np.array([float(self._axis.feedback()[0])])
-        self._glide = ProfiledMove(start, np.array([float(self._goal)]), speed, acceleration, now_s)
+        self._profile = ProfiledMove(start, np.array([float(self._goal)]), speed, acceleration, now_s)

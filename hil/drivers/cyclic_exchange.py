@@ -1,0 +1,269 @@
+"""Cyclic exchange of setpoints and feedback: thread and life cycle shared by drivers of three axes.
+
+The caller's side (``send``, ``read``) never blocks. The thread owns the link from ``open`` to ``close``: it exchanges
+when a setpoint arrives, and every PERIOD_S without one.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from hil.config.rig import AxisGroupTable
+from hil.core.clock import Clock
+from hil.core.messages import Array, AxisFeedback, Homing
+from hil.drivers.axes import ServoAxes
+from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
+from hil.drivers.latest import Latest
+from hil.drivers.profiled_move import ProfiledMove, compile_profile
+from hil.errors import DeviceError, LinkLost
+
+PERIOD_S = 0.02  # bench time between exchanges when no setpoints arrive
+_SETPOINT_DUE_S = 0.03  # after an exchange triggered by a setpoint: no exchange may delay the next setpoint
+_RATE_HOLD_S = 0.1  # age of a setpoint from which its position is kept and its rate dropped
+_STOP_WALL_S = 0.08  # longest wait of stop and close for the thread
+
+
+class ExchangeLink(Protocol):
+    """Link to three drives. Calls block for a bounded time; errors are DeviceErrors.
+
+    Positions and rates have shape (3,) and are in m and m/s, or rad and rad/s.
+    """
+
+    has_profiles: bool
+    """Whether ``move_to`` starts profiled moves of the drives."""
+    jogging: bool
+    """Whether setpoints are passed on while an axis is not homed; cleared before homing."""
+
+    def open(self) -> AxisFeedback:
+        """Connect, enable the drives at their present positions; return these."""
+
+    def exchange(self, position: Array, rate: Array) -> AxisFeedback | None:
+        """Send the setpoint; return feedback, None if it is incomplete.
+
+        After ``quick_stop`` and ``move_to``, and while an axis is neither homed nor jogged, the setpoint is not
+        passed on and feedback is read only.
+        """
+
+    def home(self) -> None:
+        """Start homing of the axes that are not homed; feedback reports the progress."""
+
+    def move_to(self, position: Array, rate: Array) -> None:
+        """Start profiled moves to ``position``, at most at ``rate``; called only if ``has_profiles``."""
+
+    def quick_stop(self) -> None:
+        """Command a quick stop that holds until the next ``open``."""
+
+    def close(self) -> None:
+        """Close the link. Idempotent."""
+
+    def counters(self) -> dict[str, int]:
+        """Return the counters since ``open``."""
+
+
+class CyclicAxisGroup:
+    """AxisGroup on an ``ExchangeLink``: rails (m, m/s) or turntable (rad, rad/s).
+
+    After ``stop``, and after homing has failed, the axes hold until the next ``open``, and ``send`` returns the
+    position that they hold. The same applies while an axis is not homed, and after ``move_to``.
+    """
+
+    def __init__(self, config: AxisGroupTable, clock: Clock, link: ExchangeLink, name: str) -> None:
+        self.name = name
+        self.axis_names = full_names(name, config.axis_names)
+        axes = ServoAxes(config)
+        self._low, self._high, self._rate_max = axes.low, axes.high, axes.rate_max
+        self._acceleration_max = axes.acceleration_max
+        self._timeout_s = config.timeout_s
+        self._clock = clock
+        self._link = link
+        self._box: Latest[AxisFeedback] = Latest(name)
+        self._box.fail(LinkLost(name, "is not open"))
+        self._thread: threading.Thread | None = None
+        self._wake = threading.Event()
+        self._closing = threading.Event()
+        self._stopping = threading.Event()
+        self._stopped = threading.Event()
+        self._homing_requested = threading.Event()
+        self._jogging = False
+        self._goal: tuple[Array, Array] | None = None
+        self._profile: ProfiledMove | None = None
+        self._setpoint: tuple[Array, Array, float] = (np.zeros(3), np.zeros(3), 0.0)
+
+    def open(self, now_s: float) -> None:
+        """Connect, enable the drives, hold the present position. Raises DeviceError."""
+        self.close()
+        if self._thread is not None and self._thread.is_alive():
+            raise LinkLost(self.name, "the previous link has not been closed yet")
+        self._box = Latest(self.name)
+        for event in (self._wake, self._closing, self._stopping, self._stopped, self._homing_requested):
+            event.clear()
+        self._goal = self._profile = None
+        self._jogging = self._link.jogging = False
+        accepted_setpoint(self.axis_names, self._low, self._low, self._high)  # compiles outside the cycle
+        compile_profile()
+        try:
+            feedback = self._link.open()
+        except DeviceError as error:
+            self._box.fail(error)
+            raise
+        self._setpoint = (feedback.position, np.zeros(3), now_s)
+        self._box.put(feedback, self._clock.now_s())
+        self._thread = threading.Thread(target=self._run, daemon=True, name=f"{self.name}-io")
+        self._thread.start()
+
+    def home(self, now_s: float) -> None:
+        """Start homing of each axis that is not homed; ``read`` reports the progress."""
+        self._box.check()
+        if not self._stopping.is_set():
+            self._homing_requested.set()
+            self._wake.set()
+
+    def set_jogging(self, on: bool) -> None:
+        """While on, accept setpoints for axes that are not homed, and do not limit them to the travel."""
+        feedback = self._box.peek()
+        if on and feedback is not None:
+            self._setpoint = (feedback.position.copy(), np.zeros(3), self._setpoint[2])
+            self._link.jogging = True  # stays set, so that the drives keep receiving a setpoint
+        self._jogging = on
+
+    def move_to(self, position: Array, rate: Array, now_s: float) -> Array:
+        """Move to ``position`` at most at ``rate`` and hold there; return the accepted goal.
+
+        Used for parking, by profiles of the drives if they have them. Returns at once; later setpoints are rejected
+        until the next ``open``. Errors as for ``send``.
+        """
+        self._box.check()
+        goal = accepted_setpoint(self.axis_names, position, self._low, self._high)
+        speed = accepted_setpoint(self.axis_names, np.abs(rate), np.zeros(3), self._rate_max, "rate")
+        feedback = self._box.peek()
+        if feedback is not None and self._rejects_setpoints(feedback):
+            return feedback.position.copy()
+        self._goal = (goal, speed)
+        self._wake.set()
+        return goal.copy()
+
+    def send(self, position: Array, rate: Array, now_s: float) -> Array:
+        """Set the newest setpoint; return the accepted position.
+
+        The position is limited to the travel and the rate to its limit; an axis limited in position gets rate 0.
+        Raises SafetyTrip for a value that is not finite, DeviceError once the link has failed.
+        """
+        self._box.check()
+        accepted = accepted_setpoint(self.axis_names, position, *setpoint_bounds(self._low, self._high, self._jogging))
+        accepted_rate = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
+        feedback = self._box.peek()
+        if feedback is not None and (self._goal is not None or self._rejects_setpoints(feedback)):
+            return feedback.position.copy()
+        self._setpoint = (accepted, np.where(accepted == position, accepted_rate, 0.0), now_s)
+        self._wake.set()
+        return accepted.copy()
+
+    def read(self, now_s: float) -> AxisFeedback:
+        """Return the newest feedback. Raises LinkTimeout if it is older than ``timeout_s``."""
+        feedback = self._box.get(now_s, self._timeout_s)
+        if self._homing_requested.is_set():  # not started yet
+            first, second, third = (
+                Homing.DONE if state is Homing.DONE else Homing.UNDER_WAY for state in feedback.homing
+            )
+            return replace(feedback, homing=(first, second, third))
+        return feedback
+
+    def counters(self) -> dict[str, int]:
+        """Return the counters of the link since ``open``."""
+        return self._link.counters()
+
+    def stop(self, now_s: float) -> None:
+        """Quick stop; the axes hold until the next ``open``."""
+        self._stopping.set()
+        self._wake.set()
+        if self._thread is not None:
+            self._stopped.wait(_STOP_WALL_S)
+
+    def close(self) -> None:
+        """Quick stop unless already stopped, then close the link."""
+        self._closing.set()
+        self._wake.set()
+        if self._thread is not None:
+            self._thread.join(_STOP_WALL_S)
+        self._box.fail(LinkLost(self.name, "is closed"))
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except DeviceError as error:
+            self._fail(error)
+        except Exception as error:  # any error that ends the thread is reported to the cycle
+            lost = LinkLost(self.name, f"link failed: {error!r}")
+            lost.__cause__ = error
+            self._fail(lost)
+        finally:
+            self._stopped.set()
+            self._link.close()
+
+    def _serve(self) -> None:
+        triggered = False
+        while not self._closing.is_set():
+            started_s = self._clock.now_s()
+            if self._stopping.is_set() and not self._stopped.is_set():
+                self._link.quick_stop()
+                self._stopped.set()
+            homing = self._homing_requested.is_set() and not self._stopped.is_set()
+            if homing:
+                self._link.jogging = False
+                self._link.home()
+            feedback = self._link.exchange(*self._next_setpoint(started_s))
+            if feedback is not None:
+                self._update(feedback)
+                if homing:
+                    self._homing_requested.clear()
+            triggered = self._wait(started_s + (_SETPOINT_DUE_S if triggered else PERIOD_S))
+        if not self._stopped.is_set():
+            self._link.quick_stop()
+
+    def _next_setpoint(self, now_s: float) -> tuple[Array, Array]:
+        """Return the position and rate due now."""
+        position, rate, sent_s = self._setpoint
+        if self._goal is not None and not self._stopped.is_set():
+            if self._profile is None:
+                self._profile = ProfiledMove(position, *self._goal, self._acceleration_max, now_s)
+                if self._link.has_profiles:
+                    self._link.move_to(*self._goal)
+            return self._profile.at(now_s)
+        return position, rate if now_s - sent_s <= _RATE_HOLD_S else np.zeros(3)
+
+    def _update(self, feedback: AxisFeedback) -> None:
+        before = self._box.peek()
+        if before is not None and not _all_homed(before) and not self._link.jogging:
+            # homing moves the zero: an earlier setpoint would refer to the old one
+            self._setpoint = (feedback.position.copy(), np.zeros(3), feedback.t_s)
+        if Homing.FAILED in feedback.homing:
+            self._stopping.set()
+        self._box.put(feedback, feedback.t_s)
+
+    def _rejects_setpoints(self, feedback: AxisFeedback) -> bool:
+        if self._stopping.is_set() or self._homing_requested.is_set():
+            return True
+        return not (self._jogging or _all_homed(feedback))
+
+    def _wait(self, until_s: float) -> bool:
+        """Wait for the next setpoint, at most until ``until_s``; return whether one arrived."""
+        left_s = (until_s - self._clock.now_s()) / self._clock.speed
+        triggered = self._wake.wait(max(0.0, left_s))
+        self._wake.clear()
+        return triggered
+
+    def _fail(self, error: DeviceError) -> None:
+        """Report ``error`` to the cycle, and try to stop the drives."""
+        self._box.fail(error)
+        try:
+            self._link.quick_stop()
+        except Exception as second:  # a consequence of the first error
+            error.add_note(f"the quick stop after it could not be sent: {second}")
+
+
+def _all_homed(feedback: AxisFeedback) -> bool:
+    return all(state is Homing.DONE for state in feedback.homing)
