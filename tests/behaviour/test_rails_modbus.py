@@ -249,7 +249,7 @@ def test_device_that_is_not_open_does_not_answer(bench: Bench) -> None:
 
 def test_missing_port_is_bad_input() -> None:
     with pytest.raises(BadInput, match=r"rails\.modbus\.x\.port"):
-        ModbusRails(config(), WallClock())
+        config().make_driver(WallClock(), "rails")
 
 
 def test_nobody_listening_is_told_with_the_address(bench: Bench) -> None:

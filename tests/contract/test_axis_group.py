@@ -7,29 +7,26 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 from hil.config.load import load_rig
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, AsciiTurntableLine, Cia402, Modbus, ModbusAxis, Rails, Turntable
+from hil.config.rig import RAIL_NAMES, AsciiTurntableLine, AxisGroupTable, Modbus, ModbusAxis, Rails, Turntable
 from hil.core.clock import SimulatedClock, WallClock
+from hil.drivers.axes import ServoAxes
 from hil.drivers.base import AxisGroup, Jogs
 from hil.drivers.mock_axes import MockAxes
-from hil.drivers.rails.driver import ModbusRails
-from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
 from hil.drivers.remote.devices import IoLink, RemoteAxes
 from hil.drivers.remote.io_layout import IO, IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
 from hil.drivers.shared_state import SharedAxisState
-from hil.drivers.turntable.ascii.driver import AsciiTurntable
-from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
-from hil.drivers.turntable.cia402.driver import Cia402Turntable
-from hil.drivers.turntable.cia402.emulator import Cia402Emulator
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, SafetyTrip
 from hil.processes.io_server import IoServer
+from tests.support import example_driver
 
 pytestmark = pytest.mark.wires
 
@@ -61,16 +58,13 @@ class Backend:
         return reached()
 
 
-def _travel(config: Rails | Turntable) -> tuple[np.ndarray, np.ndarray]:
-    if isinstance(config, Rails):
-        travel = np.array([getattr(config, name).travel_m for name in RAIL_NAMES])
-    else:
-        travel = np.radians([getattr(config, name).travel_deg for name in GIMBAL_NAMES])
-    return travel[:, 0], travel[:, 1]
+def _travel(config: AxisGroupTable) -> tuple[np.ndarray, np.ndarray]:
+    axes = ServoAxes(config)
+    return axes.low, axes.high
 
 
 @contextmanager
-def _mock(config: Rails | Turntable) -> Iterator[Backend]:
+def _mock(config: AxisGroupTable) -> Iterator[Backend]:
     clock = SimulatedClock()
     device = MockAxes(config.device, config)
 
@@ -81,18 +75,14 @@ def _mock(config: Rails | Turntable) -> Iterator[Backend]:
 
 
 @contextmanager
-def _on_wires(
-    config: Rails | Turntable,
-    make_emulator: Callable[..., Any],
-    wire: Callable[[dict[str, str]], Rails | Turntable],
-    make_driver: Callable[..., AxisGroup],
-) -> Iterator[Backend]:
+def _on_wires(config: AxisGroupTable) -> Iterator[Backend]:
+    """The selected driver against its emulator, both from the registry of drivers."""
     clock, board, stop = WallClock(speed=SPEED), SharedAxisState.create(), threading.Event()
-    emulator = make_emulator(config, clock, board)
-    wired = wire(emulator.start())
+    emulator = config.make_emulator(clock, board, name=config.device)
+    wired = config.connected(config.device, emulator.start())
     thread = threading.Thread(target=emulator.run, args=(stop,))
     thread.start()
-    device = make_driver(wired, clock)
+    device = wired.make_driver(clock, config.device)
     try:
         yield Backend(device, clock.now_s, lambda s: clock.sleep_until(clock.now_s() + s), *_travel(config))
     finally:
@@ -104,7 +94,7 @@ def _on_wires(
 
 
 @contextmanager
-def _behind_the_io_process(config: Rails | Turntable) -> Iterator[Backend]:
+def _behind_the_io_process(config: AxisGroupTable) -> Iterator[Backend]:
     """The loop's side over shared memory; the host's work is done in a thread, the drives are mocks."""
     clock, stop = WallClock(speed=SPEED), threading.Event()
     here, there = socket.socketpair()
@@ -140,71 +130,54 @@ def _pass(device: RemoteAxes, clock: WallClock, seconds: float) -> None:
         clock.sleep_until(min(end_s, clock.now_s() + 0.02))
 
 
-def _wire_rails(addresses: dict[str, str], rails: Rails = RIG.rails) -> Rails:
-    axes = {name: ModbusAxis(port=int(addresses[f"rails.{name}"].rpartition(":")[2])) for name in RAIL_NAMES}
-    return rails.model_copy(update={"modbus": Modbus(**axes)})
-
-
-def _wire_shared(addresses: dict[str, str]) -> Rails:
-    """All three drives behind one gateway."""
-    port = int(addresses["rails.x"].rpartition(":")[2])
-    assert {address.rpartition(":")[2] for address in addresses.values()} == {str(port)}
-    axes = {name: ModbusAxis(port=port, device_id=7 + i) for i, name in enumerate(RAIL_NAMES)}
-    return RIG.rails.model_copy(update={"modbus": Modbus(**axes)})
-
-
-def _wire_rtu(addresses: dict[str, str]) -> Rails:
-    assert RTU_RAILS.rtu is not None
-    wire = {"port": addresses["rails"], "parity": "none"}  # a pseudo terminal has no parity
-    return RTU_RAILS.model_copy(update={"rtu": RTU_RAILS.rtu.model_copy(update=wire)})
-
-
-def _wire_can(addresses: dict[str, str], turntable: Turntable = RIG.turntable) -> Turntable:
-    return turntable.model_copy(update={"cia402": Cia402(channel=addresses["turntable"])})
-
-
-def _ascii(protocol: str, turntable: Turntable = RIG.turntable) -> Any:
-    def wired(port: str | None) -> Turntable:
-        return turntable.model_copy(
-            update={"driver": "ascii", "ascii": AsciiTurntableLine(port=port, protocol=protocol)}
-        )
-
-    return _on_wires(
-        wired(None), AsciiTurntableEmulator, lambda addresses: wired(addresses["turntable"]), AsciiTurntable
-    )
+def _ascii(protocol: str, turntable: Turntable = RIG.turntable) -> Turntable:
+    return turntable.model_copy(update={"driver": "ascii", "ascii": AsciiTurntableLine(protocol=protocol)})
 
 
 BACKENDS: dict[str, Callable[[], Any]] = {
     "rails-mock": lambda: _mock(RIG.rails),
-    "rails-modbus": lambda: _on_wires(RIG.rails, RailsEmulator, _wire_rails, ModbusRails),
-    "rails-modbus-gateway": lambda: _on_wires(GATEWAY, RailsEmulator, _wire_shared, ModbusRails),
-    "rails-modbus-rtu": lambda: _on_wires(RTU_RAILS, RtuRailsEmulator, _wire_rtu, ModbusRails),
+    "rails-modbus": lambda: _on_wires(RIG.rails),
+    "rails-modbus-gateway": lambda: _on_wires(GATEWAY),
+    "rails-modbus-rtu": lambda: _on_wires(RTU_RAILS),
+    "rails-of-another-package": lambda: _on_wires(load_rig(example_driver.RIG).value.rails),
     "turntable-mock": lambda: _mock(RIG.turntable),
-    "turntable-cia402": lambda: _on_wires(RIG.turntable, Cia402Emulator, _wire_can, Cia402Turntable),
+    "turntable-cia402": lambda: _on_wires(RIG.turntable),
     "rails-remote": lambda: _behind_the_io_process(RIG.rails),
     "turntable-remote": lambda: _behind_the_io_process(RIG.turntable),
-    "turntable-hil-ascii": lambda: _ascii("hil-ascii"),
-    "turntable-acu": lambda: _ascii("acu"),
+    "turntable-hil-ascii": lambda: _on_wires(_ascii("hil-ascii")),
+    "turntable-acu": lambda: _on_wires(_ascii("acu")),
 }
 
 
-def _incremental(config: Rails | Turntable, names: tuple[str, str, str]) -> Any:
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run each test on all backends, or on rails and turntable of the rig file given by --rig."""
+    if "backend" not in metafunc.fixturenames:
+        return
+    rig_file = metafunc.config.getoption("--rig", default=None)
+    if rig_file is None:
+        metafunc.parametrize("backend", [pytest.param(make, id=name) for name, make in BACKENDS.items()], indirect=True)
+        return
+    rig = load_rig(rig_file).value
+    tables = {"rails": rig.rails, "turntable": rig.turntable}
+    made = [pytest.param(partial(_on_wires, table), id=name) for name, table in tables.items() if table.has_wires]
+    metafunc.parametrize("backend", made, indirect=True)
+
+
+def _incremental(config: AxisGroupTable) -> Any:
     """Return ``config`` with axes that do not know their places when their drives are switched on."""
     return config.model_copy(
-        update={name: getattr(config, name).model_copy(update={"encoder": "incremental"}) for name in names}
+        update={name: getattr(config, name).model_copy(update={"encoder": "incremental"}) for name in config.axis_names}
     )
 
 
-LOST_RAILS: Rails = _incremental(RIG.rails, RAIL_NAMES)
-LOST_TURNTABLE: Turntable = _incremental(RIG.turntable, GIMBAL_NAMES)
+LOST_RAILS: Rails = _incremental(RIG.rails)
+LOST_TURNTABLE: Turntable = _incremental(RIG.turntable)
 LOST_BACKENDS: dict[str, Callable[[], Any]] = {
     "rails-mock": lambda: _mock(LOST_RAILS),
-    "rails-modbus": lambda: _on_wires(LOST_RAILS, RailsEmulator, lambda a: _wire_rails(a, LOST_RAILS), ModbusRails),
-    "turntable-cia402": lambda: _on_wires(
-        LOST_TURNTABLE, Cia402Emulator, lambda a: _wire_can(a, LOST_TURNTABLE), Cia402Turntable
-    ),
-    "turntable-hil-ascii": lambda: _ascii("hil-ascii", LOST_TURNTABLE),
-    "turntable-acu": lambda: _ascii("acu", LOST_TURNTABLE),
+    "rails-modbus": lambda: _on_wires(LOST_RAILS),
+    "turntable-cia402": lambda: _on_wires(LOST_TURNTABLE),
+    "turntable-hil-ascii": lambda: _on_wires(_ascii("hil-ascii", LOST_TURNTABLE)),
+    "turntable-acu": lambda: _on_wires(_ascii("acu", LOST_TURNTABLE)),
 }
 
 
@@ -231,9 +204,9 @@ def test_axes_that_are_not_homed_move_only_while_they_are_jogged(name: str) -> N
         device.set_jogging(False)
 
 
-@pytest.fixture(params=sorted(BACKENDS))
+@pytest.fixture
 def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
-    with BACKENDS[request.param]() as made:
+    with request.param() as made:
         yield made
 
 

@@ -1,0 +1,26 @@
+"""The package of examples/driver_python, installed for a test: its folder with the metadata that pip writes."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parents[2] / "examples" / "driver_python"
+RIG = str(FOLDER / "rig.toml")
+
+
+def install(target: Path) -> Path:
+    """Install the package in ``target``; return the folder to be put on the path."""
+    project = tomllib.loads((FOLDER / "pyproject.toml").read_text())["project"]
+    name, version = project["name"], project["version"]
+    info = target / f"{name.replace('-', '_')}-{version}.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    points = [
+        line
+        for group, entries in project["entry-points"].items()
+        for line in (f"[{group}]", *(f"{key} = {value}" for key, value in entries.items()))
+    ]
+    (info / "entry_points.txt").write_text("\n".join(points) + "\n")
+    (target / "acme_rails").symlink_to(FOLDER / "acme_rails")
+    return target

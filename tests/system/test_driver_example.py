@@ -1,0 +1,36 @@
+"""The driver of another package, examples/driver_python: a run in closed loop on its emulator."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support import example_driver
+from tests.support.run_settings import NEAR, UNHURRIED, typed
+
+pytestmark = pytest.mark.wires
+
+
+def run(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run hil with the package of the example installed."""
+    path = os.pathsep.join((str(example_driver.install(tmp_path / "site")), *sys.path))
+    command = [sys.executable, "-m", "hil", *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=200, check=False, env={**os.environ, "PYTHONPATH": path}
+    )
+
+
+def test_approach_passes_on_a_driver_that_an_entry_point_provides(tmp_path: Path) -> None:
+    result_file = tmp_path / "run.json"
+    options = ("--rig", example_driver.RIG, "--duration", "12", "--json", str(result_file))
+    done = run(tmp_path, "run", "scheme-1", *options, *typed(*NEAR, *UNHURRIED))
+    assert done.returncode == 0, done.stdout + done.stderr
+    result = json.loads(result_file.read_text())
+    assert result["rig"] == "acme"
+    assert result["vision"]["frames"] > 50
+    assert max(result["bench"]["rail_error_max_m"]) < 0.005
