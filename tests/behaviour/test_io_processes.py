@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_rig
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES
+from hil.config.rig import RAIL_NAMES
 from hil.core.clock import WallClock
 from hil.core.messages import AxisFeedback, Homing, PoseFrame
 from hil.drivers.axes import ServoAxes
@@ -126,8 +126,8 @@ def sides() -> Iterator[Sides]:
     here, there = socket.socketpair()
     memory = IoSharedMemory.create()
     axes = {
-        "rails": StoppableAxes("rails", RAIL_NAMES, RIG.rails),
-        "turntable": StoppableAxes("turntable", GIMBAL_NAMES, RIG.turntable),
+        "rails": StoppableAxes("rails", RIG.rails),
+        "turntable": StoppableAxes("turntable", RIG.turntable),
     }
     unit = ScriptedVmu()
     host = IoServer(dict(axes), unit, memory, there, clock)

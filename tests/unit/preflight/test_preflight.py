@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_rig, load_scenario
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.rig import RAIL_NAMES, AxisGroupTable, Rig
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.mock_axes import MockAxes
@@ -191,8 +191,8 @@ def test_host_that_no_name_server_knows_is_named(tmp_path: Path, monkeypatch: py
 class Telltale(MockAxes):
     """Axes that tell what was done to them."""
 
-    def __init__(self, name: str, names: tuple[str, str, str], config: object) -> None:
-        super().__init__(name, names, config)  # type: ignore[arg-type]
+    def __init__(self, name: str, config: AxisGroupTable) -> None:
+        super().__init__(name, config)
         self.done: list[str] = []
 
     def open(self, now_s: float) -> None:
@@ -211,8 +211,8 @@ class Telltale(MockAxes):
 @pytest.fixture
 def bench(mock_rig: Rig) -> tuple[Telltale, Telltale, MockVmu]:
     pose = PoseFrame(1, 0.0, 0.0, np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6))
-    rails = Telltale("rails", RAIL_NAMES, mock_rig.rails)
-    turntable = Telltale("turntable", GIMBAL_NAMES, mock_rig.turntable)
+    rails = Telltale("rails", mock_rig.rails)
+    turntable = Telltale("turntable", mock_rig.turntable)
     return rails, turntable, MockVmu(mock_rig.vmu, lambda t_s: replace(pose, t_s=t_s))
 
 
