@@ -34,7 +34,7 @@ from hil.gnc_backends.udp import gnc_link
 from hil.loop.rate_keeper import WallClockRate
 from hil.session import build
 from hil.session.warm_up import warm_up
-from hil.setup.udp_backend import remote_gnc
+from hil.setup.gnc_setup import make_udp_gnc
 
 THERE, BACK = 32 + GNC_INPUT.itemsize, 32 + GNC_OUTPUT.itemsize
 PORTS = {"link": 24701, "plain": 24702, "pyzmq": 24703, "loop": 24704}
@@ -177,16 +177,16 @@ def ping_loop(hosts: Hosts, rate_hz: float, count: int, to: Trips) -> None:
     job = build.Job(scenario, load_rig("mock", settings), 0, (count - 1) * step_s, speed, paced=True)
     warm_up(job)
     link = gnc_link("bench", (hosts.here, PORTS["loop"]), None)
-    seat = remote_gnc(scenario.value, link, job.rig.value.gnc_link, False, 1.0 / rate_hz)
+    gnc = make_udp_gnc(scenario.value, link, job.rig.value.gnc_link, False, 1.0 / rate_hz)
     with far_side("loop", hosts):
-        seat.connect(120.0)
-        with build.runner(replace(job, seat=lambda _: seat)) as runner:
+        gnc.connect(120.0)
+        with build.runner(replace(job, make_backend=lambda _: gnc)) as runner:
             outcome = runner.run()
     if outcome.faults:
         print(f"the run of the loop ended early: {outcome.stop}")
-    to.trips_us.append(1e6 * np.array([trip for trip in seat.account._round_trips_s if trip == trip]))
+    to.trips_us.append(1e6 * np.array([trip for trip in gnc.account._round_trips_s if trip == trip]))
     to.late_us.append(1e6 * outcome.history["lateness_s"])
-    to.missing += seat.account.coasted + seat.account.closed
+    to.missing += gnc.account.coasted + gnc.account.closed
     link.close()
 
 

@@ -81,7 +81,7 @@ def dss(
     from hil.frmn.udp import shown
     from hil.gnc_backends.udp import gnc_link
     from hil.session import build
-    from hil.setup.udp_backend import mirror_of, remote_gnc
+    from hil.setup.gnc_setup import make_udp_gnc, mirror_of
 
     length_s = loaded.value.duration_s if options.duration is None else options.duration
     paced = is_mock and not lock_step
@@ -92,7 +92,7 @@ def dss(
             build.check(job)
         compile_kernels_with_notice(job, console)
         period_s = loaded.value.step_s / options.speed if paced or not is_mock else None
-        backend = remote_gnc(loaded.value, link, loaded_rig.value.gnc_link, lock_step, period_s)
+        backend = make_udp_gnc(loaded.value, link, loaded_rig.value.gnc_link, lock_step, period_s)
         where = f"the GNC at {shown(peer)}" if peer else f"a GNC on {shown(link.address)}"
         console.print(f"waiting for {where}", style="dim", highlight=False, soft_wrap=True)
         console.print(f"flown by {backend.connect(wait_s)}", style="dim", highlight=False, soft_wrap=True, markup=False)
@@ -106,7 +106,7 @@ def dss(
         def link_stats() -> dict[str, Any]:
             return {"gnc_link": backend.account.as_json()}
 
-        job = replace(job, seat=lambda _: backend)
+        job = replace(job, make_backend=lambda _: backend)
         return run_job(RunRequest(job, rig, console, json, record, {}, operator, attach, link_stats))
     finally:
         link.close("the bench has ended")

@@ -42,7 +42,7 @@ class WallClock:
         return self.epoch_ns + round(t_s / self.speed * 1e9)
 
     def wall_s(self, duration_s: float) -> float:
-        """Return the wall time, s, of ``duration_s`` of bench time."""
+        """Return ``duration_s`` of bench time in s of wall time."""
         return duration_s / self.speed
 
     def sleep_until(self, t_s: float) -> None:

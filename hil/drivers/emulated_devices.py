@@ -17,11 +17,11 @@ _READY_WALL_S = 60.0  # the first start compiles
 class EmulatedDevices:
     """Starts an emulator process for each device of ``rig`` and keeps them until ``close``.
 
-    pictures: where a rendered vision unit puts its images; None: nowhere.
+    images: memory for those of a rendered vision unit; None: not sent.
     """
 
     def __init__(
-        self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int, pictures: PictureMemory | None = None
+        self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int, images: PictureMemory | None = None
     ) -> None:
         self.board = SharedAxisState.create()
         self._rig = rig
@@ -34,15 +34,15 @@ class EmulatedDevices:
             "board": self.board.descriptor,
         }
         self._processes: dict[str, ChildProcess] = {}
-        self._sends_images = "vmu" if pictures else ""
+        self._sends_images = "vmu" if images else ""
         try:
             for device in _devices(rig):
-                images = pictures if device == "vmu" else None
+                memory = images if device == "vmu" else None
                 self._processes[device] = ChildProcess(
                     f"{device} emulator",
                     "hil.processes.emulators",
-                    {**configuration, "device": device, "pictures": images},
-                    (self.board.descriptor, *(images.descriptors if images else ())),
+                    {**configuration, "device": device, "images": memory},
+                    (self.board.descriptor, *(memory.descriptors if memory else ())),
                 )
         except BaseException:
             self.close()

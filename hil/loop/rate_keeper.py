@@ -36,7 +36,7 @@ class Rate(Protocol):
     skipped_periods: int
     """Periods in which no cycle started, because an earlier one was still running."""
     paced: bool
-    """Whether cycles have deadlines on the wall clock."""
+    """Whether cycles have deadlines in real time."""
 
     def now_s(self) -> float:
         """Return bench time."""

@@ -1,4 +1,4 @@
-"""Docking monitor process of a run on the wall clock: rendered camera and monitor, fed by the loop's telemetry.
+"""Docking monitor process of a paced run: rendered camera and monitor, fed by the loop's telemetry.
 
 ``python -m hil.processes.docking_monitor`` is started by ``MonitorProcess``.
 """

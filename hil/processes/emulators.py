@@ -72,7 +72,7 @@ def make_emulator(configuration: Message) -> Emulator:
     if device == "io":
         emulator = table.make_emulator(clock, board.write_chain, seed=seed)
     elif device == "vmu":
-        emulator = _vision_unit(table, scenario, rig, clock, seed, board, configuration["pictures"])
+        emulator = _vision_unit(table, scenario, rig, clock, seed, board, configuration["images"])
     else:
         emulator = table.make_emulator(clock, board, seed=seed, name=device)
     return emulator

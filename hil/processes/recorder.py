@@ -1,4 +1,4 @@
-"""Recorder process of a run on the wall clock.
+"""Recorder process of a paced run.
 
 ``python -m hil.processes.recorder`` is started by ``hil.recording.session``. It outlives its parent: the file of a run
 whose process has died is closed in order.

@@ -187,7 +187,7 @@ def telemetry_ring(taps: RecordingSinks | None) -> Iterator[Ring]:
     """Give the ring of CYCLE that other processes read; a recording has its own."""
     if taps:
         if not isinstance(taps.cycles, Ring):
-            raise TypeError("a bench on the wall clock is recorded by another process, from a ring")
+            raise TypeError("a paced run is recorded by another process, from a ring")
         yield taps.cycles
         return
     ring = Ring.create(CYCLE, TELEMETRY_ROWS)
@@ -208,7 +208,7 @@ def in_memory(
 ) -> Runner:
     """Return a Runner of ``job`` on mocks of any rig's devices, timed by ``rate``.
 
-    images: sink of a rendered vision unit's images; with a ``rate`` on the wall clock it must not wait.
+    images: sink of a rendered vision unit's images; with a paced ``rate`` it must not wait.
     """
     devices = mocks(job.truth, job.rig.value, job.seed, images)
     return assemble(job, job.rig.value, rate, devices, RunContext(operator, on_progress, scheduling, telemetry))

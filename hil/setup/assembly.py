@@ -80,7 +80,7 @@ class Job:
     """A run to do.
 
     dispersed: the true scenario, if it differs from the nominal one that guidance, navigation and control are designed
-    for. seat: makes the GNC backend, instead of the scenario's. paced: a mock rig runs on the wall clock.
+    for. make_backend: makes the GNC backend instead of the scenario's. paced: a mock rig runs in real time.
     """
 
     scenario: Loaded[Scenario]
@@ -89,7 +89,7 @@ class Job:
     duration_s: float
     speed: float
     dispersed: Scenario | None = None
-    seat: Callable[[Scenario], GncBackend] | None = None
+    make_backend: Callable[[Scenario], GncBackend] | None = None
     paced: bool = False
 
     @property
@@ -146,8 +146,8 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
 def _backend(job: Job, rig: Rig, rate: Rate) -> GncBackend:
     """Return the GNC backend: the job's, the rig's flight computer, or the scenario's, in this order."""
     scenario, computer = job.scenario.value, rig.flight_computer
-    if job.seat is not None:
-        return job.seat(scenario)
+    if job.make_backend is not None:
+        return job.make_backend(scenario)
     if computer.command_words == "none":
         return make_backend(scenario)
     return CommandWordGnc(

@@ -147,7 +147,7 @@ def monitor_recorded(
 class MonitorProcess:
     """The docking monitor in a child process; start it from a thread that lives as long as the bench.
 
-    telemetry: ring of CYCLE that it reads. images, portions: rings of PICTURE and PORTION that it fills.
+    telemetry: ring of CYCLE that it reads. images, portions: rings of ``PICTURE`` and ``PORTION`` that it fills.
     """
 
     def __init__(

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.config.gnc_link import GncLink
 from hil.config.scenario import Scenario
 from hil.core.gnc_records import GNC_SETUP
 from hil.core.messages import new
+from hil.frmn.link import Link
+from hil.frmn.mirror import Mirror
+from hil.gnc.filter_monitor import FilterMonitor
 from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.gnc_backends.external import BackendSetup
+from hil.gnc_backends.udp import UdpGnc
+from hil.loop.runner import Runner
 from hil.maths import euler
 from hil.params import gnc as gnc_params
 
@@ -47,3 +53,15 @@ def backend_setup(scenario: Scenario) -> BackendSetup:
         gnc_params.allocation(scenario.chaser)[0],
         ApproachEventLog(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
     )
+
+
+def make_udp_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None) -> UdpGnc:
+    """Return the backend of a GNC at the other end of ``link``. period_s: wall-clock period of a cycle, if paced."""
+    monitor = FilterMonitor(gnc_params.navigation(scenario), None)
+    return UdpGnc(link, config, lock_step, period_s, monitor, backend_setup(scenario))
+
+
+def mirror_of(runner: Runner, link: Link) -> Mirror:
+    """Return the telemetry of ``runner`` with a copy to ``link``, for the mailboxes that its peer has requested."""
+    modes, rate = runner.safety.modes, runner.rate
+    return Mirror(runner.loop.telemetry, link, lambda: modes.mode.value, lambda: rate.overruns)

@@ -22,7 +22,7 @@ from hil.loop.runner import Outcome
 from hil.processes.gnc_server import GncServer, gnc_side
 from hil.session import build
 from hil.session.warm_up import warm_up
-from hil.setup.udp_backend import mirror_of, remote_gnc
+from hil.setup.gnc_setup import make_udp_gnc, mirror_of
 
 LOCAL: Address = (LOOPBACK, 0)
 
@@ -66,7 +66,7 @@ class Split:
     """A bench whose GNC is elsewhere."""
 
     job: build.Job
-    seat: UdpGnc
+    gnc: UdpGnc
     link: Link
     operator: AutoResumeOperator | None = None
     loop: Loop | None = None
@@ -78,12 +78,12 @@ class Split:
 
     def fly(self) -> Outcome:
         """Wait for the GNC, then run."""
-        self.seat.connect(60.0)
+        self.gnc.connect(60.0)
         with build.runner(self.job, operator=self.operator) as runner:
             if self.operator is not None:
                 self.operator.mode = lambda: runner.safety.modes.mode
             self.loop = loop = runner.loop
-            loop.telemetry = _Each(mirror_of(runner, self.link), lambda: self.each_cycle(self.seat.cycle))
+            loop.telemetry = _Each(mirror_of(runner, self.link), lambda: self.each_cycle(self.gnc.cycle))
             send = loop.bench._send
 
             def spy(now_s: float, setpoint: np.record) -> None:
@@ -100,7 +100,7 @@ class Split:
         return float(change[:, :3].max()), float(change[:, 3:].max())
 
     def account(self) -> dict[str, Any]:
-        return self.seat.account.as_json()
+        return self.gnc.account.as_json()
 
 
 @contextmanager
@@ -121,7 +121,7 @@ def split_bench(
     link = gnc_link("test dss", None if peer else LOCAL, peer)
     period_s = None if lock_step else scenario.value.step_s / speed
     try:
-        seat = remote_gnc(scenario.value, link, rig.value.gnc_link, lock_step, period_s)
-        yield Split(replace(job, seat=lambda _: seat), seat, link, operator)
+        gnc = make_udp_gnc(scenario.value, link, rig.value.gnc_link, lock_step, period_s)
+        yield Split(replace(job, make_backend=lambda _: gnc), gnc, link, operator)
     finally:
         link.close()

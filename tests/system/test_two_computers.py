@@ -95,7 +95,7 @@ def test_bench_that_nobody_answers_says_where_it_waited() -> None:
         split_bench("scheme-1", 1.0) as bench,
         pytest.raises(LinkTimeout, match=r"gnc: none has answered 127\.0\.0\.1:\d+ within 0\.1 s"),
     ):
-        bench.seat.connect(0.1)
+        bench.gnc.connect(0.1)
 
 
 @pytest.mark.parametrize(

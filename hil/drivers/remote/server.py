@@ -118,7 +118,7 @@ class DeviceServer:
         """Act on the opening of a device, before the request is answered."""
 
     def silence_s(self, sender: str, now_s: float) -> float:
-        """Return the wall time, s, since the last heartbeat of ``sender``; 0 while none is due."""
+        """Return the time, s of wall time, since the last heartbeat of ``sender``; 0 while none is due."""
         number, beat_s = self.memory.block[sender].read(self._peer_heartbeat)
         return (now_s - beat_s) / self.clock.speed if number and self._peer_heartbeat["watched"][0] else 0.0
 
