@@ -1,7 +1,7 @@
-"""One side of the reflective memory between two hosts: cells over UDP to and from one other side.
+"""One side of the reflective memory between two hosts: mailboxes over UDP to and from one other side.
 
-Nothing here waits but ``wait``, and nothing that comes from outside raises: what cannot be used is counted, and said
-in words once for each cause and sender.
+Only ``wait`` blocks, and no received datagram raises: invalid ones are counted, and reported in a text once for each
+cause and sender.
 """
 
 from __future__ import annotations
@@ -18,24 +18,23 @@ import numpy as np
 
 from hil.core.observable import ObservableList
 from hil.frmn import wire
-from hil.frmn.clock_offset import ClockOffset
-from hil.frmn.datagram_stats import DatagramStats
+from hil.frmn.link_statistics import ClockOffset, DatagramStats
 from hil.frmn.mailboxes import MAILBOXES, Role
 from hil.frmn.udp import Address, UdpSocket, address_towards, shown
 from hil.frmn.wire import DatagramHeader, DatagramKind, Fault, Refusal
 
-_EVERY_S: Final = 0.1  # heartbeats, and hellos as long as nobody answers
-_AT_ONCE: Final = 64
-_WORDS: Final = 64  # causes that are told; from then on they are counted alone
-_REFUSE_EVERY_S: Final = 0.5  # to one address: nobody can be flooded by way of us
+_EVERY_S: Final = 0.1  # heartbeats, and hellos until the first answer
+_POLL_MAX: Final = 64
+_REPORTED_MAX: Final = 64  # texts of causes; further ones are only counted
+_REFUSE_EVERY_S: Final = 0.5  # to one address: limits amplification of a flood
 _REFUSED_ADDRESSES: Final = 256
 PORT_CLOSED: Final = "its port is closed"
-"""What is said in place of a goodbye of a side whose program has ended without one."""
+"""Reason for a side whose program has ended without a goodbye."""
 _NAMES: Final = {Role.DSS: "dss", Role.GNC: "gnc"}
 
 
 class Arrival(NamedTuple):
-    """A cell that came. record: (1,) of its dtype, read-only. received_s: by this host's monotonic clock."""
+    """A received mailbox. record: (1,) of its dtype, read-only. received_s: by this host's monotonic clock."""
 
     name: str
     record: np.ndarray
@@ -45,22 +44,22 @@ class Arrival(NamedTuple):
 
 @dataclass(slots=True)
 class Peer:
-    """The other side. heard_s: when it was heard last, monotonic; hello: None where it never said any."""
+    """The other side. last_rx_s: time of its last datagram, monotonic; hello: None if it sent none."""
 
     address: Address
     writer: int
-    heard_s: float
+    last_rx_s: float
     hello: wire.Hello | None = None
     gone: str | None = None
-    """Its goodbye."""
+    """Text of its goodbye."""
 
 
 class Link:
-    """This side, as ``role``, of a link that carries the cells in ``offers`` there and those in ``wants`` here.
+    """This side, as ``role``, of a link that sends the mailboxes in ``offers`` and receives those in ``wants``.
 
-    bind: address of this host that is listened on; None: the one on the way to ``peer``. peer: the only address that
-    is spoken with; None: whoever says hello first. silent_max_s: a side that has been silent for so long is gone, and
-    another may take its place.
+    bind: address of this host to listen on; None: the one on the route to ``peer``. peer: the only address accepted
+    as the other side; None: the first sender of a hello. silent_max_s: a side that has been silent for longer is gone,
+    and another one can replace it.
     """
 
     def __init__(
@@ -81,44 +80,44 @@ class Link:
         self.silent_max_s = silent_max_s
         self.peer: Peer | None = None
         self.joined = 0
-        """How many other sides have been taken so far."""
+        """Number of other sides that have joined so far."""
         self.refusal: tuple[int, str] | None = None
-        """What the other side refused last: Refusal and its words."""
+        """Last refusal by the other side: Refusal and its text."""
         self.complaints: ObservableList[str] = ObservableList()
-        """What was refused here, and why; each cause and sender once."""
+        """Texts of what was rejected here, and why; each cause and sender once."""
         self.clock = ClockOffset()
-        self.tallies = {cell: DatagramStats() for cell in wants}
+        self.datagram_stats = {cell: DatagramStats() for cell in wants}
         self._offers, self._wants = tuple(offers), tuple(wants)
         self._only = peer
         self._hello = wire.hello_payload(role, name, offers, wants)
         self._writer = secrets.randbits(32) or 1
         self._sequences: Counter[str] = Counter()
         self._counts: Counter[str] = Counter()
-        self._told: set[tuple[str, Address]] = set()
+        self._reported: set[tuple[str, Address]] = set()
         self._refused_s: dict[Address, float] = {}
         self._beaten_s = -math.inf
-        self._heartbeat = (math.nan, math.nan)  # the newest of the other side's: its time, and when it came
+        self._heartbeat = (math.nan, math.nan)  # newest one of the other side: its time and its arrival
 
     def alive(self, now_s: float) -> bool:
-        """Return whether there is another side that has been heard lately; now_s: monotonic."""
-        return self.peer is not None and self.peer.gone is None and now_s - self.peer.heard_s <= self.silent_max_s
+        """Return whether the other side has sent within ``silent_max_s``; now_s: monotonic."""
+        return self.peer is not None and self.peer.gone is None and now_s - self.peer.last_rx_s <= self.silent_max_s
 
     @property
     def expects(self) -> bool:
-        """Whether this side knows where the other one is to be, before it was heard."""
+        """Whether the address of the other side was given."""
         return self._only is not None
 
-    def poll(self, at_most: int = _AT_ONCE) -> list[Arrival]:
-        """Take what has come; return the cells in it, in the order in which they came, old values left out.
+    def poll(self, at_most: int = _POLL_MAX) -> list[Arrival]:
+        """Process the received datagrams; return the mailboxes in them in order of arrival, without outdated values.
 
-        at_most: datagrams that are looked at; the others wait for the next call.
+        at_most: limit of datagrams per call; the others remain for the next call.
         """
         arrivals: list[Arrival] = []
         for _ in range(at_most):
-            came = self._socket.receive()
-            if came is None:
+            received = self._socket.receive()
+            if received is None:
                 break
-            arrival = self.handle(*came)
+            arrival = self.handle(*received)
             if arrival is not None:
                 arrivals.append(arrival)
         closed = self._socket.closed_ports()
@@ -127,22 +126,22 @@ class Link:
         return arrivals
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until something has come, at most ``timeout_s``; return whether it has."""
+        """Wait for a datagram, at most ``timeout_s``; return whether there is one."""
         return self._socket.wait(timeout_s)
 
     def service(self) -> None:
-        """Say what is due by itself: a heartbeat, or hello while there is nobody; call it often."""
+        """Send what is due: a heartbeat, or a hello before the first answer; to be called frequently."""
         now_s = time.monotonic()
         if now_s - self._beaten_s < _EVERY_S:
             return
         self._beaten_s = now_s
         if self.alive(now_s) or (self.peer is not None and self._only is None):
-            self._say(DatagramKind.HEARTBEAT, wire.heartbeat_payload(*self._heartbeat))
+            self._send(DatagramKind.HEARTBEAT, wire.heartbeat_payload(*self._heartbeat))
         elif self._only is not None:
-            self._say(DatagramKind.HELLO, self._hello, self._only)
+            self._send(DatagramKind.HELLO, self._hello, self._only)
 
     def send(self, cell: str, record: np.ndarray | np.void) -> bool:
-        """Send ``record`` to the other side, or to where it is expected; False where there is none or no room."""
+        """Send ``record`` to the other side or its expected address; False if there is none or the buffer is full."""
         to = self.peer.address if self.peer is not None and self.peer.gone is None else self._only
         if to is None:
             return False
@@ -152,22 +151,22 @@ class Link:
         )
         return self._put(datagram, to)
 
-    def forget(self) -> None:
-        """Let go of the other side: whoever comes next is taken."""
+    def drop_peer(self) -> None:
+        """Drop the other side: the next one is accepted."""
         self.peer = None
 
     def close(self, text: str = "") -> None:
-        """Say goodbye and let go of the socket; idempotent."""
+        """Send goodbye and close the socket; idempotent."""
         if self.peer is not None and self.peer.gone is None:
-            for _ in range(2):  # nobody answers it
-                self._say(DatagramKind.GOODBYE, wire.word_payload(0, text))
+            for _ in range(2):  # it is not acknowledged
+                self._send(DatagramKind.GOODBYE, wire.text_payload(0, text))
         self.peer = None
         self._socket.close()
 
     def counters(self) -> dict[str, int]:
-        """Return what came and what became of it, summed over the cells."""
+        """Return the counts of received and rejected datagrams, summed over the mailboxes."""
         sums = {
-            name: sum(int(getattr(tally, name)) for tally in self.tallies.values())
+            name: sum(int(getattr(stats, name)) for stats in self.datagram_stats.values())
             for name in ("received", "lost", "reordered", "duplicates")
         }
         refused = {fault.value: self._counts[fault.value] for fault in Fault}
@@ -175,55 +174,57 @@ class Link:
         return {**sums, **refused, **others}
 
     def handle(self, datagram: bytes, sender: Address, received_s: float) -> Arrival | None:
-        """Take one datagram, whatever it is; return the cell in it where it is a newer one."""
+        """Process one datagram, valid or not; return its mailbox if it is newer than the last."""
         found = wire.unpack(datagram)
         if isinstance(found, Fault):
             self._refuse_faulty(found, datagram, sender)
             return None
         if self._only is not None and sender != self._only:
-            self._count("unknown_sender", sender, f"is not {shown(self._only)}, with whom this side speaks")
-            self._refuse(sender, Refusal.SENDER, "another address is expected here")
+            self._count("unknown_sender", sender, f"is not {shown(self._only)}, the expected address")
+            self._refuse(sender, Refusal.SENDER, "another address is expected")
             return None
         if found.kind is DatagramKind.REFUSED:
-            self._hear_refusal(datagram, sender)
+            self._receive_refusal(datagram, sender)
             return None
         if not self._is_peer(found, datagram, sender, received_s):
             return None
         assert self.peer is not None
-        self.peer.heard_s = received_s
+        self.peer.last_rx_s = received_s
         payload = datagram[wire.HEADER.size :]
         if found.kind is DatagramKind.CELL:
-            return self._take_cell(found, payload, sender, received_s)
+            return self._receive_mailbox(found, payload, sender, received_s)
         if found.kind is DatagramKind.HEARTBEAT:
-            self._take_heartbeat(found.time_s, payload, received_s)
+            self._receive_heartbeat(found.time_s, payload, received_s)
         elif found.kind is DatagramKind.GOODBYE:
-            self.peer.gone = wire.read_word(payload)[1] or "goodbye"
+            self.peer.gone = wire.read_text(payload)[1] or "goodbye"
         return None
 
-    def _take_cell(self, header: DatagramHeader, payload: bytes, sender: Address, received_s: float) -> Arrival | None:
+    def _receive_mailbox(
+        self, header: DatagramHeader, payload: bytes, sender: Address, received_s: float
+    ) -> Arrival | None:
         assert header.cell is not None
         name = header.cell.name
-        tally = self.tallies.get(name)
-        if tally is None:
-            writer = "this side writes it" if header.cell.writer is self.role else "nobody wants it here"
-            self._count("second_writer", sender, f"sends the cell {name}, but {writer}")
+        stats = self.datagram_stats.get(name)
+        if stats is None:
+            writer = "this side writes it" if header.cell.writer is self.role else "it is not requested here"
+            self._count("second_writer", sender, f"sends the mailbox {name}, but {writer}")
             return None
-        if not tally.count(header.sequence):
+        if not stats.count(header.sequence):
             return None
         return Arrival(name, np.frombuffer(payload, header.cell.dtype), header.time_s, received_s)
 
-    def _take_heartbeat(self, time_s: float, payload: bytes, received_s: float) -> None:
+    def _receive_heartbeat(self, time_s: float, payload: bytes, received_s: float) -> None:
         sent_s, there_s = wire.read_heartbeat(payload)
         if math.isfinite(sent_s):
             self.clock.add(sent_s, there_s, time_s, received_s)
         self._heartbeat = (time_s, received_s)
 
     def _is_peer(self, header: DatagramHeader, datagram: bytes, sender: Address, received_s: float) -> bool:
-        """Return whether this is from the other side; take a new one where there is none alive."""
+        """Return whether this is from the other side; accept a new one if none is alive."""
         peer = self.peer
         known = peer is not None and header.writer == peer.writer and sender == peer.address
         if header.kind is DatagramKind.HELLO:
-            return self._hear_hello(header, datagram, sender, received_s, known)
+            return self._receive_hello(header, datagram, sender, received_s, known)
         if known:
             return True
         if self.alive(received_s):
@@ -233,24 +234,24 @@ class Link:
         if header.cell is not None and self._opens(header.cell.name):
             self._join(Peer(sender, header.writer, received_s))
             return True
-        self._count("unknown_sender", sender, "has not said hello")
-        self._refuse(sender, Refusal.SENDER, "say hello first")
+        self._count("unknown_sender", sender, "has sent no hello")
+        self._refuse(sender, Refusal.SENDER, "send hello first")
         return False
 
     def _opens(self, cell: str) -> bool:
-        """Return whether ``cell`` is enough of a hello: the setup, or an answer from where one is expected."""
-        if cell not in self.tallies:
+        """Return whether ``cell`` replaces a hello: the setup, or an answer from the expected address."""
+        if cell not in self.datagram_stats:
             return False
         return cell == "gnc.setup" if self.role is Role.GNC else self._only is not None
 
-    def _hear_hello(
+    def _receive_hello(
         self, header: DatagramHeader, datagram: bytes, sender: Address, received_s: float, known: bool
     ) -> bool:
         hello = wire.read_hello(datagram[wire.HEADER.size :])
         if isinstance(hello, str):
             return self._refuse_hello(Fault.SIZE, sender, hello)
         if hello.role != self.there:
-            return self._refuse_hello(Fault.CELL, sender, f"has role {hello.role}, expected is {self.there.value}")
+            return self._refuse_hello(Fault.CELL, sender, f"has role {hello.role}, expected {self.there.value}")
         if not known and self.alive(received_s):
             assert self.peer is not None
             self._refuse_second(header, sender, self.peer)
@@ -267,26 +268,26 @@ class Link:
         self.refusal = None
         self.clock = ClockOffset()
         self._heartbeat = (math.nan, math.nan)
-        for tally in self.tallies.values():
-            tally.restart()
+        for stats in self.datagram_stats.values():
+            stats.restart()
 
     def _refuse_faulty(self, fault: Fault, datagram: bytes, sender: Address) -> None:
-        words = {
-            Fault.FOREIGN: "sends what is none of this protocol",
+        texts = {
+            Fault.FOREIGN: "sends datagrams of another protocol",
             Fault.CORRUPT: "sends datagrams with a wrong checksum",
-            Fault.SIZE: "sends a cell or word of another size than its kind has",
-            Fault.LAYOUT: "sends a cell of another layout",
+            Fault.SIZE: "sends a mailbox or message of the wrong size",
+            Fault.LAYOUT: "sends a mailbox of another layout",
             Fault.KIND: "sends datagrams of an unknown kind",
-            Fault.CELL: "sends an unknown cell",
+            Fault.CELL: "sends an unknown mailbox",
         }
         if fault is Fault.VERSION:
-            text = f"speaks version {datagram[8]} of the protocol, here is version {wire.VERSION}"
+            text = f"uses version {datagram[8]} of the protocol, here is version {wire.VERSION}"
             self._count(fault.value, sender, text)
-            self._refuse(sender, Refusal.VERSION, f"this side speaks version {wire.VERSION} of the protocol")
+            self._refuse(sender, Refusal.VERSION, f"this side uses version {wire.VERSION} of the protocol")
             return
-        self._count(fault.value, sender, words[fault])
+        self._count(fault.value, sender, texts[fault])
         if fault in (Fault.SIZE, Fault.LAYOUT, Fault.CELL):
-            self._refuse(sender, Refusal.MAILBOXES, words[fault].replace("sends", "you send"))
+            self._refuse(sender, Refusal.MAILBOXES, texts[fault].replace("sends", "you send"))
 
     def _refuse_hello(self, fault: Fault, sender: Address, why: str) -> bool:
         self._count(fault.value, sender, why)
@@ -294,22 +295,22 @@ class Link:
         return False
 
     def _refuse_second(self, header: DatagramHeader, sender: Address, peer: Peer) -> None:
-        what = header.cell.name if header.cell is not None else f"the cells of the {_NAMES[self.there]}"
+        what = header.cell.name if header.cell is not None else f"the mailboxes of the {_NAMES[self.there]}"
         self._count("second_writer", sender, f"is a second writer of {what}: {shown(peer.address)} is alive")
         self._refuse(sender, Refusal.WRITER, f"another {_NAMES[self.there]}, {shown(peer.address)}, is alive")
 
-    def _hear_refusal(self, datagram: bytes, sender: Address) -> None:
-        code, text = wire.read_word(datagram[wire.HEADER.size :])
+    def _receive_refusal(self, datagram: bytes, sender: Address) -> None:
+        code, text = wire.read_text(datagram[wire.HEADER.size :])
         expected = self._only or (self.peer.address if self.peer is not None else None)
         if sender == expected:
             self.refusal = (code, text)
 
-    def _count(self, counter: str, sender: Address, words: str) -> None:
+    def _count(self, counter: str, sender: Address, text: str) -> None:
         self._counts[counter] += 1
-        key = (words, sender)
-        if key not in self._told and len(self._told) < _WORDS:
-            self._told.add(key)
-            self.complaints.append(f"{shown(sender)} {words}")
+        key = (text, sender)
+        if key not in self._reported and len(self._reported) < _REPORTED_MAX:
+            self._reported.add(key)
+            self.complaints.append(f"{shown(sender)} {text}")
 
     def _refuse(self, to: Address, code: Refusal, text: str) -> None:
         now_s = time.monotonic()
@@ -318,9 +319,9 @@ class Link:
         if len(self._refused_s) >= _REFUSED_ADDRESSES:
             self._refused_s.clear()
         self._refused_s[to] = now_s
-        self._say(DatagramKind.REFUSED, wire.word_payload(code, text), to)
+        self._send(DatagramKind.REFUSED, wire.text_payload(code, text), to)
 
-    def _say(self, kind: DatagramKind, payload: bytes, to: Address | None = None) -> None:
+    def _send(self, kind: DatagramKind, payload: bytes, to: Address | None = None) -> None:
         to = to or (self.peer.address if self.peer is not None else None)
         if to is not None:
             self._sequences[kind.name] += 1

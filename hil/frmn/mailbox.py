@@ -1,4 +1,4 @@
-"""Typed cells in shared memory, newest value wins: one writer and any number of readers a cell."""
+"""Mailboxes in shared memory: typed records of which the newest wins, one writer and any number of readers each."""
 
 from __future__ import annotations
 
@@ -13,36 +13,35 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hil.errors import ProtocolError
-from hil.frmn.memory import Memory
-from hil.frmn.slots import Slots
+from hil.frmn.shared_memory import Memory, Slots
 
-_SLOTS: Final = 8  # values that a writer finishes while a reader copies one, and it is still whole
-_TRIES: Final = 1000  # against a writer that does nothing but write; then the reader says so
+_SLOTS: Final = 8  # values that a writer completes while a reader copies one, and the copy is still intact
+_TRIES: Final = 1000  # against a writer that writes continuously; then the read fails
 _STAMP: Final = struct.Struct("=dII")  # time, writer, checksum
 _HEAD: Final = struct.Struct("=dI")  # the part of the stamp that the checksum covers, with the record
 
 
 class Stamp(NamedTuple):
-    """What a cell says of its newest value: how many were written up to it, its writer's time, the writer's process."""
+    """Stamp of a mailbox's newest value: number of values written up to it, writer's time, writer's process."""
 
     number: int
     t_s: float
     writer: int
 
     def age_s(self, now_s: float) -> float:
-        """Return how old the value is at ``now_s`` of bench time; inf where none was written yet."""
+        """Return the age of the value at ``now_s`` of bench time; inf before the first."""
         return now_s - self.t_s if self.number else math.inf
 
 
 NOTHING: Final = Stamp(0, 0.0, 0)
-"""Of a cell that was never written."""
+"""Stamp of a mailbox that was never written."""
 
 
 class Mailbox:
-    """One value of ``dtype`` with its writer, the time at which that wrote it, and a checksum.
+    """One value of ``dtype`` with its writer, the time of writing and a checksum.
 
-    The newest whole value can be read at any time, also while the next one is being written and after a
-    writer has died in the middle of one: then its time tells.
+    The newest complete value can be read at any time, also while the next one is being written and after a
+    writer has died in the middle of one; its time shows its age.
     """
 
     def __init__(self, name: str, dtype: np.dtype, content: memoryview) -> None:
@@ -53,18 +52,18 @@ class Mailbox:
 
     @staticmethod
     def size(dtype: np.dtype) -> int:
-        """Return the bytes of one value with its stamp."""
+        """Return the size of one value with its stamp, bytes."""
         return _STAMP.size + dtype.itemsize
 
     @classmethod
-    def room(cls, dtype: np.dtype) -> int:
-        """Return how many bytes of memory a cell takes."""
-        return Slots.room(cls.size(dtype), _SLOTS)
+    def memory_size(cls, dtype: np.dtype) -> int:
+        """Return the size of a mailbox in memory, bytes."""
+        return Slots.memory_size(cls.size(dtype), _SLOTS)
 
     def write(self, record: np.ndarray | np.void, t_s: float) -> None:
         """Make ``record`` (one of ``dtype``) the newest value, written at ``t_s`` of bench time. Never waits.
 
-        Raises ProtocolError, at the first value that this process writes, where another one that is alive writes it.
+        Raises ProtocolError, at the first value that this process writes, if another live process is the writer.
         """
         if not self._writer:
             self._take_over()
@@ -75,14 +74,14 @@ class Mailbox:
     def read(self, into: np.ndarray) -> tuple[int, float]:
         """Copy the newest value into ``into``, shape (1,) of ``dtype``.
 
-        Returns how many values have been written up to this one, 0 for none yet (``into`` is left alone), and
-        its writer's bench time, s. Raises ProtocolError when the writer overruns every try.
+        Returns the number of values written up to this one, 0 for none yet (``into`` is unchanged), and
+        its writer's bench time, s. Raises ProtocolError if the writer overruns every try.
         """
         number, t_s, _ = self.read_stamped(into)
         return number, t_s
 
     def read_stamped(self, into: np.ndarray) -> Stamp:
-        """Do ``read``, and return all that is known of the value."""
+        """Read as ``read`` does, and return the stamp of the value."""
         overrun = False
         for _ in range(_TRIES):
             number = self._slots.written
@@ -97,8 +96,10 @@ class Mailbox:
             if zlib.crc32(value, zlib.crc32(whole[: _HEAD.size])) == checksum:
                 into.view(np.uint8)[:] = np.frombuffer(value, np.uint8)
                 return Stamp(number, t_s, writer)
-        why = "written faster than it can be read" if overrun else "its checksum is wrong: somebody else wrote there"
-        raise ProtocolError(self.name, f"{why}: no whole value in {_TRIES} tries")
+        why = (
+            "written faster than it can be read" if overrun else "its checksum is wrong: overwritten by another process"
+        )
+        raise ProtocolError(self.name, f"{why}: no complete value in {_TRIES} tries")
 
     def _take_over(self) -> None:
         """Become the writer, unless another one is alive."""
@@ -110,30 +111,30 @@ class Mailbox:
         self._writer = os.getpid()
 
     def release(self) -> None:
-        """Let go of the memory."""
+        """Release the memory."""
         self._slots.release()
 
 
 class MailboxBlock:
-    """Cells by name in one stretch of shared memory; every process must name the same ones in the same order.
+    """Mailboxes by name in one shared memory; every process must give the same ones in the same order.
 
-    ``block["rails"].write(...)``. ``descriptor`` belongs to the block from now on. Raises ProtocolError when the
-    memory behind it has another layout.
+    ``block["rails"].write(...)``. The block takes ownership of ``descriptor``. Raises ProtocolError if its memory has
+    another layout.
     """
 
     def __init__(self, descriptor: int, cells: Mapping[str, np.dtype], name: str = "frmn") -> None:
-        self._memory = Memory(descriptor, name, _layout(cells), _room(cells))
+        self._memory = Memory(descriptor, name, _layout(cells), _size(cells))
         self._cells: dict[str, Mailbox] = {}
         start = 0
         for cell, dtype in cells.items():
-            end = start + Mailbox.room(dtype)
+            end = start + Mailbox.memory_size(dtype)
             self._cells[cell] = Mailbox(f"{name}.{cell}", dtype, self._memory.content[start:end])
             start = end
 
     @classmethod
     def create(cls, cells: Mapping[str, np.dtype], name: str = "frmn") -> MailboxBlock:
-        """Make a new block; hand ``descriptor`` to other processes (``pass_fds``)."""
-        return cls(Memory.create(name, _layout(cells), _room(cells)), cells, name)
+        """Create a block; pass ``descriptor`` to other processes (``pass_fds``)."""
+        return cls(Memory.create(name, _layout(cells), _size(cells)), cells, name)
 
     @property
     def descriptor(self) -> int:
@@ -143,7 +144,7 @@ class MailboxBlock:
         return self._cells[cell]
 
     def close(self) -> None:
-        """Let go of the memory; idempotent."""
+        """Release the memory; idempotent."""
         for cell in self._cells.values():
             cell.release()
         self._cells.clear()
@@ -151,7 +152,7 @@ class MailboxBlock:
 
 
 def _is_alive(pid: int) -> bool:
-    """Return whether a process runs; one that has ended and was not waited for does not."""
+    """Return whether a process is running; zombies are not."""
     try:
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except (OSError, IndexError):
@@ -163,5 +164,5 @@ def _layout(cells: Mapping[str, np.dtype]) -> str:
     return ", ".join(f"{_SLOTS} of {name} {dtype.descr}" for name, dtype in cells.items())
 
 
-def _room(cells: Mapping[str, np.dtype]) -> int:
-    return sum(Mailbox.room(dtype) for dtype in cells.values())
+def _size(cells: Mapping[str, np.dtype]) -> int:
+    return sum(Mailbox.memory_size(dtype) for dtype in cells.values())

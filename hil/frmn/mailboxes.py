@@ -1,6 +1,6 @@
-"""The cells of the reflective memory: each one's number on the wire, layout, and the side that writes it.
+"""Mailboxes of the reflective memory: number on the wire, layout, and the side that writes each.
 
-A cell has one writer. Its newest value wins; what was lost on the way is not sent again. The records are those of
+A mailbox has one writer. Its newest value wins; lost values are not sent again. The records are those of
 ``hil/core/messages.py`` and ``hil/core/gnc_records.py``, little-endian and aligned as a C compiler aligns them.
 """
 
@@ -20,9 +20,9 @@ NAME_BYTES: Final = 16
 
 
 class Role(IntEnum):
-    """Who speaks."""
+    """Side of a link."""
 
-    DSS = 1  # dynamics, bench and vision unit: the side that has the truth
+    DSS = 1  # dynamics, bench and vision unit: the side with the truth
     GNC = 2
 
 
@@ -38,7 +38,7 @@ HEALTH: Final = np.dtype(
 )
 
 GNC_FLIGHT: Final = np.dtype([("output", GNC_OUTPUT), ("navigation", NAVIGATION), ("command", COMMAND)], align=True)
-"""What the built-in GNC sends in place of GNC_OUTPUT alone: all that ``hil run`` would have recorded of it."""
+"""Output of the built-in GNC, sent instead of GNC_OUTPUT: everything that ``hil run`` records of it."""
 
 GNC_FILTERS: Final = np.dtype(
     [
@@ -50,12 +50,12 @@ GNC_FILTERS: Final = np.dtype(
     ],
     align=True,
 )
-"""The built-in filters in a cycle with a pose: with the truth, which the GNC has not, their consistency (NEES)."""
+"""State of the built-in filters in a cycle with a pose; the bench, which has the truth, computes their NEES from it."""
 
 
 @dataclass(frozen=True)
 class MailboxSpec:
-    """A cell as both sides know it. number: on the wire. layout: two bytes of the digest of its fields, never 0."""
+    """A mailbox, equal on both sides. number: on the wire. layout: two bytes of the digest of its fields, never 0."""
 
     number: int
     name: str
@@ -67,8 +67,8 @@ class MailboxSpec:
 def layout_of(dtype: np.dtype) -> int:
     """Return the low 16 bits of the CRC-32 of the layout's text, 1 where they are zero.
 
-    The text has a line a plain field: offset in bytes, type as in numpy, and shape; nested records are spread out.
-    Names do not count: the same bytes may be called otherwise.
+    The text has one line per plain field: offset in bytes, type as in numpy, and shape; nested records are expanded.
+    Names do not count: the same bytes may have other names.
     """
     return (zlib.crc32("\n".join(_lines(dtype, 0)).encode()) & 0xFFFF) or 1
 
@@ -86,23 +86,23 @@ def _lines(dtype: np.dtype, start: int) -> list[str]:
     return lines
 
 
-def _kind(number: int, name: str, dtype: np.dtype, writer: Role) -> MailboxSpec:
+def _mailbox(number: int, name: str, dtype: np.dtype, writer: Role) -> MailboxSpec:
     return MailboxSpec(number, name, dtype, writer, layout_of(dtype))
 
 
 _ALL: Final = (
-    _kind(1, "gnc.setup", GNC_SETUP, Role.DSS),
-    _kind(2, "gnc.input", GNC_INPUT, Role.DSS),
-    _kind(3, "gnc.output", GNC_OUTPUT, Role.GNC),
-    _kind(4, "gnc.flight", GNC_FLIGHT, Role.GNC),
-    _kind(5, "gnc.filters", GNC_FILTERS, Role.GNC),
-    _kind(16, "truth", TRUTH, Role.DSS),
-    _kind(17, "imu", IMU, Role.DSS),
-    _kind(18, "pose", POSE, Role.DSS),
-    _kind(19, "command", COMMAND, Role.DSS),
-    _kind(20, "setpoint", AXES, Role.DSS),
-    _kind(21, "feedback", AXES, Role.DSS),
-    _kind(22, "health", HEALTH, Role.DSS),
+    _mailbox(1, "gnc.setup", GNC_SETUP, Role.DSS),
+    _mailbox(2, "gnc.input", GNC_INPUT, Role.DSS),
+    _mailbox(3, "gnc.output", GNC_OUTPUT, Role.GNC),
+    _mailbox(4, "gnc.flight", GNC_FLIGHT, Role.GNC),
+    _mailbox(5, "gnc.filters", GNC_FILTERS, Role.GNC),
+    _mailbox(16, "truth", TRUTH, Role.DSS),
+    _mailbox(17, "imu", IMU, Role.DSS),
+    _mailbox(18, "pose", POSE, Role.DSS),
+    _mailbox(19, "command", COMMAND, Role.DSS),
+    _mailbox(20, "setpoint", AXES, Role.DSS),
+    _mailbox(21, "feedback", AXES, Role.DSS),
+    _mailbox(22, "health", HEALTH, Role.DSS),
 )
-MAILBOXES: Final[dict[str, MailboxSpec]] = {kind.name: kind for kind in _ALL}
-BY_NUMBER: Final[dict[int, MailboxSpec]] = {kind.number: kind for kind in _ALL}
+MAILBOXES: Final[dict[str, MailboxSpec]] = {box.name: box for box in _ALL}
+BY_NUMBER: Final[dict[int, MailboxSpec]] = {box.number: box for box in _ALL}

@@ -1,4 +1,4 @@
-"""The records of each cycle, sent to the other side of a link as the cells that it wants."""
+"""Mirror of each cycle's records to the other side of a link, as the mailboxes that it requests."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from hil.frmn.ring import Telemetry
 
 _OF_THE_CYCLE: Final = ("truth", "imu", "pose", "command", "setpoint", "feedback")
 MIRRORED: Final = (*_OF_THE_CYCLE, "health")
-"""Cells that a side may want beside those of the GNC."""
+"""Mailboxes that a side can request besides those of the GNC."""
 
 
 class Mirror:
-    """Hands each row of CYCLE on to ``inner``, and its records to whoever asked for them in its hello.
+    """Passes each row of CYCLE on to ``inner``, and its records to the other side if its hello requested them.
 
-    mode: gives the bench's mode; overruns: how many cycles have ended too late so far.
+    mode: returns the bench's mode; overruns: returns the number of overruns so far.
     """
 
     def __init__(self, inner: Telemetry, link: Link, mode: Callable[[], str], overruns: Callable[[], int]) -> None:
@@ -31,7 +31,7 @@ class Mirror:
         self._cycle = -1
 
     def put(self, row: np.ndarray) -> None:
-        """Take a copy of ``row``, shape (1,) of CYCLE."""
+        """Copy ``row``, shape (1,) of CYCLE."""
         self._inner.put(row)
         self._cycle += 1
         peer = self._link.peer

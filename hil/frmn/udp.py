@@ -1,4 +1,4 @@
-"""UDP sockets that never block, the moment at which the kernel got a datagram, and word of ports that are closed."""
+"""Non-blocking UDP sockets with the kernel's receive time stamps and notice of closed ports."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _STAMP: Final = struct.Struct("=qq")  # s, ns of CLOCK_REALTIME
 _BUFFER_BYTES: Final = 1 << 20
 _TRIES: Final = 3
 _ERRORS_AT_ONCE: Final = 16
-_ROOM: Final = 2048  # bytes of a datagram: more than any of ours, so that a longer one is seen as such
-_OLDEST_S: Final = 1.0  # a stamp that is older is the host's clock having been set
+_BUFFER_SIZE: Final = 2048  # bytes: more than any valid datagram, so that longer ones are detected
+_OLDEST_S: Final = 1.0  # an older stamp means that the host's clock was set
 
 
 def parse_address(option: str, text: str, default_port: int) -> Address:
@@ -46,14 +46,14 @@ def shown(address: Address) -> str:
 
 
 def address_towards(peer: Address) -> Address:
-    """Return this host's address on the way to ``peer``, any free port: nothing else is listened on."""
+    """Return this host's address on the route to ``peer``, with any free port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(peer)
         return str(probe.getsockname()[0]), 0
 
 
 class UdpSocket:
-    """A UDP socket bound to one address of this host. Raises BadInput where it cannot be bound."""
+    """UDP socket bound to one address of this host. Raises BadInput if it cannot be bound."""
 
     def __init__(self, bind: Address, option: str = "--listen") -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -70,27 +70,27 @@ class UdpSocket:
         self.address: Address = self._socket.getsockname()
 
     def receive(self) -> tuple[bytes, Address, float] | None:
-        """Return the next datagram, its sender and when the kernel got it (monotonic, s); None when there is none."""
+        """Return the next datagram, its sender and the kernel's receive time (monotonic, s); None without any."""
         for _ in range(_TRIES):
             try:
-                datagram, ancillary, _, sender = self._socket.recvmsg(_ROOM, 64)
+                datagram, ancillary, _, sender = self._socket.recvmsg(_BUFFER_SIZE, 64)
                 break
             except BlockingIOError:
                 return None
-            except OSError:  # the word about a datagram of before comes first
-                self._look_at_errors()
+            except OSError:  # the error of an earlier datagram comes first
+                self._read_errors()
         else:
             return None
-        now_s = time.monotonic()
+        age_s = 0.0
         for level, kind, stamp in ancillary:
             if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(stamp) >= _STAMP.size:
                 s, ns = _STAMP.unpack_from(stamp)
-                age_s = (time.time_ns() - (s * 1_000_000_000 + ns)) * 1e-9
-                now_s -= age_s if 0.0 <= age_s <= _OLDEST_S else 0.0
-        return datagram, sender, now_s
+                found_s = (time.time_ns() - (s * 1_000_000_000 + ns)) * 1e-9
+                age_s = found_s if 0.0 <= found_s <= _OLDEST_S else 0.0
+        return datagram, sender, time.monotonic() - age_s  # read last: preempted here, the time is late, never early
 
     def send(self, datagram: bytes, to: Address) -> bool:
-        """Send ``datagram``; return whether the kernel took it. Never waits, never raises."""
+        """Send ``datagram``; return whether the kernel accepted it. Never waits, never raises."""
         for _ in range(_TRIES):
             try:
                 self._socket.sendto(datagram, to)
@@ -98,29 +98,29 @@ class UdpSocket:
             except BlockingIOError:
                 return False
             except OSError:
-                self._look_at_errors()
+                self._read_errors()
         return False
 
     def closed_ports(self) -> list[Address]:
-        """Return where datagrams of ours found nobody listening, by word of the network; each time once."""
+        """Return the addresses that were reported as unreachable (port closed) since the last call."""
         closed, self._closed = self._closed, []
         return closed
 
-    def _look_at_errors(self) -> None:
+    def _read_errors(self) -> None:
         for _ in range(_ERRORS_AT_ONCE):
             try:
-                _, ancillary, _, to = self._socket.recvmsg(_ROOM, 512, socket.MSG_ERRQUEUE)
+                _, ancillary, _, to = self._socket.recvmsg(_BUFFER_SIZE, 512, socket.MSG_ERRQUEUE)
             except OSError:
                 return
             for level, kind, error in ancillary:
-                told = level == socket.IPPROTO_IP and kind == _IP_RECVERR and len(error) >= 4
-                if told and struct.unpack_from("=I", error)[0] == errno.ECONNREFUSED:
+                reported = level == socket.IPPROTO_IP and kind == _IP_RECVERR and len(error) >= 4
+                if reported and struct.unpack_from("=I", error)[0] == errno.ECONNREFUSED:
                     self._closed.append(to)
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until a datagram is there; return whether one is. 0 does not wait."""
-        return bool(select.select([self._socket], [], [], max(0.0, timeout_s))[0])  # poll's time has milliseconds
+        """Wait for a datagram; return whether there is one. 0 does not wait."""
+        return bool(select.select([self._socket], [], [], max(0.0, timeout_s))[0])  # poll() has a resolution of 1 ms
 
     def close(self) -> None:
-        """Let go of it; idempotent."""
+        """Close the socket; idempotent."""
         self._socket.close()

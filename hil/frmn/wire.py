@@ -1,18 +1,18 @@
-"""Datagrams of the reflective memory between hosts: bytes and numbers only, no I/O (docs/protocols.md).
+"""Codec of the reflective memory's datagrams between hosts, without I/O (docs/protocols.md).
 
-Every datagram is a header of 32 bytes and a payload, little-endian, and fits an Ethernet frame whole:
+Every datagram is a header of 32 bytes and a payload, little-endian, and fits into one Ethernet frame:
 
     offset  type  field
          0  4s    magic     "FRMN"
          4  u4    crc       CRC-32 (zlib's) of all bytes from offset 8 to the end
          8  u1    version   of the protocol, 1
          9  u1    kind      1 hello, 2 cell, 3 heartbeat, 4 goodbye, 5 refused
-        10  u2    cell      number of the cell; 0 in other kinds
+        10  u2    cell      number of the mailbox; 0 in other kinds
         12  u2    size      of the payload, bytes
-        14  u2    layout    digest of the cell's layout; 0: not said
-        16  u4    writer    any number that a program does not repeat when it is started again
-        20  u4    sequence  counts this writer's datagrams of this kind and cell, from 1 on
-        24  f8    time_s    of the writer's own clock, when it sent this
+        14  u2    layout    digest of the mailbox's layout; 0: not given
+        16  u4    writer    any number that differs at each start of a program
+        20  u4    sequence  counts this writer's datagrams of this kind and mailbox, from 1 on
+        24  f8    time_s    time of sending by the writer's own clock
         32        payload
 """
 
@@ -31,18 +31,18 @@ from hil.frmn.mailboxes import BY_NUMBER, MAILBOXES, MailboxSpec, Role
 
 MAGIC: Final = b"FRMN"
 VERSION: Final = 1
-"""Goes up when header, handshake or a payload of another kind than a cell changes; a cell's own layout has a digest."""
+"""Incremented when header, handshake or a payload changes; the layouts of mailboxes have digests instead."""
 HEADER: Final = struct.Struct("<4sIBBHHHIId")
 LARGEST: Final = 1472
-"""Bytes of a datagram that fits an Ethernet frame whole."""
+"""Bytes of the largest datagram that fits into one Ethernet frame."""
 PORT: Final = 24500
-"""Where ``hil dss`` listens when it is told no other."""
-_PROTECTED: Final = 8  # the checksum is over what follows it
+"""Default port of ``hil dss``."""
+_PROTECTED: Final = 8  # the checksum covers what follows
 _MAX_CELLS: Final = 16
 
 
 class DatagramKind(IntEnum):
-    """What a datagram is."""
+    """Kind of a datagram."""
 
     HELLO = 1
     CELL = 2
@@ -52,12 +52,12 @@ class DatagramKind(IntEnum):
 
 
 class Fault(Enum):
-    """Why a datagram cannot be used; the value is the name of its counter."""
+    """Why a datagram is rejected; the value is the name of its counter."""
 
     FOREIGN = "foreign"  # too short, or another magic: not of this protocol
     VERSION = "other_version"
     CORRUPT = "corrupt"  # checksum
-    SIZE = "wrong_size"  # not as long as its header says, or as its kind or cell needs
+    SIZE = "wrong_size"  # not as in its header, or not that of its kind or mailbox
     LAYOUT = "wrong_layout"
     KIND = "unknown_kind"
     CELL = "unknown_cell"
@@ -66,36 +66,36 @@ class Fault(Enum):
 HELLO: Final = np.dtype(
     [
         ("role", "<i4"),  # 1 DSS, 2 GNC
-        ("count", "<i4"),  # of the cells below
+        ("count", "<i4"),  # of the mailboxes below
         ("name", "S32"),  # of the program, for messages
         ("cells", np.dtype([("number", "<u2"), ("size", "<u2"), ("layout", "<u2"), ("use", "<u2")]), _MAX_CELLS),
     ],
     align=True,
 )
-"""Who speaks and what of. use: 1 offers (writes it), 2 wants (reads it). layout 0: not said."""
+"""Identity of a side and its mailboxes. use: 1 offers (writes it), 2 wants (reads it). layout 0: not given."""
 OFFERS: Final = 1
 WANTS: Final = 2
 
 HEARTBEAT: Final = np.dtype([("peer_time_s", "<f8"), ("peer_received_s", "<f8")])
-"""The other side's newest heartbeat: its own ``time_s``, and when it came by this side's clock; NaN before one came.
+"""The other side's newest heartbeat: its ``time_s``, and its arrival by this side's clock; NaN before the first.
 
-With the header's ``time_s`` and the moment of arrival these are NTP's four stamps."""
+With the header's ``time_s`` and the time of arrival these are NTP's four stamps."""
 
-WORD: Final = np.dtype([("code", "<i4"), ("text", "S124")])
-"""Of GOODBYE and REFUSED. code: Refusal, 0 in GOODBYE."""
+TEXT: Final = np.dtype([("code", "<i4"), ("text", "S124")])
+"""Payload of GOODBYE and REFUSED. code: Refusal, 0 in GOODBYE."""
 
 
 class Refusal(IntEnum):
-    """Why a side will not speak with the other."""
+    """Why a side rejects the other."""
 
     VERSION = 1
-    MAILBOXES = 2  # size or layout of a cell, or one that is needed is not offered
-    WRITER = 3  # somebody else writes these cells; ask again when it has gone
+    MAILBOXES = 2  # size or layout of a mailbox, or a required one is not offered
+    WRITER = 3  # another side writes these mailboxes; retry when it has gone
     SENDER = 4  # another address was expected
 
 
 class DatagramHeader(NamedTuple):
-    """What a good datagram's header says; ``cell`` is None in other kinds than CELL."""
+    """Content of a valid header; ``cell`` is None in other kinds than CELL."""
 
     kind: DatagramKind
     cell: MailboxSpec | None
@@ -106,7 +106,7 @@ class DatagramHeader(NamedTuple):
 
 @dataclass(frozen=True)
 class Hello:
-    """What HELLO says. offers, wants: names of cells that both sides know."""
+    """Content of HELLO. offers, wants: names of mailboxes."""
 
     role: int
     name: str
@@ -117,8 +117,8 @@ class Hello:
 _SIZES: Final = {
     DatagramKind.HELLO: HELLO.itemsize,
     DatagramKind.HEARTBEAT: HEARTBEAT.itemsize,
-    DatagramKind.GOODBYE: WORD.itemsize,
-    DatagramKind.REFUSED: WORD.itemsize,
+    DatagramKind.GOODBYE: TEXT.itemsize,
+    DatagramKind.REFUSED: TEXT.itemsize,
 }
 
 
@@ -142,15 +142,15 @@ def pack(
 
 
 def unpack(datagram: bytes) -> DatagramHeader | Fault:
-    """Return the header of a datagram whose payload has the size that its kind or cell needs, else what is wrong.
+    """Return the header of a valid datagram, whose payload is ``datagram[HEADER.size:]``, else the fault.
 
-    The payload is ``datagram[HEADER.size:]``. Any bytes may be given.
+    Accepts any bytes.
     """
     if len(datagram) < HEADER.size or datagram[:4] != MAGIC:
         return Fault.FOREIGN
     _, crc, version, kind_number, number, size, layout, writer, sequence, time_s = HEADER.unpack_from(datagram)
     if version != VERSION:
-        return Fault.VERSION  # its checksum may be another one
+        return Fault.VERSION  # its checksum can be a different one
     if zlib.crc32(memoryview(datagram)[_PROTECTED:]) != crc:
         return Fault.CORRUPT
     if kind_number == DatagramKind.CELL:
@@ -172,7 +172,7 @@ def unpack(datagram: bytes) -> DatagramHeader | Fault:
 
 
 def hello_payload(role: Role, name: str, offers: Iterable[str], wants: Iterable[str]) -> bytes:
-    """Return the payload of HELLO; offers, wants: names of cells."""
+    """Return the payload of HELLO; offers, wants: names of mailboxes."""
     record = np.zeros(1, HELLO)
     entries = [(cell, OFFERS) for cell in offers] + [(cell, WANTS) for cell in wants]
     record["role"], record["count"], record["name"] = role, len(entries), name.encode()[:32]
@@ -183,35 +183,37 @@ def hello_payload(role: Role, name: str, offers: Iterable[str], wants: Iterable[
 
 
 def read_hello(payload: bytes) -> Hello | str:
-    """Return what HELLO says, or in words why its cells are not ours."""
+    """Return the content of HELLO, or the reason why its mailboxes do not match."""
     record = np.frombuffer(payload, HELLO)[0]
     count = int(record["count"])
     if not 0 <= count <= _MAX_CELLS:
-        return f"{count} cells in its hello, 0 to {_MAX_CELLS} are possible"
+        return f"{count} mailboxes in its hello, allowed 0 to {_MAX_CELLS}"
     found: dict[int, set[str]] = {OFFERS: set(), WANTS: set()}
     for number, size, layout, use in record["cells"][:count].tolist():
         kind = BY_NUMBER.get(number)
         if kind is None or use not in found:
-            return f"cell {number}, use {use}: known are {', '.join(map(str, BY_NUMBER))}, use 1 (offers) or 2 (wants)"
+            return (
+                f"mailbox {number}, use {use}: known are {', '.join(map(str, BY_NUMBER))}, use 1 (offers) or 2 (wants)"
+            )
         if size != kind.dtype.itemsize:
-            return f"cell {kind.name} has {size} bytes there and {kind.dtype.itemsize} here"
+            return f"mailbox {kind.name} has {size} bytes there and {kind.dtype.itemsize} here"
         if layout not in (0, kind.layout):
-            return f"cell {kind.name} has another layout there than here"
+            return f"mailbox {kind.name} has a different layout there"
         found[use].add(kind.name)
     name = _text(record["name"]) or "without a name"
     return Hello(int(record["role"]), name, frozenset(found[OFFERS]), frozenset(found[WANTS]))
 
 
-def word_payload(code: int, text: str) -> bytes:
-    """Return the payload of GOODBYE or REFUSED; the text is cut to its room."""
-    record = np.zeros(1, WORD)
+def text_payload(code: int, text: str) -> bytes:
+    """Return the payload of GOODBYE or REFUSED; the text is truncated to 124 bytes."""
+    record = np.zeros(1, TEXT)
     record["code"], record["text"] = code, text.encode()[:124]
     return record.tobytes()
 
 
-def read_word(payload: bytes) -> tuple[int, str]:
+def read_text(payload: bytes) -> tuple[int, str]:
     """Return code and text of GOODBYE or REFUSED."""
-    record = np.frombuffer(payload, WORD)[0]
+    record = np.frombuffer(payload, TEXT)[0]
     return int(record["code"]), _text(record["text"])
 
 
@@ -227,6 +229,6 @@ def read_heartbeat(payload: bytes) -> tuple[float, float]:
 
 
 def _text(raw: bytes) -> str:
-    """Return printable text, whatever the bytes are."""
+    """Return ``raw`` as printable text."""
     text = raw.decode("utf-8", errors="replace")
     return "".join(c if c.isprintable() else "?" for c in text)

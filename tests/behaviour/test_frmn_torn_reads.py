@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.frmn.memory import Memory
-from hil.frmn.slots import Slots
+from hil.frmn.shared_memory import Memory, Slots
 
 WORDS = 40  # 320 bytes: five cache lines, more than any processor writes at once
 SIZE = 8 * WORDS
@@ -56,10 +55,9 @@ void read_many(const volatile uint8_t *content, int64_t slots, int64_t many, int
 
 WRITER = f"""
 import itertools, sys
-from hil.frmn.memory import Memory
-from hil.frmn.slots import Slots
+from hil.frmn.shared_memory import Memory, Slots
 slots = int(sys.argv[2])
-memory = Memory(int(sys.argv[1]), "torn", "words", Slots.room({SIZE}, slots))
+memory = Memory(int(sys.argv[1]), "torn", "words", Slots.memory_size({SIZE}, slots))
 cells = Slots(memory.content, {SIZE}, slots)
 values = [n.to_bytes(8, "little") * {WORDS} for n in range(1, 1000)]
 for value in itertools.cycle(values):
@@ -81,7 +79,7 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
 
 def read_beside_a_busy_writer(reader: ctypes.CDLL, slots: int, many: int, look_again: bool) -> tuple[int, int, int]:
     """Return how many of ``many`` copies were spoilt and known to be, torn and not known, new."""
-    room = Slots.room(SIZE, slots)
+    room = Slots.memory_size(SIZE, slots)
     memory = Memory(Memory.create("torn", "words", room), "torn", "words", room)
     found = np.zeros(3, np.int64)
     content = np.frombuffer(memory.content, np.uint8)

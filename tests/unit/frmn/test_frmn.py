@@ -15,7 +15,7 @@ import pytest
 from hil.errors import ProtocolError
 from hil.frmn.mailbox import NOTHING, MailboxBlock
 from hil.frmn.ring import Ring
-from hil.frmn.slots import Slots
+from hil.frmn.shared_memory import Slots
 
 VALUE = np.dtype([("a", "f8", 3), ("n", "i8")])
 CELLS = {"rails": VALUE, "turntable": np.dtype("f8")}

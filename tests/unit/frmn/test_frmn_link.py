@@ -14,9 +14,8 @@ import pytest
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT
 from hil.errors import BadInput
 from hil.frmn import wire
-from hil.frmn.clock_offset import ClockOffset
-from hil.frmn.datagram_stats import DatagramStats
 from hil.frmn.link import Arrival, Link
+from hil.frmn.link_statistics import ClockOffset, DatagramStats
 from hil.frmn.mailboxes import MAILBOXES, Role
 from hil.frmn.udp import Address, parse_address
 from hil.frmn.wire import DatagramKind
@@ -161,7 +160,7 @@ def test_second_writer_is_refused_with_words_while_the_first_is_alive(bench: Lin
     assert bench.handle(output(1, 2), THERE, 0.3) is not None
     assert bench.counters()["second_writer"] == 6
     assert list(bench.complaints) == [
-        "127.0.0.1:6 is a second writer of the cells of the gnc: 127.0.0.1:5 is alive",
+        "127.0.0.1:6 is a second writer of the mailboxes of the gnc: 127.0.0.1:5 is alive",
         "127.0.0.1:6 is a second writer of gnc.output: 127.0.0.1:5 is alive",
     ]
 
@@ -186,13 +185,13 @@ def test_silent_writer_gives_way_to_another(bench: Link) -> None:
 def test_sender_that_says_no_hello_is_unknown(bench: Link) -> None:
     assert bench.handle(output(1, 1), THERE, 0.0) is None
     assert bench.counters()["unknown_sender"] == 1
-    assert list(bench.complaints) == ["127.0.0.1:5 has not said hello"]
+    assert list(bench.complaints) == ["127.0.0.1:5 has sent no hello"]
 
 
 def test_sender_from_another_address_than_the_expected_is_unknown() -> None:
     link = Link(Role.DSS, "bench", ("gnc.input",), ("gnc.output",), LOCAL, THERE)
     assert link.handle(output(1, 1), ELSEWHERE, 0.0) is None
-    assert list(link.complaints) == ["127.0.0.1:6 is not 127.0.0.1:5, with whom this side speaks"]
+    assert list(link.complaints) == ["127.0.0.1:6 is not 127.0.0.1:5, the expected address"]
     assert link.handle(output(1, 1), THERE, 0.0) is not None  # where one is expected an answer is hello enough
     link.close()
 
@@ -202,16 +201,16 @@ def test_cell_that_this_side_writes_is_refused_from_the_other(bench: Link) -> No
     datagram = wire.pack(DatagramKind.CELL, bytes(GNC_INPUT.itemsize), 1, 1, 0.0, MAILBOXES["gnc.input"])
     assert bench.handle(datagram, THERE, 0.0) is None
     assert bench.counters()["second_writer"] == 1
-    assert list(bench.complaints) == ["127.0.0.1:5 sends the cell gnc.input, but this side writes it"]
+    assert list(bench.complaints) == ["127.0.0.1:5 sends the mailbox gnc.input, but this side writes it"]
 
 
 @pytest.mark.parametrize(
     ("datagram", "counter", "said"),
     [
-        (b"GET / HTTP/1.1\r\n\r\n" + b" " * 32, "foreign", "sends what is none of this protocol"),
-        (output(1, 1)[:8] + b"\x09" + output(1, 1)[9:], "other_version", "speaks version 9 of the protocol, here is "),
+        (b"GET / HTTP/1.1\r\n\r\n" + b" " * 32, "foreign", "sends datagrams of another protocol"),
+        (output(1, 1)[:8] + b"\x09" + output(1, 1)[9:], "other_version", "uses version 9 of the protocol, here is "),
         (output(1, 1)[:-1] + b"\x01", "corrupt", "sends datagrams with a wrong checksum"),
-        (hello(1, role=Role.DSS), "unknown_cell", "has role 1, expected is 2"),
+        (hello(1, role=Role.DSS), "unknown_cell", "has role 1, expected 2"),
     ],
 )
 def test_what_cannot_be_used_is_counted_and_said_once(bench: Link, datagram: bytes, counter: str, said: str) -> None:
@@ -231,7 +230,7 @@ def test_side_of_another_version_hears_why_it_is_refused(bench: Link) -> None:
         header = wire.unpack(datagram)
         assert isinstance(header, wire.DatagramHeader)
         assert header.kind is DatagramKind.REFUSED
-        assert wire.read_word(datagram[32:]) == (1, "this side speaks version 1 of the protocol")
+        assert wire.read_text(datagram[32:]) == (1, "this side uses version 1 of the protocol")
 
 
 def test_refusal_is_kept_for_whoever_wants_to_know(bench: Link, gnc: Link) -> None:
@@ -294,7 +293,7 @@ def fuzz(link: Link, rng: np.random.Generator, many: int) -> int:
         arrival = link.handle(nonsense(rng, good), senders[rng.integers(8)], 1e-3 * k)
         if isinstance(arrival, Arrival):
             cells += 1
-            assert arrival.name in link.tallies
+            assert arrival.name in link.datagram_stats
     return cells
 
 

@@ -93,15 +93,15 @@ def test_hello_comes_back() -> None:
 @pytest.mark.parametrize(
     ("field", "value", "said"),
     [
-        ("count", 17, "17 cells in its hello, 0 to 16 are possible"),
-        ("count", -1, "-1 cells in its hello"),
-        ("number", 99, "cell 99, use 1: known are 1, 2, 3"),
-        ("use", 3, "cell 3, use 3: known are"),
-        ("size", 200, "cell gnc.output has 200 bytes there and 240 here"),
-        ("layout", 1, "cell gnc.output has another layout there than here"),
+        ("count", 17, "17 mailboxes in its hello, allowed 0 to 16"),
+        ("count", -1, "-1 mailboxes in its hello"),
+        ("number", 99, "mailbox 99, use 1: known are 1, 2, 3"),
+        ("use", 3, "mailbox 3, use 3: known are"),
+        ("size", 200, "mailbox gnc.output has 200 bytes there and 240 here"),
+        ("layout", 1, "mailbox gnc.output has a different layout there"),
     ],
 )
-def test_hello_with_other_cells_is_told_in_words(field: str, value: int, said: str) -> None:
+def test_hello_with_other_mailboxes_gives_the_reason(field: str, value: int, said: str) -> None:
     record = np.frombuffer(wire.hello_payload(Role.GNC, "mine", ["gnc.output"], []), wire.HELLO).copy()
     if field == "count":
         record["count"] = value
@@ -132,8 +132,8 @@ def good_ones() -> list[bytes]:
     return [
         wire.pack(DatagramKind.HELLO, hello, 1, 1, 0.0),
         wire.pack(DatagramKind.HEARTBEAT, wire.heartbeat_payload(1.0, 2.0), 1, 1, 0.0),
-        wire.pack(DatagramKind.GOODBYE, wire.word_payload(0, "over"), 1, 1, 0.0),
-        wire.pack(DatagramKind.REFUSED, wire.word_payload(1, "no"), 1, 1, 0.0),
+        wire.pack(DatagramKind.GOODBYE, wire.text_payload(0, "over"), 1, 1, 0.0),
+        wire.pack(DatagramKind.REFUSED, wire.text_payload(1, "no"), 1, 1, 0.0),
         *(wire.pack(DatagramKind.CELL, bytes(kind.dtype.itemsize), 1, 1, 0.0, kind) for kind in MAILBOXES.values()),
     ]
 
@@ -147,5 +147,5 @@ def test_nonsense_is_refused_or_read_and_nothing_else(rng: np.random.Generator) 
         if not isinstance(header, Fault) and header.kind is DatagramKind.HELLO:
             wire.read_hello(datagram[32:])
         if not isinstance(header, Fault) and header.kind in (DatagramKind.GOODBYE, DatagramKind.REFUSED):
-            assert wire.read_word(datagram[32:])[1].isprintable()
+            assert wire.read_text(datagram[32:])[1].isprintable()
     assert found == {*Fault, *DatagramKind}
