@@ -30,7 +30,7 @@ WORDS = {
     "anew": r"anew",
     "left away": r"(?:left|leave|leaves|leaving) (?:\w+ )?away",
     "fast as time": r"as fast as time|faster than time|slower than time",
-    "wall": r"(?:on|by) the wall|the wall(?! clock)|a wall second|wall seconds?",
+    "wall": r"the wall(?![ -]clock)|wall seconds?",
     "lamp": r"lamps?",
     "a word on": r"an? (?!command )(?:\w+ )?words? (?:on|with|for|about)|in words|word for word",
     "picture": r"pictures?|pictured",
@@ -87,7 +87,7 @@ Line = tuple[int, str, str]  # number, kind of text, text
 PATTERNS = {word: re.compile(rf"(?<![\w/-])(?:{pattern})(?![\w-])", re.IGNORECASE) for word, pattern in WORDS.items()}
 
 # legitimate uses of these words, removed from a line before it is checked: terms of the field, titles, physical objects
-ALLOWED = re.compile(r"rate keeper|hand-eye|in other words", re.IGNORECASE)
+ALLOWED = re.compile(r"rate keeper|hand-eye|in other words|beside the (?:recording|file)", re.IGNORECASE)
 
 
 class Finding(NamedTuple):

@@ -1,4 +1,4 @@
-"""Registry entry: what hil must know before it imports the driver, and the model of the table ``[rails.acme]``."""
+"""Registry entry, which ``hil`` reads before it imports the driver, and model of the table ``[rails.acme]``."""
 
 from __future__ import annotations
 
