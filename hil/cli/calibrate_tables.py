@@ -1,4 +1,4 @@
-"""What ``hil calibrate`` prints."""
+"""Printed results of ``hil calibrate``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _table(title: str, *columns: str) -> Table:
 
 
 def _shown(value: float, sigma: float) -> tuple[str, str]:
-    """Return both with the digits that the standard deviation calls for."""
+    """Return both, rounded according to the standard deviation."""
     digits = next((d for d in range(9) if sigma >= 2.0 * 10.0**-d), 8)
     return f"{value:.{digits}f}", f"{sigma:.{digits}f}"
 
@@ -28,7 +28,7 @@ def _shown(value: float, sigma: float) -> tuple[str, str]:
 def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
     """Print a calibration."""
     solved, fit = outcome.solved, outcome.solved.fit
-    numbers = _table("What was found", "", "value", "sigma", "on paper", "unit")
+    numbers = _table("Estimates", "", "value", "sigma", "nominal", "unit")
     last = ""
     for parameter, value, sigma, paper in found_numbers(outcome):
         part = parameter.name.partition(".")[0]
@@ -37,7 +37,7 @@ def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
         last = part
         _add_number(numbers, parameter, value, sigma, paper)
     console.print(numbers)
-    ranges = _table("Place of one point seen by both cameras, 1 sigma, mm", "range m", "noise: across", "depth")
+    ranges = _table("Position of a point measured by both cameras, 1 sigma, mm", "range m", "noise: across", "depth")
     ranges.add_column("calibration: across", justify="right")
     ranges.add_column("depth", justify="right")
     for found in outcome.at_ranges:
@@ -47,25 +47,25 @@ def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
         )
     console.print(ranges)
 
-    def say(text: str) -> None:
+    def show(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True, markup=True)
 
     covered = ", ".join(f"{side} {100 * s:.0f} %" for side, s in zip(("left", "right"), outcome.shares, strict=True))
-    say(
+    show(
         f"{len(solved.sightings.names)} views, {int(solved.sightings.seen.sum())} points, residuals {fit.rms_px:.3f} px"
         f" RMS, noise {outcome.sigma_px:.3f} px; images covered: {covered}"
     )
-    say(f"rails off their encoders by {fit.axis_ratio[0]:.2f}, gimbals by {fit.axis_ratio[1]:.2f} of what was told")
+    show(f"rail errors: {fit.axis_ratio[0]:.2f}, gimbal errors: {fit.axis_ratio[1]:.2f} of the assumed sigma")
     if solved.spots_left_out:
-        say(f"{solved.spots_left_out} spots left out: not where the rest of their view says")
+        show(f"{solved.spots_left_out} spots rejected: inconsistent with the rest of their view")
     for name, why in solved.left_out.items():
-        say(f"left out  {name}: {why}")
+        show(f"rejected  {name}: {why}")
     for warning in outcome.warnings:
-        say(f"warning   {warning}")
+        show(f"warning   {warning}")
     for check in outcome.checks:
         word = "ok  " if check.passed else "FAIL"
-        say(f"{word}      {check.name} {check.value:.4g} {check.unit}, allowed {check.limit:g} {check.unit}")
-    say(f"{'[bold green]PASS[/]' if outcome.passed else '[bold red]FAIL[/]'} {outcome.label.id}")
+        show(f"{word}      {check.name} {check.value:.4g} {check.unit}, allowed {check.limit:g} {check.unit}")
+    show(f"{'[bold green]PASS[/]' if outcome.passed else '[bold red]FAIL[/]'} {outcome.label.id}")
 
 
 def _add_number(table: Table, parameter: Parameter, value: float, sigma: float, paper: float) -> None:
@@ -77,7 +77,7 @@ def print_check(checked: Checked, passed: bool, limits: dict[str, float], consol
     """Print a drift check."""
     found, known = checked.drift, checked.known
 
-    def say(text: str) -> None:
+    def show(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True)
 
     table = _table(
@@ -86,16 +86,16 @@ def print_check(checked: Checked, passed: bool, limits: dict[str, float], consol
     for e in found.explanations:
         table.add_row(e.part, f"{e.square:.1f}", str(e.freedom), f"{e.chance:.1e}", f"{e.shift_px:.3f}")
     console.print(table)
-    say(
+    show(
         f"{found.views} views, {found.points} points: residuals {found.rms_px:.3f} px RMS,"
         f" noise {found.noise:.2f} times that of the calibration"
     )
     if checked.lost:
-        say(f"not used  {', '.join(checked.lost)}: the target is not seen, or not where it should be")
+        show(f"not used  {', '.join(checked.lost)}: the target is not visible or not at its expected position")
     best = found.explanations[0]
     significant = found.chance < limits["alarm"]
     if significant:
-        say(
+        show(
             f"drift     {' or '.join(found.alike)} moved"
             f" (by chance: {found.chance:.1e}, alarm below {limits['alarm']:g})"
         )
@@ -109,13 +109,13 @@ def print_check(checked: Checked, passed: bool, limits: dict[str, float], consol
             key=lambda row: -row[0],
         )
         for _, p, change, sigma in moved[:3]:
-            say(f"          {p.name} by {change:+.4g} +- {sigma:.2g} {p.unit}")
-        say(
+            show(f"          {p.name} by {change:+.4g} +- {sigma:.2g} {p.unit}")
+        show(
             f"          shifts the pixels by {best.shift_px:.3f} px RMS, allowed {limits['drift_px']:g};"
             f" a point at {checked.range_m:g} m by {checked.across_mm:.3f} mm across,"
             f" {checked.depth_mm:.3f} mm in depth"
         )
     else:
-        say(f"no drift  (by chance: {found.chance:.2f}, alarm below {limits['alarm']:g})")
-    say(f"{'ok  ' if found.rms_px <= limits['rms_px'] else 'FAIL'}      residuals, allowed {limits['rms_px']:g} px")
-    say(f"{'[bold green]PASS[/]' if passed else '[bold red]FAIL[/]'} {known.label.id}")
+        show(f"no drift  (by chance: {found.chance:.2f}, alarm below {limits['alarm']:g})")
+    show(f"{'ok  ' if found.rms_px <= limits['rms_px'] else 'FAIL'}      residuals, allowed {limits['rms_px']:g} px")
+    show(f"{'[bold green]PASS[/]' if passed else '[bold red]FAIL[/]'} {known.label.id}")

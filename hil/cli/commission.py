@@ -107,7 +107,7 @@ def commission(
     before = signed_before(loaded_rig.value)
     chosen = chosen_axes(axis)
     others = [k for k, name in enumerate(BENCH_AXES) if name in before]
-    who = sign_off.operator or ("nobody (--yes)" if yes else _asked_name())
+    who = sign_off.operator or ("unattended (--yes)" if yes else _asked_name())
     if loaded_rig.value.kind == "hardware" and not prompt.ask(
         "The axes will move. Is the bench clear of people, and the emergency stop in your hand?"
     ):

@@ -71,7 +71,7 @@ def dss(
     _check_gnc_is_remote(loaded, loaded_rig)
     is_mock = loaded_rig.value.kind == "mock"
     if is_mock and lock_step and options.speed != 1.0:
-        text = f"{options.speed:g}: in lock-step a mock rig is not paced by the wall clock: omit --speed"
+        text = f"{options.speed:g}: in lock-step a mock rig does not run in real time: omit --speed"
         raise BadInput.single("--speed", "", text)
     console = Console(stderr=True)
 

@@ -44,7 +44,7 @@ class RunOptions:
     """Run time in seconds, instead of the scenario's."""
     settings: Settings = ()
     speed: float = 1.0
-    """Simulation speed relative to real time, on a rig that is paced by the wall clock."""
+    """Simulation speed relative to real time, on rigs that run in real time."""
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that is out of range."""

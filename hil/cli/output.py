@@ -73,7 +73,7 @@ def chosen_axes(axes: Sequence[str]) -> list[int]:
 
 
 def base_of(rig_name: str, out_path: str) -> str:
-    """Return what ``extends`` needs to find the rig from beside the file at ``out_path``."""
+    """Return the value of ``extends`` with which the file at ``out_path`` extends the rig."""
     from hil.config.load import shipped
 
     if rig_name in shipped("rigs"):

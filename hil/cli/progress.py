@@ -1,4 +1,4 @@
-"""Progress bar that is drawn by its caller's updates: no thread beside the loop."""
+"""Progress bar that is drawn by its caller's updates: no additional thread."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ def recover(recording: str, /, *, out: Annotated[str | None, Parameter(name=("--
     recording
         File of a recorder that was killed, or whose disk was full.
     out
-        File to write; default: NAME.recovered.mcap beside the recording.
+        File to write; default: NAME.recovered.mcap in the same folder.
     """
     from hil.recording import recover as recovery
 
@@ -25,7 +25,7 @@ def recover(recording: str, /, *, out: Annotated[str | None, Parameter(name=("--
     if found.out is None:
         text = f"{recording} is intact: {found.messages} messages over {found.length_s:.2f} s, nothing to recover"
     else:
-        lost = f"; {found.lost_chunks} damaged blocks are left out" if found.lost_chunks else ""
+        lost = f"; {found.lost_chunks} damaged blocks are omitted" if found.lost_chunks else ""
         text = f"{found.out}: {found.messages} messages over {found.length_s:.2f} s recovered{lost}"
     Console().print(text, highlight=False, soft_wrap=True, markup=False)
     return 0

@@ -1,4 +1,4 @@
-"""What the console may do and what happens when its operator is lost: part of a rig file."""
+"""Rig files, table ``[console]``: reaction to the loss of the operator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ OnLoss = Literal["hold", "continue", "stop"]
 
 
 class ConsoleTable(ConfigModel):
-    """The rig's word on its console."""
+    """Supervision of the operator's page."""
 
-    on_loss: OnLoss = "hold"  # of the operator's page, the network or the console, while the bench moves
+    on_loss: OnLoss = "hold"  # of page, network or console, while the bench moves
     lease_s: Annotated[float, Field(ge=0.5, le=60.0)] = 2.0  # silence after which the operator counts as lost

@@ -1,4 +1,4 @@
-"""What chance does to a scenario from case to case of a campaign: a spread for any of its numbers."""
+"""Table ``[dispersions]`` of a scenario: random variation of its numbers from case to case of a campaign."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ Number = float | tuple[float, ...]
 
 
 class Spread(ConfigModel):
-    """The distribution of one key. A list has one number for each component of the key, one number counts for all.
+    """Distribution of one key. A list has one number per component of the key, a single number holds for all.
 
-    normal: about ``mean``, or the scenario's own value, with ``sigma``, cut off below ``low`` and above ``high`` where
-    these are given. uniform: from ``low`` to ``high``. With ``relative`` all four are factors of the scenario's value.
+    normal: about ``mean``, by default the scenario's value, with ``sigma``, truncated below ``low`` and above ``high``
+    if given. uniform: from ``low`` to ``high``. With ``relative`` all four are factors of the scenario's value.
     """
 
     kind: Literal["normal", "uniform"]
@@ -54,9 +54,9 @@ Table = dict[str, Any]
 
 
 class Dispersions(ConfigModel):
-    """Spreads under the names of the scenario's own tables; each leaf is a ``Spread`` (docs/campaign.md).
+    """Spreads under the names of the scenario's tables; each leaf is a ``Spread`` (docs/campaign.md).
 
-    What stands under ``gnc`` changes what the GNC is told; all else is truth that it is not told of.
+    Keys under ``gnc`` change the parameters of the GNC; all others change the truth only.
     """
 
     sampling: Literal["random", "latin_hypercube", "sobol"] = "random"

@@ -1,4 +1,4 @@
-"""The docking monitor beside a run: whether there is one, what it looks at, and from where."""
+"""Table ``[monitor]`` of a scenario: docking monitor in parallel with a run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hil.config.model import ConfigModel, Triple
 
 
 class DockingMonitor(ConfigModel):
-    """source: "rendered" draws the docking target from the bench's encoders. scene: shipped, or a scene file's path.
+    """source: "rendered" renders the docking target from the bench's encoders. scene: shipped, or a scene file's path.
 
     The camera's axes are the vision unit's, x1 = -y_c, x2 = z_c, x3 = -x_c; the target's C are y1 = -y_H, y2 = -z_H,
     y3 = x_H. blur_px: 1 sigma of the point spread of lens and tube.

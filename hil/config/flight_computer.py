@@ -39,7 +39,7 @@ class FlightComputer(ConfigModel):
     on_loss: Literal["hold", "stop"] = "stop"
     serial: WordsLine = WordsLine()
     can: WordsCan = WordsCan()
-    poses: WordsLine = WordsLine(baud=460_800)  # RS-422: the vision unit's frames go out here, where it has a port
+    poses: WordsLine = WordsLine(baud=460_800)  # RS-422 output of the vision unit's frames, if it has a port
 
     @model_validator(mode="after")
     def _lost_is_later_than_silent(self) -> Self:

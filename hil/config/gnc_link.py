@@ -1,4 +1,4 @@
-"""The link to a GNC on another computer, or in another process: part of a rig file."""
+"""Rig files, table ``[gnc_link]``: link to a GNC on another computer or in another process."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from hil.config.model import ConfigModel, Positive
 
 
 class GncLink(ConfigModel):
-    """What the bench does when the GNC's answers come late or not at all."""
+    """Reaction to late or missing replies of the GNC."""
 
-    coast_cycles: Annotated[int, Field(ge=0, le=50)] = 1  # for which the last command stands; then thrusters are closed
-    timeout_cycles: Annotated[int, Field(ge=1, le=10_000)] = 3  # without an answer: the GNC is lost
+    coast_cycles: Annotated[int, Field(ge=0, le=50)] = (
+        1  # for which the last command is held; then the thrusters are closed
+    )
+    timeout_cycles: Annotated[int, Field(ge=1, le=10_000)] = 3  # without a reply: the GNC is lost
     on_loss: Literal["hold", "stop"] = "stop"
     reconnect_timeout_s: Positive = 300.0  # wall-clock time that a held bench waits for the GNC
     reply_timeout_fraction: Annotated[float, Field(gt=0.0, le=0.8)] = 0.5  # lock-step: of a cycle
 
     @model_validator(mode="after")
-    def _coasts_no_longer_than_it_trusts(self) -> Self:
+    def _coasting_ends_before_the_timeout(self) -> Self:
         if self.coast_cycles > self.timeout_cycles:
             raise ValueError(f"coast_cycles = {self.coast_cycles}: must not exceed timeout_cycles")
         return self

@@ -1,4 +1,4 @@
-"""Other settings of the GNC laid over a scenario that was flown: what a replay tries."""
+"""Override of the GNC of a recorded scenario for a replay."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from hil.config.scenario import GncConfig, Scenario
 from hil.errors import BadInput, Problem
 
 _TABLES: Final = ("gnc", "requirements")
-"""What a replay can change of a scenario: the rest made what was recorded."""
+"""Tables of a scenario that a replay can change: the others determined the recording."""
 
 
 def with_other_gnc(flown: Scenario, source: str, file: str | None, settings: Sequence[str]) -> Loaded[Scenario]:
-    """Return ``flown`` with the GNC of ``file`` and then ``settings`` laid over it; raise BadInput.
+    """Return ``flown`` with the GNC of ``file`` and then ``settings`` merged over it; raise BadInput.
 
-    file: a TOML file with ``[gnc...]`` tables, or with the tables of gnc themselves (``[pkf]``), laid over key by
-    key; or a scenario, shipped or one that extends another, whose ``gnc`` and ``requirements`` are taken whole.
+    file: a TOML file with ``[gnc...]`` tables, or with the tables of gnc themselves (``[pkf]``), merged key by key; or
+    a scenario, shipped or one that extends another, whose ``gnc`` and ``requirements`` replace those of ``flown``.
     source: name of the recording.
     """
     table: dict[str, Any] = flown.model_dump(mode="json", exclude_none=True)
@@ -36,7 +36,7 @@ def with_other_gnc(flown: Scenario, source: str, file: str | None, settings: Seq
 
 
 def _tables_of(file: str) -> dict[str, Any]:
-    """Return gnc and requirements as far as ``file`` has them."""
+    """Return the tables gnc and requirements of ``file``, if it has them."""
     if file in shipped("scenarios"):
         return _of_scenario(file)
     path = Path(file)

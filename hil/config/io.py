@@ -1,4 +1,4 @@
-"""Rig files, table ``[io]``: the coupler of digital inputs and outputs, and how the safety chain is wired to it."""
+"""Rig files, table ``[io]``: coupler of digital inputs and outputs, and its wiring to the safety chain."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BitAddress = Annotated[int, Field(ge=0, le=65535)]
 
 
 class IoCoils(ConfigModel):
-    """Addresses of the outputs; the thrusters' lines follow each other."""
+    """Addresses of the outputs; the thrusters' lines are consecutive."""
 
     charge_pump: BitAddress = 0
     enable: BitAddress = 1
@@ -30,7 +30,7 @@ class InputLines(ConfigModel):
 
 
 class IoIdentity(ConfigModel):
-    """What the coupler must say it is (Modbus device identification); what is left away is not asked for."""
+    """Expected Modbus device identification of the coupler; omitted keys are not checked."""
 
     vendor: str | None = None
     product: str | None = None

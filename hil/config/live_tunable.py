@@ -1,13 +1,11 @@
-"""Settings that an operator may change while a scenario is flown: which are sound, in what range, in what unit."""
+"""Settings that an operator may change during a run, and their ranges."""
 
 from __future__ import annotations
 
 import difflib
 import json
-from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel, field_validator
 
 from hil.config.model import ConfigModel
@@ -45,18 +43,18 @@ LIVE_TUNABLE: Final = (
     "gnc.pkf.accelerometer_bias_noise_mps3",
     *(f"gnc.vision_only.{name}" for name in _VISION_ONLY),
 )
-"""Keys whose number each cycle reads anew. All others shape what has begun (vehicle, step, geometry, plan, the filters'
-start), or what the run is judged by (requirements): they stand for the whole run."""
+"""Keys that each cycle reads again. All others determine the initial state (vehicle, step, geometry, plan, filters) or
+the verdict (requirements): they are fixed for the whole run."""
 
 
-class InFlight(ConfigModel):
-    """What a scenario lets the operator change at the console while it is flown."""
+class LiveTuning(ConfigModel):
+    """Table ``[console]`` of a scenario: settings that the operator may change during a run."""
 
     adjustable: tuple[str, ...] = ()
 
     @field_validator("adjustable")
     @classmethod
-    def _each_is_sound(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+    def _each_is_live_tunable(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         for key in value:
             if key not in LIVE_TUNABLE:
                 close = difflib.get_close_matches(key, LIVE_TUNABLE, n=1, cutoff=0.8)
@@ -64,64 +62,33 @@ class InFlight(ConfigModel):
                 allowed = ", ".join(LIVE_TUNABLE)
                 raise ValueError(f"{json.dumps(key)}: cannot be changed in flight: {hint}allowed: {allowed}")
             if value.count(key) > 1:
-                raise ValueError(f"{json.dumps(key)}: stands here twice")
+                raise ValueError(f"{json.dumps(key)}: is listed twice")
         return value
 
 
-@dataclass(frozen=True)
-class Range:
-    """What a number may be: low, high: None for no end there; *_open: the end itself is not allowed."""
+def range_of(model: type[BaseModel], key: str) -> dict[str, Any]:
+    """Return the limits of the number at the dotted ``key`` of ``model``.
 
-    low: float | None = None
-    high: float | None = None
-    low_open: bool = False
-    high_open: bool = False
-
-    def __contains__(self, value: float) -> bool:
-        above = self.low is None or (value > self.low if self.low_open else value >= self.low)
-        below = self.high is None or (value < self.high if self.high_open else value <= self.high)
-        return above and below
-
-    def __str__(self) -> str:
-        if self.low is not None and self.high is not None:
-            words = (
-                f"{'above ' if self.low_open else ''}{self.low:g} to {'below ' if self.high_open else ''}{self.high:g}"
-            )
-        elif self.low is not None:
-            words = f"above {self.low:g}" if self.low_open else f"{self.low:g} or more"
-        elif self.high is not None:
-            words = f"below {self.high:g}" if self.high_open else f"{self.high:g} or less"
-        else:
-            words = "any number"
-        return words
-
-    def as_json(self) -> dict[str, Any]:
-        """Return what a page needs to check a number."""
-        return asdict(self) | {"words": str(self)}
-
-
-def range_of(model: type[BaseModel], key: str) -> Range:
-    """Return the range of the number at the dotted ``key`` of ``model``, by its model's own limits."""
+    low, high: None if unlimited. low_open, high_open: the limit itself is excluded. words: the range as text.
+    """
     *tables, last = key.split(".")
     for table in tables:
         inner = model.model_fields[table].annotation
         assert isinstance(inner, type)
         assert issubclass(inner, BaseModel)
         model = inner
-    found: dict[str, Any] = {}
-    for limit in model.model_fields[last].metadata:
-        match limit:
-            case Gt(gt=number):
-                found |= {"low": number, "low_open": True}
-            case Ge(ge=number):
-                found |= {"low": number}
-            case Lt(lt=number):
-                found |= {"high": number, "high_open": True}
-            case Le(le=number):
-                found |= {"high": number}
-            case _:
-                pass
-    return Range(**found)
+    schema = model.model_json_schema()["properties"][last]
+    low, low_open = schema.get("exclusiveMinimum", schema.get("minimum")), "exclusiveMinimum" in schema
+    high, high_open = schema.get("exclusiveMaximum", schema.get("maximum")), "exclusiveMaximum" in schema
+    if low is not None and high is not None:
+        words = f"{'above ' if low_open else ''}{low:g} to {'below ' if high_open else ''}{high:g}"
+    elif low is not None:
+        words = f"above {low:g}" if low_open else f"{low:g} or more"
+    elif high is not None:
+        words = f"below {high:g}" if high_open else f"{high:g} or less"
+    else:
+        words = "any number"
+    return {"low": low, "high": high, "low_open": low_open, "high_open": high_open, "words": words}
 
 
 def value_of(table: BaseModel, key: str) -> float:

@@ -1,4 +1,4 @@
-"""Reads scenario, rig, protocol and scene files; finds every fault of a file and says each in one line."""
+"""Loader of configuration files. Reports all errors of a file, one line per error."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from hil.errors import BadInput, Problem
 Model = TypeVar("Model", bound=ConfigModel)
 Table = dict[str, Any]
 
-_SUFFIXES = {"targets": (".json", ".toml")}  # a scene may come from another program, as JSON
+_SUFFIXES = {"targets": (".json", ".toml")}  # scenes of other programs are JSON
 _WORDS = {"targets": "scene", "geometries": "geometry"}
 _FILES_OF_KEYS = {
     "protocol": (".toml",),
     "scene": (".json", ".toml"),
     "library": (".so",),
-}  # values that are names or, ending so, paths
+}  # values that are names, or paths with these endings
 _NEVER = ("\0",)
 
 _UNIT = re.compile(r"_(m|mm|cm|km|s|ms|us|kg|g|n|deg|rad|hz|mps|mmps|degps|radps|mps2|degps2|mps3|kg_m2)$")
 
 
 def configs_folder() -> Path:
-    """Return the folder of the shipped configs: beside the package in a checkout, inside it when installed."""
+    """Return the folder of the shipped configs: next to the package in a checkout, inside it if installed."""
     package = Path(__file__).resolve().parent.parent
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
@@ -52,27 +52,27 @@ def shipped(kind: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Loaded(Generic[Model]):
-    """A checked file: the model, where it came from, and which file or option gave each key."""
+    """Checked configuration: model, source, and the file or option that set each key."""
 
     value: Model
     source: str
     origin: Mapping[str, str]
 
     def where(self, key: str) -> str:
-        """Return the file or option that gave ``key``."""
+        """Return the file or option that set ``key``."""
         while key and key not in self.origin:
             key = key.rpartition(".")[0]
         return self.origin.get(key, self.source)
 
 
 def load_scenario(name: str, settings: Iterable[str] = ()) -> Loaded[Scenario]:
-    """Return the scenario ``name`` (shipped, or a path) with ``settings`` laid over; raise BadInput."""
+    """Return the scenario ``name`` (shipped, or a path) with ``settings`` applied; raise BadInput."""
     chosen = [text for text in settings if not text.startswith("rig.")]
     return _load(name, "scenarios", Scenario, chosen, prefix="")
 
 
 def load_rig(name: str, settings: Iterable[str] = ()) -> Loaded[Rig]:
-    """Return the rig ``name`` (shipped, or a path) with the ``rig.``-settings laid over; raise BadInput."""
+    """Return the rig ``name`` (shipped, or a path) with the ``rig.``-settings applied; raise BadInput."""
     chosen = [text for text in settings if text.startswith("rig.")]
     loaded = _load(name, "rigs", Rig, chosen, prefix="rig.")
     if loaded.value.kind == "hardware":
@@ -111,9 +111,9 @@ def _load(name: str, kind: str, model: type[Model], settings: Sequence[str], pre
 def check_table(
     table: Table, model: type[Model], source: str, origin: Mapping[str, str] | None = None, prefix: str = ""
 ) -> Loaded[Model]:
-    """Return ``table`` as ``model``; raise BadInput with every fault. prefix: of the keys in what is said of them."""
+    """Return ``table`` as ``model``; raise BadInput with all errors. prefix: of the keys in messages."""
     try:
-        # through JSON: its strict mode takes lists for tuples and whole numbers for floats, and no more
+        # via JSON: its strict mode accepts lists for tuples and integers for floats, nothing else
         value = model.model_validate_json(json.dumps(table, default=str))
     except ValidationError as error:
         raise BadInput(_problems(error, model, table, source, origin or {}, prefix)) from error
@@ -153,7 +153,7 @@ def read_with_bases(
             text = f"{base_name!r}: {error.problems[0].message}"
             raise BadInput.single(str(path), "extends", text) from error
         if base_path.resolve() in chain or base_path.resolve() == path.resolve():
-            raise BadInput.single(str(path), "extends", f"{base_name!r}: the files extend each other in a ring")
+            raise BadInput.single(str(path), "extends", f"{base_name!r}: the files extend each other in a circle")
         base = read_with_bases(base_path, kind, model, origin, (*chain, path.resolve()))
     merge_tables(base, table, str(path), origin, "")
     return base
@@ -175,7 +175,7 @@ def _read_table(path: Path) -> Table:
 
 
 def _find_files_beside(table: Table, folder: Path) -> None:
-    """Make paths count from the folder of their file: keys in ``_file``, a protocol's, scene's, library's."""
+    """Make paths relative to the folder of their file: keys in ``_file``, protocol, scene, library."""
     for key, value in table.items():
         if isinstance(value, dict):
             _find_files_beside(value, folder)
@@ -184,11 +184,11 @@ def _find_files_beside(table: Table, folder: Path) -> None:
 
 
 def merge_tables(base: Table, table: Table, source: str, origin: dict[str, str], prefix: str = "") -> None:
-    """Put the keys of ``table`` over those of ``base``, table by table."""
+    """Merge the keys of ``table`` over those of ``base``, table by table."""
     for key, value in table.items():
         dotted = f"{prefix}{key}"
         if isinstance(value, dict) and isinstance(base.get(key), dict):
-            origin[dotted] = source  # what does not go together in a table is told of the last file that touched it
+            origin[dotted] = source  # contradictions within a table are attributed to the last file that changed it
             merge_tables(base[key], value, source, origin, f"{dotted}.")
         else:
             base[key] = value
@@ -297,7 +297,7 @@ def _shown(value: Any) -> str:
 
 
 def _expected(model: type[BaseModel], location: list[str]) -> str:
-    """Return what belongs there, as far as the model tells."""
+    """Return the expected value, as far as the unit in the name gives it."""
     parent = _model_at(model, location[:-1])
     unit = _UNIT.search(location[-1])
     if parent is None or unit is None:
@@ -312,14 +312,14 @@ def _unknown_key(model: type[BaseModel], location: list[str]) -> str:
     stem = _UNIT.sub("", key)
     same_stem = [name for name in known if _UNIT.sub("", name) == stem]
     if same_stem:
-        return f"unknown key: the unit stands in the name, here it is {same_stem[0]}"
+        return f"unknown key: the unit is part of the name, here it is {same_stem[0]}"
     close = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     return f"unknown key: {hint}known here: {', '.join(known)}"
 
 
 def _model_at(model: type[BaseModel], location: Sequence[str]) -> type[BaseModel] | None:
-    """Return the model of the table at ``location``, None where there is no table."""
+    """Return the model of the table at ``location``, None if there is no table."""
     current: type[BaseModel] | None = model
     keys = iter(location)
     for key in keys:

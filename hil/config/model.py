@@ -1,7 +1,7 @@
-"""Common ground of the configuration models.
+"""Base of the configuration models.
 
-A key's name ends in its unit (``_m``, ``_mps``, ``_deg`` ...), numbers are finite, unknown keys are
-errors. Angles are degrees here, at the edge; whoever builds kernels' parameters turns them to radians.
+The name of a key ends in its unit (``_m``, ``_mps``, ``_deg`` ...), numbers are finite, unknown keys are
+errors. Angles are in degrees; ``hil.params`` converts them to radians.
 """
 
 from __future__ import annotations
@@ -17,6 +17,6 @@ Matrix3 = tuple[Triple, Triple, Triple]
 
 
 class ConfigModel(BaseModel):
-    """Base of every table of a file."""
+    """Base of all tables of configuration files."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)

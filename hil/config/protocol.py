@@ -1,4 +1,4 @@
-"""Protocol files: the command set of a turntable controller on a serial line, as data (docs/protocols.md)."""
+"""Protocol files: command set of a turntable controller on a serial line (docs/protocols.md)."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ ACTIONS: Final = ("identify", "enable", "set", "hold", "quick_stop", "clear_faul
 Bit = Annotated[int, Field(ge=1, le=0xFFFF_FFFF)]
 Digits = Annotated[int, Field(ge=1, le=8)]
 Printable = Annotated[str, Field(pattern=r"^[ -~]*$")]
-Names = dict[str, str]  # a number, decimal or 0x..., and what it means
+Names = dict[str, str]  # number, decimal or 0x..., and its meaning
 
 
 def template_places(template: str) -> list[tuple[str, str]]:
-    """Return (literal text, field after it) for each part of a template; ValueError where it is none."""
+    """Return (literal text, following field) for each part of a template; ValueError if it is invalid."""
     try:
         parts = [(text, name, spec, conversion) for text, name, spec, conversion in string.Formatter().parse(template)]
     except ValueError as error:
@@ -29,12 +29,12 @@ def template_places(template: str) -> list[tuple[str, str]]:
     if not template.isascii() or not template.isprintable():
         raise ValueError(f"{template!r}: must be printable ASCII characters")
     if any(spec or conversion or name == "" for _, name, spec, conversion in parts):
-        raise ValueError(f"{template!r}: a field is a name in braces and nothing more")
+        raise ValueError(f"{template!r}: a field is a name in braces without format")
     return [(text, name or "") for text, name, _, _ in parts]
 
 
 class LineFraming(ConfigModel):
-    """What a line begins and ends with. Requests go to the controller, replies come from it."""
+    """Start and end of a line. Requests go to the controller, replies come from it."""
 
     request_start: Printable = ""
     request_end: Annotated[str, Field(min_length=1)] = "\r\n"
@@ -44,14 +44,14 @@ class LineFraming(ConfigModel):
 
 
 class SequenceNumber(ConfigModel):
-    """Hexadecimal number in front of the body that the reply repeats."""
+    """Hexadecimal number before the body, repeated in the reply."""
 
     digits: Annotated[int, Field(ge=1, le=4)] = 2
     separator: Printable = " "
 
 
 class Checksum(ConfigModel):
-    """Hexadecimal, behind the body; over sequence number and body, and what is said to be covered besides."""
+    """Hexadecimal, after the body; covers sequence number and body, and start and separator if set."""
 
     kind: Literal["none", "sum8", "xor8", "crc16-ccitt"] = "none"
     separator: Printable = "*"
@@ -60,21 +60,21 @@ class Checksum(ConfigModel):
 
 
 class Angle(ConfigModel):
-    """How a position is written."""
+    """Format of a position."""
 
     unit: Literal["deg", "mdeg", "arcsec", "counts"]
     decimals: Annotated[int, Field(ge=0, le=9)] = 0
 
 
 class AngularRate(ConfigModel):
-    """How a rate is written."""
+    """Format of a rate."""
 
     unit: Literal["degps", "mdegps", "arcsecps", "countsps"]
     decimals: Annotated[int, Field(ge=0, le=9)] = 0
 
 
 class NonNegativeInt(ConfigModel):
-    """How a whole number is written. digits: exactly so many, with leading zeros; None: as many as it takes."""
+    """Format of an integer. digits: fixed number with leading zeros; None: as many as needed."""
 
     base: Literal[10, 16] = 10
     digits: Digits | None = None
@@ -89,7 +89,7 @@ class Fields(ConfigModel):
 
 
 class Step(ConfigModel):
-    """One line out and one line in. each_axis: once for every axis, ``{axis}`` being its name on the wire."""
+    """One request and its reply. each_axis: once per axis, ``{axis}`` is its name on the wire."""
 
     send: str
     reply: str
@@ -107,10 +107,10 @@ SomeSteps = Annotated[Steps, Field(min_length=1)]
 
 
 class RequestSteps(ConfigModel):
-    """What each action sends. An action of several lines sends them in this order."""
+    """Requests of each action, sent in this order."""
 
     identify: Steps = ()
-    enable: SomeSteps  # setpoint := where the axes stand
+    enable: SomeSteps  # setpoint := position of the axes
     set: SomeSteps  # positions and rates
     hold: Steps = ()
     quick_stop: SomeSteps
@@ -120,14 +120,14 @@ class RequestSteps(ConfigModel):
 
 
 class ErrorReply(ConfigModel):
-    """How the controller refuses; ``{error}`` is the number that ``names`` explain."""
+    """Error reply of the controller; ``{error}`` is the number that ``names`` explain."""
 
     reply: str
     names: Names = Field(default_factory=dict)
 
 
 class AxisStatusBits(ConfigModel):
-    """Which bit of an axis' status says what. A bit that the controller does not have is left away."""
+    """Meaning of the status bits of an axis. Bits that the controller does not have are omitted."""
 
     enabled: Bit
     fault: Bit
@@ -142,9 +142,9 @@ class AxisStatusBits(ConfigModel):
 
 
 class FaultNames(ConfigModel):
-    """What an axis' fault number means. flags: each bit is a fault; code: the number is one.
+    """Meaning of the fault number of an axis. flags: each bit is a fault; code: the number is one.
 
-    torque_off: the one of ``names`` that says that the safety chain has taken the torque; None: there is none.
+    torque_off: number in ``names`` of safe torque off; None: the controller has no such fault.
     """
 
     kind: Literal["flags", "code"] = "code"
@@ -153,13 +153,13 @@ class FaultNames(ConfigModel):
 
 
 class EmulatorWords(ConfigModel):
-    """What the emulated controller says where a real one has its own words."""
+    """Texts and numbers of the emulated controller."""
 
     model: str = "EMULATED-3AX"
     serial: str = "0001"
     firmware: str = "1.0"
     command_timeout: int = 1  # fault numbers
-    drive_fault: int = 4  # one that is switched on without a number
+    drive_fault: int = 4  # of a fault that is injected without a number
     unknown: int = 1  # error numbers
     arguments: int = 2
     refused: int = 3
@@ -169,7 +169,7 @@ class Protocol(ConfigModel):
     """One command set."""
 
     name: str
-    axes: tuple[str, str, str] = ("1", "2", "3")  # names of roll, pitch, yaw where a line has {axis}
+    axes: tuple[str, str, str] = ("1", "2", "3")  # names of roll, pitch, yaw for {axis}
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] | None = None
     line: LineFraming = LineFraming()
     sequence: SequenceNumber | None = None
@@ -211,11 +211,11 @@ class Protocol(ConfigModel):
         return {} if self.errors is None else self.errors.names
 
     def steps(self) -> list[tuple[str, Step]]:
-        """Return every line that can be sent, with the action it belongs to."""
+        """Return all requests, each with its action."""
         return [(action, step) for action in ACTIONS for step in getattr(self.requests, action)]
 
     def gives(self, action: str) -> set[tuple[str, str]]:
-        """Return (field, axis name) of everything that the replies to an action tell."""
+        """Return (field, axis name) of all values in the replies to an action."""
         found = set()
         for step in getattr(self.requests, action):
             for _, place in template_places(self.replies[step.reply]):
@@ -224,12 +224,12 @@ class Protocol(ConfigModel):
         return found
 
     def warnings(self) -> list[str]:
-        """Return a line for each protection that this command set goes without."""
+        """Return one line per protection that this command set lacks."""
         found = []
         if self.sequence is None:
-            found.append(f"protocol {self.name}: no sequence number: a late answer can pass for a new one")
+            found.append(f"protocol {self.name}: no sequence number: a late reply can be mistaken for a new one")
         if self.checksum.kind == "none":
-            found.append(f"protocol {self.name}: no checksum: a spoilt line can pass for a good one")
+            found.append(f"protocol {self.name}: no checksum: a corrupted line can be accepted")
         return found
 
     def _check_step(self, action: str, step: Step) -> None:
@@ -244,7 +244,7 @@ class Protocol(ConfigModel):
         _check_template(f"replies.{step.reply}", self.replies[step.reply], [*_axis_fields(step.each_axis), *OF_DEVICE])
 
     def _check_report(self) -> None:
-        told, sent = self.gives("status"), set()
+        reported, sent = self.gives("status"), set()
         for step in self.requests.set:
             for _, place in template_places(step.send):
                 name, _, axis = place.partition(".")
@@ -253,19 +253,19 @@ class Protocol(ConfigModel):
             if ("position", axis) not in sent:
                 raise ValueError(f"requests.set: sends no position of {axis}")
             for name in ("position", "status"):
-                if (name, axis) not in told:
-                    raise ValueError(f"requests.status: the replies tell no {name} of {axis}")
+                if (name, axis) not in reported:
+                    raise ValueError(f"requests.status: no reply has the {name} of {axis}")
 
     def _check_homing(self) -> None:
         bits = self.status
         if bits.homed is not None and bits.not_homed is not None:
-            raise ValueError("status: homed and not_homed say the same thing: give one of them")
+            raise ValueError("status: homed and not_homed are redundant: give one of them")
         if self.requests.home and (bits.homing is None or (bits.homed is None and bits.not_homed is None)):
             raise ValueError("requests.home: needs status.homing, and status.homed or status.not_homed")
 
 
 def numbers(key: str, names: Names) -> dict[int, str]:
-    """Return names by their numbers; ValueError, beginning with ``key``, where one is no number."""
+    """Return names by their numbers; ValueError, starting with ``key``, if a number is invalid."""
     try:
         return {int(number, 0): name for number, name in names.items()}
     except ValueError as error:
@@ -273,7 +273,7 @@ def numbers(key: str, names: Names) -> dict[int, str]:
 
 
 def _axis_fields(each_axis: bool) -> list[str]:
-    """Return the fields of axes that a template may have."""
+    """Return the allowed axis fields of a template."""
     named = [f"{name}.{axis}" for name in OF_AXIS for axis in GIMBAL_NAMES]
     return [*named, "axis", *OF_AXIS] if each_axis else named
 

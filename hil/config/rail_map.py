@@ -158,7 +158,7 @@ class RailMap(ConfigModel):
 
     @property
     def homes(self) -> bool:
-        """Whether these drives can be told to look for their home switches, and tell the outcome."""
+        """Whether the drives have a homing command and report its result."""
         return self.control_bits.home >= 0 and self.status_bits.homed >= 0
 
     def blocks(self) -> dict[str, dict[str, AnyRegister]]:

@@ -1,7 +1,7 @@
 """Renamed keys of configuration files: earlier names are read, with one warning per file that gives the new name.
 
 The renaming acts on raw tables, before validation: files, ``--set``, dispersions, adjustable settings, recordings and
-campaign folders. The models know the new names only.
+campaign folders. The models have the new names only.
 """
 
 from __future__ import annotations

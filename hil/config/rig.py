@@ -1,4 +1,4 @@
-"""Rig files: which devices the bench has, on which wires, with which limits and geometry."""
+"""Rig files: devices of the bench, their wires, limits and geometry."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ BENCH_AXES = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" f
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
 LEAD_MAX_S = 0.2
-Lead = Annotated[float, Field(ge=-LEAD_MAX_S, le=LEAD_MAX_S)]  # s; below zero for an axis that is ahead of its time
-Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after its drive was off
+Lead = Annotated[float, Field(ge=-LEAD_MAX_S, le=LEAD_MAX_S)]  # s; negative for an axis that leads
+Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after power-up
 Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 
 
 class BenchGeometry(ConfigModel):
-    """Where things are mounted (frames: docs/frames.md)."""
+    """Mounting of the bench (frames: docs/frames.md)."""
 
     lever_arm_m: Triple  # in c: turntable's rotation centre to the chaser's reference point
     gimbal_order: Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"] = "zyx"  # outer to inner
@@ -58,23 +58,23 @@ class BenchGeometry(ConfigModel):
 
 
 class Servo(ConfigModel):
-    """How an axis follows its setpoint: mock and emulator move by this."""
+    """Dynamics of an axis of mock and emulator."""
 
     gain_per_s: Positive
     lag_s: Positive
 
 
 class RailAxis(ConfigModel):
-    """One rail. An incremental encoder must find its home switch before the axis knows its place."""
+    """One rail. An axis with an incremental encoder must be homed after power-up."""
 
     travel_m: tuple[float, float]
     rate_max_mps: Positive
     acceleration_max_mps2: Positive
     park_m: float = 0.0
     encoder: Encoder = "absolute"
-    home_m: float = 0.0  # place of the home switch
+    home_m: float = 0.0  # position of the home switch
     homing_rate_mps: Positive = 0.05
-    lead_s: Lead = 0.0  # by which setpoints are taken ahead; hil identify measures it
+    lead_s: Lead = 0.0  # lead of the setpoints; measured by hil identify
 
     @property
     def limits(self) -> tuple[float, float, float, float, float]:
@@ -96,16 +96,16 @@ class RailAxis(ConfigModel):
 
 
 class GimbalAxis(ConfigModel):
-    """One axis of the turntable. An incremental encoder must find its home switch before the axis knows its place."""
+    """One axis of the turntable. An axis with an incremental encoder must be homed after power-up."""
 
     travel_deg: tuple[float, float]
     rate_max_degps: Positive
     acceleration_max_degps2: Positive
     park_deg: float = 0.0
     encoder: Encoder = "absolute"
-    home_deg: float = 0.0  # place of the home switch
+    home_deg: float = 0.0  # position of the home switch
     homing_rate_degps: Positive = 5.0
-    lead_s: Lead = 0.0  # by which setpoints are taken ahead; hil identify measures it
+    lead_s: Lead = 0.0  # lead of the setpoints; measured by hil identify
 
     @property
     def limits(self) -> tuple[float, float, float, float, float]:
@@ -134,7 +134,7 @@ def _check_travel(travel_key: str, travel: tuple[float, float], park_key: str, p
 
 
 class ModbusAxis(ConfigModel):
-    """Where one rail's drive listens."""
+    """Address of the drive of one rail."""
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
@@ -155,11 +155,11 @@ class Cia402(ConfigModel):
     interface: str = "serial"  # a python-can interface
     channel: str | None = None
     bitrate: Annotated[int, Field(gt=0)] = 1_000_000
-    baud: Annotated[int, Field(gt=0)] = 1_000_000  # of the adapter, where the interface is a serial one
+    baud: Annotated[int, Field(gt=0)] = 1_000_000  # of a serial adapter
     node_ids: tuple[NodeId, NodeId, NodeId] = (1, 2, 3)
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000
     eds_file: str | None = None  # of the drives; the emulated drive's, shipped with the driver, when not given
-    heartbeat_s: Annotated[float, Field(ge=0.01, le=60.0)] = 0.05  # how often a drive says that it lives
+    heartbeat_s: Annotated[float, Field(ge=0.01, le=60.0)] = 0.05  # heartbeat period of the drives
     homing_method: Annotated[int, Field(ge=-128, le=37)] = 24  # object 0x6098; 24: home switch, positive start
     vendor_id: Unsigned32 | None = None  # object 0x1018, what the drives must be; not given: any
     product_code: Unsigned32 | None = None
@@ -181,10 +181,10 @@ class SerialLine(ConfigModel):
 
 
 class AsciiTurntableLine(SerialLine):
-    """The turntable controller's serial port, and the command set that it speaks."""
+    """Serial port and command set of the turntable controller."""
 
     protocol: str = "hil-ascii"  # a shipped protocol file by its name, or the path of one
-    identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)  # what it must say
+    identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)  # expected identification
 
 
 class AxisGroupTable(DeviceTable):
@@ -217,7 +217,7 @@ class Rails(AxisGroupTable):
     following_error_max_m: Positive = 0.05  # at rest
     following_error_per_speed_s: NotNegative = 0.0  # m more for each m/s of commanded speed
     lost_packets_max: Positive = 5.0
-    lost_packets_window_s: Positive = 1.0  # after which one lost packet is forgiven
+    lost_packets_window_s: Positive = 1.0  # drain time of the leaky bucket per lost packet
     encoder_sigma_m: NotNegative = 0.0  # noise of the emulated encoders
     x: RailAxis
     y: RailAxis
@@ -258,7 +258,7 @@ class Turntable(AxisGroupTable):
     following_error_max_deg: Positive = 2.0  # at rest
     following_error_per_speed_s: NotNegative = 0.0  # deg more for each deg/s of commanded speed
     lost_packets_max: Positive = 5.0
-    lost_packets_window_s: Positive = 1.0  # after which one lost packet is forgiven
+    lost_packets_window_s: Positive = 1.0  # drain time of the leaky bucket per lost packet
     encoder_sigma_deg: NotNegative = 0.0  # noise of the emulated encoders
     roll: GimbalAxis
     pitch: GimbalAxis
@@ -281,14 +281,14 @@ class RigCamera(ConfigModel):
 
 
 def _ring(radius_m: float, raised_m: float) -> tuple[Triple, ...]:
-    """Return six lamps evenly on a circle in t, the first one raised towards the camera."""
-    turns = [math.tau * k / 6 for k in range(6)]
-    flat = [(radius_m * math.cos(turn), radius_m * math.sin(turn), 0.0) for turn in turns]
+    """Return six LEDs evenly spaced on a circle in t, the first one raised towards the camera."""
+    angles = [math.tau * k / 6 for k in range(6)]
+    flat = [(radius_m * math.cos(angle), radius_m * math.sin(angle), 0.0) for angle in angles]
     return (radius_m, 0.0, -raised_m), *flat[1:]
 
 
 class VmuIdentity(ConfigModel):
-    """What the unit must say it is; what is left away is not asked for."""
+    """Expected identification of the unit; omitted keys are not checked."""
 
     vendor: str | None = None
     serial: str | None = None
@@ -303,20 +303,20 @@ class Vmu(DeviceTable):
     timeout_s: Positive = 0.4
     rate_hz: Positive = 6.25
     lost_packets_max: Positive = 10.0
-    lost_packets_window_s: Positive | None = None  # left away: the time of two frames
+    lost_packets_window_s: Positive | None = None  # default: two frame periods
     processing_s: NotNegative = 0.0  # from exposure to the first byte
-    clock: Literal["shared", "own"] = "shared"  # time stamps are bench time, or of a clock of the unit's own
+    clock: Literal["shared", "own"] = "shared"  # time stamps are bench time, or of a clock in the unit
     camera: RigCamera = RigCamera()
     leds_m: Annotated[tuple[Triple, ...], Field(min_length=1)] = _ring(0.12, 0.06)  # in t
-    geometry_file: str | None = None  # what the unit takes its cameras and LEDs for; left away: camera and leds_m
-    bench_sigma_m: NotNegative = 0.0  # what bench and calibration add to the error that the unit reports, per axis
+    geometry_file: str | None = None  # calibrated cameras and LEDs of the unit; default: camera and leds_m
+    bench_sigma_m: NotNegative = 0.0  # error of bench and calibration added to the reported sigma, per axis
     bench_sigma_deg: NotNegative = 0.0
     identity: VmuIdentity = VmuIdentity()
     rs422: SerialLine | None = None
 
 
 class Safety(ConfigModel):
-    """What the supervisor allows, beside the limits of each device."""
+    """Limits of the safety monitor, in addition to those of each device."""
 
     command_age_max_s: Positive = 0.5  # since the last setpoint, while axes are under command
     homing_timeout_s: Positive = 120.0  # for all axes together
@@ -343,7 +343,7 @@ class Rig(ConfigModel):
 
     @property
     def moved_target(self) -> TargetManipulator | None:
-        """What carries the target; None where nothing moves it."""
+        """Manipulator of the target; None if the target is fixed."""
         target = self.target_manipulator
         return None if target is None or target.driver == "none" else target
 
@@ -368,7 +368,7 @@ class Rig(ConfigModel):
     def _hardware_says_whether_it_has_io(self) -> Self:
         if self.kind == "hardware" and self.io is None:
             text = "[io] is missing: hardware needs emergency stop and safety relay on digital lines"
-            raise ValueError(f'{text}; io.driver = "none" says that it has none')
+            raise ValueError(f'{text}; io.driver = "none" if the bench has none')
         return self
 
     def device_tables(self) -> dict[str, DeviceTable]:

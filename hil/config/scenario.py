@@ -1,4 +1,4 @@
-"""Scenario files: the vehicle, its sensors, where it starts, how it is flown, and what is asked of it."""
+"""Scenario files: vehicle, sensors, initial state, GNC and requirements."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitor
-from hil.config.live_tunable import InFlight
+from hil.config.live_tunable import LiveTuning
 from hil.config.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
 from hil.config.truth import Orbit, SolarArray, Truth
 from hil.core.messages import MAX_PHASES, MAX_THRUSTERS
@@ -23,7 +23,7 @@ AngleTriple = tuple[
 
 
 Delay = Annotated[float, Field(ge=0.0, le=1.0)]
-Share = Annotated[float, Field(ge=0.0, lt=1.0)]
+Probability = Annotated[float, Field(ge=0.0, lt=1.0)]
 
 
 class Thrusters(ConfigModel):
@@ -55,7 +55,7 @@ class Chaser(ConfigModel):
     @field_validator("inertia_kg_m2")
     @classmethod
     def _inertia_is_one_of_a_body(cls, value: Matrix3) -> Matrix3:
-        """A body's inertia is symmetric, not singular, and no principal moment exceeds the sum of the others."""
+        """The inertia of a body is symmetric, not singular, and no principal moment exceeds the sum of the others."""
         j = np.array(value)
         shown = [list(row) for row in value]
         if np.abs(j - j.T).max() > 1e-9 * np.abs(j).max():
@@ -70,7 +70,7 @@ class Chaser(ConfigModel):
 
 
 class Initial(ConfigModel):
-    """Where the chaser starts, relative to the target: 3-2-1 angles theta1 (roll), theta2, theta3."""
+    """Initial state of the chaser relative to the target: 3-2-1 angles theta1 (roll), theta2, theta3."""
 
     position_m: Triple
     attitude_deg: AngleTriple
@@ -79,7 +79,7 @@ class Initial(ConfigModel):
 
 
 class Imu(ConfigModel):
-    """Sensor grade of the virtual IMU (bench paper Table I); *_initial_sigma_*: how the true values spread."""
+    """Sensor grade of the virtual IMU (bench paper Table I); *_initial_sigma_*: dispersion of the true values."""
 
     gyro_drift_degps: Triple
     gyro_drift_initial_sigma_degps: NotNegative
@@ -92,7 +92,7 @@ class Imu(ConfigModel):
 
 
 class RenderedImages(ConfigModel):
-    """What the rendered cameras are like, and what else than LEDs they see."""
+    """Rendered cameras, and lights other than the LEDs."""
 
     psf_sigma_px: Positive = 1.0
     led_diameter_m: Positive = 0.005
@@ -104,28 +104,28 @@ class RenderedImages(ConfigModel):
 
 
 class VisionNoise(ConfigModel):
-    """Noise of the vision unit, Table I up to ``reference_range_m`` and growing in proportion beyond, and
-    how its poses travel: they belong to their exposure, however late they come."""
+    """Noise of the vision unit, Table I up to ``reference_range_m`` and proportional to range beyond, and the
+    transport of its poses, which are time-stamped at exposure."""
 
-    source: Literal["model", "rendered"] = "model"  # rendered: poses from pictures, drawn from where the axes stand
+    source: Literal["model", "rendered"] = "model"  # rendered: poses from images, rendered from the axis positions
     sigma_position_m: Positive
     sigma_angle_deg: Positive
     reference_range_m: Positive
-    reported_sigma_scale: Positive = 1.0  # what the unit says of its noise against what it is
+    reported_sigma_scale: Positive = 1.0  # reported sigma over true sigma
     latency_s: Delay = 0.0
     latency_jitter_s: Delay = 0.0
-    duplicate_probability: Share = 0.0
-    loss_probability: Share = 0.0
+    duplicate_probability: Probability = 0.0
+    loss_probability: Probability = 0.0
     images: RenderedImages = RenderedImages()
 
 
 class Navigation(ConfigModel):
     sensors: Literal["vision_imu", "vision"]
-    gate_sigma: Positive  # innovations that are rarer than this many sigma are not let in
+    gate_sigma: Positive  # innovations beyond this many sigma are rejected
 
 
 class AttitudeFilter(ConfigModel):
-    """What the AKF believes of the gyro, and how it takes the attitude's error."""
+    """Gyro model and attitude error definition of the AKF."""
 
     form: Literal["multiplicative", "as_printed"]
     gyro_noise_degps: Positive
@@ -135,7 +135,7 @@ class AttitudeFilter(ConfigModel):
 
 
 class PositionFilter(ConfigModel):
-    """What the PKF believes of the accelerometer and of the start."""
+    """Accelerometer model and initial covariance of the PKF."""
 
     accelerometer_noise_mps2: Positive
     accelerometer_bias_noise_mps3: NotNegative
@@ -154,7 +154,7 @@ class VisionOnly(ConfigModel):
 
 
 class Shadow(ConfigModel):
-    """filterpy's filters beside the compiled ones, with an alarm when the two part."""
+    """filterpy's filters in parallel with the compiled ones; an alarm when they diverge."""
 
     enabled: bool
     position_limit_m: Positive
@@ -162,15 +162,15 @@ class Shadow(ConfigModel):
 
 
 class Phase(ConfigModel):
-    """One phase of the approach; what is left away comes from the guidance table."""
+    """One phase of the approach; defaults come from the guidance table."""
 
     kind: Literal["approach", "hold", "wait", "final", "retreat"]
-    point_m: Triple | None = None  # of a moving phase; left away: the ready point
+    point_m: Triple | None = None  # of a moving phase; default: the ready point
     speed_mps: Positive | None = None
     acceleration_mps2: Positive | None = None
     deceleration_mps2: Positive | None = None
     duration_s: NotNegative | None = None  # of a hold
-    end_time_s: NotNegative | None = None  # of a wait; left away: waits for the order
+    end_time_s: NotNegative | None = None  # of a wait; default: waits for the operator
 
     @model_validator(mode="after")
     def _keys_suit_the_kind(self) -> Self:
@@ -188,7 +188,7 @@ class Phase(ConfigModel):
 
 
 class Guidance(ConfigModel):
-    """The approach as a list of phases from the start on, and the abort that leaves it."""
+    """Phases of the approach in their order."""
 
     ready_point_m: Triple
     approach_speed_mps: Positive
@@ -202,12 +202,12 @@ class Guidance(ConfigModel):
     def _sequence_names_phases(self) -> Self:
         for name in self.sequence:
             if name not in self.phases:
-                raise ValueError(f'sequence: "{name}" is no phase; phases here: {", ".join(self.phases)}')
+                raise ValueError(f'sequence: "{name}" is no phase; known phases: {", ".join(self.phases)}')
         return self
 
 
 class Corridor(ConfigModel):
-    """Where the chaser may be about the line of its phase, and how fast it may close in."""
+    """Approach corridor about the line of the phase, and limit of the closing rate."""
 
     axis: Triple = (1.0, 0.0, 0.0)
     half_angle_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
@@ -226,7 +226,7 @@ class Corridor(ConfigModel):
 
 
 class Abort(ConfigModel):
-    """Brake, retreat along the corridor's axis, hold; ``at_s`` rehearses it."""
+    """Brake, retreat along the corridor's axis, hold; ``at_s``: time of a rehearsal."""
 
     brake_mps2: Positive
     hold_distance_m: Positive
@@ -236,7 +236,7 @@ class Abort(ConfigModel):
 
 
 class Control(ConfigModel):
-    """Phase planes of position and attitude; an axis decides once a period."""
+    """Phase planes of position and attitude; each axis is updated once per period."""
 
     deadband_m: Positive
     lead_s: Positive
@@ -251,7 +251,7 @@ class Control(ConfigModel):
 
 
 class GncConfig(ConfigModel):
-    """How the chaser is flown. library: a shared library that flies in place of navigation and control here."""
+    """GNC of the chaser. library: shared library that replaces the built-in navigation, guidance and control."""
 
     library: str | None = None
     navigation: Navigation
@@ -266,7 +266,7 @@ class GncConfig(ConfigModel):
 
 
 class Requirements(ConfigModel):
-    """What the ready phase must keep (bench paper Table III), each axis alone, and what the run may spend."""
+    """Requirements of the ready phase (bench paper Table III), per axis, and the propellant budget."""
 
     axial_distance_m: Positive
     axial_tolerance_m: Positive
@@ -276,19 +276,19 @@ class Requirements(ConfigModel):
     angle_deg: Positive
     angular_rate_degps: Positive
     dwell_s: Positive
-    propellant_factor: Positive = 3.0  # propellant of the run over the impulsive least of its reference and slews
+    propellant_factor: Positive = 3.0  # propellant of the run over the impulsive minimum of reference and slews
 
 
 class Reachability(ConfigModel):
-    """How far the chaser may get off its plan, for the check that the bench can follow it (docs/reach.md)."""
+    """Margins about the plan for the reachability check (docs/reach.md)."""
 
-    corridor_fraction: NotNegative = 0.5  # of the corridor's half angle, beside Table III
+    corridor_fraction: NotNegative = 0.5  # of the corridor's half angle, in addition to Table III
     attitude_margin_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 1.0
     startup_lag_s: NotNegative = 0.2
 
 
 class Scenario(ConfigModel):
-    """One closed-loop run, whatever the rig."""
+    """One closed-loop run, independent of the rig."""
 
     name: str
     duration_s: Positive
@@ -304,4 +304,4 @@ class Scenario(ConfigModel):
     reachability: Reachability = Reachability()
     monitor: DockingMonitor = DockingMonitor()
     dispersions: Dispersions = Dispersions()
-    console: InFlight = InFlight()
+    console: LiveTuning = LiveTuning()

@@ -1,8 +1,8 @@
-"""Scene files of the docking monitor: the television camera, its picture rate, and the target it looks at.
+"""Scene files of the docking monitor: television camera, frame rate and target.
 
 Lengths are metres in the frame C y1 y2 y3 of the target (monitor paper 3.1): the origin is the disc's centre, y3 is
-the disc's normal towards the camera. ``level`` is the grey value that a rendered picture gives a part; recognition
-makes no use of it.
+the disc's normal towards the camera. ``level`` is the grey value of a part in rendered images; the
+measurement does not use it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from hil.config.model import ConfigModel, Positive
 
-LONGEST_M: Final = 100.0  # a longer part is one given in millimetres
+LONGEST_M: Final = 100.0  # a longer part was probably given in millimetres
 LABELS_AT_MOST: Final = 16
 BOXES_AT_MOST: Final = 16
 
@@ -47,14 +47,12 @@ class SceneCamera(ConfigModel):
     def _is_a_camera(self) -> Self:
         for key, value, side in (("cx", self.cx, self.width), ("cy", self.cy, self.height)):
             if not -0.5 <= value <= side - 0.5:
-                raise ValueError(
-                    f"{key} = {value:g}: the principal point must be in the picture, -0.5 to {side - 0.5:g}"
-                )
+                raise ValueError(f"{key} = {value:g}: the principal point must be in the image, -0.5 to {side - 0.5:g}")
         longer = max(self.width, self.height)
         if not 0.2 * longer <= self.f <= 200.0 * longer:
             raise ValueError(
                 f"f = {self.f:g}: must be {0.2 * longer:g} to {200.0 * longer:g} px"
-                f" for a picture of {self.width} x {self.height}"
+                f" for an image of {self.width} x {self.height}"
             )
         return self
 
@@ -110,7 +108,7 @@ class Labels(ConfigModel):
 
 
 class Box(ConfigModel):
-    """A rectangle beside the target, parallel to the disc, ``offset_m`` along y3 from it."""
+    """A rectangle next to the target, parallel to the disc, ``offset_m`` along y3 from it."""
 
     x_m: Place
     y_m: Place
@@ -121,14 +119,14 @@ class Box(ConfigModel):
 
     @property
     def clearance_m(self) -> float:
-        """Distance of the rectangle's nearest point from the axis y3, m; 0 where the axis runs through it."""
+        """Distance of the rectangle's nearest point from the axis y3, m; 0 if the axis passes through it."""
         across = max(abs(self.x_m) - 0.5 * self.width_m, 0.0)
         up = max(abs(self.y_m) - 0.5 * self.height_m, 0.0)
         return math.hypot(across, up)
 
 
 class Outline(ConfigModel):
-    """The ship's circle as the camera sees it against the sky; ``offset_m`` along y3, negative behind the disc."""
+    """Circular silhouette of the ship against the sky; ``offset_m`` along y3, negative behind the disc."""
 
     radius_m: Length
     center_m: Point = (0.0, 0.0)
@@ -137,7 +135,7 @@ class Outline(ConfigModel):
 
 
 class Target(ConfigModel):
-    """What the camera looks at: disc and cross (near), outline (far), or all of them; the rest confirms."""
+    """Features of the target: disc and cross (near), outline (far), or all of them; the others are for validation."""
 
     disc: Disc | None = None
     plate: Plate | None = None
@@ -148,12 +146,12 @@ class Target(ConfigModel):
 
     @property
     def near(self) -> bool:
-        """Whether the target has what the near mode measures."""
+        """Whether the target has the features of the near mode."""
         return self.disc is not None
 
     @property
     def far(self) -> bool:
-        """Whether the target has what the far mode measures."""
+        """Whether the target has the features of the far mode."""
         return self.outline is not None
 
     @model_validator(mode="after")
@@ -163,10 +161,10 @@ class Target(ConfigModel):
                 if part is not None:
                     raise ValueError(f"disc is missing: {key} needs it")
             if self.outline is None:
-                raise ValueError("disc and cross are missing, and so is outline: give the one, the other, or both")
+                raise ValueError("disc with cross, and outline, are missing: give one or both")
             return self
         if self.cross is None:
-            raise ValueError("cross is missing: disc needs it (the offset between them tells where the camera stands)")
+            raise ValueError("cross is missing: disc needs it (their offset gives the camera position)")
         self._check_disc(self.disc, self.cross)
         return self
 
@@ -200,8 +198,8 @@ class Target(ConfigModel):
 class Scene(ConfigModel):
     """One camera, one ship.
 
-    fps: pictures a second. fields: "whole" when every line of a picture is of one time; otherwise a picture holds two
-    half frames, the upper one (lines 0, 2, 4 ...) or the lower one first, the second half a picture's time later.
+    fps: frames per second. fields: "whole" if all lines of a frame are exposed together; otherwise a frame has two
+    fields, the upper one (lines 0, 2, 4 ...) or the lower one first, the second half a frame period later.
     """
 
     name: str = ""

@@ -1,4 +1,4 @@
-"""Rig files, table ``[sign_off]``: who commissioned the rig as it stands, and what was found of each axis."""
+"""Rig files, table ``[sign_off]``: operator of the commissioning, and findings per axis."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ Digest = Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$")]
 
 
 class AxisSignOff(ConfigModel):
-    """One axis that was found in order."""
+    """One axis that passed commissioning."""
 
     date: Day
     by: str
-    digest: Digest  # of the rig that it was found in order with
+    digest: Digest  # of the rig with which it passed
     scale_error: float  # of the encoder, against the command
     following_error_max_m: NotNegative | None = None  # rails, at a crawl
     following_error_max_deg: NotNegative | None = None  # turntable, at a crawl
 
 
 class SignOff(ConfigModel):
-    """Written by ``hil commission``; ``digest`` stands there once all axes and the dry run have passed."""
+    """Written by ``hil commission``; ``digest`` is set when all axes and the dry run have passed."""
 
-    waived: bool = False  # hardware runs without a valid sign-off; each run's report says so
+    waived: bool = False  # hardware runs without a valid sign-off; each report states it
     date: Day | None = None
     by: str | None = None
     hil: str | None = None  # version of this program

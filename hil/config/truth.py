@@ -1,4 +1,4 @@
-"""What the truth is made of: the target's orbit, the chaser's solar array, and the effects that act."""
+"""Truth model: orbit of the target, solar array of the chaser, and effects."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from hil.config.model import ConfigModel, Positive, Triple
 
 HIGHEST_DEGREE = 360  # beyond it the Legendre functions of Pines' form leave the range of a double at the poles
 
-Turn = Annotated[float, Field(ge=-360.0, le=360.0)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 def _check_direction(name: str, vector: Triple) -> None:
@@ -27,20 +27,20 @@ class Orbit(ConfigModel):
     altitude_m: Positive
     eccentricity: Annotated[float, Field(ge=0.0, lt=0.1)] = 0.0
     inclination_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 0.0
-    raan_deg: Turn = 0.0
-    argument_of_periapsis_deg: Turn = 0.0
-    true_anomaly_deg: Turn = 0.0
-    moon_rotation_deg: Turn = 0.0
+    raan_deg: Degrees = 0.0
+    argument_of_periapsis_deg: Degrees = 0.0
+    true_anomaly_deg: Degrees = 0.0
+    moon_rotation_deg: Degrees = 0.0
 
 
 class SolarArray(ConfigModel):
-    """A flat plate fixed to the hub, in c, with one bending mode that turns the hub."""
+    """Flat plate fixed to the hub, in c, with one bending mode coupled to the rotation of the hub."""
 
     area_m2: Positive
     normal: Triple
     centre_m: Triple
-    specular: Share
-    diffuse: Share
+    specular: Fraction
+    diffuse: Fraction
     mode_frequency_hz: Positive
     mode_damping: Annotated[float, Field(ge=0.0, lt=1.0)]
     mode_coupling: Triple
@@ -54,7 +54,7 @@ class SolarArray(ConfigModel):
 
 
 class Truth(ConfigModel):
-    """The model of relative motion, and a switch or a size for each effect."""
+    """Model of relative motion, and a switch or magnitude for each effect."""
 
     relative_motion: Literal["hill", "nonlinear"] = "nonlinear"
     gravity_degree: Annotated[int, Field(ge=0, le=HIGHEST_DEGREE)] = 8

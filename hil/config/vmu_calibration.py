@@ -1,4 +1,4 @@
-"""What a calibration leaves in a geometry file: who, when, how well, and what a later check compares with."""
+"""Calibration record in a geometry file: identity, quality, and the reference of later drift checks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Calibration(ConfigModel):
     views: Annotated[int, Field(ge=1)]
     rms_px: NotNegative
     noise: Positive
-    """what the told standard deviations of spots or corners were to be multiplied by"""
+    """factor of the assumed standard deviations of spots or corners"""
     rail_sigma_m: Positive
     gimbal_sigma_deg: Positive
     lever_arm_m: Triple
@@ -30,9 +30,9 @@ class Calibration(ConfigModel):
     target_position_m: Triple
     target_axes: Matrix3
     sigma: dict[str, NotNegative] = Field(default_factory=dict)
-    """standard deviation of each number, in the unit that stands in its name"""
+    """standard deviation of each number, in the unit of its name"""
     covariance: tuple[tuple[float, ...], ...]
-    """lower triangle: both cameras, stereo, mounting, target, scale, and the layout of LEDs where it was found too"""
+    """lower triangle: both cameras, stereo, mounting, target, scale, and the layout of LEDs if estimated"""
 
     @model_validator(mode="after")
     def _covariance_is_a_triangle(self) -> Self:

@@ -1,4 +1,4 @@
-"""The geometry file of a vision unit: where the LEDs are on the target, and what the two cameras are."""
+"""Geometry file of a vision unit: LED layout and cameras."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class VmuCamera(ConfigModel):
     width: Pixels
     height: Pixels
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """k1 k2 p1 p2 k3, as OpenCV has them"""
+    """k1 k2 p1 p2 k3, in OpenCV's order"""
 
 
 class Sensor(ConfigModel):
-    """What a grey level is worth; without it the detector estimates the noise from the image."""
+    """Noise of the camera sensors; by default the detector estimates it from the image."""
 
     electrons_per_level: Positive
     read_noise_levels: NotNegative
@@ -46,7 +46,7 @@ class VmuGeometry(ConfigModel):
     right_rotation_rad: Triple = (0.0, 0.0, 0.0)
     """rotation vector of the right camera's axes in the left one's: ``p_v = R p_right + baseline_m``"""
     marked_led: Annotated[int, Field(ge=0)] | None = None
-    """index of the LED that is brighter than the others, where one is"""
+    """index of the LED that is brighter than the others, if any"""
     sensor: Sensor | None = None
     calibration: Calibration | None = None
-    """where the numbers come from, as ``hil calibrate`` wrote it"""
+    """record of ``hil calibrate``"""

@@ -114,7 +114,7 @@ def test_chessboard_views_are_calibrated_and_one_at_a_wrong_place_is_named(
     assert found["left_out"].pop("0004") == "its place does not fit those of the other views"
     # a view in which the board is blurred or far to the side may go too, but for its residuals
     assert sum("whole" not in why for why in found["left_out"].values()) <= 1
-    assert "left out  0004" in capsys.readouterr().out
+    assert "rejected  0004" in capsys.readouterr().out
     truth, _ = truth_of(False)
     for k, name in enumerate(("fx", "fy", "cx", "cy")):
         number = found["parameters"][f"left.{name}"]

@@ -221,7 +221,7 @@ def test_setting_is_changed_from_the_page_seen_in_the_log_and_recorded(
         screen.press("p", "settings_open")
         screen.page.wait_for_selector("#settinglist tr:nth-child(9)")
         screen.page.type("#settinglist tr:nth-child(1) input", "-1\n")
-        screen.until("document.getElementById('answer').textContent.includes('allowed is above 0')")
+        screen.until("document.getElementById('answer').textContent.includes('must be greater than 0')")
         screen.page.type("#settinglist tr:nth-child(1) input", "0.0005\n")
         screen.page.wait_for_selector("#confirm[open]")
         question = screen.page.inner_text("#question")

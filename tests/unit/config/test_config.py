@@ -1,4 +1,4 @@
-"""Scenario and rig files: every fault is found at once and said in one line."""
+"""Scenario and rig files: all errors are reported together, one line per error."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def test_files_that_extend_each_other_in_a_ring_are_refused(write: Write) -> Non
     write("", extends="a.toml", name="b.toml")
     own = write("", extends="own.toml", name="own.toml")
     for path in (str(Path(own).with_name("a.toml")), own):
-        with pytest.raises(BadInput, match="extend each other in a ring"):
+        with pytest.raises(BadInput, match="extend each other in a circle"):
             load_scenario(path)
 
 
@@ -283,7 +283,7 @@ def test_hardware_says_outright_that_it_has_no_digital_lines() -> None:
         ("rig.io.thruster_lines=25", "less than or equal to 24"),
         ("rig.io.pump_period_s=0.03", "allowed up to half of pump_timeout_s, 0.025"),
         ("rig.io.driver=modbus", "does not go with kind"),
-        ("rig.io.timeout=1.0", "the unit stands in the name, here it is timeout_s"),
+        ("rig.io.timeout=1.0", "the unit is part of the name, here it is timeout_s"),
     ],
 )
 def test_impossible_digital_lines_are_refused(setting: str, text: str) -> None:

@@ -105,7 +105,7 @@ def test_unknown_key_of_a_device_is_reported_beside_its_other_faults() -> None:
     with pytest.raises(BadInput) as caught:
         load_rig("emulated", ["rig.rails.timeout=1", "rig.rails.timeout_s=-1"])
     assert sorted(str(problem) for problem in caught.value.problems) == [
-        "--set: rig.rails.timeout: unknown key: the unit stands in the name, here it is timeout_s",
+        "--set: rig.rails.timeout: unknown key: the unit is part of the name, here it is timeout_s",
         "--set: rig.rails.timeout_s: -1: must be greater than 0",
     ]
 

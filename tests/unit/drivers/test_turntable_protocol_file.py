@@ -41,7 +41,7 @@ def test_shipped_protocols_are_found_by_name():
             "{position.pitch}",
             r"requests\.set: sends no position of roll",
         ),
-        ("OK {status.roll}", "OK 00", r"requests\.status: the replies tell no status of roll"),
+        ("OK {status.roll}", "OK 00", r"requests\.status: no reply has the status of roll"),
         (
             'unit = "deg"',
             'unit = "rad"',
@@ -69,9 +69,9 @@ def test_bad_protocol_file_is_refused_with_file_key_and_allowed(tmp_path, old, n
 def test_command_set_without_its_protections_is_warned_of(tmp_path):
     assert load_protocol("hil-ascii").value.warnings() == []
     (line,) = load_protocol("acu").value.warnings()
-    assert line == "protocol acu: no sequence number: a late answer can pass for a new one"
+    assert line == "protocol acu: no sequence number: a late reply can be mistaken for a new one"
     bare = load_protocol(altered(tmp_path, 'kind = "xor8"', 'kind = "none"', "acu")).value
-    assert bare.warnings()[1] == "protocol acu: no checksum: a spoilt line can pass for a good one"
+    assert bare.warnings()[1] == "protocol acu: no checksum: a corrupted line can be accepted"
 
 
 def test_counts_and_another_checksum_need_no_code(tmp_path):

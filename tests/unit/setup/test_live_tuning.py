@@ -108,8 +108,7 @@ def test_each_setting_that_is_sound_in_flight_acts_on_the_parameters_and_has_a_r
     scenario = load_scenario(name).value
     before = value_of(scenario, key)
     limits = range_of(Scenario, key)
-    assert before in limits
-    assert limits.low == 0.0
+    assert limits["low"] == 0.0 <= before
     changed = with_setting(scenario, f"{key}={1.25 * before + 0.04!r}", "test").value
     assert packed(tuning(changed)) != packed(tuning(scenario))
 
@@ -129,7 +128,7 @@ def test_records_come_back_from_their_text_bit_by_bit_and_nothing_else_does() ->
         (["chaser.mass_kg"], '"chaser.mass_kg": cannot be changed in flight: allowed: gnc.'),
         (["step_s"], '"step_s": cannot be changed in flight'),
         (["gnc.corridor.axis"], '"gnc.corridor.axis": cannot be changed in flight'),
-        ([DEADBAND, DEADBAND], "stands here twice"),
+        ([DEADBAND, DEADBAND], "is listed twice"),
     ],
 )
 def test_scenario_that_allows_what_cannot_be_is_refused_in_one_line(adjustable: list[str], words: str) -> None:
@@ -152,8 +151,8 @@ def test_page_is_offered_exactly_what_the_scenario_allows_with_value_unit_and_ra
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("gnc.control.deadband_sigmas", -1, "gnc.control.deadband_sigmas: -1: allowed is 0 or more"),
-        (DEADBAND, 0, "gnc.control.deadband_m: 0: allowed is above 0"),
+        ("gnc.control.deadband_sigmas", -1, "gnc.control.deadband_sigmas: -1.0: must be greater than or equal to 0"),
+        (DEADBAND, 0, "gnc.control.deadband_m: 0.0: must be greater than 0"),
         (DEADBAND, "0.1", "gnc.control.deadband_m: '0.1' is no number"),
         (DEADBAND, True, "is no number"),
         (DEADBAND, float("nan"), "is no number"),
