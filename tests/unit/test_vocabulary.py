@@ -16,6 +16,7 @@ CHECKED = (
     "examples",
     "sims",
     "hil/commission",
+    "hil/report",
     "hil/core/child_process.py",
     "hil/core/clock.py",
     "hil/core/realtime.py",
