@@ -55,7 +55,7 @@ def test_loss_delay_reorder_and_duplicates_are_counted_and_flown_through() -> No
     assert account["reordered"] > 0
     assert account["duplicates"] > 0
     assert relay.lost > 0
-    assert gnc.flight.bridged > 0
+    assert gnc.stats.bridged > 0
     assert account["coasted_cycles"] > 0
     assert account["delay_cycles_max"] >= 1
     assert account["round_trip_us"]["p50"] > 10_000.0
@@ -107,8 +107,8 @@ def test_partition_that_is_held_through_goes_on_without_a_step() -> None:
     texts = [event.text for event in outcome.events]
     assert any(text.startswith("hold: test gnc at 127.0.0.1:") for text in texts)
     assert any(text.startswith("resumed after 2.") for text in texts)
-    assert gnc.flight.setups == 1
-    assert gnc.flight.bridged >= 15
+    assert gnc.stats.setups == 1
+    assert gnc.stats.bridged >= 15
     assert outcome.history["navigation"]["valid"][-50:].all()
     rails, gimbals = bench.largest_jerks()
     assert rails < RAIL_LIMIT * 1.001
@@ -126,7 +126,7 @@ def test_partition_that_is_coasted_through_closes_the_thrusters_and_starts_the_f
         outcome = bench.fly()
     assert outcome.faults == []
     assert len(outcome.history) == 401
-    assert gnc.flight.restarts == 1
+    assert gnc.stats.restarts == 1
     assert bench.account()["closed_cycles"] >= 95
     assert not outcome.history["command"]["on"][110:195, :MAX_THRUSTERS].any()
     assert outcome.history["navigation"]["valid"][-50:].all()

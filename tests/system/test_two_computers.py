@@ -36,7 +36,7 @@ def test_lock_step_gives_the_trajectory_of_one_process_bit_by_bit(scheme: str, d
     assert apart.events == alone.events
     account = bench.account()
     assert (account["answers"], account["delay_cycles"], account["lost"]) == (cycles, 0.0, 0)
-    assert gnc.flight.steps == cycles
+    assert gnc.stats.steps == cycles
 
 
 LATE = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_probability=0.2", "vmu.loss_probability=0.1")
@@ -75,7 +75,7 @@ def test_shadow_filter_that_parts_is_told_where_the_gnc_runs() -> None:
     settings = ("gnc.shadow.enabled=true", "gnc.shadow.position_limit_m=1e-5")
     with split_bench("scheme-1", 4.0) as bench, gnc_thread("scheme-1", bench.link.address, settings) as gnc:
         assert bench.fly().faults == []
-    told = [text for text in gnc.flight.as_json(gnc.link)["filters"] if "shadow: parts from the filters" in text]
+    told = [text for text in gnc.stats.as_json(gnc.link)["filters"] if "shadow: parts from the filters" in text]
     assert told
     assert told[0].endswith("allowed 1e-05 m and 0.05 deg")
 

@@ -24,6 +24,7 @@ CHECKED = (
     "hil/drivers/factory.py",
     "hil/drivers/remote",
     "hil/loop/rate_keeper.py",
+    "hil/processes",
     "hil/safety",
     "hil/session",
     "hil/setup",
