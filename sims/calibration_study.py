@@ -26,9 +26,9 @@ from hil.vmu.calibration.files import Calibrated, Label
 from hil.vmu.calibration.model import PARTS, Setup, TurntableModel
 from hil.vmu.calibration.refine import RefinementFit, RefinementProblem, belief, layout_basis
 from hil.vmu.calibration.solve import robust
-from hil.vmu.calibration.synthetic import plan, shifted, sight
 from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.kernels.chain import COMMON, SCALE
+from tests.support.calibration_views import plan, shifted, sight
 
 AXIS_SIGMA = np.array([5e-5] * 3 + [np.radians(0.005)] * 3)
 PIXEL_SIGMA = 0.05

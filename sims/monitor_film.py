@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise
-from hil.monitor.kernels.derived import quantities
+from hil.monitor.kernels.quantities import quantities
 from hil.monitor.render import Conditions, TargetRenderer
 from hil.monitor.results import QUANTITIES
 

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
-from hil.monitor.frame_result import Result
-from hil.monitor.kernels.derived import quantities
+from hil.monitor.kernels.quantities import quantities
 from hil.monitor.monitor import Monitor
 from hil.monitor.render import Conditions, TargetRenderer, film
-from hil.monitor.results import QUANTITIES
+from hil.monitor.results import QUANTITIES, Result
 from hil.monitor.settings import MonitorSettings
 
 Floats = NDArray[np.float64]

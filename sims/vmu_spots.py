@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from hil.core.messages import Array
 from hil.vmu.detect import SpotDetector
+from hil.vmu.kernels.disc import add_disc
 from hil.vmu.kernels.lens import LENS, CameraPair
-from hil.vmu.kernels.shape import add_disc
 from hil.vmu.render import Extras, Reflection, RingAppearance, RingRenderer, projections
 
 SIZE, FOCAL, PATCH = 320, 1200.0, 57

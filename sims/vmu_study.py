@@ -26,11 +26,10 @@ from hil.core.messages import Array
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image, project
-from hil.vmu.kernels.records import FIT, MAX_LEDS
+from hil.vmu.kernels.records import FIT, MAX_LEDS, SPOT
 from hil.vmu.kernels.refine import refine
 from hil.vmu.pose import Prediction, matrix_of
 from hil.vmu.render import Extras, Light, Reflection, RingAppearance, RingRenderer
-from hil.vmu.spots import SPOT
 from hil.vmu.unit import Solution, VisionUnit
 
 SIGMA_PX = 0.05

@@ -14,31 +14,31 @@ from hil.models.mounting import camera_pose
 
 
 @kernel
-def view_margins(params, stations, camera, leds, rail_m, gimbal_rad, out):
+def view_margins(params, mounting, camera, leds, rail_m, gimbal_rad, out):
     """Write for each row of ``rail_m`` and ``gimbal_rad`` (n, 3) the least distance of a lamp from an image's edge, px.
 
-    params: BENCH_PARAMS. stations: STATIONS. camera: CAMERA. leds: (m, 3), m, in t. out: (n,).
+    params: BENCH_PARAMS. mounting: MOUNTING. camera: CAMERA. leds: (m, 3), m, in t. out: (n,).
     """
     r, q = np.empty(3), np.empty(4)
     t_v, q_vt = np.empty(3), np.empty(4)
     for k in range(out.shape[0]):
         pose_of_axes(params, rail_m[k], gimbal_rad[k], r, q)
-        camera_pose(stations, r, q, t_v, q_vt)
+        camera_pose(mounting, r, q, t_v, q_vt)
         out[k] = view_margin(camera, leds, t_v, q_vt)
 
 
 @kernel
-def camera_errors(params, stations, rail_m, gimbal_rad, r_CT_H, q_CH, distance, angle):
+def camera_errors(params, mounting, rail_m, gimbal_rad, r_CT_H, q_CH, distance, angle):
     """Write how far, m, and by which angle, rad, the left camera is from where the chaser's pose has it, (n,) each.
 
-    params: BENCH_PARAMS. stations: STATIONS. rail_m, gimbal_rad: (n, 3), where the axes are. r_CT_H
+    params: BENCH_PARAMS. mounting: MOUNTING. rail_m, gimbal_rad: (n, 3), where the axes are. r_CT_H
     (n, 3), m, q_CH (n, 4): the pose that they were to show.
     """
     r, q = np.empty(3), np.empty(4)
     for k in range(distance.shape[0]):
         pose_of_axes(params, rail_m[k], gimbal_rad[k], r, q)
-        here = quat.transform_back(q, stations.camera_station)
-        there = quat.transform_back(q_CH[k], stations.camera_station)
+        here = quat.transform_back(q, mounting.camera_position)
+        there = quat.transform_back(q_CH[k], mounting.camera_position)
         square = 0.0
         for i in range(3):
             square += (r[i] + here[i] - r_CT_H[k, i] - there[i]) ** 2

@@ -105,7 +105,7 @@ def envelope(
 
 def view(
     params: np.record,
-    stations: np.record,
+    mounting: np.record,
     camera: np.record,
     leds: Array,
     attitudes: list[Attitude],
@@ -118,22 +118,22 @@ def view(
     """
     n = len(attitudes)
     planned = _margins(
-        params, stations, camera, leds, r_CT_H, np.array([a.planned for a in attitudes]).reshape(n, 1, 6)
+        params, mounting, camera, leds, r_CT_H, np.array([a.planned for a in attitudes]).reshape(n, 1, 6)
     )
     shifted = r_CT_H[:, None, :] + margin_m[:, None, :] * _CORNERS  # (n, 8, 3)
     corners = np.array([a.corners for a in attitudes])  # (n, 8, 6)
     least = planned[:, 0]
     for k in range(len(_CORNERS)):
-        least = np.minimum(least, _margins(params, stations, camera, leds, shifted[:, k], corners).min(axis=1))
+        least = np.minimum(least, _margins(params, mounting, camera, leds, shifted[:, k], corners).min(axis=1))
     return planned[:, 0], least
 
 
 def _margins(
-    params: np.record, stations: np.record, camera: np.record, leds: Array, r_CT_H: Array, axes: Array
+    params: np.record, mounting: np.record, camera: np.record, leds: Array, r_CT_H: Array, axes: Array
 ) -> Array:
     """Return the view margins (n, m), px, of n positions (n, 3), each with m attitudes of the bench (n, m, 6)."""
     rail = np.ascontiguousarray((axes[:, :, :3] + r_CT_H[:, None, :]).reshape(-1, 3))
     gimbal = np.ascontiguousarray(axes[:, :, 3:].reshape(-1, 3))
     out = np.empty(len(rail))
-    view_margins(params, stations, camera, leds, rail, gimbal, out)
+    view_margins(params, mounting, camera, leds, rail, gimbal, out)
     return out.reshape(axes.shape[:2])

@@ -22,12 +22,12 @@ from hil.params import gnc as gnc_params
 _KEPT_S = 2.0  # of samples before the one that was asked for last: an encoder may be that late
 
 
-def stations(config: DockingMonitor) -> np.record:
-    """Return STATIONS of the television camera and the docking target; their axes are those of v and t."""
+def mounting(config: DockingMonitor) -> np.record:
+    """Return MOUNTING of the television camera and the docking target; their axes are those of v and t."""
     params, axes = new(MOUNTING), BenchGeometry(lever_arm_m=(0.0, 0.0, 0.0))
-    params.camera_station = config.camera_position_m
+    params.camera_position = config.camera_position_m
     params.q_vc = quat.from_matrix(np.array(axes.camera_axes))
-    params.ring_station = config.target_position_m
+    params.led_ring_position = config.target_position_m
     params.q_th = quat.from_matrix(np.array(axes.led_ring_axes))
     return params
 
@@ -94,7 +94,7 @@ class RenderedCamera:
     """Films the docking target along an EncoderTrack, at the scene's rate from t = 0 of the run on."""
 
     def __init__(self, scene: Scene, config: DockingMonitor, rig: Rig, step_s: float, seed: int) -> None:
-        self.track = EncoderTrack(gnc_params.bench(rig, step_s), stations(config))
+        self.track = EncoderTrack(gnc_params.bench(rig, step_s), mounting(config))
         self._renderer = TargetRenderer(scene, scene.chosen(config.target), Conditions(blur_px=config.blur_px))
         self._rng = stream(seed, "monitor")
         self._next = 0

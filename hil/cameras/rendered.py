@@ -16,18 +16,18 @@ from hil.maths import quat
 from hil.maths.random_streams import stream
 from hil.models.mounting import camera_pose
 from hil.vmu.geometry import camera_pair, led_positions
+from hil.vmu.overlay import shapes
 from hil.vmu.render import Extras, Light, RingAppearance, RingRenderer
-from hil.vmu.shapes import shapes
 from hil.vmu.unit import Solution, VisionUnit
 
 _DECOY_NEAREST_M: Final = 0.25  # from the ring's centre, in its plane
 _DECOY_FARTHEST_M: Final = 1.0
 
 
-class RenderedEye:
+class RenderedPoseSensor:
     """Turns axis positions into the pair of pictures there, and these into the pose that the unit finds.
 
-    bench: BENCH_PARAMS. stations: STATIONS. scene: what is drawn; geometry: what the unit takes it for. Every
+    bench: BENCH_PARAMS. mounting: MOUNTING. scene: what is drawn; geometry: what the unit takes it for. Every
     error of the bench, and of the calibration where both differ, reaches the pose as it would in a lab.
     shown: takes the pictures with what was found in them.
     """
@@ -35,7 +35,7 @@ class RenderedEye:
     def __init__(
         self,
         bench: np.record,
-        stations: np.record,
+        mounting: np.record,
         scene: VmuGeometry,
         geometry: VmuGeometry,
         pictures: RenderedImages,
@@ -43,7 +43,7 @@ class RenderedEye:
         shown: MakesPictures | None = None,
     ) -> None:
         self._bench = bench
-        self._stations = stations
+        self._mounting = mounting
         look = RingAppearance(
             psf_sigma_px=pictures.psf_sigma_px,
             led_diameter_m=pictures.led_diameter_m,
@@ -60,11 +60,11 @@ class RenderedEye:
         self._exposures = 0
         self._r, self._q = np.empty(3), np.empty(4)
 
-    def look(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
+    def measure(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
         """Return the pose that the unit finds in the pictures of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,)."""
         t_v, q_vt = np.empty(3), np.empty(4)
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
-        camera_pose(self._stations, self._r, self._q, t_v, q_vt)
+        camera_pose(self._mounting, self._r, self._q, t_v, q_vt)
         lights = [Light(tuple(quat.transform(q_vt, place) + t_v)) for place in self._decoys]
         left, right = self._renderer.pair(t_v, q_vt, None, self._rng, Extras(lights=lights))
         solution = self._unit.solve(left, right, t_s)

@@ -76,7 +76,7 @@ class CaseRunner:
         params.dwell_s = scenario.requirements.dwell_s
         params.vmu_rate_hz, params.vmu_timeout_s = rig.vmu.rate_hz, rig.vmu.timeout_s
         params.settled_s = SETTLED_S if (self.cycles - 1) * scenario.step_s >= SETTLED_S else 0.0
-        params.stations = gnc_params.stations(rig)
+        params.mounting = gnc_params.mounting(rig)
         params.camera = gnc_params.camera(rig)[0]
         params.bench = gnc_params.bench(rig, scenario.step_s)
         self._limits: SafetyLimits = safety_limits(rig, params.bench)

@@ -72,7 +72,7 @@ LOOP_PARAMS = np.dtype(
         ("imu", IMU_PARAMS),
         ("vision", VISION_PARAMS),
         ("travel", TRAVEL),
-        ("stations", MOUNTING),
+        ("mounting", MOUNTING),
         ("camera", CAMERA),
         ("bench", BENCH_PARAMS),
         ("guard", GUARD),
@@ -163,8 +163,8 @@ def _expose(params, state, until_s, vision_noise, travel_draws, leds, frames, ta
         _move_all(state, t_s)
         kinematics.pose_of_axes(params.bench, state.rails.position, state.turntable.position, r, q)
         frame = frames[state.on_the_way]
-        see(params.vision, params.stations, r, q, vision_noise[row], frame.t_v, frame.q_vt, frame.covariance)
-        count_exposure(params.camera, params.stations, leds, r, q, tally)
+        see(params.vision, params.mounting, r, q, vision_noise[row], frame.t_v, frame.q_vt, frame.covariance)
+        count_exposure(params.camera, params.mounting, leds, r, q, tally)
         for copy in range(delays(params.travel, travel_draws[row], late)):
             sent = frames[state.on_the_way]
             if copy > 0:
@@ -206,7 +206,7 @@ def _take_poses(params, state, now_s, frames, poses):
             for j in range(MAX_POSES - 1):
                 poses[j] = poses[j + 1]
             arrived -= 1
-        chaser_pose(params.stations, frames[i].t_v, frames[i].q_vt, frames[i].covariance, poses[arrived])
+        chaser_pose(params.mounting, frames[i].t_v, frames[i].q_vt, frames[i].covariance, poses[arrived])
         poses[arrived].t_s = frames[i].t_s
         poses[arrived].status = frames[i].status
         arrived += 1

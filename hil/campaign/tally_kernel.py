@@ -56,10 +56,10 @@ def start_tally(tally):
 
 
 @kernel
-def count_exposure(camera, stations, leds, r, q, tally):
+def count_exposure(camera, mounting, leds, r, q, tally):
     """Take account of the view at an exposure with the bench at ``r`` (3,), m, ``q`` (4,)."""
     t_v, q_vt = stack.vector(3), stack.vector(4)
-    camera_pose(stations, r, q, t_v, q_vt)
+    camera_pose(mounting, r, q, t_v, q_vt)
     tally.view_margin = min(tally.view_margin, view_margin(camera, leds, t_v, q_vt))
 
 

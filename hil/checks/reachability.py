@@ -147,9 +147,9 @@ class _Findings:
     def view(self) -> None:
         """One problem where a lamp leaves an image."""
         camera, leds = gnc_params.camera(self._rig)
-        asked, stations = self._asked, gnc_params.stations(self._rig)
+        asked, mounting = self._asked, gnc_params.mounting(self._rig)
         r = np.array([m.r_CT_H for m in self._plan])
-        planned, least = reachability.view(self._bench, stations, camera, leds, asked.attitudes, r, asked.margin_m)
+        planned, least = reachability.view(self._bench, mounting, camera, leds, asked.attitudes, r, asked.margin_m)
         k = int(np.argmin(least))
         if least[k] < 0.0:
             self._say(

@@ -23,9 +23,8 @@ from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
     from hil.config.scene import Scene
-    from hil.monitor.frame_result import FrameResult
     from hil.monitor.preprocess import Region
-    from hil.monitor.results import Portion
+    from hil.monitor.results import FrameResult, Portion
 
 _PASSED = 0
 

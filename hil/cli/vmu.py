@@ -23,9 +23,8 @@ from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
     from hil.config.vmu_geometry import VmuGeometry
-    from hil.vmu.folder import ImageFolder, Pair
-    from hil.vmu.live import StreamPairs
     from hil.vmu.pose import Prediction
+    from hil.vmu.sources import ImageFolder, Pair, StreamPairs
     from hil.vmu.unit import Solution, VisionUnit
 
 _PASSED, _FAILED = 0, 1
@@ -105,8 +104,7 @@ def vmu(
     from hil.cli.warm_up import exit_on_ctrl_c
     from hil.config.load import load_geometry
     from hil.drivers.vmu.sender import FrameSender
-    from hil.vmu.folder import ImageFolder
-    from hil.vmu.live import StreamPairs, names_two
+    from hil.vmu.sources import ImageFolder, StreamPairs, names_two
     from hil.vmu.unit import VisionUnit
 
     loaded = load_geometry(geometry).value
@@ -183,7 +181,7 @@ def _on_time(images: Iterable[Pair], rate_hz: float, live: bool, paced: bool) ->
 
 def solve(unit: VisionUnit, pair: Pair, t_s: float, prediction: Prediction | None = None) -> Solution:
     """Return the solution of ``pair``; one unreadable image counts as lost, two as rejected."""
-    from hil.vmu.folder import UNREADABLE
+    from hil.vmu.sources import UNREADABLE
 
     if pair.unreadable and pair.left is None and pair.right is None:
         return unit.rejected(t_s, UNREADABLE)

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.cameras.docking import chaser_position, stations
+from hil.cameras.docking import chaser_position, mounting
 from hil.console.client import Client
 from hil.console.columns import console_rows
 from hil.console.message import ImageMessage
@@ -42,7 +42,7 @@ class LiveView:
         """Forget all: a session of ``job`` begins."""
         scenario, rig = job.scenario.value, job.rig.value
         self._bench = gnc_params.bench(rig, scenario.step_s)
-        self._places = stations(scenario.monitor)
+        self._places = mounting(scenario.monitor)
         self.rows.begin()
         self.portions = []
         self._pictures.clear()

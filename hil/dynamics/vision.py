@@ -35,14 +35,14 @@ def range_factor(params, r_CT_H):
 
 
 @kernel
-def see(params, stations, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
+def see(params, mounting, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
     """Write what the unit reports of a chaser at ``r_CT_H`` with ``q_CH``: pose t -> v and its covariance.
 
-    params: VISION_PARAMS. stations: STATIONS. noise: standard normals, (6,). t_v: (3,), m. q_vt: (4,).
+    params: VISION_PARAMS. mounting: MOUNTING. noise: standard normals, (6,). t_v: (3,), m. q_vt: (4,).
     covariance: (6, 6), of t_v and of e in ``R_est = exp([e]x) R_true``.
     """
     factor = range_factor(params, r_CT_H)
-    camera_pose(stations, r_CT_H, q_CH, t_v, q_vt)
+    camera_pose(mounting, r_CT_H, q_CH, t_v, q_vt)
     turn, aside, q_true = stack.vector(3), stack.vector(4), stack.vector(4)
     fill_matrix(covariance, 0.0)
     for i in range(3):

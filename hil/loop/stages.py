@@ -58,9 +58,9 @@ class DssStage:
 class VisionStage:
     """Poses of the vision unit, transformed from the camera to the chaser."""
 
-    def __init__(self, source: PoseSource, stations: np.record) -> None:
+    def __init__(self, source: PoseSource, mounting: np.record) -> None:
         self.source = source
-        self._stations = stations
+        self._mounting = mounting
         self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self._records = [self.poses[i] for i in range(MAX_POSES)]
         self.arrived = 0
@@ -97,7 +97,7 @@ class VisionStage:
             row["pose"]["fresh"] = 0
             return
         for frame, pose in zip(frames, self._records, strict=False):
-            chaser_pose(self._stations, frame.t_v, frame.q_vt, frame.covariance, pose)
+            chaser_pose(self._mounting, frame.t_v, frame.q_vt, frame.covariance, pose)
             pose.t_s = frame.t_s - run_zero_s
             pose.status = frame.status
             if self.on_frame_used is not None:

@@ -1,7 +1,7 @@
 """Mounting of camera and LED ring: the chaser's pose as the camera measures it, and back.
 
-The camera is at ``camera_station`` (in c, from the chaser's reference point) with the axes
-``q_vc``, the LED ring at ``ring_station`` (in H, from the target's reference point) with ``q_th``.
+The camera is at ``camera_position`` (in c, from the chaser's reference point) with the axes
+``q_vc``, the LED ring at ``led_ring_position`` (in H, from the target's reference point) with ``q_th``.
 The camera's pose is ``p_v = A(q_vt) p_t + t_v``.
 """
 
@@ -15,9 +15,9 @@ from hil.maths.arrays import copy_into
 
 MOUNTING = np.dtype(
     [
-        ("camera_station", "f8", 3),  # m, in c
+        ("camera_position", "f8", 3),  # m, in c
         ("q_vc", "f8", 4),
-        ("ring_station", "f8", 3),  # m, in H
+        ("led_ring_position", "f8", 3),  # m, in H
         ("q_th", "f8", 4),
         ("position_variance", "f8"),  # m^2, of each axis: position error that the bench adds
         ("attitude_variance", "f8"),  # rad^2, about each axis: attitude error that the bench adds
@@ -27,27 +27,27 @@ MOUNTING = np.dtype(
 
 
 @kernel
-def camera_pose(stations, r_CT_H, q_CH, t_v, q_vt):
+def camera_pose(mounting, r_CT_H, q_CH, t_v, q_vt):
     """Write the pose t -> v, ``t_v`` (3,), m, and ``q_vt`` (4,), of a chaser at ``r_CT_H`` with ``q_CH``."""
     ring_c, q_ht, q_ct = stack.vector(3), stack.vector(4), stack.vector(4)
     for i in range(3):
-        ring_c[i] = stations.ring_station[i] - r_CT_H[i]
+        ring_c[i] = mounting.led_ring_position[i] - r_CT_H[i]
     quat.transform_into(q_CH, ring_c, ring_c)
     for i in range(3):
-        ring_c[i] -= stations.camera_station[i]
-    quat.transform_into(stations.q_vc, ring_c, t_v)
-    quat.conjugate_into(stations.q_th, q_ht)
+        ring_c[i] -= mounting.camera_position[i]
+    quat.transform_into(mounting.q_vc, ring_c, t_v)
+    quat.conjugate_into(mounting.q_th, q_ht)
     quat.multiply_into(q_CH, q_ht, q_ct)
-    quat.multiply_into(stations.q_vc, q_ct, q_vt)
+    quat.multiply_into(mounting.q_vc, q_ct, q_vt)
 
 
 @kernel
-def chaser_pose(stations, t_v, q_vt, covariance, pose):
+def chaser_pose(mounting, t_v, q_vt, covariance, pose):
     """Write ``pose`` (POSE without t_s, fresh and status) of the chaser from the camera's pose and covariance.
 
     covariance: (6, 6), P_v, of the error dt_v of t_v and of the small-angle rotation e_v about v's axes,
-    ``R_est = exp([e]x) R_true``. With A = A(q_cv), b = A(q_ch) ring_station and z = A t_v + camera_station - b, the
-    errors in c are, to first order,
+    ``R_est = exp([e]x) R_true``. With A = A(q_cv), b = A(q_ch) led_ring_position and z = A t_v + camera_position - b,
+    the errors in c are, to first order,
 
         e_c = A e_v,    dz_c = A dt_v - e_c x b = A dt_v + [b]x A e_v,
 
@@ -55,14 +55,14 @@ def chaser_pose(stations, t_v, q_vt, covariance, pose):
     ``covariance_cross`` (rows dz_c, columns e_c) and ``covariance_attitude``. The bench's own error, independent in
     position and attitude and unknown to the vision unit, is added to the two diagonal blocks.
     """
-    q_cv = quat.conjugate(stations.q_vc)
-    copy_into(pose.q_CH, quat.multiply(q_cv, quat.multiply(q_vt, stations.q_th)))
+    q_cv = quat.conjugate(mounting.q_vc)
+    copy_into(pose.q_CH, quat.multiply(q_cv, quat.multiply(q_vt, mounting.q_th)))
     # both orders of multiplication keep unit length up to rounding
     quat.normalise(pose.q_CH)
     ring_c = quat.transform(q_cv, t_v)
-    ring_arm_c = quat.transform(pose.q_CH, stations.ring_station)
+    ring_arm_c = quat.transform(pose.q_CH, mounting.led_ring_position)
     for i in range(3):
-        pose.z_TC_C[i] = ring_c[i] + stations.camera_station[i] - ring_arm_c[i]
+        pose.z_TC_C[i] = ring_c[i] + mounting.camera_position[i] - ring_arm_c[i]
     # dz_c = A_cv dt_v - e_c x ring_arm_c, e_c = A_cv e_v
     a = quat.to_matrix(q_cv)
     g = np.zeros((3, 6))
@@ -90,5 +90,5 @@ def chaser_pose(stations, t_v, q_vt, covariance, pose):
             pose.covariance_position[i, j] = position
             pose.covariance_cross[i, j] = cross
             pose.covariance_attitude[i, j] = attitude
-        pose.covariance_position[i, i] += stations.position_variance
-        pose.covariance_attitude[i, i] += stations.attitude_variance
+        pose.covariance_position[i, i] += mounting.position_variance
+        pose.covariance_attitude[i, i] += mounting.attitude_variance

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,6 @@ Floats = NDArray[np.float64]
 DISC, ACROSS, UPRIGHT, PLATE, OUTLINE, LABEL, BOX = range(7)
 """Features; box i has the number BOX + i."""
 
-_NAMES: Final = ("disc", "bar across", "bar upright", "plate", "outline", "labels")
 
 CIRCLE = np.dtype(
     [("y1", "f8"), ("y2", "f8"), ("y3", "f8"), ("radius", "f8"), ("feature", "i8"), ("group", "i8")], align=True
@@ -34,11 +32,6 @@ LINE = np.dtype(
 
 The outside of an edge is to the right of the way from a to b, as seen from the camera at y3 > 0.
 """
-
-
-def feature_name(feature: int) -> str:
-    """Return the feature's name as messages and pictures have it."""
-    return _NAMES[feature] if feature < BOX else f"box {feature - BOX}"
 
 
 @dataclass(frozen=True)

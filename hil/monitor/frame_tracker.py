@@ -13,14 +13,13 @@ from hil.models import docking_view
 from hil.monitor import validation
 from hil.monitor.detector import TargetDetector
 from hil.monitor.features import ACROSS, LABEL, UPRIGHT, parts_of
-from hil.monitor.frame_result import FAR, NEAR, NO_TARGET, FrameResult
 from hil.monitor.kernels import measure
 from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
 from hil.monitor.kernels.pose import UNKNOWNS
 from hil.monitor.motion import Motion
-from hil.monitor.paper.paper import paper_frame
+from hil.monitor.paper.frame import paper_frame
 from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
-from hil.monitor.results import Seen
+from hil.monitor.results import FAR, NEAR, NO_TARGET, FrameResult, Seen
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame
 

@@ -9,12 +9,11 @@ from typing import Final
 import numpy as np
 
 from hil.config.scene import Scene
-from hil.monitor.frame_result import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, FrameResult, Result
 from hil.monitor.frame_tracker import FrameTracker
-from hil.monitor.kernels.derived import derive
+from hil.monitor.kernels.quantities import derive
 from hil.monitor.motion import MotionFit, MotionSolution
 from hil.monitor.paper.motion import PaperMotionFit
-from hil.monitor.results import QUANTITIES
+from hil.monitor.results import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, QUANTITIES, FrameResult, Result
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame
 

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.monitor.frame_result import FrameResult
+from hil.monitor.results import FrameResult
 from hil.monitor.settings import MonitorSettings
 
 Floats = NDArray[np.float64]

@@ -30,7 +30,7 @@ class Validation:
         n = parts.features
         feature = cells["feature"]
         used = cells["good"] == 1
-        self._cells, self._used, self._left, self._features = cells, used, left, n
+        self._cells, self._used, self._left = cells, used, left
         self.laid = np.bincount(feature, minlength=n)
         self.good = np.bincount(feature[used], minlength=n)
         step = cells["high"] - cells["low"]

@@ -60,12 +60,12 @@ def vision(scenario: Scenario) -> np.record:
     return params
 
 
-def stations(rig: Rig) -> np.record:
-    """Return STATIONS."""
+def mounting(rig: Rig) -> np.record:
+    """Return MOUNTING."""
     params = new(MOUNTING)
-    params.camera_station = rig.bench.camera_position_m
+    params.camera_position = rig.bench.camera_position_m
     params.q_vc = quat.from_matrix(np.array(rig.bench.camera_axes))
-    params.ring_station = rig.bench.led_ring_position_m
+    params.led_ring_position = rig.bench.led_ring_position_m
     params.q_th = quat.from_matrix(np.array(rig.bench.led_ring_axes))
     params.position_variance = rig.vmu.bench_sigma_m**2
     params.attitude_variance = math.radians(rig.vmu.bench_sigma_deg) ** 2

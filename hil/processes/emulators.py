@@ -9,8 +9,7 @@ import threading
 from collections.abc import Sequence
 from typing import Protocol
 
-from hil.cameras.factory import make_pose_sensor
-from hil.cameras.pose_model import transport
+from hil.cameras.pose_sensor import make_pose_sensor, transport
 from hil.config.driver_registry import DeviceTable
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -93,12 +92,12 @@ def _vision_unit(
     rehearsed = make_pose_sensor(scenario, rig, seed)  # compiles, and leaves the other one's noise alone
     start = start_axes(scenario, rig)
     for k in range(3):  # the search in whole images, then windows
-        rehearsed.look(start.rail_m, start.gimbal_rad, k / rig.vmu.rate_hz)
+        rehearsed.measure(start.rail_m, start.gimbal_rad, k / rig.vmu.rate_hz)
 
     def pose_at(t_s: float) -> PoseFrame | None:
         rails, _ = board.read("rails", t_s)
         gimbals, _ = board.read("turntable", t_s)
-        return sensor.look(rails, gimbals, t_s)
+        return sensor.measure(rails, gimbals, t_s)
 
     at_end = images.close if images else lambda: None
     emulator: Emulator = table.make_emulator(clock, pose_at, transport(scenario.vmu, seed), seed=seed, at_end=at_end)

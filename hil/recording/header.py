@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hil import __version__
-from hil.cameras.factory import believed_geometry
+from hil.cameras.pose_sensor import calibrated_geometry
 from hil.config.load import load_scene
 from hil.config.motion_digest import motion_digest
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, VERSION
@@ -53,7 +53,7 @@ def _calibrations(job: Job) -> dict[str, str]:
     scenario, rig = job.scenario.value, job.rig.value
     files = {}
     if scenario.vmu.source == "rendered":
-        files[GEOMETRY_FILE] = believed_geometry(rig).model_dump_json()
+        files[GEOMETRY_FILE] = calibrated_geometry(rig).model_dump_json()
     if scenario.monitor.source == "rendered":
         files[SCENE_FILE] = load_scene(scenario.monitor.scene).value.model_dump_json()
     return files

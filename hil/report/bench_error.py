@@ -43,7 +43,7 @@ def pose_errors(history: np.ndarray, rig: Rig, step_s: float) -> tuple[np.ndarra
         truth = rows["truth"]
         camera_errors(
             gnc_params.bench(rig, step_s),
-            gnc_params.stations(rig),
+            gnc_params.mounting(rig),
             rail_m,
             gimbal_rad,
             np.ascontiguousarray(truth["r_CT_H"]),

@@ -8,11 +8,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.cameras.docking import EncoderTrack, stations
+from hil.cameras.docking import EncoderTrack, mounting
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.monitor.kernels.cross_check import of_chaser, of_measured_pose
-from hil.monitor.kernels.derived import quantities
+from hil.monitor.kernels.quantities import of_chaser, of_measured_pose, quantities
 from hil.monitor.results import QUANTITIES
 from hil.params import gnc as gnc_params
 from hil.setup.docking_monitor import MonitorOutcome
@@ -37,7 +36,7 @@ def judge_monitor(watched: MonitorOutcome, history: np.ndarray, scenario: Scenar
     values = np.array([portion.values for portion in known]).reshape(-1, len(QUANTITIES))
     sigmas = np.array([portion.sigmas for portion in known]).reshape(-1, len(QUANTITIES))
     times = np.array([portion.t_s for portion in known])
-    truth = _Truth(history, stations(scenario.monitor))
+    truth = _Truth(history, mounting(scenario.monitor))
     against_truth = _difference(values, truth.at(times))
     against_bench = _difference(values, _bench(history, scenario, rig, times))
     vmu_t, vmu_error, vmu_sigma = _vision_unit(history, truth)
@@ -121,7 +120,7 @@ class _Truth:
 
 def _bench(history: np.ndarray, scenario: Scenario, rig: Rig, times: Floats) -> Floats:
     """Return QUANTITIES (n, 12), SI, of the camera by the encoders."""
-    track = EncoderTrack(gnc_params.bench(rig, scenario.step_s), stations(scenario.monitor))
+    track = EncoderTrack(gnc_params.bench(rig, scenario.step_s), mounting(scenario.monitor))
     track.add(history)
     found = np.empty((len(times), len(QUANTITIES)))
     for row, t_s in zip(found, times, strict=True):

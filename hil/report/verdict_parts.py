@@ -154,7 +154,7 @@ def judge_field_of_view(history: np.ndarray, rig: Rig, step_s: float) -> dict[st
     feedback = history["feedback"]
     view_margins(
         gnc_params.bench(rig, step_s),
-        gnc_params.stations(rig),
+        gnc_params.mounting(rig),
         camera,
         leds,
         np.ascontiguousarray(feedback["rail_m"]),

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.cameras.factory import make_pose_sensor
-from hil.cameras.pose_model import transport
+from hil.cameras.pose_sensor import make_pose_sensor, transport
 from hil.checks.compatibility import axes_at
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable
@@ -113,7 +112,7 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
     loop = Loop(
         dss=_dss(job.truth, job.seed),
         bench=BenchStage(rails, turntable, bench, safety),
-        vision=VisionStage(source, gnc_params.stations(rig)),
+        vision=VisionStage(source, gnc_params.mounting(rig)),
         gnc=_backend(job, rig, rate),
         history=np.zeros(job.cycles, CYCLE),
         telemetry=context.telemetry or NoTelemetry(),
@@ -261,7 +260,7 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, images: MakesPictures | None 
     sensor = make_pose_sensor(scenario, rig, seed, images)
 
     def pose_at(t_s: float) -> PoseFrame | None:
-        return sensor.look(rails.read(t_s).position, turntable.read(t_s).position, t_s)
+        return sensor.measure(rails.read(t_s).position, turntable.read(t_s).position, t_s)
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
     target = MockAxes("target", rig.moved_target) if rig.moved_target else None

@@ -16,8 +16,8 @@ from hil.config.vmu_geometry import Sensor
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.vmu.kernels.measure import LIMITS
+from hil.vmu.kernels.records import SPOT
 from hil.vmu.kernels.search import TOO_MANY, detect
-from hil.vmu.spots import SPOT
 
 _MOST_COMPONENTS: Final = 512
 _MOST_TRIES: Final = 4

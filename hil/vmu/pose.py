@@ -13,10 +13,10 @@ from hil.core.messages import Array
 from hil.maths import quat
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.kernels.hypotheses import bend
-from hil.vmu.kernels.match import assign, judge, sight_of
+from hil.vmu.kernels.match import assign, judge, led_windows, sight_of
 from hil.vmu.kernels.pose_search import SEARCH, STATE_FITS, STATE_FULL, add_settled, search
 from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, RingScene, View
-from hil.vmu.kernels.starts import side_of
+from hil.vmu.kernels.start_poses import side_of
 
 _REMEMBERED, _FITS = 256, 64
 _COARSE = 5.0  # sigmas
@@ -128,6 +128,12 @@ class Solver:
         spots = np.full((2, MAX_LEDS), -1, np.int64)
         barred = np.full((2, MAX_LEDS), -1, np.int64)
         return spots, assign(self.scene, view, r, t, covariance, reach_px, barred, spots)
+
+    def windows(self, prediction: Prediction) -> tuple[Array, Array]:
+        """Return the windows (k, 4), px, of the predicted LEDs per camera: u, v of the first pixel and after the last."""
+        out, counts = np.empty((2, len(self.scene.leds), 4)), np.zeros(2, np.int64)
+        led_windows(self.scene, matrix_of(prediction.q_vt), prediction.t_v, prediction.covariance, out, counts)
+        return out[0, : counts[0]], out[1, : counts[1]]
 
     def stray_density(self, view: View) -> Array:
         """Return the density of stray lights in each image that hypotheses are judged by, px^-2, (2,)."""

@@ -15,10 +15,9 @@ from typing import Final
 import numpy as np
 
 from hil.core.messages import Array
+from hil.vmu.kernels.disc import add_disc
 from hil.vmu.kernels.lens import CameraPair, in_image, project
-from hil.vmu.kernels.scene import disc_images, project_points, to_camera
-from hil.vmu.kernels.sensor import clear_box, fill_background
-from hil.vmu.kernels.shape import add_disc
+from hil.vmu.kernels.rendering import clear_box, disc_images, fill_background, project_points, to_camera
 
 Image = np.ndarray
 

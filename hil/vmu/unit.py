@@ -15,12 +15,10 @@ from hil.vmu.detect import SpotDetector
 from hil.vmu.identify import AMBIGUOUS, OK, TOO_FEW, Identifier, LedIdentification
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import project
-from hil.vmu.kernels.records import View
+from hil.vmu.kernels.records import SPOT, View
 from hil.vmu.kernels.refine import place
-from hil.vmu.pose import Prediction, Solver, SolverSettings, matrix_of
-from hil.vmu.spots import SPOT
+from hil.vmu.pose import Prediction, Solver, SolverSettings
 from hil.vmu.track import Track, TrackSettings
-from hil.vmu.windows import windows
 
 PREDICTED: Final = "predicted"
 WRONG_SIZE: Final = "rejected_size"
@@ -133,7 +131,7 @@ class VisionUnit:
         for t_s in (0.0, 0.1, 0.2):
             self.solve_spots(left, right, t_s, Prediction(ahead, np.array([0.0, 0.0, 0.0, 1.0]), 1e-6 * np.eye(6)))
         self.track = track
-        windows(self.solver.scene, facing, ahead, 1e-6 * np.eye(6))
+        self.solver.windows(Prediction(ahead, np.array([0.0, 0.0, 0.0, 1.0]), 1e-6 * np.eye(6)))
         for detector, shape in zip(self._detectors, self._shapes, strict=True):
             image = np.full(shape, 10, np.uint8)
             detector.spots(image)
@@ -169,7 +167,7 @@ class VisionUnit:
         """Return the solution from windows about the predicted LEDs, None where the whole images are needed."""
         if self._recheck():
             return None
-        regions = windows(self.solver.scene, matrix_of(expected.q_vt), expected.t_v, expected.covariance)
+        regions = self.solver.windows(expected)
         if any(_area(r) > _WINDOW_LIMIT * s[0] * s[1] for r, s in zip(regions, self._shapes, strict=True)):
             return None
         spots = self._detect(images, regions)

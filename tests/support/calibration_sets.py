@@ -8,9 +8,9 @@ from hil.config.rig import Rig
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel
 from hil.vmu.calibration.refine import layout_basis
-from hil.vmu.calibration.synthetic import plan, sight
 from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.kernels.chain import COMMON
+from tests.support.calibration_views import plan, sight
 
 AXIS_SIGMA = np.array([5e-5] * 3 + [np.radians(0.005)] * 3)
 PIXEL_SIGMA = 0.05

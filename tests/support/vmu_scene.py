@@ -12,9 +12,9 @@ from hil.core.messages import Array
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image
+from hil.vmu.kernels.records import SPOT
 from hil.vmu.pose import Prediction, matrix_of
 from hil.vmu.render import projections
-from hil.vmu.spots import SPOT
 from hil.vmu.unit import Pose
 
 SIGMA_PX = 0.05

@@ -15,10 +15,10 @@ from hil.cli.main import execute
 from hil.config.load import load_geometry, load_rig
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.model import Setup, TurntableModel
-from hil.vmu.calibration.synthetic import plan, shifted
-from hil.vmu.calibration.synthetic_images import board_pair, led_pair, led_renderer, write_views
 from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.render import NOTHING
+from tests.support.calibration_images import board_pair, led_pair, led_renderer, write_views
+from tests.support.calibration_views import plan, shifted
 from tests.support.run_settings import typed
 
 pytestmark = pytest.mark.xdist_group("vision unit")

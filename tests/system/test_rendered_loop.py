@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.cameras.factory import make_pose_sensor
+from hil.cameras.pose_sensor import make_pose_sensor
 from hil.checks.compatibility import axes_at
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
@@ -32,17 +32,17 @@ TILTED = (2.0, 1.0, -2.0)  # deg
 def seen(*settings: str, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[list[PoseFrame], Any, Any]:
     """Return 20 poses of axes that stand half-way, and the pose t -> v that is true without ``shift_m``."""
     scenario, rig = load_scenario("scheme-1", (RENDERED, *settings)).value, load_rig("mock", settings).value
-    eye = make_pose_sensor(scenario, rig, seed=3)
+    sensor = make_pose_sensor(scenario, rig, seed=3)
     axes = axes_at(scenario, rig, HALF_WAY, TILTED)
     rails = axes.rail_m + np.array(shift_m)
-    poses = [eye.look(rails, axes.gimbal_rad, 0.16 * k) for k in range(20)]
+    poses = [sensor.measure(rails, axes.gimbal_rad, 0.16 * k) for k in range(20)]
     found = [pose for pose in poses if pose is not None]
     t_v, q_vt = np.empty(3), np.empty(4)
     from hil.bench.kinematics import pose_of_axes
 
     r, q = np.empty(3), np.empty(4)
     pose_of_axes(gnc_params.bench(rig, scenario.step_s), axes.rail_m, axes.gimbal_rad, r, q)
-    camera_pose(gnc_params.stations(rig), r, q, t_v, q_vt)
+    camera_pose(gnc_params.mounting(rig), r, q, t_v, q_vt)
     return found, t_v, q_vt
 
 

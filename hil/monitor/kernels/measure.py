@@ -13,7 +13,7 @@ from hil.monitor.kernels.edges import fit_cells
 from hil.monitor.kernels.pose import UNKNOWNS, fit_pose, residuals
 from hil.monitor.kernels.search import search_cells
 
-MEASURED, LOST, TOO_FEW, UNSOLVED = range(4)
+MEASURED, TOO_FEW, UNSOLVED = range(3)
 
 TUNING = np.dtype(
     [

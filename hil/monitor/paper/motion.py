@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.monitor.frame_result import FrameResult, PaperFrame
 from hil.monitor.motion import Motion, MotionSolution
+from hil.monitor.results import FrameResult, PaperFrame
 from hil.monitor.settings import MonitorSettings
 
 Floats = NDArray[np.float64]

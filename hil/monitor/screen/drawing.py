@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, Final
 
 import cv2
@@ -15,7 +14,7 @@ Colour = tuple[int, int, int]  # blue, green, red
 # Okabe and Ito's palette: told apart with any colour blindness, on black
 ORANGE: Final[Colour] = (0, 159, 230)
 SKY: Final[Colour] = (233, 180, 86)
-GREEN: Final[Colour] = (115, 158, 0)
+
 YELLOW: Final[Colour] = (66, 228, 240)
 VERMILION: Final[Colour] = (0, 94, 213)
 PINK: Final[Colour] = (167, 121, 204)
@@ -87,9 +86,3 @@ def band(canvas: Canvas, upper: NDArray[np.float64], lower: NDArray[np.float64],
     whole = np.rint((outline - low) * (1 << _SHIFT)).astype(np.int32)
     cv2.fillPoly(shaded, [whole], colour, cv2.LINE_AA, _SHIFT)
     cv2.addWeighted(shaded, share, part, 1.0 - share, 0.0, part)
-
-
-def columns(canvas: Canvas, words: Iterable[tuple[str, float, Colour]], v: float, size: float = 0.45) -> None:
-    """Write a row of words, each with its right end at its own u, px."""
-    for word, u, colour in words:
-        text_right(canvas, word, u, v, colour, size)

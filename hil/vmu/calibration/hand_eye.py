@@ -1,7 +1,7 @@
 """Where the camera sits on the turntable and the target in the lab, in closed form, from poses of the target.
 
 ``R_vt = A_vc A_ch B`` for every view: the turn from one view to another has the same angle on both sides and its axis
-is turned by A_vc (Park and Martin, 1994). The stations then follow linearly.
+is turned by A_vc (Park and Martin, 1994). The mounting then follow linearly.
 """
 
 from __future__ import annotations

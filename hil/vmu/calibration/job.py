@@ -15,16 +15,15 @@ from hil.vmu.calibration import board as boards
 from hil.vmu.calibration import drift, quality
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.files import Calibrated, Label
-from hil.vmu.calibration.leds import SpotViews, identify
+from hil.vmu.calibration.leds import SpotViews, identify, spot_views
 from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, TurntableModel
 from hil.vmu.calibration.refine import Belief, belief
 from hil.vmu.calibration.solve import Solved, robust, solve, solve_leds
-from hil.vmu.calibration.spot_images import spot_views
 from hil.vmu.calibration.views import Views
 from hil.vmu.kernels.chain import COMMON, SCALE
 
 Tell = Callable[[str, float], None]
-KEEPABLE = ("left", "right", "stereo", "mounting", "leds")
+
 _WIDE_GATE_PX = 12.0
 
 

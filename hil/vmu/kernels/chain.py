@@ -1,7 +1,7 @@
 """From the bench's axes to pixels: where both cameras on the turntable see a target in the lab, and how that changes.
 
     p_L = exp([e_t]x) B0 (s p_t) + target_station          target to lab; B0 is A(q_th).T to begin with
-    p_v = exp([e_c]x) A0 (A(gimbals) (p_L - rails) - lever_arm - camera_station)
+    p_v = exp([e_c]x) A0 (A(gimbals) (p_L - rails) - lever_arm - camera_position)
     p_r = exp([r]x).T (p_v - baseline)
 
 This is ``hil.bench.kinematics.pose_of_axes`` followed by ``hil.models.mounting.camera_pose``, with slopes.

@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.maths import cholesky
-from hil.vmu.kernels.shape import node, point_sums, strip_sums, strips
+from hil.vmu.kernels.disc import node, point_sums, strip_sums, strips
 
 PLANE = 3  # parameters of the background
 POINT = 4  # of a point of light

@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.vmu.kernels.components import CLIPPED, END, FIRST, U0, U1, V0, V1
 from hil.vmu.kernels.fit import DISC, HEIGHT, PLANE, POINT, SHEAR, SIGMA, WIDTH, U, V, fit
-from hil.vmu.kernels.light import CLIPPED, END, FIRST, U0, U1, V0, V1
 from hil.vmu.kernels.peaks import find_peaks, mark_hot, start_points, sum_patch
+from hil.vmu.kernels.records import AT_BORDER, MERGED, SATURATED
 from hil.vmu.kernels.residuals import ODD, drop_outliers, light_noise, misfit, oddness, significance
-from hil.vmu.spots import AT_BORDER, MERGED, SATURATED
 
 LIMITS = np.dtype(
     [

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.vmu.kernels.components import BAD, END, FIRST, U0, V0
 from hil.vmu.kernels.fit import FLUX, PLANE, POINT, SIGMA, U, V
-from hil.vmu.kernels.light import BAD, END, FIRST, U0, V0
 
 
 @kernel

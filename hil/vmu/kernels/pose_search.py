@@ -16,7 +16,7 @@ from hil.vmu.kernels.hypotheses import acceptable, known, mirror
 from hil.vmu.kernels.match import settle
 from hil.vmu.kernels.p3p import axes_of_three, ray_lengths
 from hil.vmu.kernels.records import MAX_LEDS, MAX_SPOTS
-from hil.vmu.kernels.starts import near_prediction, plausible, pose_of_three, take_spots, tried
+from hil.vmu.kernels.start_poses import near_prediction, plausible, pose_of_three, take_spots, tried
 from hil.vmu.kernels.stereo import allow_pairs
 
 SEARCH = np.dtype(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.vmu.kernels.light import (
+from hil.vmu.kernels.components import (
     COMPONENT_WIDTH,
     END,
     FIRST,

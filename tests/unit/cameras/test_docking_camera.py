@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.cameras.docking import EncoderTrack, RenderedCamera, stations, view
+from hil.cameras.docking import EncoderTrack, RenderedCamera, mounting, view
 from hil.checks.compatibility import axes_at, monitor_problems
 from hil.config.docking_monitor import DockingMonitor
 from hil.config.load import load_scene
@@ -21,7 +21,7 @@ STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def track_of(rig: Rig) -> EncoderTrack:
-    return EncoderTrack(gnc_params.bench(rig, STEP_S), stations(PLACED))
+    return EncoderTrack(gnc_params.bench(rig, STEP_S), mounting(PLACED))
 
 
 def rows_at(t_s: np.ndarray, rail_m: np.ndarray, delays_s: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
@@ -34,7 +34,7 @@ def rows_at(t_s: np.ndarray, rail_m: np.ndarray, delays_s: tuple[float, float] =
 
 
 def test_head_on_the_camera_sees_the_target_where_the_stations_say() -> None:
-    d, phi = view(stations(PLACED), np.array([5.0, 0.0, 0.0]), STRAIGHT)
+    d, phi = view(mounting(PLACED), np.array([5.0, 0.0, 0.0]), STRAIGHT)
     # camera from target in H: (5.8 + 0.3, 0.1 - 0.05, -0.5 + 0.45); y1 = -y_H, y2 = -z_H, y3 = x_H
     np.testing.assert_allclose(d, [-0.05, 0.05, 6.1], atol=1e-12)
     np.testing.assert_allclose(phi, 0.0, atol=1e-12)
@@ -44,10 +44,10 @@ def test_turns_of_the_chaser_are_turns_of_the_camera_about_its_axes() -> None:
     # S: x1 = -y_c, x2 = z_c, x3 = -x_c
     for angles, expected in (([0.0, 0.0, 0.01], [0.0, 0.01, 0.0]), ([0.0, 0.02, 0.0], [-0.02, 0.0, 0.0])):
         q = euler.to_quaternion(np.array(angles), gnc_params.YAW_PITCH_ROLL)
-        _, phi = view(stations(DockingMonitor()), np.array([5.0, 0.0, 0.0]), q)
+        _, phi = view(mounting(DockingMonitor()), np.array([5.0, 0.0, 0.0]), q)
         np.testing.assert_allclose(phi, expected, atol=1e-12)
     q = euler.to_quaternion(np.array([0.03, 0.0, 0.0]), gnc_params.YAW_PITCH_ROLL)
-    _, phi = view(stations(DockingMonitor()), np.array([5.0, 0.0, 0.0]), q)
+    _, phi = view(mounting(DockingMonitor()), np.array([5.0, 0.0, 0.0]), q)
     np.testing.assert_allclose(phi, [0.0, 0.0, -0.03], atol=1e-12)
 
 
@@ -58,7 +58,7 @@ def test_encoders_are_turned_into_the_pose_of_the_chaser(mock_rig: Rig, scheme_1
     track = track_of(mock_rig)
     track.add(rows)
     q = euler.to_quaternion(np.radians([3.0, 3.0, -3.0]), gnc_params.YAW_PITCH_ROLL)
-    expected = view(stations(PLACED), np.array([5.0, -0.3, 0.3]), q)
+    expected = view(mounting(PLACED), np.array([5.0, -0.3, 0.3]), q)
     for found, wanted in zip(track(0.5), expected, strict=True):
         np.testing.assert_allclose(found, wanted, atol=1e-12)
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from hil.cameras.docking import chaser_position, stations, view
+from hil.cameras.docking import chaser_position, mounting, view
 from hil.console.client import Client
 from hil.console.live_view import LiveView, picture_of
 from hil.console.message import ImageMessage, pack, unpack
@@ -103,7 +103,7 @@ def test_picture_that_nobody_dates_is_new() -> None:
 
 
 def test_portions_come_once_and_all_of_them_to_a_page_that_comes_late(shown: LiveView) -> None:
-    places = stations(JOB.scenario.value.monitor)
+    places = mounting(JOB.scenario.value.monitor)
     r, q = np.array([1.2, 0.03, -0.02]), euler.to_quaternion(np.array([0.02, -0.03, 0.01]), YAW_PITCH_ROLL)
     near = np.full(12, 0.1)
     near[:3], near[3:6] = view(places, r, q)
@@ -126,7 +126,7 @@ def test_portions_come_once_and_all_of_them_to_a_page_that_comes_late(shown: Liv
 
 
 def test_chaser_is_where_its_docking_camera_s_view_has_it(rng: np.random.Generator) -> None:
-    places = stations(JOB.scenario.value.monitor)
+    places = mounting(JOB.scenario.value.monitor)
     for _ in range(20):
         r = rng.uniform([0.4, -0.5, -0.5], [20.0, 0.5, 0.5])
         q = euler.to_quaternion(rng.uniform(-0.3, 0.3, 3), YAW_PITCH_ROLL)

@@ -221,7 +221,7 @@ def test_vision_tells_the_run_s_time_when_it_begins_changes_and_stands() -> None
         def poll(self, now_s: float) -> list[PoseFrame]:
             return []
 
-    vision = VisionStage(Silent(), gnc_params.stations(load_rig("mock").value))  # type: ignore[arg-type]
+    vision = VisionStage(Silent(), gnc_params.mounting(load_rig("mock").value))  # type: ignore[arg-type]
     told: list[float] = []
     vision.on_run_zero = told.append
     row = np.zeros(1, CYCLE)[0]

@@ -63,6 +63,6 @@ def test_margins_of_a_bench_use_its_stations(mock_rig: Rig) -> None:
     camera, leds = gnc_params.camera(mock_rig)
     bench, out = gnc_params.bench(mock_rig, 0.02), np.empty(2)
     rail = np.array([[0.4, 0.0, -0.35], [0.1, 0.0, -0.35]])
-    view_margins(bench, gnc_params.stations(mock_rig), camera, leds, rail, np.zeros((2, 3)), out)
+    view_margins(bench, gnc_params.mounting(mock_rig), camera, leds, rail, np.zeros((2, 3)), out)
     assert out[0] == pytest.approx(HALF_PX - FOCAL_PX * 0.32)
     assert out[1] < 0.0

@@ -11,12 +11,11 @@ import pytest
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
-from hil.monitor.frame_result import FAR_QUANTITIES, Result
-from hil.monitor.kernels.derived import quantities
+from hil.monitor.kernels.quantities import quantities
 from hil.monitor.monitor import Monitor
 from hil.monitor.preprocess import bimodal_threshold
 from hil.monitor.render import Conditions, Glare, Part, TargetRenderer, film, rectangle
-from hil.monitor.results import QUANTITIES
+from hil.monitor.results import FAR_QUANTITIES, QUANTITIES, Result
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame
 

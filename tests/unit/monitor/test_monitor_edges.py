@@ -8,7 +8,6 @@ import pytest
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
 from hil.models import docking_view
-from hil.monitor import features
 from hil.monitor.features import ACROSS, DISC, UPRIGHT, parts_of
 from hil.monitor.kernels import edge_samples, edges, pose
 from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
@@ -54,7 +53,7 @@ def test_edges_are_found_where_the_geometry_has_them(atv: Scene, d3: float) -> N
         for feature in np.unique(found["feature"]):
             total.setdefault(int(feature), []).extend(found["shift"][found["feature"] == feature])
     for feature in (DISC, ACROSS, UPRIGHT):
-        assert abs(np.mean(total[feature])) < 3e-3, features.feature_name(feature)
+        assert abs(np.mean(total[feature])) < 3e-3, feature
     assert np.sqrt(np.mean(np.square(np.concatenate(list(total.values()))))) < 0.02
 
 

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from hil.models import docking_view
-from hil.monitor.frame_result import FrameResult, PaperFrame
-from hil.monitor.kernels.derived import derive, quantities
+from hil.monitor.kernels.quantities import derive, quantities
 from hil.monitor.motion import MotionFit, transition
 from hil.monitor.paper import paper
 from hil.monitor.paper.motion import PaperMotionFit, pair
-from hil.monitor.results import QUANTITIES, Seen
+from hil.monitor.results import QUANTITIES, FrameResult, PaperFrame, Seen
 from hil.monitor.settings import MonitorSettings
 
 F, B, R = 1100.0, 0.3, 0.3

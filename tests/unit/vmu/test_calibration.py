@@ -18,9 +18,9 @@ from hil.vmu.calibration.leds import Spots, SpotViews
 from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel
 from hil.vmu.calibration.refine import RefinementFit, RefinementProblem, belief
 from hil.vmu.calibration.solve import Solved, robust, solve, solve_leds
-from hil.vmu.calibration.synthetic import plan, shifted, sight
 from hil.vmu.kernels.chain import SCALE
 from tests.support.calibration_sets import AXIS_SIGMA, BOARD, PIXEL_SIGMA, as_made, board_seen, leds_seen, on_paper
+from tests.support.calibration_views import plan, shifted, sight
 
 LAYOUT_SIGMA, SQUARE_SIGMA = 1e-3, 1e-3
 

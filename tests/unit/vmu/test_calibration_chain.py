@@ -34,17 +34,17 @@ def made(mock_rig: Rig) -> Setup:
 def test_pixels_are_those_of_bench_kinematics_and_stations(mock_rig: Rig) -> None:
     paper = on_paper(mock_rig, True)
     turntable = TurntableModel.of(mock_rig.bench)
-    params, stations = np.zeros(1, BENCH_PARAMS)[0], np.zeros(1, MOUNTING)[0]
+    params, mounting = np.zeros(1, BENCH_PARAMS)[0], np.zeros(1, MOUNTING)[0]
     params["lever_arm"], params["order"] = turntable.lever_arm, turntable.order
-    stations["camera_station"], stations["ring_station"] = (
+    mounting["camera_position"], mounting["led_ring_position"] = (
         mock_rig.bench.camera_position_m,
         mock_rig.bench.led_ring_position_m,
     )
-    stations["q_vc"] = quat.from_matrix(np.array(mock_rig.bench.camera_axes))
-    stations["q_th"] = quat.from_matrix(np.array(mock_rig.bench.led_ring_axes))
+    mounting["q_vc"] = quat.from_matrix(np.array(mock_rig.bench.camera_axes))
+    mounting["q_th"] = quat.from_matrix(np.array(mock_rig.bench.led_ring_axes))
     r_CT_H, q_CH, t_v, q_vt = np.empty(3), np.empty(4), np.empty(3), np.empty(4)
     pose_of_axes(params, AXES[:3], AXES[3:], r_CT_H, q_CH)
-    camera_pose(stations, r_CT_H, q_CH, t_v, q_vt)
+    camera_pose(mounting, r_CT_H, q_CH, t_v, q_vt)
     from hil.vmu.geometry import geometry_of_rig
 
     pair = camera_pair(geometry_of_rig(mock_rig))

@@ -11,8 +11,8 @@ from hil.config.vmu_geometry import Sensor
 from hil.errors import BadInput
 from hil.vmu.detect import SpotDetector
 from hil.vmu.kernels.lens import LENS, CameraPair
+from hil.vmu.kernels.records import AT_BORDER, MERGED, SATURATED
 from hil.vmu.render import Extras, HotPixel, Reflection, RingAppearance, RingRenderer, projections
-from hil.vmu.spots import AT_BORDER, MERGED, SATURATED
 
 SIZE, FOCAL = 320, 1200.0
 STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])

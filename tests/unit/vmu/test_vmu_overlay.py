@@ -12,9 +12,8 @@ from hil.config.load import load_rig
 from hil.core.camera_images import Shape
 from hil.maths.random_streams import stream
 from hil.vmu.geometry import camera_pair, geometry_of_rig, led_positions
-from hil.vmu.overlay import draw
+from hil.vmu.overlay import IDENTITY, LED, NOTE, SPOT, STATUS, VALUE, draw, lines, shapes
 from hil.vmu.render import Extras, Light, RingAppearance, RingRenderer, projections
-from hil.vmu.shapes import IDENTITY, LED, NOTE, SPOT, STATUS, VALUE, lines, shapes
 from hil.vmu.unit import Solution, VisionUnit
 
 AHEAD = np.array([0.05, -0.02, 2.0])

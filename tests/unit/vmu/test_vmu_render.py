@@ -7,8 +7,8 @@ import pytest
 
 from hil.config.vmu_geometry import VmuCamera, VmuGeometry
 from hil.vmu.geometry import camera_pair, led_positions
+from hil.vmu.kernels.disc import add_disc
 from hil.vmu.kernels.lens import CameraPair
-from hil.vmu.kernels.shape import add_disc
 from hil.vmu.render import Extras, HotPixel, Light, Reflection, RingAppearance, RingRenderer, Shade, projections
 
 STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])

@@ -7,17 +7,23 @@ from typing import Protocol
 import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
-from hil.config.scenario import VisionNoise
+from hil.config.load import load_geometry
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario, VisionNoise
+from hil.config.vmu_geometry import VmuGeometry
+from hil.core.camera_images import MakesPictures
 from hil.core.messages import Array, PoseFrame
 from hil.drivers.vmu.transport import Transport
 from hil.dynamics.vision import VISION_NOISE, see
 from hil.maths.random_streams import NormalRows, stream
+from hil.params import gnc as gnc_params
+from hil.vmu.geometry import geometry_of_rig
 
 
 class PoseSensor(Protocol):
     """Whatever turns the bench's encoders into what the vision unit would report."""
 
-    def look(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
+    def measure(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
         """Return the measured pose of axes that stand at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``.
 
         None where the unit would find none.
@@ -27,19 +33,19 @@ class PoseSensor(Protocol):
 class PoseModel:
     """Turns axis positions into the pose frame that the vision unit would report."""
 
-    def __init__(self, bench: np.record, stations: np.record, vision: np.record, seed: int) -> None:
+    def __init__(self, bench: np.record, mounting: np.record, vision: np.record, seed: int) -> None:
         self._bench = bench
-        self._stations = stations
+        self._mounting = mounting
         self._vision = vision
         self._noise = NormalRows(stream(seed, "vision"), VISION_NOISE)
         self._r = np.empty(3)
         self._q = np.empty(4)
 
-    def look(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame:
+    def measure(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame:
         """Return the measured pose of axes that stand at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``."""
         t_v, q_vt, covariance = np.empty(3), np.empty(4), np.empty((6, 6))
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
-        see(self._vision, self._stations, self._r, self._q, self._noise.next_row(), t_v, q_vt, covariance)
+        see(self._vision, self._mounting, self._r, self._q, self._noise.next_row(), t_v, q_vt, covariance)
         return PoseFrame(0, t_s, t_s, t_v, q_vt, covariance, leds_left=0x3F, leds_right=0x3F)
 
 
@@ -48,3 +54,24 @@ def transport(vmu: VisionNoise, seed: int) -> Transport:
     return Transport(
         stream(seed, "transport"), vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability
     )
+
+
+def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: MakesPictures | None = None) -> PoseSensor:
+    """Return what sees the target for the vision unit of ``rig``, as ``vmu.source`` says.
+
+    shown: takes the pictures, where there are any.
+    """
+    bench, mounting = gnc_params.bench(rig, scenario.step_s), gnc_params.mounting(rig)
+    if scenario.vmu.source == "model":
+        return PoseModel(bench, mounting, gnc_params.vision(scenario), seed)
+    from hil.cameras.rendered import RenderedPoseSensor
+
+    return RenderedPoseSensor(
+        bench, mounting, geometry_of_rig(rig), calibrated_geometry(rig), scenario.vmu.images, seed, shown
+    )
+
+
+def calibrated_geometry(rig: Rig) -> VmuGeometry:
+    """Return what the vision unit of ``rig`` takes its cameras and LEDs for. Raises BadInput."""
+    path = rig.vmu.geometry_file
+    return geometry_of_rig(rig) if path is None else load_geometry(path).value

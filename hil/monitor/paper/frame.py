@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.monitor.features import ACROSS, DISC, UPRIGHT
-from hil.monitor.frame_result import PaperFrame
 from hil.monitor.kernels.edge_samples import BAR
+from hil.monitor.results import PaperFrame
 
 Floats = NDArray[np.float64]
 
