@@ -30,8 +30,8 @@ def main() -> None:
             plain, shining = TargetRenderer(scene), TargetRenderer(scene, conditions=glare)
             rng = np.random.default_rng(0)
             draw = _median_ms(lambda plain=plain, d=d: plain.draw(d, phi))
-            whole = _median_ms(lambda plain=plain, d=d, rng=rng: plain.picture(d, phi, 0.0, rng))
-            lit = _median_ms(lambda shining=shining, d=d, rng=rng: shining.picture(d, phi, 0.0, rng))
+            whole = _median_ms(lambda plain=plain, d=d, rng=rng: plain.image(d, phi, 0.0, rng))
+            lit = _median_ms(lambda shining=shining, d=d, rng=rng: shining.image(d, phi, 0.0, rng))
             print(f"{name:14}{range_m:10.1f}{draw:10.2f}{whole:11.2f}{lit:12.2f}")
 
 

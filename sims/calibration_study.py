@@ -22,13 +22,13 @@ from hil.config.load import load_rig
 from hil.core.messages import Array
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.drift import check
-from hil.vmu.calibration.files import Calibrated, Label
+from hil.vmu.calibration.files import Label, StoredCalibration
 from hil.vmu.calibration.model import PARTS, Setup, TurntableModel
-from hil.vmu.calibration.refine import RefinementFit, RefinementProblem, belief, layout_basis
-from hil.vmu.calibration.solve import robust
+from hil.vmu.calibration.refine import RefinementFit, RefinementProblem, layout_basis, weak_prior
+from hil.vmu.calibration.solve import robust_fit
 from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.kernels.chain import COMMON, SCALE
-from tests.support.calibration_views import plan, shifted, sight
+from tests.support.calibration_views import observe, plan, shifted
 
 AXIS_SIGMA = np.array([5e-5] * 3 + [np.radians(0.005)] * 3)
 PIXEL_SIGMA = 0.05
@@ -36,13 +36,13 @@ BOARD = Board(11, 8, 0.03)
 DRIFTS: dict[str, dict[str, object]] = {
     "none": {},
     "baseline 0.1 mm": {"BASELINE": [1e-4, 0.0, 0.0]},
-    "right camera turned 0.02 deg": {"TURN": [0.0, np.radians(0.02), 0.0]},
-    "mounting 0.05 deg about x": {"CAMERA_TURN": [np.radians(0.05), 0.0, 0.0]},
-    "mounting 0.05 deg about y": {"CAMERA_TURN": [0.0, np.radians(0.05), 0.0]},
-    "mounting 0.05 deg about z": {"CAMERA_TURN": [0.0, 0.0, np.radians(0.05)]},
+    "right camera turned 0.02 deg": {"ROTATION": [0.0, np.radians(0.02), 0.0]},
+    "mounting 0.05 deg about x": {"CAMERA_ROTATION": [np.radians(0.05), 0.0, 0.0]},
+    "mounting 0.05 deg about y": {"CAMERA_ROTATION": [0.0, np.radians(0.05), 0.0]},
+    "mounting 0.05 deg about z": {"CAMERA_ROTATION": [0.0, 0.0, np.radians(0.05)]},
     "left lens 1 px": {"LEFT": [0.0, 0.0, 1.0]},
     "right focal length 0.1 %": {"RIGHT": [1.2, 1.2]},
-    "ring 1 mm": {"TARGET_STATION": [0.0, 1e-3, 0.0]},
+    "ring 1 mm": {"TARGET_POSITION": [0.0, 1e-3, 0.0]},
 }
 MUST_FIND = ("baseline", "mounting")
 
@@ -90,11 +90,11 @@ def one_set(kind: Kind, seed: int) -> tuple[Array, dict[str, tuple[bool, str, fl
     paper = Setup.of(geometry_of_rig(rig), rig.bench, None if kind.on_leds else BOARD.points())
     truth = made(paper, kind, rng)
     axes = plan(truth, turntable, kind.views, kind.range_m, 20.0, rng, 0.25)
-    seen = sight(truth, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
-    held = belief(paper, (), AXIS_SIGMA, 1e-3 if kind.on_leds else 0.0, 0.0 if kind.on_leds else 1e-3)
-    fit = RefinementProblem(seen, turntable, held, paper.points).solve(robust(seen, paper, turntable, held))
+    seen = observe(truth, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
+    held = weak_prior(paper, (), AXIS_SIGMA, 1e-3 if kind.on_leds else 0.0, 0.0 if kind.on_leds else 1e-3)
+    fit = RefinementProblem(seen, turntable, held, paper.points).solve(robust_fit(seen, paper, turntable, held))
     label = Label("study", "", "leds" if kind.on_leds else "board")
-    known = Calibrated(label, fit.setup, turntable, fit.covariance, fit.noise, AXIS_SIGMA)
+    known = StoredCalibration(label, fit.setup, turntable, fit.covariance, fit.noise, AXIS_SIGMA)
     checks = {name: checked(known, truth, kind, change, rng) for name, change in DRIFTS.items()}
     return in_sigmas(fit, truth, kind), checks
 
@@ -126,15 +126,15 @@ def in_sigmas(fit: RefinementFit, truth: Setup, kind: Kind) -> Array:
 
 
 def checked(
-    known: Calibrated, truth: Setup, kind: Kind, change: dict[str, object], rng: np.random.Generator
+    known: StoredCalibration, truth: Setup, kind: Kind, change: dict[str, object], rng: np.random.Generator
 ) -> tuple[bool, str, float]:
     today = shifted(truth, **{name: np.array(values) for name, values in change.items()})
     axes = plan(truth, known.turntable, kind.views_of_check, kind.range_of_check_m, 15.0, rng, 0.25)
-    seen = sight(today, known.turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
+    seen = observe(today, known.turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
     setup = known.setup
     if not kind.on_leds:
         keep = ("left", "right", "stereo", "mounting")
-        setup = robust(seen, setup, known.turntable, belief(setup, keep, AXIS_SIGMA, 0.0, 0.0))
+        setup = robust_fit(seen, setup, known.turntable, weak_prior(setup, keep, AXIS_SIGMA, 0.0, 0.0))
     found = check(known, seen, setup, not kind.on_leds)
     return found.chance < 1e-3, found.explanations[0].part, found.explanations[0].shift_px
 

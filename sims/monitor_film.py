@@ -71,7 +71,7 @@ def main() -> None:
             w = motion(t_s, given.start_m, given.rate_mps)
             quantities(w, out)
             rows.writerow((number, f"{t_s:.4f}", *(f"{value:.9f}" for value in out)))
-            writer.write(renderer.picture(w[0:6:2], w[6::2], t_s, rng))
+            writer.write(renderer.image(w[0:6:2], w[6::2], t_s, rng))
     writer.release()
 
 

@@ -97,7 +97,7 @@ def study(scene: Scene, d3: float, noise: float, pictures: int) -> dict[str, Flo
         rng = np.random.default_rng([number, int(1000 * d3)])
         d = np.array([*(rng.uniform(-0.03, 0.03, 2) * d3), d3 * rng.uniform(0.97, 1.03)])
         phi = np.array([0.0, 0.0, rng.uniform(-0.1, 0.1)])
-        image = renderer.picture(d, phi, 0.0, rng)
+        image = renderer.image(d, phi, 0.0, rng)
         true = truth_px(scene, d)
         # roll about the optical axis rotates the position of the disc in the image
         c, s = math.cos(phi[2]), math.sin(phi[2])
@@ -107,11 +107,16 @@ def study(scene: Scene, d3: float, noise: float, pictures: int) -> dict[str, Flo
         monitor = Monitor(scene, MonitorSettings(calculation="paper"))
         monitor.feed(VideoFrame(0, 0.0, image))
         look = monitor.last
-        if look is not None and look.paper is not None and look.seen.disc is not None and look.seen.cross is not None:
+        if (
+            look is not None
+            and look.paper is not None
+            and look.detection.disc is not None
+            and look.detection.cross is not None
+        ):
             v = look.paper.values
             alone = np.array([axis[0] + v[3], axis[1] - v[4], v[5], axis[0] + v[0], axis[1] - v[1]])
             errors["one feature alone"].append(alone - true)
-            errors["all features"].append(np.array([*look.seen.disc, *look.seen.cross[:2]]) - true)
+            errors["all features"].append(np.array([*look.detection.disc, *look.detection.cross[:2]]) - true)
         hough, ellipse = by_opencv(image, true)
         if hough is not None:
             errors["HoughCircles"].append(hough - true[:3])

@@ -97,7 +97,7 @@ def study(look: RingAppearance, range_m: float, images: int, seed: int) -> Row:
         image = renderer.image(0, t_v, q_vt, None, rng)
         spots = detector.spots(image)
         places = projections(pair, leds, t_v, q_vt)[0]
-        discs, fluxes = renderer.exposed(0, t_v, q_vt)
+        discs, fluxes = renderer.led_images(0, t_v, q_vt)
         near = [int(np.argmin(np.hypot(places[:, 0] - s["u"], places[:, 1] - s["v"]))) for s in spots]
         for j, place in enumerate(places):
             own = [s for s, k in zip(spots, near, strict=True) if k == j]

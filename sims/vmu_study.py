@@ -223,7 +223,7 @@ def images(poses: int, seed: int, raised_m: float) -> None:
                 continue
             covariances: list[list[Array | None]] = []
             for c in range(2):
-                spots, flux = renderer.exposed(c, truth.t, truth.q)
+                spots, flux = renderer.led_images(c, truth.t, truth.q)
                 inside = [in_image(stage.pair.lens[c], s[0], s[1], 1.0) for s in spots]
                 covariances.append(
                     [spot_bound(look, s, f)[0] if i else None for s, f, i in zip(spots, flux, inside, strict=True)]

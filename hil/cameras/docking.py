@@ -32,19 +32,19 @@ def mounting(config: DockingMonitor) -> np.record:
     return params
 
 
-def view(places: np.record, r_CT_H: Array, q_CH: Array) -> tuple[Array, Array]:
+def view(mounting: np.record, r_CT_H: Array, q_CH: Array) -> tuple[Array, Array]:
     """Return d (3,), m, and phi (3,), rad, of the camera of a chaser at ``r_CT_H`` with ``q_CH``."""
     t_v, q_vt, d, phi = np.empty(3), np.empty(4), np.empty(3), np.empty(3)
-    camera_pose(places, r_CT_H, q_CH, t_v, q_vt)
+    camera_pose(mounting, r_CT_H, q_CH, t_v, q_vt)
     docking_view.of_camera_pose(t_v, q_vt, d, phi)
     return d, phi
 
 
-def chaser_position(places: np.record, d: Array, phi: Array) -> Array:
+def chaser_position(mounting: np.record, d: Array, phi: Array) -> Array:
     """Return r_CT_H (3,), m, of the chaser whose camera has d (3,), m, and phi (3,), rad: ``view`` back."""
     t_v, q_vt, pose = np.empty(3), np.empty(4), new(POSE)
     docking_view.to_camera_pose(d, phi, t_v, q_vt)
-    chaser_pose(places, t_v, q_vt, np.zeros((6, 6)), pose)
+    chaser_pose(mounting, t_v, q_vt, np.zeros((6, 6)), pose)
     r_TC_H: Array = quat.transform_back(pose.q_CH, pose.z_TC_C)
     return -r_TC_H
 
@@ -52,9 +52,9 @@ def chaser_position(places: np.record, d: Array, phi: Array) -> Array:
 class EncoderTrack:
     """Where the camera was: the encoders' samples, each with its own time, straight lines between them."""
 
-    def __init__(self, bench: np.record, places: np.record) -> None:
+    def __init__(self, bench: np.record, mounting: np.record) -> None:
         self._bench = bench
-        self._places = places
+        self._mounting = mounting
         self._times = (np.empty(0), np.empty(0))  # of rails and turntable
         self._axes = (np.empty((0, 3)), np.empty((0, 3)))
 
@@ -81,9 +81,9 @@ class EncoderTrack:
         )
         r, q = np.empty(3), np.empty(4)
         pose_of_axes(self._bench, rail, gimbal, r, q)
-        return view(self._places, r, q)
+        return view(self._mounting, r, q)
 
-    def forget_before(self, t_s: float) -> None:
+    def drop_before(self, t_s: float) -> None:
         """Drop samples that nobody asks for once ``t_s`` is passed."""
         keep = [max(int(np.searchsorted(t, t_s - _KEPT_S)) - 1, 0) for t in self._times]
         self._times = (self._times[0][keep[0] :], self._times[1][keep[1] :])
@@ -104,4 +104,4 @@ class RenderedCamera:
         while self.track.covers(t_s := exposure(self._renderer.scene, self._next)[0]):
             yield self._renderer.frame(self._next, self.track, self._rng)
             self._next += 1
-            self.track.forget_before(t_s)
+            self.track.drop_before(t_s)

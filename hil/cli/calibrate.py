@@ -191,7 +191,9 @@ def _calibrate(
     board = _board(start)
     loaded = read_views(Path(views))
     sigma = np.array([1e-3 * sigmas.rail_sigma_mm] * 3 + [np.radians(sigmas.gimbal_sigma_deg)] * 3)
-    given = job.Given(board, start.keep, sigma, 1e-3 * sigmas.led_sigma_mm, 0.01 * sigmas.square_sigma_percent)
+    given = job.CalibrationInputs(
+        board, start.keep, sigma, 1e-3 * sigmas.led_sigma_mm, 0.01 * sigmas.square_sigma_percent
+    )
     date = result.date or datetime.datetime.now().astimezone().date().isoformat()
     label = Label(result.id or f"vmu-{date}", date, job.target_name(board))
     with ProgressBar(Console(stderr=True), "reading the views") as bar:
@@ -199,7 +201,7 @@ def _calibrate(
         outcome = job.calibrate(loaded, rig.value, geometry, given, limit_values, label, guess, bar.show)
     fit = outcome.solved.fit
     if result.out is not None:
-        used = len(outcome.solved.sightings.names)
+        used = len(outcome.solved.observations.names)
         table = geometry_table(label, fit, outcome.turntable, sigma, geometry, used)
         write_text(as_toml(table, "Vision unit: LEDs and cameras, as measured by hil calibrate."), result.out)
     if result.rig_out is not None:

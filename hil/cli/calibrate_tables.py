@@ -6,7 +6,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from hil.vmu.calibration.job import CalibrationOutcome, Checked
+from hil.vmu.calibration.job import CalibrationOutcome, DriftCheck
 from hil.vmu.calibration.model import Parameter, parameters
 from hil.vmu.calibration.report import found_numbers
 from hil.vmu.kernels.chain import COMMON
@@ -52,7 +52,7 @@ def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
 
     covered = ", ".join(f"{side} {100 * s:.0f} %" for side, s in zip(("left", "right"), outcome.shares, strict=True))
     show(
-        f"{len(solved.sightings.names)} views, {int(solved.sightings.seen.sum())} points, residuals {fit.rms_px:.3f} px"
+        f"{len(solved.observations.names)} views, {int(solved.observations.visible.sum())} points, residuals {fit.rms_px:.3f} px"
         f" RMS, noise {outcome.sigma_px:.3f} px; images covered: {covered}"
     )
     show(f"rail errors: {fit.axis_ratio[0]:.2f}, gimbal errors: {fit.axis_ratio[1]:.2f} of the assumed sigma")
@@ -73,7 +73,7 @@ def _add_number(table: Table, parameter: Parameter, value: float, sigma: float, 
     table.add_row(parameter.name, shown, spread, f"{paper:g}", parameter.unit)
 
 
-def print_check(checked: Checked, passed: bool, limits: dict[str, float], console: Console) -> None:
+def print_check(checked: DriftCheck, passed: bool, limits: dict[str, float], console: Console) -> None:
     """Print a drift check."""
     found, known = checked.drift, checked.known
 

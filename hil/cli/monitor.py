@@ -87,7 +87,7 @@ def monitor(
     refuse(problems)
 
     from hil.config.load import load_scene
-    from hil.monitor.monitor import Monitor, watch
+    from hil.monitor.monitor import Monitor
     from hil.monitor.settings import MonitorSettings
     from hil.monitor.sources import open_source
 
@@ -111,17 +111,17 @@ def monitor(
         each = stack.enter_context(_CsvFile(frames, _FRAME_COLUMNS)) if frames is not None else None
         painter = stack.enter_context(_painter(screen, loaded.value, source.name)) if screen is not None else None
         bar = stack.enter_context(ProgressBar(console, "compiling the kernels that are not cached"))
-        for frame, look, done in watch(Monitor(loaded.value, settings), source):
+        for frame, look, done in process_frames(Monitor(loaded.value, settings), source):
             looks.append(look)
             if each is not None:
                 each.write(_frame_row(look))
             if painter is not None:
-                painter.show(frame, look.seen, done)
+                painter.show(frame, look.detection, done)
             for portion in done:
                 portions.append(portion)
                 table.write(_row(portion))
-            if source.pictures:
-                bar.show("frames", min(len(looks) / source.pictures, 1.0))
+            if source.image_count:
+                bar.show("frames", min(len(looks) / source.image_count, 1.0))
     summary = _summary(portions, looks)
     if json is not None:
         write_json(summary, json)
@@ -176,8 +176,8 @@ _FRAME_COLUMNS = ("frame", "t_s", "status", "reason", "tracked", "points", "d1_m
 
 def _frame_row(look: FrameResult) -> list[str]:
     return [
-        str(look.seen.number), f"{look.seen.t_s:.6f}", look.status, look.reason, str(int(look.tracked)),
-        str(len(look.seen.edges)), *(_number(value) for value in (*look.pose, look.blur_px, look.noise)),
+        str(look.detection.number), f"{look.detection.t_s:.6f}", look.status, look.reason, str(int(look.tracked)),
+        str(len(look.detection.edges)), *(_number(value) for value in (*look.pose, look.blur_px, look.noise)),
     ]  # fmt: skip
 
 

@@ -47,7 +47,7 @@ def to_camera(a, d, y):
 
 
 @kernel
-def picture_point(f, cx, cy, x):
+def project_point(f, cx, cy, x):
     """Return (u, v), px, of the point ``x`` (3,), m, in the camera's axes; means something where x[2] > 0."""
     return cx + f * x[0] / x[2], cy - f * x[1] / x[2]
 

@@ -16,7 +16,7 @@ _ROWS: Final = 10
 
 
 @kernel
-def _parts(tau, dt):
+def _substeps(tau, dt):
     """Return into how many parts a step of ``dt``, s, is split for a lag of ``tau``, s."""
     return int(dt / (0.25 * tau)) + 1
 
@@ -28,7 +28,7 @@ def _goal(setpoint, feedforward, kp):
 
 
 @kernel
-def _part(position, rate, goal, kp, share, rate_max, change_max, low, high, h):
+def _substep(position, rate, goal, kp, share, rate_max, change_max, low, high, h):
     """Return position and rate of one axis after a part of ``h``, s; all arguments are numbers.
 
     goal: see ``_goal``. share: of the way to the wanted rate that is made, h / tau. change_max: of the rate in a part.
@@ -59,12 +59,12 @@ def servo_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceler
         end = first + 1
         while end < position.shape[0] and tau[end] == tau[first]:
             end += 1
-        n = _parts(tau[first], dt)
+        n = _substeps(tau[first], dt)
         h = dt / n
         share = h / tau[first]
         for _ in range(n):
             for i in range(first, end):
-                position[i], rate[i] = _part(
+                position[i], rate[i] = _substep(
                     position[i], rate[i], _goal(setpoint[i], feedforward[i], kp[i]), kp[i], share,
                     rate_max[i], acceleration_max[i] * h, low[i], high[i], h,
                 )  # fmt: skip
@@ -78,16 +78,16 @@ def servo_step_of_two(one, other, dt):
     one, other: records with the arguments of ``servo_step`` as fields; the three axes of each have one lag.
     """
     lanes = stack.matrix(_ROWS, _LANES)
-    n_one, n_other = _parts(one.tau[0], dt), _parts(other.tau[0], dt)
+    n_one, n_other = _substeps(one.tau[0], dt), _substeps(other.tau[0], dt)
     _lay_out(one, dt / n_one, 0, lanes)
     _lay_out(other, dt / n_other, 3, lanes)
     both = min(n_one, n_other)
-    _run_parts(lanes, both)
+    _run_substeps(lanes, both)
     if n_one != n_other:
         done = 0 if n_one == both else 3
         for i in range(done, done + 3):  # parts of no time
             lanes[4, i] = lanes[6, i] = lanes[9, i] = 0.0
-        _run_parts(lanes, max(n_one, n_other) - both)
+        _run_substeps(lanes, max(n_one, n_other) - both)
     for i in range(3):
         one.position[i], one.rate[i] = lanes[0, i], lanes[1, i]
         other.position[i], other.rate[i] = lanes[0, 3 + i], lanes[1, 3 + i]
@@ -95,7 +95,7 @@ def servo_step_of_two(one, other, dt):
 
 @kernel
 def _lay_out(axes, h, first, lanes):
-    """Write the arguments of ``_part`` of three axes into columns of ``lanes`` from ``first`` on."""
+    """Write the arguments of ``_substep`` of three axes into columns of ``lanes`` from ``first`` on."""
     share = h / axes.tau[0]
     for i in range(3):
         j = first + i
@@ -106,11 +106,11 @@ def _lay_out(axes, h, first, lanes):
 
 
 @kernel
-def _run_parts(lanes, n):
+def _run_substeps(lanes, n):
     """Move all lanes on by ``n`` parts."""
     for _ in range(n):
         for i in range(_LANES):
-            lanes[0, i], lanes[1, i] = _part(
+            lanes[0, i], lanes[1, i] = _substep(
                 lanes[0, i], lanes[1, i], lanes[2, i], lanes[3, i], lanes[4, i],
                 lanes[5, i], lanes[6, i], lanes[7, i], lanes[8, i], lanes[9, i],
             )  # fmt: skip

@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.monitor.features import Parts
-from hil.monitor.kernels.circle_detection import CircleCandidate, find_rounds
+from hil.monitor.features import TargetFeatures
+from hil.monitor.kernels.circle_detection import CircleCandidate, find_circles
 from hil.monitor.kernels.patterns import LARGEST_ROLL, Pattern, best_pattern, boxes_pattern, cross_pattern
 from hil.monitor.preprocess import Prepared, Region
 
@@ -38,9 +38,9 @@ class Hypothesis:
 class TargetDetector:
     """Finds first poses of one target before one camera."""
 
-    def __init__(self, parts: Parts) -> None:
-        self._parts = parts
-        target = parts.target
+    def __init__(self, features: TargetFeatures) -> None:
+        self._features = features
+        target = features.target
         self._cross: Pattern | None = cross_pattern(target) if target.cross is not None else None
         self._boxes: Pattern | None = None
         if target.outline is not None and target.boxes:
@@ -52,7 +52,7 @@ class TargetDetector:
         """
         left, top = float(region.left), first_line + line_step * region.top
         found: list[Hypothesis] = []
-        for circle in find_rounds(prepared, left, top, line_step)[:_CIRCLES]:
+        for circle in find_circles(prepared, left, top, line_step)[:_CIRCLES]:
             for one in (self._as_disc, self._as_ship):
                 guess = one(circle, prepared, left, top, line_step)
                 if guess is not None:
@@ -65,10 +65,10 @@ class TargetDetector:
         self, circle: CircleCandidate, prepared: Prepared, left: float, top: float, line_step: float
     ) -> Hypothesis | None:
         """Return the pose by the monitor paper 3.1 if there is a cross on the circle."""
-        target = self._parts.target
-        if target.disc is None or target.cross is None or self._cross is None or circle.share < 0.25:
+        target = self._features.target
+        if target.disc is None or target.cross is None or self._cross is None or circle.coverage < 0.25:
             return None
-        f = self._parts.lens[0]
+        f = self._features.lens[0]
         r, b = target.disc.radius_m, target.cross.offset_m
         d3 = f * r / circle.radius
         if d3 < 1.2 * b:
@@ -92,16 +92,16 @@ class TargetDetector:
         c, s = np.cos(out[2]), np.sin(out[2])
         du, dv = out[0] - circle.u, out[1] - circle.v
         d1, d2 = -gain * (c * du + s * dv), -gain * (c * dv - s * du)
-        return Hypothesis(self._pose(circle, d1, d2, d3, 0.0, float(out[2])), True, abs(score) * circle.share**0.25)
+        return Hypothesis(self._pose(circle, d1, d2, d3, 0.0, float(out[2])), True, abs(score) * circle.coverage**0.25)
 
     def _as_ship(
         self, circle: CircleCandidate, prepared: Prepared, left: float, top: float, line_step: float
     ) -> Hypothesis | None:
         """Return the pose along the target's axis if the circle can be the ship's outline with its boxes."""
-        target = self._parts.target
+        target = self._features.target
         if target.outline is None:
             return None
-        f = float(self._parts.lens[0])
+        f = float(self._features.lens[0])
         depth = f * target.outline.radius_m / circle.radius
         roll, score = 0.0, 0.6
         if self._boxes is not None:
@@ -120,14 +120,14 @@ class TargetDetector:
         if d3 < 0.2:
             return None
         pose = self._pose(circle, 0.0, 0.0, d3, target.outline.offset_m, roll, target.outline.center_m)
-        return Hypothesis(pose, False, score * circle.share**0.25)
+        return Hypothesis(pose, False, score * circle.coverage**0.25)
 
     def _pose(
         self, circle: CircleCandidate, d1: float, d2: float, d3: float, offset: float, roll: float,
         centre: tuple[float, float] = (0.0, 0.0),
     ) -> Floats:  # fmt: skip
         """Return the pose at d, of that roll, that puts the point ``centre``, ``offset`` at the circle's centre."""
-        f, cx, cy = self._parts.lens[:3]
+        f, cx, cy = self._features.lens[:3]
         # A.T = exp(-[phi]x) diag(1, -1, -1): a roll of the picture by +roll (u towards v) is phi3 = roll
         x3 = d3 - offset
         c, s = np.cos(roll), np.sin(roll)

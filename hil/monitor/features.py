@@ -35,7 +35,7 @@ The outside of an edge is to the right of the way from a to b, as seen from the 
 
 
 @dataclass(frozen=True)
-class Parts:
+class TargetFeatures:
     """One target before one camera, for the kernels.
 
     lens: (5,): f, cx, cy, width, height, px. circles, lines: what is measured. borders: (n,) LINE, every straight
@@ -47,13 +47,13 @@ class Parts:
     circles: NDArray[np.void]
     lines: NDArray[np.void]
     borders: NDArray[np.void]
-    features: int
+    feature_count: int
     cross: Floats
     target: Target
 
 
-def parts_of(camera: SceneCamera, target: Target) -> Parts:
-    """Return the measurable parts of ``target`` before ``camera``."""
+def target_features(camera: SceneCamera, target: Target) -> TargetFeatures:
+    """Return the measurable features of ``target`` before ``camera``."""
     circles: list[tuple[float, ...]] = []
     lines: list[tuple[float, ...]] = []
     borders: list[tuple[float, ...]] = []
@@ -87,7 +87,7 @@ def parts_of(camera: SceneCamera, target: Target) -> Parts:
         ]
     lens = np.array([camera.f, camera.cx, camera.cy, camera.width, camera.height], float)
     features = BOX + len(target.boxes)
-    return Parts(
+    return TargetFeatures(
         lens, _table(circles, CIRCLE), _table(lines, LINE), _table(borders, LINE), features, cross, target
     )  # fmt: skip
 

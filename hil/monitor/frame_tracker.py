@@ -12,20 +12,20 @@ from hil.config.scene import Scene
 from hil.models import docking_view
 from hil.monitor import validation
 from hil.monitor.detector import TargetDetector
-from hil.monitor.features import ACROSS, LABEL, UPRIGHT, parts_of
+from hil.monitor.features import ACROSS, LABEL, UPRIGHT, target_features
 from hil.monitor.kernels import measure
 from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
 from hil.monitor.kernels.pose import UNKNOWNS
 from hil.monitor.motion import Motion
 from hil.monitor.paper.frame import paper_frame
 from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
-from hil.monitor.results import FAR, NEAR, NO_TARGET, FrameResult, Seen
+from hil.monitor.results import FAR, NEAR, NO_TARGET, FrameDetection, FrameResult
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame
 
 Floats = NDArray[np.float64]
 
-_MOST_CELLS: Final = 4096
+_MOST_SAMPLES: Final = 4096
 _TRACK_REACHES_PX: Final = (4.0, 10.0)
 _SEARCH_REACHES_PX: Final = (3.0, 6.0, 12.0)
 _FEWEST_AGREEING: Final = 12
@@ -40,15 +40,15 @@ class FrameTracker:
     def __init__(self, scene: Scene, settings: MonitorSettings) -> None:
         self._settings = settings
         self._camera = scene.camera
-        self._parts = parts_of(scene.camera, scene.chosen(settings.target))
-        self._recogniser = TargetDetector(self._parts)
+        self._features = target_features(scene.camera, scene.chosen(settings.target))
+        self._detector = TargetDetector(self._features)
         self._tuning = settings.tuning()
-        self._cells = np.zeros(_MOST_CELLS, EDGE_SAMPLE)
-        self._left, self._normal, self._sums = np.zeros(_MOST_CELLS), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(4)
+        self._samples = np.zeros(_MOST_SAMPLES, EDGE_SAMPLE)
+        self._left, self._normal, self._sums = np.zeros(_MOST_SAMPLES), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(4)
         self._state = _fresh_camera()
         self._last: tuple[float, Floats] | None = None
         self._motion: Motion | None = None
-        self._near = np.ones(self._parts.features, np.int64)
+        self._near = np.ones(self._features.feature_count, np.int64)
         self._far = self._near.copy()
         self._far[[ACROSS, UPRIGHT, LABEL]] = 0
         self._whole = Region(0, 0, scene.camera.width, scene.camera.height)
@@ -57,12 +57,12 @@ class FrameTracker:
         """Let the next frames be looked for along ``motion``."""
         self._motion = motion
 
-    def look(self, frame: VideoFrame) -> FrameResult:
+    def process(self, frame: VideoFrame) -> FrameResult:
         """Return what ``frame`` shows."""
         image = frame.image
         patch = image[:: max(image.shape[0] // 64, 1), :: max(image.shape[1] // 64, 1)]
         if int(patch.max()) - int(patch.min()) < LEAST_CONTRAST:
-            return self._nothing(frame, NO_TARGET, "black")
+            return self._no_result(frame, NO_TARGET, "black")
         followed = self._follow(frame)
         if followed is not None and followed.used:
             return followed
@@ -72,7 +72,7 @@ class FrameTracker:
         for candidate in (followed, found):
             if candidate is not None:
                 return candidate
-        return self._nothing(frame, NO_TARGET, "not found")
+        return self._no_result(frame, NO_TARGET, "not found")
 
     def _follow(self, frame: VideoFrame) -> FrameResult | None:
         """Look where the target should be by the last frames (task 1b)."""
@@ -82,7 +82,7 @@ class FrameTracker:
         x = self._last[1].copy()
         if self._motion is not None:
             x[:6] += dt * self._motion.w[1::2]
-        if not self._seek(frame, x, _TRACK_REACHES_PX):
+        if not self._align(frame, x, _TRACK_REACHES_PX):
             return None
         return self._measure(frame, x, tracked=True)
 
@@ -91,10 +91,10 @@ class FrameTracker:
         best: FrameResult | None = None
         regions = [self._settings.region] if self._settings.region is not None and self._last is None else []
         for region in [*regions, self._whole]:
-            for look in self._find_in(frame, region):
-                if look.used:
-                    return look
-                best = best or look
+            for result in self._find_in(frame, region):
+                if result.used:
+                    return result
+                best = best or result
         return best
 
     def _find_in(self, frame: VideoFrame, region: Region) -> list[FrameResult]:
@@ -105,28 +105,28 @@ class FrameTracker:
         if prepared.contrast < LEAST_CONTRAST:
             return []
         shifted = Region(region.left, max(first, 0), region.right, last)
-        looks: list[FrameResult] = []
-        guesses = self._recogniser.hypotheses(prepared, shifted, float(frame.first_line), float(frame.line_step))
+        results: list[FrameResult] = []
+        guesses = self._detector.hypotheses(prepared, shifted, float(frame.first_line), float(frame.line_step))
         for guess in guesses[:_TRIED]:
             self._state = _fresh_camera()
             x = guess.pose.copy()
-            if not self._seek(frame, x, _SEARCH_REACHES_PX):
+            if not self._align(frame, x, _SEARCH_REACHES_PX):
                 continue
-            look = self._measure(frame, x, tracked=False)
-            looks.append(look)
-            if look.used:
+            result = self._measure(frame, x, tracked=False)
+            results.append(result)
+            if result.used:
                 break
-        return looks
+        return results
 
-    def _seek(self, frame: VideoFrame, x: Floats, reaches: tuple[float, ...]) -> bool:
+    def _align(self, frame: VideoFrame, x: Floats, reaches: tuple[float, ...]) -> bool:
         """Move x (7,) onto the edges, within the first of ``reaches``, px, in which most edges agree; else the best."""
         noise = math.sqrt(self._state["noise_0"] + 100.0 * self._state["noise_1"])
-        parts, start, best, found = self._parts, x.copy(), 0, x.copy()
+        model, start, best, found = self._features, x.copy(), 0, x.copy()
         for reach in reaches:
             trial = start.copy()
-            agreeing, share = measure.seek(
-                frame.image, float(frame.first_line), float(frame.line_step), parts.lens, parts.circles, parts.lines,
-                parts.borders, trial, self._state, self._tuning, reach, max(3.0 * noise, 4.0), self._cells,
+            agreeing, share = measure.align_pose(
+                frame.image, float(frame.first_line), float(frame.line_step), model.lens, model.circles, model.lines,
+                model.borders, trial, self._state, self._tuning, reach, max(3.0 * noise, 4.0), self._samples,
             )  # fmt: skip
             if agreeing > best:
                 best, found = agreeing, trial
@@ -137,9 +137,9 @@ class FrameTracker:
 
     def _bar_px(self, x: Floats) -> float:
         """Return how wide a bar of the cross is in the picture, px; 0 where it is not in front of the camera."""
-        offset, _, width = self._parts.cross
+        offset, _, width = self._features.cross
         depth = x[2] - offset
-        return float(self._parts.lens[0] * width / depth) if width > 0.0 and depth > 0.05 else 0.0
+        return float(self._features.lens[0] * width / depth) if width > 0.0 and depth > 0.05 else 0.0
 
     def _measure(self, frame: VideoFrame, x: Floats, tracked: bool) -> FrameResult:
         """Measure with the near features if the cross is large enough and holds, else with the far ones."""
@@ -152,63 +152,67 @@ class FrameTracker:
         return second if second.used or first is None else first
 
     def _measure_with(self, frame: VideoFrame, x: Floats, mode: str, tracked: bool) -> FrameResult:
-        parts, state = self._parts, self._state.copy()
+        model, state = self._features, self._state.copy()
         status, count = measure.measure(
-            frame.image, float(frame.first_line), float(frame.line_step), parts.lens, parts.circles, parts.lines,
-            parts.borders, x, state, self._tuning, self._near if mode == NEAR else self._far, self._cells, self._left,
+            frame.image, float(frame.first_line), float(frame.line_step), model.lens, model.circles, model.lines,
+            model.borders, x, state, self._tuning, self._near if mode == NEAR else self._far, self._samples, self._left,
             self._normal, self._sums,
         )  # fmt: skip
         if status != measure.MEASURED:
-            return self._nothing(frame, "rejected_measurement", "too few edges")
-        if validation.wrong_pose(x):
-            return self._nothing(frame, "rejected_pose", "pose out of bounds")
-        cells = self._cells[:count]
+            return self._no_result(frame, "rejected_measurement", "too few edges")
+        if validation.is_implausible(x):
+            return self._no_result(frame, "rejected_pose", "pose out of bounds")
+        samples = self._samples[:count]
         noise = math.sqrt(float(state["noise_0"] + 100.0 * state["noise_1"]))
-        verdict = validation.Validation(parts, cells, self._left[:count], noise)
+        verdict = validation.Validation(model, samples, self._left[:count], noise)
         if mode == NEAR:
-            labels = np.empty(len(parts.circles))
+            labels = np.empty(len(model.circles))
             measure.label_contrasts(
-                frame.image, float(frame.first_line), float(frame.line_step), parts.lens, x, parts.circles, labels
+                frame.image, float(frame.first_line), float(frame.line_step), model.lens, x, model.circles, labels
             )
-            why = validation.why_not_near(parts, verdict, labels, noise)
+            why = validation.near_rejection(model, verdict, labels, noise)
         else:
-            why = validation.why_not_far(parts, verdict)
+            why = validation.far_rejection(model, verdict)
         if why:
-            return self._nothing(frame, f"rejected_{why}", f"{mode}: {why}")
+            return self._no_result(frame, f"rejected_{why}", f"{mode}: {why}")
         self._state = state
         self._last = (frame.t_s, x.copy())
-        return self._seen(frame, x, mode, tracked, cells, noise)
+        return self._measured(frame, x, mode, tracked, samples, noise)
 
-    def _seen(self, frame: VideoFrame, x: Floats, mode: str, tracked: bool, cells: Any, noise: float) -> FrameResult:
-        used = cells["good"] == 1
-        places = np.column_stack((cells["u"] + cells["shift"] * cells["nu"], cells["v"] + cells["shift"] * cells["nv"]))
+    def _measured(
+        self, frame: VideoFrame, x: Floats, mode: str, tracked: bool, samples: Any, noise: float
+    ) -> FrameResult:
+        used = samples["good"] == 1
+        places = np.column_stack(
+            (samples["u"] + samples["shift"] * samples["nu"], samples["v"] + samples["shift"] * samples["nv"])
+        )
         prior = np.zeros(UNKNOWNS)
         prior[:2] = 1.0 / (self._settings.passive_angle_rad * x[2]) ** 2
         prior[6] = 1.0 / self._settings.growth_px**2
         low, high = places[used].min(axis=0) - _MARGIN_PX, places[used].max(axis=0) + _MARGIN_PX
-        seen = Seen(
+        in_paper_mode = self._settings.calculation == "paper" and mode == NEAR
+        detection = FrameDetection(
             frame.number, frame.t_s, mode, (low[0], low[1], high[0] - low[0], high[1] - low[1]), places[used],
             self._cross_at(x) if mode == NEAR else None, self._circle_at(x, near=True), self._circle_at(x, near=False),
         )  # fmt: skip
         return FrameResult(
-            seen, "", x, self._normal.copy(), prior, self._sums.copy(), tracked, float(self._state["blur"]), noise,
-            cells["feature"].copy(), used,
-            paper_frame(self._parts.lens, cells) if self._settings.calculation == "paper" and mode == NEAR else None,
+            detection, "", x, self._normal.copy(), prior, self._sums.copy(), tracked, float(self._state["blur"]), noise,
+            paper_frame(self._features.lens, samples) if in_paper_mode else None,
         )  # fmt: skip
 
     def _point_at(self, x: Floats, y: Floats) -> tuple[float, float, float]:
         """Return u, v, px, and the depth, m, of the point y (3,) of C."""
         p = docking_view.to_camera(docking_view.attitude(x[3:6]), x[:3], y)
-        f, cx, cy = self._parts.lens[:3]
-        u, v = docking_view.picture_point(f, cx, cy, p)
+        f, cx, cy = self._features.lens[:3]
+        u, v = docking_view.project_point(f, cx, cy, p)
         return float(u), float(v), float(p[2])
 
     def _cross_at(self, x: Floats) -> tuple[float, float, float]:
-        u, v, _ = self._point_at(x, np.array([0.0, 0.0, self._parts.cross[0]]))
+        u, v, _ = self._point_at(x, np.array([0.0, 0.0, self._features.cross[0]]))
         return u, v, -float(x[5])
 
     def _circle_at(self, x: Floats, near: bool) -> tuple[float, float, float] | None:
-        target = self._parts.target
+        target = self._features.target
         part = target.disc if near else target.outline
         if part is None:
             return None
@@ -216,13 +220,12 @@ class FrameTracker:
         if target.outline is not None and not near:
             centre[:] = *target.outline.center_m, target.outline.offset_m
         u, v, depth = self._point_at(x, centre)
-        return u, v, float(self._parts.lens[0] * part.radius_m / depth)
+        return u, v, float(self._features.lens[0] * part.radius_m / depth)
 
-    def _nothing(self, frame: VideoFrame, status: str, reason: str) -> FrameResult:
-        return FrameResult(
-            Seen(frame.number, frame.t_s, status), reason, np.full(UNKNOWNS, np.nan), np.zeros((UNKNOWNS, UNKNOWNS)),
-            np.zeros(UNKNOWNS), np.zeros(4), False,
-        )  # fmt: skip
+    def _no_result(self, frame: VideoFrame, status: str, reason: str) -> FrameResult:
+        detection = FrameDetection(frame.number, frame.t_s, status)
+        nothing, zeros = np.full(UNKNOWNS, np.nan), np.zeros(UNKNOWNS)
+        return FrameResult(detection, reason, nothing, np.zeros((UNKNOWNS, UNKNOWNS)), zeros, np.zeros(4), False)
 
 
 def _fresh_camera() -> Any:

@@ -30,50 +30,50 @@ class Monitor:
     def __init__(self, scene: Scene, settings: MonitorSettings | None = None) -> None:
         self.scene = scene
         self.settings = settings or MonitorSettings()
-        self._observer = FrameTracker(scene, self.settings)
+        self._tracker = FrameTracker(scene, self.settings)
         self._motion = MotionFit(self.settings)
         self._paper = _paper_fit(scene, self.settings)
-        self._looks: list[FrameResult] = []
+        self._frames: list[FrameResult] = []
         self._used_s = -np.inf
         self.last: FrameResult | None = None
 
     def feed(self, frame: VideoFrame) -> list[Result]:
         """Take the next frame; return the portions that are complete by now."""
         done: list[Result] = []
-        if self._looks and frame.t_s - self._looks[0].seen.t_s >= self.settings.portion_s - 1e-9:
+        if self._frames and frame.t_s - self._frames[0].detection.t_s >= self.settings.portion_s - 1e-9:
             done.append(self._close())
-        look = self._observer.look(frame)
-        self.last = look
-        self._looks.append(look)
-        if len(self._looks) >= self.settings.portion_frames:
+        result = self._tracker.process(frame)
+        self.last = result
+        self._frames.append(result)
+        if len(self._frames) >= self.settings.portion_frames:
             done.append(self._close())
         return done
 
     def finish(self) -> list[Result]:
         """Return the portion of the frames that are left, if any."""
-        return [self._close()] if self._looks else []
+        return [self._close()] if self._frames else []
 
     def _close(self) -> Result:
-        looks, self._looks = self._looks, []
-        t_s = looks[-1].seen.t_s
-        near = [look for look in looks if look.status == NEAR]
-        far = [look for look in looks if look.status == FAR]
+        frames, self._frames = self._frames, []
+        t_s = frames[-1].detection.t_s
+        near = [result for result in frames if result.status == NEAR]
+        far = [result for result in frames if result.status == FAR]
         used, status = (near, NEAR) if len(near) >= len(far) else (far, FAR)
         if not used:
-            return _nothing(looks, t_s)
-        if used[0].seen.t_s - self._used_s > self.settings.lost_s:
-            self._motion.forget()
+            return _nothing(frames, t_s)
+        if used[0].detection.t_s - self._used_s > self.settings.lost_s:
+            self._motion.reset()
             if self._paper is not None:
-                self._paper.forget()
+                self._paper.reset()
         # beyond the cross' reach the paper gives no relations: there the exact ones serve both
         fit = self._motion.fit(used, t_s)
         if self._paper is not None and status == NEAR:
             fit = self._paper.fit(used, t_s)
         if fit is None:
-            return _nothing(looks, t_s, "rejected_motion")
-        self._used_s = used[-1].seen.t_s
-        self._observer.expect(fit.motion)
-        return _result(looks, fit, status)
+            return _nothing(frames, t_s, "rejected_motion")
+        self._used_s = used[-1].detection.t_s
+        self._tracker.expect(fit.motion)
+        return _result(frames, fit, status)
 
 
 def _paper_fit(scene: Scene, settings: MonitorSettings) -> PaperMotionFit | None:
@@ -83,20 +83,20 @@ def _paper_fit(scene: Scene, settings: MonitorSettings) -> PaperMotionFit | None
     return PaperMotionFit(settings, scene.camera.f, target.cross.offset_m, target.disc.radius_m)
 
 
-def _reasons(looks: list[FrameResult]) -> tuple[tuple[str, int], ...]:
-    return tuple(Counter(look.reason for look in looks if not look.used).most_common())
+def _reasons(frames: list[FrameResult]) -> tuple[tuple[str, int], ...]:
+    return tuple(Counter(result.reason for result in frames if not result.used).most_common())
 
 
-def _nothing(looks: list[FrameResult], t_s: float, status: str | None = None) -> Result:
+def _nothing(frames: list[FrameResult], t_s: float, status: str | None = None) -> Result:
     """Return the row of a portion without numbers: "rejected_<why>" if most of its frames showed something."""
     if status is None:
-        status = Counter(look.status for look in looks).most_common(1)[0][0]
+        status = Counter(result.status for result in frames).most_common(1)[0][0]
     if status in (NEAR, FAR):
         status = NO_TARGET
-    return Result(t_s, 0, status, _NAN, _NAN, reasons=_reasons(looks))
+    return Result(t_s, 0, status, _NAN, _NAN, reasons=_reasons(frames))
 
 
-def _result(looks: list[FrameResult], fit: MotionSolution, status: str) -> Result:
+def _result(frames: list[FrameResult], fit: MotionSolution, status: str) -> Result:
     values, sigmas = derive(fit.motion.w, fit.motion.covariance)
     if status == FAR:
         # two angles that are hardly known turn the picture by half their product, which no first-order sigma holds
@@ -107,11 +107,13 @@ def _result(looks: list[FrameResult], fit: MotionSolution, status: str) -> Resul
         sigmas[hidden] = np.nan
     return Result(
         fit.motion.t_s, fit.frames, status, values, sigmas,
-        fit.sigma2_edges, fit.sigma2_common, fit.sigma2_motion, fit.consistent, fit.motion.covariance, _reasons(looks),
+        fit.sigma2_edges, fit.sigma2_common, fit.sigma2_motion, fit.consistent, fit.motion.covariance, _reasons(frames),
     )  # fmt: skip
 
 
-def watch(monitor: Monitor, frames: Iterable[VideoFrame]) -> Iterator[tuple[VideoFrame, FrameResult, list[Result]]]:
+def process_frames(
+    monitor: Monitor, frames: Iterable[VideoFrame]
+) -> Iterator[tuple[VideoFrame, FrameResult, list[Result]]]:
     """Yield each frame with what was seen in it and the portions it completes, the cut last one with the last frame."""
     before: tuple[VideoFrame, FrameResult, list[Result]] | None = None
     for frame in frames:
@@ -121,5 +123,5 @@ def watch(monitor: Monitor, frames: Iterable[VideoFrame]) -> Iterator[tuple[Vide
         assert monitor.last is not None
         before = (frame, monitor.last, done)
     if before is not None:
-        frame, look, done = before
-        yield frame, look, [*done, *monitor.finish()]
+        frame, result, done = before
+        yield frame, result, [*done, *monitor.finish()]

@@ -90,15 +90,15 @@ class MotionFit:
         self._accelerations = np.diag(
             [settings.acceleration_mps2**2] * 3 + [settings.angular_acceleration_radps2**2] * 3
         )
-        self.before: Motion | None = None
+        self.previous: Motion | None = None
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Start anew with the next portion."""
-        self.before = None
+        self.previous = None
 
-    def fit(self, looks: Sequence[FrameResult], t_s: float) -> MotionSolution | None:
-        """Return the motion at ``t_s`` by the used frames ``looks``; None where it is not determined."""
-        kept = list(looks)
+    def fit(self, frames: Sequence[FrameResult], t_s: float) -> MotionSolution | None:
+        """Return the motion at ``t_s`` by the used frames ``frames``; None where it is not determined."""
+        kept = list(frames)
         while True:
             found = self._solve(kept, t_s)
             if found is None:
@@ -108,21 +108,21 @@ class MotionFit:
             if len(kept) < 4 or squares[worst] < _WILD_FRAME or squares[worst] < 8.0 * np.median(squares):
                 break
             del kept[worst]
-        self.before = fit.motion
+        self.previous = fit.motion
         return fit
 
-    def _solve(self, looks: Sequence[FrameResult], t_s: float) -> tuple[MotionSolution, Floats] | None:
+    def _solve(self, frames: Sequence[FrameResult], t_s: float) -> tuple[MotionSolution, Floats] | None:
         assumed, true, mean = self._prior(t_s)
-        matter, right = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
-        designs = [_design(look.seen.t_s - t_s) for look in looks]
-        for look, rows in zip(looks, designs, strict=True):
-            matter += rows.T @ look.normal @ rows
+        information, right = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
+        designs = [_design(frame.detection.t_s - t_s) for frame in frames]
+        for frame, rows in zip(frames, designs, strict=True):
+            information += rows.T @ frame.normal @ rows
             # the frame's own prior held its pose: taken off again, so that it counts once a portion and not ten times
-            right += rows.T @ ((look.normal + np.diag(look.prior)) @ look.pose)
-        held = self._held(looks)
+            right += rows.T @ ((frame.normal + np.diag(frame.prior)) @ frame.pose)
+        held = self._held(frames)
         known = _inverse(assumed)
         weight = known + held
-        total = weight + matter
+        total = weight + information
         try:
             inverse = _inverse(total)
         except np.linalg.LinAlgError:
@@ -130,30 +130,30 @@ class MotionFit:
         if not np.all(np.isfinite(inverse)):
             return None
         theta = inverse @ (known @ mean + right)
-        edges, common, excess = _edge_squares(looks)
-        squares = np.array([_square(look, rows @ theta) for look, rows in zip(looks, designs, strict=True)])
+        edges, common, excess = _edge_squares(frames)
+        squares = np.array([_square(frame, rows @ theta) for frame, rows in zip(frames, designs, strict=True)])
         motion2, motion_doubt = _motion_square(squares)
         widened = 1.0
         if motion2 > edges * (1.0 + _SIGNIFICANT * motion_doubt):
             widened = motion2 / edges
         noise = edges if excess == 0.0 else 1.0
-        factor = noise * widened + len(looks) * excess
+        factor = noise * widened + len(frames) * excess
         carried = known @ true @ known + held
-        covariance = inverse @ (carried + factor * matter) @ inverse
+        covariance = inverse @ (carried + factor * information) @ inverse
         normal = _inverse(inverse[:12, :12])
         if self._settings.motion == "printed":  # 3.2 as it stands: sigma^2 B^-1 with the divisor of K frames alone
             covariance = max(float(np.nan_to_num(motion2, nan=edges)), 1e-6) * inverse
         consistent = edges < 2.0 and excess == 0.0 and widened == 1.0
         fit = MotionSolution(
             Motion(t_s, theta[:12].copy(), normal, covariance[:12, :12].copy()),
-            len(looks), edges, common, motion2, consistent,
+            len(frames), edges, common, motion2, consistent,
         )  # fmt: skip
         return fit, squares
 
-    def _held(self, looks: Sequence[FrameResult]) -> Floats:
+    def _held(self, frames: Sequence[FrameResult]) -> Floats:
         """Return the information (19, 19) of small passive angles, where no cross tells them."""
         matrix = np.zeros((_UNKNOWNS, _UNKNOWNS))
-        d3 = float(looks[-1].pose[2])
+        d3 = float(frames[-1].pose[2])
         weight = 1.0 / (self._settings.passive_angle_rad * d3) ** 2
         matrix[0, 0] = matrix[2, 2] = weight
         return matrix
@@ -165,15 +165,15 @@ class MotionFit:
         assumed[18, 18] = settings.growth_px**2
         assumed[12:18, 12:18] = self._accelerations
         true = assumed.copy()
-        if self.before is None:
+        if self.previous is None:
             assumed[:12, :12] = np.diag(_FIRST_SIGMA**2)
             return assumed, assumed, mean
-        dt = t_s - self.before.t_s
+        dt = t_s - self.previous.t_s
         carry, gains = transition(dt), _gains(dt)
-        mean[:12] = carry @ self.before.w
+        mean[:12] = carry @ self.previous.w
         spread = gains @ self._accelerations @ gains.T
         forget = np.repeat([1.0 / np.sqrt(max(settings.q, 1e-9)), 1.0 / np.sqrt(max(settings.q_attitude, 1e-9))], 6)
-        for matrix, covariance in ((assumed, _inverse(self.before.normal)), (true, self.before.covariance)):
+        for matrix, covariance in ((assumed, _inverse(self.previous.normal)), (true, self.previous.covariance)):
             known = carry @ covariance @ carry.T
             if matrix is assumed:
                 known = known * np.outer(forget, forget)
@@ -183,12 +183,12 @@ class MotionFit:
         return assumed, true, mean
 
 
-def _edge_squares(looks: Sequence[FrameResult]) -> tuple[float, float, float]:
+def _edge_squares(frames: Sequence[FrameResult]) -> tuple[float, float, float]:
     """Return sigma^2 of the points, of what the points of an edge share, and how far they are above noise.
 
     What is above noise does not average out over the frames of a portion: it is the same in all of them.
     """
-    sums = np.array([look.sums for look in looks])
+    sums = np.array([frame.sums for frame in frames])
     free_points = max(float((sums[:, 1] - 7.0).sum()), 1.0)
     free_edges = max(float(np.maximum(sums[:, 3] - 7.0, 0.0).sum()), 1e-9)
     points, common = float(sums[:, 0].sum()) / free_points, float(sums[:, 2].sum()) / free_edges
@@ -200,10 +200,10 @@ def _edge_squares(looks: Sequence[FrameResult]) -> tuple[float, float, float]:
     return points, common, largest - 1.0 if any(too_large) else 0.0
 
 
-def _square(look: FrameResult, at: Floats) -> float:
+def _square(frame: FrameResult, at: Floats) -> float:
     """Return the square of the frame's six about the motion, in its own sigmas, the growth left open."""
-    gap = look.pose - at
-    full = look.normal + np.diag(look.prior)
+    gap = frame.pose - at
+    full = frame.normal + np.diag(frame.prior)
     loose = full[:6, :6] - np.outer(full[:6, 6], full[6, :6]) / full[6, 6]
     return float(gap[:6] @ loose @ gap[:6])
 

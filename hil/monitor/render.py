@@ -21,7 +21,7 @@ from hil.monitor.sources import WHOLE, VideoFrame, exposure, lines_of
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Flight = Callable[[float], tuple[Floats, Floats]]  # time, s -> d (3,), m, and phi (3,), rad
+Trajectory = Callable[[float], tuple[Floats, Floats]]  # time, s -> d (3,), m, and phi (3,), rad
 
 _BIG_CIRCLE: Final = 720  # corners: off the true circle by less than 1e-5 of its radius
 _SMALL_CIRCLE: Final = 96
@@ -162,14 +162,14 @@ class TargetRenderer:
         expose(clean, light, glare, self._noise.read, self._noise.k, self._normals, out)
         return out
 
-    def picture(self, d_m: Floats, phi_rad: Floats, t_s: float, rng: np.random.Generator) -> Image:
+    def image(self, d_m: Floats, phi_rad: Floats, t_s: float, rng: np.random.Generator) -> Image:
         """Return the picture (h, w) of the pose d (3,), m, phi (3,), rad, at ``t_s``."""
         return self.expose(self.draw(d_m, phi_rad), d_m, phi_rad, t_s, rng)
 
-    def frame(self, number: int, flight: Flight, rng: np.random.Generator, start_s: float = 0.0) -> VideoFrame:
-        """Return frame ``number`` of a flight, of the picture or half frame that is exposed then."""
+    def frame(self, number: int, trajectory: Trajectory, rng: np.random.Generator, start_s: float = 0.0) -> VideoFrame:
+        """Return frame ``number`` of a trajectory, of the picture or half frame that is exposed then."""
         t_s, field = exposure(self.scene, number)
-        image = self.picture(*flight(start_s + t_s), start_s + t_s, rng)
+        image = self.image(*trajectory(start_s + t_s), start_s + t_s, rng)
         if field != WHOLE:
             image = np.ascontiguousarray(image[lines_of(field)])
         return VideoFrame(number, start_s + t_s, image, field)
@@ -180,7 +180,7 @@ class TargetRenderer:
         for spot in self.conditions.glare:
             x = docking_view.to_camera(a, d, np.array(spot.place_m))
             if x[2] > NEAREST_M:
-                u, v = docking_view.picture_point(self._lens[0], self._lens[1], self._lens[2], x)
+                u, v = docking_view.project_point(self._lens[0], self._lens[1], self._lens[2], x)
                 rows.append([u, v, spot.height, spot.radius_px])
         return np.array(rows).reshape(-1, 4)
 
@@ -196,9 +196,9 @@ def blurred(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
 
 
 def film(
-    renderer: TargetRenderer, flight: Flight, pictures: int, rng: np.random.Generator, start_s: float = 0.0
+    renderer: TargetRenderer, trajectory: Trajectory, pictures: int, rng: np.random.Generator, start_s: float = 0.0
 ) -> Iterator[VideoFrame]:
-    """Yield the frames of ``pictures`` pictures of a flight at the scene's rate; two half frames each if interlaced."""
+    """Yield the frames of ``pictures`` images along a trajectory at the scene's rate; two fields each if interlaced."""
     halves = 1 if renderer.scene.fields == "whole" else 2
     for number in range(halves * pictures):
-        yield renderer.frame(number, flight, rng, start_s)
+        yield renderer.frame(number, trajectory, rng, start_s)

@@ -56,7 +56,7 @@ PORTION: Final = record_dtype(PORTION_FIELDS)
 
 
 @dataclass(frozen=True)
-class Seen:
+class FrameDetection:
     """What one frame showed. Places are u, v, px, in lines of the whole picture; None and empty: not found.
 
     status: "near", "far", "no_target" or "rejected_<why>". region: (u, v, width, height) of the region of interest.
@@ -132,7 +132,7 @@ class FrameResult:
     edge point its feature, used: whether it took part. noise: grey values, 1 sigma of a pixel halfway up.
     """
 
-    seen: Seen
+    detection: FrameDetection
     reason: str
     pose: Floats
     normal: Floats
@@ -141,19 +141,18 @@ class FrameResult:
     tracked: bool
     blur_px: float = float("nan")
     noise: float = float("nan")
-    features: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
-    used_points: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+
     paper: PaperFrame | None = None
 
     @property
     def status(self) -> str:
         """The frame's status."""
-        return self.seen.status
+        return self.detection.status
 
     @property
     def used(self) -> bool:
         """Whether the frame takes part in its portion."""
-        return self.seen.status in (NEAR, FAR)
+        return self.detection.status in (NEAR, FAR)
 
 
 @dataclass(frozen=True)

@@ -36,13 +36,13 @@ class MonitorSettings:
     growth_px: float = 0.1
     passive_angle_rad: float = 0.1
     near_bar_px: float = 2.0
-    cell_px: float = 8.0
-    cells_of_an_edge: int = 48
+    sample_px: float = 8.0
+    samples_per_edge: int = 48
 
     def tuning(self) -> np.void:
         """Return the choices that the kernels take."""
         row: np.void = np.zeros(1, TUNING)[0]
-        row["length"], row["most"], row["wide_bar"], row["wanted"] = self.cell_px, self.cells_of_an_edge, 7.0, 4.5
+        row["length"], row["most"], row["wide_bar"], row["wanted"] = self.sample_px, self.samples_per_edge, 7.0, 4.5
         row["reject"], row["rounds"], row["near_bar"] = 4.5, 2, self.near_bar_px
         row["prior_angle"], row["prior_growth"] = self.passive_angle_rad, self.growth_px
         return row

@@ -77,7 +77,7 @@ class Source:
 
     def __init__(self, name: str, scene: Scene, pictures: Iterator[Picture], count: int | None) -> None:
         self.name = name
-        self.pictures = count
+        self.image_count = count
         self._scene = scene
         self._pictures = pictures
         self._first: Picture | None = next(pictures)  # whoever opens a source hears at once that it is none

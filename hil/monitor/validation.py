@@ -10,12 +10,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.monitor.features import ACROSS, BOX, DISC, LABEL, OUTLINE, PLATE, UPRIGHT, Parts
+from hil.monitor.features import ACROSS, BOX, DISC, LABEL, OUTLINE, PLATE, UPRIGHT, TargetFeatures
 
 Floats = NDArray[np.float64]
 
-_SUPPORT: Final = 0.5  # share of a feature's cells that must agree with the pose
-_ONE_SENSE: Final = 0.9  # share of a feature's cells that step the same way
+_SUPPORT: Final = 0.5  # share of a feature's samples that must agree with the pose
+_ONE_SENSE: Final = 0.9  # share of a feature's samples that step the same way
 _LARGEST_SCATTER_PX: Final = 0.35
 _LARGEST_ANGLE: Final = 0.7  # rad
 _LARGEST_PASSIVE: Final = 0.4
@@ -26,32 +26,32 @@ _LEAST_STEP: Final = 4.0  # noise sigmas of a step's height
 class Validation:
     """Counts of one measured frame, by feature."""
 
-    def __init__(self, parts: Parts, cells: NDArray[np.void], left: Floats, noise: float) -> None:
-        n = parts.features
-        feature = cells["feature"]
-        used = cells["good"] == 1
-        self._cells, self._used, self._left = cells, used, left
-        self.laid = np.bincount(feature, minlength=n)
+    def __init__(self, features: TargetFeatures, samples: NDArray[np.void], left: Floats, noise: float) -> None:
+        n = features.feature_count
+        feature = samples["feature"]
+        used = samples["good"] == 1
+        self._samples, self._used, self._left = samples, used, left
+        self.placed = np.bincount(feature, minlength=n)
         self.good = np.bincount(feature[used], minlength=n)
-        step = cells["high"] - cells["low"]
+        step = samples["high"] - samples["low"]
         sense = np.sign(step)
         total = np.bincount(feature[used], weights=sense[used], minlength=n)
         height = np.bincount(feature[used], weights=np.abs(step[used]), minlength=n)
         with np.errstate(invalid="ignore", divide="ignore"):
             same = 0.5 * (1.0 + np.abs(total) / self.good)
             high = height / self.good
-            share = self.good / self.laid
+            share = self.good / self.placed
         self.supported = (share >= _SUPPORT) & (same >= _ONE_SENSE) & (high >= _LEAST_STEP * noise)
-        self.seen = self.laid > 0
+        self.visible = self.placed > 0
 
     def scatter_px(self) -> float:
         """Root mean square of the used points' residuals, px, in excess of their own noise."""
-        cells, used = self._cells, self._used
-        square = np.mean(self._left[used] ** 2) - np.mean(cells["variance"][used])
+        samples, used = self._samples, self._used
+        square = np.mean(self._left[used] ** 2) - np.mean(samples["variance"][used])
         return float(np.sqrt(max(square, 0.0)))
 
 
-def wrong_pose(x: Floats) -> bool:
+def is_implausible(x: Floats) -> bool:
     """Return whether the pose (7,) cannot be one of an approach."""
     return (
         not np.all(np.isfinite(x))
@@ -62,13 +62,13 @@ def wrong_pose(x: Floats) -> bool:
     )
 
 
-def why_not_near(parts: Parts, verdict: Validation, labels: Floats, noise: float) -> str:
+def near_rejection(features: TargetFeatures, verdict: Validation, labels: Floats, noise: float) -> str:
     """Return why the near features do not confirm the target; empty where they do. labels: contrasts, grey values."""
-    supported, laid, good = verdict.supported, verdict.laid, verdict.good
+    supported, placed, good = verdict.supported, verdict.placed, verdict.good
     for bar in (ACROSS, UPRIGHT):
         if not supported[bar] or good[bar] < 2:
             return "cross"
-    if laid[DISC] >= 6 and not supported[DISC]:
+    if placed[DISC] >= 6 and not supported[DISC]:
         return "disc"
     if verdict.scatter_px() > _LARGEST_SCATTER_PX:
         return "scatter"
@@ -87,18 +87,18 @@ def why_not_near(parts: Parts, verdict: Validation, labels: Floats, noise: float
     return "" if confirmed else "unconfirmed"
 
 
-def why_not_far(parts: Parts, verdict: Validation) -> str:
+def far_rejection(features: TargetFeatures, verdict: Validation) -> str:
     """Return why outline and boxes do not confirm the target; empty where they do."""
-    supported, laid = verdict.supported, verdict.laid
+    supported, placed = verdict.supported, verdict.placed
     boxes = supported[BOX:]
-    if parts.target.outline is not None:
-        if laid[OUTLINE] < 6 or not supported[OUTLINE]:
+    if features.target.outline is not None:
+        if placed[OUTLINE] < 6 or not supported[OUTLINE]:
             return "outline"
     elif not supported[DISC]:
         return "disc"
     if verdict.scatter_px() > _LARGEST_SCATTER_PX:
         return "scatter"
-    others = int(np.sum(boxes)) + int(supported[PLATE]) + (int(supported[DISC]) if parts.target.outline else 0)
-    if parts.target.boxes and np.any(verdict.seen[BOX:]) and not np.any(boxes):
+    others = int(np.sum(boxes)) + int(supported[PLATE]) + (int(supported[DISC]) if features.target.outline else 0)
+    if features.target.boxes and np.any(verdict.visible[BOX:]) and not np.any(boxes):
         return "boxes"
     return "" if others >= 1 else "unconfirmed"

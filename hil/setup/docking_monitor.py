@@ -24,7 +24,7 @@ from hil.frmn.image_memory import wanted_pictures
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.monitor.monitor import Monitor
 from hil.monitor.results import PORTION, Portion, portion_row
-from hil.monitor.screen.overlay import with_words
+from hil.monitor.screen.overlay import annotated_shapes
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import WHOLE, VideoFrame
 
@@ -113,7 +113,7 @@ class CameraMonitor:
             return
         image = frame.image if frame.field == WHOLE else np.repeat(frame.image, 2, axis=0)
         newest = self.outcome.portions[-1] if self.outcome.portions else None
-        shapes = with_words(look.seen, newest)
+        shapes = annotated_shapes(look.detection, newest)
         self._images.put(
             CameraImage(MONITOR, image, t_s=frame.t_s, number=frame.number, status=look.status, shapes=shapes)
         )

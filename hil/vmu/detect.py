@@ -25,7 +25,7 @@ _NO_WINDOWS: Final = np.empty((0, 4), dtype=np.int64)
 _PRIOR_PER_LEVEL: Final = 0.01  # levels^2 of variance per level: 100 electrons per level
 _PRIOR_WEIGHT: Final = 2000.0
 _UNUSUAL: Final = 8.0  # times the median deviation from the median
-_MEMORY: Final = 0.95  # share of what an image said about the noise that is left at the next
+_FORGETTING: Final = 0.95  # share of what an image sums about the noise that is left at the next
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class DetectorSettings:
 class SpotDetector:
     """The detector of one camera. Not for two threads at once: it keeps its scratch memory.
 
-    Without ``sensor`` it also keeps what the spots so far have said about the shot noise.
+    Without ``sensor`` it also keeps what the spots so far have sums about the shot noise.
     """
 
     def __init__(
@@ -59,15 +59,15 @@ class SpotDetector:
         self._queue = np.empty(shape[0] * shape[1], dtype=np.int32)
         self._spots = np.zeros(2 * _MOST_COMPONENTS, SPOT)
         self._noise = np.zeros((_MOST_COMPONENTS, 2))
-        self._known_per_level = 1.0 / sensor.electrons_per_level if sensor else None
-        self._heard = np.zeros(2)
+        self._given_per_level = 1.0 / sensor.electrons_per_level if sensor else None
+        self._noise_sums = np.zeros(2)
 
     @property
     def variance_per_level(self) -> float:
         """Return the variance, levels^2, that a level of light adds: one over the electrons per level."""
-        if self._known_per_level is not None:
-            return self._known_per_level
-        above, below = self._heard
+        if self._given_per_level is not None:
+            return self._given_per_level
+        above, below = self._noise_sums
         return max(float((above + _PRIOR_WEIGHT * _PRIOR_PER_LEVEL) / (below + _PRIOR_WEIGHT)), 0.0)
 
     def spots(self, image: np.ndarray, windows: Array | None = None) -> np.ndarray:
@@ -83,9 +83,9 @@ class SpotDetector:
         if windows is not None and len(windows) == 0:
             return self._spots[:0].copy()
         regions = _NO_WINDOWS if windows is None else np.ascontiguousarray(windows, dtype=np.int64)
-        first_light = not self._heard[1] and self._known_per_level is None
+        first_light = not self._noise_sums[1] and self._given_per_level is None
         found = self._search(np.ascontiguousarray(image), regions)
-        if self._listen() and first_light:
+        if self._update_noise() and first_light:
             found = self._search(np.ascontiguousarray(image), regions)
         return found
 
@@ -108,13 +108,13 @@ class SpotDetector:
             found = found[np.sort(brightest)]
         return found
 
-    def _listen(self) -> bool:
-        """Take in what the last image said about the shot noise: the mean of its usual spots' estimates."""
-        said = self._noise[self._noise[:, 1] > 0.0]
-        if self._known_per_level is not None or not len(said):
+    def _update_noise(self) -> bool:
+        """Take in what the last image sums about the shot noise: the mean of its usual spots' estimates."""
+        sums = self._noise[self._noise[:, 1] > 0.0]
+        if self._given_per_level is not None or not len(sums):
             return False
-        each = said[:, 0] / said[:, 1]
+        each = sums[:, 0] / sums[:, 1]
         apart = np.abs(each - np.median(each))
         usual = apart <= _UNUSUAL * np.median(apart)  # not of odd shape, which would pass for noise
-        self._heard = _MEMORY * self._heard + said[usual].sum(axis=0)
+        self._noise_sums = _FORGETTING * self._noise_sums + sums[usual].sum(axis=0)
         return True

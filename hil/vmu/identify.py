@@ -31,14 +31,14 @@ _BRIGHTER = 1.3
 class LedIdentification:
     """What became of one view. fit: FIT when the status is ``ok``. candidates: all poses that the spots allow.
 
-    followed: the candidates of an ``ambiguous`` one all continue the track, whose identity stands; what is
+    on_track: the candidates of an ``ambiguous`` one all continue the track, whose identity stands; what is
     open is the tilt.
     """
 
     status: str
     fit: np.void | None = None
     candidates: Sequence[np.void] = ()
-    followed: bool = False
+    on_track: bool = False
 
 
 class Identifier:
@@ -74,10 +74,10 @@ class Identifier:
         return True
 
     def _near_strays(self, view: View, used: Sequence[int], camera: int) -> bool:
-        sights = view.sights[camera, : view.counts[camera]]
+        spots = view.spots[camera, : view.counts[camera]]
         if not used:
-            return len(sights) > 0
-        away = np.hypot(sights["u"] - sights["u"][used].mean(), sights["v"] - sights["v"][used].mean())
+            return len(spots) > 0
+        away = np.hypot(spots["u"] - spots["u"][used].mean(), spots["v"] - spots["v"][used].mean())
         return int((away <= 1.5 * away[used].max()).sum()) > len(used)
 
     def search(self, view: View, prediction: Prediction | None) -> LedIdentification:
@@ -94,7 +94,7 @@ class Identifier:
         if alone.status == OK or prediction is None:
             return alone
         tracked = self._by_track(view, fits, prediction)
-        return tracked if tracked.status == OK or tracked.followed else alone
+        return tracked if tracked.status == OK or tracked.on_track else alone
 
     def _by_spots(self, view: View, fits: np.ndarray) -> LedIdentification:
         scores = np.array([fit["score"] - self._marked_cost(view, fit) for fit in fits])
@@ -119,7 +119,7 @@ class Identifier:
         rivals = [fits[k] for k in order[1:] if scores[k] > scores[order[0]] - self._settings.decisive]
         candidates = [best, *rivals]
         if any(not covers(best, rival) for rival in rivals) or not self._certain(view, best):
-            return LedIdentification(AMBIGUOUS, candidates=candidates, followed=True)
+            return LedIdentification(AMBIGUOUS, candidates=candidates, on_track=True)
         if self._log_false_alarms(view, best, prediction) > math.log(self._settings.false_alarms):
             return LedIdentification(TOO_FEW, candidates=candidates)
         return LedIdentification(OK, best, candidates)
@@ -153,7 +153,7 @@ class Identifier:
             used = [n for n, k in enumerate(fit["spot"][c]) if k >= 0]
             if self._marked not in used or len(used) < 2:
                 continue
-            flux = {n: float(view.sights[c, fit["spot"][c, n]]["flux"]) for n in used}
+            flux = {n: float(view.spots[c, fit["spot"][c, n]]["flux"]) for n in used}
             others = [value for n, value in flux.items() if n != self._marked]
             if max(others) > _BRIGHTER * flux[self._marked] or flux[self._marked] < _BRIGHTER * np.median(others):
                 cost += _MARKED_COST
@@ -174,8 +174,8 @@ class Identifier:
         density = self._left_over(view, fit, own)
         odds = []
         for n in used:
-            sight = view.sights[own, fit["spot"][own, n]]
-            determinant = float(sight["var_u"] * sight["var_v"] - sight["cov_uv"] ** 2)
+            spot = view.spots[own, fit["spot"][own, n]]
+            determinant = float(spot["var_u"] * spot["var_v"] - spot["cov_uv"] ** 2)
             odds.append(math.log(min(1.0, density * 2.0 * math.pi * _GATE_2 * math.sqrt(determinant))))
         odds.sort()
         if prediction is None:
@@ -188,17 +188,17 @@ class Identifier:
         for k in fit["spot"][other]:
             if k < 0:
                 continue
-            sight = view.sights[other, k]
-            sigma = math.sqrt(max(float(sight["var_u"]), float(sight["var_v"])))
+            spot = view.spots[other, k]
+            sigma = math.sqrt(max(float(spot["var_u"]), float(spot["var_v"])))
             total += math.log(min(1.0, 2.0 * math.sqrt(2.0 * _GATE_2) * sigma / window))
         return total
 
     def _left_over(self, view: View, fit: np.void, camera: int) -> float:
         """Return the density of spots that are no LEDs about the pattern, px^-2."""
-        sights = view.sights[camera, : view.counts[camera]]
+        spots = view.spots[camera, : view.counts[camera]]
         used = [k for k in fit["spot"][camera] if k >= 0]
-        centre_u, centre_v = float(sights["u"][used].mean()), float(sights["v"][used].mean())
-        away = np.hypot(sights["u"] - centre_u, sights["v"] - centre_v)
+        centre_u, centre_v = float(spots["u"][used].mean()), float(spots["v"][used].mean())
+        away = np.hypot(spots["u"] - centre_u, spots["v"] - centre_v)
         reach = 3.0 * max(float(away[used].max()), 3.0)
         left_over = int((away < reach).sum()) - len(used)
         lens = self._solver.scene.lens[camera]

@@ -25,7 +25,7 @@ _WHITE, _GREY, _GREEN, _AMBER, _RED, _BLUE = (
     (255, 255, 255), (150, 150, 150), (90, 220, 90), (60, 180, 255), (80, 80, 255), (255, 170, 80),
 )  # fmt: skip
 _COLOURS: Final = {"ok": _GREEN, "predicted": _AMBER, "ambiguous": _AMBER}
-_WORDS: Final = {VALUE: _WHITE, NOTE: _GREY}
+_CAPTION_COLOURS: Final = {VALUE: _WHITE, NOTE: _GREY}
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _ARM_PX: Final = 5
 _SHIFT: Final = 4  # drawing in sixteenths of a pixel
@@ -37,18 +37,18 @@ def shapes(scene: RingScene, solution: Solution, camera: int, title: str = "") -
 
     scene: of the unit's solver. A spot is good where it was taken for an LED, a pose where it was measured.
     """
-    return [*_words(solution, title), *_leds(scene, solution, camera), *_spots(solution, camera)]
+    return [*_caption(solution, title), *_leds(scene, solution, camera), *_spots(solution, camera)]
 
 
 def lines(solution: Solution, title: str = "") -> list[tuple[str, str]]:
     """Return lines of words about the pose, each with its part: STATUS, VALUE or NOTE."""
     found = [(f"{title}  {solution.status}  {solution.n_leds} LEDs".strip(), STATUS)]
     if solution.pose is not None:
-        t, turn = solution.pose.t_v, np.degrees(solution.pose.rotation_vector)
+        t, rotation = solution.pose.t_v, np.degrees(solution.pose.rotation_vector)
         sigma = np.sqrt(np.diag(solution.pose.covariance))
         found.append((f"t  {t[0]:+.4f} {t[1]:+.4f} {t[2]:+.4f} m", VALUE))
         found.append((f"sigma {1e3 * sigma[0]:.3f} {1e3 * sigma[1]:.3f} {1e3 * sigma[2]:.3f} mm", NOTE))
-        found.append((f"r  {turn[0]:+.3f} {turn[1]:+.3f} {turn[2]:+.3f} deg", VALUE))
+        found.append((f"r  {rotation[0]:+.3f} {rotation[1]:+.3f} {rotation[2]:+.3f} deg", VALUE))
         s = np.degrees(sigma[3:])
         found.append((f"sigma {s[0]:.4f} {s[1]:.4f} {s[2]:.4f} deg", NOTE))
     if solution.degrees:
@@ -58,7 +58,7 @@ def lines(solution: Solution, title: str = "") -> list[tuple[str, str]]:
     return found
 
 
-def _words(solution: Solution, title: str) -> list[Shape]:
+def _caption(solution: Solution, title: str) -> list[Shape]:
     good = solution.pose is not None and solution.status != PREDICTED
     return [
         {"kind": "text", "at": [_LEFT_PX, LINE_PX * (row + 1) + 4], "text": text, "good": good, "part": part}
@@ -107,12 +107,12 @@ def draw(
     panels: list[np.ndarray] = [_panel(scene, image, solution, c) for c, image in enumerate((left, right))]
     height = max(panel.shape[0] for panel in panels)
     padded = [cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, 0, cv2.BORDER_CONSTANT) for p in panels]
-    picture = np.hstack(padded)
+    image = np.hstack(padded)
     for row, (text, part) in enumerate(lines(solution, title)):
         place_at = (12, LINE_PX * (row + 1) + 4)
-        colour = _COLOURS.get(solution.status, _RED) if part == STATUS else _WORDS[part]
-        cv2.putText(picture, text, place_at, _FONT, 0.5, colour, 1, cv2.LINE_AA)
-    return picture
+        colour = _COLOURS.get(solution.status, _RED) if part == STATUS else _CAPTION_COLOURS[part]
+        cv2.putText(image, text, place_at, _FONT, 0.5, colour, 1, cv2.LINE_AA)
+    return image
 
 
 def _panel(scene: RingScene, image: np.ndarray | None, solution: Solution, camera: int) -> np.ndarray:
@@ -132,7 +132,7 @@ def _panel(scene: RingScene, image: np.ndarray | None, solution: Solution, camer
 
 
 def _draw(panel: np.ndarray, shape: Shape) -> None:
-    """Draw a shape of the picture; the words about the pose stand over both pictures and are not drawn here."""
+    """Draw a shape of the image; the words about the pose stand over both pictures and are not drawn here."""
     if shape["part"] == LED:
         x, y = _fine(*shape["at"])
         arm = _ARM_PX * 2**_SHIFT

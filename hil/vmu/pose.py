@@ -12,11 +12,11 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array
 from hil.maths import quat
 from hil.vmu.geometry import camera_pair, led_positions
-from hil.vmu.kernels.hypotheses import bend
-from hil.vmu.kernels.match import assign, judge, led_windows, sight_of
-from hil.vmu.kernels.pose_search import SEARCH, STATE_FITS, STATE_FULL, add_settled, search
-from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SIGHT, RingScene, View
-from hil.vmu.kernels.start_poses import side_of
+from hil.vmu.kernels.hypotheses import chi_square_growth
+from hil.vmu.kernels.match import assign, fill_spot_ray, led_windows, score_fit
+from hil.vmu.kernels.pose_search import SEARCH, STATE_FITS, STATE_FULL, add_converged, search
+from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SPOT_RAY, RingScene, View
+from hil.vmu.kernels.start_poses import orientation_of
 
 _REMEMBERED, _FITS = 256, 64
 _COARSE = 5.0  # sigmas
@@ -71,7 +71,7 @@ class Solver:
         self._search.near, self._search.far = settings.near_m, settings.far_m
         self._search.least_facing = math.cos(math.radians(settings.steepest_deg))
         self._search.reach_px = settings.reach_px
-        self._search.settle_px = 2.0 * settings.reach_px
+        self._search.gate_px = 2.0 * settings.reach_px
         self._search.normal, self._search.centre = self.normal_t, self.centre_t
         self._starts = np.zeros(_REMEMBERED + 1, FIT)
         self._fits = np.zeros(_FITS + 1, FIT)
@@ -79,17 +79,17 @@ class Solver:
 
     def view(self, left: np.ndarray, right: np.ndarray) -> View:
         """Return the spots (SPOT) of both images as rays; of more than MAX_SPOTS the brightest."""
-        sights, counts = np.zeros((2, MAX_SPOTS), SIGHT), np.zeros(2, np.int64)
+        rays, counts = np.zeros((2, MAX_SPOTS), SPOT_RAY), np.zeros(2, np.int64)
         order = np.zeros((2, MAX_SPOTS), np.int64)
         for c, spots in enumerate((left, right)):
             chosen = np.arange(len(spots))
             if len(spots) > MAX_SPOTS:
                 chosen = np.sort(np.argsort(spots["flux"])[::-1][:MAX_SPOTS])
             for k, index in enumerate(chosen):
-                sight_of(self.scene.lens[c], spots[index], sights[c, k])
+                fill_spot_ray(self.scene.lens[c], spots[index], rays[c, k])
             counts[c] = len(chosen)
             order[c, : len(chosen)] = chosen
-        return View(sights, counts, order)
+        return View(rays, counts, order)
 
     def hypotheses(self, view: View, prediction: Prediction | None = None) -> tuple[np.ndarray, bool]:
         """Return every distinct pose (FIT) that the spots allow, and whether there was room for all.
@@ -105,20 +105,20 @@ class Solver:
             self._search.away = _COARSE * float(np.linalg.norm(sigma[:3]))
             self._search.least_trace = 1.0 + 2.0 * math.cos(angle)
         count = search(self.scene, view, self._search, self._starts, self._fits, self._state)
-        return self._judged(view, count), not self._state[STATE_FULL]
+        return self._scored(view, count), not self._state[STATE_FULL]
 
     def from_start(self, view: View, r: Array, t: Array, spots: npt.NDArray[np.int64]) -> np.ndarray:
         """Return the pose (FIT) that grows from a start with first ``spots`` (2, MAX_LEDS), and its mirror image."""
         self._state[:] = 0
         start = self._starts[-1]
         start["r"], start["t"], start["spot"] = r, t, spots
-        add_settled(self.scene, view, self._search, start, self._fits, self._state)
-        return self._judged(view, self._state[STATE_FITS])
+        add_converged(self.scene, view, self._search, start, self._fits, self._state)
+        return self._scored(view, self._state[STATE_FITS])
 
-    def _judged(self, view: View, count: int) -> np.ndarray:
+    def _scored(self, view: View, count: int) -> np.ndarray:
         density = self.stray_density(view)
         for fit in self._fits[:count]:
-            judge(self.scene, view, density, fit)
+            score_fit(self.scene, view, density, fit)
         return self._fits[:count].copy()
 
     def expected(
@@ -130,7 +130,7 @@ class Solver:
         return spots, assign(self.scene, view, r, t, covariance, reach_px, barred, spots)
 
     def windows(self, prediction: Prediction) -> tuple[Array, Array]:
-        """Return the windows (k, 4), px, of the predicted LEDs per camera: u, v of the first pixel and after the last."""
+        """Return the windows (k, 4), px, of the predicted LEDs per camera: first pixel u, v, last pixel + 1."""
         out, counts = np.empty((2, len(self.scene.leds), 4)), np.zeros(2, np.int64)
         led_windows(self.scene, matrix_of(prediction.q_vt), prediction.t_v, prediction.covariance, out, counts)
         return out[0, : counts[0]], out[1, : counts[1]]
@@ -152,7 +152,7 @@ class Solver:
         values, vectors = np.linalg.eigh(turn)
         for k in (1, 2):  # the axis of the tilt and the one across it may be equally uncertain
             direction = fit["covariance"][:, 3:] @ vectors[:, k] / math.sqrt(values[k])
-            ratios = [bend(self.scene, view, fit, direction, sigmas) for sigmas in (-_FAR, _FAR)]
+            ratios = [chi_square_growth(self.scene, view, fit, direction, sigmas) for sigmas in (-_FAR, _FAR)]
             if not all(_STRAIGHT[0] <= ratio <= _STRAIGHT[1] for ratio in ratios):
                 return False
         return True
@@ -165,7 +165,8 @@ def scene_of(geometry: VmuGeometry, settings: SolverSettings) -> RingScene:
     least_facing = math.cos(math.radians(settings.steepest_deg))
     n = len(leds)
     sides = np.array(
-        [[[side_of(leds, p, q, s, least_facing) for s in range(n)] for q in range(n)] for p in range(n)], np.int64
+        [[[orientation_of(leds, p, q, s, least_facing) for s in range(n)] for q in range(n)] for p in range(n)],
+        np.int64,
     )
     return RingScene(pair.lens, pair.rotation, pair.translation, leds, squares, sides)
 

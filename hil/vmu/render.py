@@ -99,7 +99,7 @@ class Extras:
     dark: tuple[bool, bool] = (False, False)
 
 
-NOTHING: Final = Extras()
+NO_EXTRAS: Final = Extras()
 
 
 @cache
@@ -122,7 +122,7 @@ def projections(pair: CameraPair, points_m: Array, t_v: Array, q_vt: Array) -> A
 
 
 @dataclass(slots=True)
-class _Sheet:
+class _SensorLight:
     """The light on one camera's sensor, zero between two frames."""
 
     light: Array
@@ -142,18 +142,18 @@ class RingRenderer:
     leds_m: (n, 3), in t; the LEDs shine along -z_t, towards the cameras.
     """
 
-    def __init__(self, pair: CameraPair, leds_m: Array, look: RingAppearance) -> None:
+    def __init__(self, pair: CameraPair, leds_m: Array, appearance: RingAppearance) -> None:
         self._pair = pair
         self._leds = np.ascontiguousarray(leds_m, dtype=float)
-        self._look = look
-        share = look.led_flux if look.led_flux is not None else (1.0,) * len(self._leds)
-        if len(share) != len(self._leds):
-            raise ValueError(f"led_flux has {len(share)} values for {len(self._leds)} LEDs")
-        self._flux = look.flux_1m_levels * np.array(share)
-        self._sheets = [_Sheet(np.zeros((int(lens["height"]), int(lens["width"])))) for lens in pair.lens]
+        self._appearance = appearance
+        relative = appearance.led_flux if appearance.led_flux is not None else (1.0,) * len(self._leds)
+        if len(relative) != len(self._leds):
+            raise ValueError(f"led_flux has {len(relative)} values for {len(self._leds)} LEDs")
+        self._flux = appearance.flux_1m_levels * np.array(relative)
+        self._sensors = [_SensorLight(np.zeros((int(lens["height"]), int(lens["width"])))) for lens in pair.lens]
 
     def pair(
-        self, t_v: Array, q_vt: Array, lit: Sequence[bool] | None, rng: np.random.Generator, extras: Extras = NOTHING
+        self, t_v: Array, q_vt: Array, lit: Sequence[bool] | None, rng: np.random.Generator, extras: Extras = NO_EXTRAS
     ) -> tuple[Image, Image]:
         """Return the left and the right image, uint8 (height, width), for the pose t -> v.
 
@@ -169,44 +169,46 @@ class RingRenderer:
         q_vt: Array,
         lit: Sequence[bool] | None,
         rng: np.random.Generator,
-        extras: Extras = NOTHING,
+        extras: Extras = NO_EXTRAS,
     ) -> Image:
         """Return one camera's image (0 left, 1 right)."""
-        sheet = self._sheets[camera]
-        image = self._background(sheet.light.shape, rng)
+        sensor = self._sensors[camera]
+        image = self._background(sensor.light.shape, rng)
         if not extras.dark[camera]:
-            self._shine(camera, t_v, q_vt, lit, extras)
-            for box in sheet.boxes:
-                self._expose(image, sheet.light, box, rng)
-            for box in sheet.boxes:
-                clear_box(sheet.light, box)
-            sheet.boxes.clear()
-        for pixel in self._look.hot_pixels:
+            self._add_lights(camera, t_v, q_vt, lit, extras)
+            for box in sensor.boxes:
+                self._expose(image, sensor.light, box, rng)
+            for box in sensor.boxes:
+                clear_box(sensor.light, box)
+            sensor.boxes.clear()
+        for pixel in self._appearance.hot_pixels:
             if pixel.camera == camera:
                 image[pixel.v, pixel.u] = pixel.level
         return image
 
-    def exposed(self, camera: int, t_v: Array, q_vt: Array, lit: Sequence[bool] | None = None) -> tuple[Array, Array]:
+    def led_images(
+        self, camera: int, t_v: Array, q_vt: Array, lit: Sequence[bool] | None = None
+    ) -> tuple[Array, Array]:
         """Return the LEDs' images in a camera (n, 5), as in ``shape``, and their light (n,), levels: the truth."""
-        spots, flux, _ = self._exposed(camera, t_v, q_vt, lit)
+        spots, flux, _ = self._led_images(camera, t_v, q_vt, lit)
         return spots[:, :5], flux
 
     def _background(self, shape: tuple[int, ...], rng: np.random.Generator) -> Image:
-        look, (rows, columns) = self._look, shape
+        appearance, (rows, columns) = self._appearance, shape
         image = np.empty((rows, columns), dtype=np.uint8)
-        across, down = look.gradient_levels[0] / columns, look.gradient_levels[1] / rows
+        across, down = appearance.gradient_levels[0] / columns, appearance.gradient_levels[1] / rows
         offsets = rng.integers(0, _POOL - columns, rows)
-        level, noise = look.background_levels, look.read_noise_levels
-        fill_background(image, level, across, down, look.electrons_per_level, noise, _normals(), offsets)
+        level, noise = appearance.background_levels, appearance.read_noise_levels
+        fill_background(image, level, across, down, appearance.electrons_per_level, noise, _normals(), offsets)
         return image
 
-    def _shine(self, camera: int, t_v: Array, q_vt: Array, lit: Sequence[bool] | None, extras: Extras) -> None:
-        look, lens, sheet = self._look, self._pair.lens[camera], self._sheets[camera]
+    def _add_lights(self, camera: int, t_v: Array, q_vt: Array, lit: Sequence[bool] | None, extras: Extras) -> None:
+        appearance, lens, sensor = self._appearance, self._pair.lens[camera], self._sensors[camera]
         rotation, translation = self._pair.rotation[camera], self._pair.translation[camera]
-        spots, fluxes, gain = self._exposed(camera, t_v, q_vt, lit)
+        spots, fluxes, gain = self._led_images(camera, t_v, q_vt, lit)
         for spot, levels in zip(spots, fluxes, strict=True):
             if levels > 0.0:
-                sheet.add(spot[:5], look.psf_sigma_px, levels)
+                sensor.add(spot[:5], appearance.psf_sigma_px, levels)
         for light in extras.lights:
             p = np.empty(3)
             to_camera(rotation, translation, np.array(light.position_v, dtype=float), p)
@@ -215,20 +217,24 @@ class RingRenderer:
                 radius = 0.5 * light.diameter_m / p[2]
                 levels = gain * light.flux_1m_levels / float(p @ p)
                 spot = np.array([u, v, radius * lens["fx"], 0.0, radius * lens["fy"]])
-                sheet.add(spot, look.psf_sigma_px, levels)
+                sensor.add(spot, appearance.psf_sigma_px, levels)
         for reflection in extras.reflections:
             if reflection.camera == camera:
                 spot = np.array([reflection.u_px, reflection.v_px, 0.0, 0.0, 0.0])
-                sheet.add(spot, reflection.sigma_px, reflection.flux_levels)
+                sensor.add(spot, reflection.sigma_px, reflection.flux_levels)
         for shade in extras.shades:
             if shade.camera == camera:
-                sheet.light[shade.v0 : shade.v1, shade.u0 : shade.u1] = 0.0
+                sensor.light[shade.v0 : shade.v1, shade.u0 : shade.u1] = 0.0
 
-    def _exposed(self, camera: int, t_v: Array, q_vt: Array, lit: Sequence[bool] | None) -> tuple[Array, Array, float]:
-        look, lens = self._look, self._pair.lens[camera]
+    def _led_images(
+        self, camera: int, t_v: Array, q_vt: Array, lit: Sequence[bool] | None
+    ) -> tuple[Array, Array, float]:
+        appearance, lens = self._appearance, self._pair.lens[camera]
         rotation, translation = self._pair.rotation[camera], self._pair.translation[camera]
         spots = np.empty((len(self._leds), 6))
-        disc_images(lens, rotation, translation, self._leds, t_v, q_vt, 0.5 * look.led_diameter_m, look.lobe, spots)
+        disc_images(
+            lens, rotation, translation, self._leds, t_v, q_vt, 0.5 * appearance.led_diameter_m, appearance.lobe, spots
+        )
         flux = spots[:, 5] * self._flux
         if lit is not None:
             flux *= np.asarray(lit, dtype=float)
@@ -236,24 +242,24 @@ class RingRenderer:
         return spots, gain * flux, gain
 
     def _gain(self, lens: np.void, spots: Array, flux: Array) -> float:
-        look = self._look
+        appearance = self._appearance
         seen = np.array([in_image(lens, spot[0], spot[1], 0.0) for spot in spots])
-        if look.auto_peak_levels is None:
+        if appearance.auto_peak_levels is None:
             return 1.0
-        blur2 = 2.0 * (look.psf_sigma_px**2 + 1.0 / 12.0)
+        blur2 = 2.0 * (appearance.psf_sigma_px**2 + 1.0 / 12.0)
         disc2 = np.maximum(spots[:, 2] * spots[:, 4], 1e-6)  # px^2, radius squared
         area = np.pi * disc2 / -np.expm1(-disc2 / blur2)
         peak = float(np.max(flux / area * seen, initial=0.0))
-        lowest, highest = look.gain_range
-        return highest if peak <= 0.0 else float(np.clip(look.auto_peak_levels / peak, lowest, highest))
+        lowest, highest = appearance.gain_range
+        return highest if peak <= 0.0 else float(np.clip(appearance.auto_peak_levels / peak, lowest, highest))
 
     def _expose(self, image: Image, light: Array, box: np.ndarray, rng: np.random.Generator) -> None:
-        look, (rows, columns) = self._look, image.shape
+        appearance, (rows, columns) = self._appearance, image.shape
         u, v = np.arange(box[0], box[2]), np.arange(box[1], box[3])
         window = slice(box[1], box[3]), slice(box[0], box[2])
-        slope_u = look.gradient_levels[0] / columns * (u - 0.5 * (columns - 1))
-        slope_v = look.gradient_levels[1] / rows * (v - 0.5 * (rows - 1))
-        mean = np.maximum(look.background_levels + slope_v[:, None] + slope_u, 0.0) + light[window]
-        level = rng.poisson(mean * look.electrons_per_level) / look.electrons_per_level
-        level += look.read_noise_levels * rng.standard_normal(mean.shape)
+        slope_u = appearance.gradient_levels[0] / columns * (u - 0.5 * (columns - 1))
+        slope_v = appearance.gradient_levels[1] / rows * (v - 0.5 * (rows - 1))
+        mean = np.maximum(appearance.background_levels + slope_v[:, None] + slope_u, 0.0) + light[window]
+        level = rng.poisson(mean * appearance.electrons_per_level) / appearance.electrons_per_level
+        level += appearance.read_noise_levels * rng.standard_normal(mean.shape)
         image[window] = np.clip(np.rint(level), 0.0, FULL_SCALE)

@@ -11,7 +11,7 @@ from hil.core.messages import Array
 from hil.maths import quat
 from hil.maths.kalman import propagate_covariance
 from hil.vmu.kernels.hypotheses import difference
-from hil.vmu.kernels.refine import turn
+from hil.vmu.kernels.refine import rotate
 from hil.vmu.pose import Prediction
 
 _STRANGE = 33.0  # chi-square of six components: a pose that far from the prediction is no continuation
@@ -81,7 +81,7 @@ class Track:
         step = gain @ error
         self._t = t + step[:3]
         self._r = np.empty((3, 3))
-        turn(r, step[3:6], self._r)
+        rotate(r, step[3:6], self._r)
         self._rates = self._rates + step[6:]
         keep = np.eye(12)
         keep[:, :6] -= gain
@@ -101,7 +101,7 @@ class Track:
     def _carried(self, dt: float) -> tuple[Array, Array, Array]:
         """Return attitude, position and covariance of all states after ``dt`` seconds at constant rates."""
         r, p = np.empty((3, 3)), self._p.copy()
-        turn(self._r, self._rates[3:] * dt, r)
+        rotate(self._r, self._rates[3:] * dt, r)
         phi = np.eye(12)
         phi[:6, 6:] = dt * np.eye(6)
         variance = np.repeat([self.settings.acceleration_mps2, self.settings.acceleration_radps2], 3) ** 2

@@ -112,7 +112,7 @@ class VisionUnit:
         images = (left, right)
         wrong = any(i is not None and not _fits(i, s) for i, s in zip(images, self._shapes, strict=True))
         if wrong:
-            return self._without(t_s, WRONG_SIZE)
+            return self._no_pose(t_s, WRONG_SIZE)
         if left is None and right is None:
             return self._predicted(t_s, TOO_FEW)
         expected = prediction or self.track.predict(t_s)
@@ -149,7 +149,7 @@ class VisionUnit:
 
     def rejected(self, t_s: float, status: str) -> Solution:
         """Return the answer to images that never became any."""
-        return self._without(t_s, status)
+        return self._no_pose(t_s, status)
 
     def solve_spots(
         self, left: np.ndarray, right: np.ndarray, t_s: float, prediction: Prediction | None = None
@@ -182,7 +182,7 @@ class VisionUnit:
     ) -> Solution:
         spots = self._detect(images, (None, None))
         if not any(len(found) for found in spots):
-            return self._without(t_s, DARK)
+            return self._no_pose(t_s, DARK)
         view = self.solver.view(*spots)
         verdict = self._identifier.search(view, expected)
         return self._conclude(verdict, view, spots, t_s, full_frame=True)
@@ -206,8 +206,8 @@ class VisionUnit:
         kept = view.order
         if verdict.fit is None:
             if verdict.status == AMBIGUOUS:
-                if verdict.followed:
-                    self.track.update(t_s, blurred(verdict.candidates))
+                if verdict.on_track:
+                    self.track.update(t_s, widened(verdict.candidates))
                 else:
                     self.track.fail()
                 return Solution(
@@ -236,11 +236,11 @@ class VisionUnit:
         pose = Pose(expected.t_v, expected.q_vt, expected.covariance)
         return Solution(t_s, PREDICTED, pose, spots, (self._none, self._none))
 
-    def _without(self, t_s: float, status: str) -> Solution:
+    def _no_pose(self, t_s: float, status: str) -> Solution:
         return Solution(t_s, status, None, (_NO_SPOTS, _NO_SPOTS), (self._none, self._none))
 
 
-def blurred(candidates: Sequence[np.void]) -> np.void:
+def widened(candidates: Sequence[np.void]) -> np.void:
     """Return the best of some poses with a covariance that holds them all, and leaves the tilt open.
 
     For the track alone: position and the turn about the line of sight are known well enough to go on.

@@ -15,7 +15,7 @@ from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.model import Setup, TurntableModel
 from hil.vmu.calibration.views import COLUMNS
 from hil.vmu.kernels import chain
-from hil.vmu.kernels.chain import BASELINE, CAMERA_STATION, CAMERA_TURN, TARGET_STATION, TURN
+from hil.vmu.kernels.chain import BASELINE, CAMERA_POSITION, CAMERA_ROTATION, ROTATION, TARGET_POSITION
 from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.render import Extras, RingAppearance, RingRenderer
 
@@ -29,17 +29,17 @@ def camera_pair_of(setup: Setup) -> CameraPair:
     for side in range(2):
         chain.fill_lens(lenses[side], setup.theta, 9 * side)
         lenses[side]["width"], lenses[side]["height"] = setup.sizes[side]
-    to_right = Rotation.from_rotvec(setup.theta[TURN:BASELINE]).as_matrix().T
+    to_right = Rotation.from_rotvec(setup.theta[ROTATION:BASELINE]).as_matrix().T
     rotation = np.stack([np.eye(3), to_right])
-    translation = np.stack([np.zeros(3), -to_right @ setup.theta[BASELINE:CAMERA_TURN]])
+    translation = np.stack([np.zeros(3), -to_right @ setup.theta[BASELINE:CAMERA_ROTATION]])
     return CameraPair(lenses, rotation, translation)
 
 
 def pose(setup: Setup, turntable: TurntableModel, axes: Array) -> tuple[Array, Array]:
     """Return R (3, 3) and t_v (3,), m, of ``p_v = R p_t + t_v`` with the bench's axes at ``axes`` (6,)."""
     a_ch = quat.to_matrix(euler.to_quaternion(np.ascontiguousarray(axes[3:]), turntable.order))
-    arm = turntable.lever_arm + setup.theta[CAMERA_STATION : CAMERA_STATION + 3]
-    station = setup.theta[TARGET_STATION : TARGET_STATION + 3]
+    arm = turntable.lever_arm + setup.theta[CAMERA_POSITION : CAMERA_POSITION + 3]
+    station = setup.theta[TARGET_POSITION : TARGET_POSITION + 3]
     t_v: Array = setup.camera_axes @ (a_ch @ (station - axes[:3]) - arm)
     return setup.camera_axes @ a_ch @ setup.target_axes, t_v
 

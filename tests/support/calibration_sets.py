@@ -1,4 +1,4 @@
-"""Simulated sightings for the tests of the calibration."""
+"""Simulated observations for the tests of the calibration."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.vmu.calibration.board import Board
-from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel
+from hil.vmu.calibration.model import PARTS, Observations, Setup, TurntableModel
 from hil.vmu.calibration.refine import layout_basis
 from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.kernels.chain import COMMON
-from tests.support.calibration_views import plan, sight
+from tests.support.calibration_views import observe, plan
 
 AXIS_SIGMA = np.array([5e-5] * 3 + [np.radians(0.005)] * 3)
 PIXEL_SIGMA = 0.05
@@ -37,14 +37,14 @@ def as_made(paper: Setup, rng: np.random.Generator, on_leds: bool) -> Setup:
     return paper.moved(change, (basis @ (basis.T @ rng.normal(0.0, 5e-4, paper.points.size))).reshape(-1, 3))
 
 
-def leds_seen(truth: Setup, turntable: TurntableModel, rng: np.random.Generator, views: int = 24) -> Sightings:
-    """Return sightings of the LEDs from all over the bench."""
+def leds_seen(truth: Setup, turntable: TurntableModel, rng: np.random.Generator, views: int = 24) -> Observations:
+    """Return observations of the LEDs from all over the bench."""
     axes = plan(truth, turntable, views, (0.6, 4.0), 20.0, rng, 0.25)
-    return sight(truth, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
+    return observe(truth, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
 
 
-def board_seen(truth: Setup, turntable: TurntableModel, rng: np.random.Generator, views: int = 20) -> Sightings:
-    """Return sightings of the board from near, those that show it whole."""
+def board_seen(truth: Setup, turntable: TurntableModel, rng: np.random.Generator, views: int = 20) -> Observations:
+    """Return observations of the board from near, those that show it whole."""
     axes = plan(truth, turntable, views, (0.9, 1.6), 20.0, rng, 0.15)
-    seen = sight(truth, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
-    return seen.only(np.flatnonzero(seen.seen.all(axis=(1, 2))))
+    seen = observe(truth, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
+    return seen.only(np.flatnonzero(seen.visible.all(axis=(1, 2))))

@@ -8,8 +8,8 @@ import numpy as np
 
 from hil.core.messages import Array
 from hil.maths import euler, quat
-from hil.vmu.calibration.model import Setup, Sightings, TurntableModel, see
-from hil.vmu.kernels.chain import CAMERA_STATION, TARGET_STATION
+from hil.vmu.calibration.model import Observations, Setup, TurntableModel, project_view
+from hil.vmu.kernels.chain import CAMERA_POSITION, TARGET_POSITION
 
 
 def plan(
@@ -26,18 +26,18 @@ def plan(
     range_m: from camera to target, drawn evenly in its logarithm. turn_deg: largest angle of each gimbal.
     spread: how far off the optical axis the target goes, as the tangent of the angle.
     """
-    arm = turntable.lever_arm + setup.theta[CAMERA_STATION : CAMERA_STATION + 3]
+    arm = turntable.lever_arm + setup.theta[CAMERA_POSITION : CAMERA_POSITION + 3]
     axes = np.empty((count, 6))
     for row in axes:
         row[3:] = np.radians(generator.uniform(-turn_deg, turn_deg, 3))
         z = np.exp(generator.uniform(*np.log(range_m)))
         p_v = z * np.array([*generator.uniform(-spread, spread, 2), 1.0])
         a_ch = quat.to_matrix(euler.to_quaternion(row[3:], turntable.order))
-        row[:3] = setup.theta[TARGET_STATION : TARGET_STATION + 3] - a_ch.T @ (setup.camera_axes.T @ p_v + arm)
+        row[:3] = setup.theta[TARGET_POSITION : TARGET_POSITION + 3] - a_ch.T @ (setup.camera_axes.T @ p_v + arm)
     return axes
 
 
-def sight(
+def observe(
     setup: Setup,
     turntable: TurntableModel,
     axes: Array,
@@ -45,20 +45,20 @@ def sight(
     pixel_sigma: float,
     generator: np.random.Generator,
     margin_px: float = 3.0,
-) -> Sightings:
+) -> Observations:
     """Return what the cameras see with the axes at ``axes`` (n, 6) while their encoders err by ``axis_sigma`` (6,)."""
     told = axes + generator.standard_normal(axes.shape) * axis_sigma
-    pixels = np.array([see(setup, turntable, row).pixels for row in axes])
+    pixels = np.array([project_view(setup, turntable, row).pixels for row in axes])
     pixels += generator.standard_normal(pixels.shape) * pixel_sigma
     size = setup.sizes[None, :, None, :]
     outside = ~((pixels > margin_px) & (pixels < size - margin_px)).all(axis=-1)
     pixels[outside] = np.nan
     covariance = np.broadcast_to(pixel_sigma**2 * np.eye(2), (*pixels.shape, 2)).copy()
-    return Sightings(tuple(f"{k:04d}" for k in range(len(axes))), told, pixels, covariance)
+    return Observations(tuple(f"{k:04d}" for k in range(len(axes))), told, pixels, covariance)
 
 
 def shifted(setup: Setup, **changes: float | Array) -> Setup:
-    """Return ``setup`` with some of theta changed: ``shifted(setup, CAMERA_TURN=[0, 1e-3, 0])``."""
+    """Return ``setup`` with some of theta changed: ``shifted(setup, CAMERA_ROTATION=[0, 1e-3, 0])``."""
     from hil.vmu.kernels import chain
 
     theta = setup.theta.copy()

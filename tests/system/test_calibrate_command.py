@@ -40,7 +40,7 @@ def truth_of(leds: bool) -> tuple[Setup, TurntableModel]:
     made = shifted(
         paper, LEFT=[4.0, -3.0, 5.0, -4.0, -0.06], RIGHT=[-4.0, 3.0, -5.0, 2.0, -0.05], BASELINE=[1e-3, 0, 0]
     )
-    return shifted(made, CAMERA_TURN=[0.006, -0.008, 0.01], TARGET_STATION=[0.0, 4e-3, -3e-3]), TurntableModel.of(
+    return shifted(made, CAMERA_ROTATION=[0.006, -0.008, 0.01], TARGET_POSITION=[0.0, 4e-3, -3e-3]), TurntableModel.of(
         rig.bench
     )
 
@@ -93,7 +93,7 @@ def test_led_views_give_a_geometry_file_that_a_later_check_agrees_with(led_views
 
     same = made_views(tmp_path / "same", truth, turntable, True, 6, 3)
     assert execute(["calibrate", str(same), "--check", str(out)]) == 0
-    moved = shifted(truth, CAMERA_TURN=[0.0, np.radians(0.1), 0.0])
+    moved = shifted(truth, CAMERA_ROTATION=[0.0, np.radians(0.1), 0.0])
     drifted = made_views(tmp_path / "drifted", moved, turntable, True, 6, 4)
     assert execute(["calibrate", str(drifted), "--check", str(out), "--json", str(report)]) == 1
     assert "mounting" in json.loads(report.read_text())["moved"]

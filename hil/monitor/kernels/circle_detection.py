@@ -31,7 +31,7 @@ class CircleCandidate:
     u: float
     v: float
     radius: float
-    share: float
+    coverage: float
     clean: float
 
 
@@ -129,7 +129,7 @@ def best_circle(points, tries, near, bend, out):
 
 
 @kernel
-def seen_share(points, circle, near):
+def arc_coverage(points, circle, near):
     """Return the share of the circle's 72 sectors that have a point within ``near`` px of it."""
     seen = np.zeros(72)
     for i in range(points.shape[0]):
@@ -139,7 +139,7 @@ def seen_share(points, circle, near):
     return seen.sum() / 72.0
 
 
-def find_rounds(prepared: Prepared, left: float, top: float, line_step: float) -> list[CircleCandidate]:
+def find_circles(prepared: Prepared, left: float, top: float, line_step: float) -> list[CircleCandidate]:
     """Return the circles of a region, the most convincing first.
 
     left, top: px, the region's first pixel in the picture; line_step: px from one line of the region to the next.
@@ -150,14 +150,14 @@ def find_rounds(prepared: Prepared, left: float, top: float, line_step: float) -
         contours: Any = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
         contours = sorted((c for c in contours if len(c) >= _FEWEST_POINTS), key=len, reverse=True)[:_CONTOURS]
         for contour in contours:
-            shape = _round_of(contour, prepared.image.shape, left, top, line_step)
+            shape = _circle_of(contour, prepared.image.shape, left, top, line_step)
             if shape is not None:
                 found.append(shape)
-    found.sort(key=lambda one: one.share * one.clean, reverse=True)
+    found.sort(key=lambda one: one.coverage * one.clean, reverse=True)
     return _distinct(found)
 
 
-def _round_of(
+def _circle_of(
     contour: Any, shape: tuple[int, ...], left: float, top: float, line_step: float
 ) -> CircleCandidate | None:
     points = contour.reshape(-1, 2).astype(float)
@@ -174,7 +174,7 @@ def _round_of(
     if clean < _LEAST_CLEAN or circle[2] < _LEAST_RADIUS_PX:
         return None
     near = max(near, 1.3 * _BEND * circle[2])
-    share = seen_share(points, circle, near)
+    share = arc_coverage(points, circle, near)
     if share < 0.22:
         return None
     return CircleCandidate(float(circle[0]), float(circle[1]), float(circle[2]), share, clean)

@@ -156,7 +156,7 @@ def draw_parts(lens, d, phi, corners, starts, levels, area, image):
             continue
         low, high = math.inf, -math.inf
         for i in range(kept):
-            u, v = docking_view.picture_point(lens[0], lens[1], lens[2], cut[i])
+            u, v = docking_view.project_point(lens[0], lens[1], lens[2], cut[i])
             cut[i, 0], cut[i, 1] = u + 0.5, v + 0.5
             low, high = min(low, v + 0.5), max(high, v + 0.5)
         for i in range(kept):

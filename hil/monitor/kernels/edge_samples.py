@@ -1,7 +1,7 @@
 """Cells: where in the picture, for an assumed pose, each piece of an edge of the target is to be looked for.
 
-A cell is a strip a few pixels long along an edge and a few wide across it. No pixel belongs to two cells of one
-edge, so the errors of the cells' measurements are independent.
+A sample is a strip a few pixels long along an edge and a few wide across it. No pixel belongs to two samples of one
+edge, so the errors of the samples' measurements are independent.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ EDGE_SAMPLE = np.dtype(
         ("width", "f8"),  # px, of a bar measured as a whole
         ("y1", "f8"), ("y2", "f8"), ("y3", "f8"),  # m, the same point in C
         ("feature", "i8"), ("kind", "i8"),
-        ("cluster", "i8"),  # the straight edge, or the eighth of a circle, that the cell is part of
+        ("cluster", "i8"),  # the straight edge, or the eighth of a circle, that the sample is part of
         ("shift", "f8"), ("variance", "f8"),  # px, px^2: measured, outwards
         ("low", "f8"), ("high", "f8"),  # grey values inside and outside
         ("misfit", "f8"), ("pixels", "f8"),  # weighted square sum of the pixels' residuals, number of pixels
@@ -48,29 +48,29 @@ def _project(lens, a, d, y1, y2, y3):
     x = docking_view.to_camera(a, d, p)
     if x[2] < 1e-3:
         return 0.0, 0.0, -1.0
-    u, v = docking_view.picture_point(lens[0], lens[1], lens[2], x)
+    u, v = docking_view.project_point(lens[0], lens[1], lens[2], x)
     return u, v, x[2]
 
 
 @kernel
-def project_borders(lens, a, d, circles, borders, rounds, straights):
+def project_borders(lens, a, d, circles, borders, circle_images, line_images):
     """Write what the parts' borders are in the picture.
 
-    rounds: (n, 4): u, v, radius, px, group (radius -1 where it is behind the camera). straights: (m, 5): both
+    circle_images: (n, 4): u, v, radius, px, group (radius -1 where it is behind the camera). line_images: (m, 5): both
     ends, px, group (nan where it is behind the camera).
     """
     for i in range(circles.shape[0]):
         c = circles[i]
         u, v, depth = _project(lens, a, d, c.y1, c.y2, c.y3)
-        rounds[i, 0], rounds[i, 1], rounds[i, 3] = u, v, c.group
-        rounds[i, 2] = lens[0] * c.radius / depth if depth > 0.0 else -1.0
+        circle_images[i, 0], circle_images[i, 1], circle_images[i, 3] = u, v, c.group
+        circle_images[i, 2] = lens[0] * c.radius / depth if depth > 0.0 else -1.0
     for i in range(borders.shape[0]):
         b = borders[i]
         u0, v0, d0 = _project(lens, a, d, b.a1, b.a2, b.y3)
         u1, v1, d1 = _project(lens, a, d, b.b1, b.b2, b.y3)
         ok = d0 > 0.0 and d1 > 0.0
-        straights[i, 0] = u0 if ok else np.nan
-        straights[i, 1], straights[i, 2], straights[i, 3], straights[i, 4] = v0, u1, v1, b.group
+        line_images[i, 0] = u0 if ok else np.nan
+        line_images[i, 1], line_images[i, 2], line_images[i, 3], line_images[i, 4] = v0, u1, v1, b.group
 
 
 @kernel
@@ -85,33 +85,33 @@ def _distance(u, v, s):
 
 
 @kernel
-def _clearance(u, v, group, rounds, straights):
+def _clearance(u, v, group, circle_images, line_images):
     """Return the distance of (u, v) from the nearest border of another group, px."""
     least = math.inf
-    for i in range(rounds.shape[0]):
-        if rounds[i, 3] != group and rounds[i, 2] > 0.0:
-            gap = abs(math.hypot(u - rounds[i, 0], v - rounds[i, 1]) - rounds[i, 2])
+    for i in range(circle_images.shape[0]):
+        if circle_images[i, 3] != group and circle_images[i, 2] > 0.0:
+            gap = abs(math.hypot(u - circle_images[i, 0], v - circle_images[i, 1]) - circle_images[i, 2])
             least = min(least, gap)
-    for i in range(straights.shape[0]):
-        if straights[i, 4] != group:
-            gap = _distance(u, v, straights[i])
+    for i in range(line_images.shape[0]):
+        if line_images[i, 4] != group:
+            gap = _distance(u, v, line_images[i])
             if gap < least:
                 least = gap
     return least
 
 
 @kernel
-def _reach(u, v, nu, nv, wanted, half_length, guard, group, rounds, straights):
+def _reach(u, v, nu, nv, wanted, half_length, guard, group, circle_images, line_images):
     """Return how far along (nu, nv) from (u, v) no other border is near, at most ``wanted``, px."""
     needed = guard + half_length * 0.5
-    free = _clearance(u, v, group, rounds, straights) - needed
+    free = _clearance(u, v, group, circle_images, line_images) - needed
     if free >= wanted:
         return wanted
     if free < 0.0:
         return -1.0
     reach = free
     for _ in range(4):  # a ball of what is free, at the end of what is known to be free
-        free = _clearance(u + reach * nu, v + reach * nv, group, rounds, straights) - needed
+        free = _clearance(u + reach * nu, v + reach * nv, group, circle_images, line_images) - needed
         if free <= 0.05:
             break
         reach = min(reach + free, wanted)
@@ -124,20 +124,20 @@ def _in_picture(lens, u, v, margin):
 
 
 @kernel
-def _finish(cell, lens, wanted, least, blur, group, rounds, straights):
+def _finish(sample, lens, wanted, least, blur, group, circle_images, line_images):
     """Set how far the strip reaches; return whether enough of it is free and in the picture."""
-    if not _in_picture(lens, cell.u, cell.v, wanted + 0.5 * cell.length + 0.5 * cell.width):
+    if not _in_picture(lens, sample.u, sample.v, wanted + 0.5 * sample.length + 0.5 * sample.width):
         return False
     guard = _GUARD_SIGMAS * blur
-    half = 0.5 * cell.width
-    half_length = 0.5 * cell.length
-    outside = _reach(cell.u + half * cell.nu, cell.v + half * cell.nv, cell.nu, cell.nv,
-                     wanted, half_length, guard, group, rounds, straights)  # fmt: skip
-    inside = _reach(cell.u - half * cell.nu, cell.v - half * cell.nv, -cell.nu, -cell.nv,
-                    wanted, half_length, guard, group, rounds, straights)  # fmt: skip
-    if cell.curvature > 0.0:
-        inside = min(inside, 1.0 / cell.curvature - guard)
-    cell.outside, cell.inside = half + outside, half + inside
+    half = 0.5 * sample.width
+    half_length = 0.5 * sample.length
+    outside = _reach(sample.u + half * sample.nu, sample.v + half * sample.nv, sample.nu, sample.nv,
+                     wanted, half_length, guard, group, circle_images, line_images)  # fmt: skip
+    inside = _reach(sample.u - half * sample.nu, sample.v - half * sample.nv, -sample.nu, -sample.nv,
+                    wanted, half_length, guard, group, circle_images, line_images)  # fmt: skip
+    if sample.curvature > 0.0:
+        inside = min(inside, 1.0 / sample.curvature - guard)
+    sample.outside, sample.inside = half + outside, half + inside
     return outside >= least and inside >= least
 
 
@@ -150,14 +150,16 @@ def _curvature(u0, v0, u1, v1, u2, v2):
 
 
 @kernel
-def _lay_circle(lens, a, d, circle, number, length, most, wanted, least, blur, rounds, straights, cells, count):
+def _place_on_circle(
+    lens, a, d, circle, number, length, most, wanted, least, blur, circle_images, line_images, samples, count
+):
     _, _, depth = _project(lens, a, d, circle.y1, circle.y2, circle.y3)
     if depth <= 0.0:
         return count
     around = 2.0 * math.pi * lens[0] * circle.radius / depth
     pieces = int(min(max(math.ceil(around / length), 8.0), most))
     for i in range(pieces):
-        if count >= cells.shape[0]:
+        if count >= samples.shape[0]:
             return count
         t = 2.0 * math.pi * (i + 0.5) / pieces
         y1, y2 = circle.y1 + circle.radius * math.cos(t), circle.y2 + circle.radius * math.sin(t)
@@ -173,21 +175,36 @@ def _lay_circle(lens, a, d, circle, number, length, most, wanted, least, blur, r
             continue
         tu, tv = ub - ua, vb - va
         size = math.hypot(tu, tv)
-        cell = cells[count]
-        cell.nu, cell.nv = tv / size, -tu / size
-        cell.u, cell.v, cell.width = u, v, 0.0
-        cell.y1, cell.y2, cell.y3 = y1, y2, circle.y3
-        cell.curvature = _curvature(ua, va, u, v, ub, vb)
-        cell.length = min(length, around / pieces)
-        cell.feature, cell.kind, cell.cluster = circle.feature, STEP, ARCS * number + ARCS * i // pieces
-        if _finish(cell, lens, wanted, least, blur, circle.group, rounds, straights):
+        sample = samples[count]
+        sample.nu, sample.nv = tv / size, -tu / size
+        sample.u, sample.v, sample.width = u, v, 0.0
+        sample.y1, sample.y2, sample.y3 = y1, y2, circle.y3
+        sample.curvature = _curvature(ua, va, u, v, ub, vb)
+        sample.length = min(length, around / pieces)
+        sample.feature, sample.kind, sample.cluster = circle.feature, STEP, ARCS * number + ARCS * i // pieces
+        if _finish(sample, lens, wanted, least, blur, circle.group, circle_images, line_images):
             count += 1
     return count
 
 
 @kernel
-def _lay_line(
-    lens, a, d, line, number, clusters, side, length, most, wanted, least, blur, rounds, straights, cells, count
+def _place_on_line(
+    lens,
+    a,
+    d,
+    line,
+    number,
+    clusters,
+    side,
+    length,
+    most,
+    wanted,
+    least,
+    blur,
+    circle_images,
+    line_images,
+    samples,
+    count,
 ):
     """side: 0 for the line itself, +-1 for that border of a wide bar."""
     e1, e2 = line.b1 - line.a1, line.b2 - line.a2
@@ -208,7 +225,7 @@ def _lay_line(
     way = -1.0 if side < 0.0 else 1.0
     scale = lens[0] / (0.5 * (d0 + d1))
     for i in range(pieces):
-        if count >= cells.shape[0]:
+        if count >= samples.shape[0]:
             return count
         share = (guard + (i + 0.5) * free / pieces) / long
         # the same share of the way in C, seen in perspective
@@ -217,36 +234,36 @@ def _lay_line(
         u, v, depth = _project(lens, a, d, y1, y2, line.y3)
         if depth <= 0.0 or not _in_picture(lens, u, v, wanted):
             continue
-        cell = cells[count]
-        cell.nu, cell.nv = way * tv, -way * tu
-        cell.u, cell.v, cell.curvature = u, v, 0.0
-        cell.y1, cell.y2, cell.y3 = y1, y2, line.y3
-        cell.length = min(length, free / pieces)
-        cell.feature, cell.cluster = line.feature, number
-        cell.kind = BAR if line.width > 0.0 and side == 0.0 else STEP
-        cell.width = line.width * scale if cell.kind == BAR else 0.0
-        if _finish(cell, lens, wanted, least, blur, line.group, rounds, straights):
+        sample = samples[count]
+        sample.nu, sample.nv = way * tv, -way * tu
+        sample.u, sample.v, sample.curvature = u, v, 0.0
+        sample.y1, sample.y2, sample.y3 = y1, y2, line.y3
+        sample.length = min(length, free / pieces)
+        sample.feature, sample.cluster = line.feature, number
+        sample.kind = BAR if line.width > 0.0 and side == 0.0 else STEP
+        sample.width = line.width * scale if sample.kind == BAR else 0.0
+        if _finish(sample, lens, wanted, least, blur, line.group, circle_images, line_images):
             count += 1
     return count
 
 
 @kernel
-def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, wide_bar, wanted, cells):
-    """Write the cells of all parts under the pose a (3, 3), d (3,), m; return how many.
+def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, wide_bar, wanted, samples):
+    """Write the samples of all parts under the pose a (3, 3), d (3,), m; return how many.
 
-    blur: px, 1 sigma of an edge. length: px along the edge; most: cells at most of one edge. wide_bar: px,
+    blur: px, 1 sigma of an edge. length: px along the edge; most: samples at most of one edge. wide_bar: px,
     a bar wider than this is measured at each side for itself. wanted: px to each side.
     """
-    rounds, straights = np.empty((circles.shape[0], 4)), np.empty((borders.shape[0], 5))
-    project_borders(lens, a, d, circles, borders, rounds, straights)
+    circle_images, line_images = np.empty((circles.shape[0], 4)), np.empty((borders.shape[0], 5))
+    project_borders(lens, a, d, circles, borders, circle_images, line_images)
     least = 1.5 * blur + 1.0
     count = 0
     for i in range(circles.shape[0]):
         small = circles[i].group < 0
-        if small and rounds[i, 2] < 5.0 * blur + 1.0:
+        if small and circle_images[i, 2] < 5.0 * blur + 1.0:
             continue
-        count = _lay_circle(
-            lens, a, d, circles[i], i, length, most, wanted, least, blur, rounds, straights, cells, count
+        count = _place_on_circle(
+            lens, a, d, circles[i], i, length, most, wanted, least, blur, circle_images, line_images, samples, count
         )
     clusters = ARCS * circles.shape[0]
     for i in range(lines.shape[0]):
@@ -255,7 +272,7 @@ def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, 
             _, _, depth = _project(lens, a, d, line.a1, line.a2, line.y3)
             if depth > 0.0 and lens[0] * line.width / depth > wide_bar:
                 for side in (-1.0, 1.0):
-                    count = _lay_line(
+                    count = _place_on_line(
                         lens,
                         a,
                         d,
@@ -268,13 +285,28 @@ def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, 
                         wanted,
                         least,
                         blur,
-                        rounds,
-                        straights,
-                        cells,
+                        circle_images,
+                        line_images,
+                        samples,
                         count,
                     )
                 continue
-        count = _lay_line(
-            lens, a, d, line, i, clusters, 0.0, length, most, wanted, least, blur, rounds, straights, cells, count
+        count = _place_on_line(
+            lens,
+            a,
+            d,
+            line,
+            i,
+            clusters,
+            0.0,
+            length,
+            most,
+            wanted,
+            least,
+            blur,
+            circle_images,
+            line_images,
+            samples,
+            count,
         )
     return count

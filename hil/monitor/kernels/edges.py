@@ -26,35 +26,35 @@ def _share(z):
 
 
 @kernel
-def gather(image, first_line, line_step, cell, s, grey):
+def gather(image, first_line, line_step, sample, s, grey):
     """Write the signed distances from the edge, px, and grey values of the strip's pixels; return how many.
 
     image: (h, w), uint8; its line r is the picture's line ``first_line + line_step r``.
     """
-    nu, nv = cell.nu, cell.nv
+    nu, nv = sample.nu, sample.nv
     tu, tv = -nv, nu
-    half = 0.5 * cell.length
-    across = max(cell.inside, cell.outside)
-    bow = 0.5 * cell.curvature * half * half
+    half = 0.5 * sample.length
+    across = max(sample.inside, sample.outside)
+    bow = 0.5 * sample.curvature * half * half
     reach_u = abs(nu) * (across + bow) + abs(tu) * (half + 1.0)
     reach_v = abs(nv) * (across + bow) + abs(tv) * (half + 1.0)
-    top = int(max(math.ceil((cell.v - reach_v - first_line) / line_step), 0.0))
-    bottom = int(min(math.floor((cell.v + reach_v - first_line) / line_step), image.shape[0] - 1.0))
-    left = int(max(math.ceil(cell.u - reach_u), 0.0))
-    right = int(min(math.floor(cell.u + reach_u), image.shape[1] - 1.0))
+    top = int(max(math.ceil((sample.v - reach_v - first_line) / line_step), 0.0))
+    bottom = int(min(math.floor((sample.v + reach_v - first_line) / line_step), image.shape[0] - 1.0))
+    left = int(max(math.ceil(sample.u - reach_u), 0.0))
+    right = int(min(math.floor(sample.u + reach_u), image.shape[1] - 1.0))
     count = 0
     for row in range(top, bottom + 1):
-        dv = first_line + line_step * row - cell.v
+        dv = first_line + line_step * row - sample.v
         for column in range(left, right + 1):
-            du = column - cell.u
+            du = column - sample.u
             t = du * tu + dv * tv
             n = du * nu + dv * nv
-            if cell.curvature > 0.0:
-                radius = 1.0 / cell.curvature
+            if sample.curvature > 0.0:
+                radius = 1.0 / sample.curvature
                 distance = math.hypot(t, n + radius)
                 t *= radius / distance
                 n = distance - radius
-            if -half <= t < half and -cell.inside <= n <= cell.outside and count < s.shape[0]:
+            if -half <= t < half and -sample.inside <= n <= sample.outside and count < s.shape[0]:
                 s[count] = n
                 grey[count] = image[row, column]
                 count += 1
@@ -111,8 +111,8 @@ def _bar_row(s, half, blur, x, row):
 
 
 @kernel
-def fit_cells(image, first_line, line_step, cells, count, blur, noise, turns, sums):
-    """Fit the blurred edge (bar) to each cell's pixels: its shift, variance, grey values and misfit.
+def fit_edge_samples(image, first_line, line_step, samples, count, blur, noise, turns, sums):
+    """Fit the blurred edge (bar) to each sample's pixels: its shift, variance, grey values and misfit.
 
     blur: px, 1 sigma of an edge, the pixel's own width included. noise: (2,), variance of a pixel
     ``noise[0] + noise[1] * grey``. turns: of Gauss-Newton. sums: (2,), what the edges say of the blur: gradient and
@@ -122,14 +122,14 @@ def fit_cells(image, first_line, line_step, cells, count, blur, noise, turns, su
     normal, right, step, x, row = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(4), np.empty(4)
     sums[0] = sums[1] = 0.0
     for c in range(count):
-        cell = cells[c]
-        cell.good = 0
-        bar = cell.kind == BAR
-        n = gather(image, first_line, line_step, cell, s, grey)
+        sample = samples[c]
+        sample.good = 0
+        bar = sample.kind == BAR
+        n = gather(image, first_line, line_step, sample, s, grey)
         if n < 8:
             continue
-        half = 0.5 * cell.width
-        shrink = 0.5 * cell.curvature * blur * blur  # a blurred round edge stands this much inside
+        half = 0.5 * sample.width
+        shrink = 0.5 * sample.curvature * blur * blur  # a blurred round edge stands this much inside
         x[2] = 0.0
         if bar:
             x[3], x[1] = _plateaus(s, grey, n, -half - blur, half + blur)
@@ -160,9 +160,9 @@ def fit_cells(image, first_line, line_step, cells, count, blur, noise, turns, su
                 misfit -= step[i] * right[i]
         if not solved or not abs(x[2]) < 4.0 * blur + 1.0:
             continue
-        _keep(cell, x, factor, known, misfit, n, bar)
+        _keep(sample, x, factor, known, misfit, n, bar)
         if not bar:
-            _ask_blur(normal, right, factor, step, sums, cell)
+            _ask_blur(normal, right, factor, step, sums, sample)
 
 
 @kernel
@@ -190,20 +190,20 @@ def _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right):
 
 
 @kernel
-def _keep(cell, x, factor, known, misfit, n, bar):
-    """Write a cell's result; the shift's variance from the factor of the normal equations."""
+def _keep(sample, x, factor, known, misfit, n, bar):
+    """Write a sample's result; the shift's variance from the factor of the normal equations."""
     unit = np.zeros(4)
     unit[2] = 1.0
     cholesky.solve(factor, known, unit, unit)
-    cell.shift, cell.variance = x[2], unit[2]
-    cell.low, cell.high = x[0], 0.5 * (x[1] + x[3]) if bar else x[1]
-    cell.misfit, cell.pixels = misfit, n
-    cell.good = 1
+    sample.shift, sample.variance = x[2], unit[2]
+    sample.low, sample.high = x[0], 0.5 * (x[1] + x[3]) if bar else x[1]
+    sample.misfit, sample.pixels = misfit, n
+    sample.good = 1
 
 
 @kernel
-def _ask_blur(normal, right, factor, step, sums, cell):
-    """Add to ``sums`` what is left of the blur's gradient and weight once the cell's own three are taken out."""
+def _ask_blur(normal, right, factor, step, sums, sample):
+    """Add to ``sums`` what is left of the blur's gradient and weight once the sample's own three are taken out."""
     for i in range(3):
         step[i] = normal[3, i]
     cholesky.solve(factor, 3, step, step)
@@ -211,6 +211,6 @@ def _ask_blur(normal, right, factor, step, sums, cell):
     for i in range(3):
         gradient -= step[i] * right[i]
         weight -= step[i] * normal[3, i]
-    if weight > 0.0 and cell.misfit < 3.0 * cell.pixels:
+    if weight > 0.0 and sample.misfit < 3.0 * sample.pixels:
         sums[0] += gradient
         sums[1] += weight

@@ -1,4 +1,4 @@
-"""One frame: from an assumed pose to the measured one, by edges sought roughly, then fitted, in two or three rounds."""
+"""Measurement of one frame: from an approximate pose to the measured one, by edges first searched for, then fitted."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.models import docking_view
 from hil.monitor.kernels.edge_samples import ARCS, BAR, SIDES, place_edge_samples
-from hil.monitor.kernels.edges import fit_cells
+from hil.monitor.kernels.edges import fit_edge_samples
 from hil.monitor.kernels.pose import UNKNOWNS, fit_pose, residuals
-from hil.monitor.kernels.search import search_cells
+from hil.monitor.kernels.search import search_edge_samples
 
 MEASURED, TOO_FEW, UNSOLVED = range(3)
 
 TUNING = np.dtype(
     [
-        ("length", "f8"),  # px, of a cell along its edge
-        ("most", "i8"),  # cells of one edge
+        ("length", "f8"),  # px, of a sample along its edge
+        ("most", "i8"),  # samples of one edge
         ("wide_bar", "f8"),  # widths of the blur from which each side of a bar is an edge of its own
         ("wanted", "f8"),  # px to each side of an edge
-        ("reject", "f8"),  # sigmas beyond which a cell's shift is an outlier
+        ("reject", "f8"),  # sigmas beyond which a sample's shift is an outlier
         ("prior_angle", "f8"),  # rad, 1 sigma of the passive angles before anything is measured
         ("prior_growth", "f8"),  # px, 1 sigma of the edges' growth
         ("near_bar", "f8"),  # px, narrower bars are no measure
@@ -38,9 +38,9 @@ _FEWEST = 12
 
 
 @kernel
-def seek(image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, reach, least, cells):
-    """Move ``x`` (7,), a pose some pixels off, to within a fraction of a pixel; return how many cells
-    agree, and the share of all cells that they are."""
+def align_pose(image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, reach, least, samples):
+    """Move ``x`` (7,), a pose some pixels off, to within a fraction of a pixel; return how many samples
+    agree, and the share of all samples that they are."""
     prior = np.empty(2)
     prior[0], prior[1] = tuning.prior_angle, 0.01
     normal = np.empty((UNKNOWNS, UNKNOWNS))
@@ -48,13 +48,13 @@ def seek(image, first_line, line_step, lens, circles, lines, borders, x, camera,
     for turn in range(2 if reach <= 4.0 else 3):
         width = max(reach / (1.0 + 1.5 * turn), 2.0)
         a = docking_view.attitude(x[3:6])
-        count = place_edge_samples(lens, a, x[:3], circles, lines, borders, camera.blur, 8.0, 16, 1e9, 3.0, cells)
-        search_cells(image, first_line, line_step, cells, count, width, least)
+        count = place_edge_samples(lens, a, x[:3], circles, lines, borders, camera.blur, 8.0, 16, 1e9, 3.0, samples)
+        search_edge_samples(image, first_line, line_step, samples, count, width, least)
         for robust in (width, max(0.5 * width, 1.5), max(0.25 * width, 1.0)):
-            if not fit_pose(lens, cells, count, x, robust, prior, 2, normal):
+            if not fit_pose(lens, samples, count, x, robust, prior, 2, normal):
                 return 0, 0.0
         left = np.empty(count)
-        residuals(lens, cells, count, x, left)
+        residuals(lens, samples, count, x, left)
         agree = 0
         for c in range(count):
             if abs(left[c]) < 1.0:
@@ -63,28 +63,28 @@ def seek(image, first_line, line_step, lens, circles, lines, borders, x, camera,
 
 
 @kernel
-def _update_noise(cells, count, camera):
-    """Fit the pixels' variance against the grey value to what the cells' pixels leave unexplained."""
+def _update_noise(samples, count, camera):
+    """Fit the pixels' variance against the grey value to what the samples' pixels leave unexplained."""
     ratios = np.empty(count)
     n = 0
     for c in range(count):
-        if cells[c].good == 1 and cells[c].pixels > 12.0:
-            ratios[n] = cells[c].misfit / (cells[c].pixels - 4.0)
+        if samples[c].good == 1 and samples[c].pixels > 12.0:
+            ratios[n] = samples[c].misfit / (samples[c].pixels - 4.0)
             n += 1
     if n < 6:
         return
     middle = np.median(ratios[:n])
     s0, s1, s2, t0, t1 = 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(count):
-        cell = cells[c]
-        if cell.good != 1 or not cell.pixels > 12.0:
+        sample = samples[c]
+        if sample.good != 1 or not sample.pixels > 12.0:
             continue
-        ratio = cell.misfit / (cell.pixels - 4.0)
+        ratio = sample.misfit / (sample.pixels - 4.0)
         if ratio > 2.5 * middle:
             continue
-        level = max(0.5 * (cell.low + cell.high), 0.0)
+        level = max(0.5 * (sample.low + sample.high), 0.0)
         variance = ratio * (camera.noise_0 + camera.noise_1 * level)
-        weight = cell.pixels / (variance * variance)
+        weight = sample.pixels / (variance * variance)
         s0 += weight
         s1 += weight * level
         s2 += weight * level * level
@@ -103,43 +103,43 @@ def _update_noise(cells, count, camera):
 
 
 @kernel
-def drop_outliers(cells, count, left, reject):
+def drop_outliers(samples, count, left, reject):
     """Set good = 2 where a shift is more than ``reject`` sigmas off, sigma widened by what most shifts scatter."""
     ratios = np.empty(count)
     n = 0
     for c in range(count):
-        if cells[c].good == 1:
-            ratios[n] = abs(left[c]) / math.sqrt(cells[c].variance)
+        if samples[c].good == 1:
+            ratios[n] = abs(left[c]) / math.sqrt(samples[c].variance)
             n += 1
     if n == 0:
         return 0
     scale = max(1.4826 * np.median(ratios[:n]), 1.0)
     kept = 0
     for c in range(count):
-        if cells[c].good == 1:
-            if abs(left[c]) > reject * scale * math.sqrt(cells[c].variance):
-                cells[c].good = 2
+        if samples[c].good == 1:
+            if abs(left[c]) > reject * scale * math.sqrt(samples[c].variance):
+                samples[c].good = 2
             else:
                 kept += 1
     return kept
 
 
 @kernel
-def square_sums(cells, count, left, clusters, sums):
+def square_sums(samples, count, left, clusters, sums):
     """Write what the residuals ``left`` say of the sigmas; sums (4,).
 
-    Square sum of the cells' residuals in their sigmas, number of cells; the same of the means of the straight edges
-    and arcs: errors that the cells of one edge share show there.
+    Square sum of the samples' residuals in their sigmas, number of samples; the same of the means of the straight edges
+    and arcs: errors that the samples of one edge share show there.
     """
     total, n = 0.0, 0
     weights, means = np.zeros(clusters), np.zeros(clusters)
     for c in range(count):
-        cell = cells[c]
-        if cell.good == 1:
-            total += left[c] * left[c] / cell.variance
+        sample = samples[c]
+        if sample.good == 1:
+            total += left[c] * left[c] / sample.variance
             n += 1
-            weights[cell.cluster] += 1.0 / cell.variance
-            means[cell.cluster] += left[c] / cell.variance
+            weights[sample.cluster] += 1.0 / sample.variance
+            means[sample.cluster] += left[c] / sample.variance
     sums[0], sums[1], sums[2], sums[3] = total, n, 0.0, 0.0
     for k in range(clusters):
         if weights[k] > 0.0:
@@ -148,23 +148,27 @@ def square_sums(cells, count, left, clusters, sums):
 
 
 @kernel
-def _leave_out(cells, count, used, camera, near_bar):
-    """Drop cells of features that are not used, bars too narrow to measure, and shifts too uncertain."""
+def _leave_out(samples, count, used, camera, near_bar):
+    """Drop samples of features that are not used, bars too narrow to measure, and shifts too uncertain."""
     for c in range(count):
-        cell = cells[c]
-        if cell.good != 1:
+        sample = samples[c]
+        if sample.good != 1:
             continue
-        if used[cell.feature] == 0 or (cell.kind == BAR and cell.width < near_bar) or not 0.0 < cell.variance < 0.09:
-            cell.good = 0
-        elif cell.misfit > 6.0 * cell.pixels:
-            cell.good = 3
+        if (
+            used[sample.feature] == 0
+            or (sample.kind == BAR and sample.width < near_bar)
+            or not 0.0 < sample.variance < 0.09
+        ):
+            sample.good = 0
+        elif sample.misfit > 6.0 * sample.pixels:
+            sample.good = 3
 
 
 @kernel
 def measure(
-    image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, used, cells, left, normal, sums
+    image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, used, samples, left, normal, sums
 ):
-    """Measure the pose ``x`` (7,), which is right to about a pixel; return (status, number of cells).
+    """Measure the pose ``x`` (7,), which is right to about a pixel; return (status, number of samples).
 
     camera: CAMERA_STATE, brought up to date. used: (features,), 1 where a feature takes part. left: residuals, px.
     normal: (7, 7), of the edges alone. sums: (4,) of ``square_sums``.
@@ -176,24 +180,24 @@ def measure(
     for _ in range(tuning.rounds):
         a = docking_view.attitude(x[3:6])
         count = place_edge_samples(lens, a, x[:3], circles, lines, borders, camera.blur, tuning.length, tuning.most,
-                          tuning.wide_bar * camera.blur, tuning.wanted, cells)  # fmt: skip
+                          tuning.wide_bar * camera.blur, tuning.wanted, samples)  # fmt: skip
         noise[0], noise[1] = camera.noise_0, camera.noise_1
-        fit_cells(image, first_line, line_step, cells, count, camera.blur, noise, 1, blur_sums)
-        _leave_out(cells, count, used, camera, tuning.near_bar)
-        _update_noise(cells, count, camera)
+        fit_edge_samples(image, first_line, line_step, samples, count, camera.blur, noise, 1, blur_sums)
+        _leave_out(samples, count, used, camera, tuning.near_bar)
+        _update_noise(samples, count, camera)
         if blur_sums[1] > 0.0:
             step = min(max(blur_sums[0] / blur_sums[1], -0.3), 0.3)
             camera.blur = min(max(camera.blur + step, 0.3), 4.0)
         for _ in range(3):
-            if not fit_pose(lens, cells, count, x, 0.0, prior, 1, normal):
+            if not fit_pose(lens, samples, count, x, 0.0, prior, 1, normal):
                 return UNSOLVED, count
-            residuals(lens, cells, count, x, left)
-            if drop_outliers(cells, count, left, tuning.reject) < _FEWEST:
+            residuals(lens, samples, count, x, left)
+            if drop_outliers(samples, count, left, tuning.reject) < _FEWEST:
                 return TOO_FEW, count
-    if not fit_pose(lens, cells, count, x, 0.0, prior, 1, normal):
+    if not fit_pose(lens, samples, count, x, 0.0, prior, 1, normal):
         return UNSOLVED, count
-    residuals(lens, cells, count, x, left)
-    square_sums(cells, count, left, clusters, sums)
+    residuals(lens, samples, count, x, left)
+    square_sums(samples, count, left, clusters, sums)
     return MEASURED, count
 
 
@@ -214,7 +218,7 @@ def label_contrasts(image, first_line, line_step, lens, x, circles, out):
         seen = docking_view.to_camera(a, x[:3], p)
         if seen[2] < 1e-3:
             continue
-        u, v = docking_view.picture_point(lens[0], lens[1], lens[2], seen)
+        u, v = docking_view.project_point(lens[0], lens[1], lens[2], seen)
         radius = lens[0] * c.radius / seen[2]
         out[i] = _spot(image, first_line, line_step, u, v, radius)
 

@@ -78,12 +78,12 @@ def _add_prior(normal, right, x, prior):
 
 
 @kernel
-def fit_pose(lens, cells, count, pose, robust, prior, turns, normal):
-    """Improve ``pose`` (7,): d, m, phi, rad, growth, px, by the shifts of the cells.
+def fit_pose(lens, samples, count, pose, robust, prior, turns, normal):
+    """Improve ``pose`` (7,): d, m, phi, rad, growth, px, by the shifts of the samples.
 
     normal: (7, 7), becomes the normal matrix of the edges alone.
 
-    Cells with good = 1 take part. robust: px; above 0, cells are weighted alike but for Tukey's weight of that
+    Cells with good = 1 take part. robust: px; above 0, samples are weighted alike but for Tukey's weight of that
     reach; at 0 by the inverse of their variance. Returns whether the pose is determined (with the prior).
     """
     a = docking_view.attitude(pose[3:6])
@@ -97,15 +97,15 @@ def fit_pose(lens, cells, count, pose, robust, prior, turns, normal):
             for j in range(UNKNOWNS):
                 normal[i, j] = 0.0
         for c in range(count):
-            cell = cells[c]
-            if cell.good != 1:
+            sample = samples[c]
+            if sample.good != 1:
                 continue
-            u, v = point_row(lens, a, slopes, pose[:3], cell.y1, cell.y2, cell.y3, cell.nu, cell.nv, row)
-            row[6] = 1.0 if cell.kind == STEP else 0.0
-            left = cell.shift - (cell.nu * (u - cell.u) + cell.nv * (v - cell.v)) - row[6] * pose[6]
+            u, v = point_row(lens, a, slopes, pose[:3], sample.y1, sample.y2, sample.y3, sample.nu, sample.nv, row)
+            row[6] = 1.0 if sample.kind == STEP else 0.0
+            left = sample.shift - (sample.nu * (u - sample.u) + sample.nv * (v - sample.v)) - row[6] * pose[6]
             if not math.isfinite(left):
                 return False
-            weight = 1.0 / max(cell.variance, 1e-12)
+            weight = 1.0 / max(sample.variance, 1e-12)
             if robust > 0.0:
                 inside = 1.0 - (left / robust) ** 2
                 weight = inside * inside if inside > 0.0 else 0.0
@@ -130,17 +130,17 @@ def fit_pose(lens, cells, count, pose, robust, prior, turns, normal):
 
 
 @kernel
-def residuals(lens, cells, count, pose, left):
-    """Write each cell's shift against where ``pose`` has the edge, px (nan for cells that are not good)."""
+def residuals(lens, samples, count, pose, left):
+    """Write each sample's shift against where ``pose`` has the edge, px (nan for samples that are not good)."""
     a = docking_view.attitude(pose[3:6])
     p = np.empty(3)
     for c in range(count):
-        cell = cells[c]
+        sample = samples[c]
         left[c] = np.nan
-        if cell.good == 1:
-            p[0], p[1], p[2] = cell.y1, cell.y2, cell.y3
+        if sample.good == 1:
+            p[0], p[1], p[2] = sample.y1, sample.y2, sample.y3
             x = docking_view.to_camera(a, pose[:3], p)
-            u, v = docking_view.picture_point(lens[0], lens[1], lens[2], x)
-            left[c] = cell.shift - (cell.nu * (u - cell.u) + cell.nv * (v - cell.v))
-            if cell.kind == STEP:
+            u, v = docking_view.project_point(lens[0], lens[1], lens[2], x)
+            left[c] = sample.shift - (sample.nu * (u - sample.u) + sample.nv * (v - sample.v))
+            if sample.kind == STEP:
                 left[c] -= pose[6]

@@ -61,13 +61,13 @@ def derive(w: Floats, covariance: Floats) -> tuple[Floats, Floats]:
 
 
 @kernel
-def of_chaser(places, r_CT_H, q_CH, values):
+def of_chaser(mounting, r_CT_H, q_CH, values):
     """Write QUANTITIES (12,), SI, of a chaser at rest at ``r_CT_H`` (3,), m, with ``q_CH`` (4,).
 
-    places: MOUNTING of the television camera and the docking target.
+    mounting: MOUNTING of the television camera and the docking target.
     """
     t_v, q_vt, d, phi, w = np.empty(3), np.empty(4), np.empty(3), np.empty(3), np.zeros(12)
-    camera_pose(places, r_CT_H, q_CH, t_v, q_vt)
+    camera_pose(mounting, r_CT_H, q_CH, t_v, q_vt)
     docking_view.of_camera_pose(t_v, q_vt, d, phi)
     for i in range(3):
         w[2 * i], w[6 + 2 * i] = d[i], phi[i]
@@ -75,7 +75,7 @@ def of_chaser(places, r_CT_H, q_CH, values):
 
 
 @kernel
-def _of_moved(places, z_TC_C, q_CH, k, step, values):
+def _of_moved(mounting, z_TC_C, q_CH, k, step, values):
     """Write QUANTITIES for the measured pose with its error's component k (z_TC_C, then the turn of c) at ``step``."""
     turn, z = np.zeros(3), z_TC_C.copy()
     if k < 3:
@@ -86,17 +86,17 @@ def _of_moved(places, z_TC_C, q_CH, k, step, values):
     r = quat.transform_back(q, z)
     for i in range(3):
         r[i] = -r[i]
-    of_chaser(places, r, q, values)
+    of_chaser(mounting, r, q, values)
 
 
 @kernel
-def of_measured_pose(places, z_TC_C, covariance_position, q_CH, covariance_attitude, values, sigmas):
+def of_measured_pose(mounting, z_TC_C, covariance_position, q_CH, covariance_attitude, values, sigmas):
     """Write QUANTITIES and their sigmas, (12,) each, SI, of a measured pose (POSE); the range rate stays nan."""
     ahead, behind, slopes = np.empty(12), np.empty(12), np.empty((12, 6))
-    _of_moved(places, z_TC_C, q_CH, 0, 0.0, values)
+    _of_moved(mounting, z_TC_C, q_CH, 0, 0.0, values)
     for k in range(6):
-        _of_moved(places, z_TC_C, q_CH, k, _POSE_STEP, ahead)
-        _of_moved(places, z_TC_C, q_CH, k, -_POSE_STEP, behind)
+        _of_moved(mounting, z_TC_C, q_CH, k, _POSE_STEP, ahead)
+        _of_moved(mounting, z_TC_C, q_CH, k, -_POSE_STEP, behind)
         for i in range(12):
             slopes[i, k] = (ahead[i] - behind[i]) / (2.0 * _POSE_STEP)
     for i in range(12):

@@ -13,7 +13,7 @@ _MOST = 129
 
 
 @kernel
-def sample(image, first_line, line_step, u, v):
+def interpolate(image, first_line, line_step, u, v):
     """Return the grey value at (u, v), px, between the four pixels around it; nan outside of the picture."""
     r = (v - first_line) / line_step
     i, j = math.floor(r), math.floor(u)
@@ -26,17 +26,17 @@ def sample(image, first_line, line_step, u, v):
 
 
 @kernel
-def _profile(image, first_line, line_step, cell, steps, out):
+def _profile(image, first_line, line_step, sample, steps, out):
     """Write the mean grey values of three paths across the edge at s = -steps .. steps px; False at the border."""
-    tu, tv = -cell.nv, cell.nu
-    spread = min(0.35 * cell.length, 2.0)
+    tu, tv = -sample.nv, sample.nu
+    spread = min(0.35 * sample.length, 2.0)
     for k in range(2 * steps + 1):
         s = float(k - steps)
         total = 0.0
         for path in range(-1, 2):
-            u = cell.u + s * cell.nu + path * spread * tu
-            v = cell.v + s * cell.nv + path * spread * tv
-            total += sample(image, first_line, line_step, u, v)
+            u = sample.u + s * sample.nu + path * spread * tu
+            v = sample.v + s * sample.nv + path * spread * tv
+            total += interpolate(image, first_line, line_step, u, v)
         out[k] = total / 3.0
         if not math.isfinite(out[k]):
             return False
@@ -44,24 +44,24 @@ def _profile(image, first_line, line_step, cell, steps, out):
 
 
 @kernel
-def search_cells(image, first_line, line_step, cells, count, reach, least):
-    """Set each cell's shift to where the profile across it is steepest (darkest or brightest, for a bar).
+def search_edge_samples(image, first_line, line_step, samples, count, reach, least):
+    """Set each sample's shift to where the profile across it is steepest (darkest or brightest, for a bar).
 
     reach: px to each side. least: grey values, smaller steps are noise. ``low``, ``high``: grey values on both sides.
     """
     profile, response = np.empty(_MOST), np.empty(_MOST)
     steps = int(min(reach + 4.0, (_MOST - 1) // 2))
     for c in range(count):
-        cell = cells[c]
-        cell.good = 0
-        if not _profile(image, first_line, line_step, cell, steps, profile):
+        sample = samples[c]
+        sample.good = 0
+        if not _profile(image, first_line, line_step, sample, steps, profile):
             continue
-        half = 0.5 * cell.width
+        half = 0.5 * sample.width
         best, place = 0.0, -1
         for k in range(2 * steps + 1):
             response[k] = 0.0
         for k in range(3, 2 * steps - 2):
-            if cell.kind == BAR:
+            if sample.kind == BAR:
                 far = int(half + 2.0)
                 if k - far < 0 or k + far > 2 * steps:
                     continue
@@ -77,7 +77,7 @@ def search_cells(image, first_line, line_step, cells, count, reach, least):
         before, here, after = abs(response[place - 1]), abs(best), abs(response[place + 1])
         bend = before - 2.0 * here + after
         offset = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-        cell.shift = place - steps + min(max(offset, -0.5), 0.5)
-        cell.variance = 0.25
-        cell.low, cell.high = profile[place], profile[place] + best
-        cell.good = 1
+        sample.shift = place - steps + min(max(offset, -0.5), 0.5)
+        sample.variance = 0.25
+        sample.low, sample.high = profile[place], profile[place] + best
+        sample.good = 1

@@ -76,26 +76,26 @@ def circle(points: Floats, variances: Floats) -> tuple[Floats, Floats]:
     return found, np.asarray(np.linalg.inv(normal))
 
 
-def paper_frame(lens: Floats, cells: Any) -> PaperFrame | None:
-    """Return X_C, Y_C, a, X_O, Y_O, R of the measured cells, or None where there are not enough of them."""
-    used = cells["good"] == 1
-    x = cells["u"] + cells["shift"] * cells["nu"] - lens[1]
-    y = lens[2] - cells["v"] - cells["shift"] * cells["nv"]
+def paper_frame(lens: Floats, samples: Any) -> PaperFrame | None:
+    """Return X_C, Y_C, a, X_O, Y_O, R of the measured samples, or None where there are not enough of them."""
+    used = samples["good"] == 1
+    x = samples["u"] + samples["shift"] * samples["nu"] - lens[1]
+    y = lens[2] - samples["v"] - samples["shift"] * samples["nv"]
     bars = []
     for bar in (ACROSS, UPRIGHT):
-        chosen = used & (cells["feature"] == bar)
+        chosen = used & (samples["feature"] == bar)
         if chosen.sum() < _FEWEST:
             return None
         # outwards is up (right) on one side of a bar and down (left) on the other
-        outwards = -cells["nv"][chosen] if bar == ACROSS else -cells["nu"][chosen]
-        side = np.where(cells["kind"][chosen] == BAR, 0.0, np.sign(outwards))
-        bars.append(np.column_stack((x[chosen], y[chosen], cells["variance"][chosen], side)))
-    disc = used & (cells["feature"] == DISC)
+        outwards = -samples["nv"][chosen] if bar == ACROSS else -samples["nu"][chosen]
+        side = np.where(samples["kind"][chosen] == BAR, 0.0, np.sign(outwards))
+        bars.append(np.column_stack((x[chosen], y[chosen], samples["variance"][chosen], side)))
+    disc = used & (samples["feature"] == DISC)
     if disc.sum() < 2 * _FEWEST + 2:
         return None
     try:
         cross, cross_covariance = cross_centre(*bars)
-        round_, round_covariance = circle(np.column_stack((x[disc], y[disc])), cells["variance"][disc])
+        round_, round_covariance = circle(np.column_stack((x[disc], y[disc])), samples["variance"][disc])
     except np.linalg.LinAlgError:
         return None
     covariance = np.zeros((6, 6))

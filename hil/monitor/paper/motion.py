@@ -50,25 +50,25 @@ class PaperMotionFit:
         self._settings = settings
         self._f, self._b, self._r = focal, offset, radius
         self._printed = settings.motion == "printed"
-        self.before: PaperState | None = None
+        self.previous: PaperState | None = None
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Start anew with the next portion."""
-        self.before = None
+        self.previous = None
 
-    def fit(self, looks: Sequence[FrameResult], t_s: float) -> MotionSolution | None:
-        """Return the motion at ``t_s`` by the used frames ``looks``; None where it is not determined."""
-        frames = [(look.seen.t_s, look.paper) for look in looks if look.paper is not None]
-        if len(frames) < 3:
+    def fit(self, frames: Sequence[FrameResult], t_s: float) -> MotionSolution | None:
+        """Return the motion at ``t_s`` by the used frames ``frames``; None where it is not determined."""
+        used = [(frame.detection.t_s, frame.paper) for frame in frames if frame.paper is not None]
+        if len(used) < 3:
             return None
-        state, squares = self._solve([(t, paper) for t, paper in frames if paper is not None], t_s)
+        state, squares = self._solve(used, t_s)
         if state is None:
             return None
-        self.before = state
-        return self._as_fit(state, len(frames), squares, t_s)
+        self.previous = state
+        return self._as_fit(state, len(used), squares, t_s)
 
     def _solve(self, frames: list[tuple[float, PaperFrame]], t_s: float) -> tuple[PaperState | None, float]:
-        before = self.before
+        before = self.previous
         origin = t_s if not self._printed else (before.origin_s if before is not None else frames[0][0])
         times = np.array([t for t, _ in frames]) - origin
         values = np.array([paper.values for _, paper in frames])
@@ -116,14 +116,14 @@ class PaperMotionFit:
         ))  # fmt: skip
         weights = 1.0 / variances
         z = z0.copy() if carried else self._start(times, values)
-        matter = np.zeros((6, 6))
+        information = np.zeros((6, 6))
         for _ in range(_TURNS):
             model, slopes = self._model(times, z)
             left = measured - model
-            matter = np.einsum("ki,kia,kib->ab", weights, slopes, slopes)
+            information = np.einsum("ki,kia,kib->ab", weights, slopes, slopes)
             right = np.einsum("ki,kia,ki->a", weights, slopes, left) + c @ (z0 - z)
             try:
-                step = np.linalg.solve(matter + c, right)
+                step = np.linalg.solve(information + c, right)
             except np.linalg.LinAlgError:
                 return None
             z = z + step
@@ -131,15 +131,15 @@ class PaperMotionFit:
                 break
         left = measured - self._model(times, z)[0]
         own = float(np.sum(weights * left**2))
-        normal = matter + c
+        normal = information + c
         inverse: Floats = np.asarray(np.linalg.inv(normal), float)
         freedom = max(3 * len(times) - 6, 1)
         if self._printed:
             square = (own + float((z - z0) @ c @ (z - z0))) / freedom
             return z, normal, square * inverse, square
         # the fit takes as many degrees of freedom from the residuals as the portion itself determines
-        square = own / max(3.0 * len(times) - float(np.trace(inverse @ matter)), 1.0)
-        return z, normal, inverse @ (c @ p0 @ c + max(square, 1e-3) * matter) @ inverse, square
+        square = own / max(3.0 * len(times) - float(np.trace(inverse @ information)), 1.0)
+        return z, normal, inverse @ (c @ p0 @ c + max(square, 1e-3) * information) @ inverse, square
 
     def _start(self, times: Floats, values: Floats) -> Floats:
         f, b = self._f, self._b
@@ -163,8 +163,8 @@ class PaperMotionFit:
         rows = np.column_stack((np.ones(len(times)), times))
         for i in range(3):
             at = slice(2 * i, 2 * i + 2)
-            matter = rows.T @ rows / variances[:, i].mean()
-            total = matter + c[at, at]
+            information = rows.T @ rows / variances[:, i].mean()
+            total = information + c[at, at]
             right = rows.T @ alphas[:, i] / variances[:, i].mean() + c[at, at] @ v0[at]
             inverse = np.linalg.inv(total)
             v[at] = inverse @ right
@@ -174,8 +174,8 @@ class PaperMotionFit:
                 square = (own + float(step @ c[at, at] @ step)) / max(len(times) - 2, 1)
                 covariance[at, at] = square * inverse
             else:
-                square = own / max(len(times) - float(np.trace(inverse @ matter)), 1.0)
-                covariance[at, at] = inverse @ (c[at, at] @ p0[at, at] @ c[at, at] + square * matter) @ inverse
+                square = own / max(len(times) - float(np.trace(inverse @ information)), 1.0)
+                covariance[at, at] = inverse @ (c[at, at] @ p0[at, at] @ c[at, at] + square * information) @ inverse
             normal[at, at] = total
         return v, normal, covariance
 

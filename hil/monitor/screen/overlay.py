@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.camera_images import Shape
-from hil.monitor.results import Portion, Seen
+from hil.monitor.results import FrameDetection, Portion
 
 REGION, CIRCLE, CROSS, EDGE, STATUS, NUMBER = "region", "circle", "cross", "edge", "status", "number"
 """Parts: region of interest, outline and disc, the cross' bars, measured points, lines of words."""
@@ -37,7 +37,7 @@ _LEFT_PX: Final = 8
 _LINE_PX: Final = 17
 
 
-def shapes(seen: Seen) -> list[Shape]:
+def shapes(seen: FrameDetection) -> list[Shape]:
     """Return what was found in a frame, in px of the whole picture, but for its edges."""
     found: list[Shape] = []
     good = not is_bad(seen.status)
@@ -62,17 +62,17 @@ def shapes(seen: Seen) -> list[Shape]:
     return found
 
 
-def words(seen: Seen) -> str:
+def caption(seen: FrameDetection) -> str:
     """Return what is said of a frame in a line."""
     return f"{seen.status}   t = {seen.t_s:.2f} s   frame {seen.number}"
 
 
-def with_words(seen: Seen, portion: Portion | None) -> list[Shape]:
+def annotated_shapes(seen: FrameDetection, portion: Portion | None) -> list[Shape]:
     """Return all that is drawn over a picture that stands by itself; what matters most comes first.
 
     portion: the newest one, whose numbers stand under the status. Of many edges every so-manieth is shown.
     """
-    lines = [(words(seen), not is_bad(seen.status), STATUS), *_numbers(portion)]
+    lines = [(caption(seen), not is_bad(seen.status), STATUS), *_numbers(portion)]
     found: list[Shape] = [
         {"kind": "text", "at": [_LEFT_PX, _LINE_PX * (row + 1)], "text": text, "good": good, "part": part}
         for row, (text, good, part) in enumerate(lines)

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from hil.config.scene import SceneCamera
 from hil.errors import BadInput
-from hil.monitor.results import Portion, Seen
+from hil.monitor.results import FrameDetection, Portion
 from hil.monitor.screen import drawing, plots
 from hil.monitor.screen.drawing import Canvas
-from hil.monitor.screen.overlay import CIRCLE, CROSS, NUMBERS, REGION, is_bad, shapes, words
+from hil.monitor.screen.overlay import CIRCLE, CROSS, NUMBERS, REGION, caption, is_bad, shapes
 from hil.monitor.sources import WHOLE, VideoFrame
 
 WIDTH: Final = 1600
@@ -42,7 +42,7 @@ class Screen:
         self._draw_numbers(None)
         self._draw_plots()
 
-    def show_frame(self, frame: VideoFrame, seen: Seen) -> None:
+    def show_frame(self, frame: VideoFrame, seen: FrameDetection) -> None:
         """Show a frame and what was seen in it."""
         image = frame.image
         if frame.field != WHOLE:
@@ -65,7 +65,7 @@ class Screen:
         found: NDArray[np.float64] = (points + 0.5) * self._scale - 0.5
         return found
 
-    def _draw_seen(self, place: Canvas, seen: Seen) -> None:
+    def _draw_seen(self, place: Canvas, seen: FrameDetection) -> None:
         for shape in shapes(seen):
             colour = _COLOURS[shape["part"]]
             if shape["kind"] == "circle":
@@ -75,7 +75,7 @@ class Screen:
                 drawing.line(place, self._place(np.array([shape["from"], shape["to"]])), colour)
         drawing.dots(place, self._place(np.asarray(seen.edges, float).reshape(-1, 2)), drawing.ORANGE)
         place[:24] = place[:24] // 3
-        drawing.text(place, words(seen), 8, 17, drawing.VERMILION if is_bad(seen.status) else drawing.WHITE, 0.5)
+        drawing.text(place, caption(seen), 8, 17, drawing.VERMILION if is_bad(seen.status) else drawing.WHITE, 0.5)
 
     def _draw_numbers(self, portion: Portion | None) -> None:
         panel = self.canvas[_PICTURE[1] :, : _PICTURE[0]]

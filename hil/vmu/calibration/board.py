@@ -13,9 +13,17 @@ from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.maths import euler, quat
 from hil.vmu.calibration.hand_eye import hand_eye
-from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, TurntableModel
+from hil.vmu.calibration.model import PARTS, SIDES, Observations, Setup, TurntableModel
 from hil.vmu.calibration.views import Views, read_pair
-from hil.vmu.kernels.chain import BASELINE, CAMERA_STATION, CAMERA_TURN, SCALE, TARGET_STATION, TARGET_TURN, TURN
+from hil.vmu.kernels.chain import (
+    BASELINE,
+    CAMERA_POSITION,
+    CAMERA_ROTATION,
+    ROTATION,
+    SCALE,
+    TARGET_POSITION,
+    TARGET_ROTATION,
+)
 
 CORNER_SIGMA_PX = 0.1
 """to begin with; the fit finds how good the corners are"""
@@ -56,7 +64,7 @@ def find_corners(image: np.ndarray, board: Board) -> Array | None:
     return np.where(np.linalg.norm(places - before, axis=1, keepdims=True) < _FARTHEST_PX, places, before)
 
 
-def sightings(views: Views, board: Board, tell: Callable[[str, float], None]) -> tuple[Sightings, Array]:
+def observations(views: Views, board: Board, progress: Callable[[str, float], None]) -> tuple[Observations, Array]:
     """Return the corners of all views that show the board to both cameras, and the images' sizes (2, 2).
 
     Raises BadInput where too few do.
@@ -65,7 +73,7 @@ def sightings(views: Views, board: Board, tell: Callable[[str, float], None]) ->
     m = board.columns * board.rows
     pixels = np.full((len(views.names), 2, m, 2), np.nan)
     for k, name in enumerate(views.names):
-        tell(f"corners of view {name}", k / len(views.names))
+        progress(f"corners of view {name}", k / len(views.names))
         pair = read_pair(views, k, sizes)
         if sizes is None:
             sizes = np.array([image.shape[::-1] for image in pair], dtype=float)
@@ -81,7 +89,7 @@ def sightings(views: Views, board: Board, tell: Callable[[str, float], None]) ->
         )
         raise BadInput.single("--board", "", f"{text} to both cameras, {LEAST_VIEWS} are needed")
     covariance = np.broadcast_to(CORNER_SIGMA_PX**2 * np.eye(2), (*pixels.shape, 2)).copy()
-    return Sightings(views.names, views.axes, pixels, covariance).only(np.flatnonzero(both)), sizes
+    return Observations(views.names, views.axes, pixels, covariance).only(np.flatnonzero(both)), sizes
 
 
 def _same_end_first(pixels: Array) -> None:
@@ -95,7 +103,7 @@ def _matrix(numbers: Array) -> Array:
     return np.array([[numbers[0], 0.0, numbers[2]], [0.0, numbers[1], numbers[3]], [0.0, 0.0, 1.0]])
 
 
-def _intrinsics(seen: Sightings, points: Array, side: int, size: Array, guess: Array | None) -> Array:
+def _intrinsics(seen: Observations, points: Array, side: int, size: Array, guess: Array | None) -> Array:
     """Return the nine numbers of one camera from its own views of the board (Zhang's method, then all of them)."""
     objects = [points.astype(np.float32)] * len(seen.names)
     images = [pixels.astype(np.float32) for pixels in seen.pixels[:, side]]
@@ -122,7 +130,9 @@ def _pose(points: Array, pixels: Array, numbers: Array) -> tuple[Array, Array]:
     ).ravel()
 
 
-def _stereo(seen: Sightings, points: Array, left: Array, right: Array, size: Array) -> tuple[Array, Array, np.ndarray]:
+def _stereo(
+    seen: Observations, points: Array, left: Array, right: Array, size: Array
+) -> tuple[Array, Array, np.ndarray]:
     """Return rotation vector and baseline of the right camera, and the views whose pairs agree."""
     poses = [
         (k, _pose(points, seen.pixels[k, 0], left), _pose(points, seen.pixels[k, 1], right))
@@ -155,11 +165,11 @@ def _stereo(seen: Sightings, points: Array, left: Array, right: Array, size: Arr
 
 
 def start(
-    seen: Sightings, board: Board, nominal: Setup, turntable: TurntableModel, keep: tuple[str, ...], guess: bool
-) -> tuple[Setup, Sightings, tuple[str, ...]]:
+    seen: Observations, board: Board, nominal: Setup, turntable: TurntableModel, keep: tuple[str, ...], guess: bool
+) -> tuple[Setup, Observations, tuple[str, ...]]:
     """Return cameras, mounting and board as OpenCV and the hand-eye start have them.
 
-    Also the sightings with both ends of the board told apart, and the names of the views that do not fit at all.
+    Also the observations with both ends of the board told apart, and the names of the views that do not fit at all.
     guess: begin the cameras at ``nominal``, whose points are the board's.
     """
     theta = nominal.theta.copy()
@@ -170,31 +180,31 @@ def start(
     left, right = theta[PARTS["left"]], theta[PARTS["right"]]
     turn, baseline, agree = _stereo(seen, nominal.points, left, right, nominal.sizes[0])
     if "stereo" not in keep:
-        theta[TURN:BASELINE], theta[BASELINE:CAMERA_TURN] = turn, baseline
+        theta[ROTATION:BASELINE], theta[BASELINE:CAMERA_ROTATION] = turn, baseline
     poses = [_pose(nominal.points, seen.pixels[k, 0], left) for k in agree]
     gimbals = np.array(
         [quat.to_matrix(euler.to_quaternion(np.ascontiguousarray(seen.axes[k, 3:]), turntable.order)) for k in agree]
     )
-    turns, flipped = _ends_told_apart(np.array([pose[0] for pose in poses]), gimbals)
+    turns, flipped = _resolve_ends(np.array([pose[0] for pose in poses]), gimbals)
     pixels = seen.pixels.copy()
     for k in agree[flipped]:
         pixels[k] = pixels[k, :, ::-1]
     places = np.array([pose[1] for pose in poses])
-    arm = turntable.lever_arm + theta[CAMERA_STATION:TARGET_TURN]
+    arm = turntable.lever_arm + theta[CAMERA_POSITION:TARGET_ROTATION]
     found = hand_eye(turns, places, gimbals, seen.axes[agree, :3], nominal.camera_axes, arm)
     camera_axes = found.camera_axes
     if "mounting" in keep:
         camera_axes = nominal.camera_axes
     else:
-        theta[CAMERA_STATION:TARGET_TURN] = found.arm - turntable.lever_arm
-    theta[TARGET_STATION:SCALE] = found.station
+        theta[CAMERA_POSITION:TARGET_ROTATION] = found.arm - turntable.lever_arm
+    theta[TARGET_POSITION:SCALE] = found.station
     begun = replace(nominal, theta=theta, camera_axes=camera_axes, target_axes=np.ascontiguousarray(found.target_axes))
     good = set(agree[found.good])
     bad = tuple(name for k, name in enumerate(seen.names) if k not in good)
     return begun, replace(seen, pixels=pixels), bad
 
 
-def _ends_told_apart(turns: Array, gimbals: Array) -> tuple[Array, Array]:
+def _resolve_ends(turns: Array, gimbals: Array) -> tuple[Array, Array]:
     """Return the turns with boards that were read from the other end turned by half a turn, and which were.
 
     The turn from one view to the next has the angle by which the turntable turned.

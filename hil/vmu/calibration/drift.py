@@ -14,8 +14,8 @@ import numpy as np
 from scipy.stats import f
 
 from hil.core.messages import Array
-from hil.vmu.calibration.files import MOST_LEDS, Calibrated
-from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel, see
+from hil.vmu.calibration.files import MOST_LEDS, StoredCalibration
+from hil.vmu.calibration.model import PARTS, Observations, Setup, TurntableModel, project_view
 from hil.vmu.calibration.refine import information, layout_basis
 from hil.vmu.kernels.chain import COMMON
 
@@ -86,7 +86,7 @@ class _Score:
         return _Score(self.gradient - self.matrix @ change, self.matrix - moved @ self.matrix, self.square - gain)
 
 
-def check(known: Calibrated, seen: Sightings, setup: Setup, target_moved: bool) -> Drift:
+def check(known: StoredCalibration, seen: Observations, setup: Setup, target_moved: bool) -> Drift:
     """Return how far ``seen`` is from what ``known`` expects.
 
     setup: that of ``known``, with the points of today's target; where ``target_moved`` the target's place is only
@@ -120,7 +120,7 @@ def check(known: Calibrated, seen: Sightings, setup: Setup, target_moved: bool) 
     together = float(f.sf(square / freedom / noise2, freedom, left))
     # all parts at once and each alone are so many tries at a small chance (Bonferroni)
     chance = min(1.0, (1 + len(explanations)) * min(together, *(e.chance for e in explanations)))
-    counts = (len(seen.names), int(seen.seen.sum()))
+    counts = (len(seen.names), int(seen.visible.sum()))
     return Drift(*counts, found.rms_px, math.sqrt(noise2), square / noise2, freedom, chance, tuple(explanations), alike)
 
 
@@ -148,11 +148,11 @@ def _directions(setup: Setup, size: int) -> dict[str, Array]:
     return found
 
 
-def _shift_px(seen: Sightings, setup: Setup, turntable: TurntableModel, change: Array) -> float:
+def _shift_px(seen: Observations, setup: Setup, turntable: TurntableModel, change: Array) -> float:
     """Return the RMS of what ``change`` does to the coordinates of all pixels that were seen."""
     moves = []
-    for axes, here in zip(seen.axes, seen.seen, strict=True):
-        slopes = see(setup, turntable, axes)
+    for axes, here in zip(seen.axes, seen.visible, strict=True):
+        slopes = project_view(setup, turntable, axes)
         by_point = np.zeros(3 * len(setup.points)) if len(change) == COMMON else change[COMMON:]
         along = slopes.by_common @ change[:COMMON]
         along += np.einsum("cmab,mb->cma", slopes.by_point, by_point.reshape(-1, 3))

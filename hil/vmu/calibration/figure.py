@@ -31,8 +31,8 @@ def draw(outcome: CalibrationOutcome, path: str) -> None:
 
 
 def _residuals(outcome: CalibrationOutcome, side: int, plot: Any) -> None:
-    seen, fit = outcome.solved.sightings, outcome.solved.fit
-    mask = seen.seen[:, side]
+    seen, fit = outcome.solved.observations, outcome.solved.fit
+    mask = seen.visible[:, side]
     at, off = seen.pixels[:, side][mask], fit.residuals[:, side][mask]
     width, height = fit.setup.sizes[side]
     stretch = 0.04 * width / max(float(np.hypot(*off.T).max(initial=0.0)), 1e-6)
@@ -48,7 +48,7 @@ def _residuals(outcome: CalibrationOutcome, side: int, plot: Any) -> None:
 
 
 def _views(outcome: CalibrationOutcome, plot: Any) -> None:
-    fit, names = outcome.solved.fit, outcome.solved.sightings.names
+    fit, names = outcome.solved.fit, outcome.solved.observations.names
     rms = np.sqrt(np.nanmean(np.square(fit.residuals), axis=(1, 2, 3)))
     plot.bar(np.arange(len(names)), rms, color=_BLUE)
     plot.axhline(fit.rms_px, color=_ORANGE, linewidth=1.0)

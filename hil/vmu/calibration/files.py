@@ -17,13 +17,13 @@ from hil.vmu.calibration.model import SIDES, Setup, TurntableModel, camera_of, l
 from hil.vmu.calibration.refine import RefinementFit
 from hil.vmu.kernels.chain import (
     BASELINE,
-    CAMERA_STATION,
-    CAMERA_TURN,
+    CAMERA_POSITION,
+    CAMERA_ROTATION,
     COMMON,
+    ROTATION,
     SCALE,
-    TARGET_STATION,
-    TARGET_TURN,
-    TURN,
+    TARGET_POSITION,
+    TARGET_ROTATION,
 )
 
 _ORDER = "xyz"
@@ -48,8 +48,8 @@ def geometry_table(
     on_leds = label.target == "leds"
     table: dict[str, Any] = {
         "leds_m": setup.points.tolist() if on_leds else [list(led) for led in nominal.leds_m],
-        "baseline_m": setup.theta[BASELINE:CAMERA_TURN].tolist(),
-        "right_rotation_rad": setup.theta[TURN:BASELINE].tolist(),
+        "baseline_m": setup.theta[BASELINE:CAMERA_ROTATION].tolist(),
+        "right_rotation_rad": setup.theta[ROTATION:BASELINE].tolist(),
     }
     if nominal.marked_led is not None:
         table["marked_led"] = nominal.marked_led
@@ -70,7 +70,7 @@ def geometry_table(
         "lever_arm_m": turntable.lever_arm.tolist(),
         "gimbal_order": "".join(_ORDER[k] for k in turntable.order),
         **mounting_keys(setup),
-        "target_position_m": setup.theta[TARGET_STATION:SCALE].tolist(),
+        "target_position_m": setup.theta[TARGET_POSITION:SCALE].tolist(),
         "target_axes": setup.target_axes.T.tolist(),
         "sigma": {
             f"{p.name}_{p.unit}" if p.unit else p.name: float(s * p.shown)
@@ -85,7 +85,7 @@ def geometry_table(
 def mounting_keys(setup: Setup) -> dict[str, Any]:
     """Return the keys of a rig file's ``[bench]`` that say where the left camera is."""
     return {
-        "camera_position_m": setup.theta[CAMERA_STATION:TARGET_TURN].tolist(),
+        "camera_position_m": setup.theta[CAMERA_POSITION:TARGET_ROTATION].tolist(),
         "camera_axes": setup.camera_axes.tolist(),
     }
 
@@ -96,7 +96,7 @@ def rig_table(setup: Setup, on_leds: bool) -> dict[str, Any]:
     if not on_leds:
         return {"bench": bench}
     bench |= {
-        "led_ring_position_m": setup.theta[TARGET_STATION:SCALE].tolist(),
+        "led_ring_position_m": setup.theta[TARGET_POSITION:SCALE].tolist(),
         "led_ring_axes": setup.target_axes.T.tolist(),
     }
     return {"bench": bench, "vmu": {"leds_m": setup.points.tolist()}}
@@ -136,7 +136,7 @@ def _value(value: Any) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibrated:
+class StoredCalibration:
     """A calibration that was read back. covariance: of COMMON, or COMMON + 3 m. noise: of the pixels."""
 
     label: Label
@@ -148,7 +148,7 @@ class Calibrated:
     sensor: Sensor | None = None
 
 
-def read_back(geometry: VmuGeometry, source: str) -> Calibrated:
+def read_back(geometry: VmuGeometry, source: str) -> StoredCalibration:
     """Return the calibration in a geometry file; raise BadInput where it has none."""
     found = geometry.calibration
     if found is None:
@@ -163,9 +163,9 @@ def read_back(geometry: VmuGeometry, source: str) -> Calibrated:
         covariance[: k + 1, k] = row
     theta = np.zeros(COMMON)
     theta[0:9], theta[9:18] = lens_numbers(geometry.left), lens_numbers(geometry.right)
-    theta[TURN:BASELINE], theta[BASELINE:CAMERA_TURN] = geometry.right_rotation_rad, geometry.baseline_m
-    theta[CAMERA_STATION:TARGET_TURN] = found.camera_position_m
-    theta[TARGET_STATION:SCALE] = found.target_position_m
+    theta[ROTATION:BASELINE], theta[BASELINE:CAMERA_ROTATION] = geometry.right_rotation_rad, geometry.baseline_m
+    theta[CAMERA_POSITION:TARGET_ROTATION] = found.camera_position_m
+    theta[TARGET_POSITION:SCALE] = found.target_position_m
     theta[SCALE] = 1.0
     sizes = np.array([[c.width, c.height] for c in (geometry.left, geometry.right)], dtype=float)
     target_axes = np.ascontiguousarray(np.array(found.target_axes).T)
@@ -174,4 +174,4 @@ def read_back(geometry: VmuGeometry, source: str) -> Calibrated:
     sigma = np.array([found.rail_sigma_m] * 3 + [math.radians(found.gimbal_sigma_deg)] * 3)
     turntable = TurntableModel(np.array(found.lever_arm_m, dtype=float), order)
     label = Label(found.id, found.date, found.target)
-    return Calibrated(label, setup, turntable, covariance, found.noise, sigma, geometry.sensor)
+    return StoredCalibration(label, setup, turntable, covariance, found.noise, sigma, geometry.sensor)

@@ -14,21 +14,21 @@ from hil.errors import BadInput
 from hil.vmu.calibration import board as boards
 from hil.vmu.calibration import drift, quality
 from hil.vmu.calibration.board import Board
-from hil.vmu.calibration.files import Calibrated, Label
+from hil.vmu.calibration.files import Label, StoredCalibration
 from hil.vmu.calibration.leds import SpotViews, identify, spot_views
-from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, TurntableModel
-from hil.vmu.calibration.refine import Belief, belief
-from hil.vmu.calibration.solve import Solved, robust, solve, solve_leds
+from hil.vmu.calibration.model import PARTS, SIDES, Observations, Setup, TurntableModel
+from hil.vmu.calibration.refine import Prior, weak_prior
+from hil.vmu.calibration.solve import CalibrationSolution, robust_fit, solve, solve_leds
 from hil.vmu.calibration.views import Views
 from hil.vmu.kernels.chain import COMMON, SCALE
 
-Tell = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
 
 _WIDE_GATE_PX = 12.0
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class CalibrationInputs:
     """What is known before. axis_sigma: (6,), of rails, m, and gimbals, rad. led_sigma: m. square_sigma: a share."""
 
     board: Board | None
@@ -69,12 +69,12 @@ class CalibrationOutcome:
     """A calibration with what it is worth."""
 
     label: Label
-    solved: Solved
+    solved: CalibrationSolution
     turntable: TurntableModel
-    held: Belief
+    held: Prior
     nominal: Setup
     sigma_px: float
-    at_ranges: list[quality.AtRange]
+    at_ranges: list[quality.RangeAccuracy]
     shares: list[float]
     warnings: list[str]
     checks: list[CalibrationCheck] = field(default_factory=list)
@@ -93,11 +93,11 @@ def calibrate(
     views: Views,
     rig: Rig,
     geometry: VmuGeometry,
-    given: Given,
+    given: CalibrationInputs,
     limits: CalibrationLimits,
     label: Label,
     guess: bool,
-    tell: Tell,
+    progress: Progress,
 ) -> CalibrationOutcome:
     """Return the calibration of ``views``. guess: ``geometry`` has numbers of the cameras that are about right.
 
@@ -107,21 +107,21 @@ def calibrate(
     if given.board is None:
         nominal = Setup.of(geometry, rig.bench)
         layout = 0.0 if "leds" in given.keep else given.led_sigma
-        held = belief(nominal, given.keep, given.axis_sigma, layout, 0.0)
-        spots = spot_views(views, nominal.sizes, geometry.sensor, tell)
-        solved = solve_leds(spots, nominal, turntable, held, tell)
+        held = weak_prior(nominal, given.keep, given.axis_sigma, layout, 0.0)
+        spots = spot_views(views, nominal.sizes, geometry.sensor, progress)
+        solved = solve_leds(spots, nominal, turntable, held, progress)
     else:
-        seen, sizes = boards.sightings(views, given.board, tell)
+        seen, sizes = boards.observations(views, given.board, progress)
         nominal = Setup.of(geometry, rig.bench, given.board.points())
         if (sizes != nominal.sizes).any():
             raise BadInput.single("VIEWS", "", _sizes_differ(sizes, nominal.sizes))
-        tell("fitting", 0.9)
-        begun, told_apart, doubtful = boards.start(seen, given.board, nominal, turntable, given.keep, guess)
-        held = belief(begun, given.keep, given.axis_sigma, 0.0, given.square_sigma)
-        solved = solve(told_apart, begun, turntable, held, doubtful)
+        progress("fitting", 0.9)
+        begun, resolved, doubtful = boards.start(seen, given.board, nominal, turntable, given.keep, guess)
+        held = weak_prior(begun, given.keep, given.axis_sigma, 0.0, given.square_sigma)
+        solved = solve(resolved, begun, turntable, held, doubtful)
         not_whole = (name for name in views.names if name not in seen.names)
         solved.left_out.update(dict.fromkeys(not_whole, "the board is not seen whole by both cameras"))
-    return _judged(label, solved, turntable, held, nominal, limits, given.board is not None)
+    return _outcome(label, solved, turntable, held, nominal, limits, given.board is not None)
 
 
 def _sizes_differ(found: Array, told: Array) -> str:
@@ -133,16 +133,16 @@ def _sizes_differ(found: Array, told: Array) -> str:
     return sides[0]
 
 
-def _judged(
+def _outcome(
     label: Label,
-    solved: Solved,
+    solved: CalibrationSolution,
     turntable: TurntableModel,
-    held: Belief,
+    held: Prior,
     nominal: Setup,
     limits: CalibrationLimits,
     rigid: bool,
 ) -> CalibrationOutcome:
-    fit, seen = solved.fit, solved.sightings
+    fit, seen = solved.fit, solved.observations
     sigma = quality.sigma_px(fit, seen)
     at_ranges = [
         found
@@ -172,10 +172,10 @@ def _judged(
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class DriftCheck:
     """A drift check. across_mm, depth_mm: by how much the best explanation moves a point at ``range_m``."""
 
-    known: Calibrated
+    known: StoredCalibration
     setup: Setup
     drift: drift.Drift
     across_mm: float
@@ -184,17 +184,19 @@ class Checked:
     lost: tuple[str, ...]
 
 
-def check(views: Views, known: Calibrated, board: Board | None, moved: bool, range_m: float, tell: Tell) -> Checked:
+def check(
+    views: Views, known: StoredCalibration, board: Board | None, moved: bool, range_m: float, progress: Progress
+) -> DriftCheck:
     """Return how far today's views are from the calibration ``known``; raise BadInput where they show too little.
 
     moved: the target may stand elsewhere than at the calibration; a board always may.
     """
     if board is None:
-        spots = spot_views(views, known.setup.sizes, known.sensor, tell)
+        spots = spot_views(views, known.setup.sizes, known.sensor, progress)
         elsewhere = moved or known.label.target != "leds"
-        seen, setup = _leds_today(spots, known, elsewhere)
+        seen, setup = _identify_leds(spots, known, elsewhere)
     else:
-        seen, sizes = boards.sightings(views, board, tell)
+        seen, sizes = boards.observations(views, board, progress)
         if (sizes != known.setup.sizes).any():
             raise BadInput.single("VIEWS", "", _sizes_differ(sizes, known.setup.sizes))
         keep = ("left", "right", "stereo", "mounting")
@@ -202,32 +204,32 @@ def check(views: Views, known: Calibrated, board: Board | None, moved: bool, ran
             known.setup.theta, known.setup.camera_axes, known.setup.target_axes, board.points(), known.setup.sizes
         )
         begun, seen, _ = boards.start(seen, board, with_board, known.turntable, keep, True)
-        setup, elsewhere = _target_found(seen, begun, known), True
+        setup, elsewhere = _locate_target(seen, begun, known), True
     found = drift.check(known, seen, setup, elsewhere)
     across, depth = quality.displacement(setup, found.explanations[0].change[:COMMON], range_m)
     lost = tuple(name for name in views.names if name not in seen.names)
-    return Checked(known, setup, found, across, depth, range_m, lost)
+    return DriftCheck(known, setup, found, across, depth, range_m, lost)
 
 
-def _leds_today(spots: SpotViews, known: Calibrated, moved: bool) -> tuple[Sightings, Setup]:
+def _identify_leds(spots: SpotViews, known: StoredCalibration, moved: bool) -> tuple[Observations, Setup]:
     """Return the LEDs of today, looked for near where the calibration expects them first."""
     setup = known.setup
     seen = identify(spots, setup, known.turntable, None if moved else _WIDE_GATE_PX)
     if not moved and not _enough(seen):
         seen = identify(spots, setup, known.turntable)
-    good = np.flatnonzero(seen.seen.sum(axis=2).max(axis=1) >= 3)
+    good = np.flatnonzero(seen.visible.sum(axis=2).max(axis=1) >= 3)
     if len(good) < 2:
         text = f"{len(good)} of {len(spots.names)} views show 3 LEDs near their places, 2 are needed"
         raise BadInput.single("VIEWS", "", text)
     seen = seen.only(good)
-    return seen, _target_found(seen, setup, known) if moved else setup
+    return seen, _locate_target(seen, setup, known) if moved else setup
 
 
-def _enough(seen: Sightings) -> bool:
-    return bool((seen.seen.sum(axis=2).max(axis=1) >= 3).mean() > 0.5)
+def _enough(seen: Observations) -> bool:
+    return bool((seen.visible.sum(axis=2).max(axis=1) >= 3).mean() > 0.5)
 
 
-def _target_found(seen: Sightings, setup: Setup, known: Calibrated) -> Setup:
+def _locate_target(seen: Observations, setup: Setup, known: StoredCalibration) -> Setup:
     """Return ``setup`` with the target where today's views put it, all else as calibrated."""
-    held = belief(setup, ("left", "right", "stereo", "mounting"), known.axis_sigma, 0.0, 0.0)
-    return robust(seen, setup, known.turntable, held)
+    held = weak_prior(setup, ("left", "right", "stereo", "mounting"), known.axis_sigma, 0.0, 0.0)
+    return robust_fit(seen, setup, known.turntable, held)

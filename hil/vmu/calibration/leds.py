@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 
 from hil.config.vmu_geometry import Sensor
 from hil.core.messages import Array
-from hil.vmu.calibration.model import Setup, Sightings, TurntableModel, see
+from hil.vmu.calibration.model import Observations, Setup, TurntableModel, project_view
 from hil.vmu.calibration.views import Views, read_pair
 from hil.vmu.detect import SpotDetector
 from hil.vmu.kernels.records import AT_BORDER, MERGED
@@ -40,7 +40,7 @@ class SpotViews:
     spots: tuple[tuple[Spots, Spots], ...]
 
 
-def spot_views(views: Views, sizes: Array, sensor: Sensor | None, tell: Callable[[str, float], None]) -> SpotViews:
+def spot_views(views: Views, sizes: Array, sensor: Sensor | None, progress: Callable[[str, float], None]) -> SpotViews:
     """Return the spots in both images of all views; those cut by the edge or run together are left out.
 
     sizes: (2, 2), width and height, px. Raises BadInput for images of another size.
@@ -48,7 +48,7 @@ def spot_views(views: Views, sizes: Array, sensor: Sensor | None, tell: Callable
     detectors = [SpotDetector((int(height), int(width)), sensor=sensor) for width, height in sizes]
     found = []
     for k, name in enumerate(views.names):
-        tell(f"spots of view {name}", k / len(views.names))
+        progress(f"spots of view {name}", k / len(views.names))
         pair = read_pair(views, k, sizes)
         found.append(tuple(_spots(detector, image) for detector, image in zip(detectors, pair, strict=True)))
     return SpotViews(views.names, views.axes, tuple((left, right) for left, right in found))
@@ -63,13 +63,13 @@ def _spots(detector: SpotDetector, image: np.ndarray) -> Spots:
     return Spots(np.stack([spots["u"], spots["v"]], axis=1), covariance)
 
 
-def identify(views: SpotViews, setup: Setup, turntable: TurntableModel, gate_px: float | None = None) -> Sightings:
+def identify(views: SpotViews, setup: Setup, turntable: TurntableModel, gate_px: float | None = None) -> Observations:
     """Return which spots are the LEDs.
 
     gate_px: how far a spot may be from where ``setup`` expects it. Left away, the layout may be shifted as a whole
     in each image, as by a camera that is mounted a little askew; the views must agree about that shift.
     """
-    expected = [see(setup, turntable, axes).pixels for axes in views.axes]
+    expected = [project_view(setup, turntable, axes).pixels for axes in views.axes]
     shape = (len(views.names), 2, len(setup.points))
     pixels = np.full((*shape, 2), np.nan)
     covariance = np.broadcast_to(np.eye(2), (*shape, 2, 2)).copy()
@@ -87,7 +87,7 @@ def identify(views: SpotViews, setup: Setup, turntable: TurntableModel, gate_px:
             for led, spot in _nearest(places[side] + shift + shift_here, spots.places, gate):
                 pixels[k, side, led] = spots.places[spot]
                 covariance[k, side, led] = spots.covariance[spot]
-    return Sightings(views.names, views.axes, pixels, covariance)
+    return Observations(views.names, views.axes, pixels, covariance)
 
 
 def _least_distance(places: Array) -> float:

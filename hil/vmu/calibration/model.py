@@ -15,25 +15,25 @@ from hil.core.messages import Array
 from hil.vmu.kernels import chain
 from hil.vmu.kernels.chain import (
     BASELINE,
-    CAMERA_STATION,
-    CAMERA_TURN,
+    CAMERA_POSITION,
+    CAMERA_ROTATION,
     COMMON,
     LEFT,
     RIGHT,
+    ROTATION,
     SCALE,
-    TARGET_STATION,
-    TARGET_TURN,
-    TURN,
+    TARGET_POSITION,
+    TARGET_ROTATION,
 )
 
 _LENS_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 _LENS_UNITS = ("px",) * 4 + ("",) * 5
 PARTS: Final[dict[str, slice]] = {
     "left": slice(LEFT, RIGHT),
-    "right": slice(RIGHT, TURN),
-    "stereo": slice(TURN, CAMERA_TURN),
-    "mounting": slice(CAMERA_TURN, TARGET_TURN),
-    "target": slice(TARGET_TURN, SCALE),
+    "right": slice(RIGHT, ROTATION),
+    "stereo": slice(ROTATION, CAMERA_ROTATION),
+    "mounting": slice(CAMERA_ROTATION, TARGET_ROTATION),
+    "target": slice(TARGET_ROTATION, SCALE),
     "scale": slice(SCALE, COMMON),
 }
 """which places of a vector of COMMON belong together; the layout of the LEDs follows behind them"""
@@ -80,7 +80,7 @@ class TurntableModel:
 
 
 @dataclass(frozen=True, slots=True)
-class Sightings:
+class Observations:
     """What both cameras saw of the target's points in n views.
 
     axes: (n, 6), rails, m, gimbals, rad, as the encoders have them. pixels: (n, 2, m, 2), NaN where a point was
@@ -93,17 +93,17 @@ class Sightings:
     covariance: Array
 
     @property
-    def seen(self) -> np.ndarray:
+    def visible(self) -> np.ndarray:
         """Return which points were seen, (n, 2, m)."""
         return np.asarray(np.isfinite(self.pixels).all(axis=-1))
 
-    def only(self, views: Sequence[int] | np.ndarray) -> Sightings:
+    def only(self, views: Sequence[int] | np.ndarray) -> Observations:
         """Return the views of the given indices."""
         chosen = np.asarray(views, dtype=int)
         names = tuple(self.names[k] for k in chosen)
-        return Sightings(names, self.axes[chosen], self.pixels[chosen], self.covariance[chosen])
+        return Observations(names, self.axes[chosen], self.pixels[chosen], self.covariance[chosen])
 
-    def without(self, points: np.ndarray) -> Sightings:
+    def without(self, points: np.ndarray) -> Observations:
         """Return these with the points marked in ``points`` (n, 2, m) taken out."""
         pixels = self.pixels.copy()
         pixels[points] = np.nan
@@ -130,10 +130,10 @@ class Setup:
         theta = np.zeros(COMMON)
         for first, camera in ((LEFT, geometry.left), (RIGHT, geometry.right)):
             theta[first : first + 9] = lens_numbers(camera)
-        theta[TURN:BASELINE] = geometry.right_rotation_rad
-        theta[BASELINE:CAMERA_TURN] = geometry.baseline_m
-        theta[CAMERA_STATION:TARGET_TURN] = bench.camera_position_m
-        theta[TARGET_STATION:SCALE] = bench.led_ring_position_m
+        theta[ROTATION:BASELINE] = geometry.right_rotation_rad
+        theta[BASELINE:CAMERA_ROTATION] = geometry.baseline_m
+        theta[CAMERA_POSITION:TARGET_ROTATION] = bench.camera_position_m
+        theta[TARGET_POSITION:SCALE] = bench.led_ring_position_m
         theta[SCALE] = 1.0
         sizes = np.array([[c.width, c.height] for c in (geometry.left, geometry.right)], dtype=float)
         leds = np.array(geometry.leds_m, dtype=float)
@@ -143,10 +143,10 @@ class Setup:
     def folded(self) -> Setup:
         """Return the same with the small rotations taken into the axes, made orthonormal again."""
         theta = self.theta.copy()
-        camera = chain.turn_matrix(theta[CAMERA_TURN:CAMERA_STATION]) @ self.camera_axes
-        target = chain.turn_matrix(theta[TARGET_TURN:TARGET_STATION]) @ self.target_axes
-        theta[CAMERA_TURN:CAMERA_STATION] = 0.0
-        theta[TARGET_TURN:TARGET_STATION] = 0.0
+        camera = chain.rotation_matrix(theta[CAMERA_ROTATION:CAMERA_POSITION]) @ self.camera_axes
+        target = chain.rotation_matrix(theta[TARGET_ROTATION:TARGET_POSITION]) @ self.target_axes
+        theta[CAMERA_ROTATION:CAMERA_POSITION] = 0.0
+        theta[TARGET_ROTATION:TARGET_POSITION] = 0.0
         return replace(self, theta=theta, camera_axes=orthonormal(camera), target_axes=orthonormal(target))
 
     def moved(self, change: Array, layout: Array | None = None) -> Setup:
@@ -156,8 +156,8 @@ class Setup:
 
 
 @dataclass(frozen=True, slots=True)
-class Slopes:
-    """Pixels of one view and how they change; shapes as of ``chain.see``."""
+class Projection:
+    """Pixels of one view and how they change; shapes as of ``chain.project_target``."""
 
     pixels: Array
     by_common: Array
@@ -165,13 +165,13 @@ class Slopes:
     by_axes: Array
 
 
-def see(setup: Setup, turntable: TurntableModel, axes: Array) -> Slopes:
+def project_view(setup: Setup, turntable: TurntableModel, axes: Array) -> Projection:
     """Return what both cameras see with the bench's axes at ``axes`` (6,)."""
     m = len(setup.points)
     out = (np.empty((2, m, 2)), np.empty((2, m, 2, COMMON)), np.empty((2, m, 2, 3)), np.empty((2, m, 2, 6)))
     mount = (setup.camera_axes, setup.target_axes, turntable.lever_arm, turntable.order)
-    chain.see(setup.theta, *mount, np.ascontiguousarray(axes), setup.points, *out)
-    return Slopes(*out)
+    chain.project_target(setup.theta, *mount, np.ascontiguousarray(axes), setup.points, *out)
+    return Projection(*out)
 
 
 def lens_numbers(camera: VmuCamera) -> Array:

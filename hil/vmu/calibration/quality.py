@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from hil.core.messages import Array
-from hil.vmu.calibration.model import PARTS, SIDES, Setup, Sightings, TurntableModel, parameters, see
-from hil.vmu.calibration.refine import Belief, RefinementFit
+from hil.vmu.calibration.model import PARTS, SIDES, Observations, Setup, TurntableModel, parameters, project_view
+from hil.vmu.calibration.refine import Prior, RefinementFit
 from hil.vmu.kernels.chain import COMMON, SCALE
 
 RANGES_M: Final = (0.6, 1.0, 2.0, 5.0, 10.0)
@@ -20,7 +20,7 @@ _PLACED = np.r_[0 : PARTS["target"].start, PARTS["target"].start + 3 : SCALE]  #
 
 
 @dataclass(frozen=True, slots=True)
-class AtRange:
+class RangeAccuracy:
     """Standard deviations of the place of one point at ``range_m``, mm: of one measurement, and of the calibration."""
 
     range_m: float
@@ -39,7 +39,7 @@ def _both_cameras(setup: Setup, p_v: Array) -> tuple[Array, Array, Array]:
     theta[SCALE] = 1.0
     back = np.ascontiguousarray(setup.camera_axes.T)
     at_origin = Setup(theta, setup.camera_axes, back, p_v.reshape(1, 3), setup.sizes)
-    slopes = see(at_origin, still, np.zeros(6))
+    slopes = project_view(at_origin, still, np.zeros(6))
     return slopes.pixels.ravel(), slopes.by_common.reshape(4, COMMON), slopes.by_point.reshape(4, 3)
 
 
@@ -62,7 +62,7 @@ def field(setup: Setup, range_m: float) -> list[tuple[Array, Array]]:
     return found
 
 
-def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -> AtRange | None:
+def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -> RangeAccuracy | None:
     """Return what a point at ``range_m`` is known to; None where the cameras see nothing in common there."""
     places = field(setup, range_m)
     if not places:
@@ -71,7 +71,7 @@ def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -
     noise = np.mean([np.diagonal(p @ p.T) * sigma_px**2 for p, _ in places], axis=0)
     numbers = np.mean([np.diagonal(g[:, _CAMERAS] @ cameras @ g[:, _CAMERAS].T) for _, g in places], axis=0)
     spread = [1e3 * float(np.sqrt(v)) for v in (noise[:2].mean(), noise[2], numbers[:2].mean(), numbers[2])]
-    return AtRange(range_m, *spread)
+    return RangeAccuracy(range_m, *spread)
 
 
 def displacement(setup: Setup, change: Array, range_m: float) -> tuple[float, float]:
@@ -87,7 +87,7 @@ def displacement(setup: Setup, change: Array, range_m: float) -> tuple[float, fl
     return 1e3 * float(np.sqrt(square[:2].mean())), 1e3 * float(np.sqrt(square[2]))
 
 
-def coverage(seen: Sightings, sizes: Array) -> list[float]:
+def coverage(seen: Observations, sizes: Array) -> list[float]:
     """Return the share of the left and of the right image, in 8 x 8 fields, in which something was seen."""
     shares = []
     for side in range(2):
@@ -99,13 +99,13 @@ def coverage(seen: Sightings, sizes: Array) -> list[float]:
     return shares
 
 
-def sigma_px(fit: RefinementFit, seen: Sightings) -> float:
+def sigma_px(fit: RefinementFit, seen: Observations) -> float:
     """Return the standard deviation of one coordinate of a spot or corner, px, as the fit found it."""
-    variances = np.einsum("...ii->...", seen.covariance)[seen.seen] / 2.0
+    variances = np.einsum("...ii->...", seen.covariance)[seen.visible] / 2.0
     return fit.noise * float(np.sqrt(np.median(variances)))
 
 
-def warnings_of(fit: RefinementFit, seen: Sightings, held: Belief, shares: list[float], rigid: bool) -> list[str]:
+def warnings_of(fit: RefinementFit, seen: Observations, held: Prior, shares: list[float], rigid: bool) -> list[str]:
     """Return what the views leave to be desired, a sentence each. rigid: the target is a board of known size."""
     found = []
     if len(seen.names) < 10:

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.core.messages import Array
-from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel, see
+from hil.vmu.calibration.model import PARTS, Observations, Setup, TurntableModel, project_view
 from hil.vmu.kernels.chain import COMMON, SCALE
 
 _STEPS = 60
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class Prior:
     """What is held, and how firmly, before a pixel is looked at.
 
     free: (COMMON,) of bool. centre, sigma: (COMMON,). axis_sigma: (6,), of the encoders, m and rad.
@@ -33,7 +33,9 @@ class Belief:
     layout_sigma: float
 
 
-def belief(setup: Setup, keep: tuple[str, ...], axis_sigma: Array, layout_sigma: float, scale_sigma: float) -> Belief:
+def weak_prior(
+    setup: Setup, keep: tuple[str, ...], axis_sigma: Array, layout_sigma: float, scale_sigma: float
+) -> Prior:
     """Return weak beliefs about ``setup``, wide enough to matter only where the views say nothing.
 
     keep: PARTS to be held as they are. layout_sigma: 0 for a rigid target, whose scale then has ``scale_sigma``.
@@ -51,7 +53,7 @@ def belief(setup: Setup, keep: tuple[str, ...], axis_sigma: Array, layout_sigma:
         if part != "leds":
             free[PARTS[part]] = False
     free[SCALE] = layout_sigma == 0.0 and scale_sigma > 0.0
-    return Belief(free, setup.theta.copy(), sigma, axis_sigma, layout_sigma)
+    return Prior(free, setup.theta.copy(), sigma, axis_sigma, layout_sigma)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +112,8 @@ class _System:
     """The normal equations of one linearisation, the views' own unknowns eliminated."""
 
     def __init__(self, problem: RefinementProblem, setup: Setup, offsets: Array, noise: float) -> None:
-        held, sightings = problem.belief, problem.sightings
-        n = len(sightings.names)
+        held, observations = problem.weak_prior, problem.observations
+        n = len(observations.names)
         shared = problem.shared
         self.axis_weight = 1.0 / held.axis_sigma**2
         prior = np.zeros(shared)
@@ -122,7 +124,7 @@ class _System:
         for part in (
             "mounting",
             "target",
-        ):  # rotations are counted from where they are: their belief is too wide to matter
+        ):  # rotations are counted from where they are: their weak_prior is too wide to matter
             turn = range(PARTS[part].start, PARTS[part].start + 3)
             gap[: len(common)][np.isin(common, turn)] = 0.0
         if problem.basis is not None:
@@ -133,12 +135,12 @@ class _System:
         self.cost = float(prior @ gap**2)
         self.prior = prior
         self.blocks: list[tuple[Array, Array, Array]] = []
-        self.residuals = np.full(sightings.pixels.shape, np.nan)
+        self.residuals = np.full(observations.pixels.shape, np.nan)
         self.rows: list[tuple[Array, Array, Array]] = []
         for i in range(n):
-            slopes = see(setup, problem.turntable, sightings.axes[i] + offsets[i])
-            seen = problem.seen[i]
-            gaps = np.where(seen[..., None], sightings.pixels[i] - slopes.pixels, 0.0)
+            slopes = project_view(setup, problem.turntable, observations.axes[i] + offsets[i])
+            seen = problem.visible[i]
+            gaps = np.where(seen[..., None], observations.pixels[i] - slopes.pixels, 0.0)
             self.residuals[i][seen] = gaps[seen]
             white = problem.whiten[i][seen] / noise
             r = np.einsum("kab,kb->ka", white, gaps[seen]).ravel()
@@ -183,24 +185,29 @@ class _System:
 
 
 class RefinementProblem:
-    """The sightings of one set of views, and what is believed before; solved by ``solve``."""
+    """The observations of one set of views, and what is believed before; solved by ``solve``."""
 
     def __init__(
-        self, sightings: Sightings, turntable: TurntableModel, held: Belief, nominal: Array, basis: Array | None = None
+        self,
+        observations: Observations,
+        turntable: TurntableModel,
+        held: Prior,
+        nominal: Array,
+        basis: Array | None = None,
     ) -> None:
-        self.sightings = sightings
+        self.observations = observations
         self.turntable = turntable
-        self.belief = held
+        self.weak_prior = held
         self.nominal = nominal
-        self.seen = sightings.seen
-        self.whiten = whiteners(sightings.covariance, self.seen)
+        self.visible = observations.visible
+        self.whiten = whiteners(observations.covariance, self.visible)
         self.columns = np.flatnonzero(held.free)
         self.basis = layout_basis(nominal) if basis is None and held.layout_sigma > 0.0 else basis
         self.shared = len(self.columns) + (0 if self.basis is None else self.basis.shape[1])
 
     def solve(self, start: Setup) -> RefinementFit:
         """Return the fit from ``start``; the pixels' noise is found along with it."""
-        noise, offsets, setup = 1.0, np.zeros(self.sightings.axes.shape), start.folded()
+        noise, offsets, setup = 1.0, np.zeros(self.observations.axes.shape), start.folded()
         for _ in range(4):
             setup, offsets, system = self._settle(setup, offsets, noise)
             fit = self._fit(setup, offsets, system, noise)
@@ -285,16 +292,21 @@ class Information:
 
 
 def information(
-    sightings: Sightings, setup: Setup, turntable: TurntableModel, axis_sigma: Array, noise: float, with_points: bool
+    observations: Observations,
+    setup: Setup,
+    turntable: TurntableModel,
+    axis_sigma: Array,
+    noise: float,
+    with_points: bool,
 ) -> Information:
-    """Return what ``sightings`` say about changes of ``setup``, and of its points where ``with_points``."""
-    flat = Belief(np.ones(COMMON, dtype=bool), setup.theta, np.full(COMMON, np.inf), axis_sigma, 0.0)
-    problem = RefinementProblem(sightings, turntable, flat, setup.points)
+    """Return what ``observations`` say about changes of ``setup``, and of its points where ``with_points``."""
+    flat = Prior(np.ones(COMMON, dtype=bool), setup.theta, np.full(COMMON, np.inf), axis_sigma, 0.0)
+    problem = RefinementProblem(observations, turntable, flat, setup.points)
     if with_points:
         flat = replace(flat, layout_sigma=np.inf)
-        problem = RefinementProblem(sightings, turntable, flat, setup.points, basis=np.eye(setup.points.size))
-    system = _System(problem, setup, np.zeros(sightings.axes.shape), noise)
+        problem = RefinementProblem(observations, turntable, flat, setup.points, basis=np.eye(setup.points.size))
+    system = _System(problem, setup, np.zeros(observations.axes.shape), noise)
     square = system.cost - sum(float(right @ np.linalg.solve(own, right)) for own, right, _ in system.blocks)
-    rows = 2 * int(problem.seen.sum())
+    rows = 2 * int(problem.visible.sum())
     rms = float(np.sqrt(np.nanmean(np.square(system.residuals))))
     return Information(system.reduced, system.right, square, rows, rms)

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.core.messages import Array
-from hil.vmu.calibration.job import CalibrationOutcome, Checked
+from hil.vmu.calibration.job import CalibrationOutcome, DriftCheck
 from hil.vmu.calibration.model import PARTS, Parameter, Setup, parameters
-from hil.vmu.calibration.quality import AtRange
+from hil.vmu.calibration.quality import RangeAccuracy
 from hil.vmu.kernels.chain import COMMON, SCALE
 
 
@@ -39,7 +39,7 @@ def found_numbers(outcome: CalibrationOutcome) -> list[tuple[Parameter, float, f
 def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
     """Return the numbers of ``hil calibrate --json``."""
     solved, fit = outcome.solved, outcome.solved.fit
-    seen = solved.sightings
+    seen = solved.observations
     view_rms = np.sqrt(np.nanmean(np.square(fit.residuals), axis=(1, 2, 3)))
     return {
         "id": outcome.label.id,
@@ -64,7 +64,7 @@ def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
                 "gimbals_off_deg": [float(x) for x in np.degrees(offsets[3:])],
             }
             for name, rms, points, offsets in zip(
-                seen.names, view_rms, seen.seen.sum(axis=(1, 2)), fit.offsets, strict=True
+                seen.names, view_rms, seen.visible.sum(axis=(1, 2)), fit.offsets, strict=True
             )
         },
         "left_out": dict(solved.left_out),
@@ -80,15 +80,15 @@ def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
     }
 
 
-def _range_as_json(found: AtRange) -> dict[str, float]:
-    return {name: getattr(found, name) for name in AtRange.__slots__}
+def _range_as_json(found: RangeAccuracy) -> dict[str, float]:
+    return {name: getattr(found, name) for name in RangeAccuracy.__slots__}
 
 
 def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def drift_as_json(checked: Checked, passed: bool, limits: dict[str, float]) -> dict[str, Any]:
+def drift_as_json(checked: DriftCheck, passed: bool, limits: dict[str, float]) -> dict[str, Any]:
     """Return the numbers of ``hil calibrate --check --json``."""
     found, known = checked.drift, checked.known
     told = parameters(len(known.setup.points) if len(found.explanations[0].change) > COMMON else 0)

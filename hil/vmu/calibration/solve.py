@@ -1,4 +1,4 @@
-"""From sightings to a calibration: a robust start, the joint refinement, and the views that are left out."""
+"""From observations to a calibration: a robust start, the joint refinement, and the views that are left out."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from scipy.stats import chi2
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.vmu.calibration.leds import LEAST_VIEWS, SpotViews, identify
-from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel, see
-from hil.vmu.calibration.refine import Belief, RefinementFit, RefinementProblem, layout_basis, whiteners
+from hil.vmu.calibration.model import PARTS, Observations, Setup, TurntableModel, project_view
+from hil.vmu.calibration.refine import Prior, RefinementFit, RefinementProblem, layout_basis, whiteners
 from hil.vmu.kernels.chain import COMMON
 
 _FAR = 4.0  # times the usual residual of a view
 _DOUBTFUL = 1e-6  # chance of a view that is left out ...
 _FAR_BY_FIT = 2.5  # ... if it is also so many times as far off as usual: corners are not equally sharp in all views
 _NEAR_GATE_PX = 3.0
-Tell = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Solved:
-    """A fit, the sightings that it rests on, the views left out with the reason, and how many spots were left out."""
+class CalibrationSolution:
+    """A fit, the observations used, the excluded views with their reasons, and the number of excluded spots."""
 
     fit: RefinementFit
-    sightings: Sightings
+    observations: Observations
     left_out: dict[str, str]
     spots_left_out: int
 
 
 def solve(
-    seen: Sightings, setup: Setup, turntable: TurntableModel, held: Belief, doubtful: tuple[str, ...] = ()
-) -> Solved:
+    seen: Observations, setup: Setup, turntable: TurntableModel, held: Prior, doubtful: tuple[str, ...] = ()
+) -> CalibrationSolution:
     """Return the calibration from ``setup`` on.
 
     Views that do not belong to the rest are left out: those in ``doubtful``, those whose residuals stand out of
@@ -48,7 +48,7 @@ def solve(
     if len(seen.names) < LEAST_VIEWS:
         text = f"{len(seen.names)} views are left that belong together, {LEAST_VIEWS} are needed"
         raise BadInput.single("VIEWS", "", text)
-    setup = robust(seen, setup, turntable, held)
+    setup = robust_fit(seen, setup, turntable, held)
     sizes = _view_rms(seen, setup, turntable)
     usual = float(np.median(sizes))
     far = sizes > _FAR * max(usual, 0.02)
@@ -65,28 +65,30 @@ def solve(
         chance = chi2.sf(scaled, np.maximum(fit.view_freedom, 1.0))
         worst = int(np.argmax(scaled / np.maximum(fit.view_freedom, 1.0)))
         if chance[worst] > _DOUBTFUL or ratio[worst] < _FAR_BY_FIT**2 * np.median(ratio) or allowed == 0:
-            return Solved(fit, seen, left_out, 0)
+            return CalibrationSolution(fit, seen, left_out, 0)
         allowed -= 1
         text = f"residuals and encoders {np.sqrt(ratio[worst] / np.median(ratio)):.1f} times as far off as usual"
         left_out[seen.names[worst]] = text
         seen = seen.only([k for k in range(len(seen.names)) if k != worst])
 
 
-def solve_leds(views: SpotViews, setup: Setup, turntable: TurntableModel, held: Belief, tell: Tell) -> Solved:
+def solve_leds(
+    views: SpotViews, setup: Setup, turntable: TurntableModel, held: Prior, progress: Progress
+) -> CalibrationSolution:
     """Return the calibration from spots of light, identified by the setup on paper first and by the fit then."""
-    tell("identifying the LEDs", 0.0)
+    progress("identifying the LEDs", 0.0)
     seen = _enough(identify(views, setup, turntable))
     # what is on paper is worst about the mounting: nothing else is let move at first
     mounting = replace(held, free=_only(held.free, "mounting"), layout_sigma=0.0)
-    rough = robust(seen, setup, turntable, mounting)
+    rough = robust_fit(seen, setup, turntable, mounting)
     gate = max(_NEAR_GATE_PX, 4.0 * float(np.median(_view_rms(seen, rough, turntable))))
     seen = _enough(identify(views, rough, turntable, gate))
-    tell("fitting", 0.3)
-    rough = robust(seen, rough, turntable, held)
+    progress("fitting", 0.3)
+    rough = robust_fit(seen, rough, turntable, held)
     seen = _enough(identify(views, rough, turntable, _NEAR_GATE_PX))
     strays = _strays(seen, rough, turntable)
     seen = _enough(seen.without(strays))
-    tell("refining", 0.6)
+    progress("refining", 0.6)
     solved = solve(seen, _with_points(rough, setup), turntable, _told(held, setup))
     lost = {name: "fewer than 3 LEDs where they should be" for name in views.names if name not in seen.names}
     return replace(solved, left_out=lost | solved.left_out, spots_left_out=int(strays.sum()))
@@ -97,13 +99,13 @@ def _with_points(setup: Setup, nominal: Setup) -> Setup:
     return replace(setup, points=nominal.points)
 
 
-def _told(held: Belief, nominal: Setup) -> Belief:
+def _told(held: Prior, nominal: Setup) -> Prior:
     return replace(held, centre=nominal.theta.copy())
 
 
-def _enough(seen: Sightings) -> Sightings:
+def _enough(seen: Observations) -> Observations:
     """Return the views in which at least three LEDs are known to one camera."""
-    good = np.flatnonzero(seen.seen.sum(axis=2).max(axis=1) >= 3)
+    good = np.flatnonzero(seen.visible.sum(axis=2).max(axis=1) >= 3)
     if len(good) < LEAST_VIEWS:
         text = (
             f"{len(good)} of {len(seen.names)} views show 3 LEDs near the places where rig and geometry file put them"
@@ -118,15 +120,15 @@ def _only(free: Array, part: str) -> np.ndarray:
     return np.asarray(free & mask)
 
 
-def _view_rms(seen: Sightings, setup: Setup, turntable: TurntableModel) -> Array:
-    gaps = np.array([see(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
+def _view_rms(seen: Observations, setup: Setup, turntable: TurntableModel) -> Array:
+    gaps = np.array([project_view(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
     out: Array = np.sqrt(np.nanmean(np.square(gaps), axis=(1, 2, 3)))
     return out
 
 
-def _strays(seen: Sightings, setup: Setup, turntable: TurntableModel) -> np.ndarray:
+def _strays(seen: Observations, setup: Setup, turntable: TurntableModel) -> np.ndarray:
     """Return which points, (n, 2, m), are far from where they should be, beside the rest of their view."""
-    gaps = np.array([see(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
+    gaps = np.array([project_view(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a camera that sees nothing in a view
         gaps -= np.nanmedian(gaps, axis=2, keepdims=True)  # what the whole view is off is the encoders'
@@ -135,10 +137,10 @@ def _strays(seen: Sightings, setup: Setup, turntable: TurntableModel) -> np.ndar
     return np.asarray(np.nan_to_num(size) > max(6.0 * usual, 0.3))
 
 
-def robust(seen: Sightings, setup: Setup, turntable: TurntableModel, held: Belief) -> Setup:
+def robust_fit(seen: Observations, setup: Setup, turntable: TurntableModel, held: Prior) -> Setup:
     """Return the setup that most of the pixels agree about, the encoders taken as they are (Cauchy loss)."""
     columns = np.flatnonzero(held.free)
-    mask = seen.seen
+    mask = seen.visible
     basis = layout_basis(setup.points) if held.layout_sigma > 0.0 else None
     whiten = whiteners(seen.covariance, mask)[mask]
     weights = 1.0 / held.sigma[columns]
@@ -153,14 +155,14 @@ def robust(seen: Sightings, setup: Setup, turntable: TurntableModel, held: Belie
 
     def residual(x: Array) -> Array:
         here = place(x)
-        gaps = (np.array([see(here, turntable, axes).pixels for axes in seen.axes]) - seen.pixels)[mask]
+        gaps = (np.array([project_view(here, turntable, axes).pixels for axes in seen.axes]) - seen.pixels)[mask]
         white = np.einsum("kab,kb->ka", whiten, np.nan_to_num(gaps, nan=1e4)).ravel()
         layout = x[len(columns) :] / held.layout_sigma if basis is not None else np.empty(0)
         return np.concatenate([white, (x[: len(columns)] - centre) * weights, layout])
 
     def slopes(x: Array) -> Array:
         here = place(x)
-        views = [see(here, turntable, axes) for axes in seen.axes]
+        views = [project_view(here, turntable, axes) for axes in seen.axes]
         common = np.array([view.by_common for view in views])[mask][..., columns]
         rows = np.einsum("kab,kbp->kap", whiten, common).reshape(-1, len(columns))
         prior = np.diag(weights)

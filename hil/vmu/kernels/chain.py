@@ -21,24 +21,24 @@ from hil.vmu.kernels.lens import LENS, distort, project_slopes
 # places of the shared unknowns in a vector of COMMON
 LEFT: Final = 0  # fx fy cx cy k1 k2 p1 p2 k3
 RIGHT: Final = 9
-TURN: Final = 18  # rotation vector of the right camera's axes in the left one's
+ROTATION: Final = 18  # rotation vector of the right camera's axes in the left one's
 BASELINE: Final = 21
-CAMERA_TURN: Final = 24
-CAMERA_STATION: Final = 27
-TARGET_TURN: Final = 30
-TARGET_STATION: Final = 33
+CAMERA_ROTATION: Final = 24
+CAMERA_POSITION: Final = 27
+TARGET_ROTATION: Final = 30
+TARGET_POSITION: Final = 33
 SCALE: Final = 36
 COMMON: Final = 37
 
 
 @kernel
-def turn_matrix(e):
+def rotation_matrix(e):
     """Return exp([e]x), (3, 3)."""
     return quat.to_matrix(quat.from_rotation_vector(-e))
 
 
 @kernel
-def turn_slopes(e):
+def left_jacobian(e):
     """Return J (3, 3) with exp([e + d]x) = exp([J d]x) exp([e]x) to first order (left Jacobian of SO(3))."""
     angle2 = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
     if angle2 < 1e-8:
@@ -155,7 +155,9 @@ def _add(out, slope, a, first):
 
 
 @kernel
-def see(theta, camera_axes, target_axes, lever_arm, order, axes, points, pixels, by_common, by_point, by_axes):
+def project_target(
+    theta, camera_axes, target_axes, lever_arm, order, axes, points, pixels, by_common, by_point, by_axes
+):
     """Write where both cameras see all points in one view, and the slopes.
 
     theta: (COMMON,). camera_axes, target_axes: (3, 3), A0 and B0. lever_arm: (3,), m. order: (3,), gimbals
@@ -166,14 +168,18 @@ def see(theta, camera_axes, target_axes, lever_arm, order, axes, points, pixels,
     lens = np.zeros(2, LENS)
     fill_lens(lens[0], theta, LEFT)
     fill_lens(lens[1], theta, RIGHT)
-    e_c, e_t, r = theta[CAMERA_TURN:CAMERA_STATION], theta[TARGET_TURN:TARGET_STATION], theta[TURN:BASELINE]
-    a_vc = _product(turn_matrix(e_c), camera_axes)
-    b_lt = _product(turn_matrix(e_t), target_axes)
-    a_rv = turn_matrix(-r)
+    e_c, e_t, r = (
+        theta[CAMERA_ROTATION:CAMERA_POSITION],
+        theta[TARGET_ROTATION:TARGET_POSITION],
+        theta[ROTATION:BASELINE],
+    )
+    a_vc = _product(rotation_matrix(e_c), camera_axes)
+    b_lt = _product(rotation_matrix(e_t), target_axes)
+    a_rv = rotation_matrix(-r)
     a_ch = quat.to_matrix(euler.to_quaternion(axes[3:6], order))
     a_vl = _product(a_vc, a_ch)
     gimbals = gimbal_axes(axes[3:6], order)
-    j_c, j_t, j_r = turn_slopes(e_c), turn_slopes(e_t), turn_slopes(-r)
+    j_c, j_t, j_r = left_jacobian(e_c), left_jacobian(e_t), left_jacobian(-r)
     slope = np.empty((2, 3))
     inner = np.empty((2, 9))
     scaled = np.empty(3)
@@ -186,10 +192,10 @@ def see(theta, camera_axes, target_axes, lever_arm, order, axes, points, pixels,
             scaled[m] = theta[SCALE] * points[k, m]
         turned = _times(b_lt, scaled)
         for m in range(3):
-            from_target[m] = turned[m] + theta[TARGET_STATION + m] - axes[m]
+            from_target[m] = turned[m] + theta[TARGET_POSITION + m] - axes[m]
         p_rc = _times(a_ch, from_target)
         for m in range(3):
-            p_c[m] = p_rc[m] - lever_arm[m] - theta[CAMERA_STATION + m]
+            p_c[m] = p_rc[m] - lever_arm[m] - theta[CAMERA_POSITION + m]
         p_v = _times(a_vc, p_c)
         # slopes of p_v
         by_camera_turn = _product(_minus_cross(p_v), j_c)
@@ -237,17 +243,17 @@ def see(theta, camera_axes, target_axes, lever_arm, order, axes, points, pixels,
                 for m in range(3):
                     for n in range(3):
                         turn[m, n] = -turn[m, n]
-                _add(common, slope, turn, TURN)
+                _add(common, slope, turn, ROTATION)
                 _add(common, slope, -a_rv, BASELINE)
                 through = np.empty((2, 3))
                 _add(through, slope, a_rv, 0)
                 for m in range(2):
                     for n in range(3):
                         slope[m, n] = through[m, n]
-            _add(common, slope, by_camera_turn, CAMERA_TURN)
-            _add(common, slope, -a_vc, CAMERA_STATION)
-            _add(common, slope, by_target_turn, TARGET_TURN)
-            _add(common, slope, a_vl, TARGET_STATION)
+            _add(common, slope, by_camera_turn, CAMERA_ROTATION)
+            _add(common, slope, -a_vc, CAMERA_POSITION)
+            _add(common, slope, by_target_turn, TARGET_ROTATION)
+            _add(common, slope, a_vl, TARGET_POSITION)
             _add(common, slope, scale_slope, SCALE)
             _add(by_point[camera, k], slope, theta[SCALE] * point_slope, 0)
             _add(by_axes[camera, k], slope, -a_vl, 0)

@@ -71,7 +71,7 @@ def level_and_variance(image, u0, v0, u1, v1, samples):
 
 
 @kernel
-def survey(image, level, variance, samples):
+def fill_background_grid(image, level, variance, samples):
     """Write level (of sums) and variance (of a pixel) of each tile of a grid over the image, (rows, columns).
 
     The variances are medians over a tile and its neighbours.
@@ -95,7 +95,7 @@ def survey(image, level, variance, samples):
 
 
 @kernel
-def between(grid, u, v, width, height):
+def interpolate(grid, u, v, width, height):
     """Return the value at pixel (u, v) of a ``grid`` over an image, linear between and beyond the tiles' centres."""
     rows, columns = grid.shape
     y, x = (v + 0.5) * rows / height - 0.5, (u + 0.5) * columns / width - 0.5
@@ -109,16 +109,16 @@ def between(grid, u, v, width, height):
 
 @kernel
 def fill_threshold(level, deviation, sigmas, v, height, threshold):
-    """Write the threshold of the sums along row ``v``; level and ``deviation`` (of a sum) as from ``survey``."""
+    """Write the threshold of the sums along row ``v``; level, deviation: of a sum, ``fill_background_grid``."""
     width = threshold.shape[0]
     tiles = level.shape[1]
     for j in range(max(tiles - 1, 1)):
         # the line through the centres of two neighbouring tiles, out to the edge at both ends
         left, right = (j + 0.5) * width / tiles - 0.5, (j + 1.5) * width / tiles - 0.5
-        at = between(level, left, v, width, height) + sigmas * between(deviation, left, v, width, height)
+        at = interpolate(level, left, v, width, height) + sigmas * interpolate(deviation, left, v, width, height)
         slope = 0.0
         if tiles > 1:
-            end = between(level, right, v, width, height) + sigmas * between(deviation, right, v, width, height)
+            end = interpolate(level, right, v, width, height) + sigmas * interpolate(deviation, right, v, width, height)
             slope = (end - at) / (right - left)
         first = 0 if j == 0 else math.ceil(left)
         last = width if j >= tiles - 2 else math.ceil(right)
@@ -142,7 +142,7 @@ def scan_row(above, line, below, threshold, columns, flags):
 
 
 @kernel
-def collect(image, v, u0, u1, threshold, scratch, flags, words, hits, count):
+def collect_hits(image, v, u0, u1, threshold, scratch, flags, words, hits, count):
     """Append the pixels of row ``v`` from u0 up to u1 that pass their threshold to ``hits``; return how many there are.
 
     flags (of uint8) and words (of uint64) are the same memory. More than fit into ``hits`` are counted, not kept.

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.vmu.kernels.match import chi_square_limit
-from hil.vmu.kernels.refine import chi_square, turn
+from hil.vmu.kernels.refine import chi_square, rotate
 
 _SAME_SQUARE = 1.0  # Mahalanobis distance of two poses that count as one
 _CLOSE = 1e-7  # and m or rad below which they do in any case
@@ -81,7 +81,7 @@ def acceptable(fit):
 
 
 @kernel
-def known(fits, count, fit, d):
+def is_known(fits, count, fit, d):
     """Return whether one of the first ``count`` is the same pose on at least as many spots. d: (6,), scratch."""
     for k in range(count):
         if same_pose(fits[k], fit, d):
@@ -92,7 +92,7 @@ def known(fits, count, fit, d):
 
 
 @kernel
-def bend(scene, view, fit, direction, sigmas):
+def chi_square_growth(scene, view, fit, direction, sigmas):
     """Return by how much chi-square grows at ``sigmas`` sigmas from ``fit`` along ``direction``, over what it should.
 
     direction: (6,), one sigma of the pose along an axis of its covariance. 1 where the normal matrix tells the
@@ -102,5 +102,5 @@ def bend(scene, view, fit, direction, sigmas):
     for i in range(3):
         t[i] = fit.t[i] + sigmas * direction[i]
         e[i] = sigmas * direction[3 + i]
-    turn(fit.r, e, r)
+    rotate(fit.r, e, r)
     return (chi_square(scene, view, fit.spot, r, t) - fit.chi2) / (sigmas * sigmas)

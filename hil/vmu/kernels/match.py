@@ -22,16 +22,16 @@ _WINDOW_MARGIN_PX = 8.0
 
 
 @kernel
-def sight_of(lens, spot, sight):
-    """Write SPOT ``spot`` as SIGHT."""
-    sight.u, sight.v = spot.u, spot.v
-    sight.var_u, sight.var_v, sight.cov_uv = spot.var_u, spot.var_v, spot.cov_uv
+def fill_spot_ray(lens, spot, measured):
+    """Write SPOT ``spot`` as SPOT_RAY."""
+    measured.u, measured.v = spot.u, spot.v
+    measured.var_u, measured.var_v, measured.cov_uv = spot.var_u, spot.var_v, spot.cov_uv
     det = spot.var_u * spot.var_v - spot.cov_uv * spot.cov_uv
-    sight.w_uu, sight.w_vv, sight.w_uv = spot.var_v / det, spot.var_u / det, -spot.cov_uv / det
-    sight.flux = spot.flux
+    measured.w_uu, measured.w_vv, measured.w_uv = spot.var_v / det, spot.var_u / det, -spot.cov_uv / det
+    measured.flux = spot.flux
     x, y = undistort(lens, spot.u, spot.v)
     size = 1.0 / math.sqrt(x * x + y * y + 1.0)
-    sight.ray[0], sight.ray[1], sight.ray[2] = x * size, y * size, size
+    measured.ray[0], measured.ray[1], measured.ray[2] = x * size, y * size, size
 
 
 @kernel
@@ -44,9 +44,9 @@ def chi_square_limit(degrees):
 
 
 @kernel
-def spread(j, covariance, sight, out):
+def spread(j, covariance, measured, out):
     """Write the covariance (uu, uv, vv) of spot minus projection, px^2, for a pose of ``covariance`` (6, 6)."""
-    uu, uv, vv = sight.var_u, sight.cov_uv, sight.var_v
+    uu, uv, vv = measured.var_u, measured.cov_uv, measured.var_v
     for a in range(6):
         pu, pv = 0.0, 0.0
         for b in range(6):
@@ -81,10 +81,10 @@ def assign(scene, view, r, t, covariance, reach_px, barred, spot):
             jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
             within = 0
             for k in range(view.counts[c]):
-                du, dv = view.sights[c, k].u - u, view.sights[c, k].v - v
+                du, dv = view.spots[c, k].u - u, view.spots[c, k].v - v
                 if not du * du + dv * dv < reach_px * reach_px or barred[c, n] == k:
                     continue
-                spread(j, covariance, view.sights[c, k], s)
+                spread(j, covariance, view.spots[c, k], s)
                 det = s[0] * s[2] - s[1] * s[1]
                 square = (s[2] * du * du - 2.0 * s[1] * du * dv + s[0] * dv * dv) / det
                 if square < _GATE:
@@ -115,16 +115,16 @@ def worst_spot(scene, view, fit, where):
             k = fit.spot[c, n]
             if k < 0:
                 continue
-            sight = view.sights[c, k]
+            measured = view.spots[c, k]
             place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
-            du, dv = sight.u - u, sight.v - v
+            du, dv = measured.u - u, measured.v - v
             jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
-            spread(j, fit.covariance, sight, s)
+            spread(j, fit.covariance, measured, s)
             floor = 1e-3
-            uu = max(2.0 * sight.var_u - s[0], floor * sight.var_u)
-            vv = max(2.0 * sight.var_v - s[2], floor * sight.var_v)
-            uv = 2.0 * sight.cov_uv - s[1]
+            uu = max(2.0 * measured.var_u - s[0], floor * measured.var_u)
+            vv = max(2.0 * measured.var_v - s[2], floor * measured.var_v)
+            uv = 2.0 * measured.cov_uv - s[1]
             det = uu * vv - uv * uv
             if not det > 0.0:
                 uv, det = 0.0, uu * vv
@@ -145,7 +145,7 @@ def count(fit, n_leds):
 
 
 @kernel
-def settle(scene, view, reach_px, fit):
+def converge(scene, view, reach_px, fit):
     """From a start pose and first spots in ``fit`` to all spots that belong, without those that do not.
 
     In turns: refine, take the spots within the gates of the refined pose; then, while chi-square is too high and
@@ -192,7 +192,7 @@ def settle(scene, view, reach_px, fit):
 
 
 @kernel
-def judge(scene, view, density, fit):
+def score_fit(scene, view, density, fit):
     """Write points, unseen and score of ``fit``.
 
     score: for each spot the logarithm of its density as an LED at its place, over ``density`` (2,), that of stray
@@ -208,8 +208,8 @@ def judge(scene, view, density, fit):
         for n in range(scene.leds.shape[0]):
             k = fit.spot[c, n]
             if k >= 0:
-                sight = view.sights[c, k]
-                area = 2.0 * math.pi * math.sqrt(sight.var_u * sight.var_v - sight.cov_uv * sight.cov_uv)
+                measured = view.spots[c, k]
+                area = 2.0 * math.pi * math.sqrt(measured.var_u * measured.var_v - measured.cov_uv * measured.cov_uv)
                 fit.score -= math.log(max(area, 0.01) * density[c])
                 continue
             place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)

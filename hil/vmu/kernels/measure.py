@@ -11,7 +11,7 @@ from hil.vmu.kernels.components import CLIPPED, END, FIRST, U0, U1, V0, V1
 from hil.vmu.kernels.fit import DISC, HEIGHT, PLANE, POINT, SHEAR, SIGMA, WIDTH, U, V, fit
 from hil.vmu.kernels.peaks import find_peaks, mark_hot, start_points, sum_patch
 from hil.vmu.kernels.records import AT_BORDER, MERGED, SATURATED
-from hil.vmu.kernels.residuals import ODD, drop_outliers, light_noise, misfit, oddness, significance
+from hil.vmu.kernels.residuals import SHAPE_TERMS, drop_outliers, light_noise, misfit, shape_chi_square, signal_to_noise
 
 LIMITS = np.dtype(
     [
@@ -25,7 +25,7 @@ LIMITS = np.dtype(
 
 MOST_PEAKS = 3
 _MOST_STEPS = 12
-_ODD = 20.0  # chi-square of three by which a light is no round Gaussian
+_NOT_GAUSSIAN = 20.0  # chi-square of three by which a light is no round Gaussian
 _STRONG = 30.0  # SNR from which a light's own shape and noise are looked at
 _PERSPECTIVE = 2.8e-4  # 1/px
 
@@ -189,22 +189,30 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
             break
     if not math.isfinite(total):
         return count
-    snr = significance(pixels, weighed, dark, per_level, light)
+    snr = signal_to_noise(pixels, weighed, dark, per_level, light)
     strong = found == 1 and snr > _STRONG
-    wide_model, wide, wide_inverse = np.empty(size), np.empty((size, n + ODD)), np.zeros((n + ODD, n + ODD))
-    odd = 0.0
+    wide_model, wide, wide_inverse = (
+        np.empty(size),
+        np.empty((size, n + SHAPE_TERMS)),
+        np.zeros((n + SHAPE_TERMS, n + SHAPE_TERMS)),
+    )
+    shape_chi2 = 0.0
     if strong:
-        odd = oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse)
+        shape_chi2 = shape_chi_square(
+            box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse
+        )
     chi2, allowed = misfit(total, weighed.sum(), n)
-    if odd <= _ODD:
+    if shape_chi2 <= _NOT_GAUSSIAN:
         kept = weighed.sum()
         chi2, allowed = clean(
             False, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes, total
         )  # fmt: skip
         if strong and weighed.sum() < kept:
-            oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse)
+            shape_chi_square(
+                box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse
+            )
     is_disc = False
-    if found == 1 and (chi2 > allowed or odd > _ODD):
+    if found == 1 and (chi2 > allowed or shape_chi2 > _NOT_GAUSSIAN):
         disc, disc_covariance = np.empty(PLANE + DISC), np.empty((PLANE + DISC, PLANE + DISC))
         disc_model, disc_light, disc_slopes = np.empty(size), np.empty(size), np.empty((size, PLANE + DISC))
         disc_weighed = np.empty(size)
@@ -218,11 +226,13 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
             True, box, pixels, disc_weighed, dark, per_level, disc, disc_covariance, disc_model, disc_light,
             disc_slopes, disc_total,
         )  # fmt: skip
-        if odd > _ODD and not disc_chi2 <= disc_allowed:  # not the shape, then: single pixels
+        if shape_chi2 > _NOT_GAUSSIAN and not disc_chi2 <= disc_allowed:  # not the shape, then: single pixels
             chi2, allowed = clean(
                 False, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes, total
             )  # fmt: skip
-            oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse)
+            shape_chi_square(
+                box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse
+            )
         if disc_chi2 < chi2:
             is_disc, p, covariance, chi2, allowed = True, disc, disc_covariance, disc_chi2, disc_allowed
             model, light, slopes, weighed = disc_model, disc_light, disc_slopes, disc_weighed

@@ -12,11 +12,11 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.vmu.kernels.hypotheses import acceptable, known, mirror
-from hil.vmu.kernels.match import settle
+from hil.vmu.kernels.hypotheses import acceptable, is_known, mirror
+from hil.vmu.kernels.match import converge
 from hil.vmu.kernels.p3p import axes_of_three, ray_lengths
 from hil.vmu.kernels.records import MAX_LEDS, MAX_SPOTS
-from hil.vmu.kernels.start_poses import near_prediction, plausible, pose_of_three, take_spots, tried
+from hil.vmu.kernels.start_poses import is_tried, near_prediction, plausible, pose_of_three, take_spots
 from hil.vmu.kernels.stereo import allow_pairs
 
 SEARCH = np.dtype(
@@ -25,7 +25,7 @@ SEARCH = np.dtype(
         ("far", "f8"),
         ("least_facing", "f8"),  # cosine of the largest angle between -z_t and the line of sight
         ("reach_px", "f8"),  # a spot this near to the projection of a start pose counts, more where that is coarse
-        ("settle_px", "f8"),  # and to that of a refined one
+        ("gate_px", "f8"),  # and to that of a refined one
         ("normal", "f8", 3),  # of the plane that the LEDs are nearest to, in t
         ("centre", "f8", 3),  # m, of the LEDs, in t
         ("predicted", "i8"),  # 1: three spots of a single camera count where they put the target about here
@@ -51,18 +51,18 @@ def try_start(scene, view, settings, start, starts, fits, state):
     The last place of ``fits`` is scratch, so is that of ``starts``, which remembers what has been tried.
     """
     n = scene.leds.shape[0]
-    if tried(starts, min(state[STATE_STARTS], starts.shape[0] - 1), start, n):
+    if is_tried(starts, min(state[STATE_STARTS], starts.shape[0] - 1), start, n):
         return
     if state[STATE_STARTS] >= _MOST_STARTS:
         state[STATE_FULL] = 1
         return
     starts[state[STATE_STARTS] % (starts.shape[0] - 1)] = start
     state[STATE_STARTS] += 1
-    add_settled(scene, view, settings, start, fits, state)
+    add_converged(scene, view, settings, start, fits, state)
 
 
 @kernel
-def add_settled(scene, view, settings, start, fits, state):
+def add_converged(scene, view, settings, start, fits, state):
     """Settle ``start``, then the mirror image of what it became; put the new ones among the poses into ``fits``."""
     d = np.empty(6)
     fit = fits[fits.shape[0] - 1]
@@ -74,8 +74,8 @@ def add_settled(scene, view, settings, start, fits, state):
                 for m in range(MAX_LEDS):
                     start.spot[c, m] = fit.spot[c, m]
             fits[fits.shape[0] - 1] = start
-        settle(scene, view, settings.settle_px, fit)
-        if not acceptable(fit) or known(fits, state[STATE_FITS], fit, d):
+        converge(scene, view, settings.gate_px, fit)
+        if not acceptable(fit) or is_known(fits, state[STATE_FITS], fit, d):
             return
         state[STATE_BEST] = max(state[STATE_BEST], fit.points)
         if state[STATE_FITS] == fits.shape[0] - 1:
@@ -107,7 +107,7 @@ def search_triple(scene, view, settings, c, trio, least, allowed, starts, fits, 
     leds, squares = scene.leds, scene.squares
     n = leds.shape[0]
     i, j, k = trio[0], trio[1], trio[2]
-    a, b, d = view.sights[c, i], view.sights[c, j], view.sights[c, k]
+    a, b, d = view.spots[c, i], view.spots[c, j], view.spots[c, k]
     y1, y2, y3 = a.ray, b.ray, d.ray
     if not math.isfinite(y1[0] + y2[0] + y3[0]):
         return

@@ -34,7 +34,7 @@ SATURATED: Final = 1  # some pixels are at full scale
 AT_BORDER: Final = 2  # the image's edge cuts the spot: its centre is less certain, as its covariance says
 MERGED: Final = 4  # two lights run into each other
 
-SIGHT = np.dtype(
+SPOT_RAY = np.dtype(
     [
         ("u", "f8"),  # px, centre of the spot
         ("v", "f8"),
@@ -86,11 +86,11 @@ class RingScene(NamedTuple):
 
 
 class View(NamedTuple):
-    """What the two images show. sights: (2, MAX_SPOTS) of SIGHT. counts: (2,), how many are in use.
+    """What the two images show. spots: (2, MAX_SPOTS) of SPOT_RAY. counts: (2,), how many are in use.
 
     order: (2, MAX_SPOTS), which of the detector's spots each one is.
     """
 
-    sights: np.ndarray
+    spots: np.ndarray
     counts: npt.NDArray[np.int64]
     order: npt.NDArray[np.int64]

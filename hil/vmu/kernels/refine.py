@@ -21,7 +21,7 @@ _SMALL = 1e-8  # square of a step in sigmas, at which the refinement has ended
 
 
 @kernel
-def turn(r, e, out):
+def rotate(r, e, out):
     """Write ``exp([e]x) r`` (3, 3), made orthonormal anew."""
     back = np.empty(3)
     back[0], back[1], back[2] = -e[0], -e[1], -e[2]
@@ -67,20 +67,20 @@ def accumulate(scene, view, spot, r, t, normal, gradient):
             k = spot[c, n]
             if k < 0:
                 continue
-            sight = view.sights[c, k]
+            measured = view.spots[c, k]
             place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
-            du, dv = sight.u - u, sight.v - v
+            du, dv = measured.u - u, measured.v - v
             if not (math.isfinite(du) and math.isfinite(dv)):
                 return np.inf
             jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
-            wu = sight.w_uu * du + sight.w_uv * dv
-            wv = sight.w_uv * du + sight.w_vv * dv
+            wu = measured.w_uu * du + measured.w_uv * dv
+            wv = measured.w_uv * du + measured.w_vv * dv
             total += wu * du + wv * dv
             for a in range(6):
                 gradient[a] += j[0, a] * wu + j[1, a] * wv
-                ja = sight.w_uu * j[0, a] + sight.w_uv * j[1, a]
-                jb = sight.w_uv * j[0, a] + sight.w_vv * j[1, a]
+                ja = measured.w_uu * j[0, a] + measured.w_uv * j[1, a]
+                jb = measured.w_uv * j[0, a] + measured.w_vv * j[1, a]
                 for b in range(a + 1):
                     normal[a, b] += ja * j[0, b] + jb * j[1, b]
     for a in range(6):
@@ -99,13 +99,13 @@ def chi_square(scene, view, spot, r, t):
             k = spot[c, n]
             if k < 0:
                 continue
-            sight = view.sights[c, k]
+            measured = view.spots[c, k]
             place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
-            du, dv = sight.u - u, sight.v - v
+            du, dv = measured.u - u, measured.v - v
             if not (math.isfinite(du) and math.isfinite(dv)):
                 return np.inf
-            total += sight.w_uu * du * du + 2.0 * sight.w_uv * du * dv + sight.w_vv * dv * dv
+            total += measured.w_uu * du * du + 2.0 * measured.w_uv * du * dv + measured.w_vv * dv * dv
     return total
 
 
@@ -130,7 +130,7 @@ def refine(scene, view, fit):
         cholesky.solve(low, 6, gradient, step)
         for a in range(3):
             t_new[a] = fit.t[a] + step[a]
-        turn(fit.r, step[3:6], r_new)
+        rotate(fit.r, step[3:6], r_new)
         new_cost = chi_square(scene, view, fit.spot, r_new, t_new)
         size = 0.0
         for a in range(6):

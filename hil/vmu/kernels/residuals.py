@@ -10,7 +10,7 @@ from hil.core.jit import kernel
 from hil.maths.kalman import normalised_square
 from hil.vmu.kernels.fit import FULL_SCALE, PLANE, SIGMA, U, V, gather, invert
 
-ODD = 3  # parameters of ``oddness``
+SHAPE_TERMS = 3  # parameters of ``shape_chi_square``
 _OUTLIER = 6.0  # sigma
 _MOST_OUTLIERS = 3
 
@@ -47,7 +47,7 @@ def misfit(total, used, parameters):
 
 
 @kernel
-def oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse):
+def shape_chi_square(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse):
     """Return how significantly a light differs from the round Gaussian ``p`` (7,) that was fitted to it.
 
     The number is a chi-square of three degrees of freedom. A tilted disc is longer one way than the other (x^2 - y^2
@@ -56,7 +56,7 @@ def oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide
     step of the fit with these three gives wide_model, wide (pixels, 10), its derivatives, and wide_inverse (10, 10),
     its covariance: residuals in which a light's shape does not pass for shot noise.
     """
-    n, more = p.shape[0], ODD
+    n, more = p.shape[0], SHAPE_TERMS
     square = p[PLANE + SIGMA] * p[PLANE + SIGMA] + 1.0 / 12.0
     across = box[2] - box[0]
     for at in range(pixels.shape[0]):
@@ -82,7 +82,7 @@ def oddness(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide
 
 
 @kernel
-def significance(pixels, weighed, dark, per_level, light):
+def signal_to_noise(pixels, weighed, dark, per_level, light):
     """Return a light's SNR: the root of the sum of squares of its levels over their variances."""
     total = 0.0
     for at in range(pixels.shape[0]):

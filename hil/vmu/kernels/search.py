@@ -11,12 +11,12 @@ from hil.vmu.kernels.components import (
     COMPONENT_WIDTH,
     END,
     FIRST,
-    between,
-    collect,
+    collect_hits,
+    fill_background_grid,
     fill_threshold,
     flood,
+    interpolate,
     level_and_variance,
-    survey,
 )
 from hil.vmu.kernels.measure import measure
 
@@ -29,7 +29,7 @@ _ROWS = 4  # for which a threshold serves
 
 @kernel
 def _flood_row(image, label, hits, count, queue, components, lights, level, dark, known, sigmas):
-    """Flood from each hit that is no component's yet; level and dark: one number each, or tiles as of ``survey``."""
+    """Flood from each hit without a component; level and dark: (1, 1), or the grids of ``fill_background_grid``."""
     rows, columns = image.shape
     end = components[known - 1, END] if known > 0 else 0
     for k in range(count):
@@ -38,7 +38,7 @@ def _flood_row(image, label, hits, count, queue, components, lights, level, dark
             continue
         if known == components.shape[0]:
             return TOO_MANY
-        here, variance = between(level, u, v, columns, rows), between(dark, u, v, columns, rows)
+        here, variance = interpolate(level, u, v, columns, rows), interpolate(dark, u, v, columns, rows)
         variance = max(variance, 1.0 / 12.0)
         lights[known, 0], lights[known, 1] = here, variance
         threshold = here + 3.0 * sigmas * math.sqrt(variance)
@@ -56,7 +56,7 @@ def components_of_image(image, limits, label, queue, components, lights):
     rows, columns = image.shape
     shape = (max(1, round(rows / _TILE)), max(1, round(columns / _TILE)))
     level, dark, deviation = np.empty(shape), np.empty(shape), np.empty(shape)
-    survey(image, level, dark, np.empty(_SAMPLES))
+    fill_background_grid(image, level, dark, np.empty(_SAMPLES))
     for i in range(shape[0]):
         for j in range(shape[1]):
             deviation[i, j] = 3.0 * math.sqrt(dark[i, j])
@@ -67,7 +67,7 @@ def components_of_image(image, limits, label, queue, components, lights):
     for v in range(1, rows - 1):
         if (v - 1) % _ROWS == 0:
             fill_threshold(level, deviation, limits.sigmas, v, rows, threshold)
-        count = collect(image, v, 0, columns, threshold, scratch, flags, words, hits, 0)
+        count = collect_hits(image, v, 0, columns, threshold, scratch, flags, words, hits, 0)
         if count > 0:
             known = _flood_row(
                 image, label, hits, count, queue, components, lights, level, dark, known, limits.sigmas
@@ -100,7 +100,7 @@ def components_of_windows(image, windows, limits, label, queue, components, ligh
         limit = here[0, 0] + 3.0 * limits.sigmas * math.sqrt(noise[0, 0])
         threshold[:] = np.uint16(min(limit, 65535.0))
         for v in range(max(box[k, 1], 1), min(box[k, 3], rows - 1)):
-            count = collect(image, v, box[k, 0], box[k, 2], threshold, scratch, flags, words, hits, 0)
+            count = collect_hits(image, v, box[k, 0], box[k, 2], threshold, scratch, flags, words, hits, 0)
             if count > 0:
                 known = _flood_row(
                     image, label, hits, count, queue, components, lights, here, noise, known, limits.sigmas

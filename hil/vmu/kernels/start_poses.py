@@ -14,7 +14,7 @@ _ALONE = 5  # spots of one camera that are believed though the other one sees no
 
 
 @kernel
-def side_of(leds, p, q, s, least_facing):
+def orientation_of(leds, p, q, s, least_facing):
     """Return the sense, 1 or -1, in which a camera in front sees the LEDs p, q, s; 0 where it depends on the pose."""
     ax, ay, az = leds[q, 0] - leds[p, 0], leds[q, 1] - leds[p, 1], leds[q, 2] - leds[p, 2]
     bx, by, bz = leds[s, 0] - leds[p, 0], leds[s, 1] - leds[p, 1], leds[s, 2] - leds[p, 2]
@@ -86,7 +86,7 @@ def take_nearest(scene, view, c, n, reach, fit, arm, point):
     u, v = project(scene.lens[c], point[0], point[1], point[2])
     best, least = -1, reach * reach
     for k in range(view.counts[c]):
-        du, dv = view.sights[c, k].u - u, view.sights[c, k].v - v
+        du, dv = view.spots[c, k].u - u, view.spots[c, k].v - v
         square = du * du + dv * dv
         if square < least:
             best, least = k, square
@@ -125,7 +125,7 @@ def take_spots(scene, view, c, least, reach, fit, arm, point):
 
 
 @kernel
-def tried(others, count, fit, n):
+def is_tried(others, count, fit, n):
     """Return whether one of the first ``count`` starts names the same spots and is turned alike."""
     for k in range(count):
         other = others[k]

@@ -23,7 +23,7 @@ def depth(scene, view, c, i, j, out):
     out: (2,), m, with its standard deviation. Return False where the two rays do not meet.
     """
     o = 1 - c
-    y, z = view.sights[c, i].ray, view.sights[o, j].ray
+    y, z = view.spots[c, i].ray, view.spots[o, j].ray
     turned, shift = np.empty(3), np.empty(3)
     for a in range(3):
         total, moved = 0.0, scene.translation[o, a]
@@ -48,7 +48,7 @@ def depth(scene, view, c, i, j, out):
         return False
     px, py, pz = away * turned[0] + shift[0], away * turned[1] + shift[1], away * turned[2] + shift[2]
     u, v = project(scene.lens[o], px, py, pz)
-    a, b = view.sights[c, i], view.sights[o, j]
+    a, b = view.spots[c, i], view.spots[o, j]
     variance = max(a.var_u, a.var_v) + max(b.var_u, b.var_v)
     du, dv = b.u - u, b.v - v
     gate = _SIGMAS * math.sqrt(variance) + _SLACK_PX
@@ -100,7 +100,7 @@ def allow_pairs(scene, view, c, near, far, allowed):
     depths(scene, view, c, near, far, found, counts)
     for i in range(view.counts[c]):
         for j in range(view.counts[c]):
-            y, z = view.sights[c, i].ray, view.sights[c, j].ray
+            y, z = view.spots[c, i].ray, view.spots[c, j].ray
             between = y[0] * z[0] + y[1] * z[1] + y[2] * z[2]
             for p in range(n):
                 for q in range(n):

@@ -32,7 +32,7 @@ def test_to_camera_undoes_y_is_d_plus_a_x(rng: np.random.Generator) -> None:
 def test_ahead_is_in_the_middle_right_is_right_and_up_is_up() -> None:
     def seen(d: list[float], phi: list[float]) -> tuple[float, float]:
         x = docking_view.to_camera(docking_view.attitude(np.array(phi)), np.array(d), np.zeros(3))
-        u, v = docking_view.picture_point(1000.0, 400.0, 300.0, x)
+        u, v = docking_view.project_point(1000.0, 400.0, 300.0, x)
         return float(u), float(v)
 
     assert seen([0.0, 0.0, 10.0], [0.0, 0.0, 0.0]) == (400.0, 300.0)

@@ -39,7 +39,7 @@ def with_target(scene: Scene, **parts: object) -> Scene:
 def middle_of(scene: Scene, d: np.ndarray, phi: np.ndarray, y: np.ndarray) -> np.ndarray:
     x = docking_view.to_camera(docking_view.attitude(phi), d, y)
     camera = scene.camera
-    return np.array(docking_view.picture_point(camera.f, camera.cx, camera.cy, x))
+    return np.array(docking_view.project_point(camera.f, camera.cx, camera.cy, x))
 
 
 def centroid(image: np.ndarray) -> np.ndarray:
@@ -135,14 +135,14 @@ def test_the_cross_moves_before_the_disc_as_the_camera_moves_aside(atv: Scene) -
 def test_noise_is_the_cameras(atv: Scene, rng: np.random.Generator) -> None:
     scene = with_target(atv, outline=atv.target.outline)
     renderer = TargetRenderer(scene, conditions=Conditions(noise=PixelNoise(read=3.0, k=0.1)))
-    image = renderer.picture(np.array([0.0, 0.0, 1.3]), AHEAD, 0.0, rng)
+    image = renderer.image(np.array([0.0, 0.0, 1.3]), AHEAD, 0.0, rng)
     assert image.mean() == pytest.approx(120.0, abs=0.05)
     assert image.var() == pytest.approx(9.0 + 0.1 * 120.0 + 1.0 / 12.0, rel=0.02)
 
 
 def test_a_seed_gives_its_picture_again(atv: Scene) -> None:
     d = np.array([0.1, 0.2, 9.0])
-    one, two = (TargetRenderer(atv).picture(d, AHEAD, 0.0, np.random.default_rng(5)) for _ in range(2))
+    one, two = (TargetRenderer(atv).image(d, AHEAD, 0.0, np.random.default_rng(5)) for _ in range(2))
     np.testing.assert_array_equal(one, two)
 
 
@@ -151,7 +151,7 @@ def test_light_flicker_glare_black_and_cover_are_what_they_say(atv: Scene, rng: 
     d = np.array([0.0, 0.0, 1.3])
 
     def picture(t_s: float = 0.0, **what: object) -> np.ndarray:
-        return TargetRenderer(scene, conditions=Conditions(noise=QUIET, **what)).picture(d, AHEAD, t_s, rng)  # type: ignore[arg-type]
+        return TargetRenderer(scene, conditions=Conditions(noise=QUIET, **what)).image(d, AHEAD, t_s, rng)  # type: ignore[arg-type]
 
     sloped = picture(slope_right=0.2, slope_down=-0.1)
     assert (sloped[288, 0], sloped[288, 767]) == (96, 144)
@@ -179,7 +179,7 @@ def test_half_frames_have_their_own_times_and_lines(rng: np.random.Generator) ->
     frames = list(film(renderer, flight, 2, rng))
     assert [frame.field for frame in frames] == [UPPER, LOWER, UPPER, LOWER]
     np.testing.assert_allclose([frame.t_s for frame in frames], [0.0, 0.02, 0.04, 0.06])
-    whole = renderer.picture(*flight(0.06), 0.06, rng)
+    whole = renderer.image(*flight(0.06), 0.06, rng)
     np.testing.assert_array_equal(frames[3].image, whole[1::2])
     assert frames[3].image.flags.c_contiguous
     assert (frames[3].first_line, frames[3].line_step) == (1, 2)

@@ -150,9 +150,7 @@ def test_something_else_gives_never_numbers(atv: Scene, bright: Scene) -> None:
     rng = np.random.default_rng(2)
     for d3 in (4.0, 9.0, 25.0):
         at = motion_at(d3)
-        pictures[f"other ship at {d3} m"] = TargetRenderer(ship, conditions=PLAIN).picture(
-            at[0:6:2], at[6::2], 0.0, rng
-        )
+        pictures[f"other ship at {d3} m"] = TargetRenderer(ship, conditions=PLAIN).image(at[0:6:2], at[6::2], 0.0, rng)
     for name, picture in pictures.items():
         monitor = Monitor(atv)
         for number in range(2):

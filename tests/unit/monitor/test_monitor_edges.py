@@ -8,7 +8,7 @@ import pytest
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
 from hil.models import docking_view
-from hil.monitor.features import ACROSS, DISC, UPRIGHT, parts_of
+from hil.monitor.features import ACROSS, DISC, UPRIGHT, target_features
 from hil.monitor.kernels import edge_samples, edges, pose
 from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
 from hil.monitor.render import Conditions, TargetRenderer
@@ -25,14 +25,14 @@ def atv() -> Scene:
 def fitted(
     scene: Scene, image: np.ndarray, at: Floats, blur: float, noise: Floats, wide_bar: float = 7.0
 ) -> np.ndarray:
-    """Return the measured cells of ``image`` at the pose ``at`` (6,)."""
-    of = parts_of(scene.camera, scene.target)
+    """Return the measured samples of ``image`` at the pose ``at`` (6,)."""
+    of = target_features(scene.camera, scene.target)
     found, sums = np.zeros(1000, EDGE_SAMPLE), np.zeros(2)
     a = docking_view.attitude(at[3:])
     count = edge_samples.place_edge_samples(
         of.lens, a, at[:3].copy(), of.circles, of.lines, of.borders, blur, 8.0, 96, wide_bar * blur, 4.5, found
     )
-    edges.fit_cells(image, 0.0, 1.0, found, count, blur, noise, 2, sums)
+    edges.fit_edge_samples(image, 0.0, 1.0, found, count, blur, noise, 2, sums)
     return found[:count][found["good"][:count] == 1]
 
 
@@ -48,7 +48,7 @@ def test_edges_are_found_where_the_geometry_has_them(atv: Scene, d3: float) -> N
     rng = np.random.default_rng(3)
     total: dict[int, list[float]] = {}
     for _ in range(4):
-        image = renderer.picture(at[:3], at[3:], 0.0, rng)
+        image = renderer.image(at[:3], at[3:], 0.0, rng)
         found = fitted(atv, image, at, np.hypot(0.8, np.sqrt(1.0 / 12.0)), np.array([0.34, 0.0]))
         for feature in np.unique(found["feature"]):
             total.setdefault(int(feature), []).extend(found["shift"][found["feature"] == feature])
@@ -73,7 +73,7 @@ def test_variances_of_edges_are_those_of_their_scatter(atv: Scene, read: float) 
 
 
 def test_errors_of_neighbouring_cells_are_independent(atv: Scene) -> None:
-    """No pixel belongs to two cells of an edge, so their errors do not go together."""
+    """No pixel belongs to two samples of an edge, so their errors do not go together."""
     at = np.array([0.2, -0.1, 4.0, -0.01, -0.01, 0.03])
     renderer = TargetRenderer(atv, conditions=Conditions(noise=PixelNoise(read=3.0)))
     clean = renderer.draw(at[:3], at[3:])
@@ -92,9 +92,9 @@ def test_a_shifted_pose_is_found_again(atv: Scene) -> None:
     """Gauss-Newton with the exact projection brings a pose some tenths of a pixel off back to the truth."""
     at = np.array([0.2, -0.3, 5.0, -0.08, -0.06, 0.1])
     renderer = TargetRenderer(atv, conditions=Conditions(noise=PixelNoise(read=1.0)))
-    image = renderer.picture(at[:3], at[3:], 0.0, np.random.default_rng(1))
+    image = renderer.image(at[:3], at[3:], 0.0, np.random.default_rng(1))
     start = np.append(at + np.array((1e-3, -1e-3, 3e-3, 1e-4, -1e-4, 5e-4)), 0.0)
-    of = parts_of(atv.camera, atv.target)
+    of = target_features(atv.camera, atv.target)
     found = fitted(atv, image, start[:6], 0.85, np.array([1.1, 0.0]))
     normal = np.zeros((7, 7))
     assert pose.fit_pose(of.lens, found, len(found), start, 0.0, np.array([0.1, 0.1]), 4, normal)

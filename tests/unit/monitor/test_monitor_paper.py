@@ -12,7 +12,7 @@ from hil.monitor.kernels.quantities import derive, quantities
 from hil.monitor.motion import MotionFit, transition
 from hil.monitor.paper import paper
 from hil.monitor.paper.motion import PaperMotionFit, pair
-from hil.monitor.results import QUANTITIES, FrameResult, PaperFrame, Seen
+from hil.monitor.results import QUANTITIES, FrameDetection, FrameResult, PaperFrame
 from hil.monitor.settings import MonitorSettings
 
 F, B, R = 1100.0, 0.3, 0.3
@@ -91,7 +91,9 @@ def paper_looks(rng: np.random.Generator, start: int, z: np.ndarray = Z, v: np.n
 
 def _look(t_s: float, **fields: object) -> FrameResult:
     zeros = np.zeros((7, 7))
-    plain = FrameResult(Seen(0, t_s, "near"), "", np.zeros(7), zeros, np.zeros(7), np.array([100.0, 107, 10, 17]), True)
+    plain = FrameResult(
+        FrameDetection(0, t_s, "near"), "", np.zeros(7), zeros, np.zeros(7), np.array([100.0, 107, 10, 17]), True
+    )
     return replace(plain, **fields)
 
 
@@ -103,7 +105,7 @@ def test_one_time_origin_and_one_a_portion_give_the_same_motion(rng: np.random.G
     own = PaperMotionFit(settings, F, B, R)
     for portion in range(4):
         looks = paper_looks(rng, 10 * portion)
-        t_s = looks[-1].seen.t_s
+        t_s = looks[-1].detection.t_s
         first, second = one.fit(looks, t_s), own.fit(looks, t_s)
         assert first is not None
         assert second is not None
@@ -119,7 +121,7 @@ def test_the_mended_covariance_is_that_of_the_errors_and_the_printed_one_is_not(
         results = {}
         for portion in range(5):
             looks = paper_looks(rng, 10 * portion)
-            t_s = looks[-1].seen.t_s
+            t_s = looks[-1].detection.t_s
             results = {name: fit.fit(looks, t_s) for name, fit in fits.items()}
         truth = pair(t_s) @ Z
         for name, result in results.items():
@@ -153,9 +155,9 @@ def test_carried_motion_has_the_errors_that_its_covariance_says(rng: np.random.G
         fit = MotionFit(settings)
         for portion in range(4):
             looks = exact_looks(rng, 10 * portion, w, normal)
-            found = fit.fit(looks, looks[-1].seen.t_s)
+            found = fit.fit(looks, looks[-1].detection.t_s)
         assert found is not None
-        error = found.motion.w - transition(looks[-1].seen.t_s) @ w
+        error = found.motion.w - transition(looks[-1].detection.t_s) @ w
         squares += error**2 / np.diag(found.motion.covariance) / runs
     np.testing.assert_allclose(squares, 1.0, atol=0.4)
 

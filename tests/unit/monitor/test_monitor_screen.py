@@ -11,9 +11,9 @@ import pytest
 from hil.config.load import load_scene
 from hil.config.scene import SceneCamera
 from hil.errors import BadInput
-from hil.monitor.results import QUANTITIES, Portion, Seen, portion_of, portion_row
+from hil.monitor.results import QUANTITIES, FrameDetection, Portion, portion_of, portion_row
 from hil.monitor.screen import drawing, plots
-from hil.monitor.screen.overlay import with_words
+from hil.monitor.screen.overlay import annotated_shapes
 from hil.monitor.screen.screen import HEIGHT, WIDTH, Screen, ScreenFile
 from hil.monitor.sources import LOWER, UPPER, VideoFrame
 
@@ -46,7 +46,7 @@ def around(canvas: np.ndarray, u: float, v: float, reach: int = 2) -> np.ndarray
 def test_what_was_seen_is_drawn_where_it_was_seen(camera: SceneCamera) -> None:
     screen = Screen(camera, "test")
     edges = np.array([[500.0, 400.0], [np.nan, 1.0], [9e9, 0.0]])
-    seen = Seen(0, 0.0, "near", (200, 150, 300, 250), edges, (350.0, 275.0, 0.0), (350.0, 275.0, 60.0))
+    seen = FrameDetection(0, 0.0, "near", (200, 150, 300, 250), edges, (350.0, 275.0, 0.0), (350.0, 275.0, 60.0))
     screen.show_frame(GREY_FRAME, seen)
     assert has(around(screen.canvas, 200, 300), drawing.YELLOW)
     assert has(around(screen.canvas, 410, 275), drawing.SKY)
@@ -58,15 +58,15 @@ def test_what_was_seen_is_drawn_where_it_was_seen(camera: SceneCamera) -> None:
 
 def test_a_turned_cross_is_drawn_turned(camera: SceneCamera) -> None:
     screen = Screen(camera, "test")
-    screen.show_frame(GREY_FRAME, Seen(0, 0.0, "near", cross=(350.0, 275.0, 0.5), disc=(350.0, 275.0, 60.0)))
+    screen.show_frame(GREY_FRAME, FrameDetection(0, 0.0, "near", cross=(350.0, 275.0, 0.5), disc=(350.0, 275.0, 60.0)))
     assert has(around(screen.canvas, 350 + 40 * np.cos(0.5), 275 - 40 * np.sin(0.5)), drawing.PINK)
     assert not has(around(screen.canvas, 390, 275), drawing.PINK)
 
 
 def test_each_frame_wipes_the_marks_of_the_last(camera: SceneCamera) -> None:
     screen = Screen(camera, "test")
-    screen.show_frame(GREY_FRAME, Seen(0, 0.0, "far", outline=(350.0, 275.0, 100.0)))
-    screen.show_frame(GREY_FRAME, Seen(1, 0.1, "no_target"))
+    screen.show_frame(GREY_FRAME, FrameDetection(0, 0.0, "far", outline=(350.0, 275.0, 100.0)))
+    screen.show_frame(GREY_FRAME, FrameDetection(1, 0.1, "no_target"))
     np.testing.assert_array_equal(screen.canvas[30:600, :800], 90)
     assert has(screen.canvas[:24, :200], drawing.VERMILION)
 
@@ -74,7 +74,7 @@ def test_each_frame_wipes_the_marks_of_the_last(camera: SceneCamera) -> None:
 @pytest.mark.parametrize("field", [UPPER, LOWER])
 def test_a_half_frame_fills_the_picture(camera: SceneCamera, field: int) -> None:
     screen = Screen(camera, "test")
-    screen.show_frame(VideoFrame(0, 0.0, np.full((288, 768), 77, np.uint8), field), Seen(0, 0.0, "near"))
+    screen.show_frame(VideoFrame(0, 0.0, np.full((288, 768), 77, np.uint8), field), FrameDetection(0, 0.0, "near"))
     np.testing.assert_array_equal(screen.canvas[30:600, :800], 77)
 
 
@@ -146,7 +146,7 @@ def test_a_screen_video_has_every_canvas(tmp_path: Path, camera: SceneCamera, na
     screen = Screen(camera, "test")
     with ScreenFile(path, 12.5) as file:
         for number in range(3):
-            screen.show_frame(GREY_FRAME, Seen(number, 0.08 * number, "near"))
+            screen.show_frame(GREY_FRAME, FrameDetection(number, 0.08 * number, "near"))
             file.write(screen.canvas)
     video = cv2.VideoCapture(path)
     assert (video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_FPS)) == (3, 12.5)
@@ -158,7 +158,7 @@ def test_a_screen_picture_is_the_last_canvas(tmp_path: Path, camera: SceneCamera
     screen = Screen(camera, "test")
     with ScreenFile(str(path), 12.5) as file:
         for number in range(2):
-            screen.show_frame(GREY_FRAME, Seen(number, 0.08 * number, "near"))
+            screen.show_frame(GREY_FRAME, FrameDetection(number, 0.08 * number, "near"))
             file.write(screen.canvas)
     np.testing.assert_array_equal(cv2.imread(str(path)), screen.canvas)
 
@@ -173,8 +173,8 @@ def test_a_screen_file_that_cannot_be_is_one_line(tmp_path: Path, name: str, sai
 
 def test_what_stands_over_a_picture_by_itself_has_words_first_and_not_every_edge() -> None:
     edges = np.vstack((np.column_stack((np.arange(500.0), np.arange(500.0))), [[np.nan, 1.0]]))
-    seen = Seen(3, 1.25, "near", (200, 150, 300, 250), edges, (350.0, 275.0, 0.0), (350.0, 275.0, 60.0))
-    found = with_words(seen, portion(1.2, range_m=8.5))
+    seen = FrameDetection(3, 1.25, "near", (200, 150, 300, 250), edges, (350.0, 275.0, 0.0), (350.0, 275.0, 60.0))
+    found = annotated_shapes(seen, portion(1.2, range_m=8.5))
     assert [shape["text"] for shape in found if shape["kind"] == "text"] == [
         "near   t = 1.25 s   frame 3",
         "range 8.500 +- 0.0100 m",
@@ -185,7 +185,7 @@ def test_what_stands_over_a_picture_by_itself_has_words_first_and_not_every_edge
     assert 90 < len(points) <= 120
     assert points[1] == [5.0, 5.0]
     assert all(shape["good"] for shape in found)
-    lost = with_words(Seen(0, 0.0, "no_target"), None)
+    lost = annotated_shapes(FrameDetection(0, 0.0, "no_target"), None)
     assert [(shape["text"], shape["good"]) for shape in lost] == [("no_target   t = 0.00 s   frame 0", False)]
 
 

@@ -43,7 +43,7 @@ def test_a_video_gives_every_picture_bit_for_bit_with_its_time(
     tmp_path: Path, scene: Loaded[Scene], pictures: list[np.ndarray]
 ) -> None:
     source = open_source(str(write_video(tmp_path / "a.mkv", pictures)), scene)
-    assert source.pictures == COUNT
+    assert source.image_count == COUNT
     frames = list(source)
     assert [frame.number for frame in frames] == list(range(COUNT))
     np.testing.assert_allclose([frame.t_s for frame in frames], np.arange(COUNT) / 12.5)

@@ -1,4 +1,4 @@
-"""Calibration from simulated sightings: truth recovered, sigmas honest, what does not belong left out by name."""
+"""Calibration from simulated observations: truth recovered, sigmas honest, what does not belong left out by name."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from hil.errors import BadInput
 from hil.vmu.calibration import quality
 from hil.vmu.calibration.board import start
 from hil.vmu.calibration.drift import Drift, check
-from hil.vmu.calibration.files import Calibrated, Label
+from hil.vmu.calibration.files import Label, StoredCalibration
 from hil.vmu.calibration.leds import Spots, SpotViews
-from hil.vmu.calibration.model import PARTS, Setup, Sightings, TurntableModel
-from hil.vmu.calibration.refine import RefinementFit, RefinementProblem, belief
-from hil.vmu.calibration.solve import Solved, robust, solve, solve_leds
+from hil.vmu.calibration.model import PARTS, Observations, Setup, TurntableModel
+from hil.vmu.calibration.refine import RefinementFit, RefinementProblem, weak_prior
+from hil.vmu.calibration.solve import CalibrationSolution, robust_fit, solve, solve_leds
 from hil.vmu.kernels.chain import SCALE
 from tests.support.calibration_sets import AXIS_SIGMA, BOARD, PIXEL_SIGMA, as_made, board_seen, leds_seen, on_paper
-from tests.support.calibration_views import plan, shifted, sight
+from tests.support.calibration_views import observe, plan, shifted
 
 LAYOUT_SIGMA, SQUARE_SIGMA = 1e-3, 1e-3
 
@@ -57,7 +57,7 @@ def nees(fit: RefinementFit, truth: Setup) -> float:
     return float(np.mean(components**2 / values[free]))
 
 
-def spots_of(seen: Sightings, rng: np.random.Generator) -> SpotViews:
+def spots_of(seen: Observations, rng: np.random.Generator) -> SpotViews:
     """Return the spots of ``seen`` in any order, with two lights in every image that are no LEDs, and LEDs unlit."""
     views = []
     for view in seen.pixels:
@@ -71,17 +71,19 @@ def spots_of(seen: Sightings, rng: np.random.Generator) -> SpotViews:
     return SpotViews(seen.names, seen.axes, tuple(views))
 
 
-def calibrated_by_leds(rig: Rig, seed: int, spoil: float = 0.0) -> tuple[Solved, Setup]:
+def calibrated_by_leds(rig: Rig, seed: int, spoil: float = 0.0) -> tuple[CalibrationSolution, Setup]:
     rng = np.random.default_rng(seed)
     paper, turntable = on_paper(rig, True), TurntableModel.of(rig.bench)
     truth = as_made(paper, rng, True)
     seen = leds_seen(truth, turntable, rng)
     seen.axes[5, 1] += spoil
-    held = belief(paper, (), AXIS_SIGMA, LAYOUT_SIGMA, 0.0)
+    held = weak_prior(paper, (), AXIS_SIGMA, LAYOUT_SIGMA, 0.0)
     return solve_leds(spots_of(seen, rng), paper, turntable, held, lambda *_: None), truth
 
 
-def calibrated_by_board(rig: Rig, seed: int, told: float = 1.0, spoil: float = 0.0) -> tuple[Solved, Setup]:
+def calibrated_by_board(
+    rig: Rig, seed: int, told: float = 1.0, spoil: float = 0.0
+) -> tuple[CalibrationSolution, Setup]:
     rng = np.random.default_rng(seed)
     paper, turntable = on_paper(rig, False), TurntableModel.of(rig.bench)
     truth = as_made(paper, rng, False)
@@ -90,7 +92,7 @@ def calibrated_by_board(rig: Rig, seed: int, told: float = 1.0, spoil: float = 0
     seen.pixels[::3] = seen.pixels[::3, :, ::-1]  # read from the other end
     paper = replace(paper, points=paper.points * told)
     begun, seen, doubtful = start(seen, BOARD, paper, turntable, (), False)
-    held = belief(begun, (), AXIS_SIGMA, 0.0, SQUARE_SIGMA)
+    held = weak_prior(begun, (), AXIS_SIGMA, 0.0, SQUARE_SIGMA)
     return solve(seen, begun, turntable, held, doubtful), truth
 
 
@@ -107,7 +109,7 @@ def test_a_board_gives_cameras_and_mounting_within_their_sigmas(mock_rig: Rig) -
 
 def test_the_noise_of_the_pixels_is_found(mock_rig: Rig) -> None:
     solved, _ = calibrated_by_board(mock_rig, 1)
-    assert quality.sigma_px(solved.fit, solved.sightings) == pytest.approx(PIXEL_SIGMA, rel=0.05)
+    assert quality.sigma_px(solved.fit, solved.observations) == pytest.approx(PIXEL_SIGMA, rel=0.05)
 
 
 @pytest.mark.parametrize("calibrated", [calibrated_by_leds, calibrated_by_board])
@@ -130,8 +132,8 @@ def test_without_tilt_and_travel_the_report_says_what_is_open(mock_rig: Rig) -> 
     paper, turntable = on_paper(mock_rig, True), TurntableModel.of(mock_rig.bench)
     rng = np.random.default_rng(1)
     axes = plan(paper, turntable, 8, (1.5, 1.5001), 0.01, rng, 0.001)
-    seen = sight(paper, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
-    held = belief(paper, (), AXIS_SIGMA, LAYOUT_SIGMA, 0.0)
+    seen = observe(paper, turntable, axes, AXIS_SIGMA, PIXEL_SIGMA, rng)
+    held = weak_prior(paper, (), AXIS_SIGMA, LAYOUT_SIGMA, 0.0)
     fit = RefinementProblem(seen, turntable, held, paper.points).solve(paper)
     text = " ".join(quality.warnings_of(fit, seen, held, quality.coverage(seen, paper.sizes), False))
     for words in ("few views", "covered to", "no tilt", "nothing fixes the scale", "not determined", "left.k1"):
@@ -142,8 +144,8 @@ def test_without_tilt_and_travel_the_report_says_what_is_open(mock_rig: Rig) -> 
 def test_what_is_kept_is_not_touched(mock_rig: Rig) -> None:
     paper, turntable = on_paper(mock_rig, True), TurntableModel.of(mock_rig.bench)
     rng = np.random.default_rng(4)
-    seen = leds_seen(shifted(paper, TARGET_STATION=[0.0, 3e-3, 0.0]), turntable, rng)
-    held = belief(paper, ("left", "right", "stereo"), AXIS_SIGMA, LAYOUT_SIGMA, 0.0)
+    seen = leds_seen(shifted(paper, TARGET_POSITION=[0.0, 3e-3, 0.0]), turntable, rng)
+    held = weak_prior(paper, ("left", "right", "stereo"), AXIS_SIGMA, LAYOUT_SIGMA, 0.0)
     fit = RefinementProblem(seen, turntable, held, paper.points).solve(paper)
     assert (fit.setup.theta[:24] == paper.theta[:24]).all()
     assert not fit.sigma[:24].any()
@@ -157,36 +159,38 @@ def test_spots_that_are_nowhere_near_are_refused(mock_rig: Rig) -> None:
     nothing = Spots(np.empty((0, 2)), np.empty((0, 2, 2)))
     views = SpotViews(seen.names, seen.axes, ((nothing, nothing),) * 6)
     with pytest.raises(BadInput, match="0 of 6 views show 3 LEDs"):
-        solve_leds(views, paper, turntable, belief(paper, (), AXIS_SIGMA, LAYOUT_SIGMA, 0.0), lambda *_: None)
+        solve_leds(views, paper, turntable, weak_prior(paper, (), AXIS_SIGMA, LAYOUT_SIGMA, 0.0), lambda *_: None)
 
 
 @pytest.fixture(scope="module")
-def known(mock_rig: Rig) -> tuple[Calibrated, Setup]:
+def known(mock_rig: Rig) -> tuple[StoredCalibration, Setup]:
     """Return a calibration by LEDs and the truth."""
     rng = np.random.default_rng(11)
     paper, turntable = on_paper(mock_rig, True), TurntableModel.of(mock_rig.bench)
     truth = as_made(paper, rng, True)
     seen = leds_seen(truth, turntable, rng, 40)
-    held = belief(paper, (), AXIS_SIGMA, LAYOUT_SIGMA, 0.0)
-    fit = RefinementProblem(seen, turntable, held, paper.points).solve(robust(seen, paper, turntable, held))
-    return Calibrated(Label("a", "", "leds"), fit.setup, turntable, fit.covariance, fit.noise, AXIS_SIGMA), truth
+    held = weak_prior(paper, (), AXIS_SIGMA, LAYOUT_SIGMA, 0.0)
+    fit = RefinementProblem(seen, turntable, held, paper.points).solve(robust_fit(seen, paper, turntable, held))
+    return StoredCalibration(Label("a", "", "leds"), fit.setup, turntable, fit.covariance, fit.noise, AXIS_SIGMA), truth
 
 
-def today(known: tuple[Calibrated, Setup], seed: int, sigma_px: float = PIXEL_SIGMA, **changes: list[float]) -> Drift:
+def today(
+    known: tuple[StoredCalibration, Setup], seed: int, sigma_px: float = PIXEL_SIGMA, **changes: list[float]
+) -> Drift:
     calibrated, truth = known
     rng = np.random.default_rng(seed)
     moved = shifted(truth, **{name: np.array(change) for name, change in changes.items()})
     axes = plan(truth, calibrated.turntable, 8, (0.6, 1.5), 15.0, rng, 0.25)
-    seen = sight(moved, calibrated.turntable, axes, AXIS_SIGMA, sigma_px, rng)
+    seen = observe(moved, calibrated.turntable, axes, AXIS_SIGMA, sigma_px, rng)
     seen = replace(seen, covariance=seen.covariance * (PIXEL_SIGMA / sigma_px) ** 2)
     return check(calibrated, seen, calibrated.setup, False)
 
 
-def test_no_drift_is_reported_where_there_is_none(known: tuple[Calibrated, Setup]) -> None:
+def test_no_drift_is_reported_where_there_is_none(known: tuple[StoredCalibration, Setup]) -> None:
     assert min(today(known, seed).chance for seed in range(20)) > 1e-3
 
 
-def test_noisier_pixels_are_no_drift(known: tuple[Calibrated, Setup]) -> None:
+def test_noisier_pixels_are_no_drift(known: tuple[StoredCalibration, Setup]) -> None:
     found = today(known, 3, sigma_px=3.0 * PIXEL_SIGMA)
     assert found.chance > 1e-3
     assert 2.0 < found.noise < 3.3  # the encoders, whose share is as ever, take part in it
@@ -196,22 +200,22 @@ def test_noisier_pixels_are_no_drift(known: tuple[Calibrated, Setup]) -> None:
     ("changes", "part"),
     [
         ({"BASELINE": [1e-4, 0.0, 0.0]}, "stereo"),
-        ({"CAMERA_TURN": [0.0, np.radians(0.05), 0.0]}, "mounting"),
-        ({"CAMERA_TURN": [0.0, 0.0, np.radians(0.05)]}, "mounting"),
+        ({"CAMERA_ROTATION": [0.0, np.radians(0.05), 0.0]}, "mounting"),
+        ({"CAMERA_ROTATION": [0.0, 0.0, np.radians(0.05)]}, "mounting"),
         ({"LEFT": [0.0, 0.0, 1.0]}, "left"),
-        ({"TARGET_STATION": [0.0, 1e-3, 0.0]}, "target"),
+        ({"TARGET_POSITION": [0.0, 1e-3, 0.0]}, "target"),
     ],
 )
 def test_what_moved_is_found_and_named(
-    known: tuple[Calibrated, Setup], changes: dict[str, list[float]], part: str
+    known: tuple[StoredCalibration, Setup], changes: dict[str, list[float]], part: str
 ) -> None:
     found = today(known, 5, **changes)
     assert found.chance < 1e-3
     assert part in found.alike
 
 
-def test_the_size_of_a_drift_comes_with_its_sigma(known: tuple[Calibrated, Setup]) -> None:
-    found = today(known, 6, TARGET_STATION=[0.0, 1e-3, 0.0])
+def test_the_size_of_a_drift_comes_with_its_sigma(known: tuple[StoredCalibration, Setup]) -> None:
+    found = today(known, 6, TARGET_POSITION=[0.0, 1e-3, 0.0])
     best = found.explanations[0]
     assert best.part == "target"
     error = best.change[PARTS["target"]][4] - 1e-3

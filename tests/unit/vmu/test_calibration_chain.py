@@ -11,7 +11,7 @@ from hil.bench.kinematics import BENCH_PARAMS, pose_of_axes
 from hil.config.rig import Rig
 from hil.maths import quat
 from hil.models.mounting import MOUNTING, camera_pose
-from hil.vmu.calibration.model import Setup, TurntableModel, see
+from hil.vmu.calibration.model import Setup, TurntableModel, project_view
 from hil.vmu.geometry import camera_pair
 from hil.vmu.kernels import chain
 from hil.vmu.kernels.lens import project
@@ -25,8 +25,8 @@ def made(mock_rig: Rig) -> Setup:
     """Return a setup off its paper, its small rotations not folded away."""
     setup = as_made(on_paper(mock_rig, True), np.random.default_rng(5), True)
     theta = setup.theta.copy()
-    theta[chain.CAMERA_TURN : chain.CAMERA_TURN + 3] = (0.1, -0.2, 0.3)
-    theta[chain.TARGET_TURN : chain.TARGET_TURN + 3] = (-0.2, 0.1, 0.05)
+    theta[chain.CAMERA_ROTATION : chain.CAMERA_ROTATION + 3] = (0.1, -0.2, 0.3)
+    theta[chain.TARGET_ROTATION : chain.TARGET_ROTATION + 3] = (-0.2, 0.1, 0.05)
     theta[chain.SCALE] = 1.02
     return replace(setup, theta=theta)
 
@@ -48,7 +48,7 @@ def test_pixels_are_those_of_bench_kinematics_and_stations(mock_rig: Rig) -> Non
     from hil.vmu.geometry import geometry_of_rig
 
     pair = camera_pair(geometry_of_rig(mock_rig))
-    seen = see(paper, turntable, AXES).pixels
+    seen = project_view(paper, turntable, AXES).pixels
     for camera in range(2):
         for k, led in enumerate(paper.points):
             p = pair.rotation[camera] @ (quat.transform(q_vt, led) + t_v) + pair.translation[camera]
@@ -57,10 +57,12 @@ def test_pixels_are_those_of_bench_kinematics_and_stations(mock_rig: Rig) -> Non
 
 def test_slopes_are_those_of_differences(made: Setup, mock_rig: Rig) -> None:
     turntable = TurntableModel.of(mock_rig.bench)
-    slopes, step = see(made, turntable, AXES), 1e-6
+    slopes, step = project_view(made, turntable, AXES), 1e-6
 
     def compare(low: Setup, high: Setup, axes: tuple[np.ndarray, np.ndarray], slope: np.ndarray) -> None:
-        by_steps = (see(high, turntable, axes[1]).pixels - see(low, turntable, axes[0]).pixels) / (2.0 * step)
+        by_steps = (project_view(high, turntable, axes[1]).pixels - project_view(low, turntable, axes[0]).pixels) / (
+            2.0 * step
+        )
         assert slope == pytest.approx(by_steps, rel=1e-5, abs=1e-3)
 
     for k in range(chain.COMMON):
@@ -79,13 +81,15 @@ def test_slopes_are_those_of_differences(made: Setup, mock_rig: Rig) -> None:
 def test_folding_rotations_into_the_axes_changes_no_pixel(made: Setup, mock_rig: Rig) -> None:
     turntable = TurntableModel.of(mock_rig.bench)
     folded = made.folded()
-    assert not folded.theta[chain.CAMERA_TURN : chain.CAMERA_TURN + 3].any()
-    assert see(folded, turntable, AXES).pixels == pytest.approx(see(made, turntable, AXES).pixels, abs=1e-9)
+    assert not folded.theta[chain.CAMERA_ROTATION : chain.CAMERA_ROTATION + 3].any()
+    assert project_view(folded, turntable, AXES).pixels == pytest.approx(
+        project_view(made, turntable, AXES).pixels, abs=1e-9
+    )
 
 
 def test_a_point_behind_a_camera_has_no_pixel(mock_rig: Rig) -> None:
     paper = on_paper(mock_rig, True)
     behind = AXES * np.array([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    slopes = see(paper, TurntableModel.of(mock_rig.bench), behind)
+    slopes = project_view(paper, TurntableModel.of(mock_rig.bench), behind)
     assert np.isnan(slopes.pixels).all()
     assert not slopes.by_common.any()

@@ -9,7 +9,7 @@ from hil.vmu.unit import VisionUnit
 from tests.support.vmu_scene import Truth, ring, spots_of
 
 PERIOD_S = 0.16
-NOTHING = np.zeros(
+NO_EXTRAS = np.zeros(
     0, spots_of(ring(), Truth(np.array([0.0, 0.0, 2.0]), np.zeros(3)), np.random.default_rng(0))[0].dtype
 )
 
