@@ -16,7 +16,7 @@ from hil.config.load import load_geometry, load_rig
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.model import Setup, TurntableModel
 from hil.vmu.geometry import geometry_of_rig
-from hil.vmu.render import NOTHING
+from hil.vmu.render import NO_EXTRAS
 from tests.support.calibration_images import board_pair, led_pair, led_renderer, write_views
 from tests.support.calibration_views import plan, shifted
 from tests.support.run_settings import typed
@@ -50,7 +50,7 @@ def made_views(folder: Path, truth: Setup, turntable: TurntableModel, leds: bool
     axes = plan(truth, turntable, views, (0.6, 2.0) if leds else (0.9, 1.3), 20.0, rng, 0.22 if leds else 0.06)
     renderer = led_renderer(truth) if leds else None
     pairs = [
-        led_pair(renderer, truth, turntable, row, NOTHING, rng)
+        led_pair(renderer, truth, turntable, row, NO_EXTRAS, rng)
         if renderer
         else board_pair(truth, turntable, row, BOARD, 1.5, rng)
         for row in axes

@@ -1,10 +1,10 @@
-"""From the bench's axes to pixels: where both cameras on the turntable see a target in the lab, and how that changes.
+"""Projection of a target in the lab into both cameras on the turntable, from the bench's axes, with derivatives.
 
-    p_L = exp([e_t]x) B0 (s p_t) + target_station          target to lab; B0 is A(q_th).T to begin with
+    p_L = exp([e_t]x) B0 (s p_t) + target_position         target to lab; B0 is A(q_th).T initially
     p_v = exp([e_c]x) A0 (A(gimbals) (p_L - rails) - lever_arm - camera_position)
     p_r = exp([r]x).T (p_v - baseline)
 
-This is ``hil.bench.kinematics.pose_of_axes`` followed by ``hil.models.mounting.camera_pose``, with slopes.
+Equivalent to ``hil.bench.kinematics.pose_of_axes`` followed by ``hil.models.mounting.camera_pose``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hil.core.jit import kernel
 from hil.maths import euler, quat
 from hil.vmu.kernels.lens import LENS, distort, project_slopes
 
-# places of the shared unknowns in a vector of COMMON
+# indices of the shared unknowns in a vector of COMMON
 LEFT: Final = 0  # fx fy cx cy k1 k2 p1 p2 k3
 RIGHT: Final = 9
 ROTATION: Final = 18  # rotation vector of the right camera's axes in the left one's
@@ -62,7 +62,7 @@ def left_jacobian(e):
 
 @kernel
 def gimbal_axes(angles, order):
-    """Return the three gimbal axes as the innermost frame sees them, (3, 3): row m is the axis of angle m."""
+    """Return the three gimbal axes in the innermost frame, (3, 3): row m is the axis of angle m."""
     axes = np.zeros((3, 3))
     middle = euler.axis_quaternion(order[1], angles[order[1]])
     inner = euler.axis_quaternion(order[2], angles[order[2]])
@@ -98,7 +98,7 @@ def _product(a, b):
 
 @kernel
 def _minus_cross(v):
-    """Return -[v]x, (3, 3): the slope of exp([e]x) v at e = 0."""
+    """Return -[v]x, (3, 3): the derivative of exp([e]x) v at e = 0."""
     out = np.zeros((3, 3))
     out[0, 1] = v[2]
     out[0, 2] = -v[1]
@@ -111,7 +111,7 @@ def _minus_cross(v):
 
 @kernel
 def fill_lens(lens, theta, first):
-    """Write the nine numbers of ``theta`` from ``first`` on into ``lens`` (a record of LENS)."""
+    """Write the nine numbers of ``theta`` from ``first`` on to ``lens`` (a record of LENS)."""
     lens.fx = theta[first]
     lens.fy = theta[first + 1]
     lens.cx = theta[first + 2]
@@ -125,7 +125,7 @@ def fill_lens(lens, theta, first):
 
 @kernel
 def lens_slopes(lens, x, y, out):
-    """Write the slopes of the pixel of the ideal image point (x, y) by fx fy cx cy k1 k2 p1 p2 k3 to out (2, 9)."""
+    """Write the derivatives of the pixel of the ideal point (x, y) by fx fy cx cy k1 k2 p1 p2 k3 to out (2, 9)."""
     xd, yd = distort(lens, x, y)
     r2 = x * x + y * y
     for m in range(2):
@@ -148,7 +148,7 @@ def lens_slopes(lens, x, y, out):
 
 @kernel
 def _add(out, slope, a, first):
-    """Write slope (2, 3) times ``a`` (3, n) into the columns of ``out`` (2, N) from ``first`` on."""
+    """Write slope (2, 3) times ``a`` (3, n) to the columns of ``out`` (2, N) from ``first`` on."""
     for m in range(2):
         for n in range(a.shape[1]):
             out[m, first + n] = slope[m, 0] * a[0, n] + slope[m, 1] * a[1, n] + slope[m, 2] * a[2, n]
@@ -158,12 +158,12 @@ def _add(out, slope, a, first):
 def project_target(
     theta, camera_axes, target_axes, lever_arm, order, axes, points, pixels, by_common, by_point, by_axes
 ):
-    """Write where both cameras see all points in one view, and the slopes.
+    """Write the pixels of all points in both cameras for one view, and their derivatives.
 
     theta: (COMMON,). camera_axes, target_axes: (3, 3), A0 and B0. lever_arm: (3,), m. order: (3,), gimbals
     outer to inner. axes: (6,), rails, m, and gimbals, rad. points: (m, 3), m, in t.
     Out: pixels (2, m, 2); by_common (2, m, 2, COMMON); by_point (2, m, 2, 3), px/m; by_axes (2, m, 2, 6).
-    Pixels of a point that is not in front of a camera are NaN, and their slopes zero.
+    Pixels of a point that is not in front of a camera are NaN, and their derivatives zero.
     """
     lens = np.zeros(2, LENS)
     fill_lens(lens[0], theta, LEFT)
@@ -197,7 +197,7 @@ def project_target(
         for m in range(3):
             p_c[m] = p_rc[m] - lever_arm[m] - theta[CAMERA_POSITION + m]
         p_v = _times(a_vc, p_c)
-        # slopes of p_v
+        # derivatives of p_v
         by_camera_turn = _product(_minus_cross(p_v), j_c)
         by_target_turn = _product(a_vl, _product(_minus_cross(turned), j_t))
         point_slope = _product(a_vl, b_lt)
@@ -238,7 +238,7 @@ def project_target(
                     common[m, LEFT + 9 * camera + n] = inner[m, n]
             project_slopes(lens[camera], p[0], p[1], p[2], slope)
             if camera == 1:
-                # exp([-r]x) moves by -J(-r) dr
+                # exp([-r]x) changes by -J(-r) dr
                 turn = _product(_minus_cross(p), j_r)
                 for m in range(3):
                     for n in range(3):

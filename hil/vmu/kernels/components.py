@@ -1,6 +1,6 @@
-"""Where an image is brighter than its background: level and noise, threshold, connected pixels.
+"""Light detection: background level and noise, threshold, connected components.
 
-Everything looks at the sums of 3 x 3 pixels: the noise of a sum is three times that of a pixel, and
+All tests use the sums of 3 x 3 pixels: the noise of a sum is three times that of a pixel, and
 a spot of a few pixels has nearly all of its light in one.
 """
 
@@ -12,13 +12,13 @@ import numpy as np
 
 from hil.core.jit import kernel
 
-# what is known of a component, all of a spot's pixels that touch; a row of int64
-FIRST, END = 0, 1  # its places in the queue
+# a component, the connected pixels of a spot; a row of int64
+FIRST, END = 0, 1  # its range in the queue
 U0, V0, U1, V1 = 2, 3, 4, 5  # its box, the last pixel included
 CLIPPED = 6  # pixels at full scale
 COMPONENT_WIDTH = 7
 
-BAD = -1  # label of a pixel that does not show the light on it
+BAD = -1  # label of a defective pixel
 
 
 @kernel
@@ -33,11 +33,10 @@ def sum_of_nine(image, u, v):
 
 @kernel
 def level_and_variance(image, u0, v0, u1, v1, samples):
-    """Return the median of the sums in a box (u1, v1 excluded) and the variance of a pixel about its neighbours'
-    mean, levels^2, from about ``len(samples)`` places on a grid.
+    """Return the median of the sums in a box (u1, v1 excluded) and the variance of a pixel, levels^2.
 
-    What is more than four sigma off the median is left out of the variance: that is light, or a hot pixel.
-    A variance below that of rounding, 1/12, is not believed.
+    The variance is about the mean of the pixel's neighbours, from about ``len(samples)`` points on a grid. Sums more
+    than four sigma off the median (light, hot pixels) are excluded. The variance is at least that of rounding, 1/12.
     """
     u0, v0 = max(u0, 1), max(v0, 1)
     u1, v1 = min(u1, image.shape[1] - 1), min(v1, image.shape[0] - 1)
@@ -65,7 +64,7 @@ def level_and_variance(image, u0, v0, u1, v1, samples):
                 squares += square - total * total / 9.0
                 used += 1
     variance = max(squares / (8.0 * max(used, 1)), 1.0 / 12.0)
-    # a sensor that shows nothing below zero cuts its own noise: to a third of its variance in full darkness
+    # a sensor that clips at zero reduces its noise: to a third of its variance in full darkness
     cut = max(1.0 - median / (9.0 * 1.2 * math.sqrt(variance)), 0.0)
     return median, (1.0 + 2.0 * cut) * variance
 
@@ -96,7 +95,7 @@ def fill_background_grid(image, level, variance, samples):
 
 @kernel
 def interpolate(grid, u, v, width, height):
-    """Return the value at pixel (u, v) of a ``grid`` over an image, linear between and beyond the tiles' centres."""
+    """Return the value of a ``grid`` over an image at pixel (u, v), linear between and beyond the tiles' centres."""
     rows, columns = grid.shape
     y, x = (v + 0.5) * rows / height - 0.5, (u + 0.5) * columns / width - 0.5
     i, j = min(max(int(y), 0), max(rows - 2, 0)), min(max(int(x), 0), max(columns - 2, 0))
@@ -128,7 +127,7 @@ def fill_threshold(level, deviation, sigmas, v, height, threshold):
 
 @kernel
 def scan_row(above, line, below, threshold, columns, flags):
-    """Flag each pixel of a row of n whose sum passes its threshold.
+    """Flag each pixel of a row of n whose sum exceeds its threshold.
 
     above, line, below, threshold: (n,). columns: (n,) of uint16, scratch. flags: (n,) of uint8.
     """
@@ -143,9 +142,9 @@ def scan_row(above, line, below, threshold, columns, flags):
 
 @kernel
 def collect_hits(image, v, u0, u1, threshold, scratch, flags, words, hits, count):
-    """Append the pixels of row ``v`` from u0 up to u1 that pass their threshold to ``hits``; return how many there are.
+    """Append the pixels of row ``v`` from u0 up to u1 above their threshold to ``hits``; return the new count.
 
-    flags (of uint8) and words (of uint64) are the same memory. More than fit into ``hits`` are counted, not kept.
+    flags (of uint8) and words (of uint64) share memory. Pixels beyond the capacity of ``hits`` are counted, not kept.
     """
     n = u1 - u0
     scan_row(
@@ -165,9 +164,9 @@ def collect_hits(image, v, u0, u1, threshold, scratch, flags, words, hits, count
 
 @kernel
 def flood(image, label, name, start, threshold, queue, first, component):
-    """Label all pixels whose sums pass ``threshold`` and that touch ``start``; write what they are to ``component``.
+    """Label all pixels connected to ``start`` whose sums exceed ``threshold``; write their record to ``component``.
 
-    queue: (n,), places of pixels (v * width + u); filled from ``first`` on. Return its new end, or -1 when full.
+    queue: (n,), pixel indices (v * width + u), filled from ``first`` on. Return its new end, or -1 if full.
     """
     rows, columns = image.shape
     component[FIRST] = first

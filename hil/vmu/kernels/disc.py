@@ -22,7 +22,7 @@ _ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 @kernel
 def strips(height, blur):
-    """Return how many strips a disc of half-height ``height`` px needs under a blur of sigma ``blur`` px."""
+    """Return the number of strips for a disc of half-height ``height`` px under a blur of sigma ``blur`` px."""
     if height < 1e-6 * blur:
         return 1
     return min(MOST_STRIPS, 2 + math.ceil(2.4 * height / blur))
@@ -30,7 +30,7 @@ def strips(height, blur):
 
 @kernel
 def node(k, n):
-    """Return eta of strip ``k`` of ``n``, the strip's half-length in widths, and its share of the disc."""
+    """Return eta of strip ``k`` of ``n``, the strip's half-length in widths, and its fraction of the disc."""
     angle = math.pi * (k + 1) / (n + 1)
     half = math.sin(angle)
     return math.cos(angle), half, 2.0 / (n + 1) * half * half
@@ -38,7 +38,7 @@ def node(k, n):
 
 @kernel
 def point_sums(first, count, centre, blur, value, by_centre, by_blur):
-    """Write what each of ``count`` pixels from ``first`` on gets of a Gaussian, and its derivatives; (>= count,)."""
+    """Write the integral of a Gaussian over each of ``count`` pixels from ``first`` on, and its derivatives."""
     below = below_density = below_blur = 0.0
     for j in range(count + 1):
         z = (first - 0.5 + j - centre) / blur
@@ -54,7 +54,7 @@ def point_sums(first, count, centre, blur, value, by_centre, by_blur):
 
 @kernel
 def strip_sums(first, count, centre, half, blur, value, by_centre, by_blur, by_half):
-    """Write what each pixel gets of an even strip from centre - half to centre + half, and its derivatives."""
+    """Write the integral over each pixel of a uniform strip, centre - half to centre + half, and its derivatives."""
     if half < 0.02 * blur:  # the strip is a point, to second order of its length
         point_sums(first, count, centre, blur, value, by_centre, by_blur)
         for j in range(count):

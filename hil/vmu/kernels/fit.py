@@ -1,9 +1,9 @@
-"""Weighted least squares of a spot's shape to the pixels of a window: the maximum-likelihood centre.
+"""Maximum-likelihood fit of a spot's shape to the pixels of a window (weighted least squares).
 
 Parameters, (n,): background at the window's middle and its two slopes, then either for each of a few points of
 light flux, u, v and sigma (n = 3 + 4 k), or for one disc flux, u, v, sigma, width, shear and height as in
-``shape`` (n = 10). A pixel's variance is that of the dark plus its light over the electrons per level; a
-pixel at full scale says only that the light is at least that.
+``disc`` (n = 10). A pixel's variance is the dark variance plus its light over the electrons per level; a
+pixel at full scale gives only a lower bound of the light.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _fill_plane(box, p, model, light, slopes):
 
 @kernel
 def fill_points(box, p, model, light, slopes):
-    """Write what points of light show in a box: ``model`` and ``light`` (without background), (pixels,).
+    """Write the image of points of light in a box: ``model`` and ``light`` (without background), (pixels,).
 
     slopes: (pixels, n), the derivatives. box: u and v of the first pixel, and of the one after the last.
     """
@@ -81,7 +81,7 @@ def _add_strip(by_u, here, moved, blurred, eta, half, row):
 
 @kernel
 def fill_disc(box, p, model, light, slopes):
-    """Write what a disc shows in a box, as ``fill_points`` does."""
+    """Write the image of a disc in a box, as ``fill_points`` does."""
     across, down = box[2] - box[0], box[3] - box[1]
     _fill_plane(box, p, model, light, slopes)
     flux, blur = p[PLANE], p[PLANE + SIGMA]
@@ -115,7 +115,7 @@ def fill_disc(box, p, model, light, slopes):
 
 @kernel
 def residual(level, model):
-    """Return how far a pixel's level is from the model; a pixel at full scale is never too dark."""
+    """Return the residual of a pixel's level; 0 for a saturated pixel if the model is at or above full scale."""
     if level >= FULL_SCALE and model >= FULL_SCALE:
         return 0.0
     return level - model
@@ -123,7 +123,7 @@ def residual(level, model):
 
 @kernel
 def invert(a, out):
-    """Write the inverse of the positive definite ``a`` (n, n) by Cholesky; return False where it is not one."""
+    """Write the inverse of the positive definite ``a`` (n, n) by Cholesky; return False if it is not definite."""
     n = a.shape[0]
     low = np.zeros((n, n))
     if not cholesky.factor(a, n, low, 1e-12):
@@ -150,7 +150,7 @@ def invert(a, out):
 def gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right):
     """Write normal matrix (n, n) and right side (n,); return the sum of squared residuals over their variance.
 
-    pixels: (count,), levels. weighed: (count,), 0 for a pixel to leave out. dark: variance without light.
+    pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel. dark: variance without light.
     """
     n = normal.shape[0]
     for i in range(n):
@@ -187,7 +187,7 @@ def _fill(is_disc, box, p, model, light, slopes):
 
 @kernel
 def _restrain(is_disc, p):
-    """Keep the parameters where the shape means something."""
+    """Keep the parameters within their valid range."""
     step = DISC if is_disc else POINT
     for a in range(PLANE, p.shape[0], step):
         p[a + SIGMA] = max(abs(p[a + SIGMA]), _LEAST_SIGMA)
@@ -201,8 +201,8 @@ def _restrain(is_disc, p):
 def fit(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, model, light, slopes):
     """Improve ``p`` (n,) by up to ``most`` Levenberg steps; write its covariance (n, n).
 
-    model, light, slopes: as ``fill_points`` writes them, for the last ``p``.
-    Return the sum of squares over the variances, or NaN where the pixels do not determine the parameters.
+    model, light, slopes: as written by ``fill_points``, for the last ``p``.
+    Return the sum of squares over the variances, or NaN if the pixels do not determine the parameters.
     """
     n = p.shape[0]
     normal, damped, inverse = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
@@ -244,7 +244,7 @@ def fit(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, mod
     if not invert(normal, covariance):
         if not is_disc:
             return np.nan
-        for i in range(n):  # width, shear or height has come to nothing: hold what cannot be told
+        for i in range(n):  # width, shear or height has vanished: hold what is not observable
             normal[i, i] = normal[i, i] * (1.0 + 1e-6) + 1e-12
         if not invert(normal, covariance):
             return np.nan

@@ -1,4 +1,4 @@
-"""From start poses to the distinct poses that the spots allow: mirror images, differences, tests."""
+"""Pose hypotheses: mirror image, pose difference, duplicates, test of the residuals."""
 
 from __future__ import annotations
 
@@ -59,13 +59,13 @@ def difference(r_a, t_a, r_b, t_b, out):
     elif trace > 0.0:
         scale = 0.5
     else:
-        x, y, z, scale = math.pi, 0.0, 0.0, 1.0  # half a turn: the axis does not matter to those who ask
+        x, y, z, scale = math.pi, 0.0, 0.0, 1.0  # 180 deg: the axis is arbitrary, no caller depends on it
     out[3], out[4], out[5] = x * scale, y * scale, z * scale
 
 
 @kernel
 def same_pose(a, b, d):
-    """Return whether two settled hypotheses are one pose. d: (6,), scratch."""
+    """Return whether two converged hypotheses are one pose. d: (6,), scratch."""
     difference(a.r, a.t, b.r, b.t, d)
     for i in range(6):
         least = min(a.covariance[i, i], b.covariance[i, i])
@@ -76,13 +76,16 @@ def same_pose(a, b, d):
 
 @kernel
 def acceptable(fit):
-    """Return whether a settled hypothesis passes the test of its residuals."""
+    """Return whether a converged hypothesis passes the test of its residuals."""
     return fit.valid == 1 and fit.points >= 3 and fit.chi2 <= chi_square_limit(2 * fit.points - 6)
 
 
 @kernel
 def is_known(fits, count, fit, d):
-    """Return whether one of the first ``count`` is the same pose on at least as many spots. d: (6,), scratch."""
+    """Return whether one of the first ``count`` is the same pose; replace it by ``fit`` if that uses more spots.
+
+    d: (6,), scratch.
+    """
     for k in range(count):
         if same_pose(fits[k], fit, d):
             if fit.points > fits[k].points:
@@ -93,10 +96,10 @@ def is_known(fits, count, fit, d):
 
 @kernel
 def chi_square_growth(scene, view, fit, direction, sigmas):
-    """Return by how much chi-square grows at ``sigmas`` sigmas from ``fit`` along ``direction``, over what it should.
+    """Return the growth of chi-square at ``sigmas`` sigmas from ``fit`` along ``direction``, over the expected growth.
 
-    direction: (6,), one sigma of the pose along an axis of its covariance. 1 where the normal matrix tells the
-    truth, and so does the covariance.
+    direction: (6,), one sigma of the pose along an axis of its covariance. 1 if the problem is linear up to there, so
+    that the covariance is valid.
     """
     r, t, e = np.empty((3, 3)), np.empty(3), np.empty(3)
     for i in range(3):

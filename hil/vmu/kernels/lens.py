@@ -1,6 +1,6 @@
-"""One camera: pinhole with Brown-Conrady distortion (OpenCV's k1 k2 p1 p2 k3), and a pair of them.
+"""Camera model: pinhole with Brown-Conrady distortion (OpenCV's k1 k2 p1 p2 k3), and a pair of cameras.
 
-Camera axes: x right, y down, z along the optical axis; pixel centres at whole numbers. The left camera's
+Camera axes: x right, y down, z along the optical axis; pixel centres at integers. The left camera's
 axes are v; camera i sees a point p_v at ``rotation[i] @ p_v + translation[i]``.
 """
 
@@ -51,7 +51,7 @@ class CameraPair:
 
 @kernel
 def distort(lens, x, y):
-    """Return where the lens shifts the ideal image point (x, y) = (X/Z, Y/Z) to, two numbers (Brown-Conrady)."""
+    """Return the distorted image point of the ideal one (x, y) = (X/Z, Y/Z), two numbers (Brown-Conrady)."""
     r2 = x * x + y * y
     radial = 1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
     xd = x * radial + 2.0 * lens.p1 * x * y + lens.p2 * (r2 + 2.0 * x * x)
@@ -73,7 +73,7 @@ def distort_slopes(lens, x, y):
 
 @kernel
 def project(lens, x, y, z):
-    """Return the pixel (u, v) of the point (x, y, z), m, in the camera's axes; NaN where z is not positive."""
+    """Return the pixel (u, v) of the point (x, y, z), m, in the camera's axes; NaN if z is not positive."""
     if not z > 0.0:
         return np.nan, np.nan
     xd, yd = distort(lens, x / z, y / z)
@@ -95,9 +95,9 @@ def project_slopes(lens, x, y, z, out):
 
 @kernel
 def undistort(lens, u, v):
-    """Return the ideal image point (X/Z, Y/Z) that the lens shows at pixel (u, v): Newton on ``distort``.
+    """Return the ideal image point (X/Z, Y/Z) of pixel (u, v): Newton's method on ``distort``.
 
-    NaN where the distortion cannot be undone (beyond the radius at which it folds over).
+    NaN if the distortion cannot be inverted (beyond the radius at which it folds over).
     """
     xd, yd = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
     x, y = xd, yd

@@ -1,4 +1,4 @@
-"""Which spot is which LED, for a pose that is nearly known."""
+"""Assignment of spots to LEDs for an approximate pose, with outlier removal, score, and search windows."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from hil.vmu.kernels.refine import jacobian, place, refine
 _GATE = 20.0  # chi-square of two components that one true spot in 22000 exceeds
 _ROUNDS = 6
 _LIMIT_SIGMA = 4.9  # of the sum of squares: one good fit in two million exceeds it
-_UNSEEN_COST = 2.0  # ln of the odds that an LED in view is lit and found
-_EDGE_PX = 4.0  # an LED nearer to the image's edge may well not be found
+_UNSEEN_COST = 2.0  # ln of the odds that an LED in view is lit and detected
+_EDGE_PX = 4.0  # an LED nearer to the image's edge may not be detected
 _WINDOW_SIGMAS = 4.5
-_SPOT_M = 0.012  # about the largest LED, with its halo
+_SPOT_M = 0.012  # largest LED, with its halo
 _WINDOW_MARGIN_PX = 8.0
 
 
@@ -36,7 +36,7 @@ def fill_spot_ray(lens, spot, measured):
 
 @kernel
 def chi_square_limit(degrees):
-    """Return the sum of squares that a good fit with ``degrees`` of freedom hardly exceeds (Wilson and Hilferty)."""
+    """Return the limit of the sum of squares for a fit with ``degrees`` of freedom (Wilson and Hilferty)."""
     if degrees <= 0:
         return 1e-3
     part = 2.0 / (9.0 * degrees)
@@ -62,9 +62,8 @@ def spread(j, covariance, measured, out):
 def assign(scene, view, r, t, covariance, reach_px, barred, spot):
     """Write the spot of each camera and LED to spot (2, MAX_LEDS): nearest by Mahalanobis distance, mutual, gated.
 
-    covariance: of the pose, (6, 6). reach_px: no spot farther than this counts. barred: (2, MAX_LEDS), the spot
-    that is no longer to be taken for this LED, -1 for none. Returns how many gates hold more than one spot or
-    share one.
+    covariance: of the pose, (6, 6). reach_px: largest distance of a spot. barred: (2, MAX_LEDS), spot excluded for this
+    LED, -1 for none. Return the number of gates that contain more than one spot or share one.
     """
     arm, point, slopes, j, s = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6)), np.empty(3)
     distance = np.empty(MAX_LEDS)
@@ -104,9 +103,9 @@ def assign(scene, view, r, t, covariance, reach_px, barred, spot):
 
 @kernel
 def worst_spot(scene, view, fit, where):
-    """Write camera and LED of the spot whose removal would lower chi-square most to where (2,).
+    """Write camera and LED of the spot whose removal lowers chi-square most to where (2,).
 
-    Its residual is measured against its own covariance less that of the fit (the fit has bent towards it).
+    Its residual is weighted by its own covariance minus that of the fit (the spot has attracted the fit).
     """
     arm, point, slopes, j, s = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6)), np.empty(3)
     worst = -1.0
@@ -136,7 +135,7 @@ def worst_spot(scene, view, fit, where):
 
 @kernel
 def count(fit, n_leds):
-    """Write how many spots ``fit`` uses."""
+    """Write the number of spots that ``fit`` uses."""
     fit.points = 0
     for c in range(2):
         for n in range(n_leds):
@@ -146,10 +145,10 @@ def count(fit, n_leds):
 
 @kernel
 def converge(scene, view, reach_px, fit):
-    """From a start pose and first spots in ``fit`` to all spots that belong, without those that do not.
+    """Extend a start pose and first spots in ``fit`` to all matching spots, without outliers.
 
-    In turns: refine, take the spots within the gates of the refined pose; then, while chi-square is too high and
-    enough spots remain to tell who is wrong, leave out the worst.
+    Alternates between refinement and assignment within the gates of the refined pose; then, while chi-square is too
+    high and enough spots remain to identify the outlier, removes the worst.
     """
     before = np.empty((2, MAX_LEDS), np.int64)
     barred = np.full((2, MAX_LEDS), -1, np.int64)
@@ -167,7 +166,7 @@ def converge(scene, view, reach_px, fit):
         for c in range(2):
             for n in range(scene.leds.shape[0]):
                 if before[c, n] >= 0 and fit.spot[c, n] < 0 and barred[c, n] < 0:
-                    fit.spot[c, n] = before[c, n]  # a spot leaves as an outlier alone, worst first
+                    fit.spot[c, n] = before[c, n]  # a spot is removed only as an outlier, worst first
                     for m in range(scene.leds.shape[0]):
                         if m != n and fit.spot[c, m] == fit.spot[c, n]:
                             fit.spot[c, n] = -1
@@ -195,8 +194,8 @@ def converge(scene, view, reach_px, fit):
 def score_fit(scene, view, density, fit):
     """Write points, unseen and score of ``fit``.
 
-    score: for each spot the logarithm of its density as an LED at its place, over ``density`` (2,), that of stray
-    lights in each image, px^-2; less what LEDs cost that should be in view and are not.
+    score: sum over the spots of the log density as an LED at its projection over ``density`` (2,), px^-2, that of stray
+    lights in each image; minus a cost per LED that should be in view without a spot.
     """
     arm, point = np.empty(3), np.empty(3)
     count(fit, scene.leds.shape[0])
@@ -221,9 +220,9 @@ def score_fit(scene, view, density, fit):
 
 @kernel
 def led_windows(scene, r, t, covariance, out, counts):
-    """Write to out (2, n, 4) the windows, px, of each camera: u and v of the first pixel and past the last.
+    """Write the windows, px, of the LEDs per camera to out (2, n, 4): u and v of the first pixel and after the last.
 
-    covariance: (6, 6), of the pose. counts: (2,), how many windows each camera has; LEDs out of view have none.
+    covariance: (6, 6), of the pose. counts: (2,), number of windows per camera; LEDs out of view have none.
     """
     arm, point, slopes, j = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6))
     for c in range(2):

@@ -1,4 +1,4 @@
-"""From one component, the pixels of a light that touch, to spots with the covariance of their centres."""
+"""Measurement of one component, a connected set of bright pixels: spots with the covariance of their centres."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LIMITS = np.dtype(
     [
         ("sigmas", "f8"),  # threshold of the sums of 3 x 3, in sigma
         ("least_snr", "f8"),  # of a spot's flux
-        ("narrowest", "f8"),  # px, sigma below which a light is a pixel's fault
+        ("narrowest", "f8"),  # px, sigma below which a light is a defective pixel
         ("largest", "f8"),  # px, diameter of the largest spot
     ],
     align=True,
@@ -25,14 +25,14 @@ LIMITS = np.dtype(
 
 MOST_PEAKS = 3
 _MOST_STEPS = 12
-_NOT_GAUSSIAN = 20.0  # chi-square of three by which a light is no round Gaussian
-_STRONG = 30.0  # SNR from which a light's own shape and noise are looked at
+_NOT_GAUSSIAN = 20.0  # chi-square (three degrees of freedom) above which a light is no round Gaussian
+_STRONG = 30.0  # SNR above which a light's shape and noise are evaluated
 _PERSPECTIVE = 2.8e-4  # 1/px
 
 
 @kernel
 def window_box(shape, p, reach, component, box):
-    """Write the window of a fit: ``reach`` sigmas about each point, the component's box at least, in the image."""
+    """Write the window of a fit: ``reach`` sigmas about each point, at least the component's box, within the image."""
     u0, v0 = component[U0] - 1.0, component[V0] - 1.0
     u1, v1 = component[U1] + 2.0, component[V1] + 2.0
     for a in range(PLANE, p.shape[0] - POINT + 1, POINT):
@@ -45,7 +45,7 @@ def window_box(shape, p, reach, component, box):
 
 @kernel
 def read_window(image, label, name, box, pixels, weighed):
-    """Write a window's levels, and 0 for each pixel that another light or a fault has, else 1; return how many ones."""
+    """Write a window's levels, and weights: 0 for pixels of other lights or defects, else 1; return their sum."""
     at = used = 0
     for i in range(box[1], box[3]):
         for j in range(box[0], box[2]):
@@ -59,9 +59,9 @@ def read_window(image, label, name, box, pixels, weighed):
 
 @kernel
 def clean(is_disc, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes, total):
-    """Leave the few pixels out that do not belong, and fit again; return as ``misfit``, or NaN.
+    """Exclude the few outlier pixels, and fit again; return as ``misfit``, or NaN.
 
-    total: what the fit before returned.
+    total: result of the previous fit.
     """
     for _ in range(3):
         if not math.isfinite(total) or drop_outliers(pixels, weighed, dark, per_level, model, light) <= 0:
@@ -72,7 +72,7 @@ def clean(is_disc, box, pixels, weighed, dark, per_level, p, covariance, model, 
 
 @kernel
 def disc_start(p, disc):
-    """Write first parameters of a disc that is as wide as the point of light ``p``."""
+    """Write initial parameters of a disc of the same width as the point of light ``p``."""
     for i in range(PLANE + SIGMA):
         disc[i] = p[i]
     total = p[PLANE + SIGMA]
@@ -84,7 +84,7 @@ def disc_start(p, disc):
 
 @kernel
 def size_of(p, a, is_disc):
-    """Return the RMS extent along one axis, px, of the light whose parameters begin at ``a``."""
+    """Return the RMS extent along one axis, px, of the light whose parameters start at ``a``."""
     square = p[a + SIGMA] * p[a + SIGMA]
     if is_disc:
         square += 0.125 * (p[a + WIDTH] ** 2 + p[a + SHEAR] ** 2 + p[a + HEIGHT] ** 2)
@@ -93,10 +93,10 @@ def size_of(p, a, is_disc):
 
 @kernel
 def write_spot(image, box, p, a, is_disc, covariance, stretch, snr, component, split, pixels, weighed, limits, spot):
-    """Write a light as SPOT; return False where it is none: too weak, too narrow, too large, not in the image.
+    """Write a light as SPOT; return False if it is too weak, too narrow, too large or outside the image.
 
-    A large disc's centroid is not where its centre is: perspective shows the nearer half larger. The shift
-    depends on the tilt, which one spot does not tell; its usual size stands in the covariance.
+    The centroid of a large disc is not the image of its centre: in perspective the nearer half is larger. The shift
+    depends on the tilt, which is not observable from one spot; its typical size is included in the covariance.
     """
     flux, u, v = p[a], p[a + U], p[a + V]
     rows, columns = image.shape
@@ -144,7 +144,7 @@ def measure(image, label, name, queue, component, level, dark, per_level, limits
     """Append the lights of a component to ``spots`` and return the new count.
 
     level: of the background, of a sum of 3 x 3. dark: variance of a pixel without light. per_level: variance
-    per level of light. noise: (2,), numerator and denominator as of ``light_noise``, written here.
+    per level of light. noise: (2,), numerator and denominator as from ``light_noise``, written here.
     """
     noise[0] = noise[1] = 0.0
     background, deviation = level / 9.0, math.sqrt(dark)
@@ -226,7 +226,7 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
             True, box, pixels, disc_weighed, dark, per_level, disc, disc_covariance, disc_model, disc_light,
             disc_slopes, disc_total,
         )  # fmt: skip
-        if shape_chi2 > _NOT_GAUSSIAN and not disc_chi2 <= disc_allowed:  # not the shape, then: single pixels
+        if shape_chi2 > _NOT_GAUSSIAN and not disc_chi2 <= disc_allowed:  # then not the shape, but single pixels
             chi2, allowed = clean(
                 False, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes, total
             )  # fmt: skip

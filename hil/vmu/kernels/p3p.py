@@ -1,8 +1,8 @@
-"""The pose from three points in one camera: up to four solutions.
+"""Perspective-three-point problem (P3P): the pose from three points in one camera, up to four solutions.
 
 Persson and Nordberg, "Lambda Twist: An Accurate Fast Robust Perspective Three Point (P3P) Solver", ECCV 2018.
-Where noise makes a double root complex (three points seen head-on), its real part is taken: the solution is a
-start for a refinement on more points, and must not be lost there.
+If noise makes a double root complex (three points seen head-on), its real part is used: the solution is only a
+start for a refinement on more points.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from hil.core.jit import kernel
 
 @kernel
 def cubic_root(b, c, d):
-    """Return a real root of x^3 + b x^2 + c x + d, by Newton from where the curve bends away."""
-    # start beyond the outer turning point, or at the point of inflexion where there is none
+    """Return a real root of x^3 + b x^2 + c x + d, by Newton's method from beyond the turning points."""
+    # start beyond the outer turning point, or at the point of inflexion if there is no turning point
     start = -b / 3.0
     under = b * b - 3.0 * c
     if under > 0.0:
@@ -81,7 +81,7 @@ def null_eigen(a, vectors, values):
 
 @kernel
 def polish(b12, b13, b23, a12, a13, a23, lengths):
-    """Refine the three ray lengths in place so that the points are as far apart as they should be (Newton)."""
+    """Refine the three ray lengths in place to match the distances between the points (Newton's method)."""
     l1, l2, l3 = lengths[0], lengths[1], lengths[2]
     for _ in range(3):
         r1 = l1 * l1 + l2 * l2 + b12 * l1 * l2 - a12
@@ -112,9 +112,9 @@ def polish(b12, b13, b23, a12, a13, a23, lengths):
 
 @kernel
 def ray_lengths(y1, y2, y3, a12, a13, a23, a, vectors, values, out):
-    """Write how far along the unit rays y1, y2, y3 the three points are, out (4, 3); return how many solutions.
+    """Write the distances of the three points along the unit rays y1, y2, y3 to out (4, 3); return how many solutions.
 
-    a12, a13, a23: squares of the points' distances. a (3, 3), vectors (3, 2) and values (2,): scratch.
+    a12, a13, a23: squares of the distances between the points. a (3, 3), vectors (3, 2) and values (2,): scratch.
     """
     c12 = y1[0] * y2[0] + y1[1] * y2[1] + y1[2] * y2[2]
     c13 = y1[0] * y3[0] + y1[1] * y3[1] + y1[2] * y3[2]

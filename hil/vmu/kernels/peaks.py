@@ -1,4 +1,4 @@
-"""What a component is made of: pixels at fault, one light or several, and where to begin the fit of each."""
+"""Analysis of a component: defective pixels, one light or several, initial parameters of each fit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def mark_hot(image, label, queue, component, background, deviation):
 
 @kernel
 def sum_patch(image, label, component, background, patch):
-    """Write the sums of 3 x 3 above the background over the component's box to ``patch``; bad pixels count nothing."""
+    """Write the sums of 3 x 3 above the background over the component's box to ``patch``; bad pixels count as zero."""
     for i in range(patch.shape[0]):
         for j in range(patch.shape[1]):
             v, u = component[V0] + i, component[U0] + j
@@ -61,7 +61,7 @@ def _is_peak(patch, i, j):
 
 @kernel
 def _dip(patch, i, j, k, m):
-    """Return the least value on the straight line between two places of a patch."""
+    """Return the minimum on the straight line between two points of a patch."""
     steps = 2 * max(abs(k - i), abs(m - j))
     least = np.inf
     for n in range(1, steps):
@@ -72,9 +72,9 @@ def _dip(patch, i, j, k, m):
 
 @kernel
 def find_peaks(patch, label, name, component, dark, per_level, peaks):
-    """Write the places (row, column of ``patch``) of up to len(peaks) lights, brightest first; return how many.
+    """Write the positions (row, column of ``patch``) of up to len(peaks) lights, brightest first; return how many.
 
-    A second light counts only where the sums between it and a brighter one dip by a sixth and five sigma.
+    A second light counts only if the sums between it and a brighter one dip by a sixth and five sigma.
     """
     count = 0
     before = np.inf
@@ -102,7 +102,7 @@ def find_peaks(patch, label, name, component, dark, per_level, peaks):
 
 @kernel
 def start_points(image, label, queue, component, background, peaks, count, p):
-    """Write first parameters of ``count`` points of light: moments of the pixels nearest to each peak."""
+    """Write initial parameters of ``count`` points of light: moments of the pixels nearest to each peak."""
     columns = image.shape[1]
     sums = np.zeros((count, 4))
     for at in range(component[FIRST], component[END]):

@@ -1,8 +1,8 @@
-"""Every way in which the spots of two images can be the LEDs, without any idea of the pose.
+"""Search for all assignments of the spots of two images to the LEDs, without a prediction of the pose.
 
 Three spots of one image and three LEDs give up to four poses; each is checked on all other LEDs in both images.
 Any hypothesis that explains m of the N spots of an image has a triple among the first N - m + 3 of them, so the
-search begins at the largest m, and ends when no hypothesis that explains more can be left.
+search starts at the largest m, and ends when no better hypothesis can remain.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ SEARCH = np.dtype(
         ("near", "f8"),  # m, range of the target's origin from the left camera, at least and at most
         ("far", "f8"),
         ("least_facing", "f8"),  # cosine of the largest angle between -z_t and the line of sight
-        ("reach_px", "f8"),  # a spot this near to the projection of a start pose counts, more where that is coarse
-        ("gate_px", "f8"),  # and to that of a refined one
-        ("normal", "f8", 3),  # of the plane that the LEDs are nearest to, in t
+        ("reach_px", "f8"),  # largest distance of a spot from the projection of a start pose, plus its noise
+        ("gate_px", "f8"),  # and from that of a refined pose
+        ("normal", "f8", 3),  # of the LEDs' best-fit plane, in t
         ("centre", "f8", 3),  # m, of the LEDs, in t
-        ("predicted", "i8"),  # 1: three spots of a single camera count where they put the target about here
+        ("predicted", "i8"),  # 1: three spots of a single camera are valid near the following pose
         ("r", "f8", (3, 3)),
         ("t", "f8", 3),  # m
         ("away", "f8"),  # m, at most
-        ("least_trace", "f8"),  # of the turn from there
+        ("least_trace", "f8"),  # of the rotation from it
     ],
     align=True,
 )
 
 STATE_FITS, STATE_BEST, STATE_FULL, STATE_STARTS = range(4)
-"""Places of ``state``: fits found, most spots of one, whether something had to be left out, starts tried."""
+"""Indices of ``state``: fits found, largest number of spots of one, whether some were dropped, starts tried."""
 
 _MOST_STARTS = 600
-_SLACK = 2  # fits that explain this many spots fewer than the best are kept
+_SLACK = 2  # fits with up to this many spots fewer than the best are kept
 
 
 @kernel
 def try_start(scene, view, settings, start, starts, fits, state):
-    """Settle ``start`` and its mirror image unless it is an old one; put the poses that fit into ``fits``.
+    """Converge ``start`` and its mirror image unless already tried; append the valid poses to ``fits``.
 
-    The last place of ``fits`` is scratch, so is that of ``starts``, which remembers what has been tried.
+    The last elements of ``fits`` and of ``starts``, the list of tried starts, are scratch.
     """
     n = scene.leds.shape[0]
     if is_tried(starts, min(state[STATE_STARTS], starts.shape[0] - 1), start, n):
@@ -63,7 +63,7 @@ def try_start(scene, view, settings, start, starts, fits, state):
 
 @kernel
 def add_converged(scene, view, settings, start, fits, state):
-    """Settle ``start``, then the mirror image of what it became; put the new ones among the poses into ``fits``."""
+    """Converge ``start``, then the mirror image of the result; append the new poses to ``fits``."""
     d = np.empty(6)
     fit = fits[fits.shape[0] - 1]
     fits[fits.shape[0] - 1] = start
@@ -89,7 +89,7 @@ def add_converged(scene, view, settings, start, fits, state):
 
 @kernel
 def drop_poor(fits, state):
-    """Leave out the poses that explain too little by now."""
+    """Remove the poses that explain too few spots compared with the best so far."""
     kept = 0
     for k in range(state[STATE_FITS]):
         if fits[k].points >= state[STATE_BEST] - _SLACK:
@@ -102,7 +102,7 @@ def drop_poor(fits, state):
 def search_triple(scene, view, settings, c, trio, least, allowed, starts, fits, state):
     """Try every three LEDs for the three spots ``trio`` of camera c.
 
-    least: spots of it to be explained. allowed: see ``allow_pairs``.
+    least: number of its spots to be explained. allowed: see ``allow_pairs``.
     """
     leds, squares = scene.leds, scene.squares
     n = leds.shape[0]
@@ -113,7 +113,7 @@ def search_triple(scene, view, settings, c, trio, least, allowed, starts, fits, 
         return
     du1, dv1, du2, dv2 = b.u - a.u, b.v - a.v, d.u - a.u, d.v - a.v
     side = 1 if du1 * dv2 - dv1 * du2 > 0.0 else -1
-    # three points seen head-on know their tilt to the root of the noise alone
+    # the tilt of three points seen head-on has an error of the order of the root of the noise
     extent = math.sqrt(max(du1 * du1 + dv1 * dv1, du2 * du2 + dv2 * dv2))
     sigma = math.sqrt(max(max(a.var_u + a.var_v, b.var_u + b.var_v), d.var_u + d.var_v))
     reach = settings.reach_px + 4.0 * sigma + 0.5 * math.sqrt(2.0 * sigma * extent)
@@ -155,9 +155,9 @@ def search_triple(scene, view, settings, c, trio, least, allowed, starts, fits, 
 
 @kernel
 def search_level(scene, view, settings, c, level, allowed, starts, fits, state):
-    """Try the triples of camera c of which one belongs to any hypothesis that explains ``level`` spots of it."""
+    """Try the triples of camera c that cover any hypothesis that explains ``level`` spots of it."""
     trio = np.empty(3, np.int64)
-    # one more than needed: a light that only this camera sees may have a wrong partner in the other one
+    # one more than needed: a light visible to this camera only may have a wrong partner in the other one
     spare = 1 if view.counts[1 - c] > 0 else 0
     for k in range(2, min(view.counts[c] - level + 3 + spare, view.counts[c])):
         for j in range(1, k):
@@ -168,16 +168,16 @@ def search_level(scene, view, settings, c, level, allowed, starts, fits, state):
 
 @kernel
 def search(scene, view, settings, starts, fits, state):
-    """Write every pose that the spots allow and that explains the most of them, or nearly so, to ``fits``.
+    """Write all poses that explain the most spots, or nearly so, to ``fits``; return how many.
 
-    The last place of ``starts`` and of ``fits`` is scratch. state: (4,), see STATE_FITS. Return how many.
+    The last elements of ``starts`` and of ``fits`` are scratch. state: (4,), see STATE_FITS.
     """
     n = scene.leds.shape[0]
     for k in range(4):
         state[k] = 0
     first = 0 if view.counts[0] >= 3 else 1
     other = 1 - first
-    # three spots of a single camera make a pose of any three lights: only a prediction gives them a meaning
+    # any three lights of a single camera give a pose: valid only near a prediction
     lowest = 3 if view.counts[other] >= 2 or settings.predicted == 1 else 4
     allowed = np.empty((MAX_SPOTS, MAX_SPOTS, n, n), np.uint8)
     allow_pairs(scene, view, first, settings.near, settings.far, allowed)
@@ -196,7 +196,7 @@ def search(scene, view, settings, starts, fits, state):
             break
         level -= 1
     level = max(level, lowest)
-    # what explains as many in both images and was not met has few in the first: many in the other
+    # an equally good hypothesis not yet found has few spots in the first image and many in the other
     lowest = 3 if view.counts[first] >= 2 or settings.predicted == 1 else 4
     own = min(view.counts[other], n)
     allow_pairs(scene, view, other, settings.near, settings.far, allowed)

@@ -1,4 +1,4 @@
-"""What the kernels of identification and pose hand to each other."""
+"""Records of the vision unit's kernels: spot, spot with ray, hypothesis, scene and stereo view."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.core.messages import Array
 
 MAX_LEDS: Final = 8
 MAX_SPOTS: Final = 16
-"""of an image, that identification looks at"""
+"""Spots per image used by identification."""
 
 SPOT = np.dtype(
     [
@@ -31,8 +31,8 @@ SPOT = np.dtype(
 """One spot of light in one image, as detected."""
 
 SATURATED: Final = 1  # some pixels are at full scale
-AT_BORDER: Final = 2  # the image's edge cuts the spot: its centre is less certain, as its covariance says
-MERGED: Final = 4  # two lights run into each other
+AT_BORDER: Final = 2  # the image's edge cuts the spot; its covariance is larger
+MERGED: Final = 4  # two lights overlap
 
 SPOT_RAY = np.dtype(
     [
@@ -41,15 +41,15 @@ SPOT_RAY = np.dtype(
         ("var_u", "f8"),  # px^2, its covariance
         ("var_v", "f8"),
         ("cov_uv", "f8"),
-        ("w_uu", "f8"),  # px^-2, the covariance's inverse
+        ("w_uu", "f8"),  # px^-2, inverse of the covariance
         ("w_uv", "f8"),
         ("w_vv", "f8"),
-        ("ray", "f8", 3),  # unit vector to the light in the camera's axes; NaN where the lens cannot be undone
+        ("ray", "f8", 3),  # unit vector to the light in the camera's axes; NaN if the distortion cannot be inverted
         ("flux", "f8"),  # grey levels
     ],
     align=True,
 )
-"""One spot as a direction."""
+"""One spot with its weight and its direction."""
 
 FIT = np.dtype(
     [
@@ -59,22 +59,22 @@ FIT = np.dtype(
         ("spot", "i8", (2, MAX_LEDS)),  # of each camera and LED, -1: none
         ("chi2", "f8"),
         ("points", "i8"),  # spots used
-        ("removed", "i8"),  # spots that fell within the gates and were left out as outliers
-        ("unseen", "i8"),  # places in the images where an LED should be and no spot is
-        ("score", "f8"),  # logarithm of the likelihood against a picture of stray lights
-        ("valid", "i8"),  # the refinement ended, all LEDs in front of the cameras
+        ("removed", "i8"),  # spots within the gates that were removed as outliers
+        ("unseen", "i8"),  # predicted LED images without a spot
+        ("score", "f8"),  # log likelihood ratio against an image of stray lights only
+        ("valid", "i8"),  # the refinement converged, all LEDs in front of the cameras
     ],
     align=True,
 )
-"""One hypothesis: which spot is which LED, and the pose that follows."""
+"""One hypothesis: spot of each LED, and the resulting pose."""
 
 
 class RingScene(NamedTuple):
-    """What is known before any image is taken.
+    """Constants of a vision unit: two cameras and the LEDs.
 
-    lens: (2,) of LENS. rotation: (2, 3, 3) and translation: (2, 3), m, from v to each camera's axes. leds: (n, 3),
-    m, in t. squares: (n, n), m^2, of the LEDs' distances. sides: (n, n, n), in which sense a camera in front sees
-    three LEDs, 1 or -1; 0 where that depends on the pose.
+    lens: (2,) of LENS. rotation: (2, 3, 3) and translation: (2, 3), m, from v to each camera's axes. leds: (n, 3), m,
+    in t. squares: (n, n), m^2, of the LEDs' distances. sides: (n, n, n), orientation in which three LEDs appear to a
+    camera in front, 1 or -1; 0 if it depends on the pose.
     """
 
     lens: np.ndarray
@@ -86,9 +86,9 @@ class RingScene(NamedTuple):
 
 
 class View(NamedTuple):
-    """What the two images show. spots: (2, MAX_SPOTS) of SPOT_RAY. counts: (2,), how many are in use.
+    """Spots of a stereo pair. spots: (2, MAX_SPOTS) of SPOT_RAY. counts: (2,), number in use.
 
-    order: (2, MAX_SPOTS), which of the detector's spots each one is.
+    order: (2, MAX_SPOTS), index of each into the detector's spots.
     """
 
     spots: np.ndarray

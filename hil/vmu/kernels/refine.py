@@ -1,6 +1,6 @@
-"""The pose that fits all spots of both cameras best: Gauss-Newton with Levenberg's damping.
+"""Least-squares pose of all spots of both cameras: Gauss-Newton with Levenberg's damping.
 
-Unknowns: t (m) and a small rotation e about v's axes, ``R <- exp([e]x) R``. A residual is a spot's pixel minus
+Unknowns: t (m) and a small-angle rotation e about v's axes, ``R <- exp([e]x) R``. A residual is a spot's pixel minus
 the LED's projection; its weight is the inverse of the spot's covariance. The inverse of the normal matrix at the
 end is the covariance of (t, e), which is also the Cramer-Rao bound of Gaussian spots.
 """
@@ -17,12 +17,12 @@ from hil.maths.arrays import copy_into, copy_matrix
 from hil.vmu.kernels.lens import project, project_slopes
 
 _STEPS = 30
-_SMALL = 1e-8  # square of a step in sigmas, at which the refinement has ended
+_SMALL = 1e-8  # square of a step in sigmas, at convergence
 
 
 @kernel
 def rotate(r, e, out):
-    """Write ``exp([e]x) r`` (3, 3), made orthonormal anew."""
+    """Write ``exp([e]x) r`` (3, 3), orthonormalised."""
     back = np.empty(3)
     back[0], back[1], back[2] = -e[0], -e[1], -e[2]
     q = quat.multiply(quat.from_rotation_vector(back), quat.from_matrix(r))
@@ -54,7 +54,7 @@ def jacobian(lens, rotation, arm, point, slopes, out):
 
 @kernel
 def accumulate(scene, view, spot, r, t, normal, gradient):
-    """Write the normal matrix (6, 6) and J.T W residual (6,); return chi-square, inf where an LED is not in front."""
+    """Write the normal matrix (6, 6) and J.T W residual (6,); return chi-square, inf if an LED is not in front."""
     arm, point = np.empty(3), np.empty(3)
     slopes, j = np.empty((2, 3)), np.empty((2, 6))
     for a in range(6):
@@ -91,7 +91,7 @@ def accumulate(scene, view, spot, r, t, normal, gradient):
 
 @kernel
 def chi_square(scene, view, spot, r, t):
-    """Return the weighted sum of squared residuals of a pose; inf where an LED in use is not in front."""
+    """Return the weighted sum of squared residuals of a pose; inf if an LED in use is not in front."""
     arm, point = np.empty(3), np.empty(3)
     total = 0.0
     for c in range(2):
@@ -111,7 +111,7 @@ def chi_square(scene, view, spot, r, t):
 
 @kernel
 def refine(scene, view, fit):
-    """Bring the pose of ``fit`` (FIT) to the least chi-square of its spots; write covariance, chi2 and valid."""
+    """Minimise chi-square of the spots of ``fit`` (FIT) over the pose; write covariance, chi2 and valid."""
     normal, damped, low = np.empty((6, 6)), np.empty((6, 6)), np.zeros((6, 6))
     gradient, step, column = np.empty(6), np.empty(6), np.empty(6)
     r_new, t_new = np.empty((3, 3)), np.empty(3)

@@ -1,4 +1,4 @@
-"""Where the LEDs of a target are in a camera's image, how large and how bright."""
+"""Kernels of the LED renderer: position, size and brightness of the LEDs' images, sensor noise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def to_camera(rotation, translation, p, out):
 
 @kernel
 def project_points(lens, rotation, translation, points, t_v, q_vt, out):
-    """Write the pixels (n, 2) at which a camera sees ``points`` (n, 3), m in t, under the pose t -> v.
+    """Write the pixels (n, 2) of ``points`` (n, 3), m in t, in a camera, for the pose t -> v.
 
     ``p_v = A(q_vt) p_t + t_v``. NaN for a point that is not in front of the camera.
     """
@@ -34,15 +34,15 @@ def project_points(lens, rotation, translation, points, t_v, q_vt, out):
 def disc_images(lens, rotation, translation, leds, t_v, q_vt, radius, lobe, out):
     """Write the image of each LED, a disc of ``radius`` m that faces -z_t, to out (n, 6).
 
-    Columns: u, v, width, shear, height (px, as in ``shape``) and the brightness relative to that at 1 m straight
-    in front: 1/r^2 and cos^lobe of the angle off its axis (an even disc has a lobe of 1). All zero for an LED
-    behind the camera; no brightness for one that faces away, unless the lobe is 0: that one shines all round.
-    (u, v) is the centroid of the image, which perspective and lens shift off the image of the LED's
-    centre: by a quarter of the radius squared times half the projection's Laplacian over the disc.
+    Columns: u, v, width, shear, height (px, as in ``disc``) and the brightness relative to that at 1 m straight
+    in front: 1/r^2 and cos^lobe of the angle off its axis (a uniform disc has a lobe of 1). All zero for an LED
+    behind the camera; no brightness for one that faces away, unless the lobe is 0 (isotropic).
+    (u, v) is the centroid of the image. Perspective and distortion shift it from the image of the LED's centre
+    by a quarter of the radius squared times half the projection's Laplacian over the disc.
     """
     p, shifted = np.empty(3), np.empty(3)
     slopes = np.empty((2, 3))
-    axes = np.empty((3, 3))  # of the disc in the camera: two in its plane, one along which it shines
+    axes = np.empty((3, 3))  # of the disc in the camera: two in its plane, one along its emission axis
     for i in range(3):
         unit = np.zeros(3)
         unit[i] = 1.0
@@ -83,10 +83,10 @@ def disc_images(lens, rotation, translation, leds, t_v, q_vt, radius, lobe, out)
 
 @kernel
 def fill_background(image, level, across, down, electrons, read_noise, pool, offsets):
-    """Write a dark image (h, w) of uint8 whose noise comes from ``pool``, standard normals of float32.
+    """Write a dark image (h, w) of uint8 with noise from ``pool``, standard normals of float32.
 
     level: at the image's centre, with slopes ``across`` and ``down``, levels per pixel. electrons: per level.
-    Row i takes the pool from offsets[i] on; a level of few electrons gets a Gaussian for its Poisson law.
+    Row i uses the pool from offsets[i] on; the Poisson noise of few electrons is approximated by a Gaussian.
     """
     rows, columns = image.shape
     gain = np.float32(1.0 / electrons)

@@ -1,4 +1,4 @@
-"""What is left after a fit: pixels that do not belong, a wrong shape, the noise of the light."""
+"""Residuals of a spot's fit: outlier pixels, deviation from a round Gaussian, estimate of the shot noise."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from hil.core.jit import kernel
 from hil.maths.kalman import normalised_square
 from hil.vmu.kernels.fit import FULL_SCALE, PLANE, SIGMA, U, V, gather, invert
 
-SHAPE_TERMS = 3  # parameters of ``shape_chi_square``
+SHAPE_TERMS = 3  # extra parameters of ``shape_chi_square``
 _OUTLIER = 6.0  # sigma
 _MOST_OUTLIERS = 3
 
 
 @kernel
 def drop_outliers(pixels, weighed, dark, per_level, model, light):
-    """Leave out the pixels that are far off the model; of more than a few only the worst. Return how many."""
+    """Exclude the pixels that are far off the model, only the worst if there are many. Return how many."""
     found = np.empty(_MOST_OUTLIERS, dtype=np.int64)
     count, worst, most = 0, 0, 0.0
     for at in range(pixels.shape[0]):
@@ -41,20 +41,19 @@ def drop_outliers(pixels, weighed, dark, per_level, model, light):
 
 @kernel
 def misfit(total, used, parameters):
-    """Return the sum of squares per degree of freedom, and how much of it chance allows (5 sigma)."""
+    """Return the sum of squares per degree of freedom, and its statistical limit (5 sigma)."""
     freedom = max(used - parameters, 1)
     return total / freedom, 1.0 + 5.0 * math.sqrt(2.0 / freedom)
 
 
 @kernel
 def shape_chi_square(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse):
-    """Return how significantly a light differs from the round Gaussian ``p`` (7,) that was fitted to it.
+    """Return chi-square (three degrees of freedom) of a light's deviation from the fitted round Gaussian ``p`` (7,).
 
-    The number is a chi-square of three degrees of freedom. A tilted disc is longer one way than the other (x^2 - y^2
-    and 2 x y times the Gaussian, two parameters), and flatter than the Gaussian of its width, by -a^4/384 of the
-    Gaussian's squared Laplacian for a radius of a (r^4/s^4 - 8 r^2/s^2 + 8 times it, one parameter). One more
-    step of the fit with these three gives wide_model, wide (pixels, 10), its derivatives, and wide_inverse (10, 10),
-    its covariance: residuals in which a light's shape does not pass for shot noise.
+    A tilted disc is elongated (x^2 - y^2 and 2 x y times the Gaussian, two parameters), and flatter than the Gaussian
+    of its width, by -a^4/384 of the Gaussian's squared Laplacian for a radius of a (r^4/s^4 - 8 r^2/s^2 + 8 times it,
+    one parameter). One more step of the fit with these three gives wide_model, wide (pixels, 10), its derivatives, and
+    wide_inverse (10, 10), its covariance: residuals in which the light's shape is not mistaken for shot noise.
     """
     n, more = p.shape[0], SHAPE_TERMS
     square = p[PLANE + SIGMA] * p[PLANE + SIGMA] + 1.0 / 12.0
@@ -93,9 +92,9 @@ def signal_to_noise(pixels, weighed, dark, per_level, light):
 
 @kernel
 def light_noise(pixels, weighed, dark, per_level, light, model, slopes, covariance):
-    """Return what the residuals say about the variance per level of light: numerator and denominator of a mean.
+    """Return an estimate of the variance per level of light from the residuals: numerator and denominator of a mean.
 
-    The share of each residual that the fit has absorbed (its leverage) is made up for.
+    Corrected for the fraction of each residual that the fit has absorbed (its leverage).
     """
     n = covariance.shape[0]
     above = below = 0.0

@@ -1,4 +1,4 @@
-"""The detector's one pass: background, threshold, components and spots of an image or of windows in it."""
+"""Spot detection in one pass: background, threshold, components and spots of an image or of windows in it."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from hil.vmu.kernels.components import (
 )
 from hil.vmu.kernels.measure import measure
 
-TOO_MANY = -1  # lights for the room there is
+TOO_MANY = -1  # more lights than the capacity
 _TILE = 64  # px
 _SAMPLES = 36  # of a tile
 _WINDOW_SAMPLES = 100
-_ROWS = 4  # for which a threshold serves
+_ROWS = 4  # rows per threshold
 
 
 @kernel
@@ -51,7 +51,7 @@ def _flood_row(image, label, hits, count, queue, components, lights, level, dark
 def components_of_image(image, limits, label, queue, components, lights):
     """Flood every light of an image: boxes and queue of ``components``, level and variance of ``lights`` (n, 2).
 
-    Return how many there are, or TOO_MANY.
+    Return the number of components, or TOO_MANY.
     """
     rows, columns = image.shape
     shape = (max(1, round(rows / _TILE)), max(1, round(columns / _TILE)))
@@ -79,7 +79,7 @@ def components_of_image(image, limits, label, queue, components, lights):
 
 @kernel
 def components_of_windows(image, windows, limits, label, queue, components, lights):
-    """Flood the lights that reach into ``windows`` (k, 4): u and v of the first pixel and after the last."""
+    """Flood the lights that extend into ``windows`` (k, 4): u and v of the first pixel and after the last."""
     rows, columns = image.shape
     threshold, scratch = np.empty(columns, dtype=np.uint16), np.empty(columns, dtype=np.uint16)
     words = np.zeros((columns + 7) // 8, dtype=np.uint64)
@@ -112,7 +112,7 @@ def components_of_windows(image, windows, limits, label, queue, components, ligh
 
 @kernel
 def _typical(level, dark, k):
-    """Return the median variance of the windows whose background is about that of window ``k``."""
+    """Return the median variance of the windows with about the same background as window ``k``."""
     near = np.empty(level.shape[0])
     n = 0
     for m in range(level.shape[0]):
@@ -127,8 +127,8 @@ def detect(image, windows, limits, per_level, label, queue, spots, noise):
     """Write the spots of an image (h, w) of uint8 to ``spots``; return how many, or TOO_MANY.
 
     windows: (k, 4) of int64, u and v of the first pixel and after the last; (0, 4) for the whole image.
-    label: (h, w) of int16, all zero, and again zero at the end. queue: (h * w,) of int32, scratch.
-    noise: (most components, 2), of each as of ``light_noise``; zero where it says nothing.
+    label: (h, w) of int16, all zero before and after. queue: (h * w,) of int32, scratch.
+    noise: (most components, 2), per component as from ``light_noise``; zero without an estimate.
     """
     columns = image.shape[1]
     most = noise.shape[0]

@@ -1,4 +1,4 @@
-"""Start poses: from three spots and three LEDs, with the spots that the other LEDs could be."""
+"""Start poses: from three spots and three LEDs, with candidate spots for the other LEDs."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.p3p import axes_of_three
 from hil.vmu.kernels.refine import place
 
-_SAME_TRACE = 2.9924  # of the turn between two starts that will end at one pose: 5 deg
-_ALONE = 5  # spots of one camera that are believed though the other one sees none of them
+_SAME_TRACE = 2.9924  # of the rotation between two starts that converge to one pose: 5 deg
+_ALONE = 5  # spots of one camera that suffice without any from the other camera
 
 
 @kernel
 def orientation_of(leds, p, q, s, least_facing):
-    """Return the sense, 1 or -1, in which a camera in front sees the LEDs p, q, s; 0 where it depends on the pose."""
+    """Return the orientation, 1 or -1, in which a camera in front sees LEDs p, q, s; 0 if it depends on the pose."""
     ax, ay, az = leds[q, 0] - leds[p, 0], leds[q, 1] - leds[p, 1], leds[q, 2] - leds[p, 2]
     bx, by, bz = leds[s, 0] - leds[p, 0], leds[s, 1] - leds[p, 1], leds[s, 2] - leds[p, 2]
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -28,7 +28,7 @@ def orientation_of(leds, p, q, s, least_facing):
 
 @kernel
 def plausible(settings, fit):
-    """Return whether the target of ``fit`` is in front, in range and shows its face."""
+    """Return whether the target of ``fit`` is in front of the camera, in range, and facing it."""
     x, y, z = fit.t[0], fit.t[1], fit.t[2]
     away = math.sqrt(x * x + y * y + z * z)
     if not settings.near <= away <= settings.far or not z > 0.0:
@@ -39,7 +39,7 @@ def plausible(settings, fit):
 
 @kernel
 def trace_between(r_a, r_b):
-    """Return the trace of the turn from one attitude to another, ``1 + 2 cos(angle)``."""
+    """Return the trace of the rotation between two attitudes, ``1 + 2 cos(angle)``."""
     total = 0.0
     for i in range(3):
         for j in range(3):
@@ -49,7 +49,7 @@ def trace_between(r_a, r_b):
 
 @kernel
 def near_prediction(settings, fit):
-    """Return whether a pose is about where the target is predicted."""
+    """Return whether a pose is within the bounds of the predicted one."""
     x, y, z = fit.t[0] - settings.t[0], fit.t[1] - settings.t[1], fit.t[2] - settings.t[2]
     if x * x + y * y + z * z > settings.away * settings.away:
         return False
@@ -58,7 +58,7 @@ def near_prediction(settings, fit):
 
 @kernel
 def pose_of_three(rotation, translation, ends, leds, p, q, s, there, here, fit):
-    """Write the pose to ``fit`` that puts the LEDs p, q, s at ``ends`` (3, 3), m, in a camera's axes.
+    """Write to ``fit`` the pose that places the LEDs p, q, s at ``ends`` (3, 3), m, in a camera's axes.
 
     rotation, translation: from v to those axes. there: axes of the three LEDs in t. here: scratch, (3, 3).
     """
@@ -81,7 +81,7 @@ def pose_of_three(rotation, translation, ends, leds, p, q, s, there, here, fit):
 
 @kernel
 def take_nearest(scene, view, c, n, reach, fit, arm, point):
-    """Write the spot of camera c nearest to LED n to ``fit``, if it is within ``reach`` px and free; return whether."""
+    """Assign to LED n the spot of camera c nearest to its projection, within ``reach`` px and free; return whether."""
     place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
     u, v = project(scene.lens[c], point[0], point[1], point[2])
     best, least = -1, reach * reach
@@ -99,10 +99,10 @@ def take_nearest(scene, view, c, n, reach, fit, arm, point):
 
 @kernel
 def take_spots(scene, view, c, least, reach, fit, arm, point):
-    """Write the spots nearest to the projections of the pose in ``fit``; return whether they are enough.
+    """Assign the spots nearest to the projections of the pose in ``fit``; return whether there are enough.
 
-    fit.spot of camera c holds the three that the pose came from. Enough: ``least`` of camera c, and two of the
-    other one, if it sees two, or else _ALONE of camera c.
+    fit.spot of camera c holds the three spots that define the pose. Enough: ``least`` of camera c, and two of the other
+    camera if that has two, or else _ALONE of camera c.
     """
     have = 3
     left = scene.leds.shape[0] - 3
@@ -126,7 +126,7 @@ def take_spots(scene, view, c, least, reach, fit, arm, point):
 
 @kernel
 def is_tried(others, count, fit, n):
-    """Return whether one of the first ``count`` starts names the same spots and is turned alike."""
+    """Return whether one of the first ``count`` starts has the same spots and nearly the same attitude."""
     for k in range(count):
         other = others[k]
         same = True

@@ -1,4 +1,4 @@
-"""What the second camera says of the distance between two lights, and so of which LEDs they can be."""
+"""Stereo check: distance between two lights from the second camera, and the pairs of LEDs that it allows."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ from hil.core.jit import kernel
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import MAX_SPOTS
 
-_PARTNERS = 4  # lights of the other image on one epipolar line that are looked at
+_PARTNERS = 4  # lights of the other image on one epipolar line that are considered
 _SIGMAS = 5.0
 _SLACK_PX = 0.5
-_SLACK = 0.1  # of an LED distance: two LEDs side by side know their difference in depth to the root of the noise
+_SLACK = (
+    0.1  # of an LED distance: the difference in depth of two LEDs has an error of the order of the root of the noise
+)
 
 
 @kernel
 def depth(scene, view, c, i, j, out):
-    """Write how far along the ray of spot i of camera c the light is, if spot j of the other camera is the same one.
+    """Write the distance along the ray of spot i of camera c, if spot j of the other camera is the same light.
 
-    out: (2,), m, with its standard deviation. Return False where the two rays do not meet.
+    out: (2,), m, with its standard deviation. Return False if the two rays do not intersect.
     """
     o = 1 - c
     y, z = view.spots[c, i].ray, view.spots[o, j].ray
@@ -62,9 +64,9 @@ def depth(scene, view, c, i, j, out):
 
 @kernel
 def depths(scene, view, c, near, far, found, counts):
-    """Write the depths that spots of camera c can have, found (MAX_SPOTS, 4, 2), and how many, counts (MAX_SPOTS,).
+    """Write the possible depths of spots of camera c, found (MAX_SPOTS, 4, 2), and their number, counts (MAX_SPOTS,).
 
-    Of a spot without a partner, or with too many, nothing is known: 0.
+    The number is 0 (unknown) for a spot without a partner, or with too many.
     """
     out = np.empty(2)
     for i in range(view.counts[c]):

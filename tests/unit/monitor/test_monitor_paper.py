@@ -10,7 +10,7 @@ import pytest
 from hil.models import docking_view
 from hil.monitor.kernels.quantities import derive, quantities
 from hil.monitor.motion import MotionFit, transition
-from hil.monitor.paper import paper
+from hil.monitor.paper import frame as paper
 from hil.monitor.paper.motion import PaperMotionFit, pair
 from hil.monitor.results import QUANTITIES, FrameDetection, FrameResult, PaperFrame
 from hil.monitor.settings import MonitorSettings
