@@ -1,4 +1,4 @@
-"""The television camera of a bench that has none: what it would see of the docking target, from the axes' encoders."""
+"""Simulated television camera: images of the docking target rendered from the axes' encoders."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hil.monitor.render import Conditions, TargetRenderer
 from hil.monitor.sources import VideoFrame, exposure
 from hil.params import gnc as gnc_params
 
-_KEPT_S = 2.0  # of samples before the one that was asked for last: an encoder may be that late
+_KEPT_S = 2.0  # s of samples kept before the last requested time: largest delay of an encoder
 
 
 def mounting(config: DockingMonitor) -> np.record:
@@ -41,7 +41,7 @@ def view(mounting: np.record, r_CT_H: Array, q_CH: Array) -> tuple[Array, Array]
 
 
 def chaser_position(mounting: np.record, d: Array, phi: Array) -> Array:
-    """Return r_CT_H (3,), m, of the chaser whose camera has d (3,), m, and phi (3,), rad: ``view`` back."""
+    """Return r_CT_H (3,), m, of the chaser whose camera has d (3,), m, and phi (3,), rad: the inverse of ``view``."""
     t_v, q_vt, pose = np.empty(3), np.empty(4), new(POSE)
     docking_view.to_camera_pose(d, phi, t_v, q_vt)
     chaser_pose(mounting, t_v, q_vt, np.zeros((6, 6)), pose)
@@ -50,7 +50,7 @@ def chaser_position(mounting: np.record, d: Array, phi: Array) -> Array:
 
 
 class EncoderTrack:
-    """Where the camera was: the encoders' samples, each with its own time, straight lines between them."""
+    """Camera pose over time: linear interpolation of the encoders' samples, each with its own time."""
 
     def __init__(self, bench: np.record, mounting: np.record) -> None:
         self._bench = bench
@@ -59,12 +59,12 @@ class EncoderTrack:
         self._axes = (np.empty((0, 3)), np.empty((0, 3)))
 
     def add(self, rows: np.ndarray) -> None:
-        """Take in what the encoders said in ``rows`` (n,) of CYCLE."""
+        """Append the encoder samples in ``rows`` (n,) of CYCLE."""
         new_axes = (rows["feedback"]["rail_m"], rows["feedback"]["gimbal_rad"])
         times, axes = [], []
         for device in range(2):
             t = np.concatenate((self._times[device], rows["sampled_s"][:, device]))
-            newer = np.diff(np.maximum.accumulate(t), prepend=-np.inf) > 0.0  # a sample may be read twice
+            newer = np.diff(np.maximum.accumulate(t), prepend=-np.inf) > 0.0  # the same sample may be read twice
             times.append(t[newer])
             axes.append(np.concatenate((self._axes[device], new_axes[device]))[newer])
         self._times, self._axes = (times[0], times[1]), (axes[0], axes[1])
@@ -84,14 +84,14 @@ class EncoderTrack:
         return view(self._mounting, r, q)
 
     def drop_before(self, t_s: float) -> None:
-        """Drop samples that nobody asks for once ``t_s`` is passed."""
+        """Drop samples that are not needed once ``t_s`` has passed."""
         keep = [max(int(np.searchsorted(t, t_s - _KEPT_S)) - 1, 0) for t in self._times]
         self._times = (self._times[0][keep[0] :], self._times[1][keep[1] :])
         self._axes = (self._axes[0][keep[0] :], self._axes[1][keep[1] :])
 
 
 class RenderedCamera:
-    """Films the docking target along an EncoderTrack, at the scene's rate from t = 0 of the run on."""
+    """Renders the docking target along an EncoderTrack, at the scene's rate from t = 0 of the run on."""
 
     def __init__(self, scene: Scene, config: DockingMonitor, rig: Rig, step_s: float, seed: int) -> None:
         self.track = EncoderTrack(gnc_params.bench(rig, step_s), mounting(config))
@@ -100,7 +100,7 @@ class RenderedCamera:
         self._next = 0
 
     def frames(self) -> Iterator[VideoFrame]:
-        """Yield the frames, in order, of which the encoders have told by now."""
+        """Yield, in order, the frames covered by encoder samples so far."""
         while self.track.covers(t_s := exposure(self._renderer.scene, self._next)[0]):
             yield self._renderer.frame(self._next, self.track, self._rng)
             self._next += 1

@@ -1,4 +1,4 @@
-"""What the cameras of a bench without cameras see: the pose of the axes, with the vision unit's noise."""
+"""Simulated vision unit: pose from the axis positions, by a noise model or by rendered images."""
 
 from __future__ import annotations
 
@@ -21,17 +21,14 @@ from hil.vmu.geometry import geometry_of_rig
 
 
 class PoseSensor(Protocol):
-    """Whatever turns the bench's encoders into what the vision unit would report."""
+    """Converts the bench's encoder values to the pose that the vision unit would report."""
 
     def measure(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
-        """Return the measured pose of axes that stand at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``.
-
-        None where the unit would find none.
-        """
+        """Return the measured pose of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``; None without one."""
 
 
 class PoseModel:
-    """Turns axis positions into the pose frame that the vision unit would report."""
+    """Pose sensor with the noise model of a vision unit, without images."""
 
     def __init__(self, bench: np.record, mounting: np.record, vision: np.record, seed: int) -> None:
         self._bench = bench
@@ -42,7 +39,7 @@ class PoseModel:
         self._q = np.empty(4)
 
     def measure(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame:
-        """Return the measured pose of axes that stand at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``."""
+        """Return the measured pose of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``."""
         t_v, q_vt, covariance = np.empty(3), np.empty(4), np.empty((6, 6))
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
         see(self._vision, self._mounting, self._r, self._q, self._noise.next_row(), t_v, q_vt, covariance)
@@ -50,16 +47,16 @@ class PoseModel:
 
 
 def transport(vmu: VisionNoise, seed: int) -> Transport:
-    """Return how the frames of a vision unit that is not there travel."""
+    """Return the transport of a simulated vision unit's frames: latency, duplicates, losses."""
     return Transport(
         stream(seed, "transport"), vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability
     )
 
 
 def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: MakesPictures | None = None) -> PoseSensor:
-    """Return what sees the target for the vision unit of ``rig``, as ``vmu.source`` says.
+    """Return the pose sensor for the vision unit of ``rig``, as selected by ``vmu.source``.
 
-    shown: takes the pictures, where there are any.
+    shown: receives the rendered images, if any.
     """
     bench, mounting = gnc_params.bench(rig, scenario.step_s), gnc_params.mounting(rig)
     if scenario.vmu.source == "model":
@@ -72,6 +69,6 @@ def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: MakesPictur
 
 
 def calibrated_geometry(rig: Rig) -> VmuGeometry:
-    """Return what the vision unit of ``rig`` takes its cameras and LEDs for. Raises BadInput."""
+    """Return the geometry that the vision unit of ``rig`` assumes for its cameras and LEDs. Raises BadInput."""
     path = rig.vmu.geometry_file
     return geometry_of_rig(rig) if path is None else load_geometry(path).value

@@ -1,4 +1,4 @@
-"""The camera in the loop without cameras: draws what they would see, and lets the vision unit find the pose in it."""
+"""Pose sensor with rendered images: renders the stereo pair and solves it with the vision unit."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _DECOY_FARTHEST_M: Final = 1.0
 
 
 class RenderedPoseSensor:
-    """Turns axis positions into the pair of pictures there, and these into the pose that the unit finds.
+    """Renders the stereo pair of the axis positions and returns the pose solved from it.
 
-    bench: BENCH_PARAMS. mounting: MOUNTING. scene: what is drawn; geometry: what the unit takes it for. Every
-    error of the bench, and of the calibration where both differ, reaches the pose as it would in a lab.
-    shown: takes the pictures with what was found in them.
+    bench: BENCH_PARAMS. mounting: MOUNTING. scene: the rendered geometry; geometry: the one that the unit assumes.
+    Every error of the bench, and of the calibration if they differ, affects the pose as it would in a lab.
+    shown: receives the images with their overlay.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class RenderedPoseSensor:
     ) -> None:
         self._bench = bench
         self._mounting = mounting
-        look = RingAppearance(
+        appearance = RingAppearance(
             psf_sigma_px=pictures.psf_sigma_px,
             led_diameter_m=pictures.led_diameter_m,
             flux_1m_levels=pictures.led_flux_1m_levels,
@@ -52,7 +52,7 @@ class RenderedPoseSensor:
             electrons_per_level=pictures.electrons_per_level,
             read_noise_levels=pictures.read_noise_levels,
         )
-        self._renderer = RingRenderer(camera_pair(scene), led_positions(scene), look)
+        self._renderer = RingRenderer(camera_pair(scene), led_positions(scene), appearance)
         self._unit = VisionUnit(geometry)
         self._rng = stream(seed, "pictures")
         self._decoys = _decoys(self._rng, pictures.decoy_lights)
@@ -61,11 +61,11 @@ class RenderedPoseSensor:
         self._r, self._q = np.empty(3), np.empty(4)
 
     def measure(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
-        """Return the pose that the unit finds in the pictures of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,)."""
+        """Return the pose solved from the images of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,)."""
         t_v, q_vt = np.empty(3), np.empty(4)
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
         camera_pose(self._mounting, self._r, self._q, t_v, q_vt)
-        lights = [Light(tuple(quat.transform(q_vt, place) + t_v)) for place in self._decoys]
+        lights = [Light(tuple(quat.transform(q_vt, position) + t_v)) for position in self._decoys]
         left, right = self._renderer.pair(t_v, q_vt, None, self._rng, Extras(lights=lights))
         solution = self._unit.solve(left, right, t_s)
         if self._shown is not None:
@@ -74,7 +74,7 @@ class RenderedPoseSensor:
         return solution.frame(0, t_s)
 
     def _show(self, shown: MakesPictures, left: np.ndarray, right: np.ndarray, solution: Solution) -> None:
-        """Hand over the pair with what was found in it, where it is wanted."""
+        """Send the pair with its overlay, if due."""
         if not shown.due(solution.t_s):
             return
         views = (
@@ -92,6 +92,6 @@ class RenderedPoseSensor:
 
 
 def _decoys(rng: np.random.Generator, count: int) -> Array:
-    """Return places of lights about the ring, in its plane, (count, 3), m, in t."""
-    turn, far = rng.uniform(0.0, math.tau, count), rng.uniform(_DECOY_NEAREST_M, _DECOY_FARTHEST_M, count)
-    return np.column_stack([far * np.cos(turn), far * np.sin(turn), np.zeros(count)])
+    """Return positions of lights around the ring, in its plane, (count, 3), m, in t."""
+    angle, distance = rng.uniform(0.0, math.tau, count), rng.uniform(_DECOY_NEAREST_M, _DECOY_FARTHEST_M, count)
+    return np.column_stack([distance * np.cos(angle), distance * np.sin(angle), np.zeros(count)])

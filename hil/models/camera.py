@@ -1,7 +1,7 @@
-"""Two pinhole cameras side by side, and whether they see all lamps of a target.
+"""Stereo camera: two parallel pinhole cameras, and whether all LEDs of a target are in view of both.
 
 The left camera's axes are v (x right, y down, z along its optical axis); the right one is parallel to
-it at ``baseline`` along x_v. The principal points are the images' centres; lenses do not distort.
+it at ``baseline`` along x_v. The principal points are the images' centres; there is no distortion.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CAMERA = np.dtype(
 
 @kernel
 def edge_distance(camera, x, y, z):
-    """Return how far, px, the image of the point (x, y, z), m in the camera's axes, is from the nearest edge.
+    """Return the distance, px, of the image of the point (x, y, z), m in the camera's axes, from the nearest edge.
 
     Negative outside the image; minus infinity for a point that is not in front of the camera.
     """
@@ -37,7 +37,7 @@ def edge_distance(camera, x, y, z):
 
 @kernel
 def view_margin(camera, leds, t_v, q_vt):
-    """Return the least ``edge_distance``, px, of all lamps in both images.
+    """Return the smallest ``edge_distance``, px, of all LEDs in both images.
 
     leds: (n, 3), m, in t. t_v: (3,), m, and q_vt: (4,), the pose t -> v, ``p_v = A(q_vt) p_t + t_v``.
     """

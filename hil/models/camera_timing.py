@@ -1,4 +1,4 @@
-"""When a free-running camera exposes, and how late its poses come: the vision unit's time, in simulated time."""
+"""Timing of a free-running camera in simulated time: exposures, latency, loss and duplication of its poses."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from hil.core.jit import kernel
 
 TIME_SLACK_S = 1e-9  # sums of cycle times are off by a few 1e-16 of themselves
-TRAVEL_DRAWS = 4  # uniform numbers in [0, 1) a frame: lost, twice, first delay, second delay
+TRAVEL_DRAWS = 4  # uniform numbers in [0, 1) per frame: loss, duplication, first delay, second delay
 
 TRAVEL = np.dtype(
     [
         ("latency_s", "f8"),  # constant part
         ("jitter_s", "f8"),  # largest random part, uniform
-        ("duplicate_probability", "f8"),  # 0..1 of the frames that come twice
-        ("loss_probability", "f8"),  # 0..1 of those that never come
+        ("duplicate_probability", "f8"),  # 0..1, of a duplicate frame
+        ("loss_probability", "f8"),  # 0..1, of a lost frame
     ],
     align=True,
 )
@@ -30,13 +30,13 @@ def first_exposure(now_s, rate_hz):
 
 @kernel
 def exposure_time(number, rate_hz):
-    """Return when the exposure ``number`` is, s."""
+    """Return the time of exposure ``number``, s."""
     return number / rate_hz
 
 
 @kernel
 def delays(travel, draws, out):
-    """Write how long after its exposure a frame arrives, s, into ``out`` (2,); return how often it does, 0, 1 or 2.
+    """Write the delays between exposure and arrival, s, to ``out`` (2,); return the number of arrivals, 0, 1 or 2.
 
     travel: TRAVEL. draws: (TRAVEL_DRAWS,), uniform in [0, 1).
     """

@@ -1,9 +1,9 @@
-"""The docking camera S and the target C of the monitor paper 3.1, exactly, and not for small angles only.
+"""Geometry of the docking camera S and the target C (monitor paper 3.1), exact for finite angles.
 
 C y1 y2 y3: origin in the disc's centre, y3 along the disc's normal towards the camera. S x1 x2 x3: origin in the
-camera, x3 along the optical axis, x1 to the right and x2 up in the picture. ``y = d + A x`` with
+camera, x3 along the optical axis, x1 to the right and x2 up in the image. ``y = d + A x`` with
 ``A = diag(1, -1, -1) exp([phi]x)``, whose first-order form is the paper's matrix; d (3,), m, phi (3,), rad.
-Picture: ``u = cx + f x1/x3``, ``v = cy - f x2/x3``, px, v downwards, pixel centres at whole numbers.
+Image: ``u = cx + f x1/x3``, ``v = cy - f x2/x3``, px, v downwards, pixel centres at integers.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from hil.maths import quat
 
 @kernel
 def attitude(phi):
-    """Return A (3, 3), which takes directions from S to C."""
+    """Return A (3, 3), which transforms directions from S to C."""
     turned = quat.to_matrix(quat.from_rotation_vector(phi))  # exp(-[phi]x)
     a = np.empty((3, 3))
     for j in range(3):
@@ -48,15 +48,15 @@ def to_camera(a, d, y):
 
 @kernel
 def project_point(f, cx, cy, x):
-    """Return (u, v), px, of the point ``x`` (3,), m, in the camera's axes; means something where x[2] > 0."""
+    """Return (u, v), px, of the point ``x`` (3,), m, in the camera's axes; valid for x[2] > 0."""
     return cx + f * x[0] / x[2], cy - f * x[1] / x[2]
 
 
 @kernel
 def of_camera_pose(t_v, q_vt, d, phi):
-    """Write d (3,), m, and phi (3,), rad, for the pose ``p_v = A(q_vt) p_t + t_v`` of a camera before the LED ring.
+    """Write d (3,), m, and phi (3,), rad, for the camera's pose ``p_v = A(q_vt) p_t + t_v`` relative to the LED ring.
 
-    That camera's axes v are S, and C is t turned by half a turn about x_t: ``y = diag(1, -1, -1) p_t``.
+    That camera's axes v are S, and C is t rotated by 180 deg about x_t: ``y = diag(1, -1, -1) p_t``.
     """
     back = quat.transform_back(q_vt, t_v)
     turn = quat.to_rotation_vector(q_vt)
@@ -67,8 +67,10 @@ def of_camera_pose(t_v, q_vt, d, phi):
 
 @kernel
 def to_camera_pose(d, phi, t_v, q_vt):
-    """Write the pose t -> v, ``t_v`` (3,), m, and ``q_vt`` (4,), for d (3,), m, and phi (3,), rad: ``of_camera_pose``
-    back."""
+    """Write the pose t -> v, ``t_v`` (3,), m, and ``q_vt`` (4,), for d (3,), m, and phi (3,), rad.
+
+    The inverse of ``of_camera_pose``.
+    """
     back = np.empty(3)
     for i in range(3):
         back[i] = -d[i] if i == 0 else d[i]

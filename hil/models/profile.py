@@ -9,10 +9,10 @@ from hil.core.jit import kernel
 
 @kernel
 def along_line(length, speed, acceleration, deceleration, t_s, out):
-    """Write path length, m, its rate, m/s, and its second rate, m/s^2, at ``t_s`` into ``out`` (3,).
+    """Write path length, m, its rate, m/s, and its second rate, m/s^2, at ``t_s`` to ``out`` (3,).
 
-    Trapezoidal speed from rest to rest over ``length``; where that is too short to reach ``speed``
-    the peak is lower. Any unit of length will do.
+    Trapezoidal speed from rest to rest over ``length``; if that is too short to reach ``speed`` the peak is lower.
+    Any unit of length may be used.
     """
     inverse = 1.0 / acceleration + 1.0 / deceleration
     peak = min(speed, math.sqrt(2.0 * length / inverse))
@@ -34,7 +34,7 @@ def along_line(length, speed, acceleration, deceleration, t_s, out):
 
 @kernel
 def duration(length, speed, acceleration, deceleration):
-    """Return how long ``along_line`` takes over ``length``, s."""
+    """Return the duration of ``along_line`` over ``length``, s."""
     inverse = 1.0 / acceleration + 1.0 / deceleration
     peak = min(speed, math.sqrt(2.0 * length / inverse))
     if peak <= 0.0:

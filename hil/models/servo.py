@@ -1,7 +1,7 @@
-"""A position-controlled axis with lag, speed and acceleration limits and end stops.
+"""Model of a position-controlled axis with lag, speed and acceleration limits and end stops.
 
-The bench's mocks and the device emulators move by this one model: a position loop of gain ``kp``
-with velocity feed-forward, a drive that follows its speed command as a first-order lag ``tau``.
+Shared by the mocks and the device emulators: a position loop of gain ``kp`` with velocity feed-forward, and a drive
+that follows its speed command as a first-order lag ``tau``.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ _ROWS: Final = 10
 
 @kernel
 def _substeps(tau, dt):
-    """Return into how many parts a step of ``dt``, s, is split for a lag of ``tau``, s."""
+    """Return the number of substeps of a step of ``dt``, s, for a lag of ``tau``, s."""
     return int(dt / (0.25 * tau)) + 1
 
 
 @kernel
 def _goal(setpoint, feedforward, kp):
-    """Return the rate that is asked for at position zero."""
+    """Return the rate command at position zero."""
     return feedforward + kp * setpoint
 
 
 @kernel
 def _substep(position, rate, goal, kp, share, rate_max, change_max, low, high, h):
-    """Return position and rate of one axis after a part of ``h``, s; all arguments are numbers.
+    """Return position and rate of one axis after a substep of ``h``, s; all arguments are numbers.
 
-    goal: see ``_goal``. share: of the way to the wanted rate that is made, h / tau. change_max: of the rate in a part.
+    goal: see ``_goal``. share: fraction of the rate error corrected, h / tau. change_max: of the rate in a substep.
     """
     wanted = min(rate_max, max(-rate_max, goal - kp * position))
     rate += min(change_max, max(-change_max, (wanted - rate) * share))
@@ -47,12 +47,12 @@ def _substep(position, rate, goal, kp, share, rate_max, change_max, low, high, h
 
 @kernel
 def servo_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceleration_max, low, high, dt):
-    """Move axes on by ``dt``, s, in place. All arguments but ``dt`` are arrays of shape (n,).
+    """Advance axes by ``dt``, s, in place. All arguments but ``dt`` are arrays of shape (n,).
 
-    position, rate: state, m and m/s (or rad and rad/s). setpoint, feedforward: wanted position and
-    its rate. kp: 1/s. tau: s. rate_max, acceleration_max: limits. low, high: end stops, where the
-    axis stands still. The step is split so that it stays well inside the lag. Neighbours of the same lag
-    go through its parts side by side: a part waits for the one before it, another axis does not.
+    position, rate: state, m and m/s (or rad and rad/s). setpoint, feedforward: commanded position and
+    its rate. kp: 1/s. tau: s. rate_max, acceleration_max: limits. low, high: end stops, at which the
+    axis stops. The step is divided into substeps well below the lag. Adjacent axes of the same lag are computed
+    together: their substeps are independent, which the processor can use.
     """
     first = 0
     while first < position.shape[0]:
@@ -73,9 +73,9 @@ def servo_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceler
 
 @kernel
 def servo_step_of_two(one, other, dt):
-    """``servo_step`` of two devices of three axes each, with the same bits: side by side neither waits for the other.
+    """``servo_step`` of two devices of three axes each, bit-identical: computed together for speed.
 
-    one, other: records with the arguments of ``servo_step`` as fields; the three axes of each have one lag.
+    one, other: records with the arguments of ``servo_step`` as fields; the three axes of each have the same lag.
     """
     lanes = stack.matrix(_ROWS, _LANES)
     n_one, n_other = _substeps(one.tau[0], dt), _substeps(other.tau[0], dt)
@@ -85,7 +85,7 @@ def servo_step_of_two(one, other, dt):
     _run_substeps(lanes, both)
     if n_one != n_other:
         done = 0 if n_one == both else 3
-        for i in range(done, done + 3):  # parts of no time
+        for i in range(done, done + 3):  # substeps of zero duration
             lanes[4, i] = lanes[6, i] = lanes[9, i] = 0.0
         _run_substeps(lanes, max(n_one, n_other) - both)
     for i in range(3):
@@ -95,7 +95,7 @@ def servo_step_of_two(one, other, dt):
 
 @kernel
 def _lay_out(axes, h, first, lanes):
-    """Write the arguments of ``_substep`` of three axes into columns of ``lanes`` from ``first`` on."""
+    """Write the arguments of ``_substep`` of three axes to columns of ``lanes`` from ``first`` on."""
     share = h / axes.tau[0]
     for i in range(3):
         j = first + i
@@ -107,7 +107,7 @@ def _lay_out(axes, h, first, lanes):
 
 @kernel
 def _run_substeps(lanes, n):
-    """Move all lanes on by ``n`` parts."""
+    """Advance all lanes by ``n`` substeps."""
     for _ in range(n):
         for i in range(_LANES):
             lanes[0, i], lanes[1, i] = _substep(

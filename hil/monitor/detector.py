@@ -1,7 +1,7 @@
-"""The paper's third task on a whole region: which circle is the disc or the ship, and from there a first pose.
+"""Target detection in a region (the paper's third task): circles that may be the disc or the ship, and a first pose.
 
-Nothing here relies on grey values: a hypothesis is a circle of the right kind with the right pattern in it, dark on
-bright or bright on dark, and is only as good as what the measurement then makes of it.
+It does not rely on grey values: a hypothesis is a circle of the right size with the right pattern in it, dark on
+bright or bright on dark, and is confirmed only by the measurement.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ Floats = NDArray[np.float64]
 _LEAST_SCORE: Final = 0.55
 _CIRCLES: Final = 16
 _GOOD: Final = 0.8
-_ENOUGH: Final = 3  # good hypotheses: no more circles are looked at
-_LARGEST_PASSIVE: Final = 0.2  # rad: how far the cross may stand beside the disc's middle
+_ENOUGH: Final = 3  # good hypotheses after which the search ends
+_LARGEST_PASSIVE: Final = 0.2  # rad: largest parallax of the cross relative to the disc's centre
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A first pose (7,): d, m, phi, rad, growth; whether it comes from the cross on the disc; how good, 0..1."""
+    """A first pose (7,): d, m, phi, rad, growth; whether it is based on the cross on the disc; score, 0..1."""
 
     pose: Floats
     near: bool
@@ -36,7 +36,7 @@ class Hypothesis:
 
 
 class TargetDetector:
-    """Finds first poses of one target before one camera."""
+    """Determines first poses of one target in front of one camera."""
 
     def __init__(self, features: TargetFeatures) -> None:
         self._features = features
@@ -47,8 +47,9 @@ class TargetDetector:
             self._boxes = boxes_pattern(target)
 
     def hypotheses(self, prepared: Prepared, region: Region, first_line: float, line_step: float) -> list[Hypothesis]:
-        """Return first poses, the best first. ``prepared``: the region of an image whose line r is the picture's
-        line ``first_line + line_step r``.
+        """Return first poses, the best first.
+
+        ``prepared``: the region of an image whose row r is line ``first_line + line_step r`` of the full image.
         """
         left, top = float(region.left), first_line + line_step * region.top
         found: list[Hypothesis] = []
@@ -64,7 +65,7 @@ class TargetDetector:
     def _as_disc(
         self, circle: CircleCandidate, prepared: Prepared, left: float, top: float, line_step: float
     ) -> Hypothesis | None:
-        """Return the pose by the monitor paper 3.1 if there is a cross on the circle."""
+        """Return the pose by the monitor paper 3.1 if the circle contains a cross."""
         target = self._features.target
         if target.disc is None or target.cross is None or self._cross is None or circle.coverage < 0.25:
             return None
@@ -88,7 +89,7 @@ class TargetDetector:
         if abs(score) < _LEAST_SCORE:
             return None
         gain = d3 * (d3 - b) / (f * b)
-        # the paper's relations, in the picture's axes turned back by the roll
+        # the paper's relations, in the image axes rotated back by the roll
         c, s = np.cos(out[2]), np.sin(out[2])
         du, dv = out[0] - circle.u, out[1] - circle.v
         d1, d2 = -gain * (c * du + s * dv), -gain * (c * dv - s * du)
@@ -97,7 +98,7 @@ class TargetDetector:
     def _as_ship(
         self, circle: CircleCandidate, prepared: Prepared, left: float, top: float, line_step: float
     ) -> Hypothesis | None:
-        """Return the pose along the target's axis if the circle can be the ship's outline with its boxes."""
+        """Return the pose along the target's axis if the circle may be the ship's outline with its boxes."""
         target = self._features.target
         if target.outline is None:
             return None
@@ -126,14 +127,14 @@ class TargetDetector:
         self, circle: CircleCandidate, d1: float, d2: float, d3: float, offset: float, roll: float,
         centre: tuple[float, float] = (0.0, 0.0),
     ) -> Floats:  # fmt: skip
-        """Return the pose at d, of that roll, that puts the point ``centre``, ``offset`` at the circle's centre."""
+        """Return the pose at d with that roll that projects point ``centre`` at ``offset`` to the circle's centre."""
         f, cx, cy = self._features.lens[:3]
-        # A.T = exp(-[phi]x) diag(1, -1, -1): a roll of the picture by +roll (u towards v) is phi3 = roll
+        # A.T = exp(-[phi]x) diag(1, -1, -1): a roll of the image by +roll (u towards v) is phi3 = roll
         x3 = d3 - offset
         c, s = np.cos(roll), np.sin(roll)
         y1, y2 = centre[0] - d1, centre[1] - d2
         u, v = cx + f * (c * y1 - s * y2) / x3, cy + f * (s * y1 + c * y2) / x3
-        # what is left is the pointing: phi2 moves the picture along u, phi1 along v
+        # the rest is the pointing: phi2 moves the image along u, phi1 along v
         phi2 = -(circle.u - u) / f
         phi1 = -(circle.v - v) / f
         return np.array([d1, d2, d3, phi1, phi2, roll, 0.0])

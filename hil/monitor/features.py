@@ -1,4 +1,4 @@
-"""What of a target has edges that can be measured: circles and straight edges in the frame C, as arrays for kernels."""
+"""Measurable features of a target: circles and straight edges in the frame C, as arrays for the kernels."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ LINE = np.dtype(
     ],
     align=True,
 )  # fmt: skip
-"""A straight edge from a to b, m, in the plane y3; ``width`` 0, or that of the bar whose centre line it is, m.
+"""A straight edge from a to b, m, in the plane y3; ``width``: 0, or the width of the bar with this centre line, m.
 
-The outside of an edge is to the right of the way from a to b, as seen from the camera at y3 > 0.
+The outside of an edge is to the right of the direction from a to b, as seen from the camera at y3 > 0.
 """
 
 
 @dataclass(frozen=True)
 class TargetFeatures:
-    """One target before one camera, for the kernels.
+    """Features of one target and one camera, for the kernels.
 
-    lens: (5,): f, cx, cy, width, height, px. circles, lines: what is measured. borders: (n,) LINE, every straight
-    border there is: where another one is near, a measurement keeps away from it. features: how many numbers of
-    features there are. cross: (3,): offset, arm length, arm width, m; zeros where there is no cross.
+    lens: (5,): f, cx, cy, width, height, px. circles, lines: measured edges. borders: (n,) LINE, all straight
+    borders: measurements keep a distance from other borders. feature_count: number of feature numbers. cross: (3,):
+    offset, arm length, arm width, m; zeros without a cross.
     """
 
     lens: Floats
@@ -53,7 +53,7 @@ class TargetFeatures:
 
 
 def target_features(camera: SceneCamera, target: Target) -> TargetFeatures:
-    """Return the measurable features of ``target`` before ``camera``."""
+    """Return the measurable features of ``target`` for ``camera``."""
     circles: list[tuple[float, ...]] = []
     lines: list[tuple[float, ...]] = []
     borders: list[tuple[float, ...]] = []
@@ -93,7 +93,7 @@ def target_features(camera: SceneCamera, target: Target) -> TargetFeatures:
 
 
 def _rectangle(x: float, y: float, width: float, height: float, y3: float, feature: int) -> list[tuple[float, ...]]:
-    """Return the four edges, counter-clockwise as the camera sees them: the outside is to the right."""
+    """Return the four edges, counter-clockwise as seen by the camera: the outside is to the right."""
     x0, x1, y0, y1 = x - 0.5 * width, x + 0.5 * width, y - 0.5 * height, y + 0.5 * height
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
     return [(*a, *b, y3, 0.0, feature, feature) for a, b in pairwise(corners)]

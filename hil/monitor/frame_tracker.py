@@ -1,4 +1,4 @@
-"""From a frame to its pose: follow the target where it was, or find it in the whole region, measure, and judge."""
+"""Pose from a frame: follow the target or detect it in the whole region, measure, and validate."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _MOST_SAMPLES: Final = 4096
 _TRACK_REACHES_PX: Final = (4.0, 10.0)
 _SEARCH_REACHES_PX: Final = (3.0, 6.0, 12.0)
 _FEWEST_AGREEING: Final = 12
-_MOST_AGREE: Final = 0.7  # share of the edges
-_TRIED: Final = 5  # hypotheses a frame
+_MOST_AGREE: Final = 0.7  # fraction of the edges
+_TRIED: Final = 5  # hypotheses per frame
 _MARGIN_PX: Final = 24.0
 
 
 class FrameTracker:
-    """Looks at frame after frame of one target; remembers where it was and what the camera's noise is like."""
+    """Measures one target frame by frame; keeps its last pose and the camera's noise."""
 
     def __init__(self, scene: Scene, settings: MonitorSettings) -> None:
         self._settings = settings
@@ -54,11 +54,11 @@ class FrameTracker:
         self._whole = Region(0, 0, scene.camera.width, scene.camera.height)
 
     def expect(self, motion: Motion) -> None:
-        """Let the next frames be looked for along ``motion``."""
+        """Predict the pose of the next frames by ``motion``."""
         self._motion = motion
 
     def process(self, frame: VideoFrame) -> FrameResult:
-        """Return what ``frame`` shows."""
+        """Return the measurement of ``frame``."""
         image = frame.image
         patch = image[:: max(image.shape[0] // 64, 1), :: max(image.shape[1] // 64, 1)]
         if int(patch.max()) - int(patch.min()) < LEAST_CONTRAST:
@@ -75,7 +75,7 @@ class FrameTracker:
         return self._no_result(frame, NO_TARGET, "not found")
 
     def _follow(self, frame: VideoFrame) -> FrameResult | None:
-        """Look where the target should be by the last frames (task 1b)."""
+        """Measure at the pose predicted from the last frames (task 1b)."""
         if self._last is None or frame.t_s - self._last[0] > self._settings.lost_s:
             return None
         dt = frame.t_s - self._last[0]
@@ -87,7 +87,7 @@ class FrameTracker:
         return self._measure(frame, x, tracked=True)
 
     def _find(self, frame: VideoFrame) -> FrameResult | None:
-        """Look in the operator's region, then in the whole picture (task 1a)."""
+        """Search the operator's region, then the whole image (task 1a)."""
         best: FrameResult | None = None
         regions = [self._settings.region] if self._settings.region is not None and self._last is None else []
         for region in [*regions, self._whole]:
@@ -119,7 +119,7 @@ class FrameTracker:
         return results
 
     def _align(self, frame: VideoFrame, x: Floats, reaches: tuple[float, ...]) -> bool:
-        """Move x (7,) onto the edges, within the first of ``reaches``, px, in which most edges agree; else the best."""
+        """Align x (7,) with the edges, using the first of ``reaches``, px, for which most agree, else the best."""
         noise = math.sqrt(self._state["noise_0"] + 100.0 * self._state["noise_1"])
         model, start, best, found = self._features, x.copy(), 0, x.copy()
         for reach in reaches:
@@ -136,13 +136,13 @@ class FrameTracker:
         return best >= _FEWEST_AGREEING
 
     def _bar_px(self, x: Floats) -> float:
-        """Return how wide a bar of the cross is in the picture, px; 0 where it is not in front of the camera."""
+        """Return the width of a bar of the cross in the image, px; 0 if it is not in front of the camera."""
         offset, _, width = self._features.cross
         depth = x[2] - offset
         return float(self._features.lens[0] * width / depth) if width > 0.0 and depth > 0.05 else 0.0
 
     def _measure(self, frame: VideoFrame, x: Floats, tracked: bool) -> FrameResult:
-        """Measure with the near features if the cross is large enough and holds, else with the far ones."""
+        """Measure with the near features if the cross is large enough and valid, else with the far ones."""
         first: FrameResult | None = None
         if self._bar_px(x) >= self._settings.near_bar_px:
             first = self._measure_with(frame, x.copy(), NEAR, tracked)
@@ -229,7 +229,7 @@ class FrameTracker:
 
 
 def _fresh_camera() -> Any:
-    """Return what is assumed of a camera before its first frame is measured."""
+    """Return the assumed state of a camera before its first frame."""
     state = np.zeros(1, measure.CAMERA_STATE)[0]
     state["blur"], state["noise_0"] = 1.0, 9.0
     return state

@@ -1,4 +1,7 @@
-"""The docking monitor: frames in, portions out. The same frames give the same numbers, live or from a recording."""
+"""Docking monitor: frames in, portions out. The same frames give the same numbers, live or from a recording.
+
+A portion is a batch of frames (MonitorSettings.portion_frames, portion_s) that gives one row of results.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +24,10 @@ _NAN: Final = np.full(len(QUANTITIES), np.nan)
 
 
 class Monitor:
-    """Watches one target through one camera.
+    """Measures the approach to one target with one camera.
 
-    ``feed`` takes the next frame and returns the portions that it completes; ``last`` is what was seen in it.
-    ``finish`` closes the portion that the end of a recording cuts short.
+    ``feed`` processes the next frame and returns the portions that it completes; ``last`` is the result of that frame.
+    ``finish`` closes the portion that the end of a recording truncates.
     """
 
     def __init__(self, scene: Scene, settings: MonitorSettings | None = None) -> None:
@@ -38,7 +41,7 @@ class Monitor:
         self.last: FrameResult | None = None
 
     def feed(self, frame: VideoFrame) -> list[Result]:
-        """Take the next frame; return the portions that are complete by now."""
+        """Process the next frame; return the portions completed so far."""
         done: list[Result] = []
         if self._frames and frame.t_s - self._frames[0].detection.t_s >= self.settings.portion_s - 1e-9:
             done.append(self._close())
@@ -50,7 +53,7 @@ class Monitor:
         return done
 
     def finish(self) -> list[Result]:
-        """Return the portion of the frames that are left, if any."""
+        """Return the portion of the remaining frames, if any."""
         return [self._close()] if self._frames else []
 
     def _close(self) -> Result:
@@ -65,7 +68,7 @@ class Monitor:
             self._motion.reset()
             if self._paper is not None:
                 self._paper.reset()
-        # beyond the cross' reach the paper gives no relations: there the exact ones serve both
+        # without the cross the paper has no relations: the exact ones are used in both cases
         fit = self._motion.fit(used, t_s)
         if self._paper is not None and status == NEAR:
             fit = self._paper.fit(used, t_s)
@@ -88,7 +91,7 @@ def _reasons(frames: list[FrameResult]) -> tuple[tuple[str, int], ...]:
 
 
 def _nothing(frames: list[FrameResult], t_s: float, status: str | None = None) -> Result:
-    """Return the row of a portion without numbers: "rejected_<why>" if most of its frames showed something."""
+    """Return the row of a portion without values: "rejected_<why>" if most of its frames showed a candidate."""
     if status is None:
         status = Counter(result.status for result in frames).most_common(1)[0][0]
     if status in (NEAR, FAR):
@@ -99,7 +102,7 @@ def _nothing(frames: list[FrameResult], t_s: float, status: str | None = None) -
 def _result(frames: list[FrameResult], fit: MotionSolution, status: str) -> Result:
     values, sigmas = derive(fit.motion.w, fit.motion.covariance)
     if status == FAR:
-        # two angles that are hardly known turn the picture by half their product, which no first-order sigma holds
+        # two uncertain angles rotate the image by half their product, an effect of second order
         roll, one, two = (QUANTITIES.index(f"phi{i}_rad") for i in (3, 1, 2))
         sigmas[roll] = np.hypot(sigmas[roll], sigmas[one] * sigmas[two])
         hidden = [name not in FAR_QUANTITIES for name in QUANTITIES]
@@ -114,7 +117,7 @@ def _result(frames: list[FrameResult], fit: MotionSolution, status: str) -> Resu
 def process_frames(
     monitor: Monitor, frames: Iterable[VideoFrame]
 ) -> Iterator[tuple[VideoFrame, FrameResult, list[Result]]]:
-    """Yield each frame with what was seen in it and the portions it completes, the cut last one with the last frame."""
+    """Yield each frame with its result and the portions it completes; the truncated last one with the last frame."""
     before: tuple[VideoFrame, FrameResult, list[Result]] | None = None
     for frame in frames:
         if before is not None:

@@ -1,9 +1,9 @@
-"""Motion from the frames of a portion, carried on to the next one (monitor paper 3.2, misprints mended).
+"""Motion from the frames of a portion, carried over to the next one (monitor paper 3.2, misprints corrected).
 
 The motion is ``d = z + z' t``, ``phi = v + v' t``, with t from the portion's last frame. Each frame gives its pose
-with the full normal matrix of its edges, so the fit is as good as one of all edges of all frames together. What the
-portion before says is carried on and weighs q (d) and q' (phi); beside even motion an unknown acceleration of known
-size is allowed for, without which a smooth sway would pass for certainty.
+with the full normal matrix of its edges, so the fit is equivalent to one of all edges of all frames together. The
+estimate of the previous portion is carried over and weighted by q (d) and q' (phi). An unknown acceleration of given
+size is included; without it a smooth sway would make the covariance too small.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from hil.monitor.settings import MonitorSettings
 Floats = NDArray[np.float64]
 
 _UNKNOWNS: Final = 19  # twelve of motion, six accelerations, the edges' growth
-_FIRST_SIGMA: Final = np.array([1e3, 2.0] * 3 + [10.0, 0.2] * 3)  # m, m/s, rad, rad/s: before anything is known
-_WILD_FRAME: Final = 60.0  # square sum of a frame's six about the motion beyond which it may be dropped
+_FIRST_SIGMA: Final = np.array([1e3, 2.0] * 3 + [10.0, 0.2] * 3)  # m, m/s, rad, rad/s: initial
+_WILD_FRAME: Final = 60.0  # chi-square of a frame's six pose components about the motion beyond which it may be dropped
 _SIGNIFICANT: Final = 3.0
-_MODEL_ERROR: Final = 0.25  # share of sigma^2 that the blur's model and the noise's own estimate may be off
+_MODEL_ERROR: Final = 0.25  # relative error of sigma^2 from the blur model and the noise estimate
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Where the camera was at ``t_s`` and how it moved: w (12,), its normal matrix B and covariance P (12, 12)."""
+    """Camera position and motion at ``t_s``: w (12,), its normal matrix B and covariance P (12, 12)."""
 
     t_s: float
     w: Floats
@@ -39,7 +39,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class MotionSolution:
-    """A portion's motion, how many frames it rests on, and its three square sums (see Result)."""
+    """A portion's motion, the number of frames used, and its three square sums (see Result)."""
 
     motion: Motion
     frames: int
@@ -50,7 +50,7 @@ class MotionSolution:
 
 
 def transition(dt: float) -> Floats:
-    """Return the matrix (12, 12) that carries w on by ``dt``, s, of even motion."""
+    """Return the matrix (12, 12) that propagates w by ``dt``, s, of uniform motion."""
     matrix = np.eye(12)
     for i in range(6):
         matrix[2 * i, 2 * i + 1] = dt
@@ -58,7 +58,7 @@ def transition(dt: float) -> Floats:
 
 
 def _gains(dt: float) -> Floats:
-    """Return what accelerations (6,) do to w (12,) in ``dt``, s."""
+    """Return the effect of accelerations (6,) on w (12,) after ``dt``, s."""
     matrix = np.zeros((12, 6))
     for i in range(6):
         matrix[2 * i, i], matrix[2 * i + 1, i] = 0.5 * dt * dt, dt
@@ -75,7 +75,7 @@ def _design(t: float) -> Floats:
 
 
 def _inverse(matrix: Floats) -> Floats:
-    """Return the inverse of a symmetric positive definite matrix of unlike units."""
+    """Return the inverse of a symmetric positive definite matrix with mixed units."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
     inverse = np.linalg.inv(matrix * np.outer(scale, scale))
     inverse = 0.5 * (inverse + inverse.T) * np.outer(scale, scale)
@@ -83,7 +83,7 @@ def _inverse(matrix: Floats) -> Floats:
 
 
 class MotionFit:
-    """Fits portion after portion; what it carries from one to the next is ``before``."""
+    """Fits one portion after another; ``previous`` is the motion carried over."""
 
     def __init__(self, settings: MonitorSettings) -> None:
         self._settings = settings
@@ -93,11 +93,11 @@ class MotionFit:
         self.previous: Motion | None = None
 
     def reset(self) -> None:
-        """Start anew with the next portion."""
+        """Restart with the next portion."""
         self.previous = None
 
     def fit(self, frames: Sequence[FrameResult], t_s: float) -> MotionSolution | None:
-        """Return the motion at ``t_s`` by the used frames ``frames``; None where it is not determined."""
+        """Return the motion at ``t_s`` from the used frames; None if it is not determined."""
         kept = list(frames)
         while True:
             found = self._solve(kept, t_s)
@@ -117,7 +117,7 @@ class MotionFit:
         designs = [_design(frame.detection.t_s - t_s) for frame in frames]
         for frame, rows in zip(frames, designs, strict=True):
             information += rows.T @ frame.normal @ rows
-            # the frame's own prior held its pose: taken off again, so that it counts once a portion and not ten times
+            # each frame's own prior is removed again, so that it counts once per portion
             right += rows.T @ ((frame.normal + np.diag(frame.prior)) @ frame.pose)
         held = self._held(frames)
         known = _inverse(assumed)
@@ -141,7 +141,7 @@ class MotionFit:
         carried = known @ true @ known + held
         covariance = inverse @ (carried + factor * information) @ inverse
         normal = _inverse(inverse[:12, :12])
-        if self._settings.motion == "printed":  # 3.2 as it stands: sigma^2 B^-1 with the divisor of K frames alone
+        if self._settings.motion == "printed":  # 3.2 as printed: sigma^2 B^-1 with the divisor of K frames alone
             covariance = max(float(np.nan_to_num(motion2, nan=edges)), 1e-6) * inverse
         consistent = edges < 2.0 and excess == 0.0 and widened == 1.0
         fit = MotionSolution(
@@ -151,7 +151,7 @@ class MotionFit:
         return fit, squares
 
     def _held(self, frames: Sequence[FrameResult]) -> Floats:
-        """Return the information (19, 19) of small passive angles, where no cross tells them."""
+        """Return the information (19, 19) that the passive angles are small, for frames without a cross."""
         matrix = np.zeros((_UNKNOWNS, _UNKNOWNS))
         d3 = float(frames[-1].pose[2])
         weight = 1.0 / (self._settings.passive_angle_rad * d3) ** 2
@@ -159,7 +159,7 @@ class MotionFit:
         return matrix
 
     def _prior(self, t_s: float) -> tuple[Floats, Floats, Floats]:
-        """Return the covariance (19, 19) that the fit assumes beforehand, the true one, and the mean (19,)."""
+        """Return the covariance (19, 19) assumed by the fit a priori, the true one, and the mean (19,)."""
         settings = self._settings
         assumed, mean = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
         assumed[18, 18] = settings.growth_px**2
@@ -184,9 +184,9 @@ class MotionFit:
 
 
 def _edge_squares(frames: Sequence[FrameResult]) -> tuple[float, float, float]:
-    """Return sigma^2 of the points, of what the points of an edge share, and how far they are above noise.
+    """Return sigma^2 of the points, of the common part of the points of an edge, and their excess over the noise.
 
-    What is above noise does not average out over the frames of a portion: it is the same in all of them.
+    The excess does not average out over the frames of a portion: it is the same in all of them.
     """
     sums = np.array([frame.sums for frame in frames])
     free_points = max(float((sums[:, 1] - 7.0).sum()), 1.0)
@@ -201,7 +201,7 @@ def _edge_squares(frames: Sequence[FrameResult]) -> tuple[float, float, float]:
 
 
 def _square(frame: FrameResult, at: Floats) -> float:
-    """Return the square of the frame's six about the motion, in its own sigmas, the growth left open."""
+    """Return chi-square of the frame's six pose components about the motion, the growth eliminated."""
     gap = frame.pose - at
     full = frame.normal + np.diag(frame.prior)
     loose = full[:6, :6] - np.outer(full[:6, 6], full[6, :6]) / full[6, 6]
@@ -209,7 +209,7 @@ def _square(frame: FrameResult, at: Floats) -> float:
 
 
 def _motion_square(squares: Floats) -> tuple[float, float]:
-    """Return sigma^2 of the frames about the motion and by how much chance moves it."""
+    """Return sigma^2 of the frames about the motion and its statistical deviation."""
     freedom = 6.0 * len(squares) - 12.0
     if freedom < 6.0:
         return float("nan"), float("inf")

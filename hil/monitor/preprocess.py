@@ -1,4 +1,4 @@
-"""The paper's second task: the histogram of a region, its thresholds, and brightness and contrast set by it."""
+"""Preprocessing (the paper's second task): histogram of a region, its thresholds, brightness and contrast stretch."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 
-_TAIL: Final = 0.002  # share of the pixels that may lie outside of the stretched range
-_DEPTH: Final = 3  # each threshold's two sides are divided again: 1 + 2 + 4 thresholds
+_TAIL: Final = 0.002  # fraction of the pixels outside of the stretched range
+_DEPTH: Final = 3  # each side of a threshold is divided again: 1 + 2 + 4 thresholds
 _SMOOTHING: Final = 1.2  # px
 LEAST_CONTRAST: Final = 8.0
 
 
 @dataclass(frozen=True)
 class Region:
-    """A rectangle of the picture, px: columns left..right, lines top..bottom, the ends excluded."""
+    """A rectangle of the image, px: columns left..right, lines top..bottom, the ends excluded."""
 
     left: int
     top: int
@@ -39,7 +39,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A region made ready for recognition: smoothed and stretched picture, thresholds on it, contrast before."""
+    """A preprocessed region: smoothed and stretched image, thresholds on it, contrast before."""
 
     image: Image
     thresholds: tuple[int, ...]
@@ -47,13 +47,13 @@ class Prepared:
 
 
 def histogram(image: Image) -> NDArray[np.float64]:
-    """Return how many pixels have each of the 256 grey values."""
+    """Return the number of pixels of each of the 256 grey values."""
     counts: Any = cv2.calcHist([image], [0], None, [256], [0, 256])
     return np.asarray(counts, float).ravel()
 
 
 def grey_range(counts: NDArray[np.float64]) -> tuple[int, int]:
-    """Return the grey values between which all but the tails of the histogram lie."""
+    """Return the grey values between the tails of the histogram."""
     total = np.cumsum(counts)
     low = int(np.searchsorted(total, _TAIL * total[-1]))
     high = int(np.searchsorted(total, (1.0 - _TAIL) * total[-1]))
@@ -61,7 +61,7 @@ def grey_range(counts: NDArray[np.float64]) -> tuple[int, int]:
 
 
 def bimodal_threshold(counts: NDArray[np.float64], low: int, high: int) -> int | None:
-    """Return the grey value that best parts the histogram between low and high into two (Otsu); None if one-valued."""
+    """Return the grey value that divides the histogram between low and high best (Otsu); None if there is only one."""
     part = counts[low : high + 1]
     if part.sum() <= 0.0 or np.count_nonzero(part) < 2:
         return None
@@ -77,7 +77,7 @@ def bimodal_threshold(counts: NDArray[np.float64], low: int, high: int) -> int |
 
 
 def thresholds(counts: NDArray[np.float64], low: int, high: int, depth: int = _DEPTH) -> list[int]:
-    """Return thresholds between all the modes that ``depth`` divisions in two find."""
+    """Return the thresholds between all modes found by ``depth`` recursive divisions."""
     if depth == 0 or high - low < 4:
         return []
     middle = bimodal_threshold(counts, low, high)

@@ -1,7 +1,7 @@
-"""Renders what the docking camera sees of a target, with the faults of a television picture.
+"""Renderer of the docking camera's images of a target, with the defects of a television image.
 
-A ``TargetRenderer`` draws one scene under one set of conditions; ``film`` moves it past. Time and randomness are
-arguments.
+A ``TargetRenderer`` renders one scene under one set of conditions, ``film`` a sequence along a trajectory. Time and
+randomness are arguments.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Trajectory = Callable[[float], tuple[Floats, Floats]]  # time, s -> d (3,), m, and phi (3,), rad
 
-_BIG_CIRCLE: Final = 720  # corners: off the true circle by less than 1e-5 of its radius
+_BIG_CIRCLE: Final = 720  # corners: error below 1e-5 of the radius
 _SMALL_CIRCLE: Final = 96
 
 
@@ -47,12 +47,12 @@ class Glare:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What lies between a target and its picture.
+    """Conditions of the imaging of a target.
 
-    blur_px: 1 sigma of the lens' and the tube's point spread. noise: None for that of the scene's camera. flicker:
-    share of the brightness, at flicker_hz. slope_right, slope_down: share by which brightness grows from the middle
-    of the picture to its right and lower edge. extra: parts that hide others (in front) or look like them (beside).
-    black_s: from when until when, s, there is no picture.
+    blur_px: 1 sigma of the point spread of lens and tube. noise: None for that of the scene's camera. flicker: fraction
+    of the brightness, at flicker_hz. slope_right, slope_down: relative increase of the brightness from the image's
+    middle to its right and lower edge. extra: parts that hide others (in front) or resemble them (next to the target).
+    black_s: intervals (start, end), s, without an image.
     """
 
     blur_px: float = 0.8
@@ -68,14 +68,14 @@ class Conditions:
     black_s: tuple[tuple[float, float], ...] = ()
 
     def gain_at(self, t_s: float) -> float:
-        """Return the brightness at ``t_s`` against that of the scene file's levels."""
+        """Return the brightness at ``t_s`` relative to the scene file's levels."""
         if any(start <= t_s < stop for start, stop in self.black_s):
             return 0.0
         return self.gain * (1.0 + self.flicker * float(np.sin(2.0 * np.pi * self.flicker_hz * t_s)))
 
 
 def circle(radius_m: float, centre_m: tuple[float, float], corners: int = _BIG_CIRCLE) -> Floats:
-    """Return the corners (n, 2), m, of the regular polygon that covers the circle's area."""
+    """Return the corners (n, 2), m, of the regular polygon of the circle's area."""
     step = 2.0 * np.pi / corners
     radius = radius_m * np.sqrt(step / np.sin(step))
     angle = step * np.arange(corners)
@@ -93,7 +93,7 @@ def cross(arm_length_m: float, arm_width_m: float, centre_m: tuple[float, float]
     """Return the corners (12, 2), m, of an upright cross."""
     a, w = arm_length_m, 0.5 * arm_width_m
     quarter = np.array([[a, w], [w, w], [w, a]])
-    turn = np.array([[0.0, 1.0], [-1.0, 0.0]])  # a row times it: a quarter turn
+    turn = np.array([[0.0, 1.0], [-1.0, 0.0]])  # row vector times it: rotation by 90 deg
     rows = [quarter]
     for _ in range(3):
         rows.append(rows[-1] @ turn)
@@ -125,7 +125,7 @@ def parts_of(target: Target) -> list[Part]:
 
 
 class TargetRenderer:
-    """Draws ``target`` of ``scene`` (the basic one when not given) as its camera sees it."""
+    """Renders ``target`` of ``scene`` (default: the basic one) as seen by its camera."""
 
     def __init__(self, scene: Scene, target: Target | None = None, conditions: Conditions | None = None) -> None:
         self.scene = scene
@@ -133,7 +133,7 @@ class TargetRenderer:
         camera = scene.camera
         self._lens = np.array([camera.f, camera.cx, camera.cy])
         self._noise = self.conditions.noise or camera.noise
-        # sorted() keeps the order of parts in one plane: labels stay on the disc
+        # stable sort: of parts in one plane, labels remain on the disc
         parts = sorted([*parts_of(target or scene.target), *self.conditions.extra], key=lambda part: part.offset_m)
         rows = [np.column_stack((part.corners_m, np.full(len(part.corners_m), part.offset_m))) for part in parts]
         self._corners = np.vstack(rows)
@@ -143,7 +143,7 @@ class TargetRenderer:
         self._normals = np.empty((camera.height, camera.width), np.float32)
 
     def draw(self, d_m: Floats, phi_rad: Floats) -> NDArray[np.float32]:
-        """Return the brightness (h, w), grey values, behind the lens and before the noise, at pose d (3,), phi (3,)."""
+        """Return the brightness (h, w), grey values, after the lens and without noise, at pose d (3,), phi (3,)."""
         camera = self.scene.camera
         image = np.full((camera.height, camera.width), camera.sky, np.float32)
         d, phi = np.asarray(d_m, float), np.asarray(phi_rad, float)
@@ -153,7 +153,7 @@ class TargetRenderer:
     def expose(
         self, clean: NDArray[np.float32], d_m: Floats, phi_rad: Floats, t_s: float, rng: np.random.Generator
     ) -> Image:
-        """Return the picture (h, w) that the camera makes of ``clean`` at ``t_s``."""
+        """Return the camera's image (h, w) of ``clean`` at ``t_s``."""
         gain = self.conditions.gain_at(t_s)
         light = np.array([gain, self.conditions.offset, self.conditions.slope_right, self.conditions.slope_down])
         glare = self._spots(np.asarray(d_m, float), np.asarray(phi_rad, float)) if gain > 0.0 else np.empty((0, 4))
@@ -163,11 +163,11 @@ class TargetRenderer:
         return out
 
     def image(self, d_m: Floats, phi_rad: Floats, t_s: float, rng: np.random.Generator) -> Image:
-        """Return the picture (h, w) of the pose d (3,), m, phi (3,), rad, at ``t_s``."""
+        """Return the image (h, w) of the pose d (3,), m, phi (3,), rad, at ``t_s``."""
         return self.expose(self.draw(d_m, phi_rad), d_m, phi_rad, t_s, rng)
 
     def frame(self, number: int, trajectory: Trajectory, rng: np.random.Generator, start_s: float = 0.0) -> VideoFrame:
-        """Return frame ``number`` of a trajectory, of the picture or half frame that is exposed then."""
+        """Return frame ``number`` of a trajectory: the image, or the field exposed at that time."""
         t_s, field = exposure(self.scene, number)
         image = self.image(*trajectory(start_s + t_s), start_s + t_s, rng)
         if field != WHOLE:
@@ -186,7 +186,7 @@ class TargetRenderer:
 
 
 def blurred(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
-    """Return ``image`` behind a lens whose point spread is a Gaussian of ``sigma_px``."""
+    """Return ``image`` after a lens with a Gaussian point spread of ``sigma_px``."""
     if sigma_px <= 0.0:
         return image
     side = 2 * int(np.ceil(4.0 * sigma_px)) + 1
@@ -196,9 +196,9 @@ def blurred(image: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
 
 
 def film(
-    renderer: TargetRenderer, trajectory: Trajectory, pictures: int, rng: np.random.Generator, start_s: float = 0.0
+    renderer: TargetRenderer, trajectory: Trajectory, images: int, rng: np.random.Generator, start_s: float = 0.0
 ) -> Iterator[VideoFrame]:
-    """Yield the frames of ``pictures`` images along a trajectory at the scene's rate; two fields each if interlaced."""
+    """Yield the frames of ``images`` images along a trajectory at the scene's rate; two fields each if interlaced."""
     halves = 1 if renderer.scene.fields == "whole" else 2
-    for number in range(halves * pictures):
+    for number in range(halves * images):
         yield renderer.frame(number, trajectory, rng, start_s)

@@ -1,6 +1,6 @@
-"""What the monitor says: of each frame what it saw, of each portion of frames where the camera was and how it moved.
+"""Results of the docking monitor: per frame what was detected, per portion (batch of frames) pose and motion.
 
-Table, screen and console take these and nothing else.
+Table, screen and console use only these.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FAR: Final = "far"
 NO_TARGET: Final = "no_target"
 
 FAR_QUANTITIES: Final = frozenset(("phi3_rad", "range_m", "range_rate_mps", "los_right_rad", "los_up_rad"))
-"""What the ship's outline and boxes can tell; the rest needs the cross."""
+"""Observable from the ship's outline and boxes; the rest requires the cross."""
 
 QUANTITY_FIELDS: Final = (
     Field(
@@ -57,10 +57,10 @@ PORTION: Final = record_dtype(PORTION_FIELDS)
 
 @dataclass(frozen=True)
 class FrameDetection:
-    """What one frame showed. Places are u, v, px, in lines of the whole picture; None and empty: not found.
+    """Features detected in one frame, in px (u, v) and lines of the full image; None and empty: not detected.
 
     status: "near", "far", "no_target" or "rejected_<why>". region: (u, v, width, height) of the region of interest.
-    edges: (n, 2), the measured points. cross: (u, v, turn): its centre, and the slope of the bar across, rad,
+    edges: (n, 2), the measured points. cross: (u, v, angle): its centre, and the slope of the bar across, rad,
     anticlockwise. disc, outline: (u, v, radius) of the circles.
     """
 
@@ -76,9 +76,9 @@ class FrameDetection:
 
 @dataclass(frozen=True)
 class Portion:
-    """The motion after one portion; t_s and all values are those of its last frame.
+    """Pose and motion after one portion; t_s and all values refer to its last frame.
 
-    frames: how many were used. values, sigmas: (12,), by QUANTITIES, SI; nan where not observable.
+    frames: number of frames used. values, sigmas: (12,), by QUANTITIES, SI; nan if not observable.
     """
 
     t_s: float
@@ -88,11 +88,11 @@ class Portion:
     sigmas: Floats
 
     def value(self, quantity: str) -> float:
-        """Return the value of ``quantity``, SI; nan where not observable."""
+        """Return the value of ``quantity``, SI; nan if not observable."""
         return float(self.values[QUANTITIES.index(quantity)])
 
     def sigma(self, quantity: str) -> float:
-        """Return the standard deviation of ``quantity``, SI; nan where not observable."""
+        """Return the standard deviation of ``quantity``, SI; nan if not observable."""
         return float(self.sigmas[QUANTITIES.index(quantity)])
 
     def observes(self, quantity: str) -> bool:
@@ -109,7 +109,7 @@ def portion_row(portion: Portion) -> NDArray[np.void]:
 
 
 def portion_of(row: np.void) -> Portion:
-    """Return what ``row``, one of PORTION, holds."""
+    """Return the Portion of ``row``, one of PORTION."""
     values = np.array([row[name] for name in QUANTITIES])
     sigmas = np.array([row[f"sigma_{name}"] for name in QUANTITIES])
     return Portion(float(row["t_s"]), int(row["frames"]), row["status"].decode(), values, sigmas)
@@ -117,7 +117,7 @@ def portion_of(row: np.void) -> Portion:
 
 @dataclass(frozen=True)
 class PaperFrame:
-    """The frame in the paper's six quantities X_C, Y_C, a, X_O, Y_O, R (px, image axes of 3.1) and their covariance."""
+    """The paper's six quantities X_C, Y_C, a, X_O, Y_O, R (px, image axes of 3.1) of a frame, and their covariance."""
 
     values: Floats
     covariance: Floats
@@ -125,11 +125,11 @@ class PaperFrame:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """One frame. seen: for the screen; its status is "near", "far", "no_target" or "rejected_<why>".
+    """Measurement of one frame. detection: for the screen; its status is near, far, no_target or rejected_<why>.
 
-    reason: why not used, in words. pose: (7,), d, m, phi, rad, growth, px. normal: (7, 7), of the edges alone;
-    prior: (7,), the diagonal that held the pose beside it. sums: (4,) of ``measure.square_sums``. features: of each
-    edge point its feature, used: whether it took part. noise: grey values, 1 sigma of a pixel halfway up.
+    reason: why it was not used, as text. pose: (7,), d, m, phi, rad, growth, px. normal: (7, 7), of the edges alone;
+    prior: (7,), the diagonal of the prior on the pose. sums: (4,) of ``measure.square_sums``. noise: grey values,
+    1 sigma of a pixel at grey value 100.
     """
 
     detection: FrameDetection
@@ -146,23 +146,23 @@ class FrameResult:
 
     @property
     def status(self) -> str:
-        """The frame's status."""
+        """Status of the frame."""
         return self.detection.status
 
     @property
     def used(self) -> bool:
-        """Whether the frame takes part in its portion."""
+        """Whether the frame is used in its portion."""
         return self.detection.status in (NEAR, FAR)
 
 
 @dataclass(frozen=True)
 class Result(Portion):
-    """A portion and how far it can be trusted.
+    """A portion with its consistency statistics.
 
-    sigma2_edges, sigma2_common, sigma2_motion: square sums of residuals over what the pixels' noise explains, about
-    1 each if all is well: of single points; of what the points of one edge share; of the frames about the motion.
-    consistent: whether they are as small as chance allows. covariance: (12, 12) of (d1, d1', d2, ..., phi3'), SI.
-    reasons: how many frames were not used, by reason.
+    sigma2_edges, sigma2_common, sigma2_motion: square sums of residuals relative to the pixels' noise, about
+    1 each if consistent: of single points; of the common part per edge; of the frames about the motion.
+    consistent: whether they are within statistical limits. covariance: (12, 12) of (d1, d1', d2, ..., phi3'), SI.
+    reasons: number of frames not used, by reason.
     """
 
     sigma2_edges: float = float("nan")

@@ -1,4 +1,4 @@
-"""What an operator or a study may choose about the monitor; the defaults are for a docking approach."""
+"""Settings of the docking monitor; the defaults are for a docking approach."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from hil.monitor.preprocess import Region
 
 @dataclass(frozen=True)
 class MonitorSettings:
-    """Choices of a run.
+    """Settings of a run.
 
-    region: where to look first, px; the whole picture once that fails. target: of the scene's two. calculation:
+    region: initial search region, px; the whole image if that fails. target: one of the scene's two. calculation:
     "exact" (finite angles, all features at once) or "paper" (monitor paper 3.1). motion: "corrected" or "printed"
-    (3.2 as it stands, see docs/monitor.md). q, q_attitude: weight of the portion before. acceleration_mps2,
-    angular_acceleration_radps2: 1 sigma of what motion does within a portion beside going on evenly. portion_frames,
-    portion_s: a portion ends with so many frames, or after that time.
+    (3.2 as printed, see docs/monitor.md). q, q_attitude: weight of the previous portion. acceleration_mps2,
+    angular_acceleration_radps2: 1 sigma of the deviation from uniform motion within a portion. portion_frames,
+    portion_s: a portion ends after this number of frames, or after this time. lost_s: time without a result after
+    which the track is lost.
     """
 
     region: Region | None = None
@@ -40,7 +41,7 @@ class MonitorSettings:
     samples_per_edge: int = 48
 
     def tuning(self) -> np.void:
-        """Return the choices that the kernels take."""
+        """Return the settings used by the kernels."""
         row: np.void = np.zeros(1, TUNING)[0]
         row["length"], row["most"], row["wide_bar"], row["wanted"] = self.sample_px, self.samples_per_edge, 7.0, 4.5
         row["reject"], row["rounds"], row["near_bar"] = 4.5, 2, self.near_bar_px

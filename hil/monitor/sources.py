@@ -1,7 +1,7 @@
-"""Where the monitor's pictures come from: a video file, a folder of images, or a television camera.
+"""Image sources of the docking monitor: a video file, a folder of images, or a television camera.
 
-All of them give the same frames: 8 bit grey, of the size of the scene's camera, each with its own time. What cannot
-be used is told before the first frame where it shows by then, and otherwise after the last good one.
+All yield the same frames: 8 bit grey, of the size of the scene's camera, each with its own time. Unusable input is
+reported before the first frame if possible, otherwise after the last good one.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hil.config.scene import Scene
 from hil.errors import BadInput
 
 Image = NDArray[np.uint8]
-Picture = tuple[int, Image]  # its number in units of the picture's time, and what it shows
+NumberedImage = tuple[int, Image]  # number in image periods, image
 
 WHOLE: Final = 0
 UPPER: Final = 1  # lines 0, 2, 4 ...
@@ -32,16 +32,16 @@ LOWER: Final = 2  # lines 1, 3, 5 ...
 
 _IMAGES: Final = frozenset((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"))
 _NUMBER: Final = re.compile(r"(\d+)$")
-_RATE_TOLERANCE: Final = 0.05  # of a file's stated rate, which some containers only estimate
-_LONGEST_COUNT: Final = 1e8  # more pictures than this is a container's way of saying that it does not know
+_RATE_TOLERANCE: Final = 0.05  # relative, of a file's stated rate, which some containers only estimate
+_LONGEST_COUNT: Final = 1e8  # a container that states more images than this has no valid number
 
 
 @dataclass(frozen=True)
 class VideoFrame:
-    """One exposure: a whole picture, or the lines of one half frame.
+    """One exposure: a full image, or one of its two fields.
 
-    number counts the frames from 0; t_s, s, from the first one. image: (h, w), or (h/2, w) for a half frame, whose
-    row i is the picture's line ``first_line + line_step * i``.
+    number counts the frames from 0; t_s, s, from the first one. image: (h, w), or (h/2, w) for a field, whose
+    row i is line ``first_line + line_step * i`` of the full image.
     """
 
     number: int
@@ -59,12 +59,12 @@ class VideoFrame:
 
 
 def lines_of(field: int) -> slice:
-    """Return which lines of a picture belong to ``field``."""
+    """Return the lines of an image that belong to ``field``."""
     return slice(0, None, 1) if field == WHOLE else slice(field - UPPER, None, 2)
 
 
 def exposure(scene: Scene, number: int) -> tuple[float, int]:
-    """Return when, s from the first one, frame ``number`` of an unbroken recording is exposed, and its field."""
+    """Return exposure time, s from the first one, and field of frame ``number`` of an uninterrupted recording."""
     if scene.fields == "whole":
         return number / scene.fps, WHOLE
     slot, half = divmod(number, 2)
@@ -73,39 +73,39 @@ def exposure(scene: Scene, number: int) -> tuple[float, int]:
 
 
 class Source:
-    """Frames of one recording or camera; iterate once. ``pictures``: how many are to come, None when not known."""
+    """Frames of one recording or camera, for a single iteration. ``image_count``: None if not known."""
 
-    def __init__(self, name: str, scene: Scene, pictures: Iterator[Picture], count: int | None) -> None:
+    def __init__(self, name: str, scene: Scene, images: Iterator[NumberedImage], count: int | None) -> None:
         self.name = name
         self.image_count = count
         self._scene = scene
-        self._pictures = pictures
-        self._first: Picture | None = next(pictures)  # whoever opens a source hears at once that it is none
+        self._pictures = images
+        self._first: NumberedImage | None = next(images)  # an invalid source raises when it is opened
 
     def __iter__(self) -> Iterator[VideoFrame]:
         if self._first is None:
-            raise ValueError(f"{self.name}: a source is read once")
+            raise ValueError(f"{self.name}: a source can be read only once")
         first, self._first = self._first, None
         for number, frame in enumerate(self._frames(first)):
             yield VideoFrame(number, *frame)
 
-    def _frames(self, first: Picture) -> Iterator[tuple[float, Image, int]]:
+    def _frames(self, first: NumberedImage) -> Iterator[tuple[float, Image, int]]:
         halves = 1 if self._scene.fields == "whole" else 2
-        picture: Picture | None = first
-        while picture is not None:
-            slot, image = picture
+        numbered: NumberedImage | None = first
+        while numbered is not None:
+            slot, image = numbered
             for half in range(halves):
                 t_s, field = exposure(self._scene, halves * slot + half)
                 yield t_s, image if field == WHOLE else np.ascontiguousarray(image[lines_of(field)]), field
-            picture = next(self._pictures, None)
+            numbered = next(self._pictures, None)
 
 
 def open_source(name: str, scene: Loaded[Scene], clock: Callable[[], float] = time.monotonic) -> Source:
     """Return the source ``name``: a video file, a folder, or the number of a camera; raise BadInput.
 
-    clock, s, is that of a camera's pictures alone; what is recorded has its times from the scene's rate.
+    clock, s: of live cameras only; recorded images have times from the scene's rate.
     """
-    # the decoder's own complaints would stand beside the one line that says what is wrong
+    # suppress the decoder's own messages: one line reports the error
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "fflags;discardcorrupt|err_detect;explode")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -116,16 +116,18 @@ def open_source(name: str, scene: Loaded[Scene], clock: Callable[[], float] = ti
         return _video(path, scene)
     if name.isdecimal():
         return _camera(int(name), scene, clock)
-    raise BadInput.single(name, "", "no such file or folder: give a video, a folder of images or a camera's number")
+    raise BadInput.single(
+        name, "", "no such file or folder: give a video, a folder of images or the number of a camera"
+    )
 
 
 def _checked(image: Any, name: str, scene: Loaded[Scene]) -> Image:
-    """Return ``image`` as grey of the camera's size; raise BadInput."""
+    """Return ``image`` as grey, of the size of the scene's camera; raise BadInput."""
     camera = scene.value.camera
     height, width = image.shape[:2]
     if (width, height) != (camera.width, camera.height):
         text = f"{width} x {height}: must be {camera.width} x {camera.height}, the camera of {scene.source}"
-        raise BadInput.single(name, "picture size", text)
+        raise BadInput.single(name, "image size", text)
     grey: Image = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     return grey
 
@@ -133,27 +135,27 @@ def _checked(image: Any, name: str, scene: Loaded[Scene]) -> Image:
 def _video(path: Path, scene: Loaded[Scene]) -> Source:
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if not capture.isOpened():
-        raise BadInput.single(str(path), "", "not a video that can be read, or one that is cut")
+        raise BadInput.single(str(path), "", "not a readable video, or truncated")
     stated = capture.get(cv2.CAP_PROP_FPS)
     wanted = scene.value.fps
     if np.isfinite(stated) and stated > 0.0 and abs(stated - wanted) > _RATE_TOLERANCE * wanted:
-        text = f"{stated:g} pictures a second: must be {wanted:g}, fps of {scene.source}"
-        raise BadInput.single(str(path), "picture rate", text)
-    told = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-    count = int(told) if 0.0 < told < _LONGEST_COUNT else None
-    return Source(str(path), scene.value, _video_pictures(capture, path, scene, count), count)
+        text = f"{stated:g} images per second: must be {wanted:g}, fps of {scene.source}"
+        raise BadInput.single(str(path), "image rate", text)
+    stated = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    count = int(stated) if 0.0 < stated < _LONGEST_COUNT else None
+    return Source(str(path), scene.value, _video_images(capture, path, scene, count), count)
 
 
-def _video_pictures(
+def _video_images(
     capture: cv2.VideoCapture, path: Path, scene: Loaded[Scene], count: int | None
-) -> Iterator[Picture]:
+) -> Iterator[NumberedImage]:
     number, slot, start = 0, -1, 0
     try:
         while True:
             whole, image = capture.read()
             if not whole:
                 break
-            # a picture that was lost in mid-file leaves a gap in the times of those that follow
+            # a lost image within the file leaves a gap in the times of the following ones
             slot = max(slot + 1, round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3 * scene.value.fps))
             start = slot if number == 0 else start
             yield slot - start, _checked(image, str(path), scene)
@@ -161,9 +163,9 @@ def _video_pictures(
     finally:
         capture.release()
     if number == 0:
-        raise BadInput.single(str(path), "", "not a video that can be read: holds no whole picture")
+        raise BadInput.single(str(path), "", "not a readable video: contains no complete image")
     if count is not None and number < count - 1:
-        raise BadInput.single(str(path), "", f"cut or damaged: {number} whole pictures, {count} expected")
+        raise BadInput.single(str(path), "", f"truncated or damaged: {number} complete images, {count} expected")
 
 
 def _folder(path: Path, scene: Loaded[Scene]) -> Source:
@@ -172,14 +174,14 @@ def _folder(path: Path, scene: Loaded[Scene]) -> Source:
         raise BadInput.single(str(path), "", f"no images: allowed are {', '.join(sorted(_IMAGES))}")
     slots = _slots(files)
     ordered = sorted(zip(slots, files, strict=True))
-    return Source(str(path), scene.value, _folder_pictures(ordered, scene), len(files))
+    return Source(str(path), scene.value, _folder_images(ordered, scene), len(files))
 
 
 def _slots(files: list[Path]) -> list[int]:
-    """Return each image's number in units of the picture's time, from 0.
+    """Return each image's number in image periods, from 0.
 
-    It is the number that ends its name, so that a lost image leaves a gap and not a jump; names without numbers, or
-    with numbers that never follow on each other, are counted.
+    This is the number at the end of its name, so that a lost image leaves a gap; names without numbers, or
+    with numbers that are never consecutive, are counted.
     """
     found = [_NUMBER.search(file.stem) for file in files]
     numbers = [int(match.group(1)) for match in found if match is not None]
@@ -190,11 +192,11 @@ def _slots(files: list[Path]) -> list[int]:
     return [number - ordered[0] for number in numbers]
 
 
-def _folder_pictures(files: list[tuple[int, Path]], scene: Loaded[Scene]) -> Iterator[Picture]:
+def _folder_images(files: list[tuple[int, Path]], scene: Loaded[Scene]) -> Iterator[NumberedImage]:
     for slot, file in files:
         image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
         if image is None:
-            raise BadInput.single(str(file), "", "not an image that can be read")
+            raise BadInput.single(str(file), "", "not a readable image")
         yield slot, _checked(image, str(file), scene)
 
 
@@ -206,15 +208,15 @@ def _camera(index: int, scene: Loaded[Scene], clock: Callable[[], float]) -> Sou
     capture.set(cv2.CAP_PROP_FRAME_WIDTH, scene.value.camera.width)
     capture.set(cv2.CAP_PROP_FRAME_HEIGHT, scene.value.camera.height)
     capture.set(cv2.CAP_PROP_FPS, scene.value.fps)
-    return Source(name, scene.value, _camera_pictures(capture, name, scene, clock), None)
+    return Source(name, scene.value, _camera_images(capture, name, scene, clock), None)
 
 
-def _camera_pictures(
+def _camera_images(
     capture: cv2.VideoCapture, name: str, scene: Loaded[Scene], clock: Callable[[], float]
-) -> Iterator[Picture]:
-    """Yield pictures with the whole number of picture times that have gone by: a lost one leaves a gap.
+) -> Iterator[NumberedImage]:
+    """Yield images with the number of image periods elapsed: a lost image leaves a gap.
 
-    Times are whole multiples so that a recording of these pictures, by number, has the very same ones.
+    Times are integer multiples, so that a recording of these images, by number, has identical times.
     """
     slot, start_s = -1, 0.0
     try:
@@ -222,7 +224,7 @@ def _camera_pictures(
             whole, image = capture.read()
             now_s = clock()
             if not whole:
-                raise BadInput.single(name, "", "gives no more pictures")
+                raise BadInput.single(name, "", "delivers no more images")
             if slot < 0:
                 start_s = now_s
             slot = max(slot + 1, round((now_s - start_s) * scene.value.fps))

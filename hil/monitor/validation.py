@@ -1,6 +1,6 @@
-"""Whether what was measured is the target: support by enough of each feature's edges, one sense, the labels, scatter.
+"""Validation of a measured target: support by enough of each feature's edges, uniform polarity, labels, scatter.
 
-A frame that fails gives no numbers. Nothing is judged by grey values, only by which side is brighter and by noise.
+A frame that fails gives no values. Grey values are not used, only the polarity of edges and the noise.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from hil.monitor.features import ACROSS, BOX, DISC, LABEL, OUTLINE, PLATE, UPRIG
 
 Floats = NDArray[np.float64]
 
-_SUPPORT: Final = 0.5  # share of a feature's samples that must agree with the pose
-_ONE_SENSE: Final = 0.9  # share of a feature's samples that step the same way
+_SUPPORT: Final = 0.5  # fraction of a feature's samples that must agree with the pose
+_ONE_SENSE: Final = 0.9  # fraction of a feature's samples of equal polarity
 _LARGEST_SCATTER_PX: Final = 0.35
 _LARGEST_ANGLE: Final = 0.7  # rad
 _LARGEST_PASSIVE: Final = 0.4
 _FARTHEST_M: Final = 500.0
-_LEAST_STEP: Final = 4.0  # noise sigmas of a step's height
+_LEAST_STEP: Final = 4.0  # height of a step in noise sigmas
 
 
 class Validation:
-    """Counts of one measured frame, by feature."""
+    """Statistics of one measured frame, per feature."""
 
     def __init__(self, features: TargetFeatures, samples: NDArray[np.void], left: Floats, noise: float) -> None:
         n = features.feature_count
@@ -45,14 +45,14 @@ class Validation:
         self.visible = self.placed > 0
 
     def scatter_px(self) -> float:
-        """Root mean square of the used points' residuals, px, in excess of their own noise."""
+        """Return the RMS of the used points' residuals, px, in excess of their own noise."""
         samples, used = self._samples, self._used
         square = np.mean(self._left[used] ** 2) - np.mean(samples["variance"][used])
         return float(np.sqrt(max(square, 0.0)))
 
 
 def is_implausible(x: Floats) -> bool:
-    """Return whether the pose (7,) cannot be one of an approach."""
+    """Return whether the pose (7,) is outside the range of an approach."""
     return (
         not np.all(np.isfinite(x))
         or not 0.05 < x[2] < _FARTHEST_M
@@ -63,7 +63,7 @@ def is_implausible(x: Floats) -> bool:
 
 
 def near_rejection(features: TargetFeatures, verdict: Validation, labels: Floats, noise: float) -> str:
-    """Return why the near features do not confirm the target; empty where they do. labels: contrasts, grey values."""
+    """Return why the near features do not confirm the target, "" if they do. labels: contrasts, grey values."""
     supported, placed, good = verdict.supported, verdict.placed, verdict.good
     for bar in (ACROSS, UPRIGHT):
         if not supported[bar] or good[bar] < 2:
@@ -88,7 +88,7 @@ def near_rejection(features: TargetFeatures, verdict: Validation, labels: Floats
 
 
 def far_rejection(features: TargetFeatures, verdict: Validation) -> str:
-    """Return why outline and boxes do not confirm the target; empty where they do."""
+    """Return why outline and boxes do not confirm the target, "" if they do."""
     supported, placed = verdict.supported, verdict.placed
     boxes = supported[BOX:]
     if features.target.outline is not None:

@@ -1,8 +1,8 @@
-"""Finds the spots of light in an image and says how well it knows their centres.
+"""Spot detector: centres of the light spots in an image, with covariances.
 
-The threshold stands some sigma above the background, which is measured tile by tile together with
-its noise; each light above it is fitted by maximum likelihood (``kernels/fit``): a point of light blurred by a
-Gaussian or, where that does not do, a disc. A spot's covariance is that of the fit.
+The threshold is a number of sigmas above the background, which is measured in tiles together with its noise. Each
+light above it is fitted by maximum likelihood (``kernels/fit``): a point of light blurred by a Gaussian or, if that
+does not fit, a disc. A spot's covariance is that of the fit.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ _MOST_TRIES: Final = 4
 _NO_WINDOWS: Final = np.empty((0, 4), dtype=np.int64)
 _PRIOR_PER_LEVEL: Final = 0.01  # levels^2 of variance per level: 100 electrons per level
 _PRIOR_WEIGHT: Final = 2000.0
-_UNUSUAL: Final = 8.0  # times the median deviation from the median
-_FORGETTING: Final = 0.95  # share of what an image sums about the noise that is left at the next
+_UNUSUAL: Final = 8.0  # in median absolute deviations
+_FORGETTING: Final = 0.95  # weight of the previous noise estimate in the next image
 
 
 @dataclass(frozen=True, slots=True)
 class DetectorSettings:
-    """What counts as a spot."""
+    """Criteria of a spot."""
 
     threshold_sigmas: float = 5.0
-    """of a sum of 3 x 3 pixels, above the background"""
+    """above the background, of a sum of 3 x 3 pixels"""
     least_snr: float = 6.0
-    """flux over its sigma, the shape known"""
+    """flux over its sigma, for a known shape"""
     narrowest_sigma_px: float = 0.5
-    """a light narrower than this is a fault of a pixel"""
+    """a narrower light is a defective pixel"""
     largest_px: float = 96.0
     """diameter of the largest spot"""
     most_spots: int = 64
@@ -45,9 +45,9 @@ class DetectorSettings:
 
 
 class SpotDetector:
-    """The detector of one camera. Not for two threads at once: it keeps its scratch memory.
+    """Detector of one camera. Not thread-safe: it keeps its scratch memory.
 
-    Without ``sensor`` it also keeps what the spots so far have sums about the shot noise.
+    Without ``sensor`` it estimates the shot noise from the spots so far.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class SpotDetector:
 
     @property
     def variance_per_level(self) -> float:
-        """Return the variance, levels^2, that a level of light adds: one over the electrons per level."""
+        """Return the variance, levels^2, per level of light: the reciprocal of the electrons per level."""
         if self._given_per_level is not None:
             return self._given_per_level
         above, below = self._noise_sums
@@ -73,9 +73,9 @@ class SpotDetector:
     def spots(self, image: np.ndarray, windows: Array | None = None) -> np.ndarray:
         """Return the spots of ``image`` (h, w), uint8, as an array of SPOT.
 
-        windows: (k, 4), px: u and v of the first pixel and of the one after the last of each region in
-        which to look; lights that reach into one are found as a whole, once. None: the whole image.
-        Raise BadInput for an image of another shape or kind.
+        windows: (k, 4), px: u and v of the first pixel and of the one after the last of each region to be searched; a
+        light that extends into one is measured completely, once. None: the whole image.
+        Raise BadInput for an image of another shape or type.
         """
         if image.shape != self._shape or image.dtype != np.uint8:
             text = f"{image.dtype} {image.shape}, must be uint8 {self._shape} (height, width)"
@@ -109,12 +109,12 @@ class SpotDetector:
         return found
 
     def _update_noise(self) -> bool:
-        """Take in what the last image sums about the shot noise: the mean of its usual spots' estimates."""
+        """Update the shot noise by the last image: the mean of its typical spots' estimates."""
         sums = self._noise[self._noise[:, 1] > 0.0]
         if self._given_per_level is not None or not len(sums):
             return False
         each = sums[:, 0] / sums[:, 1]
         apart = np.abs(each - np.median(each))
-        usual = apart <= _UNUSUAL * np.median(apart)  # not of odd shape, which would pass for noise
+        usual = apart <= _UNUSUAL * np.median(apart)  # excludes irregular shapes, which would appear as noise
         self._noise_sums = _FORGETTING * self._noise_sums + sums[usual].sum(axis=0)
         return True

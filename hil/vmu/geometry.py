@@ -1,4 +1,4 @@
-"""From a geometry file's numbers to what the kernels take."""
+"""Conversion of a geometry file to the records of the kernels."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def camera_pair(geometry: VmuGeometry) -> CameraPair:
 
 
 def led_positions(geometry: VmuGeometry) -> Array:
-    """Return where the LEDs are in t, (n, 3), m."""
+    """Return the positions of the LEDs in t, (n, 3), m."""
     return np.array(geometry.leds_m, dtype=float)
 
 
 def geometry_of_rig(rig: Rig) -> VmuGeometry:
-    """Return the cameras and LEDs that a rig file has on paper: principal points in the middle, no distortion."""
+    """Return the nominal cameras and LEDs of a rig file: principal points in the middle, no distortion."""
     on_paper = rig.vmu.camera
     camera = VmuCamera(
         fx=on_paper.focal_px,

@@ -1,4 +1,4 @@
-"""Which of the poses that the spots allow is the true one: by the spots, by a track, or not at all."""
+"""LED identification: selects the true pose among those that the spots allow, by the spots or by a track."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _BRIGHTER = 1.3
 
 @dataclass(frozen=True, slots=True)
 class LedIdentification:
-    """What became of one view. fit: FIT when the status is ``ok``. candidates: all poses that the spots allow.
+    """Result for one view. fit: FIT if the status is ``ok``. candidates: all poses that the spots allow.
 
-    on_track: the candidates of an ``ambiguous`` one all continue the track, whose identity stands; what is
-    open is the tilt.
+    on_track: all candidates of an ``ambiguous`` one continue the track, whose identification holds; only the tilt is
+    ambiguous.
     """
 
     status: str
@@ -42,7 +42,7 @@ class LedIdentification:
 
 
 class Identifier:
-    """Decides between hypotheses."""
+    """Selects among the hypotheses."""
 
     def __init__(self, solver: Solver, marked_led: int | None) -> None:
         self._solver = solver
@@ -50,7 +50,7 @@ class Identifier:
         self._marked = marked_led
 
     def tracked(self, view: View, prediction: Prediction) -> LedIdentification | None:
-        """Return the verdict by the prediction's gates alone, None where a search has to tell."""
+        """Return the identification by the prediction's gates only, None if a search is needed."""
         r = matrix_of(prediction.q_vt)
         spots, contested = self._solver.expected(view, r, prediction.t_v, prediction.covariance, _TRACK_REACH_PX)
         if contested or (spots >= 0).sum() < 3:
@@ -60,9 +60,9 @@ class Identifier:
         return verdict if verdict.fit is not None and self._complete(view, verdict.fit) else None
 
     def _complete(self, view: View, fit: np.void) -> bool:
-        """Return whether no light about the pattern is left that could be an LED which the pose has no place for.
+        """Return whether no light near the pattern remains that could be an LED without a spot.
 
-        A track on the wrong LEDs leaves some out; then a search has to tell.
+        A track on the wrong LEDs leaves some unassigned; then a search is needed.
         """
         if fit["removed"]:
             return False
@@ -81,7 +81,7 @@ class Identifier:
         return int((away <= 1.5 * away[used].max()).sum()) > len(used)
 
     def search(self, view: View, prediction: Prediction | None) -> LedIdentification:
-        """Return the verdict over every hypothesis; the prediction counts only where the spots leave a choice."""
+        """Return the identification over all hypotheses; the prediction is used only if the spots are ambiguous."""
         if max(view.counts) < 3:
             return LedIdentification(TOO_FEW)
         fits, all_kept = self._solver.hypotheses(view, prediction)
@@ -125,9 +125,9 @@ class Identifier:
         return LedIdentification(OK, best, candidates)
 
     def _possible(self, fit: np.void) -> bool:
-        """Return whether the target is in range, in front, shows its face, and fits well for so few spots."""
+        """Return whether the target is in range, in front, facing the camera, and fits well for so few spots."""
         degrees = 2 * int(fit["points"]) - 6
-        if 0 < degrees <= _FEW_DEGREES:  # too few to tell who is off: a stray light may be among them
+        if 0 < degrees <= _FEW_DEGREES:  # too few to identify an outlier: one may be a stray light
             part = 2.0 / (9.0 * degrees)
             if fit["chi2"] > degrees * (1.0 - part + _FEW_SIGMA * math.sqrt(part)) ** 3:
                 return False
@@ -138,14 +138,14 @@ class Identifier:
         return near <= away <= far and t[2] > 0.0 and facing >= math.cos(math.radians(self._settings.steepest_deg))
 
     def _certain(self, view: View, fit: np.void) -> bool:
-        """Return whether the covariance can be believed: the attitude is known, and chi-square is a parabola."""
+        """Return whether the covariance is valid: small attitude sigma, and chi-square is quadratic."""
         leds = self._solver.scene.leds
         flat = is_flat(leds[(fit["spot"][:, : len(leds)] >= 0).any(axis=0)])
         largest = self._settings.largest_sigma_deg[0 if flat else 1]
         return attitude_sigma_deg(fit) < largest and self._solver.is_straight(view, fit)
 
     def _marked_cost(self, view: View, fit: np.void) -> float:
-        """Return what it costs that the marked LED is not the brightest, 0 where it is or is not in use."""
+        """Return the cost of a marked LED that is not the brightest, 0 if it is or is not in use."""
         if self._marked is None:
             return 0.0
         cost = 0.0
@@ -160,11 +160,11 @@ class Identifier:
         return cost
 
     def _log_false_alarms(self, view: View, fit: np.void, prediction: Prediction | None) -> float:
-        """Return ln of how many patterns like this one stray lights make by chance (a contrario).
+        """Return ln of the expected number of such patterns made by stray lights at random (a contrario).
 
-        Three spots of one camera make a pose; each further one has to be in its place. Stray lights are as dense
-        as those that are left over near the pattern, half of one at least. The second camera's spots have to be
-        at the right place of their epipolar line. With a prediction the first three have to be in its gates.
+        Three spots of one camera give a pose; each further one must be at its projection. The density of stray lights
+        is that of the unassigned ones near the pattern, at least half of one. The second camera's spots must be at the
+        right position on their epipolar line. With a prediction the first three must be in its gates.
         """
         own = 0 if (fit["spot"][0] >= 0).sum() >= (fit["spot"][1] >= 0).sum() else 1
         used = [n for n, k in enumerate(fit["spot"][own]) if k >= 0]
@@ -194,7 +194,7 @@ class Identifier:
         return total
 
     def _left_over(self, view: View, fit: np.void, camera: int) -> float:
-        """Return the density of spots that are no LEDs about the pattern, px^-2."""
+        """Return the density of unassigned spots near the pattern, px^-2."""
         spots = view.spots[camera, : view.counts[camera]]
         used = [k for k in fit["spot"][camera] if k >= 0]
         centre_u, centre_v = float(spots["u"][used].mean()), float(spots["v"][used].mean())
@@ -206,7 +206,7 @@ class Identifier:
         return (left_over + 0.5) / area
 
     def _gate_deviation(self, camera: int, prediction: Prediction) -> float:
-        """Return the root of the determinant of the predicted place of the LEDs' centre in an image, px^2."""
+        """Return the root of the determinant of the covariance of the predicted image of the LEDs' centre, px^2."""
         scene = self._solver.scene
         away = float(np.linalg.norm(prediction.t_v))
         focal = float(scene.lens[camera]["fx"])
@@ -216,7 +216,7 @@ class Identifier:
         return math.sqrt(max(float(np.linalg.det(across + turn * np.eye(2))), 1e-6))
 
     def _disparity_window(self, fit: np.void) -> float:
-        """Return over which length of an epipolar line stray lights about the target's range are spread, px."""
+        """Return the length of an epipolar line over which stray lights near the target's range are spread, px."""
         scene = self._solver.scene
         baseline = float(np.linalg.norm(scene.translation[1]))
         return 5.0 + 0.3 * float(scene.lens[1]["fx"]) * baseline / float(np.linalg.norm(fit["t"]))
@@ -230,7 +230,7 @@ def distance_square(fit: np.void, prediction: Prediction) -> float:
 
 
 def covers(fit: np.void, rival: np.void) -> bool:
-    """Return whether ``rival`` lies within two sigmas of ``fit`` in every component: no matter which one is true."""
+    """Return whether ``rival`` is within two sigmas of ``fit`` in every component, so that both are equivalent."""
     d = np.empty(6)
     difference(rival["r"], rival["t"], fit["r"], fit["t"], d)
     return bool((np.abs(d) < 2.0 * np.sqrt(np.diag(fit["covariance"]))).all())

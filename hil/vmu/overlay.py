@@ -16,7 +16,7 @@ from hil.vmu.pose import matrix_of
 from hil.vmu.unit import PREDICTED, Solution
 
 SPOT, IDENTITY, LED, STATUS, VALUE, NOTE = "spot", "identity", "led", "status", "value", "note"
-"""Parts: a spot of light, the number of its LED, where an LED should be by the pose, lines of words."""
+"""Parts: a spot, the number of its LED, an LED projected with the pose, lines of text."""
 
 LINE_PX: Final = 20
 _LEFT_PX: Final = 12
@@ -28,20 +28,20 @@ _COLOURS: Final = {"ok": _GREEN, "predicted": _AMBER, "ambiguous": _AMBER}
 _CAPTION_COLOURS: Final = {VALUE: _WHITE, NOTE: _GREY}
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _ARM_PX: Final = 5
-_SHIFT: Final = 4  # drawing in sixteenths of a pixel
-_GAMMA: Final = 0.5  # faint spots are to be seen
+_SHIFT: Final = 4  # drawing in 1/16 px
+_GAMMA: Final = 0.5  # makes faint spots visible
 
 
 def shapes(scene: RingScene, solution: Solution, camera: int, title: str = "") -> list[Shape]:
-    """Return what is drawn over the picture of ``camera``, 0 left, 1 right; what matters most comes first.
+    """Return the overlay of the image of ``camera``, 0 left, 1 right, the most important shapes first.
 
-    scene: of the unit's solver. A spot is good where it was taken for an LED, a pose where it was measured.
+    scene: of the unit's solver. A spot is good if assigned to an LED, a pose if measured.
     """
     return [*_caption(solution, title), *_leds(scene, solution, camera), *_spots(solution, camera)]
 
 
 def lines(solution: Solution, title: str = "") -> list[tuple[str, str]]:
-    """Return lines of words about the pose, each with its part: STATUS, VALUE or NOTE."""
+    """Return lines of text about the pose, each with its part: STATUS, VALUE or NOTE."""
     found = [(f"{title}  {solution.status}  {solution.n_leds} LEDs".strip(), STATUS)]
     if solution.pose is not None:
         t, rotation = solution.pose.t_v, np.degrees(solution.pose.rotation_vector)
@@ -80,7 +80,7 @@ def _leds(scene: RingScene, solution: Solution, camera: int) -> list[Shape]:
 
 
 def _spots(solution: Solution, camera: int) -> list[Shape]:
-    """Return circles about the spots, those that are LEDs first, with their numbers."""
+    """Return circles around the spots, those of LEDs first, with their numbers."""
     names = {k: n for n, k in enumerate(solution.leds[camera]) if k >= 0}
     known: list[Shape] = []
     others: list[Shape] = []
@@ -103,7 +103,7 @@ def _at(u: float, v: float) -> list[float]:
 def draw(
     scene: RingScene, left: np.ndarray | None, right: np.ndarray | None, solution: Solution, title: str
 ) -> np.ndarray:
-    """Return both images (h, w), uint8, side by side with the solution drawn over them: (h, w, 3), uint8, BGR."""
+    """Return both images (h, w), uint8, side by side with the overlay: (h, w, 3), uint8, BGR."""
     panels: list[np.ndarray] = [_panel(scene, image, solution, c) for c, image in enumerate((left, right))]
     height = max(panel.shape[0] for panel in panels)
     padded = [cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, 0, cv2.BORDER_CONSTANT) for p in panels]
@@ -132,7 +132,7 @@ def _panel(scene: RingScene, image: np.ndarray | None, solution: Solution, camer
 
 
 def _draw(panel: np.ndarray, shape: Shape) -> None:
-    """Draw a shape of the image; the words about the pose stand over both pictures and are not drawn here."""
+    """Draw a shape in one image; the text about the pose is drawn over both images and skipped here."""
     if shape["part"] == LED:
         x, y = _fine(*shape["at"])
         arm = _ARM_PX * 2**_SHIFT

@@ -1,4 +1,4 @@
-"""From spots and a start to a pose: typed access to the kernels of search, matching and refinement."""
+"""Pose solver: typed interface to the kernels of search, assignment and refinement."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from hil.vmu.kernels.start_poses import orientation_of
 
 _REMEMBERED, _FITS = 256, 64
 _COARSE = 5.0  # sigmas
-_STRAIGHT = (0.6, 1.7)  # growth of chi-square over what the covariance says, within which it is believed
+_STRAIGHT = (0.6, 1.7)  # growth of chi-square relative to the covariance for which it is valid
 _FAR = 5.0  # sigmas
 _FLAT = 0.05  # thickness over extent
-_STRAY_FACTOR = 10.0  # stray lights crowd where the target is: their density there, over that of the whole image
+_STRAY_FACTOR = 10.0  # density of stray lights near the target relative to the whole image
 
 
 @dataclass(frozen=True, slots=True)
 class SolverSettings:
-    """What identification and pose go by.
+    """Settings of identification and pose.
 
     near_m, far_m: range of the target. steepest_deg: largest angle between the target's axis -z_t and the line of
-    sight. reach_px: a spot counts as an LED's, at first, up to this far from its projection. decisive: logarithm
-    of the odds at which one hypothesis is taken and another one dropped. false_alarms: expected number of chance
-    patterns in an image at which a pattern without a track is believed. largest_sigma_deg: of the attitude, beyond
-    which it is not reported, where the LEDs in use are in one plane, and where they are not.
+    sight. reach_px: largest initial distance of a spot from an LED's projection. decisive: logarithm of the odds at
+    which one hypothesis is accepted and another one dropped. false_alarms: expected number of random patterns per image
+    at which a pattern without a track is accepted. largest_sigma_deg: of the attitude, above which no pose is reported,
+    if the LEDs in use are coplanar, and if not.
     """
 
     near_m: float = 0.2
@@ -48,9 +48,9 @@ class SolverSettings:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Where the target is thought to be: the last pose carried on, by a gyro or at constant rates.
+    """Predicted pose of the target: the last pose propagated by a gyro or at constant rates.
 
-    t_v: (3,), m. q_vt: (4,), scalar last, ``p_v = A(q_vt) p_t + t_v``. covariance: (6, 6) of t_v and of the small
+    t_v: (3,), m. q_vt: (4,), scalar last, ``p_v = A(q_vt) p_t + t_v``. covariance: (6, 6) of t_v and of the small-angle
     rotation e about v's axes.
     """
 
@@ -60,7 +60,7 @@ class Prediction:
 
 
 class Solver:
-    """Holds the scene and the scratch memory of one vision unit."""
+    """Scene and scratch memory of one vision unit."""
 
     def __init__(self, geometry: VmuGeometry, settings: SolverSettings) -> None:
         self.settings = settings
@@ -92,9 +92,9 @@ class Solver:
         return View(rays, counts, order)
 
     def hypotheses(self, view: View, prediction: Prediction | None = None) -> tuple[np.ndarray, bool]:
-        """Return every distinct pose (FIT) that the spots allow, and whether there was room for all.
+        """Return all distinct poses (FIT) that the spots allow, and whether none was dropped for lack of capacity.
 
-        The prediction only admits what would mean nothing without it: three spots of a single camera.
+        The prediction only admits hypotheses that are not significant without it: three spots of a single camera.
         """
         self._search.predicted = 0
         if prediction is not None:
@@ -108,7 +108,7 @@ class Solver:
         return self._scored(view, count), not self._state[STATE_FULL]
 
     def from_start(self, view: View, r: Array, t: Array, spots: npt.NDArray[np.int64]) -> np.ndarray:
-        """Return the pose (FIT) that grows from a start with first ``spots`` (2, MAX_LEDS), and its mirror image."""
+        """Return the pose (FIT) converged from a start with first ``spots`` (2, MAX_LEDS), and its mirror image."""
         self._state[:] = 0
         start = self._starts[-1]
         start["r"], start["t"], start["spot"] = r, t, spots
@@ -124,7 +124,7 @@ class Solver:
     def expected(
         self, view: View, r: Array, t: Array, covariance: Array, reach_px: float
     ) -> tuple[npt.NDArray[np.int64], int]:
-        """Return the spots (2, MAX_LEDS) within the gates of a predicted pose, and how many gates are contested."""
+        """Return the spots (2, MAX_LEDS) within the gates of a predicted pose, and the number of ambiguous gates."""
         spots = np.full((2, MAX_LEDS), -1, np.int64)
         barred = np.full((2, MAX_LEDS), -1, np.int64)
         return spots, assign(self.scene, view, r, t, covariance, reach_px, barred, spots)
@@ -136,21 +136,21 @@ class Solver:
         return out[0, : counts[0]], out[1, : counts[1]]
 
     def stray_density(self, view: View) -> Array:
-        """Return the density of stray lights in each image that hypotheses are judged by, px^-2, (2,)."""
+        """Return the density of stray lights in each image used for the scores, px^-2, (2,)."""
         lens = self.scene.lens
         density: Array = _STRAY_FACTOR * (view.counts + 1.0) / (lens["width"] * lens["height"])
         return density
 
     def is_straight(self, view: View, fit: np.void) -> bool:
-        """Return whether chi-square grows along the two least certain rotations as the covariance says.
+        """Return whether chi-square grows quadratically, as its covariance, along the two least certain rotations.
 
-        Of a flat target with a tilt of m sigmas, chi-square at no tilt is m^2 / 4 above its least, and at n sigmas
-        towards it (1 - n / 2m)^2 of what it should be: the test at five sigmas passes from m = 11 on, where the
-        mirror image is behind a wall of 31.
+        For a flat target with a tilt of m sigmas, chi-square at zero tilt is m^2 / 4 above its minimum, and at n sigmas
+        towards it (1 - n / 2m)^2 of the quadratic value: the test at five sigmas passes for m >= 11, for which the
+        chi-square barrier to the mirror image is 31.
         """
         turn = fit["covariance"][3:, 3:]
         values, vectors = np.linalg.eigh(turn)
-        for k in (1, 2):  # the axis of the tilt and the one across it may be equally uncertain
+        for k in (1, 2):  # the tilt axis and the one perpendicular to it may be equally uncertain
             direction = fit["covariance"][:, 3:] @ vectors[:, k] / math.sqrt(values[k])
             ratios = [chi_square_growth(self.scene, view, fit, direction, sigmas) for sigmas in (-_FAR, _FAR)]
             if not all(_STRAIGHT[0] <= ratio <= _STRAIGHT[1] for ratio in ratios):
@@ -159,7 +159,7 @@ class Solver:
 
 
 def scene_of(geometry: VmuGeometry, settings: SolverSettings) -> RingScene:
-    """Return what the kernels take of ``geometry``."""
+    """Return the scene record of ``geometry`` for the kernels."""
     pair, leds = camera_pair(geometry), led_positions(geometry)
     squares = ((leds[:, None, :] - leds[None, :, :]) ** 2).sum(axis=2)
     least_facing = math.cos(math.radians(settings.steepest_deg))
@@ -179,7 +179,7 @@ def thin_axis(leds: Array) -> Array:
 
 
 def is_flat(leds: Array) -> bool:
-    """Return whether ``leds`` (n, 3) are in one plane, as far as cameras can tell."""
+    """Return whether ``leds`` (n, 3) are coplanar within the resolution of the cameras."""
     spread = np.linalg.svd(leds - leds.mean(axis=0), compute_uv=False)
     return len(leds) < 4 or bool(spread[2] < _FLAT * spread[0])
 

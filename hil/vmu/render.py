@@ -1,8 +1,8 @@
-"""Draws what the two cameras of a vision unit see of a target's LEDs, noise and all.
+"""Renderer of the LED ring's images in the two cameras of a vision unit, including noise.
 
-The noise is exact where there is light: electrons are counted (Poisson), the read-out adds its noise, the
-sum is rounded and clipped. Between the lights each row takes its noise from one table of normals at an offset
-drawn for it, which is a hundred times quicker and which no spot is measured on.
+The noise is exact near lights: Poisson-distributed electrons, read noise, rounding and clipping. Between the lights
+each row takes its noise from one table of normals at a random offset, a hundred times faster; no spot is measured
+there.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _POOL: Final = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class HotPixel:
-    """A pixel that shows ``level`` whatever falls on it. camera: 0 left, 1 right."""
+    """A pixel of constant ``level``. camera: 0 left, 1 right."""
 
     camera: int
     u: int
@@ -37,22 +37,22 @@ class HotPixel:
 
 @dataclass(frozen=True, slots=True)
 class RingAppearance:
-    """What the LEDs and the cameras are like, the same in every frame; levels are grey levels."""
+    """Properties of LEDs and cameras, the same in every frame; levels are grey levels."""
 
     psf_sigma_px: float = 1.0
     led_diameter_m: float = 0.005
     led_flux: tuple[float, ...] | None = None
-    """brightness of each LED relative to ``flux_1m_levels``; a marked LED has a greater one"""
+    """brightness of each LED relative to ``flux_1m_levels``; greater for a marked LED"""
     flux_1m_levels: float = 25e3
-    """sum over an LED's spot at 1 m, straight in front, at a gain of 1"""
+    """sum over an LED's spot at 1 m on its axis, at a gain of 1"""
     lobe: float = 1.0
-    """power of the cosine in the LED's emission; 0 shines all round"""
+    """power of the cosine in the LED's emission; 0: isotropic"""
     auto_peak_levels: float | None = 220.0
-    """exposure brings the brightest LED's peak to this, within ``gain_range``; None: a gain of 1 always"""
+    """peak of the brightest LED by automatic exposure, within ``gain_range``; None: gain of 1"""
     gain_range: tuple[float, float] = (0.01, 1.0)
     background_levels: float = 12.0
     gradient_levels: tuple[float, float] = (0.0, 0.0)
-    """how much more background there is at the right and lower edges than at the left and upper ones"""
+    """background at the right and lower edges minus that at the left and upper ones"""
     electrons_per_level: float = 100.0
     read_noise_levels: float = 0.8
     hot_pixels: tuple[HotPixel, ...] = ()
@@ -60,7 +60,7 @@ class RingAppearance:
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """A light in space that is none of the target's: both cameras see it where it is. position_v: (3,), m."""
+    """A light in space that is not part of the target, visible to both cameras. position_v: (3,), m."""
 
     position_v: tuple[float, float, float]
     flux_1m_levels: float = 25e3
@@ -69,7 +69,7 @@ class Light:
 
 @dataclass(frozen=True, slots=True)
 class Reflection:
-    """A light in one image alone. camera: 0 left, 1 right."""
+    """A light in one image only. camera: 0 left, 1 right."""
 
     camera: int
     u_px: float
@@ -80,7 +80,7 @@ class Reflection:
 
 @dataclass(frozen=True, slots=True)
 class Shade:
-    """Something dark before one camera: no light falls on the pixels from (u0, v0) up to (u1, v1)."""
+    """An opaque object in front of one camera: no light on the pixels from (u0, v0) up to (u1, v1)."""
 
     camera: int
     u0: int
@@ -91,7 +91,7 @@ class Shade:
 
 @dataclass(frozen=True, slots=True)
 class Extras:
-    """What else there is in one frame. dark: whether the left and the right camera see nothing at all."""
+    """Disturbances of one frame. dark: whether the left and the right camera receive no light."""
 
     lights: Sequence[Light] = ()
     reflections: Sequence[Reflection] = ()
@@ -123,13 +123,13 @@ def projections(pair: CameraPair, points_m: Array, t_v: Array, q_vt: Array) -> A
 
 @dataclass(slots=True)
 class _SensorLight:
-    """The light on one camera's sensor, zero between two frames."""
+    """Light on one camera's sensor, zero between two frames."""
 
     light: Array
     boxes: list[np.ndarray] = field(default_factory=list)
 
     def add(self, spot: Array, blur_px: float, flux: float) -> None:
-        """Add a disc's image; spot: u, v, width, shear, height as in ``shape``."""
+        """Add a disc's image; spot: u, v, width, shear, height as in ``disc``."""
         box = np.zeros(4, dtype=np.int64)
         add_disc(self.light, spot[0], spot[1], spot[2], spot[3], spot[4], blur_px, flux, box)
         if box[2] > box[0] and box[3] > box[1]:
@@ -137,7 +137,7 @@ class _SensorLight:
 
 
 class RingRenderer:
-    """Draws the stereo pair for a pose. Not for two threads at once: it keeps its sheets.
+    """Renders the stereo pair of a pose. Not thread-safe: it keeps its buffers.
 
     leds_m: (n, 3), in t; the LEDs shine along -z_t, towards the cameras.
     """
@@ -157,7 +157,7 @@ class RingRenderer:
     ) -> tuple[Image, Image]:
         """Return the left and the right image, uint8 (height, width), for the pose t -> v.
 
-        lit: of each LED, None for all.
+        lit: per LED, None for all.
         """
         left, right = (self.image(camera, t_v, q_vt, lit, rng, extras) for camera in range(2))
         return left, right
@@ -189,7 +189,7 @@ class RingRenderer:
     def led_images(
         self, camera: int, t_v: Array, q_vt: Array, lit: Sequence[bool] | None = None
     ) -> tuple[Array, Array]:
-        """Return the LEDs' images in a camera (n, 5), as in ``shape``, and their light (n,), levels: the truth."""
+        """Return the LEDs' images in a camera (n, 5), as in ``disc``, and their light (n,), levels: the truth."""
         spots, flux, _ = self._led_images(camera, t_v, q_vt, lit)
         return spots[:, :5], flux
 

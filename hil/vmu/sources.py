@@ -1,4 +1,4 @@
-"""Stereo pairs on disk: ``left/NNNN.png`` and ``right/NNNN.png``."""
+"""Sources of stereo pairs: a folder (``left/NNNN.png``, ``right/NNNN.png``), two videos or two cameras."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _SIDES: Final = ("left", "right")
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """One frame. left, right: (h, w), uint8; None where there is no file, or one that is no image.
+    """One frame. left, right: (h, w), uint8; None if the file is missing or invalid.
 
-    unreadable: which sides have a file that is cut or no image.
+    unreadable: sides whose file is truncated or no image.
     """
 
     frame: int
@@ -36,22 +36,20 @@ class Pair:
 
 
 class ImageFolder:
-    """The frames of a folder by number. Numbers that neither camera has are frames that were dropped."""
+    """The frames of a folder by number. Numbers missing on both sides are dropped frames."""
 
     def __init__(self, folder: Path, first: int | None = None) -> None:
         if not folder.is_dir():
-            raise BadInput.single(
-                str(folder), "", "no such folder: give one that holds left/NNNN.png and right/NNNN.png"
-            )
+            raise BadInput.single(str(folder), "", "no such folder: give one with left/NNNN.png and right/NNNN.png")
         self._files = {side: _numbered(folder / side) for side in _SIDES}
         numbers = sorted(set().union(*self._files.values()))
         if not numbers:
-            raise BadInput.single(str(folder), "", "holds no images: left/NNNN.png and right/NNNN.png are looked for")
+            raise BadInput.single(str(folder), "", "contains no images: expected left/NNNN.png and right/NNNN.png")
         if first is not None and first > numbers[-1]:
             raise BadInput.single("--start-frame", "", f"{first}: the last frame of {folder} is {numbers[-1]}")
         self.frames = range(numbers[0] if first is None else max(first, numbers[0]), numbers[-1] + 1)
         if len(self.frames) > MOST_FRAMES:
-            text = f"frames {numbers[0]} to {numbers[-1]}: at most {MOST_FRAMES} numbers may lie between the ends"
+            text = f"frames {numbers[0]} to {numbers[-1]}: at most {MOST_FRAMES} numbers are allowed"
             raise BadInput.single(str(folder), "", text)
 
     def __len__(self) -> int:
@@ -73,9 +71,9 @@ class ImageFolder:
 
 
 def read_grey(path: Path) -> np.ndarray | None:
-    """Return the image at ``path`` as (h, w), uint8; None where it is cut short or no image.
+    """Return the image at ``path`` as (h, w), uint8; None if it is truncated or no image.
 
-    Deeper images are brought to 8 bit, colours to grey.
+    Other depths are converted to 8 bit, colours to grey.
     """
     try:
         data = path.read_bytes()
@@ -91,7 +89,7 @@ def read_grey(path: Path) -> np.ndarray | None:
 
 
 def _is_whole(suffix: str, data: bytes) -> bool:
-    """Return whether a PNG has its end: decoders fill what is missing with black."""
+    """Return whether a PNG is complete: decoders replace missing data by black."""
     return suffix != ".png" or data.rstrip(b"\0")[-8:-4] == b"IEND"
 
 
@@ -108,27 +106,26 @@ def _numbered(folder: Path) -> dict[int, Path]:
 
 
 def names_two(source: str) -> bool:
-    """Return whether ``source`` names two streams, ``camera:0,1`` or ``left.mkv,right.mkv``, and no folder."""
+    """Return whether ``source`` names two streams, ``camera:0,1`` or ``left.mkv,right.mkv``, not a folder."""
     return source.startswith(CAMERAS) or ("," in source and not Path(source).is_dir())
 
 
 class StreamPairs:
-    """The pairs of two streams that were exposed together, frame by frame, until one of them ends.
+    """Stereo pairs of two streams with common exposures, frame by frame, until one of them ends.
 
-    source: ``camera:L,R``, two numbers of cameras, or the paths of two videos, left first. A camera's frames are
-    taken from both as close to each other as the system lets it (the cameras are to be triggered together).
-    Raises BadInput where a stream cannot be opened.
+    source: ``camera:L,R``, two camera numbers, or the paths of two videos, left first. Frames of both cameras are
+    grabbed as close in time as the system allows (use a common trigger). Raises BadInput if a stream cannot be opened.
     """
 
     def __init__(self, source: str) -> None:
         self.live = source.startswith(CAMERAS)
         names = source.removeprefix(CAMERAS).split(",")
         if len(names) != 2:
-            raise BadInput.single("SOURCE", "", f"{source}: name two streams, left and right, with a comma between")
+            raise BadInput.single("SOURCE", "", f"{source}: give two streams, left and right, separated by a comma")
         self._streams = [self._open(name.strip(), source) for name in names]
         counts = [int(stream.get(cv2.CAP_PROP_FRAME_COUNT)) for stream in self._streams]
         self.count = None if self.live or min(counts) <= 0 else min(counts)
-        """How many pairs there are, as far as the files tell."""
+        """Number of pairs, None if not known from the files."""
 
     def __iter__(self) -> Iterator[Pair]:
         frame = 0
@@ -139,12 +136,12 @@ class StreamPairs:
             frame += 1
 
     def _grab(self) -> bool:
-        """Take both exposures before either is decoded; return whether both were there."""
+        """Grab both exposures before either is decoded; return whether both are present."""
         left, right = (stream.grab() for stream in self._streams)
         return bool(left and right)
 
     def close(self) -> None:
-        """Let go of both streams. Idempotent."""
+        """Release both streams. Idempotent."""
         for stream in self._streams:
             stream.release()
 
@@ -156,9 +153,9 @@ class StreamPairs:
         elif name.isdecimal():
             stream = cv2.VideoCapture(int(name))
         else:
-            raise BadInput.single("SOURCE", "", f"{source}: cameras are given by their numbers, camera:0,1")
+            raise BadInput.single("SOURCE", "", f"{source}: give cameras by number, camera:0,1")
         if not stream.isOpened():
-            what = f"camera {name} cannot be opened" if self.live else f"{name}: is no video that can be read"
+            what = f"camera {name} cannot be opened" if self.live else f"{name}: not a readable video"
             raise BadInput.single("SOURCE", "", what)
         return stream
 

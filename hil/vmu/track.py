@@ -1,4 +1,4 @@
-"""Carries the pose on from one image to the next at constant rates, with a covariance that grows."""
+"""Track of the target: propagates the pose between images at constant rates, with growing covariance."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.refine import rotate
 from hil.vmu.pose import Prediction
 
-_STRANGE = 33.0  # chi-square of six components: a pose that far from the prediction is no continuation
+_STRANGE = 33.0  # chi-square of six components above which a pose does not continue the track
 
 
 @dataclass(frozen=True, slots=True)
 class TrackSettings:
-    """How a target may move, and how long a track lives without being seen.
+    """Motion model of the target, and lifetime of a track without measurements.
 
-    acceleration_mps2, acceleration_radps2: standard deviation of what changes the rates. first_speed_mps,
-    first_rate_radps: of the rates themselves after a single image. longest_s: after the last pose a prediction is
-    reported up to this long, and then forgotten. most_failures: measured poses in a row that were rejected, after
-    which the track is. recheck: every so many poses the whole images are searched, to find a wrong identity.
+    acceleration_mps2, acceleration_radps2: standard deviation of the accelerations. first_speed_mps,
+    first_rate_radps: of the rates after a single image. longest_s: longest prediction after the last pose.
+    most_failures: number of consecutive images without a measured pose after which the track is dropped. recheck:
+    number of poses after which the whole images are searched, to detect a wrong identification.
     """
 
     acceleration_mps2: float = 0.5
@@ -48,24 +48,24 @@ class Track:
         self._p = np.zeros((12, 12))
 
     def drop(self) -> None:
-        """Forget the target."""
+        """Drop the track."""
         self.poses = self.failures = 0
 
     def predict(self, t_s: float) -> Prediction | None:
-        """Return where the target should be at ``t_s``; None without a track, or after too long without a pose."""
+        """Return the predicted pose at ``t_s``; None without a track, or too long after the last pose."""
         if not self.poses or not 0.0 <= t_s - self._t_s <= self.settings.longest_s:
             return None
         r, t, p = self._carried(t_s - self._t_s)
         return Prediction(t, _quaternion(r), p[:6, :6].copy())
 
     def fail(self) -> None:
-        """Count an image in which the target should have been found and was not."""
+        """Count an image in which the target was expected and not measured."""
         self.failures += 1
         if self.failures >= self.settings.most_failures:
             self.drop()
 
     def update(self, t_s: float, fit: np.void) -> None:
-        """Take in a measured pose (FIT); one that does not continue the track begins a new one."""
+        """Update by a measured pose (FIT); one that does not continue the track starts a new one."""
         self.failures = 0
         if not self.poses or not 0.0 < t_s - self._t_s <= self.settings.longest_s:
             self._begin(t_s, fit)
@@ -115,7 +115,7 @@ class Track:
 
 
 def prediction_at(t_v: Array, rotation_vector: Array, sigma_m: float, sigma_deg: float) -> Prediction:
-    """Return a prediction from a pose ``p_v = exp([rotation_vector]x) p_t + t_v`` of given uncertainty per axis."""
+    """Return a prediction from a pose ``p_v = exp([rotation_vector]x) p_t + t_v`` with the given sigma per axis."""
     sigmas = np.repeat([sigma_m, math.radians(sigma_deg)], 3)
     return Prediction(t_v, quat.from_rotation_vector(-rotation_vector), np.diag(sigmas**2))
 

@@ -1,4 +1,4 @@
-"""The vision unit: a stereo pair of images in, a pose with status and covariance out."""
+"""Vision unit: from a stereo pair of images to a pose with status and covariance."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DARK: Final = "rejected_dark"
 
 _NO_SPOTS: Final = np.zeros(0, SPOT)
 _OPEN_TILT_RAD, _OPEN_TURN_RAD = 0.15, 0.03
-_WINDOW_LIMIT = 0.25  # of the image: larger windows are no gain over all of it
+_WINDOW_LIMIT = 0.25  # of the image: larger windows are no faster than the whole image
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +46,11 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """What the unit says of one stereo pair.
+    """Result of one stereo pair.
 
-    status: ``ok``, ``predicted``, ``ambiguous``, ``too_few`` or ``rejected_<why>``. pose: with the first two alone.
-    spots: SPOT of each image, as far as they were looked for. leds: of each image, the index into spots of each
-    LED, -1 for none. chi2, degrees: of the fit. candidates: how many poses were left to choose from.
+    status: ``ok``, ``predicted``, ``ambiguous``, ``too_few`` or ``rejected_<why>``. pose: with the first two only.
+    spots: SPOT of each image, as far as it was searched. leds: for each image, the index into spots of each
+    LED, -1 for none. chi2, degrees: of the fit. candidates: number of remaining poses.
     """
 
     t_s: float
@@ -65,7 +65,7 @@ class Solution:
 
     @property
     def n_leds(self) -> int:
-        """Return how many LEDs at least one camera has contributed."""
+        """Return the number of LEDs used from at least one camera."""
         return sum(1 for pair in zip(*self.leds, strict=True) if max(pair) >= 0)
 
     def bits(self, camera: int) -> int:
@@ -73,7 +73,7 @@ class Solution:
         return sum(1 << n for n, k in enumerate(self.leds[camera]) if k >= 0)
 
     def frame(self, counter: int, received_s: float) -> PoseFrame | None:
-        """Return the measured pose as the message that the bench reads, None where there is none."""
+        """Return the measured pose as the bench's message, None without one."""
         if self.pose is None or self.status != OK:
             return None
         p = self.pose
@@ -82,7 +82,7 @@ class Solution:
 
 
 class VisionUnit:
-    """Solves one stereo pair after the other; keeps a track between them. Not for two threads at once."""
+    """Solves stereo pairs one after the other, with a track between them. Not thread-safe."""
 
     def __init__(
         self,
@@ -105,9 +105,9 @@ class VisionUnit:
         t_s: float,
         prediction: Prediction | None = None,
     ) -> Solution:
-        """Return what the images (h, w), uint8, taken at ``t_s`` show; None for an image that did not come.
+        """Return the solution of the images (h, w), uint8, taken at ``t_s``; None for a missing image.
 
-        prediction: of the pose at ``t_s``, where somebody knows better than constant rates (a gyro).
+        prediction: of the pose at ``t_s``, if better known than by constant rates (from a gyro).
         """
         images = (left, right)
         wrong = any(i is not None and not _fits(i, s) for i, s in zip(images, self._shapes, strict=True))
@@ -120,7 +120,7 @@ class VisionUnit:
         return solution or self._by_search(images, t_s, expected)
 
     def warm_up(self) -> None:
-        """Call every kernel once: the first time after a change of the sources that compiles them."""
+        """Call every kernel once, which compiles it after a change of the sources."""
         ahead, facing = np.array([0.0, 0.0, 3.0]), np.eye(3)
         left, right = (self._ideal_spots(c, facing, ahead) for c in range(2))
         view = self.solver.view(left, right)
@@ -138,7 +138,7 @@ class VisionUnit:
             detector.spots(image, np.array([[0.0, 0.0, 8.0, 8.0]]))
 
     def _ideal_spots(self, camera: int, r: Array, t: Array) -> np.ndarray:
-        """Return what one camera would see of all LEDs without noise."""
+        """Return the spots of all LEDs in one camera without noise."""
         scene, arm, point = self.solver.scene, np.empty(3), np.empty(3)
         spots = np.zeros(len(scene.leds), SPOT)
         for spot, led in zip(spots, scene.leds, strict=True):
@@ -148,13 +148,13 @@ class VisionUnit:
         return spots
 
     def rejected(self, t_s: float, status: str) -> Solution:
-        """Return the answer to images that never became any."""
+        """Return the result for images that could not be read."""
         return self._no_pose(t_s, status)
 
     def solve_spots(
         self, left: np.ndarray, right: np.ndarray, t_s: float, prediction: Prediction | None = None
     ) -> Solution:
-        """Return what spots (SPOT) of the whole images say; see ``solve``."""
+        """Return the solution of spots (SPOT) of the whole images; see ``solve``."""
         expected = prediction or self.track.predict(t_s)
         view = self.solver.view(left, right)
         verdict = self._identifier.tracked(view, expected) if expected is not None and not self._recheck() else None
@@ -164,7 +164,7 @@ class VisionUnit:
     def _by_windows(
         self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, expected: Prediction
     ) -> Solution | None:
-        """Return the solution from windows about the predicted LEDs, None where the whole images are needed."""
+        """Return the solution from windows around the predicted LEDs, None if the whole images are needed."""
         if self._recheck():
             return None
         regions = self.solver.windows(expected)
@@ -226,7 +226,7 @@ class VisionUnit:
     def _predicted(
         self, t_s: float, status: str, spots: tuple[np.ndarray, np.ndarray] = (_NO_SPOTS, _NO_SPOTS)
     ) -> Solution:
-        """Return the track's prediction, or ``status`` without a pose where there is no track to speak of."""
+        """Return the track's prediction, or ``status`` without a pose if there is no track of at least two poses."""
         expected = self.track.predict(t_s)
         known = expected is not None and self.track.poses > 1
         if spots[0] is not _NO_SPOTS:
@@ -241,9 +241,9 @@ class VisionUnit:
 
 
 def widened(candidates: Sequence[np.void]) -> np.void:
-    """Return the best of some poses with a covariance that holds them all, and leaves the tilt open.
+    """Return the best of several poses with a covariance that includes them all, and a large one of the tilt.
 
-    For the track alone: position and the turn about the line of sight are known well enough to go on.
+    For the track only: position and rotation about the line of sight are known well enough to continue it.
     """
     best = candidates[0].copy()
     d = np.empty(6)

@@ -111,7 +111,7 @@ def test_chessboard_views_are_calibrated_and_one_at_a_wrong_place_is_named(
     report = tmp_path / "report.json"
     assert execute(["calibrate", str(folder), *board_options(), "--json", str(report)]) == 0
     found = json.loads(report.read_text())
-    assert found["left_out"].pop("0004") == "its place does not fit those of the other views"
+    assert found["left_out"].pop("0004") == "its pose is inconsistent with the other views"
     # a view in which the board is blurred or far to the side may go too, but for its residuals
     assert sum("whole" not in why for why in found["left_out"].values()) <= 1
     assert "rejected  0004" in capsys.readouterr().out
@@ -177,7 +177,7 @@ def test_views_that_cannot_be_read_are_told_in_one_line(
     (folder / "views.csv").write_text(text.replace("pitch_deg", "pitch_rad"))
     assert "column pitch_deg is missing" in said(folder)
     (folder / "views.csv").write_text(text.replace("0001,", "0000,"))
-    assert "line 3: view '0000': must be given, and once only" in said(folder)
+    assert "line 3: view '0000': must be given, and unique" in said(folder)
 
 
 def test_a_check_against_a_file_without_calibration_is_refused(
@@ -187,4 +187,4 @@ def test_a_check_against_a_file_without_calibration_is_refused(
     rig = load_rig("mock", SMALL).value
     plain.write_text(geometry_of_rig(rig).model_dump_json(exclude_none=True))
     assert execute(["calibrate", str(led_views), "--check", str(plain)]) == 2
-    assert "calibration: is missing: a file that hil calibrate wrote is needed" in capsys.readouterr().err
+    assert "calibration: is missing: a file written by hil calibrate is required" in capsys.readouterr().err

@@ -82,9 +82,9 @@ def test_poses_of_videos_go_into_the_file_and_onto_the_line(streams: tuple[str, 
     ("source", "text"),
     [
         ("nowhere.mkv,{right}", "nowhere.mkv: no such file"),
-        ("{geometry},{right}", "is no video that can be read"),
-        ("camera:a,b", "cameras are given by their numbers"),
-        ("{left},{right},{right}", "name two streams"),
+        ("{geometry},{right}", "not a readable video"),
+        ("camera:a,b", "give cameras by number"),
+        ("{left},{right},{right}", "give two streams"),
     ],
 )
 def test_streams_that_cannot_be_read_are_named(

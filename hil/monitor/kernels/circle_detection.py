@@ -1,4 +1,4 @@
-"""Circles in a picture, found from the borders of the regions above each threshold, whole or in part."""
+"""Circle detection: complete circles and arcs from the borders of the regions above each threshold."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 _FEWEST_POINTS: Final = 24
 _TRIES: Final = 60
-_CONTOURS: Final = 12  # of one threshold, the longest ones
+_CONTOURS: Final = 12  # per threshold, the longest ones
 _MOST_POINTS: Final = 720
 _BEND: Final = 0.012
 _LEAST_CLEAN: Final = 0.25
@@ -26,7 +26,7 @@ _LEAST_RADIUS_PX: Final = 9.0
 
 @dataclass(frozen=True)
 class CircleCandidate:
-    """A circle in the picture, px; ``share`` of it is seen, ``clean`` is the share of its border's points on it."""
+    """A circle in the image, px; ``coverage``: visible fraction, ``clean``: fraction of its border's points on it."""
 
     u: float
     v: float
@@ -37,7 +37,7 @@ class CircleCandidate:
 
 @kernel
 def _through(points, i, j, k):
-    """Return the circle (u, v, radius) through three points; radius -1 where they are in line."""
+    """Return the circle (u, v, radius) through three points; radius -1 if they are collinear."""
     x1, y1 = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
     x2, y2 = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1]
     twice = 2.0 * (x1 * y2 - x2 * y1)
@@ -52,7 +52,7 @@ def _through(points, i, j, k):
 def fit_circle(points, near, start, turns):
     """Fit a circle to those of ``points`` (n, 2) within ``near`` px of ``start`` (3,): u, v, radius, by Gauss-Newton.
 
-    ``start`` is improved in place (monitor paper 3, Phi_2). Returns the share of the points used (0 where it fails).
+    ``start`` is improved in place (monitor paper 3, Phi_2). Return the fraction of the points used (0 on failure).
     """
     n = points.shape[0]
     used = 0
@@ -92,11 +92,10 @@ def fit_circle(points, near, start, turns):
 
 @kernel
 def best_circle(points, tries, near, bend, out):
-    """Write the circle (3,) that has most of ``points`` (n, 2) within ``near`` px; return the share that it has.
+    """Write the circle (3,) with the most of ``points`` (n, 2) within ``near`` px; return their fraction.
 
-    bend: share of the radius that is allowed as well: a circle seen aslant is an ellipse.
-
-    Threes of points are drawn by a fixed sequence: the same points give the same circle.
+    bend: tolerance as a fraction of the radius, if larger: a circle seen obliquely is an ellipse.
+    Triples of points are drawn by a fixed sequence: the same points give the same circle.
     """
     n = points.shape[0]
     most = 0
@@ -104,7 +103,7 @@ def best_circle(points, tries, near, bend, out):
     for attempt in range(tries):
         seed = (1103515245 * seed + 12345) % 2147483648
         i = (seed >> 8) % n
-        # far apart for whole circles, nearer together for arcs that are a part of a longer border
+        # far apart for complete circles, nearer together for arcs that are part of a longer border
         apart = n // (3 if attempt % 3 == 0 else (6 if attempt % 3 == 1 else 10))
         seed = (1103515245 * seed + 12345) % 2147483648
         j = (i + apart - apart // 2 + (seed >> 8) % max(apart, 1)) % n
@@ -130,7 +129,7 @@ def best_circle(points, tries, near, bend, out):
 
 @kernel
 def arc_coverage(points, circle, near):
-    """Return the share of the circle's 72 sectors that have a point within ``near`` px of it."""
+    """Return the fraction of the circle's 72 sectors that have a point within ``near`` px of it."""
     seen = np.zeros(72)
     for i in range(points.shape[0]):
         du, dv = points[i, 0] - circle[0], points[i, 1] - circle[1]
@@ -140,9 +139,9 @@ def arc_coverage(points, circle, near):
 
 
 def find_circles(prepared: Prepared, left: float, top: float, line_step: float) -> list[CircleCandidate]:
-    """Return the circles of a region, the most convincing first.
+    """Return the circles of a region, the best first.
 
-    left, top: px, the region's first pixel in the picture; line_step: px from one line of the region to the next.
+    left, top: px, the region's first pixel in the image; line_step: px from one line of the region to the next.
     """
     found: list[CircleCandidate] = []
     for level in prepared.thresholds:

@@ -1,8 +1,8 @@
-"""Kernels that draw flat parts of a target as a camera sees them, each pixel by the area that a part covers of it.
+"""Rendering of flat parts of a target: each pixel is weighted by the area that a part covers of it.
 
-The area is exact for polygons: every edge leaves its signed area and height in the pixels it passes, and the running
-sum along a row is the covered share (the accumulation of font rasterisers). There is no grid of samples, so the edge
-in the picture stands where the geometry says, at any slope.
+The area is exact for polygons: every edge adds its signed area and height to the pixels it crosses, and the running
+sum along a row is the covered fraction (the accumulation of font rasterisers). There is no sampling grid, so an edge
+in the image has its geometric position at any slope.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.models import docking_view
 
-NEAREST_M = 0.02  # what is nearer to the camera's plane is cut off
+NEAREST_M = 0.02  # parts nearer to the camera's plane are clipped
 
 
 @kernel
@@ -65,7 +65,7 @@ def _add_span(row, x_top, x_bottom, height):
 
 @kernel
 def _add_straight(area, x0, y0, x1, y1, sign):
-    """Add an edge that goes down from y0 to y1 and lies within the columns; ``area`` (h, w + 2)."""
+    """Add an edge that runs down from y0 to y1 within the columns; ``area`` (h, w + 2)."""
     slope = (x1 - x0) / (y1 - y0)
     for line in range(math.floor(y0), min(area.shape[0], math.ceil(y1))):
         top, bottom = max(y0, float(line)), min(y1, line + 1.0)
@@ -79,7 +79,7 @@ def _add_straight(area, x0, y0, x1, y1, sign):
 
 @kernel
 def _add_edge(area, x0, y0, x1, y1):
-    """Add the edge of a polygon to ``area`` (h, w + 2); coordinates count from the picture's upper left corner."""
+    """Add the edge of a polygon to ``area`` (h, w + 2); coordinates count from the image's upper left corner."""
     if y0 == y1:
         return
     sign = 1.0
@@ -91,8 +91,8 @@ def _add_edge(area, x0, y0, x1, y1):
     if bottom <= top:
         return
     right = float(area.shape[1] - 2)
-    # where the edge leaves the picture to a side it goes on along that side: what is left of the picture still
-    # covers all that is right of it
+    # an edge that leaves the image at a side continues along that side: what is left of the image still
+    # covers all pixels to the right of it
     ya, yb = bottom, bottom
     if slope != 0.0:
         ya = min(max(y0 + (0.0 - x0) / slope, top), bottom)
@@ -115,7 +115,7 @@ def _add_edge(area, x0, y0, x1, y1):
 
 @kernel
 def _paint(image, area, top, bottom, level):
-    """Lay ``level`` over ``image`` (h, w) by the share that ``area`` holds in the lines top to bottom; clear area."""
+    """Blend ``level`` into ``image`` (h, w) by the fraction in ``area`` for the rows top to bottom; clear area."""
     width = image.shape[1]
     for line in range(top, bottom):
         row, share_row = image[line], area[line]
@@ -135,7 +135,7 @@ def draw_parts(lens, d, phi, corners, starts, levels, area, image):
     """Draw flat parts, back to front, over ``image`` (h, w), grey values.
 
     lens: (3,): f, cx, cy, px. d (3,), m, phi (3,), rad: the camera's pose. corners: (n, 3), m, in C; part i has the
-    corners starts[i] to starts[i + 1] and the grey value levels[i]. area: (h, w + 2) of zeros, which it is after.
+    corners starts[i] to starts[i + 1] and the grey value levels[i]. area: (h, w + 2), all zero before and after.
     """
     a = docking_view.attitude(phi)
     y = np.empty(3)
@@ -171,7 +171,7 @@ def draw_parts(lens, d, phi, corners, starts, levels, area, image):
 def expose(clean, light, glare, read, k, normals, out):
     """Write the camera's grey values to ``out`` (h, w), uint8, for the brightness ``clean`` (h, w).
 
-    light: (4,): gain, offset in grey values, share by which the gain grows from the middle to the right and to the
+    light: (4,): gain, offset in grey values, fraction by which the gain grows from the middle to the right and to the
     lower edge. glare: (m, 4): u, v, px, height in grey values, radius (1 sigma), px. Noise of variance
     ``read^2 + k level``, from the standard normals ``normals`` (h, w).
     """

@@ -1,4 +1,4 @@
-"""Cells: where in the picture, for an assumed pose, each piece of an edge of the target is to be looked for.
+"""Edge samples: places along the projected edges of the target at which the edge's shift is measured.
 
 A sample is a strip a few pixels long along an edge and a few wide across it. No pixel belongs to two samples of one
 edge, so the errors of the samples' measurements are independent.
@@ -18,14 +18,14 @@ STEP, BAR = 0, 1
 EDGE_SAMPLE = np.dtype(
     [
         ("u", "f8"), ("v", "f8"),  # px, the point of the edge (of the bar's centre line) under the assumed pose
-        ("nu", "f8"), ("nv", "f8"),  # the edge's normal in the picture, outwards
+        ("nu", "f8"), ("nv", "f8"),  # the edge's normal in the image, outwards
         ("curvature", "f8"),  # 1/px, positive where the inside is convex
         ("length", "f8"),  # px along the edge
-        ("inside", "f8"), ("outside", "f8"),  # px, how far the strip reaches to either side
+        ("inside", "f8"), ("outside", "f8"),  # px, extent of the strip to either side
         ("width", "f8"),  # px, of a bar measured as a whole
         ("y1", "f8"), ("y2", "f8"), ("y3", "f8"),  # m, the same point in C
         ("feature", "i8"), ("kind", "i8"),
-        ("cluster", "i8"),  # the straight edge, or the eighth of a circle, that the sample is part of
+        ("cluster", "i8"),  # the straight edge, or the eighth of a circle, of the sample
         ("shift", "f8"), ("variance", "f8"),  # px, px^2: measured, outwards
         ("low", "f8"), ("high", "f8"),  # grey values inside and outside
         ("misfit", "f8"), ("pixels", "f8"),  # weighted square sum of the pixels' residuals, number of pixels
@@ -37,7 +37,7 @@ EDGE_SAMPLE = np.dtype(
 ARCS = 8
 SIDES = 3
 
-_GUARD_SIGMAS = 3.0  # another border is kept this many widths of the blur outside of the strip
+_GUARD_SIGMAS = 3.0  # distance of the strip from other borders, in blur widths
 
 
 @kernel
@@ -54,10 +54,10 @@ def _project(lens, a, d, y1, y2, y3):
 
 @kernel
 def project_borders(lens, a, d, circles, borders, circle_images, line_images):
-    """Write what the parts' borders are in the picture.
+    """Write the images of the parts' borders.
 
-    circle_images: (n, 4): u, v, radius, px, group (radius -1 where it is behind the camera). line_images: (m, 5): both
-    ends, px, group (nan where it is behind the camera).
+    circle_images: (n, 4): u, v, radius, px, group (radius -1 if behind the camera). line_images: (m, 5): both
+    ends, px, group (nan if behind the camera).
     """
     for i in range(circles.shape[0]):
         c = circles[i]
@@ -75,7 +75,7 @@ def project_borders(lens, a, d, circles, borders, circle_images, line_images):
 
 @kernel
 def _distance(u, v, s):
-    """Return the distance of (u, v) from the straight piece ``s``, px; nan where there is none."""
+    """Return the distance of (u, v) from the line segment ``s``, px; nan if there is none."""
     du, dv = s[2] - s[0], s[3] - s[1]
     square = du * du + dv * dv
     along = 0.0
@@ -102,7 +102,7 @@ def _clearance(u, v, group, circle_images, line_images):
 
 @kernel
 def _reach(u, v, nu, nv, wanted, half_length, guard, group, circle_images, line_images):
-    """Return how far along (nu, nv) from (u, v) no other border is near, at most ``wanted``, px."""
+    """Return the free distance from (u, v) along (nu, nv) to other borders, at most ``wanted``, px."""
     needed = guard + half_length * 0.5
     free = _clearance(u, v, group, circle_images, line_images) - needed
     if free >= wanted:
@@ -110,7 +110,7 @@ def _reach(u, v, nu, nv, wanted, half_length, guard, group, circle_images, line_
     if free < 0.0:
         return -1.0
     reach = free
-    for _ in range(4):  # a ball of what is free, at the end of what is known to be free
+    for _ in range(4):  # sphere tracing: advance by the free distance at the current end
         free = _clearance(u + reach * nu, v + reach * nv, group, circle_images, line_images) - needed
         if free <= 0.05:
             break
@@ -125,7 +125,7 @@ def _in_picture(lens, u, v, margin):
 
 @kernel
 def _finish(sample, lens, wanted, least, blur, group, circle_images, line_images):
-    """Set how far the strip reaches; return whether enough of it is free and in the picture."""
+    """Set the extent of the strip; return whether enough of it is free and in the image."""
     if not _in_picture(lens, sample.u, sample.v, wanted + 0.5 * sample.length + 0.5 * sample.width):
         return False
     guard = _GUARD_SIGMAS * blur
@@ -206,7 +206,7 @@ def _place_on_line(
     samples,
     count,
 ):
-    """side: 0 for the line itself, +-1 for that border of a wide bar."""
+    """Place samples on a line; side: 0 for the line itself, +-1 for that border of a wide bar."""
     e1, e2 = line.b1 - line.a1, line.b2 - line.a2
     size = math.hypot(e1, e2)
     m1, m2 = side * 0.5 * line.width * e2 / size, -side * 0.5 * line.width * e1 / size
@@ -228,7 +228,7 @@ def _place_on_line(
         if count >= samples.shape[0]:
             return count
         share = (guard + (i + 0.5) * free / pieces) / long
-        # the same share of the way in C, seen in perspective
+        # the corresponding fraction in C, by perspective
         share = share * d0 / (d1 + share * (d0 - d1))
         y1, y2 = line.a1 + m1 + share * e1, line.a2 + m2 + share * e2
         u, v, depth = _project(lens, a, d, y1, y2, line.y3)
@@ -251,8 +251,8 @@ def _place_on_line(
 def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, wide_bar, wanted, samples):
     """Write the samples of all parts under the pose a (3, 3), d (3,), m; return how many.
 
-    blur: px, 1 sigma of an edge. length: px along the edge; most: samples at most of one edge. wide_bar: px,
-    a bar wider than this is measured at each side for itself. wanted: px to each side.
+    blur: px, 1 sigma of an edge. length: px along the edge; most: largest number per edge. wide_bar: px, bars wider
+    than this are measured at each side separately. wanted: px, half width of the strips.
     """
     circle_images, line_images = np.empty((circles.shape[0], 4)), np.empty((borders.shape[0], 5))
     project_borders(lens, a, d, circles, borders, circle_images, line_images)

@@ -1,4 +1,4 @@
-"""Measures edges: first roughly along the normal, then to a small part of a pixel by fitting the blurred profile."""
+"""Edge measurement: fit of the blurred profile to the pixels of each edge sample, to a fraction of a pixel."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from hil.maths import cholesky
 from hil.monitor.kernels.edge_samples import BAR
 
 _ROOT_2PI = math.sqrt(2.0 * math.pi)
-_FLAT = 4.5  # widths of the blur from an edge where the picture is taken for flat
+_FLAT = 4.5  # blur widths from an edge beyond which the image is taken as uniform
 MOST_PIXELS = 400
 
 
 @kernel
-def _share(z):
+def _normal_cdf(z):
     """Return the normal distribution function and its density, to 1e-7 (Abramowitz and Stegun 7.1.26): one exp."""
     bell = math.exp(-0.5 * z * z)
     t = 1.0 / (1.0 + 0.3275911 * 0.7071067811865476 * abs(z))
@@ -29,7 +29,7 @@ def _share(z):
 def gather(image, first_line, line_step, sample, s, grey):
     """Write the signed distances from the edge, px, and grey values of the strip's pixels; return how many.
 
-    image: (h, w), uint8; its line r is the picture's line ``first_line + line_step r``.
+    image: (h, w), uint8; its row r is line ``first_line + line_step r`` of the full image.
     """
     nu, nv = sample.nu, sample.nv
     tu, tv = -nv, nu
@@ -63,7 +63,7 @@ def gather(image, first_line, line_step, sample, s, grey):
 
 @kernel
 def _plateaus(s, grey, count, inner, outer):
-    """Return the mean grey values where s < inner and s > outer (nan where there is no pixel)."""
+    """Return the mean grey values for s < inner and s > outer (nan without pixels)."""
     low, high, n_low, n_high = 0.0, 0.0, 0, 0
     for i in range(count):
         if s[i] < inner:
@@ -77,7 +77,7 @@ def _plateaus(s, grey, count, inner, outer):
 
 @kernel
 def _middle(s, grey, count, reach):
-    """Return the mean grey value where |s| < reach (nan where there is no pixel)."""
+    """Return the mean grey value for |s| < reach (nan without pixels)."""
     total, n = 0.0, 0
     for i in range(count):
         if abs(s[i]) < reach:
@@ -93,7 +93,7 @@ def _step_row(s, blur, x, row):
     if abs(z) > _FLAT:
         row[0], row[1], row[2], row[3] = (1.0, 0.0, 0.0, 0.0) if z > 0.0 else (0.0, 1.0, 0.0, 0.0)
         return x[0] if z > 0.0 else x[1]
-    share, bell = _share(z)
+    share, bell = _normal_cdf(z)
     bell *= (x[0] - x[1]) / blur
     row[0], row[1], row[2], row[3] = share, 1.0 - share, bell, -bell * z
     return x[1] + (x[0] - x[1]) * share
@@ -103,8 +103,8 @@ def _step_row(s, blur, x, row):
 def _bar_row(s, half, blur, x, row):
     """Write the derivatives of a bar's model to (bar, outside, shift, other side); return its value."""
     z1, z2 = (s + half - x[2]) / blur, (s - half - x[2]) / blur
-    g1, bell_1 = _share(z1)
-    g2, bell_2 = _share(z2)
+    g1, bell_1 = _normal_cdf(z1)
+    g2, bell_2 = _normal_cdf(z2)
     row[0], row[1], row[3] = g1 - g2, g2, 1.0 - g1
     row[2] = -((x[0] - x[3]) * bell_1 + (x[1] - x[0]) * bell_2) / blur
     return x[0] * row[0] + x[1] * row[1] + x[3] * row[3]
@@ -115,8 +115,8 @@ def fit_edge_samples(image, first_line, line_step, samples, count, blur, noise, 
     """Fit the blurred edge (bar) to each sample's pixels: its shift, variance, grey values and misfit.
 
     blur: px, 1 sigma of an edge, the pixel's own width included. noise: (2,), variance of a pixel
-    ``noise[0] + noise[1] * grey``. turns: of Gauss-Newton. sums: (2,), what the edges say of the blur: gradient and
-    weight of one more Gauss-Newton step in it.
+    ``noise[0] + noise[1] * grey``. turns: number of Gauss-Newton steps. sums: (2,), gradient and weight of one more
+    Gauss-Newton step in the blur.
     """
     s, grey = np.empty(MOST_PIXELS), np.empty(MOST_PIXELS)
     normal, right, step, x, row = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(4), np.empty(4)
@@ -129,13 +129,13 @@ def fit_edge_samples(image, first_line, line_step, samples, count, blur, noise, 
         if n < 8:
             continue
         half = 0.5 * sample.width
-        shrink = 0.5 * sample.curvature * blur * blur  # a blurred round edge stands this much inside
+        shrink = 0.5 * sample.curvature * blur * blur  # inward displacement of a blurred round edge
         x[2] = 0.0
         if bar:
             x[3], x[1] = _plateaus(s, grey, n, -half - blur, half + blur)
             middle = _middle(s, grey, n, max(0.3 * half, 0.75))
             beside = 0.5 * (x[1] + x[3])
-            x[0] = beside + (middle - beside) / max(2.0 * _share(0.7 * half / blur)[0] - 1.0, 0.2)
+            x[0] = beside + (middle - beside) / max(2.0 * _normal_cdf(0.7 * half / blur)[0] - 1.0, 0.2)
         else:
             for i in range(n):
                 s[i] += shrink
@@ -162,7 +162,7 @@ def fit_edge_samples(image, first_line, line_step, samples, count, blur, noise, 
             continue
         _keep(sample, x, factor, known, misfit, n, bar)
         if not bar:
-            _ask_blur(normal, right, factor, step, sums, sample)
+            _add_blur_sums(normal, right, factor, step, sums, sample)
 
 
 @kernel
@@ -202,8 +202,8 @@ def _keep(sample, x, factor, known, misfit, n, bar):
 
 
 @kernel
-def _ask_blur(normal, right, factor, step, sums, sample):
-    """Add to ``sums`` what is left of the blur's gradient and weight once the sample's own three are taken out."""
+def _add_blur_sums(normal, right, factor, step, sums, sample):
+    """Add to ``sums`` the gradient and weight of the blur after elimination of the sample's own three parameters."""
     for i in range(3):
         step[i] = normal[3, i]
     cholesky.solve(factor, 3, step, step)

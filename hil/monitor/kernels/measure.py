@@ -17,21 +17,21 @@ MEASURED, TOO_FEW, UNSOLVED = range(3)
 
 TUNING = np.dtype(
     [
-        ("length", "f8"),  # px, of a sample along its edge
-        ("most", "i8"),  # samples of one edge
-        ("wide_bar", "f8"),  # widths of the blur from which each side of a bar is an edge of its own
-        ("wanted", "f8"),  # px to each side of an edge
+        ("length", "f8"),  # px, length of a sample along its edge
+        ("most", "i8"),  # largest number of samples per edge
+        ("wide_bar", "f8"),  # blur widths beyond which each side of a bar is measured as a separate edge
+        ("wanted", "f8"),  # px, half width of a strip
         ("reject", "f8"),  # sigmas beyond which a sample's shift is an outlier
-        ("prior_angle", "f8"),  # rad, 1 sigma of the passive angles before anything is measured
-        ("prior_growth", "f8"),  # px, 1 sigma of the edges' growth
-        ("near_bar", "f8"),  # px, narrower bars are no measure
+        ("prior_angle", "f8"),  # rad, prior 1 sigma of the passive angles
+        ("prior_growth", "f8"),  # px, prior 1 sigma of the edges' growth
+        ("near_bar", "f8"),  # px, narrower bars are not used
         ("rounds", "i8"),
     ],
     align=True,
 )
 
 CAMERA_STATE = np.dtype([("blur", "f8"), ("noise_0", "f8"), ("noise_1", "f8")], align=True)
-"""What the frames so far say of the camera: 1 sigma of an edge, px; variance of a pixel, noise_0 + noise_1 grey."""
+"""Camera as estimated from the frames so far: 1 sigma of an edge, px; variance of a pixel, noise_0 + noise_1 grey."""
 
 _SMALLEST_NOISE = 1.0 / 12.0  # rounding to whole grey values
 _FEWEST = 12
@@ -39,8 +39,10 @@ _FEWEST = 12
 
 @kernel
 def align_pose(image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, reach, least, samples):
-    """Move ``x`` (7,), a pose some pixels off, to within a fraction of a pixel; return how many samples
-    agree, and the share of all samples that they are."""
+    """Refine ``x`` (7,), a pose with an error of several pixels, to within a fraction of a pixel.
+
+    Return the number of samples that agree, and their fraction of all samples.
+    """
     prior = np.empty(2)
     prior[0], prior[1] = tuning.prior_angle, 0.01
     normal = np.empty((UNKNOWNS, UNKNOWNS))
@@ -64,7 +66,7 @@ def align_pose(image, first_line, line_step, lens, circles, lines, borders, x, c
 
 @kernel
 def _update_noise(samples, count, camera):
-    """Fit the pixels' variance against the grey value to what the samples' pixels leave unexplained."""
+    """Fit the pixels' variance as a function of the grey value to the residuals of the samples."""
     ratios = np.empty(count)
     n = 0
     for c in range(count):
@@ -94,7 +96,7 @@ def _update_noise(samples, count, camera):
         return
     mean_level, mean = s1 / s0, t0 / s0
     spread = s2 - s1 * mean_level
-    # a slope that the few levels of a picture hardly tell is held at none
+    # a slope that the few levels of an image hardly determine is held at zero
     doubt = 1.0 / max(mean / max(mean_level, 1.0), 1e-6) ** 2
     slope = (t1 - t0 * mean_level) / (spread + doubt)
     slope = min(max(slope, 0.0), 0.9 * mean / max(mean_level, 1.0))
@@ -104,7 +106,7 @@ def _update_noise(samples, count, camera):
 
 @kernel
 def drop_outliers(samples, count, left, reject):
-    """Set good = 2 where a shift is more than ``reject`` sigmas off, sigma widened by what most shifts scatter."""
+    """Set good = 2 if a shift is more than ``reject`` sigmas off, sigma inflated by the scatter of most shifts."""
     ratios = np.empty(count)
     n = 0
     for c in range(count):
@@ -126,10 +128,10 @@ def drop_outliers(samples, count, left, reject):
 
 @kernel
 def square_sums(samples, count, left, clusters, sums):
-    """Write what the residuals ``left`` say of the sigmas; sums (4,).
+    """Write the square sums of the residuals ``left`` relative to their sigmas; sums (4,).
 
-    Square sum of the samples' residuals in their sigmas, number of samples; the same of the means of the straight edges
-    and arcs: errors that the samples of one edge share show there.
+    Square sum over the samples, number of samples; the same of the means of the straight edges and arcs, which show
+    errors common to the samples of one edge.
     """
     total, n = 0.0, 0
     weights, means = np.zeros(clusters), np.zeros(clusters)
@@ -149,7 +151,7 @@ def square_sums(samples, count, left, clusters, sums):
 
 @kernel
 def _leave_out(samples, count, used, camera, near_bar):
-    """Drop samples of features that are not used, bars too narrow to measure, and shifts too uncertain."""
+    """Exclude samples of features that are not used, bars too narrow to measure, and shifts too uncertain."""
     for c in range(count):
         sample = samples[c]
         if sample.good != 1:
@@ -168,9 +170,9 @@ def _leave_out(samples, count, used, camera, near_bar):
 def measure(
     image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, used, samples, left, normal, sums
 ):
-    """Measure the pose ``x`` (7,), which is right to about a pixel; return (status, number of samples).
+    """Measure the pose ``x`` (7,), accurate to about a pixel; return (status, number of samples).
 
-    camera: CAMERA_STATE, brought up to date. used: (features,), 1 where a feature takes part. left: residuals, px.
+    camera: CAMERA_STATE, updated. used: (features,), 1 if a feature is used. left: residuals, px.
     normal: (7, 7), of the edges alone. sums: (4,) of ``square_sums``.
     """
     prior, noise, blur_sums = np.empty(2), np.empty(2), np.empty(2)
@@ -203,7 +205,7 @@ def measure(
 
 @kernel
 def label_contrasts(image, first_line, line_step, lens, x, circles, out):
-    """Write how each small circle (group < 0) stands out: mean grey inside minus that around it (nan: not to be seen).
+    """Write the contrast of each small circle (group < 0): mean grey inside minus that around it (nan if not visible).
 
     out: (circles,).
     """

@@ -1,4 +1,4 @@
-"""Patterns inside of a circle: the cross on the disc, the boxes on the ship. Scored by how well two classes part."""
+"""Patterns in a circle: the cross on the disc, the boxes on the ship, scored by correlation with the grey values."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from hil.core.jit import kernel
 
 Floats = NDArray[np.float64]
 
-LARGEST_ROLL: Final = math.radians(40.0)  # beyond 45 deg a cross is another cross
+LARGEST_ROLL: Final = math.radians(40.0)  # the cross is symmetric under 90 deg
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """Points (n, 2), m, about the pattern's middle, with class +1 or -1 (n,)."""
+    """Points (n, 2), m, relative to the pattern's middle, with class +1 or -1 (n,)."""
 
     points_m: Floats
     classes: Floats
 
 
 def cross_pattern(target: Target) -> Pattern:
-    """Return points on the cross (+1) and beside its bars (-1)."""
+    """Return points on the cross (+1) and next to its bars (-1)."""
     assert target.cross is not None
     arm, half = target.cross.arm_length_m, 0.5 * target.cross.arm_width_m
     along = np.linspace(0.15, 0.92, 9) * arm
@@ -48,7 +48,7 @@ def cross_pattern(target: Target) -> Pattern:
 
 
 def boxes_pattern(target: Target) -> Pattern:
-    """Return points on the boxes (+1) and around them (-1), about the outline's middle."""
+    """Return points on the boxes (+1) and around them (-1), relative to the outline's middle."""
     assert target.outline is not None
     c1, c2 = target.outline.center_m
     rows, classes = [], []
@@ -69,7 +69,7 @@ def boxes_pattern(target: Target) -> Pattern:
 def pattern_score(image, left, top, line_step, points, classes, u, v, scale, roll):
     """Return the correlation of the grey values at the pattern's points with their classes, -1..1.
 
-    image: (h, w), uint8, its first pixel at (left, top). scale: px/m. roll: rad, of the pattern in the picture.
+    image: (h, w), uint8, its first pixel at (left, top). scale: px/m. roll: rad, of the pattern in the image.
     """
     c, s = math.cos(roll) * scale, math.sin(roll) * scale
     n, plus = 0, 0
@@ -97,9 +97,9 @@ def pattern_score(image, left, top, line_step, points, classes, u, v, scale, rol
 
 @kernel
 def best_pattern(image, left, top, line_step, points, classes, place, scale, reach, steps, rolls, largest_roll, out):
-    """Search the pattern about ``place`` (2,), px, and refine; write (u, v, roll) to ``out``; return the correlation.
+    """Search the pattern around ``place`` (2,), px, and refine; write (u, v, roll) to ``out``; return the correlation.
 
-    reach: px each way, in ``steps`` each way; rolls: so many each way up to largest_roll.
+    reach: px in each direction, in ``steps`` steps; rolls: number of steps in each direction up to largest_roll.
     """
     best = 0.0
     for i in range(-steps, steps + 1):

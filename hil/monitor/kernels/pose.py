@@ -1,7 +1,7 @@
-"""The camera's pose from the measured shifts of edges: Gauss-Newton on d and phi with the exact projection.
+"""Pose of the camera from the measured shifts of edges: Gauss-Newton on d and phi with the exact projection.
 
-A seventh unknown is the edges' growth, px: by how much every border of a part stands outside of where the geometry
-has it. Cameras and renderers have one (irradiation, thresholds, rounding); taken for zero it would pass for range.
+A seventh unknown is the edges' growth, px: the displacement common to all borders of parts, outwards from the
+geometry. Cameras and renderers have one (irradiation, thresholds, rounding); if neglected it biases the range.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from hil.monitor.kernels.edge_samples import STEP
 
 UNKNOWNS = 7
 
-_TURN = 1e-5  # rad, half the step of the difference quotients of the attitude: good to 1e-10
+_TURN = 1e-5  # rad, half step of the difference quotients of the attitude: error 1e-10
 
 
 @kernel
 def attitude_derivatives(phi, out):
-    """Write the derivatives (3, 3, 3) of the attitude A to phi: out[k] = dA / dphi_k."""
+    """Write the derivatives (3, 3, 3) of the attitude A with respect to phi: out[k] = dA / dphi_k."""
     turned = np.empty(3)
     for k in range(3):
         for i in range(3):
@@ -38,9 +38,9 @@ def attitude_derivatives(phi, out):
 
 @kernel
 def point_row(lens, a, slopes, d, y1, y2, y3, nu, nv, row):
-    """Write the derivatives (6,) of ``nu u + nv v`` of a point of C to (d, phi); return u, v (nan behind the camera).
+    """Write the derivatives (6,) of ``nu u + nv v`` of a point of C by (d, phi); return u, v (nan behind the camera).
 
-    a: (3, 3), slopes: (3, 3, 3) of ``attitude_derivatives``.
+    a: (3, 3), slopes: (3, 3, 3) from ``attitude_derivatives``.
     """
     r1, r2, r3 = y1 - d[0], y2 - d[1], y3 - d[2]
     x1 = a[0, 0] * r1 + a[1, 0] * r2 + a[2, 0] * r3
@@ -64,7 +64,7 @@ def point_row(lens, a, slopes, d, y1, y2, y3, nu, nv, row):
 
 @kernel
 def _add_prior(normal, right, x, prior):
-    """Say what is known beforehand, as far as the edges leave it open.
+    """Add the prior information, which matters only for what the edges leave open.
 
     prior: (2,), 1 sigma of d1/d3 and d2/d3, rad (the passive angles are small), and of the growth, px.
     """
@@ -81,10 +81,10 @@ def _add_prior(normal, right, x, prior):
 def fit_pose(lens, samples, count, pose, robust, prior, turns, normal):
     """Improve ``pose`` (7,): d, m, phi, rad, growth, px, by the shifts of the samples.
 
-    normal: (7, 7), becomes the normal matrix of the edges alone.
+    normal: (7, 7), overwritten by the normal matrix of the edges alone.
 
-    Cells with good = 1 take part. robust: px; above 0, samples are weighted alike but for Tukey's weight of that
-    reach; at 0 by the inverse of their variance. Returns whether the pose is determined (with the prior).
+    Samples with good = 1 are used. robust: px; above 0, samples have equal weight times Tukey's weight of that
+    scale; at 0 the inverse of their variance. Return whether the pose is determined (with the prior).
     """
     a = docking_view.attitude(pose[3:6])
     slopes, row = np.empty((3, 3, 3)), np.empty(UNKNOWNS)
@@ -131,7 +131,7 @@ def fit_pose(lens, samples, count, pose, robust, prior, turns, normal):
 
 @kernel
 def residuals(lens, samples, count, pose, left):
-    """Write each sample's shift against where ``pose`` has the edge, px (nan for samples that are not good)."""
+    """Write each sample's shift minus the edge's shift under ``pose``, px (nan for samples that are not good)."""
     a = docking_view.attitude(pose[3:6])
     p = np.empty(3)
     for c in range(count):

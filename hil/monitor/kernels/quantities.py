@@ -1,4 +1,4 @@
-"""Range, rate, passive angles and line of sight from the motion, with their covariance."""
+"""Quantities of the docking monitor (range, rate, passive angles, line of sight) from its motion or another pose."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hil.monitor.results import QUANTITIES
 Floats = NDArray[np.float64]
 
 _STEP: Final = 1e-6
-_POSE_STEP = 1e-5  # m and rad, half the step of the difference quotients
+_POSE_STEP = 1e-5  # m and rad, half step of the difference quotients
 
 
 @kernel
@@ -76,7 +76,7 @@ def of_chaser(mounting, r_CT_H, q_CH, values):
 
 @kernel
 def _of_moved(mounting, z_TC_C, q_CH, k, step, values):
-    """Write QUANTITIES for the measured pose with its error's component k (z_TC_C, then the turn of c) at ``step``."""
+    """Write QUANTITIES of the measured pose with component k of its error (z_TC_C, rotation of c) equal to ``step``."""
     turn, z = np.zeros(3), z_TC_C.copy()
     if k < 3:
         z[k] += step
@@ -91,7 +91,7 @@ def _of_moved(mounting, z_TC_C, q_CH, k, step, values):
 
 @kernel
 def of_measured_pose(mounting, z_TC_C, covariance_position, q_CH, covariance_attitude, values, sigmas):
-    """Write QUANTITIES and their sigmas, (12,) each, SI, of a measured pose (POSE); the range rate stays nan."""
+    """Write QUANTITIES and their sigmas, (12,) each, SI, of a measured pose (POSE); the range rate is nan."""
     ahead, behind, slopes = np.empty(12), np.empty(12), np.empty((12, 6))
     _of_moved(mounting, z_TC_C, q_CH, 0, 0.0, values)
     for k in range(6):

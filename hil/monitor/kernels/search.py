@@ -1,4 +1,4 @@
-"""Rough search for edges along their normals, for a pose that is some pixels off."""
+"""Coarse search for edges along their normals, for a pose with an error of several pixels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _MOST = 129
 
 @kernel
 def interpolate(image, first_line, line_step, u, v):
-    """Return the grey value at (u, v), px, between the four pixels around it; nan outside of the picture."""
+    """Return the grey value at (u, v), px, by bilinear interpolation; nan outside of the image."""
     r = (v - first_line) / line_step
     i, j = math.floor(r), math.floor(u)
     if i < 0 or j < 0 or i + 1 >= image.shape[0] or j + 1 >= image.shape[1]:
@@ -45,7 +45,7 @@ def _profile(image, first_line, line_step, sample, steps, out):
 
 @kernel
 def search_edge_samples(image, first_line, line_step, samples, count, reach, least):
-    """Set each sample's shift to where the profile across it is steepest (darkest or brightest, for a bar).
+    """Set each sample's shift to the steepest point of the profile across it (darkest or brightest, for a bar).
 
     reach: px to each side. least: grey values, smaller steps are noise. ``low``, ``high``: grey values on both sides.
     """

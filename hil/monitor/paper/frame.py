@@ -1,6 +1,6 @@
-"""The paper's own measures of a frame: cross centre by two orthogonal lines, circle by Gauss-Newton (section 3).
+"""The paper's measurements of a frame: cross centre by two orthogonal lines, circle by Gauss-Newton (section 3).
 
-Image axes as in 3.1: X = u - cx to the right, Y = cy - v up. There the bar across has the slope a = -phi3; the
+Image axes as in 3.1: X = u - cx to the right, Y = cy - v up. In them the bar across has the slope a = -phi3; the
 second residual is ``U + a V - c2`` and the centre ``((a c1 + c2), (a c2 - c1)) / (1 + a^2)`` (decision 93).
 """
 
@@ -25,7 +25,7 @@ def cross_centre(across: Floats, upright: Floats) -> tuple[Floats, Floats]:
     """Return (X_C, Y_C, a) and their covariance (3, 3) by linear least squares on two orthogonal lines.
 
     across, upright: (n, 4): X, Y, px, the variance across the bar, px^2, and the side of the bar (-1, 1; 0 for points
-    of its centre line). The bars' half widths are unknowns as well, so that pairs of points count by their middle.
+    of its centre line). The half widths of the bars are unknowns too, so that pairs of points contribute their middle.
     """
     wide = bool(np.any(across[:, 3] != 0.0)), bool(np.any(upright[:, 3] != 0.0))
     rows = np.zeros((len(across) + len(upright), 5))
@@ -51,7 +51,7 @@ def cross_centre(across: Floats, upright: Floats) -> tuple[Floats, Floats]:
 
 
 def first_circle(points: Floats) -> Floats:
-    """Return (X, Y, R) of a circle by elementary geometry: linear least squares on its equation; points (n, 2)."""
+    """Return (X, Y, R) of a circle by linear least squares on its equation; points (n, 2)."""
     middle = points.mean(axis=0)
     local = points - middle
     rows = np.column_stack((2.0 * local, np.ones(len(points))))
@@ -77,7 +77,7 @@ def circle(points: Floats, variances: Floats) -> tuple[Floats, Floats]:
 
 
 def paper_frame(lens: Floats, samples: Any) -> PaperFrame | None:
-    """Return X_C, Y_C, a, X_O, Y_O, R of the measured samples, or None where there are not enough of them."""
+    """Return X_C, Y_C, a, X_O, Y_O, R of the measured samples, or None if there are too few."""
     used = samples["good"] == 1
     x = samples["u"] + samples["shift"] * samples["nu"] - lens[1]
     y = lens[2] - samples["v"] - samples["shift"] * samples["nv"]

@@ -1,9 +1,9 @@
-"""Motion as the paper has it (3.2): Gauss-Newton on z over X_C - X_O, Y_C - Y_O, R, then regressions for v.
+"""Motion as printed in the paper (3.2): Gauss-Newton on z over X_C - X_O, Y_C - Y_O, R, then regressions for v.
 
 "corrected": covariances propagated, sigma^2 of the portion's own residuals with their degrees of freedom, time from
-the portion's last frame with the state carried on. "printed": P = sigma^2 B^-1, one time origin, divisors 3K - 6 and
-K - 2, the prior's share included. The printed U with its second row of zeros would give rates no variance: in both
-it is [[1, t], [0, 1]].
+the portion's last frame with the state carried over. "printed": P = sigma^2 B^-1, one time origin, divisors 3K - 6
+and K - 2, the prior's contribution included. The printed U with its second row of zeros would give rates without
+variance: in both cases it is [[1, t], [0, 1]].
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ class PaperState:
 
 
 def pair(t: float) -> Floats:
-    """Return the matrix (6, 6) that takes (z1, z2, ...) from a time origin to one ``t``, s, later."""
+    """Return the matrix (6, 6) that transforms (z1, z2, ...) to a time origin later by ``t``, s."""
     return np.kron(np.eye(3), np.array([[1.0, t], [0.0, 1.0]]))
 
 
 class PaperMotionFit:
-    """Fits portion after portion of the paper's six quantities a frame."""
+    """Fits one portion after another from the paper's six quantities per frame."""
 
     def __init__(self, settings: MonitorSettings, focal: float, offset: float, radius: float) -> None:
         self._settings = settings
@@ -53,11 +53,11 @@ class PaperMotionFit:
         self.previous: PaperState | None = None
 
     def reset(self) -> None:
-        """Start anew with the next portion."""
+        """Restart with the next portion."""
         self.previous = None
 
     def fit(self, frames: Sequence[FrameResult], t_s: float) -> MotionSolution | None:
-        """Return the motion at ``t_s`` by the used frames ``frames``; None where it is not determined."""
+        """Return the motion at ``t_s`` from the used frames; None if it is not determined."""
         used = [(frame.detection.t_s, frame.paper) for frame in frames if frame.paper is not None]
         if len(used) < 3:
             return None
@@ -91,7 +91,7 @@ class PaperMotionFit:
         return PaperState(origin, t_s, z, z_normal, z_covariance, v, v_normal, v_covariance), squares
 
     def _model(self, times: Floats, z: Floats) -> tuple[Floats, Floats]:
-        """Return X_C - X_O, Y_C - Y_O, R of the motion z, (n, 3), and their slopes (n, 3, 6)."""
+        """Return X_C - X_O, Y_C - Y_O, R of the motion z, (n, 3), and their derivatives (n, 3, 6)."""
         f, b, r = self._f, self._b, self._r
         d1, d2, d3 = (z[2 * i] + z[2 * i + 1] * times for i in range(3))
         gap = f * b / (d3 * (d3 - b))
@@ -137,7 +137,7 @@ class PaperMotionFit:
         if self._printed:
             square = (own + float((z - z0) @ c @ (z - z0))) / freedom
             return z, normal, square * inverse, square
-        # the fit takes as many degrees of freedom from the residuals as the portion itself determines
+        # the residuals lose as many degrees of freedom as the portion itself determines
         square = own / max(3.0 * len(times) - float(np.trace(inverse @ information)), 1.0)
         return z, normal, inverse @ (c @ p0 @ c + max(square, 1e-3) * information) @ inverse, square
 
@@ -186,7 +186,7 @@ class PaperMotionFit:
         covariance = np.zeros((12, 12))
         covariance[:6, :6], covariance[6:, 6:] = pz, pv
         if not self._printed:
-            # alpha is what remains of the pointing once the position is taken off: errors of d go over to phi
+            # alpha is the pointing minus the effect of the position: errors of d propagate to phi
             share = np.zeros((6, 6))
             for angle, place in ((0, 1), (1, 0)):
                 for k in range(2):

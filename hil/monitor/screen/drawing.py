@@ -1,4 +1,4 @@
-"""Pens of the monitor's screen: colours that every eye tells apart, sub-pixel lines and marks, small text."""
+"""Drawing on the monitor's screen: colours for all types of colour vision, sub-pixel lines and marks, small text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Canvas = NDArray[np.uint8]
 Colour = tuple[int, int, int]  # blue, green, red
 
-# Okabe and Ito's palette: told apart with any colour blindness, on black
+# palette of Okabe and Ito: distinguishable with any colour blindness, on black
 ORANGE: Final[Colour] = (0, 159, 230)
 SKY: Final[Colour] = (233, 180, 86)
 
@@ -65,7 +65,7 @@ def dots(canvas: Canvas, points: NDArray[np.float64], colour: Colour) -> None:
 
 
 def mark(canvas: Canvas, shape: int, u: float, v: float, colour: Colour) -> None:
-    """Draw the mark of the series ``shape``: 0 a circle, 1 a square, 2 a triangle."""
+    """Draw the mark of series ``shape``: 0 a circle, 1 a square, 2 a triangle."""
     if shape == 0:
         circle(canvas, u, v, 2.5, colour)
         return
@@ -75,7 +75,7 @@ def mark(canvas: Canvas, shape: int, u: float, v: float, colour: Colour) -> None
 
 
 def band(canvas: Canvas, upper: NDArray[np.float64], lower: NDArray[np.float64], colour: Colour, share: float) -> None:
-    """Shade what lies between two lines, (n, 2) each, px, by ``share`` of ``colour``."""
+    """Shade the area between two lines, (n, 2) each, px, with opacity ``share`` of ``colour``."""
     outline = np.vstack((upper, lower[::-1]))
     low = np.maximum(np.floor(outline.min(axis=0)).astype(int), 0)
     high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 1, canvas.shape[1::-1])

@@ -1,6 +1,6 @@
-"""What is drawn over a frame of the docking monitor: region, circles, cross, edges, and words, as shapes in pixels.
+"""Overlay of a docking monitor frame: region, circles, cross, edges and text, as shapes in pixels.
 
-The monitor's screen paints them, the console's page and recordings take them as they are.
+The monitor's screen draws them; the console's page and recordings use them as they are.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from hil.core.camera_images import Shape
 from hil.monitor.results import FrameDetection, Portion
 
 REGION, CIRCLE, CROSS, EDGE, STATUS, NUMBER = "region", "circle", "cross", "edge", "status", "number"
-"""Parts: region of interest, outline and disc, the cross' bars, measured points, lines of words."""
+"""Parts: region of interest, outline and disc, bars of the cross, measured points, lines of text."""
 
 _DEG: Final = 180.0 / math.pi
-NUMBERS: Final = (  # quantity, what stands before it, unit, what one unit is in SI, decimals
+NUMBERS: Final = (  # quantity, label, unit, display units per SI unit, decimals
     ("range_m", "range", "m", 1.0, 3),
     ("range_rate_mps", "range rate", "m/s", 1.0, 4),
     ("pitch_passive_rad", "passive pitch", "deg", _DEG, 3),
@@ -31,14 +31,14 @@ NUMBERS: Final = (  # quantity, what stands before it, unit, what one unit is in
     ("d2_m", "d2", "m", 1.0, 4),
     ("d3_m", "d3", "m", 1.0, 4),
 )
-_OVER_THE_PICTURE: Final = ("range_m", "range_rate_mps", "pitch_passive_rad", "yaw_passive_rad", "phi3_rad")
+_OVERLAID: Final = ("range_m", "range_rate_mps", "pitch_passive_rad", "yaw_passive_rad", "phi3_rad")
 _MOST_EDGES: Final = 120
 _LEFT_PX: Final = 8
 _LINE_PX: Final = 17
 
 
 def shapes(seen: FrameDetection) -> list[Shape]:
-    """Return what was found in a frame, in px of the whole picture, but for its edges."""
+    """Return the shapes of the features detected in a frame, without its edges, in px of the full image."""
     found: list[Shape] = []
     good = not is_bad(seen.status)
     if seen.region is not None:
@@ -63,14 +63,14 @@ def shapes(seen: FrameDetection) -> list[Shape]:
 
 
 def caption(seen: FrameDetection) -> str:
-    """Return what is said of a frame in a line."""
+    """Return the caption of a frame, one line."""
     return f"{seen.status}   t = {seen.t_s:.2f} s   frame {seen.number}"
 
 
 def annotated_shapes(seen: FrameDetection, portion: Portion | None) -> list[Shape]:
-    """Return all that is drawn over a picture that stands by itself; what matters most comes first.
+    """Return all shapes of a stand-alone image, the most important first.
 
-    portion: the newest one, whose numbers stand under the status. Of many edges every so-manieth is shown.
+    portion: the latest one, whose values are listed below the status. Of many edges only every n-th is shown.
     """
     lines = [(caption(seen), not is_bad(seen.status), STATUS), *_numbers(portion)]
     found: list[Shape] = [
@@ -92,14 +92,14 @@ def _numbers(portion: Portion | None) -> list[tuple[str, bool, str]]:
         return []
     found = []
     for quantity, name, unit, factor, decimals in NUMBERS:
-        if quantity in _OVER_THE_PICTURE and portion.observes(quantity):
+        if quantity in _OVERLAID and portion.observes(quantity):
             value, sigma = portion.value(quantity) * factor, portion.sigma(quantity) * factor
             found.append((f"{name} {value:.{decimals}f} +- {sigma:.{decimals + 1}f} {unit}", True, NUMBER))
     return found
 
 
 def is_bad(status: str) -> bool:
-    """Return whether a frame or portion of ``status`` has nothing to say."""
+    """Return whether a frame or portion of ``status`` has no values."""
     return status == "no_target" or status.startswith("rejected")
 
 

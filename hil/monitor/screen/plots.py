@@ -1,6 +1,6 @@
-"""Plots that grow with the portions: the values of the monitor paper's Fig. 5 and the sigmas of its Fig. 6.
+"""Plots over the portions so far: the values of the monitor paper's Fig. 5 and the sigmas of its Fig. 6.
 
-As in the paper the vertices alone are results; the links between them only lead the eye, and stop where a quantity
+As in the paper only the vertices are results; the lines between them are interrupted if a quantity
 was not observable.
 """
 
@@ -27,7 +27,7 @@ _CLOSEST_MARKS_PX: Final = 6.0
 
 @dataclass(frozen=True)
 class Curve:
-    """A quantity in a plot: its column, what one unit of the axis is in SI, its name beside the mark."""
+    """A quantity in a plot: its column, the axis unit per SI unit, its name next to the mark."""
 
     quantity: str
     unit: float
@@ -61,7 +61,7 @@ PLOTS: Final = (
 
 
 def ticks(low: float, high: float, at_most: int) -> Floats:
-    """Return round numbers, 1, 2 or 5 of a power of ten apart, within low to high: no more than ``at_most``."""
+    """Return round numbers, 1, 2 or 5 times a power of ten apart, within low to high, at most ``at_most``."""
     raw = (high - low) / max(at_most, 1)
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(factor * power for factor in (1.0, 2.0, 5.0, 10.0, 20.0) if factor * power >= raw * (1.0 - 1e-9))
@@ -80,7 +80,7 @@ class History:
         self._rows: list[Floats] = []
 
     def add(self, portion: Portion) -> None:
-        """Take in one more portion."""
+        """Append a portion."""
         self._rows.append(np.concatenate(([portion.t_s], portion.values, portion.sigmas)))
 
     def __len__(self) -> int:
@@ -95,7 +95,7 @@ class History:
 
 @dataclass(frozen=True)
 class _Axes:
-    """Where the numbers of a plot stand on its canvas."""
+    """Ranges of a plot's axes and the size of its canvas."""
 
     t: tuple[float, float]
     y: tuple[float, float]
@@ -112,7 +112,7 @@ class _Axes:
 
 
 def draw(canvas: Canvas, plot: Plot, history: History) -> None:
-    """Draw ``plot`` of ``history`` over the whole of ``canvas`` (h, w, 3)."""
+    """Draw ``plot`` of ``history`` over the entire ``canvas`` (h, w, 3)."""
     canvas[:] = drawing.PAPER
     drawing.text(canvas, plot.title, _LEFT, 16, drawing.WHITE, 0.42)
     series = [_series(plot, curve, history) for curve in plot.curves] if len(history) else []
@@ -158,7 +158,7 @@ def _axes(plot: Plot, series: list[tuple[Floats, Floats, Floats]], width: int, h
 
 
 def _extent(plot: Plot, y: Floats, sigma: Floats) -> Floats:
-    """Return the numbers that the axis of ``y`` must reach: with the bands, but a few wide ones do not rule it."""
+    """Return the values that the axis of ``y`` must cover: the bands, with unusually wide ones limited."""
     known = np.isfinite(y) & np.isfinite(sigma)
     if plot.sigmas or not known.any():
         return y[np.isfinite(y)]
@@ -183,7 +183,7 @@ def _draw_frame(canvas: Canvas, plot: Plot, axes: _Axes) -> None:
 
 
 def _runs(y: Floats) -> list[slice]:
-    """Return the stretches without a gap."""
+    """Return the intervals without a gap."""
     known = np.concatenate(([False], np.isfinite(y), [False]))
     edges = np.flatnonzero(known[1:] != known[:-1])
     return [slice(start, stop) for start, stop in zip(edges[::2], edges[1::2], strict=True)]

@@ -1,7 +1,7 @@
-"""The operator's screen (monitor paper, Fig. 7): the picture with what was found in it, numbers, growing plots.
+"""Operator's screen (monitor paper, Fig. 7): the image with the detected features, values, growing plots.
 
-``Screen`` paints on a canvas from messages alone; ``ScreenFile`` keeps the canvases as a video, or the last one as
-a picture.
+``Screen`` draws on a canvas from messages only; ``ScreenFile`` saves the canvases as a video, or the last one as
+an image.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hil.monitor.sources import WHOLE, VideoFrame
 
 WIDTH: Final = 1600
 HEIGHT: Final = 900
-_PICTURE: Final = (800, 600)  # the place for the picture, px
+_IMAGE: Final = (800, 600)  # area of the image, px
 _CODES: Final = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
 SUFFIXES: Final = (*_CODES, ".png")
 
@@ -31,25 +31,25 @@ _COLOURS: Final = {REGION: drawing.YELLOW, CIRCLE: drawing.SKY, CROSS: drawing.P
 
 
 class Screen:
-    """Paints one canvas (HEIGHT, WIDTH, 3), blue green red, which each message changes in its own part."""
+    """Draws one canvas (HEIGHT, WIDTH, 3), blue green red; each message changes its own part."""
 
     def __init__(self, camera: SceneCamera, title: str) -> None:
         self.canvas: Canvas = np.full((HEIGHT, WIDTH, 3), drawing.PAPER, np.uint8)
         self._title = title
-        self._scale = min(_PICTURE[0] / camera.width, _PICTURE[1] / camera.height)
+        self._scale = min(_IMAGE[0] / camera.width, _IMAGE[1] / camera.height)
         self._size = (round(camera.width * self._scale), round(camera.height * self._scale))
         self._history = plots.History()
         self._draw_numbers(None)
         self._draw_plots()
 
     def show_frame(self, frame: VideoFrame, seen: FrameDetection) -> None:
-        """Show a frame and what was seen in it."""
+        """Show a frame and the features detected in it."""
         image = frame.image
         if frame.field != WHOLE:
-            image = np.repeat(image, 2, axis=0)  # the other half frame's lines are of another time
+            image = np.repeat(image, 2, axis=0)  # the lines of the other field have another exposure time
         width, height = self._size
         grey = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
-        left = (_PICTURE[0] - width) // 2
+        left = (_IMAGE[0] - width) // 2
         place = self.canvas[:height, left : left + width]
         cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR, dst=place)
         self._draw_seen(place, seen)
@@ -61,7 +61,7 @@ class Screen:
         self._draw_plots()
 
     def _place(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where points (n, 2) of the picture stand on the screen, px; pixel centres at whole numbers."""
+        """Return the positions of points (n, 2) of the image on the screen, px; pixel centres at integers."""
         found: NDArray[np.float64] = (points + 0.5) * self._scale - 0.5
         return found
 
@@ -78,12 +78,12 @@ class Screen:
         drawing.text(place, caption(seen), 8, 17, drawing.VERMILION if is_bad(seen.status) else drawing.WHITE, 0.5)
 
     def _draw_numbers(self, portion: Portion | None) -> None:
-        panel = self.canvas[_PICTURE[1] :, : _PICTURE[0]]
+        panel = self.canvas[_IMAGE[1] :, : _IMAGE[0]]
         panel[:] = drawing.PAPER
         drawing.text(panel, self._title, 16, 24, drawing.GREY, 0.45)
         status = "waiting" if portion is None else portion.status
-        told = status if portion is None else f"{status}   t = {portion.t_s:.2f} s   {portion.frames} frames"
-        drawing.text(panel, told, 16, 54, drawing.VERMILION if is_bad(status) else drawing.WHITE, 0.65)
+        line = status if portion is None else f"{status}   t = {portion.t_s:.2f} s   {portion.frames} frames"
+        drawing.text(panel, line, 16, 54, drawing.VERMILION if is_bad(status) else drawing.WHITE, 0.65)
         legend = "orange: edges   blue: circles   pink: cross   yellow: region   band: 2 sigma"
         drawing.text(panel, legend, 16, 290, drawing.GREY, 0.4)
         for number, (quantity, name, unit, factor, decimals) in enumerate(NUMBERS):
@@ -97,17 +97,17 @@ class Screen:
             drawing.text_right(panel, value, left + 232, v, drawing.WHITE, 0.55)
 
     def _draw_plots(self) -> None:
-        width, height = (WIDTH - _PICTURE[0]) // 2, HEIGHT // (len(plots.PLOTS) // 2)
+        width, height = (WIDTH - _IMAGE[0]) // 2, HEIGHT // (len(plots.PLOTS) // 2)
         for number, plot in enumerate(plots.PLOTS):
-            top, left = height * (number // 2), _PICTURE[0] + width * (number % 2)
+            top, left = height * (number // 2), _IMAGE[0] + width * (number % 2)
             plots.draw(self.canvas[top : top + height, left : left + width], plot, self._history)
 
 
 class ScreenFile:
-    """Keeps canvases: .mp4, .mkv, .avi every one of them, .png the last."""
+    """Saves canvases: .mp4, .mkv, .avi all of them, .png the last."""
 
     def __init__(self, path: str, rate_hz: float) -> None:
-        """Raise BadInput where ``path`` cannot be written."""
+        """Raise BadInput if ``path`` cannot be written."""
         self._path = Path(path)
         suffix = self._path.suffix.lower()
         if suffix not in SUFFIXES:
@@ -123,7 +123,7 @@ class ScreenFile:
                 raise BadInput.single("--screen", path, "cannot be written")
 
     def write(self, canvas: Canvas) -> None:
-        """Keep ``canvas`` as it is now."""
+        """Save ``canvas`` in its present state."""
         if self._video is None:
             self._last = canvas
         else:

@@ -1,4 +1,4 @@
-"""Chessboards: their corners in the images, and the start of a calibration from them (OpenCV)."""
+"""Chessboards: detection of their corners, and initial values of a calibration from them (OpenCV)."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from hil.vmu.kernels.chain import (
 )
 
 CORNER_SIGMA_PX = 0.1
-"""to begin with; the fit finds how good the corners are"""
+"""initial value; the fit estimates the noise of the corners"""
 LEAST_VIEWS = 4
-_WINDOW = 0.35  # half the side of the window about a corner, of the distance to the next one
+_WINDOW = 0.35  # half the side of the window around a corner, relative to the distance to the next one
 _FARTHEST_PX = 0.5
 _UNTIL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
 
@@ -49,18 +49,18 @@ class Board:
 
 
 def find_corners(image: np.ndarray, board: Board) -> Array | None:
-    """Return the corners, (columns rows, 2), px, or None. Which of the two ends comes first is left open."""
+    """Return the corners, (columns rows, 2), px, or None. The end of the board at which they start is arbitrary."""
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
     found, corners = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=flags)
     if not found:
         return None
-    # what is found so far is off by up to 0.1 px, all corners of a view alike: the saddle points themselves are not
+    # these corners have a common error of up to 0.1 px per view, unlike the saddle points themselves
     grid = np.asarray(corners).reshape(board.rows, board.columns, 2)
     apart = min(float(np.linalg.norm(np.diff(grid, axis=k), axis=2).min()) for k in range(2))
     half = int(np.clip(_WINDOW * apart, 2, 11))
     refined = cv2.cornerSubPix(image, np.asarray(corners, dtype=np.float32), (half, half), (-1, -1), _UNTIL)
     places, before = (np.asarray(found, dtype=float).reshape(-1, 2) for found in (refined, corners))
-    # one that goes far has met the board's edge or a speck
+    # a corner that moves far has met the board's edge or a speck
     return np.where(np.linalg.norm(places - before, axis=1, keepdims=True) < _FARTHEST_PX, places, before)
 
 
@@ -93,7 +93,7 @@ def observations(views: Views, board: Board, progress: Callable[[str, float], No
 
 
 def _same_end_first(pixels: Array) -> None:
-    """Turn the right image's corners round, in place, where they begin at the other end of the board."""
+    """Reverse the right image's corners, in place, if they start at the other end of the board."""
     along = pixels[:, -1] - pixels[:, 0]
     if float(along[0] @ along[1]) < 0.0:
         pixels[1] = pixels[1, ::-1]
@@ -104,7 +104,7 @@ def _matrix(numbers: Array) -> Array:
 
 
 def _intrinsics(seen: Observations, points: Array, side: int, size: Array, guess: Array | None) -> Array:
-    """Return the nine numbers of one camera from its own views of the board (Zhang's method, then all of them)."""
+    """Return the nine numbers of one camera from its own views of the board (Zhang's method, then all parameters)."""
     objects = [points.astype(np.float32)] * len(seen.names)
     images = [pixels.astype(np.float32) for pixels in seen.pixels[:, side]]
     flags = cv2.CALIB_FIX_K3
@@ -133,12 +133,12 @@ def _pose(points: Array, pixels: Array, numbers: Array) -> tuple[Array, Array]:
 def _stereo(
     seen: Observations, points: Array, left: Array, right: Array, size: Array
 ) -> tuple[Array, Array, np.ndarray]:
-    """Return rotation vector and baseline of the right camera, and the views whose pairs agree."""
+    """Return rotation vector and baseline of the right camera, and the views with consistent pairs."""
     poses = [
         (k, _pose(points, seen.pixels[k, 0], left), _pose(points, seen.pixels[k, 1], right))
         for k in range(len(seen.names))
     ]
-    # a pair the other way round must be made by the same turn: p_v = R p_r + b
+    # all pairs must have the same relative pose: p_v = R p_r + b
     turns = np.array([a[0] @ b[0].T for _, a, b in poses])
     places = np.array([a[1] - a[0] @ b[0].T @ b[1] for _, a, b in poses])
     apart = np.array([Rotation.from_matrix(turns @ turn.T).magnitude() for turn in turns])
@@ -151,10 +151,10 @@ def _stereo(
     chosen = [poses[k][0] for k in agree]
     objects = [points.astype(np.float32)] * len(chosen)
     if len(chosen) < LEAST_VIEWS:
-        text = f"left and right image belong together in {len(chosen)} views, {LEAST_VIEWS} are needed"
+        text = f"left and right image are consistent in {len(chosen)} views, {LEAST_VIEWS} are required"
         raise BadInput.single("VIEWS", "", text)
     lefts, rights = ([seen.pixels[k, side].astype(np.float32) for k in chosen] for side in range(2))
-    eye, zero = np.eye(3), np.zeros(3)  # only the flags' word makes them a start
+    eye, zero = np.eye(3), np.zeros(3)  # initial values, not used with these flags
     shape = (int(size[0]), int(size[1]))
     cameras = (_matrix(left), left[4:], _matrix(right), right[4:])
     fixed = cv2.CALIB_FIX_INTRINSIC
@@ -167,10 +167,10 @@ def _stereo(
 def start(
     seen: Observations, board: Board, nominal: Setup, turntable: TurntableModel, keep: tuple[str, ...], guess: bool
 ) -> tuple[Setup, Observations, tuple[str, ...]]:
-    """Return cameras, mounting and board as OpenCV and the hand-eye start have them.
+    """Return initial cameras, mounting and board from OpenCV and the hand-eye calibration.
 
-    Also the observations with both ends of the board told apart, and the names of the views that do not fit at all.
-    guess: begin the cameras at ``nominal``, whose points are the board's.
+    Also the observations with the ends of the board resolved, and the names of inconsistent views.
+    guess: start the cameras at ``nominal``, whose points are the board's.
     """
     theta = nominal.theta.copy()
     for side, part in enumerate(SIDES):
@@ -197,7 +197,7 @@ def start(
         camera_axes = nominal.camera_axes
     else:
         theta[CAMERA_POSITION:TARGET_ROTATION] = found.arm - turntable.lever_arm
-    theta[TARGET_POSITION:SCALE] = found.station
+    theta[TARGET_POSITION:SCALE] = found.position
     begun = replace(nominal, theta=theta, camera_axes=camera_axes, target_axes=np.ascontiguousarray(found.target_axes))
     good = set(agree[found.good])
     bad = tuple(name for k, name in enumerate(seen.names) if k not in good)
@@ -205,13 +205,13 @@ def start(
 
 
 def _resolve_ends(turns: Array, gimbals: Array) -> tuple[Array, Array]:
-    """Return the turns with boards that were read from the other end turned by half a turn, and which were.
+    """Return the rotations, corrected by 180 deg for boards that were read from the other end, and which those are.
 
-    The turn from one view to the next has the angle by which the turntable turned.
+    The rotation between two views has the angle by which the turntable rotated.
     """
     half = np.diag([-1.0, -1.0, 1.0])
     tries = []
-    for turn, gimbal in zip(turns, gimbals, strict=True):  # counted from each view, as one may be wrong
+    for turn, gimbal in zip(turns, gimbals, strict=True):  # relative to each view, as one may be wrong
         made = Rotation.from_matrix(gimbals @ gimbal.T).magnitude()
         as_read = np.abs(Rotation.from_matrix(turns @ turn.T).magnitude() - made)
         turned = np.abs(Rotation.from_matrix(turns @ half @ turn.T).magnitude() - made)

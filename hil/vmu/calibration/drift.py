@@ -1,8 +1,8 @@
-"""Whether the cameras are still what a calibration said, from a few views, and if not, what moved.
+"""Drift check: whether the cameras still match a calibration, from a few views, and if not, which part moved.
 
-Today's pixels, minus what the calibration expects, are linear in what may have changed. Their covariance is that of the
-spots, of the encoders and of the calibration itself; with it every explanation has a chi-square: how much of today's
-square sum it takes away (docs/decisions/0080).
+Today's pixels minus those predicted by the calibration are linear in the possible changes. Their covariance is that
+of the spots, of the encoders and of the calibration itself; with it every explanation has a chi-square: the reduction
+of today's square sum (docs/decisions/0080).
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from hil.vmu.calibration.model import PARTS, Observations, Setup, TurntableModel
 from hil.vmu.calibration.refine import information, layout_basis
 from hil.vmu.kernels.chain import COMMON
 
-_AS_GOOD = 10.0  # of the square sum: explanations nearer than this to the best are not told apart from it
-_LEAST_SHARE = 1e-9  # of the largest eigenvalue, below which a direction is not seen at all
+_AS_GOOD = 10.0  # of the square sum: explanations closer than this to the best are not distinguishable from it
+_LEAST_SHARE = 1e-9  # of the largest eigenvalue, below which a direction is not observable
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
     """One part that may have moved.
 
-    square: by how much that makes today's square sum less. freedom: how many numbers it takes. chance: of that much
-    by noise alone. change, sigma: (COMMON,) or (COMMON + 3 m,), of all numbers, zero for those of other parts.
-    shift_px: RMS of what it does to the pixels.
+    square: reduction of today's square sum. freedom: number of parameters. chance: probability of such a reduction
+    by noise alone. change, sigma: (COMMON,) or (COMMON + 3 m,), of all parameters, zero for those of other parts.
+    shift_px: RMS of its effect on the pixels.
     """
 
     part: str
@@ -43,11 +43,11 @@ class Explanation:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Today against a calibration.
+    """Today's views compared with a calibration.
 
-    rms_px: of today's residuals, the encoders' errors and all. noise: of today's pixels, by that of the calibration.
-    square, freedom: of all parts together. chance: that noise alone looks so much like a drift, of all parts or of one.
-    explanations: best first. alike: the parts that explain about as much as the best, it among them.
+    rms_px: of today's residuals, including the encoders' errors. noise: of today's pixels relative to the calibration.
+    square, freedom: of all parts together. chance: probability of such a drift, of all parts or of one, by noise alone.
+    explanations: best first. alike: the parts that explain about as much as the best one, including it.
     """
 
     views: int
@@ -63,14 +63,14 @@ class Drift:
 
 @dataclass(frozen=True, slots=True)
 class _Score:
-    """The gradient and the information (both of all numbers) of today's square sum ``square``, priors included."""
+    """Gradient and information (both of all parameters) of today's square sum ``square``, priors included."""
 
     gradient: Array
     matrix: Array
     square: float
 
     def best(self, directions: Array) -> tuple[float, int, Array, Array]:
-        """Return what moving along ``directions`` (n, k) takes off, the rank, the change and its covariance."""
+        """Return the best reduction along ``directions`` (n, k), the rank, the change and its covariance."""
         matrix = directions.T @ self.matrix @ directions
         scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
         values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
@@ -80,17 +80,17 @@ class _Score:
         return float(components @ components), int(seen.sum()), along @ components, along @ along.T
 
     def freed(self, directions: Array) -> _Score:
-        """Return the score that is left when ``directions`` may be anything."""
+        """Return the remaining score if ``directions`` are unconstrained."""
         gain, _, change, covariance = self.best(directions)
         moved = self.matrix @ covariance
         return _Score(self.gradient - self.matrix @ change, self.matrix - moved @ self.matrix, self.square - gain)
 
 
 def check(known: StoredCalibration, seen: Observations, setup: Setup, target_moved: bool) -> Drift:
-    """Return how far ``seen`` is from what ``known`` expects.
+    """Return the deviation of ``seen`` from the prediction of ``known``.
 
-    setup: that of ``known``, with the points of today's target; where ``target_moved`` the target's place is only
-    about right, and may be any.
+    setup: that of ``known``, with the points of today's target; if ``target_moved`` the target's pose is only
+    approximate, and unconstrained.
     """
     on_leds = len(setup.points) <= MOST_LEDS
     found = information(seen, setup, known.turntable, known.axis_sigma, known.noise, on_leds)
@@ -118,14 +118,14 @@ def check(known: StoredCalibration, seen: Observations, setup: Setup, target_mov
     explanations.sort(key=lambda e: -worth[e.part])
     alike = tuple(e.part for e in explanations if worth[e.part] > worth[explanations[0].part] - _AS_GOOD)
     together = float(f.sf(square / freedom / noise2, freedom, left))
-    # all parts at once and each alone are so many tries at a small chance (Bonferroni)
+    # correction for testing all parts at once and each alone (Bonferroni)
     chance = min(1.0, (1 + len(explanations)) * min(together, *(e.chance for e in explanations)))
     counts = (len(seen.names), int(seen.visible.sum()))
     return Drift(*counts, found.rms_px, math.sqrt(noise2), square / noise2, freedom, chance, tuple(explanations), alike)
 
 
 def _with_prior(matrix: Array, score: Array, square: float, covariance: Array, size: int) -> _Score:
-    """Return the score with the calibration's own uncertainty in the pixels' covariance (Woodbury)."""
+    """Return the score with the calibration's own uncertainty included in the pixels' covariance (Woodbury)."""
     prior = np.zeros((size, size))
     n = min(size, len(covariance))
     prior[:n, :n] = covariance[:n, :n]
@@ -140,7 +140,7 @@ def _with_prior(matrix: Array, score: Array, square: float, covariance: Array, s
 
 
 def _directions(setup: Setup, size: int) -> dict[str, Array]:
-    """Return along which numbers each part may move, (size, k)."""
+    """Return the directions in which each part may move, (size, k)."""
     found = {name: np.eye(size)[:, place] for name, place in PARTS.items() if name != "scale"}
     if size > COMMON:
         basis = layout_basis(setup.points)
@@ -149,7 +149,7 @@ def _directions(setup: Setup, size: int) -> dict[str, Array]:
 
 
 def _shift_px(seen: Observations, setup: Setup, turntable: TurntableModel, change: Array) -> float:
-    """Return the RMS of what ``change`` does to the coordinates of all pixels that were seen."""
+    """Return the RMS effect of ``change`` on the coordinates of all measured pixels."""
     moves = []
     for axes, here in zip(seen.axes, seen.visible, strict=True):
         slopes = project_view(setup, turntable, axes)

@@ -1,4 +1,4 @@
-"""One picture of a calibration: residuals over both images, the views, and millimetres over range."""
+"""Figure of a calibration: residuals over both images, the views, and accuracy over range."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.vmu.calibration import quality
 from hil.vmu.calibration.job import CalibrationOutcome
 from hil.vmu.calibration.model import SIDES
 
-_BLUE, _ORANGE, _GREEN, _GREY = "#0072b2", "#d55e00", "#009e73", "0.6"  # told apart by the colour-blind
+_BLUE, _ORANGE, _GREEN, _GREY = "#0072b2", "#d55e00", "#009e73", "0.6"  # distinguishable with colour blindness
 
 
 def draw(outcome: CalibrationOutcome, path: str) -> None:

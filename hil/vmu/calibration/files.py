@@ -1,4 +1,4 @@
-"""The files of a calibration: the geometry file that it writes and reads again, and the rig file."""
+"""Files of a calibration: geometry file (written and read) and rig file."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from hil.vmu.kernels.chain import (
 
 _ORDER = "xyz"
 MOST_LEDS: Final = 8
-"""of a geometry file; a target of more points is a board"""
+"""of a geometry file; a target with more points is a board"""
 
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """What a calibration is called, when it was made, and from which target (``leds``, ``board 11x8 30 mm``)."""
+    """Name of a calibration, its date, and its target (``leds``, ``board 11x8 30 mm``)."""
 
     id: str
     date: str
@@ -43,7 +43,7 @@ class Label:
 def geometry_table(
     label: Label, fit: RefinementFit, turntable: TurntableModel, axis_sigma: Array, nominal: VmuGeometry, views: int
 ) -> dict[str, Any]:
-    """Return the keys of the geometry file, ``[calibration]`` and all."""
+    """Return the keys of the geometry file, including ``[calibration]``."""
     setup = fit.setup
     on_leds = label.target == "leds"
     table: dict[str, Any] = {
@@ -83,7 +83,7 @@ def geometry_table(
 
 
 def mounting_keys(setup: Setup) -> dict[str, Any]:
-    """Return the keys of a rig file's ``[bench]`` that say where the left camera is."""
+    """Return the keys of a rig file's ``[bench]`` for the mounting of the left camera."""
     return {
         "camera_position_m": setup.theta[CAMERA_POSITION:TARGET_ROTATION].tolist(),
         "camera_axes": setup.camera_axes.tolist(),
@@ -91,7 +91,7 @@ def mounting_keys(setup: Setup) -> dict[str, Any]:
 
 
 def rig_table(setup: Setup, on_leds: bool) -> dict[str, Any]:
-    """Return what a rig file takes over: the cameras' mounting, and the ring's where it was the target."""
+    """Return the keys for a rig file: mounting of the cameras, and of the LED ring if it was the target."""
     bench = mounting_keys(setup)
     if not on_leds:
         return {"bench": bench}
@@ -103,7 +103,7 @@ def rig_table(setup: Setup, on_leds: bool) -> dict[str, Any]:
 
 
 def as_toml(table: Mapping[str, Any], comment: str) -> str:
-    """Return ``table`` as TOML: values first, then its tables; nested lists a row a line."""
+    """Return ``table`` as TOML: values first, then its tables; nested lists one row per line."""
     lines = [f"# {line}" for line in comment.splitlines()]
     _write(table, "", lines)
     return "\n".join(lines) + "\n"
@@ -137,7 +137,7 @@ def _value(value: Any) -> str:
 
 @dataclass(frozen=True, slots=True)
 class StoredCalibration:
-    """A calibration that was read back. covariance: of COMMON, or COMMON + 3 m. noise: of the pixels."""
+    """A calibration read from a file. covariance: of COMMON, or COMMON + 3 m. noise: of the pixels."""
 
     label: Label
     setup: Setup
@@ -149,10 +149,10 @@ class StoredCalibration:
 
 
 def read_back(geometry: VmuGeometry, source: str) -> StoredCalibration:
-    """Return the calibration in a geometry file; raise BadInput where it has none."""
+    """Return the calibration in a geometry file; raise BadInput if it has none."""
     found = geometry.calibration
     if found is None:
-        raise BadInput.single(source, "calibration", "is missing: a file that hil calibrate wrote is needed")
+        raise BadInput.single(source, "calibration", "is missing: a file written by hil calibrate is required")
     n = len(found.covariance)
     if n not in (COMMON, COMMON + 3 * len(geometry.leds_m)):
         allowed = f"{COMMON} rows, or {COMMON + 3 * len(geometry.leds_m)} with the layout of the LEDs"

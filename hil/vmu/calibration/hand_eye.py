@@ -1,7 +1,7 @@
-"""Where the camera sits on the turntable and the target in the lab, in closed form, from poses of the target.
+"""Hand-eye calibration: mounting of the camera on the turntable and of the target in the lab, in closed form.
 
-``R_vt = A_vc A_ch B`` for every view: the turn from one view to another has the same angle on both sides and its axis
-is turned by A_vc (Park and Martin, 1994). The mounting then follow linearly.
+``R_vt = A_vc A_ch B`` for every view: the rotation between two views has the same angle on both sides, and its axis
+is rotated by A_vc (Park and Martin, 1994). The positions then follow linearly.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from scipy.spatial.transform import Rotation
 from hil.core.messages import Array
 from hil.vmu.calibration.model import orthonormal
 
-_WEAK = 1e-3  # weight of what the rig file says, where the views say nothing
+_WEAK = 1e-3  # weight of the rig file's values, for what the views leave open
 _FAR = 5.0  # times the median
 
 
 @dataclass(frozen=True, slots=True)
 class HandEye:
-    """camera_axes: A_vc. target_axes: B = A_th.T. arm: (3,), rotation centre to camera, in c. station: (3,), in H.
+    """camera_axes: A_vc. target_axes: B = A_th.T. arm: (3,), rotation centre to camera, in c. position: (3,), in H.
 
-    good: (n,), which views agree.
+    good: (n,), which views are consistent.
     """
 
     camera_axes: Array
     target_axes: Array
     arm: Array
-    station: Array
+    position: Array
     good: Array
 
 
 def hand_eye(turns: Array, places: Array, gimbals: Array, rails: Array, camera_axes: Array, arm: Array) -> HandEye:
-    """Return the mounting that explains the poses best; views that do not agree with the rest are left out.
+    """Return the mounting that fits the poses best; inconsistent views are excluded.
 
     turns: (n, 3, 3), R_vt. places: (n, 3), t_v, m. gimbals: (n, 3, 3), A_ch. rails: (n, 3), m.
-    camera_axes, arm: as mounted on paper; used only as far as the views do not say.
+    camera_axes, arm: nominal mounting; used only for what the views leave open.
     """
     good = np.ones(len(turns), dtype=bool)
     while True:
@@ -67,10 +67,10 @@ def _closed_form(
         seen.append(Rotation.from_matrix(turns[i] @ turns[j].T).as_rotvec())
         made.append(Rotation.from_matrix(gimbals[i] @ gimbals[j].T).as_rotvec())
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # all axes parallel: what is weak decides then
+        warnings.simplefilter("ignore", UserWarning)  # all axes parallel: the weak prior decides
         a_vc = Rotation.align_vectors(np.array(seen), np.array(made))[0].as_matrix()
     b = orthonormal(np.sum(gimbals.transpose(0, 2, 1) @ a_vc.T @ turns, axis=0))
-    # A_vc.T t_v + A_ch rails = A_ch station - arm
+    # A_vc.T t_v + A_ch rails = A_ch position - arm
     n = len(turns)
     left = np.zeros((3 * n + 3, 6))
     right = np.zeros(3 * n + 3)

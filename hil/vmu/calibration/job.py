@@ -1,4 +1,4 @@
-"""One calibration, and one check, from a folder of views to the numbers of the report."""
+"""Calibration and drift check of a folder of views, up to the figures of the report."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _WIDE_GATE_PX = 12.0
 
 @dataclass(frozen=True, slots=True)
 class CalibrationInputs:
-    """What is known before. axis_sigma: (6,), of rails, m, and gimbals, rad. led_sigma: m. square_sigma: a share."""
+    """Prior knowledge. axis_sigma: (6,), of rails, m, and gimbals, rad. led_sigma: m. square_sigma: relative."""
 
     board: Board | None
     keep: tuple[str, ...]
@@ -40,7 +40,7 @@ class CalibrationInputs:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationLimits:
-    """What a calibration must keep."""
+    """Limits that a calibration must satisfy."""
 
     rms_px: float
     error_mm: float
@@ -66,7 +66,7 @@ class CalibrationCheck:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationOutcome:
-    """A calibration with what it is worth."""
+    """A calibration with its quality."""
 
     label: Label
     solved: CalibrationSolution
@@ -99,9 +99,9 @@ def calibrate(
     guess: bool,
     progress: Progress,
 ) -> CalibrationOutcome:
-    """Return the calibration of ``views``. guess: ``geometry`` has numbers of the cameras that are about right.
+    """Return the calibration of ``views``. guess: ``geometry`` has approximate camera parameters.
 
-    Raises BadInput where the views do not carry one.
+    Raises BadInput if the views are insufficient.
     """
     turntable = TurntableModel.of(rig.bench)
     if given.board is None:
@@ -120,14 +120,14 @@ def calibrate(
         held = weak_prior(begun, given.keep, given.axis_sigma, 0.0, given.square_sigma)
         solved = solve(resolved, begun, turntable, held, doubtful)
         not_whole = (name for name in views.names if name not in seen.names)
-        solved.left_out.update(dict.fromkeys(not_whole, "the board is not seen whole by both cameras"))
+        solved.left_out.update(dict.fromkeys(not_whole, "the board is not completely visible to both cameras"))
     return _outcome(label, solved, turntable, held, nominal, limits, given.board is not None)
 
 
-def _sizes_differ(found: Array, told: Array) -> str:
+def _sizes_differ(found: Array, expected: Array) -> str:
     sides = [
-        f"the {side} images are {a[0]:g} x {a[1]:g} px, geometry or rig file say {b[0]:g} x {b[1]:g} px"
-        for side, a, b in zip(SIDES, found, told, strict=True)
+        f"the {side} images are {a[0]:g} x {a[1]:g} px, {b[0]:g} x {b[1]:g} px in geometry or rig file"
+        for side, a, b in zip(SIDES, found, expected, strict=True)
         if (a != b).any()
     ]
     return sides[0]
@@ -156,12 +156,12 @@ def _outcome(
         CalibrationCheck(f"place of a point at {limits.range_m:g} m, 1 sigma", error, limits.error_mm, "mm"),
     ]
     if held.free[PARTS["mounting"]].any():
-        turn, station = np.split(fit.sigma[PARTS["mounting"]], 2)
+        rotation, position = np.split(fit.sigma[PARTS["mounting"]], 2)
         checks.append(
-            CalibrationCheck("camera's station, 1 sigma", 1e3 * float(station.max()), limits.mounting_mm, "mm")
+            CalibrationCheck("camera's position, 1 sigma", 1e3 * float(position.max()), limits.mounting_mm, "mm")
         )
         checks.append(
-            CalibrationCheck("camera's axes, 1 sigma", float(np.degrees(turn.max())), limits.mounting_deg, "deg")
+            CalibrationCheck("camera's axes, 1 sigma", float(np.degrees(rotation.max())), limits.mounting_deg, "deg")
         )
     if rigid and held.free[SCALE]:
         off = 100.0 * abs(float(fit.setup.theta[SCALE]) - 1.0)
@@ -173,7 +173,7 @@ def _outcome(
 
 @dataclass(frozen=True, slots=True)
 class DriftCheck:
-    """A drift check. across_mm, depth_mm: by how much the best explanation moves a point at ``range_m``."""
+    """A drift check. across_mm, depth_mm: displacement of a point at ``range_m`` by the best explanation."""
 
     known: StoredCalibration
     setup: Setup
@@ -187,9 +187,9 @@ class DriftCheck:
 def check(
     views: Views, known: StoredCalibration, board: Board | None, moved: bool, range_m: float, progress: Progress
 ) -> DriftCheck:
-    """Return how far today's views are from the calibration ``known``; raise BadInput where they show too little.
+    """Return the deviation of today's views from the calibration ``known``; raise BadInput if they are insufficient.
 
-    moved: the target may stand elsewhere than at the calibration; a board always may.
+    moved: the target may have moved since the calibration; a board always may.
     """
     if board is None:
         spots = spot_views(views, known.setup.sizes, known.sensor, progress)
@@ -212,14 +212,14 @@ def check(
 
 
 def _identify_leds(spots: SpotViews, known: StoredCalibration, moved: bool) -> tuple[Observations, Setup]:
-    """Return the LEDs of today, looked for near where the calibration expects them first."""
+    """Return today's LEDs, searched first near the positions predicted by the calibration."""
     setup = known.setup
     seen = identify(spots, setup, known.turntable, None if moved else _WIDE_GATE_PX)
     if not moved and not _enough(seen):
         seen = identify(spots, setup, known.turntable)
     good = np.flatnonzero(seen.visible.sum(axis=2).max(axis=1) >= 3)
     if len(good) < 2:
-        text = f"{len(good)} of {len(spots.names)} views show 3 LEDs near their places, 2 are needed"
+        text = f"{len(good)} of {len(spots.names)} views show 3 LEDs near their positions, 2 are required"
         raise BadInput.single("VIEWS", "", text)
     seen = seen.only(good)
     return seen, _locate_target(seen, setup, known) if moved else setup
@@ -230,6 +230,6 @@ def _enough(seen: Observations) -> bool:
 
 
 def _locate_target(seen: Observations, setup: Setup, known: StoredCalibration) -> Setup:
-    """Return ``setup`` with the target where today's views put it, all else as calibrated."""
+    """Return ``setup`` with the target's pose fitted to today's views, all else as calibrated."""
     held = weak_prior(setup, ("left", "right", "stereo", "mounting"), known.axis_sigma, 0.0, 0.0)
     return robust_fit(seen, setup, known.turntable, held)

@@ -1,4 +1,4 @@
-"""Which spot is which LED in a view of a known place: the layout is projected, and the nearest spots are taken."""
+"""Spots of the views, and their assignment to LEDs by the projected layout."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from hil.vmu.detect import SpotDetector
 from hil.vmu.kernels.records import AT_BORDER, MERGED
 
 _FLOOR_PX = 0.01
-"""what no centre is known better than, whatever the grey levels say: pixels are not all alike"""
+"""lower limit of a centre's sigma, due to differences between pixels"""
 LEAST_VIEWS = 4
 _SEARCH_PX = 150.0
-"""how far the mounting on paper may put the LEDs from where they are"""
+"""largest error of the LEDs' images due to the nominal mounting"""
 
 
 @dataclass(frozen=True, slots=True)
 class Spots:
-    """Spots of light in one image: places (k, 2), px, and covariances (k, 2, 2), px^2."""
+    """Spots in one image: positions (k, 2), px, and covariances (k, 2, 2), px^2."""
 
     places: Array
     covariance: Array
@@ -41,7 +41,7 @@ class SpotViews:
 
 
 def spot_views(views: Views, sizes: Array, sensor: Sensor | None, progress: Callable[[str, float], None]) -> SpotViews:
-    """Return the spots in both images of all views; those cut by the edge or run together are left out.
+    """Return the spots in both images of all views, without those cut by the edge or overlapping.
 
     sizes: (2, 2), width and height, px. Raises BadInput for images of another size.
     """
@@ -64,10 +64,10 @@ def _spots(detector: SpotDetector, image: np.ndarray) -> Spots:
 
 
 def identify(views: SpotViews, setup: Setup, turntable: TurntableModel, gate_px: float | None = None) -> Observations:
-    """Return which spots are the LEDs.
+    """Return the observations of the LEDs.
 
-    gate_px: how far a spot may be from where ``setup`` expects it. Left away, the layout may be shifted as a whole
-    in each image, as by a camera that is mounted a little askew; the views must agree about that shift.
+    gate_px: largest distance of a spot from its projection by ``setup``. None: the layout may be displaced as a whole
+    in each image, as by an inaccurate mounting; this displacement must be common to the views.
     """
     expected = [project_view(setup, turntable, axes).pixels for axes in views.axes]
     shape = (len(views.names), 2, len(setup.points))
@@ -98,7 +98,7 @@ def _least_distance(places: Array) -> float:
 
 
 def _nearest(places: Array, spots: Array, gate: float) -> list[tuple[int, int]]:
-    """Return pairs (LED, spot), each once, whose distances are within ``gate`` and least together."""
+    """Return pairs (LED, spot), each once, with distances within ``gate`` and the smallest sum."""
     if not len(spots):
         return []
     apart = np.nan_to_num(cdist(places, spots), nan=1e6)
@@ -107,7 +107,7 @@ def _nearest(places: Array, spots: Array, gate: float) -> list[tuple[int, int]]:
 
 
 def _candidates(places: Array, spots: Array, reach: float) -> Array:
-    """Return all shifts, (c, 2), that put some LED on some spot."""
+    """Return all displacements, (c, 2), that move an LED onto a spot."""
     shifts = (spots[None] - places[:, None]).reshape(-1, 2)
     near: Array = shifts[np.linalg.norm(shifts, axis=1) < reach]
     return near
@@ -118,7 +118,7 @@ def _hits(places: Array, spots: Array, gate: float) -> int:
 
 
 def _common_shift(expected: list[Array], spots: list[Array]) -> Array:
-    """Return the shift, (2,), px, that most LEDs of all views agree about."""
+    """Return the displacement, (2,), px, common to most LEDs of all views."""
     votes = []
     for places, seen in zip(expected, spots, strict=True):
         if not np.isfinite(places).all() or not len(seen):
@@ -137,7 +137,7 @@ def _common_shift(expected: list[Array], spots: list[Array]) -> Array:
 
 
 def _own_shift(places: Array, spots: Array, reach: float, gate: float) -> Array:
-    """Return the further shift of this view alone: what is left of an error that grows as the target comes near."""
+    """Return the additional displacement of this view alone: the part of the error that grows at short range."""
     shifts = _candidates(places, spots, reach) if np.isfinite(places).all() and len(spots) else np.empty((0, 2))
     if not len(shifts):
         return np.zeros(2)

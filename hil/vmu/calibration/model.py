@@ -1,4 +1,4 @@
-"""What a calibration works with: the bench, what was seen, and the numbers to be found."""
+"""Model of a calibration: parameters to be estimated, bench kinematics, observations and their projection."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ PARTS: Final[dict[str, slice]] = {
     "target": slice(TARGET_ROTATION, SCALE),
     "scale": slice(SCALE, COMMON),
 }
-"""which places of a vector of COMMON belong together; the layout of the LEDs follows behind them"""
+"""Ranges of a vector of COMMON by subject; the layout of the LEDs follows after them."""
 SIDES: Final = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One number to be found: its name and the unit it is shown in."""
+    """A parameter to be estimated: its name and display unit."""
 
     name: str
     unit: str
-    shown: float  # unit shown / unit inside
+    shown: float  # display units per internal unit
 
 
 def parameters(points: int = 0) -> list[Parameter]:
-    """Return all shared unknowns in order; ``points`` LEDs of a layout behind them."""
+    """Return all shared unknowns in order, followed by those of the layout of ``points`` LEDs."""
     found = [
         Parameter(f"{side}.{name}", unit, 1.0)
         for side in SIDES
@@ -66,7 +66,7 @@ def parameters(points: int = 0) -> list[Parameter]:
 
 @dataclass(frozen=True, slots=True)
 class TurntableModel:
-    """The part of the bench's kinematics that the cameras ride on. lever_arm: (3,), m. order: (3,), outer to inner."""
+    """Kinematics of the turntable that carries the cameras. lever_arm: (3,), m. order: (3,), outer to inner."""
 
     lever_arm: Array
     order: Array
@@ -81,10 +81,10 @@ class TurntableModel:
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """What both cameras saw of the target's points in n views.
+    """Measured pixels of the target's points in both cameras in n views.
 
-    axes: (n, 6), rails, m, gimbals, rad, as the encoders have them. pixels: (n, 2, m, 2), NaN where a point was
-    not seen. covariance: (n, 2, m, 2, 2), px^2.
+    axes: (n, 6), rails, m, gimbals, rad, from the encoders. pixels: (n, 2, m, 2), NaN for a point that was
+    not measured. covariance: (n, 2, m, 2, 2), px^2.
     """
 
     names: tuple[str, ...]
@@ -94,7 +94,7 @@ class Observations:
 
     @property
     def visible(self) -> np.ndarray:
-        """Return which points were seen, (n, 2, m)."""
+        """Return which points were measured, (n, 2, m)."""
         return np.asarray(np.isfinite(self.pixels).all(axis=-1))
 
     def only(self, views: Sequence[int] | np.ndarray) -> Observations:
@@ -104,7 +104,7 @@ class Observations:
         return Observations(names, self.axes[chosen], self.pixels[chosen], self.covariance[chosen])
 
     def without(self, points: np.ndarray) -> Observations:
-        """Return these with the points marked in ``points`` (n, 2, m) taken out."""
+        """Return a copy without the points marked in ``points`` (n, 2, m)."""
         pixels = self.pixels.copy()
         pixels[points] = np.nan
         return replace(self, pixels=pixels)
@@ -112,7 +112,7 @@ class Observations:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """All that is to be found: theta (COMMON,), camera_axes and target_axes (3, 3) of hil/vmu/kernels/chain.py.
+    """All parameters to be estimated: theta (COMMON,), camera_axes and target_axes (3, 3) of hil/vmu/kernels/chain.py.
 
     points: (m, 3), m, in the target's axes. sizes: (2, 2), width and height of the images, px.
     The small rotations about camera_axes and target_axes are zero: see ``folded``.
@@ -126,7 +126,7 @@ class Setup:
 
     @classmethod
     def of(cls, geometry: VmuGeometry, bench: BenchGeometry, points: Array | None = None) -> Setup:
-        """Return what the files say. points: of another target than the LEDs."""
+        """Return the nominal setup of the files. points: of a target other than the LEDs."""
         theta = np.zeros(COMMON)
         for first, camera in ((LEFT, geometry.left), (RIGHT, geometry.right)):
             theta[first : first + 9] = lens_numbers(camera)
@@ -141,7 +141,7 @@ class Setup:
         return cls(theta, np.array(bench.camera_axes), target_axes, leds if points is None else points, sizes)
 
     def folded(self) -> Setup:
-        """Return the same with the small rotations taken into the axes, made orthonormal again."""
+        """Return an equal setup with the small rotations included in the axes, orthonormalised."""
         theta = self.theta.copy()
         camera = chain.rotation_matrix(theta[CAMERA_ROTATION:CAMERA_POSITION]) @ self.camera_axes
         target = chain.rotation_matrix(theta[TARGET_ROTATION:TARGET_POSITION]) @ self.target_axes
@@ -150,14 +150,14 @@ class Setup:
         return replace(self, theta=theta, camera_axes=orthonormal(camera), target_axes=orthonormal(target))
 
     def moved(self, change: Array, layout: Array | None = None) -> Setup:
-        """Return this changed by ``change`` (COMMON,) and the points by ``layout`` (m, 3)."""
+        """Return the setup changed by ``change`` (COMMON,) and its points by ``layout`` (m, 3)."""
         points = self.points if layout is None else self.points + layout
         return replace(self, theta=self.theta + change, points=points).folded()
 
 
 @dataclass(frozen=True, slots=True)
 class Projection:
-    """Pixels of one view and how they change; shapes as of ``chain.project_target``."""
+    """Pixels of one view and their derivatives; shapes as in ``chain.project_target``."""
 
     pixels: Array
     by_common: Array
@@ -166,7 +166,7 @@ class Projection:
 
 
 def project_view(setup: Setup, turntable: TurntableModel, axes: Array) -> Projection:
-    """Return what both cameras see with the bench's axes at ``axes`` (6,)."""
+    """Return the pixels in both cameras and their derivatives with the bench's axes at ``axes`` (6,)."""
     m = len(setup.points)
     out = (np.empty((2, m, 2)), np.empty((2, m, 2, COMMON)), np.empty((2, m, 2, 3)), np.empty((2, m, 2, 6)))
     mount = (setup.camera_axes, setup.target_axes, turntable.lever_arm, turntable.order)
@@ -187,7 +187,7 @@ def orthonormal(matrix: Array) -> Array:
 
 
 def camera_of(theta: Array, side: int, size: Array) -> dict[str, Any]:
-    """Return the keys of one camera of a geometry file."""
+    """Return the keys of one camera in a geometry file."""
     numbers = [float(x) for x in theta[9 * side : 9 * side + 9]]
     keys: dict[str, Any] = dict(zip(_LENS_NAMES[:4], numbers[:4], strict=True))
     keys |= {"width": int(size[0]), "height": int(size[1]), "distortion": numbers[4:]}

@@ -1,4 +1,4 @@
-"""What a calibration is worth: millimetres at working ranges, coverage of the images, and what the views left open."""
+"""Quality of a calibration: errors at working ranges, coverage of the images, warnings about the views."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ RANGES_M: Final = (0.6, 1.0, 2.0, 5.0, 10.0)
 _CELLS = 8
 _FIELD = np.linspace(-0.8, 0.8, 9)  # of half the field of view
 _CAMERAS = slice(0, PARTS["mounting"].start)
-_PLACED = np.r_[0 : PARTS["target"].start, PARTS["target"].start + 3 : SCALE]  # all but the target's turn
+_PLACED = np.r_[0 : PARTS["target"].start, PARTS["target"].start + 3 : SCALE]  # all but the target's rotation
 
 
 @dataclass(frozen=True, slots=True)
 class RangeAccuracy:
-    """Standard deviations of the place of one point at ``range_m``, mm: of one measurement, and of the calibration."""
+    """Standard deviations of the position of a point at ``range_m``, mm: of one measurement, and of the calibration."""
 
     range_m: float
     noise_across_mm: float
@@ -31,7 +31,7 @@ class RangeAccuracy:
 
 
 def _both_cameras(setup: Setup, p_v: Array) -> tuple[Array, Array, Array]:
-    """Return pixels (4,), slopes by all shared numbers (4, COMMON) and by the place in v (4, 3), m, of ``p_v``."""
+    """Return pixels (4,) of ``p_v``, derivatives by the shared parameters (4, COMMON) and by ``p_v`` (4, 3), px/m."""
     still = TurntableModel(np.zeros(3), np.array([2, 1, 0]))
     theta = setup.theta.copy()
     theta[PARTS["mounting"]] = 0.0
@@ -44,9 +44,9 @@ def _both_cameras(setup: Setup, p_v: Array) -> tuple[Array, Array, Array]:
 
 
 def field(setup: Setup, range_m: float) -> list[tuple[Array, Array]]:
-    """Return, for places all over what both cameras see at ``range_m``, how pixels and numbers move the place.
+    """Return the derivatives of a triangulated position by pixels and parameters, over the common field at ``range_m``.
 
-    Each (3, 4), m/px, and (3, COMMON): the place that is triangulated from the same pixels with other numbers.
+    Each (3, 4), m/px, and (3, COMMON): the position that is triangulated from the same pixels with other parameters.
     """
     found: list[tuple[Array, Array]] = []
     focal, size = setup.theta[:2], setup.sizes[0]
@@ -63,7 +63,7 @@ def field(setup: Setup, range_m: float) -> list[tuple[Array, Array]]:
 
 
 def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -> RangeAccuracy | None:
-    """Return what a point at ``range_m`` is known to; None where the cameras see nothing in common there."""
+    """Return the accuracy of a point at ``range_m``; None if the cameras have no common field there."""
     places = field(setup, range_m)
     if not places:
         return None
@@ -75,10 +75,10 @@ def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -
 
 
 def displacement(setup: Setup, change: Array, range_m: float) -> tuple[float, float]:
-    """Return by how much the place of a point at ``range_m`` is off, across and in depth, mm RMS over the field.
+    """Return the displacement of a point at ``range_m``, across and in depth, mm RMS over the field.
 
-    change: (COMMON,), by which cameras, mounting and the target's station differ from their numbers. The place is that
-    in the chaser's axes as the left camera has them.
+    change: (COMMON,), of cameras, mounting and the target's position from their values. The position is that in the
+    chaser's axes as measured by the left camera.
     """
     moves = np.array([g[:, _PLACED] @ change[_PLACED] for _, g in field(setup, range_m)]).reshape(-1, 3)
     if not len(moves):
@@ -88,7 +88,7 @@ def displacement(setup: Setup, change: Array, range_m: float) -> tuple[float, fl
 
 
 def coverage(seen: Observations, sizes: Array) -> list[float]:
-    """Return the share of the left and of the right image, in 8 x 8 fields, in which something was seen."""
+    """Return the fraction of the left and of the right image, in 8 x 8 fields, that contains points."""
     shares = []
     for side in range(2):
         points = seen.pixels[:, side].reshape(-1, 2)
@@ -100,16 +100,16 @@ def coverage(seen: Observations, sizes: Array) -> list[float]:
 
 
 def sigma_px(fit: RefinementFit, seen: Observations) -> float:
-    """Return the standard deviation of one coordinate of a spot or corner, px, as the fit found it."""
+    """Return the standard deviation of one coordinate of a spot or corner, px, as estimated by the fit."""
     variances = np.einsum("...ii->...", seen.covariance)[seen.visible] / 2.0
     return fit.noise * float(np.sqrt(np.median(variances)))
 
 
 def warnings_of(fit: RefinementFit, seen: Observations, held: Prior, shares: list[float], rigid: bool) -> list[str]:
-    """Return what the views leave to be desired, a sentence each. rigid: the target is a board of known size."""
+    """Return the deficiencies of the views, one sentence each. rigid: the target is a board of known size."""
     found = []
     if len(seen.names) < 10:
-        found.append(f"few views: {len(seen.names)}, 15 or more are good")
+        found.append(f"few views: {len(seen.names)}, 15 or more are recommended")
     found += [
         f"the {side} image is covered to {100 * share:.0f} % only: bring the target to its edges and corners too"
         for side, share in zip(SIDES, shares, strict=True)
@@ -118,20 +118,20 @@ def warnings_of(fit: RefinementFit, seen: Observations, held: Prior, shares: lis
     rails, gimbals = np.ptp(seen.axes[:, :3], axis=0), np.degrees(np.ptp(seen.axes[:, 3:], axis=0))
     turned = int((gimbals >= 8.0).sum())
     if held.free[PARTS["mounting"]].any() and turned < 2:
-        found.append("no tilt: fewer than two gimbals were turned by 8 deg, so where the camera sits is not determined")
+        found.append("no tilt: fewer than two gimbals were moved by 8 deg: the camera's mounting is not determined")
     if rails.max() < 0.1:
         rest = "scale rests on the board's size alone" if rigid else "nothing fixes the scale"
         found.append(f"the rails moved by {1e3 * rails.max():.0f} mm only: {rest}")
     elif rails[0] < 0.3:
         found.append(f"little change of range: x moved by {1e3 * rails[0]:.0f} mm")
-    belief_sigma = np.where(held.free, held.sigma, np.inf)
-    told = parameters()[:SCALE]
-    open_ = [p.name for p, s, b in zip(told, fit.sigma, belief_sigma, strict=False) if np.isfinite(b) and s > 0.3 * b]
+    prior_sigma = np.where(held.free, held.sigma, np.inf)
+    names = parameters()[:SCALE]
+    open_ = [p.name for p, s, b in zip(names, fit.sigma, prior_sigma, strict=False) if np.isfinite(b) and s > 0.3 * b]
     if open_:
         found.append(f"not determined by these views: {', '.join(open_)}")
     if len(fit.sigma) > COMMON and fit.sigma[COMMON:].max() > 0.5 * held.layout_sigma:
-        found.append("the layout of the LEDs is hardly better known than before")
+        found.append("the layout of the LEDs is hardly more accurate than before")
     for name, ratio, redundancy in zip(("rails", "gimbals"), fit.axis_ratio, fit.axis_redundancy, strict=True):
         if ratio > 1.0 + 3.0 / np.sqrt(2.0 * max(redundancy, 1.0)):
-            found.append(f"the {name} stand {ratio:.1f} times as far off their encoders as told")
+            found.append(f"errors of the {name}' encoders are {ratio:.1f} times the assumed sigma")
     return found

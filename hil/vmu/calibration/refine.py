@@ -1,7 +1,7 @@
-"""Joint refinement: all pixels of all views against all shared unknowns and the encoders' errors, by Gauss-Newton.
+"""Joint refinement of all shared parameters and the encoders' errors on all pixels of all views, by Gauss-Newton.
 
-Every view has six unknowns of its own, by how much each axis stood off its encoder; they are held by the encoders'
-sigmas. They touch no other view, so they are eliminated view by view (Schur complement) and the system that is left
+Every view has six own unknowns, the errors of the axes' encoders, constrained by the encoders'
+sigmas. They affect no other view, so they are eliminated view by view (Schur complement), and the remaining system
 has only the shared unknowns, however many views there are (docs/decisions/0078).
 """
 
@@ -20,10 +20,10 @@ _STEPS = 60
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is held, and how firmly, before a pixel is looked at.
+    """Prior of the parameters.
 
     free: (COMMON,) of bool. centre, sigma: (COMMON,). axis_sigma: (6,), of the encoders, m and rad.
-    layout_sigma: m, of each LED coordinate; 0 holds the layout.
+    layout_sigma: m, of each LED coordinate; 0: the layout is fixed.
     """
 
     free: Array
@@ -36,9 +36,9 @@ class Prior:
 def weak_prior(
     setup: Setup, keep: tuple[str, ...], axis_sigma: Array, layout_sigma: float, scale_sigma: float
 ) -> Prior:
-    """Return weak beliefs about ``setup``, wide enough to matter only where the views say nothing.
+    """Return a weak prior around ``setup``, wide enough to matter only for what the views leave open.
 
-    keep: PARTS to be held as they are. layout_sigma: 0 for a rigid target, whose scale then has ``scale_sigma``.
+    keep: PARTS to be kept fixed. layout_sigma: 0 for a rigid target, whose scale then has ``scale_sigma``.
     """
     sigma = np.empty(COMMON)
     for part in ("left", "right"):
@@ -58,14 +58,14 @@ def weak_prior(
 
 @dataclass(frozen=True, slots=True)
 class RefinementFit:
-    """What was found.
+    """Result of the refinement.
 
-    covariance: (COMMON, COMMON), 3 m more where the layout of the LEDs is found too; zero where held.
-    offsets: (n, 6), by how much the axes stood off their encoders.
-    residuals: (n, 2, m, 2), px, seen minus expected, NaN where not seen. noise: what the pixels' told standard
-    deviations have to be multiplied by. redundancy: of the pixels. view_square: (n,), sum of the squares of each
+    covariance: (COMMON, COMMON), 3 m more if the layout of the LEDs is estimated too; zero for fixed parameters.
+    offsets: (n, 6), errors of the axes' encoders.
+    residuals: (n, 2, m, 2), px, measured minus projected, NaN if not measured. noise: factor on the assumed standard
+    deviations of the pixels. redundancy: of the pixels. view_square: (n,), sum of the squares of each
     view's white residuals and offsets; view_freedom: their number of degrees of freedom.
-    axis_ratio: (2,), of rails and of gimbals, square root of the variance component of their told sigmas.
+    axis_ratio: (2,), of rails and of gimbals, square root of the variance component of their assumed sigmas.
     axis_redundancy: (2,).
     """
 
@@ -92,7 +92,7 @@ class RefinementFit:
 
 
 def layout_basis(points: Array) -> Array:
-    """Return the moves of the points that are no motion of the whole, (3 m, 3 m - 6) with orthonormal columns."""
+    """Return the deformations of the points without rigid motion, (3 m, 3 m - 6) with orthonormal columns."""
     rigid = []
     centred = points - points.mean(axis=0)
     for axis in np.eye(3):
@@ -102,17 +102,17 @@ def layout_basis(points: Array) -> Array:
 
 
 def whiteners(covariance: Array, seen: Array) -> Array:
-    """Return W (..., 2, 2) with W cov W' = 1, zero where a point was not seen."""
+    """Return W (..., 2, 2) with W cov W' = 1, zero if a point was not measured."""
     out = np.zeros(covariance.shape)
     out[seen] = np.linalg.inv(np.linalg.cholesky(covariance[seen]))
     return out
 
 
 class _System:
-    """The normal equations of one linearisation, the views' own unknowns eliminated."""
+    """Normal equations of one linearisation, with the views' own unknowns eliminated."""
 
     def __init__(self, problem: RefinementProblem, setup: Setup, offsets: Array, noise: float) -> None:
-        held, observations = problem.weak_prior, problem.observations
+        held, observations = problem.prior, problem.observations
         n = len(observations.names)
         shared = problem.shared
         self.axis_weight = 1.0 / held.axis_sigma**2
@@ -121,10 +121,8 @@ class _System:
         common = problem.columns
         prior[: len(common)] = 1.0 / held.sigma[common] ** 2
         gap[: len(common)] = (held.centre - setup.theta)[common]
-        for part in (
-            "mounting",
-            "target",
-        ):  # rotations are counted from where they are: their weak_prior is too wide to matter
+        # rotations are relative to the current ones: their prior is too wide to matter
+        for part in ("mounting", "target"):
             turn = range(PARTS[part].start, PARTS[part].start + 3)
             gap[: len(common)][np.isin(common, turn)] = 0.0
         if problem.basis is not None:
@@ -185,7 +183,7 @@ class _System:
 
 
 class RefinementProblem:
-    """The observations of one set of views, and what is believed before; solved by ``solve``."""
+    """Observations of one set of views and the prior; solved by ``solve``."""
 
     def __init__(
         self,
@@ -197,7 +195,7 @@ class RefinementProblem:
     ) -> None:
         self.observations = observations
         self.turntable = turntable
-        self.weak_prior = held
+        self.prior = held
         self.nominal = nominal
         self.visible = observations.visible
         self.whiten = whiteners(observations.covariance, self.visible)
@@ -206,7 +204,7 @@ class RefinementProblem:
         self.shared = len(self.columns) + (0 if self.basis is None else self.basis.shape[1])
 
     def solve(self, start: Setup) -> RefinementFit:
-        """Return the fit from ``start``; the pixels' noise is found along with it."""
+        """Return the fit from ``start``; the noise of the pixels is estimated too."""
         noise, offsets, setup = 1.0, np.zeros(self.observations.axes.shape), start.folded()
         for _ in range(4):
             setup, offsets, system = self._settle(setup, offsets, noise)
@@ -279,9 +277,9 @@ class RefinementProblem:
 
 @dataclass(frozen=True, slots=True)
 class Information:
-    """What pixels say of all numbers, (COMMON,) or (COMMON + 3 m,): square sum, its gradient, its curvature.
+    """Information of pixels on all parameters, (COMMON,) or (COMMON + 3 m,): square sum, its gradient, its curvature.
 
-    The encoders' errors are taken out. rows: of white residuals. rms_px: of the residuals, encoders' errors and all.
+    The encoders' errors are eliminated. rows: number of white residuals. rms_px: of the residuals, with encoder errors.
     """
 
     matrix: Array
@@ -299,7 +297,7 @@ def information(
     noise: float,
     with_points: bool,
 ) -> Information:
-    """Return what ``observations`` say about changes of ``setup``, and of its points where ``with_points``."""
+    """Return the information of ``observations`` on changes of ``setup``, and of its points if ``with_points``."""
     flat = Prior(np.ones(COMMON, dtype=bool), setup.theta, np.full(COMMON, np.inf), axis_sigma, 0.0)
     problem = RefinementProblem(observations, turntable, flat, setup.points)
     if with_points:

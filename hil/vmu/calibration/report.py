@@ -1,4 +1,4 @@
-"""The numbers of a calibration and of a check as JSON, with the reasons for the verdict."""
+"""Report of a calibration and of a drift check as JSON."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hil.vmu.kernels.chain import COMMON, SCALE
 
 
 def values(setup: Setup, paper: Setup, leds: bool) -> Array:
-    """Return all numbers of ``setup`` as ``parameters`` has them; the rotations as turns from those of ``paper``."""
+    """Return all parameters of ``setup`` in the order of ``parameters``; rotations relative to those of ``paper``."""
     theta = setup.theta.copy()
     for part, mine, other in (
         ("mounting", setup.camera_axes, paper.camera_axes),
@@ -27,17 +27,17 @@ def values(setup: Setup, paper: Setup, leds: bool) -> Array:
 
 
 def found_numbers(outcome: CalibrationOutcome) -> list[tuple[Parameter, float, float, float]]:
-    """Return each number that was found: what it is, its value, its standard deviation and its value on paper."""
+    """Return each estimated parameter: description, value, standard deviation and nominal value."""
     fit = outcome.solved.fit
     leds = len(fit.covariance) > COMMON
-    told = parameters(len(fit.setup.points) if leds else 0)
+    described = parameters(len(fit.setup.points) if leds else 0)
     now, before = (values(setup, outcome.nominal, leds) for setup in (fit.setup, outcome.nominal))
-    rows = zip(told, now, fit.sigma, before, strict=True)
+    rows = zip(described, now, fit.sigma, before, strict=True)
     return [(p, float(v * p.shown), float(s * p.shown), float(b * p.shown)) for p, v, s, b in rows if s > 0.0]
 
 
 def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
-    """Return the numbers of ``hil calibrate --json``."""
+    """Return the content of ``hil calibrate --json``."""
     solved, fit = outcome.solved, outcome.solved.fit
     seen = solved.observations
     view_rms = np.sqrt(np.nanmean(np.square(fit.residuals), axis=(1, 2, 3)))
@@ -89,9 +89,9 @@ def _finite(value: float) -> float | None:
 
 
 def drift_as_json(checked: DriftCheck, passed: bool, limits: dict[str, float]) -> dict[str, Any]:
-    """Return the numbers of ``hil calibrate --check --json``."""
+    """Return the content of ``hil calibrate --check --json``."""
     found, known = checked.drift, checked.known
-    told = parameters(len(known.setup.points) if len(found.explanations[0].change) > COMMON else 0)
+    described = parameters(len(known.setup.points) if len(found.explanations[0].change) > COMMON else 0)
     return {
         "calibration": known.label.id,
         "date": known.label.date,
@@ -119,7 +119,7 @@ def drift_as_json(checked: DriftCheck, passed: bool, limits: dict[str, float]) -
                 "shift_px": e.shift_px,
                 "change": {
                     p.name: {"value": float(c * p.shown), "sigma": float(s * p.shown), "unit": p.unit}
-                    for p, c, s in zip(told, e.change, e.sigma, strict=True)
+                    for p, c, s in zip(described, e.change, e.sigma, strict=True)
                     if s > 0.0
                 },
             }

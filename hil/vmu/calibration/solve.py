@@ -1,4 +1,4 @@
-"""From observations to a calibration: a robust start, the joint refinement, and the views that are left out."""
+"""Solution of a calibration: robust start, joint refinement, exclusion of inconsistent views."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from hil.vmu.calibration.model import PARTS, Observations, Setup, TurntableModel
 from hil.vmu.calibration.refine import Prior, RefinementFit, RefinementProblem, layout_basis, whiteners
 from hil.vmu.kernels.chain import COMMON
 
-_FAR = 4.0  # times the usual residual of a view
-_DOUBTFUL = 1e-6  # chance of a view that is left out ...
-_FAR_BY_FIT = 2.5  # ... if it is also so many times as far off as usual: corners are not equally sharp in all views
+_FAR = 4.0  # times the median residual of a view
+_DOUBTFUL = 1e-6  # probability below which a view is excluded ...
+_FAR_BY_FIT = 2.5  # ... if its residuals also exceed the median by this factor: sharpness differs between views
 _NEAR_GATE_PX = 3.0
 Progress = Callable[[str, float], None]
 
@@ -37,16 +37,16 @@ class CalibrationSolution:
 def solve(
     seen: Observations, setup: Setup, turntable: TurntableModel, held: Prior, doubtful: tuple[str, ...] = ()
 ) -> CalibrationSolution:
-    """Return the calibration from ``setup`` on.
+    """Return the calibration from the initial values ``setup``.
 
-    Views that do not belong to the rest are left out: those in ``doubtful``, those whose residuals stand out of
-    a robust fit, then one by one those whose chi-square nobody would believe.
+    Inconsistent views are excluded: those in ``doubtful``, those with large residuals in a robust fit, then one by one
+    those with an improbable chi-square.
     """
     nominal = setup.points
-    left_out = dict.fromkeys(doubtful, "its place does not fit those of the other views")
+    left_out = dict.fromkeys(doubtful, "its pose is inconsistent with the other views")
     seen = seen.only([k for k, name in enumerate(seen.names) if name not in left_out])
     if len(seen.names) < LEAST_VIEWS:
-        text = f"{len(seen.names)} views are left that belong together, {LEAST_VIEWS} are needed"
+        text = f"{len(seen.names)} consistent views remain, {LEAST_VIEWS} are required"
         raise BadInput.single("VIEWS", "", text)
     setup = robust_fit(seen, setup, turntable, held)
     sizes = _view_rms(seen, setup, turntable)
@@ -54,7 +54,7 @@ def solve(
     far = sizes > _FAR * max(usual, 0.02)
     if far.sum() <= len(far) // 3:
         for k in np.flatnonzero(far):
-            left_out[seen.names[k]] = f"residuals of {sizes[k]:.2f} px, usual are {usual:.2f} px"
+            left_out[seen.names[k]] = f"residuals of {sizes[k]:.2f} px, median {usual:.2f} px"
         seen = seen.only(np.flatnonzero(~far))
     allowed = min(len(seen.names) // 4, len(seen.names) - LEAST_VIEWS)
     while True:
@@ -67,7 +67,7 @@ def solve(
         if chance[worst] > _DOUBTFUL or ratio[worst] < _FAR_BY_FIT**2 * np.median(ratio) or allowed == 0:
             return CalibrationSolution(fit, seen, left_out, 0)
         allowed -= 1
-        text = f"residuals and encoders {np.sqrt(ratio[worst] / np.median(ratio)):.1f} times as far off as usual"
+        text = f"residuals and encoder errors {np.sqrt(ratio[worst] / np.median(ratio)):.1f} times the median"
         left_out[seen.names[worst]] = text
         seen = seen.only([k for k in range(len(seen.names)) if k != worst])
 
@@ -75,10 +75,10 @@ def solve(
 def solve_leds(
     views: SpotViews, setup: Setup, turntable: TurntableModel, held: Prior, progress: Progress
 ) -> CalibrationSolution:
-    """Return the calibration from spots of light, identified by the setup on paper first and by the fit then."""
+    """Return the calibration from spots, identified first by the nominal setup and then by the fit."""
     progress("identifying the LEDs", 0.0)
     seen = _enough(identify(views, setup, turntable))
-    # what is on paper is worst about the mounting: nothing else is let move at first
+    # the nominal mounting has the largest error: estimate only the mounting first
     mounting = replace(held, free=_only(held.free, "mounting"), layout_sigma=0.0)
     rough = robust_fit(seen, setup, turntable, mounting)
     gate = max(_NEAR_GATE_PX, 4.0 * float(np.median(_view_rms(seen, rough, turntable))))
@@ -89,28 +89,19 @@ def solve_leds(
     strays = _strays(seen, rough, turntable)
     seen = _enough(seen.without(strays))
     progress("refining", 0.6)
-    solved = solve(seen, _with_points(rough, setup), turntable, _told(held, setup))
-    lost = {name: "fewer than 3 LEDs where they should be" for name in views.names if name not in seen.names}
+    # the prior of the layout refers to the nominal one, so the fit starts from it
+    start, held = replace(rough, points=setup.points), replace(held, centre=setup.theta.copy())
+    solved = solve(seen, start, turntable, held)
+    lost = {name: "fewer than 3 LEDs at their expected positions" for name in views.names if name not in seen.names}
     return replace(solved, left_out=lost | solved.left_out, spots_left_out=int(strays.sum()))
 
 
-def _with_points(setup: Setup, nominal: Setup) -> Setup:
-    """The layout is counted from the one on paper, so that is where the fit begins."""
-    return replace(setup, points=nominal.points)
-
-
-def _told(held: Prior, nominal: Setup) -> Prior:
-    return replace(held, centre=nominal.theta.copy())
-
-
 def _enough(seen: Observations) -> Observations:
-    """Return the views in which at least three LEDs are known to one camera."""
+    """Return the views in which one camera identified at least three LEDs."""
     good = np.flatnonzero(seen.visible.sum(axis=2).max(axis=1) >= 3)
     if len(good) < LEAST_VIEWS:
-        text = (
-            f"{len(good)} of {len(seen.names)} views show 3 LEDs near the places where rig and geometry file put them"
-        )
-        raise BadInput.single("VIEWS", "", f"{text}, {LEAST_VIEWS} are needed")
+        text = f"{len(good)} of {len(seen.names)} views show 3 LEDs near the positions given by rig and geometry file"
+        raise BadInput.single("VIEWS", "", f"{text}, {LEAST_VIEWS} are required")
     return seen.only(good)
 
 
@@ -127,18 +118,18 @@ def _view_rms(seen: Observations, setup: Setup, turntable: TurntableModel) -> Ar
 
 
 def _strays(seen: Observations, setup: Setup, turntable: TurntableModel) -> np.ndarray:
-    """Return which points, (n, 2, m), are far from where they should be, beside the rest of their view."""
+    """Return which points, (n, 2, m), are outliers relative to the rest of their view."""
     gaps = np.array([project_view(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a camera that sees nothing in a view
-        gaps -= np.nanmedian(gaps, axis=2, keepdims=True)  # what the whole view is off is the encoders'
+        warnings.simplefilter("ignore", RuntimeWarning)  # a camera without points in a view
+        gaps -= np.nanmedian(gaps, axis=2, keepdims=True)  # a common displacement of the view is due to the encoders
     size = np.hypot(gaps[..., 0], gaps[..., 1])
     usual = float(np.nanmedian(size))
     return np.asarray(np.nan_to_num(size) > max(6.0 * usual, 0.3))
 
 
 def robust_fit(seen: Observations, setup: Setup, turntable: TurntableModel, held: Prior) -> Setup:
-    """Return the setup that most of the pixels agree about, the encoders taken as they are (Cauchy loss)."""
+    """Return the setup that fits most of the pixels, without encoder errors (Cauchy loss)."""
     columns = np.flatnonzero(held.free)
     mask = seen.visible
     basis = layout_basis(setup.points) if held.layout_sigma > 0.0 else None

@@ -1,4 +1,4 @@
-"""The folder of views: ``views.csv`` says where the bench stood, ``left/`` and ``right/`` hold the images."""
+"""Folder of views: ``views.csv`` with the positions of the bench, ``left/`` and ``right/`` with the images."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Views:
 def read_views(place: Path) -> Views:
     """Return the views of the folder ``place``, or of the CSV file at ``place``; raise BadInput.
 
-    Columns: COLUMNS, and ``left`` and ``right`` where the images are not ``left/VIEW.png`` and ``right/VIEW.png``.
+    Columns: COLUMNS, and ``left`` and ``right`` if the images are not ``left/VIEW.png`` and ``right/VIEW.png``.
     """
     table = place / "views.csv" if place.is_dir() else place
     try:
@@ -44,20 +44,20 @@ def read_views(place: Path) -> Views:
     unknown = [name for name in header if name not in (*COLUMNS, *IMAGE_COLUMNS)]
     if missing or unknown:
         what = f"column {missing[0]} is missing" if missing else f"unknown column {unknown[0]!r}"
-        raise BadInput.single(str(table), "", f"{what}; columns: {','.join(COLUMNS)}, allowed besides: left,right")
+        raise BadInput.single(str(table), "", f"{what}; columns: {','.join(COLUMNS)}, optional: left,right")
     problems: list[Problem] = []
     names, axes, images = [], [], []
     for number, row in enumerate(rows, start=2):
         name = (row["view"] or "").strip()
         if not name or name in names:
-            problems.append(Problem(str(table), f"line {number}", f"view {name!r}: must be given, and once only"))
+            problems.append(Problem(str(table), f"line {number}", f"view {name!r}: must be given, and unique"))
         names.append(name)
         axes.append([_number(table, number, column, row[column], problems) for column in COLUMNS[1:]])
         left, right = ((row.get(side) or "").strip() or f"{side}/{name}.png" for side in IMAGE_COLUMNS)
         images.append((table.parent / left, table.parent / right))
     problems += [Problem(str(path), "", "no such image") for pair in images for path in pair if not path.is_file()]
     if not rows:
-        problems.append(Problem(str(table), "", "holds no view"))
+        problems.append(Problem(str(table), "", "contains no view"))
     if problems:
         raise BadInput(problems[:1] if len(problems) == 1 else _shortened(problems))
     positions = np.array(axes, dtype=float)
@@ -69,7 +69,7 @@ def _shortened(problems: list[Problem]) -> list[Problem]:
     if len(problems) <= 5:
         return problems
     last = problems[4]
-    return [*problems[:4], Problem(last.source, last.key, f"{last.message} (and {len(problems) - 5} more faults)")]
+    return [*problems[:4], Problem(last.source, last.key, f"{last.message} (and {len(problems) - 5} more errors)")]
 
 
 def _number(table: Path, line: int, column: str, text: str | None, problems: list[Problem]) -> float:
@@ -86,12 +86,12 @@ def read_image(path: Path) -> np.ndarray:
     """Return the image at ``path`` in 8-bit grey levels, (h, w); raise BadInput."""
     with_name = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if with_name is None:
-        raise BadInput.single(str(path), "", "not an image that can be read (PNG, TIFF, BMP, ...)")
+        raise BadInput.single(str(path), "", "not a readable image (PNG, TIFF, BMP, ...)")
     return np.asarray(with_name, dtype=np.uint8)
 
 
 def read_pair(views: Views, index: int, sizes: Array | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return both images of a view; raise BadInput where they are not of ``sizes`` (2, 2), width and height."""
+    """Return both images of a view; raise BadInput if they are not of ``sizes`` (2, 2), width and height."""
     left, right = (read_image(path) for path in views.images[index])
     for image, path, size in zip((left, right), views.images[index], sizes if sizes is not None else (), strict=False):
         if image.shape[::-1] != tuple(int(x) for x in size):

@@ -75,7 +75,7 @@ def test_a_cut_video_gives_its_whole_pictures_and_then_says_so(
     whole = [frame.image for frame in open_source(str(path), scene)]
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     got = []
-    with pytest.raises(BadInput, match=rf"a\.\w+: cut or damaged: \d whole pictures, {COUNT} expected$"):
+    with pytest.raises(BadInput, match=rf"a\.\w+: truncated or damaged: \d complete images, {COUNT} expected$"):
         got.extend(frame.image for frame in open_source(str(path), scene))
     assert 3 <= len(got) <= 7
     for image, picture in zip(got, whole, strict=False):
@@ -92,7 +92,7 @@ def test_a_picture_lost_in_mid_file_leaves_a_gap_in_the_times(
     data[start : start + 20_000] = bytes(20_000)
     path.write_bytes(data)
     got = []
-    with pytest.raises(BadInput, match="cut or damaged"):
+    with pytest.raises(BadInput, match="truncated or damaged"):
         got.extend(open_source(str(path), scene))
     right = [np.array_equal(frame.image, many[round(frame.t_s * 12.5)]) for frame in got]
     assert right.count(False) <= 1
@@ -140,7 +140,7 @@ def test_what_is_no_source_is_one_line(tmp_path: Path, scene: Loaded[Scene], pic
     folder.mkdir()
     assert "no images: allowed are .bmp" in refused(folder, scene)
     (folder / "0000.png").write_text("no", encoding="utf-8")
-    assert refused(folder, scene) == f"{folder}/0000.png: not an image that can be read"
+    assert refused(folder, scene) == f"{folder}/0000.png: not a readable image"
 
 
 def test_another_size_than_the_cameras_is_one_line(
@@ -148,19 +148,19 @@ def test_another_size_than_the_cameras_is_one_line(
 ) -> None:
     small = [picture[:32, :64] for picture in pictures]
     path = write_video(tmp_path / "small.mkv", [np.ascontiguousarray(picture) for picture in small])
-    assert refused(path, scene) == f"{path}: picture size: 64 x 32: must be 96 x 64, the camera of scene.json"
+    assert refused(path, scene) == f"{path}: image size: 64 x 32: must be 96 x 64, the camera of scene.json"
     folder = tmp_path / "folder"
     folder.mkdir()
     cv2.imwrite(str(folder / "0.png"), pictures[0])
     cv2.imwrite(str(folder / "1.png"), small[1])
-    assert refused(folder, scene).startswith(f"{folder}/1.png: picture size: 64 x 32")
+    assert refused(folder, scene).startswith(f"{folder}/1.png: image size: 64 x 32")
 
 
 def test_another_rate_than_the_scenes_is_one_line(
     tmp_path: Path, scene: Loaded[Scene], pictures: list[np.ndarray]
 ) -> None:
     path = write_video(tmp_path / "fast.mkv", pictures, fps=25.0)
-    said = "picture rate: 25 pictures a second: must be 12.5, fps of scene.json"
+    said = "image rate: 25 images per second: must be 12.5, fps of scene.json"
     assert refused(path, scene) == f"{path}: {said}"
 
 
@@ -196,6 +196,6 @@ def test_a_camera_counts_whole_picture_times_so_that_a_recording_has_the_same_on
     monkeypatch.setattr(cv2, "VideoCapture", lambda index: camera)
     source = open_source("0", scene, camera.clock)
     slots = []
-    with pytest.raises(BadInput, match="camera 0: gives no more pictures"):
+    with pytest.raises(BadInput, match="camera 0: delivers no more images"):
         slots.extend(frame.t_s * 12.5 for frame in source)
     np.testing.assert_allclose(slots, [0, 1, 2, 5, 6])
