@@ -1,6 +1,6 @@
 """Accuracy of calibration and drift check: errors relative to reported sigmas over many simulated sets.
 
-    python sims/calibration_study.py [SETS [LEDs] [board]]
+    python -m sims.calibration_study [SETS [LEDs] [board]]
 
 Every set has other cameras, mounting, target and noise. Exit code 1 if an error is inconsistent with its sigma, or a
 drift is missed or reported wrongly.

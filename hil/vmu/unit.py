@@ -85,10 +85,7 @@ class VisionUnit:
     """Solves stereo pairs one after the other, with a track between them. Not thread-safe."""
 
     def __init__(
-        self,
-        geometry: VmuGeometry,
-        settings: SolverSettings | None = None,
-        track: TrackSettings | None = None,
+        self, geometry: VmuGeometry, settings: SolverSettings | None = None, track: TrackSettings | None = None
     ) -> None:
         self.geometry = geometry
         self.solver = Solver(geometry, settings or SolverSettings())
@@ -99,11 +96,7 @@ class VisionUnit:
         self._none = tuple([-1] * len(geometry.leds_m))
 
     def solve(
-        self,
-        left: np.ndarray | None,
-        right: np.ndarray | None,
-        t_s: float,
-        prediction: Prediction | None = None,
+        self, left: np.ndarray | None, right: np.ndarray | None, t_s: float, prediction: Prediction | None = None
     ) -> Solution:
         """Return the solution of the images (h, w), uint8, taken at ``t_s``; None for a missing image.
 

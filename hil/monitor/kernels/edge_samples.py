@@ -53,24 +53,24 @@ def _project(lens, a, d, y1, y2, y3):
 
 
 @kernel
-def project_borders(lens, a, d, circles, borders, circle_images, line_images):
+def project_borders(lens, a, d, circles, borders, circles_px, lines_px):
     """Write the images of the parts' borders.
 
-    circle_images: (n, 4): u, v, radius, px, group (radius -1 if behind the camera). line_images: (m, 5): both
+    circles_px: (n, 4): u, v, radius, px, group (radius -1 if behind the camera). lines_px: (m, 5): both
     ends, px, group (nan if behind the camera).
     """
     for i in range(circles.shape[0]):
         c = circles[i]
         u, v, depth = _project(lens, a, d, c.y1, c.y2, c.y3)
-        circle_images[i, 0], circle_images[i, 1], circle_images[i, 3] = u, v, c.group
-        circle_images[i, 2] = lens[0] * c.radius / depth if depth > 0.0 else -1.0
+        circles_px[i, 0], circles_px[i, 1], circles_px[i, 3] = u, v, c.group
+        circles_px[i, 2] = lens[0] * c.radius / depth if depth > 0.0 else -1.0
     for i in range(borders.shape[0]):
         b = borders[i]
         u0, v0, d0 = _project(lens, a, d, b.a1, b.a2, b.y3)
         u1, v1, d1 = _project(lens, a, d, b.b1, b.b2, b.y3)
         ok = d0 > 0.0 and d1 > 0.0
-        line_images[i, 0] = u0 if ok else np.nan
-        line_images[i, 1], line_images[i, 2], line_images[i, 3], line_images[i, 4] = v0, u1, v1, b.group
+        lines_px[i, 0] = u0 if ok else np.nan
+        lines_px[i, 1], lines_px[i, 2], lines_px[i, 3], lines_px[i, 4] = v0, u1, v1, b.group
 
 
 @kernel
@@ -85,33 +85,33 @@ def _distance(u, v, s):
 
 
 @kernel
-def _clearance(u, v, group, circle_images, line_images):
+def _clearance(u, v, group, circles_px, lines_px):
     """Return the distance of (u, v) from the nearest border of another group, px."""
     least = math.inf
-    for i in range(circle_images.shape[0]):
-        if circle_images[i, 3] != group and circle_images[i, 2] > 0.0:
-            gap = abs(math.hypot(u - circle_images[i, 0], v - circle_images[i, 1]) - circle_images[i, 2])
+    for i in range(circles_px.shape[0]):
+        if circles_px[i, 3] != group and circles_px[i, 2] > 0.0:
+            gap = abs(math.hypot(u - circles_px[i, 0], v - circles_px[i, 1]) - circles_px[i, 2])
             least = min(least, gap)
-    for i in range(line_images.shape[0]):
-        if line_images[i, 4] != group:
-            gap = _distance(u, v, line_images[i])
+    for i in range(lines_px.shape[0]):
+        if lines_px[i, 4] != group:
+            gap = _distance(u, v, lines_px[i])
             if gap < least:
                 least = gap
     return least
 
 
 @kernel
-def _reach(u, v, nu, nv, wanted, half_length, guard, group, circle_images, line_images):
+def _reach(u, v, nu, nv, wanted, half_length, guard, group, circles_px, lines_px):
     """Return the free distance from (u, v) along (nu, nv) to other borders, at most ``wanted``, px."""
     needed = guard + half_length * 0.5
-    free = _clearance(u, v, group, circle_images, line_images) - needed
+    free = _clearance(u, v, group, circles_px, lines_px) - needed
     if free >= wanted:
         return wanted
     if free < 0.0:
         return -1.0
     reach = free
     for _ in range(4):  # sphere tracing: advance by the free distance at the current end
-        free = _clearance(u + reach * nu, v + reach * nv, group, circle_images, line_images) - needed
+        free = _clearance(u + reach * nu, v + reach * nv, group, circles_px, lines_px) - needed
         if free <= 0.05:
             break
         reach = min(reach + free, wanted)
@@ -124,7 +124,7 @@ def _in_picture(lens, u, v, margin):
 
 
 @kernel
-def _finish(sample, lens, wanted, least, blur, group, circle_images, line_images):
+def _finish(sample, lens, wanted, least, blur, group, circles_px, lines_px):
     """Set the extent of the strip; return whether enough of it is free and in the image."""
     if not _in_picture(lens, sample.u, sample.v, wanted + 0.5 * sample.length + 0.5 * sample.width):
         return False
@@ -132,9 +132,9 @@ def _finish(sample, lens, wanted, least, blur, group, circle_images, line_images
     half = 0.5 * sample.width
     half_length = 0.5 * sample.length
     outside = _reach(sample.u + half * sample.nu, sample.v + half * sample.nv, sample.nu, sample.nv,
-                     wanted, half_length, guard, group, circle_images, line_images)  # fmt: skip
+                     wanted, half_length, guard, group, circles_px, lines_px)  # fmt: skip
     inside = _reach(sample.u - half * sample.nu, sample.v - half * sample.nv, -sample.nu, -sample.nv,
-                    wanted, half_length, guard, group, circle_images, line_images)  # fmt: skip
+                    wanted, half_length, guard, group, circles_px, lines_px)  # fmt: skip
     if sample.curvature > 0.0:
         inside = min(inside, 1.0 / sample.curvature - guard)
     sample.outside, sample.inside = half + outside, half + inside
@@ -151,7 +151,7 @@ def _curvature(u0, v0, u1, v1, u2, v2):
 
 @kernel
 def _place_on_circle(
-    lens, a, d, circle, number, length, most, wanted, least, blur, circle_images, line_images, samples, count
+    lens, a, d, circle, number, length, most, wanted, least, blur, circles_px, lines_px, samples, count
 ):
     _, _, depth = _project(lens, a, d, circle.y1, circle.y2, circle.y3)
     if depth <= 0.0:
@@ -182,29 +182,14 @@ def _place_on_circle(
         sample.curvature = _curvature(ua, va, u, v, ub, vb)
         sample.length = min(length, around / pieces)
         sample.feature, sample.kind, sample.cluster = circle.feature, STEP, ARCS * number + ARCS * i // pieces
-        if _finish(sample, lens, wanted, least, blur, circle.group, circle_images, line_images):
+        if _finish(sample, lens, wanted, least, blur, circle.group, circles_px, lines_px):
             count += 1
     return count
 
 
 @kernel
 def _place_on_line(
-    lens,
-    a,
-    d,
-    line,
-    number,
-    clusters,
-    side,
-    length,
-    most,
-    wanted,
-    least,
-    blur,
-    circle_images,
-    line_images,
-    samples,
-    count,
+    lens, a, d, line, number, clusters, side, length, most, wanted, least, blur, circles_px, lines_px, samples, count
 ):
     """Place samples on a line; side: 0 for the line itself, +-1 for that border of a wide bar."""
     e1, e2 = line.b1 - line.a1, line.b2 - line.a2
@@ -242,7 +227,7 @@ def _place_on_line(
         sample.feature, sample.cluster = line.feature, number
         sample.kind = BAR if line.width > 0.0 and side == 0.0 else STEP
         sample.width = line.width * scale if sample.kind == BAR else 0.0
-        if _finish(sample, lens, wanted, least, blur, line.group, circle_images, line_images):
+        if _finish(sample, lens, wanted, least, blur, line.group, circles_px, lines_px):
             count += 1
     return count
 
@@ -254,16 +239,16 @@ def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, 
     blur: px, 1 sigma of an edge. length: px along the edge; most: largest number per edge. wide_bar: px, bars wider
     than this are measured at each side separately. wanted: px, half width of the strips.
     """
-    circle_images, line_images = np.empty((circles.shape[0], 4)), np.empty((borders.shape[0], 5))
-    project_borders(lens, a, d, circles, borders, circle_images, line_images)
+    circles_px, lines_px = np.empty((circles.shape[0], 4)), np.empty((borders.shape[0], 5))
+    project_borders(lens, a, d, circles, borders, circles_px, lines_px)
     least = 1.5 * blur + 1.0
     count = 0
     for i in range(circles.shape[0]):
         small = circles[i].group < 0
-        if small and circle_images[i, 2] < 5.0 * blur + 1.0:
+        if small and circles_px[i, 2] < 5.0 * blur + 1.0:
             continue
         count = _place_on_circle(
-            lens, a, d, circles[i], i, length, most, wanted, least, blur, circle_images, line_images, samples, count
+            lens, a, d, circles[i], i, length, most, wanted, least, blur, circles_px, lines_px, samples, count
         )
     clusters = ARCS * circles.shape[0]
     for i in range(lines.shape[0]):
@@ -272,41 +257,10 @@ def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, 
             _, _, depth = _project(lens, a, d, line.a1, line.a2, line.y3)
             if depth > 0.0 and lens[0] * line.width / depth > wide_bar:
                 for side in (-1.0, 1.0):
-                    count = _place_on_line(
-                        lens,
-                        a,
-                        d,
-                        line,
-                        i,
-                        clusters,
-                        side,
-                        length,
-                        most,
-                        wanted,
-                        least,
-                        blur,
-                        circle_images,
-                        line_images,
-                        samples,
-                        count,
-                    )
+                    count = _place_on_line(lens, a, d, line, i, clusters, side, length, most, wanted, least, blur,
+                                           circles_px, lines_px, samples, count)  # fmt: skip
                 continue
         count = _place_on_line(
-            lens,
-            a,
-            d,
-            line,
-            i,
-            clusters,
-            0.0,
-            length,
-            most,
-            wanted,
-            least,
-            blur,
-            circle_images,
-            line_images,
-            samples,
-            count,
+            lens, a, d, line, i, clusters, 0.0, length, most, wanted, least, blur, circles_px, lines_px, samples, count
         )
     return count

@@ -231,10 +231,7 @@ def _spot(image, first_line, line_step, u, v, radius):
     outer = 2.0 * radius + 1.0
     inner = max(0.5 * radius, 0.7)
     ring = 1.5 * radius + 1.0
-    top, bottom = (
-        math.ceil((v - outer - first_line) / line_step),
-        math.floor((v + outer - first_line) / line_step),
-    )
+    top, bottom = (math.ceil((v - outer - first_line) / line_step), math.floor((v + outer - first_line) / line_step))
     left, right = math.ceil(u - outer), math.floor(u + outer)
     if top < 0 or left < 0 or bottom >= image.shape[0] or right >= image.shape[1]:
         return np.nan

@@ -85,9 +85,7 @@ class PaperMotionFit:
         if found is None:
             return None, float("nan")
         z, z_normal, z_covariance, squares = found
-        v, v_normal, v_covariance = self._angles(
-            times, values, covariances, z, v0, self._settings.q_attitude * q0, pv0, before is not None
-        )
+        v, v_normal, v_covariance = self._angles(times, values, covariances, z, v0, self._settings.q_attitude * q0, pv0)
         return PaperState(origin, t_s, z, z_normal, z_covariance, v, v_normal, v_covariance), squares
 
     def _model(self, times: Floats, z: Floats) -> tuple[Floats, Floats]:
@@ -151,9 +149,8 @@ class PaperMotionFit:
         return z
 
     def _angles(
-        self, times: Floats, values: Floats, covariances: Floats, z: Floats, v0: Floats, c: Floats, p0: Floats,
-        carried: bool,
-    ) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+        self, times: Floats, values: Floats, covariances: Floats, z: Floats, v0: Floats, c: Floats, p0: Floats
+    ) -> tuple[Floats, Floats, Floats]:
         """Return v, its normal matrix and covariance by three regressions (F_n)."""
         f = self._f
         d1, d2, d3 = (z[2 * i] + z[2 * i + 1] * times for i in range(3))
