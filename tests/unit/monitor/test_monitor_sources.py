@@ -131,9 +131,9 @@ def refused(name: str | Path, scene: Loaded[Scene]) -> str:
 def test_what_is_no_source_is_one_line(tmp_path: Path, scene: Loaded[Scene], pictures: list[np.ndarray]) -> None:
     text = tmp_path / "text.mkv"
     text.write_text("this is not a video\n" * 100, encoding="utf-8")
-    assert refused(text, scene).startswith(f"{text}: not a video")
+    assert refused(text, scene).startswith(f"{text}: not a readable video")
     (tmp_path / "empty.mkv").touch()
-    assert "not a video" in refused(tmp_path / "empty.mkv", scene)
+    assert "not a readable video" in refused(tmp_path / "empty.mkv", scene)
     assert "no such file or folder" in refused(tmp_path / "missing.mkv", scene)
     assert refused("977", scene) == "camera 977: no such camera, or it is in use"
     folder = tmp_path / "folder"
