@@ -28,6 +28,7 @@ def _shown(value: float, sigma: float) -> tuple[str, str]:
 def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
     """Print a calibration."""
     solved, fit = outcome.solved, outcome.solved.fit
+    used = solved.observations
     numbers = _table("Estimates", "", "value", "sigma", "nominal", "unit")
     last = ""
     for parameter, value, sigma, paper in found_numbers(outcome):
@@ -52,7 +53,7 @@ def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
 
     covered = ", ".join(f"{side} {100 * s:.0f} %" for side, s in zip(("left", "right"), outcome.shares, strict=True))
     show(
-        f"{len(solved.observations.names)} views, {int(solved.observations.visible.sum())} points, residuals {fit.rms_px:.3f} px"
+        f"{len(used.names)} views, {int(used.visible.sum())} points, residuals {fit.rms_px:.3f} px"
         f" RMS, noise {outcome.sigma_px:.3f} px; images covered: {covered}"
     )
     show(f"rail errors: {fit.axis_ratio[0]:.2f}, gimbal errors: {fit.axis_ratio[1]:.2f} of the assumed sigma")

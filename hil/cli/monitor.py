@@ -87,7 +87,7 @@ def monitor(
     refuse(problems)
 
     from hil.config.load import load_scene
-    from hil.monitor.monitor import Monitor
+    from hil.monitor.monitor import Monitor, process_frames
     from hil.monitor.settings import MonitorSettings
     from hil.monitor.sources import open_source
 
