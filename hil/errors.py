@@ -1,17 +1,17 @@
-"""All errors of the product, one tree.
+"""Error tree of the package.
 
 HilError
-├── BadInput            what the user gave cannot be used: exit code 2, one line a problem
-├── CampaignStopped     a campaign cannot go on; the cases that are done are kept: exit code 3
-└── BenchError          something on the bench: the run ends as a safe stop, exit code 3
-    ├── DeviceError     names the device
-    │   ├── LinkLost        the wire is gone (closed port, reset connection)
-    │   ├── LinkTimeout     the wire is there, nothing comes (or nothing new)
-    │   ├── ProtocolError   bytes that do not mean what they should
+├── BadInput            invalid user input: exit code 2, one line per problem
+├── CampaignStopped     a campaign cannot continue; completed cases are kept: exit code 3
+└── BenchError          fault of the bench: the run ends with a safe stop, exit code 3
+    ├── DeviceError     fault of a device, which it names
+    │   ├── LinkLost        the link is lost (closed port, reset connection)
+    │   ├── LinkTimeout     nothing, or nothing new, received in time
+    │   ├── ProtocolError   received bytes violate the protocol
     │   └── DriveFault      the device itself reports a fault
-    └── SafetyTrip      a limit of the controller's own was passed (device, value, limit)
+    └── SafetyTrip      a limit of the controller was exceeded (device, value, limit)
 
-Anything else that reaches the command line is a defect of this program: exit code 4.
+Any other exception that reaches the command line is an internal error: exit code 4.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from enum import Enum
 
 
 class HilError(Exception):
-    """Root of the tree."""
+    """Base class of all errors of the package."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One fault of one input: where it stands, what stands there, what may stand there."""
+    """One error of an input: its source, its key, and a message with the value and the allowed ones."""
 
     source: str
     key: str
@@ -39,7 +39,7 @@ class Problem:
 
 
 class BadInput(HilError):
-    """The user's input cannot be used; ``problems`` holds every fault that was found."""
+    """Invalid user input; ``problems`` has every error found."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         self.problems = tuple(problems)
@@ -55,15 +55,15 @@ class RenamedKey(FutureWarning):
 
 
 class CampaignStopped(HilError):
-    """A campaign cannot go on: its disk is full, its scheduler is gone. What is done is kept."""
+    """A campaign cannot continue: disk full, scheduler lost. Completed cases are kept."""
 
 
 class BenchError(HilError):
-    """The bench cannot go on; whoever holds it stops it."""
+    """Unrecoverable bench error; the runner performs a safe stop."""
 
 
 class DeviceError(BenchError):
-    """A device failed. The text always starts with the device's name."""
+    """Fault of a device. The text starts with the device's name."""
 
     def __init__(self, device: str, what: str) -> None:
         self.device = device
@@ -72,27 +72,27 @@ class DeviceError(BenchError):
 
 
 class LinkLost(DeviceError):
-    """The wire to the device is gone."""
+    """The link to the device is lost."""
 
 
 class LinkTimeout(DeviceError):
-    """The device has been silent for too long."""
+    """The device has been silent for longer than its time-out."""
 
 
 class ProtocolError(DeviceError):
-    """The device sent bytes that break its protocol."""
+    """The device sent bytes that violate its protocol."""
 
 
 class FaultKind(Enum):
-    """What a device's own fault means to the bench. Drivers tell it by the fault's code, never by its text."""
+    """Kind of a device's fault. Drivers derive it from the fault code, never from its text."""
 
     OTHER = "other"
     TORQUE_OFF = "torque off"
-    """The safety chain has taken the torque from the drive: the cause lies elsewhere."""
+    """The safety chain has removed the torque of the drive: the cause is elsewhere."""
 
 
 class DriveFault(DeviceError):
-    """The device reports a fault of its own."""
+    """The device reports a fault."""
 
     def __init__(self, device: str, what: str, kind: FaultKind = FaultKind.OTHER) -> None:
         super().__init__(device, what)
@@ -100,7 +100,7 @@ class DriveFault(DeviceError):
 
 
 class SafetyTrip(BenchError):
-    """A supervised quantity left its limit."""
+    """A monitored quantity exceeded its limit."""
 
     def __init__(self, device: str, quantity: str, value: str, limit: str) -> None:
         self.device = device

@@ -180,10 +180,10 @@ class BuiltinGnc(Approach):
         self.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
 
     def adjust(self, navigation: np.record, supervision: np.record, control: np.record) -> int:
-        """Take over other parameters, between two cycles; return the number of the cycle from which on they act.
+        """Apply other parameters, between two cycles; return the number of the first cycle that uses them.
 
-        NAVIGATION_PARAMS, SUPERVISION_PARAMS, CONTROL_PARAMS of the same step and sensors. They are written in place:
-        whoever looks at them beside the loop, as the shadow filter does, goes on with the new ones as well.
+        NAVIGATION_PARAMS, SUPERVISION_PARAMS, CONTROL_PARAMS of the same step and sensors. They are written in place,
+        so that the shadow filter uses the new ones as well.
         """
         for mine, theirs in (
             (self._navigation, navigation),
