@@ -1,4 +1,4 @@
-"""A GNC in a shared library (``hil/include/hil_gnc.h``): loaded, asked for its protocol, opened and closed."""
+"""External GNC in a shared library (``hil_gnc.h``): loading, protocol check, opening and closing of an instance."""
 
 from __future__ import annotations
 

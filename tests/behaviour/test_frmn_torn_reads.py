@@ -1,6 +1,7 @@
-"""Reads of a slot while a writer in another process does nothing but write: none may be torn.
+"""Reads of a slot during continuous writing by another process: none may be torn.
 
-The reader is compiled, so that there are many; it keeps the protocol of hil/frmn/slots.py. The writer is the product's.
+The reader is compiled, for a high number of reads; it follows the protocol of hil/frmn/shared_memory.py. The writer is
+the product's.
 """
 
 from __future__ import annotations

@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+NAMED_FILE = re.compile(
+    r"(?<![\w/.-])((?:hil|docs|tests|benchmarks|sims|examples|configs)/[\w./-]+\.(?:py|toml|c|h|md|png))(?![\w.]*\w)"
+)
 PAGES = sorted([ROOT / "README.md", ROOT / "benchmarks" / "README.md", *(ROOT / "docs").rglob("*.md")])
 
 
@@ -33,8 +36,15 @@ def test_index_lists_every_page() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_named_files_of_the_repository_exist(page: Path) -> None:
-    for name in re.findall(r"`((?:hil|tests|benchmarks|sims|examples|configs)/[\w./-]+)`", page.read_text()):
+    for name in NAMED_FILE.findall(page.read_text()):
         assert (ROOT / name).exists(), name
+
+
+@pytest.mark.parametrize("folder", ["hil", "configs", "sims", "benchmarks", "examples", "tests"])
+def test_files_named_in_sources_exist(folder: str) -> None:
+    sources = [path for path in (ROOT / folder).rglob("*") if path.suffix in (".py", ".toml", ".js", ".c", ".h")]
+    named = {(name, path) for path in sources for name in NAMED_FILE.findall(path.read_text())}
+    assert not {(name, str(path)) for name, path in named if not (ROOT / name).exists()}
 
 
 def test_architecture_page_names_every_package() -> None:
