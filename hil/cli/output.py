@@ -9,8 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+from rich.table import Column, Table
+from rich.text import Text
+
 from hil.errors import Problem
 
+_WIDEST = 1000  # characters of a table
 _FIGURES = (".png", ".pdf", ".svg")
 
 
@@ -46,6 +51,15 @@ def write_text(text: str, path: str) -> None:
     partial = Path(f"{path}.part")
     partial.write_text(text, encoding="utf-8")
     os.replace(partial, path)
+
+
+def print_columns(head: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> None:
+    """Print a table as wide as its content, also into a pipe; left: columns aligned to the left."""
+    columns = [Column(name, justify="left" if i in left else "right") for i, name in enumerate(head)]
+    table = Table(*columns, box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="")
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console(width=_WIDEST).print(table, crop=False)
 
 
 def check_rig_path(option: str, path: str | None) -> list[Problem]:

@@ -10,8 +10,7 @@ from typing import Annotated, Any
 from cyclopts import App, Parameter
 
 from hil.cli.options import Flag, Output, refuse
-from hil.cli.output import check_json_path, write_json
-from hil.cli.text_table import columns
+from hil.cli.output import check_json_path, print_columns, write_json
 from hil.errors import BadInput, Problem
 
 _FOLDER = "recordings"
@@ -110,10 +109,10 @@ def _print(entries: list[dict[str, Any]], path: Path) -> None:
         )
         for entry in entries
     ]
-    lines = columns(_HEAD, rows, frozenset({0, 1, 2, 4, 8})) if rows else []
     number = "1 run" if len(entries) == 1 else f"{len(entries)} runs"
-    for line in (f"{number} in {path}", *lines):
-        print(line)  # noqa: T201
+    print(f"{number} in {path}")  # noqa: T201
+    if rows:
+        print_columns(_HEAD, rows, left=(0, 1, 2, 4, 8))
 
 
 def _verdict(entry: dict[str, Any]) -> str:

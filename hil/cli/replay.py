@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from hil.cli.options import Flag, Output, Settings, refuse
-from hil.cli.output import check_json_path, write_json
-from hil.cli.text_table import columns
+from hil.cli.output import check_json_path, print_columns, write_json
 from hil.errors import Problem
 
 if TYPE_CHECKING:
@@ -143,14 +142,12 @@ def _print(
         show(f"identical, bit by bit: {of}")
         return
     if found.differences:
-        for line in _table(found.differences):
-            show(line)
+        _print_differences(found.differences)
     for word, events in (("no longer", found.missing_events), ("new", found.new_events)):
         for t_s, source, text in events:
             show(f"{word:<9} {t_s:.2f} s {source}: {text}")
     if changed:
-        for line in _navigation(errors):
-            show(line)
+        _print_navigation(errors)
     if found.differences:
         first = min(found.differences, key=lambda d: d.first_cycle)
         show(f"differs from cycle {first.first_cycle} on, {first.first_s:.2f} s: {of}")
@@ -158,7 +155,7 @@ def _print(
         show(f"identical as far as it was replayed: {of}")
 
 
-def _table(differences: Sequence[Difference]) -> list[str]:
+def _print_differences(differences: Sequence[Difference]) -> None:
     from hil.core.fields import leaf_fields
     from hil.core.messages import CYCLE_FIELDS
 
@@ -177,20 +174,20 @@ def _table(differences: Sequence[Difference]) -> list[str]:
         for d in differences
     ]
     head = ("differs", "unit", "cycles", "from cycle", "at, s", "initially by", "at most by", "at, s")
-    return columns(head, rows, frozenset({0, 1}))
+    print_columns(head, rows, left=(0, 1))
 
 
 def _size(value: float | None) -> str:
     return "nan" if value is None else f"{value:.3g}"
 
 
-def _navigation(errors: dict[str, Any]) -> list[str]:
+def _print_navigation(errors: dict[str, Any]) -> None:
     both = ("recorded", "replayed")
     rows = [(f"{label}, {unit}", *(_three(errors[w][key], scale) for w in both)) for key, label, unit, scale in _ROWS]
     for key, label in (("nees_pkf", "mean NEES, 9 states"), ("nees_akf", "mean NEES, 6 states")):
         values = [errors[which][key] for which in both]
         rows.append((label, *("-" if value is None else f"{value:.2f}" for value in values)))
-    return columns(("estimate against truth, x y z", *both), rows)
+    print_columns(("estimate against truth, x y z", *both), rows)
 
 
 def _three(values: list[float] | None, scale: float) -> str:

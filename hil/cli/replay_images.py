@@ -7,8 +7,7 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from hil.cli.output import write_json
-from hil.cli.text_table import columns
+from hil.cli.output import print_columns, write_json
 from hil.config.load import load_geometry, load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
@@ -94,24 +93,22 @@ def _print(recorded: Recorded, found: dict[str, tuple[PicturesReplayed, bool]], 
         if replayed.identical:
             show(f"identical, bit by bit: {of}")
             continue
-        for line in _tables(replayed, what):
-            show(line)
+        _print_tables(replayed, what)
+        if replayed.missing:
+            show(f"{replayed.missing} recorded {what} are missing in the replay")
+        if replayed.new:
+            show(f"{replayed.new} {what} of the replay are not in the recording")
         firsts = [d.first_s for d in replayed.differences if d.first_s is not None]
         since = f" from {min(firsts):.2f} s on" if firsts else ""
         show(f"differs{since}: {of}")
 
 
-def _tables(replayed: PicturesReplayed, what: str) -> list[str]:
+def _print_tables(replayed: PicturesReplayed, what: str) -> None:
     rows = [(before, now, str(count)) for (before, now), count in sorted(replayed.statuses.items())]
-    lines = columns(("status, recorded", "now", "exposures"), rows, frozenset({0, 1}))
+    print_columns(("status, recorded", "now", "exposures"), rows, left=(0, 1))
     if replayed.differences:
         head = ("differs", "unit", what, "from, s", "at most by", "sigmas", "at, s")
-        lines += columns(head, [_row(d) for d in replayed.differences], frozenset({0, 1}))
-    if replayed.missing:
-        lines.append(f"{replayed.missing} recorded {what} are missing in the replay")
-    if replayed.new:
-        lines.append(f"{replayed.new} {what} of the replay are not in the recording")
-    return lines
+        print_columns(head, [_row(d) for d in replayed.differences], left=(0, 1))
 
 
 def _row(d: ImageComponent) -> tuple[str, ...]:
