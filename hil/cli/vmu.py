@@ -240,7 +240,7 @@ def _check_size(images: ImageFolder, geometry: VmuGeometry, path: str) -> None:
             text = f"{camera.width} x {camera.height}, but frame {pair.frame} is {image.shape[1]} x {image.shape[0]}"
             raise BadInput.single(path, "width, height", text)
         return
-    raise BadInput.single(path, "", "no image of the folder can be read")
+    raise BadInput.single(path, "", "no image can be read in the folder")
 
 
 def _start(values: Sequence[float] | None) -> Prediction | None:
