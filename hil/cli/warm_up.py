@@ -14,7 +14,7 @@ from rich.console import Console
 from hil.config.load import load_rig, load_scenario
 from hil.core.jit import kernels_are_cached
 from hil.session.build import Job
-from hil.session.warm_up import FIRST_START, compile_kernels, warm_up
+from hil.session.warm_up import compile_kernels, warm_up
 
 _SAFE_STOPPED = 3
 
@@ -25,7 +25,7 @@ def compile_kernels_with_notice(job: Job, console: Console) -> None:
         if kernels_are_cached():
             warm_up(job)
             return
-        with console.status(FIRST_START):
+        with console.status("compiling"):
             compile_kernels(job, lambda text: console.print(text, soft_wrap=True, highlight=False))
 
 
