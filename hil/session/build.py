@@ -72,7 +72,7 @@ def _rig_problems(job: Job) -> list[Problem]:
         *flight_computer_problems(job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0 and not job.paced:
-        problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig is not paced by the wall clock: omit --speed"))
+        problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig does not run in real time: omit --speed"))
     return problems
 
 

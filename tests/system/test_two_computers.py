@@ -103,7 +103,7 @@ def test_bench_that_nobody_answers_says_where_it_waited() -> None:
     [
         (["dss", "scheme-1", "--listen", "127.0.0.1:1", "--gnc", "127.0.0.1:2"], "give this or --listen, not both"),
         (["dss", "scheme-1", "--listen", "nonsense:port"], "--listen: nonsense:port: must be HOST:PORT"),
-        (["dss", "scheme-1", "--lock-step", "--speed", "2"], "in lock-step a mock rig has no wall clock"),
+        (["dss", "scheme-1", "--lock-step", "--speed", "2"], "in lock-step a mock rig does not run in real time"),
         (["dss", "scheme-1", "--wait", "0"], "--wait: 0: must be a time above 0 s"),
         (["dss", "scheme-1", "--set", "rig.gnc_link.coast_cycles=9"], "coast_cycles = 9: must not exceed"),
         (["dss", "scheme-1", "--set", "rig.gnc_link.on_loss=explode"], "rig.gnc_link.on_loss"),
