@@ -40,7 +40,7 @@ def loop_speed(scheme: str, repeats: int = 15) -> float:
     taken = []
     for seed in range(repeats + 1):
         begun = time.perf_counter()
-        flight.fly(scenario, seed)
+        flight.run(scenario, seed)
         taken.append(time.perf_counter() - begun)
     return scenario.duration_s / min(taken[1:])
 
@@ -80,7 +80,7 @@ def workers_rate(workers: int, seconds: float, speed: float) -> float:
     settled = 3 * workers
     batches = settled + max(4 * workers, round(workers * seconds * speed / 20.0))
     times, cases = [], []
-    for first, rows in LocalEngine(workers).fly(chosen, [(20 * k, 20) for k in range(batches)]):
+    for first, rows in LocalEngine(workers).run(chosen, [(20 * k, 20) for k in range(batches)]):
         times.append(time.perf_counter())
         cases.append(len(rows))
         del first
@@ -106,10 +106,10 @@ def basilisk_speed(span_s: float = 400.0) -> float | None:
     except ImportError:
         return None
     from hil.maths import quat
-    from hil.params import gnc as gnc_params
+    from hil.params import dynamics as dynamics_params
 
     scenario = load_scenario("scheme-1").value
-    params, truth = gnc_params.dss(scenario), gnc_params.initial_truth(scenario)
+    params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
     a = quat.to_matrix(truth.q_HI)
     r, v = a.T @ truth.r_CT_H, a.T @ (truth.v_CT_H + np.cross(truth.w_HI_H, truth.r_CT_H))
     states = [(truth.r_T_I, truth.v_T_I), (truth.r_T_I + r, truth.v_T_I + v)]

@@ -76,7 +76,7 @@ def own_costs() -> dict[str, float]:
     pose.z_TC_C[0] = -5.0
     pose.covariance_position, pose.covariance_attitude = 2.5e-5 * np.eye(3), 3.3e-7 * np.eye(3)
     fusion.advance(params, state, memory, imu)
-    fusion.take(params, state, memory, pose)
+    fusion.fuse(params, state, memory, pose)
     zero = np.zeros(3)
     names = ("PKF predict", "PKF update", "AKF predict", "AKF update")
     block = 100

@@ -184,9 +184,9 @@ def ping_loop(hosts: Hosts, rate_hz: float, count: int, to: Trips) -> None:
             outcome = runner.run()
     if outcome.faults:
         print(f"the run of the loop ended early: {outcome.stop}")
-    to.trips_us.append(1e6 * np.array([trip for trip in gnc.account._round_trips_s if trip == trip]))
+    to.trips_us.append(1e6 * np.array([trip for trip in gnc.stats._round_trips_s if trip == trip]))
     to.late_us.append(1e6 * outcome.history["lateness_s"])
-    to.missing += gnc.account.coasted + gnc.account.closed
+    to.missing += gnc.stats.coasted + gnc.stats.closed
     link.close()
 
 

@@ -17,14 +17,14 @@ import numpy as np
 from hil.bench import guard as guards
 from hil.campaign import loop_kernel as loop
 from hil.campaign.case_runner import CaseRunner
-from hil.campaign.tally_kernel import count_cycle
+from hil.campaign.run_stats import count_cycle
 from hil.config.load import load_rig, load_scenario
 from hil.core.jit import kernel
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
-from hil.gnc import navigation
+from hil.gnc import navigation, step
 from hil.maths import stack
-from hil.params import gnc as gnc_params
+from hil.params import dynamics as dynamics_params
 
 REPEATS, TIMES, FLIGHTS = 100, 1_000, 30  # short ones: some are undisturbed
 
@@ -43,54 +43,58 @@ def supervise_bench(params, state, n):
 
 
 @kernel
-def expose(params, state, vision_noise, travel_draws, leds, frames, tally, n):
+def expose(params, state, vision_noise, travel_draws, leds, frames, stats, n):
     for _ in range(n):
-        state.on_the_way, state.first_exposure = 0, state.next_exposure
+        state.in_transit, state.first_exposure = 0, state.next_exposure
         until_s = (state.next_exposure + 0.5) / params.vmu_rate_hz
         state.rails.t_s = state.turntable.t_s = until_s  # the axes move in a separate stage
-        loop._expose(params, state, until_s, vision_noise, travel_draws, leds, frames, tally)
+        loop._expose(params, state, until_s, vision_noise, travel_draws, leds, frames, stats)
 
 
 @kernel
-def take_poses(params, state, frames, poses, n):
+def receive_poses(params, state, frames, poses, n):
     for _ in range(n):
-        state.on_the_way = 1
+        state.in_transit = 1
         frames[0].received_s = 0.0
-        loop._take_poses(params, state, 0.01, frames, poses)
-        loop._show_pose(state, poses, 1)
+        loop._receive_poses(params, state, 0.01, frames, poses)
+        loop._record_pose(state, poses, 1)
 
 
 @kernel
 def predict(params, state, memory, poses, n):
     for _ in range(n):
-        loop._navigate(params, state, memory, poses, 0)
+        step.navigate(params.gnc, state.gnc, memory, state.now.imu, poses, 0, state.now.navigation)
 
 
 @kernel
 def fuse(params, state, memory, poses, n):
     for _ in range(n):
-        poses[0].t_s = state.navigation.fusion.cycle * params.step_s
-        loop._navigate(params, state, memory, poses, 1)
+        poses[0].t_s = state.gnc.navigation.fusion.cycle * params.step_s
+        step.navigate(params.gnc, state.gnc, memory, state.now.imu, poses, 1, state.now.navigation)
 
 
 @kernel
-def decide(params, state, sets, n):
-    state.fuses_now = 0  # the filters' consistency is a separate row
+def decide(params, state, n):
+    now = state.now
     for _ in range(n):
-        loop._decide(params, state, sets, state.now.t_s)
+        step.guide(params.gnc.approach, state.gnc.approach, now.t_s, now.supervision, now.reference)
+        step.watch_approach(
+            params.gnc.approach, state.gnc.approach, now.t_s, now.navigation, now.reference, now.supervision, False
+        )
+        step.actuate(params.gnc, now.navigation, now.reference, now.command)
 
 
 @kernel
 def errors(state, n):
     out = stack.vector(2)
     for _ in range(n):
-        navigation.normalised_errors(state.navigation.fusion.filters, state.now.truth, state.now.imu, out)
+        navigation.normalised_errors(state.gnc.navigation.fusion.filters, state.now.truth, state.now.imu, out)
 
 
 @kernel
-def tally_cycle(params, state, tally, n):
+def cycle_stats(params, state, stats, n):
     for _ in range(n):
-        count_cycle(params, state, tally)
+        count_cycle(params, state, stats)
 
 
 @kernel
@@ -108,7 +112,7 @@ def sample_imu(params, state, noise, n):
 @kernel
 def follow(params, state, n):
     for _ in range(n):
-        loop._follow(params, state, state.rails.t_s)
+        loop._send_setpoints(params, state, state.rails.t_s)
 
 
 def best_ns(flight: CaseRunner, work: Callable[[int], object]) -> float:
@@ -130,30 +134,30 @@ def main() -> None:
     parser.add_argument("--scheme", default="scheme-1")
     scenario = load_scenario(parser.parse_args().scheme).value
     whole = CaseRunner(scenario, load_rig("mock").value, scenario.duration_s)
-    whole.fly(scenario, 0)
+    whole.run(scenario, 0)
     took = []
     for seed in range(FLIGHTS):
         begun = time.thread_time()
-        whole.fly(scenario, seed)
+        whole.run(scenario, seed)
         took.append(time.thread_time() - begun)
     flight = CaseRunner(scenario, load_rig("mock").value, 0.5 * scenario.duration_s)
-    flight.fly(scenario, 0)
+    flight.run(scenario, 0)
     p, s, memory, poses = flight._params, flight._state, flight._memory, flight._poses
-    frames, tally = flight._frames, flight._tally
-    field, sets, leds = gnc_params.field(scenario), flight._sets, flight._leds
+    frames, stats = flight._frames, flight._stats
+    field, leds = dynamics_params.field(scenario), flight._leds
     imu_noise, vision_noise, draws = flight._imu_noise, flight._vision_noise, flight._travel_draws
     a_pose = 1.0 / (p.vmu_rate_hz * p.step_s)  # cycles
-    s.on_the_way = 1
+    s.in_transit = 1
     found = {
         "axes of the mock rig, encoders": best_ns(flight, lambda n: read_axes(p, s, n)),
         "supervision of the bench": best_ns(flight, lambda n: supervise_bench(p, s, n)),
-        "vision unit": best_ns(flight, lambda n: expose(p, s, vision_noise, draws, leds, frames, tally, n)) / a_pose
-        + best_ns(flight, lambda n: take_poses(p, s, frames, poses, n)) / a_pose,
+        "vision unit": best_ns(flight, lambda n: expose(p, s, vision_noise, draws, leds, frames, stats, n)) / a_pose
+        + best_ns(flight, lambda n: receive_poses(p, s, frames, poses, n)) / a_pose,
         "filters, prediction": (alone := best_ns(flight, lambda n: predict(p, s, memory, poses, n))),
         "filters, poses": (best_ns(flight, lambda n: fuse(p, s, memory, poses, n)) - alone) / a_pose,
         "consistency of the filters": best_ns(flight, lambda n: errors(s, n)) / a_pose,
-        "guidance, supervision, control": best_ns(flight, lambda n: decide(p, s, sets, n)),
-        "tally": best_ns(flight, lambda n: tally_cycle(p, s, tally, n)),
+        "guidance, supervision, control": best_ns(flight, lambda n: decide(p, s, n)),
+        "stats": best_ns(flight, lambda n: cycle_stats(p, s, stats, n)),
         "truth": best_ns(flight, lambda n: move_truth(p, field, s, n)),
         "virtual IMU": best_ns(flight, lambda n: sample_imu(p, s, imu_noise, n)),
         "setpoints": best_ns(flight, lambda n: follow(p, s, n)),

@@ -21,9 +21,9 @@ from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import moon_gravity
 from hil.dynamics import truth as kernels
-from hil.dynamics.held_gravity import CACHED_GRAVITY
+from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.maths import quat
-from hil.params import gnc as gnc_params
+from hil.params import dynamics as dynamics_params
 
 GRAVITY_ALONE = (
     "truth.gravity_gradient=false",
@@ -74,14 +74,22 @@ def main() -> None:
         ("Hill, no disturbance", (*GRAVITY_ALONE, "truth.relative_motion=hill")),
     ):
         scenario = load_scenario("scheme-2", settings).value
-        params, field, truth = gnc_params.dss(scenario), gnc_params.field(scenario), gnc_params.initial_truth(scenario)
+        params, field, truth = (
+            dynamics_params.dss(scenario),
+            dynamics_params.field(scenario),
+            dynamics_params.initial_truth(scenario),
+        )
         span = new(CACHED_GRAVITY)
         n = round(span_s / params.dt_s)
         steps(params, field, span, truth, quiet, 1)
         taken = best_s(lambda: steps(params, field, span, truth, quiet, n))  # noqa: B023
         print(f"  {title:28s} {1e6 * taken / n:8.2f} us a step {taken:9.4f} s")
     scenario = load_scenario("scheme-2").value
-    params, field, r = gnc_params.dss(scenario), gnc_params.field(scenario), gnc_params.initial_truth(scenario).r_T_I
+    params, field, r = (
+        dynamics_params.dss(scenario),
+        dynamics_params.field(scenario),
+        dynamics_params.initial_truth(scenario).r_T_I,
+    )
     pulls(params.gravity, field, r, 1)
     taken = best_s(lambda: pulls(params.gravity, field, r, 100_000))
     print(f"  {'harmonics of degree 8':28s} {10.0 * taken:8.2f} us a call")
@@ -97,7 +105,7 @@ def _basilisk(span_s: float) -> None:
         print("  Basilisk is not installed (constraints-oracle.txt): no line for it")
         return
     scenario = load_scenario("scheme-2", GRAVITY_ALONE).value
-    params, truth = gnc_params.dss(scenario), gnc_params.initial_truth(scenario)
+    params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
     a = quat.to_matrix(truth.q_HI)
     r, v = a.T @ truth.r_CT_H, a.T @ (truth.v_CT_H + np.cross(truth.w_HI_H, truth.r_CT_H))
     states = [(truth.r_T_I, truth.v_T_I), (truth.r_T_I + r, truth.v_T_I + v)]

@@ -17,7 +17,7 @@ from hil.models import docking_view
 from hil.models.mounting import MOUNTING, camera_pose, chaser_pose
 from hil.monitor.render import Conditions, TargetRenderer
 from hil.monitor.sources import VideoFrame, exposure
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
 
 _KEPT_S = 2.0  # s of samples kept before the last requested time: largest delay of an encoder
 
@@ -94,7 +94,7 @@ class RenderedCamera:
     """Renders the docking target along an EncoderTrack, at the scene's rate from t = 0 of the run on."""
 
     def __init__(self, scene: Scene, config: DockingMonitor, rig: Rig, step_s: float, seed: int) -> None:
-        self.track = EncoderTrack(gnc_params.bench(rig, step_s), mounting(config))
+        self.track = EncoderTrack(bench_params.bench(rig, step_s), mounting(config))
         self._renderer = TargetRenderer(scene, scene.chosen(config.target), Conditions(blur_px=config.blur_px))
         self._rng = stream(seed, "monitor")
         self._next = 0

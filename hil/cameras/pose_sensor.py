@@ -14,9 +14,10 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import MakesPictures
 from hil.core.messages import Array, PoseFrame
 from hil.drivers.vmu.transport import Transport
-from hil.dynamics.vision import VISION_NOISE, see
+from hil.dynamics.vision import VISION_NOISE, measure
 from hil.maths.random_streams import NormalRows, stream
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
+from hil.params import vision as vision_params
 from hil.vmu.geometry import geometry_of_rig
 
 
@@ -42,7 +43,7 @@ class PoseModel:
         """Return the measured pose of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``."""
         t_v, q_vt, covariance = np.empty(3), np.empty(4), np.empty((6, 6))
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
-        see(self._vision, self._mounting, self._r, self._q, self._noise.next_row(), t_v, q_vt, covariance)
+        measure(self._vision, self._mounting, self._r, self._q, self._noise.next_row(), t_v, q_vt, covariance)
         return PoseFrame(0, t_s, t_s, t_v, q_vt, covariance, leds_left=0x3F, leds_right=0x3F)
 
 
@@ -58,9 +59,9 @@ def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: MakesPictur
 
     shown: receives the rendered images, if any.
     """
-    bench, mounting = gnc_params.bench(rig, scenario.step_s), gnc_params.mounting(rig)
+    bench, mounting = bench_params.bench(rig, scenario.step_s), vision_params.mounting(rig)
     if scenario.vmu.source == "model":
-        return PoseModel(bench, mounting, gnc_params.vision(scenario), seed)
+        return PoseModel(bench, mounting, vision_params.vision(scenario), seed)
     from hil.cameras.rendered import RenderedPoseSensor
 
     return RenderedPoseSensor(

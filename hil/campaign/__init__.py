@@ -1,1 +1,1 @@
-"""Many runs at once, and what they say together."""
+"""Campaigns: many runs, and their statistics."""

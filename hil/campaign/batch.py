@@ -1,4 +1,4 @@
-"""A few cases of a campaign, flown where a worker is: the unit of work of every engine."""
+"""Batch of cases, run by a worker: the unit of work of every engine."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _here = threading.local()
 
 @dataclass(frozen=True)
 class Spec:
-    """What a campaign flies, in a form that goes to any worker: scenario and rig as JSON text, with all files read."""
+    """A campaign in a form that can be sent to any worker: scenario and rig as JSON text, with all files read."""
 
     scenario: str
     rig: str
@@ -35,21 +35,21 @@ class Spec:
 
 
 class Case:
-    """Flies the cases of one ``Spec``; made once a worker, or a thread of it."""
+    """Runs the cases of one ``Spec``; created once per worker, or thread of it."""
 
     def __init__(self, spec: Spec) -> None:
         scenario: Loaded[Scenario] = check_table(json.loads(spec.scenario), Scenario, "campaign")
         self._rig = check_table(json.loads(spec.rig), Rig, "campaign").value
         self._spec = spec
         self._design = Design(scenario, spec.seed)
-        self._flight = CaseRunner(scenario.value, self._rig, spec.duration_s)
+        self._runner = CaseRunner(scenario.value, self._rig, spec.duration_s)
 
     def row(self, case: int) -> dict[str, Any]:
-        """Fly ``case``; return its row: dispersions and outcome. A case that cannot be flown says why."""
+        """Run ``case``; return its row: dispersions and outcome, or the reason why it cannot be run."""
         seed = case_seed(self._spec.seed, case)
         try:
             outcome = self._outcome(self._design.values(case), seed)
-        except Exception as error:  # one case must not end the campaign: its row tells
+        except Exception as error:  # one case must not end the campaign: its row has the reason
             kind = "" if isinstance(error, BadInput) else f"{type(error).__name__}: "
             outcome = failed_row(f"not flown: {kind}{' '.join(str(error).split())}")
         return {"case": case, "seed": seed, **self.drawn(case), **outcome}
@@ -59,15 +59,15 @@ class Case:
         return dict(zip(self._design.names, map(float, self._design.values(case)), strict=True))
 
     def _outcome(self, values: Any, seed: int) -> dict[str, Any]:
-        truth, told = self._design.apply(values)
+        truth, gnc = self._design.apply(values)
         if self._design.touches_gnc:
-            self._flight.tell(told)
-        tally, stop = self._flight.fly(truth, seed)
-        return row_of(tally, stop, told, truth)
+            self._runner.set_gnc_scenario(gnc)
+        stats, stop = self._runner.run(truth, seed)
+        return row_of(stats, stop, gnc, truth)
 
 
 def run_batch(spec: Spec, first: int, count: int) -> Rows:
-    """Return the rows of the cases ``first`` .. ``first + count``, whoever asks and whatever came before."""
+    """Return the rows of the cases ``first`` .. ``first + count``, the same in any process and order."""
     if getattr(_here, "spec", None) != spec:
         _here.case, _here.spec = Case(spec), spec
     return [_here.case.row(case) for case in range(first, first + count)]

@@ -1,4 +1,4 @@
-"""A campaign from its options to its summary: one scenario, two of them beside each other, or a sweep of one key."""
+"""Campaign from its options to its summary: one scenario, a comparison of two, or a sweep of one key."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from hil.campaign.case_runner import CaseRunner
 from hil.campaign.dispersions import Design
 from hil.campaign.engines import Engine
 from hil.campaign.statistics import compare, mean_interval, summarise, wilson
-from hil.campaign.store import Store, whole_or_not_at_all
+from hil.campaign.store import Store, atomic_write
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.renamed_keys import first_names_json
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.core.jit import kernels_digest
 from hil.errors import BadInput, Problem
-from hil.gnc_backends.library_file import digest_of
+from hil.gnc_backends.shared_library import digest_of
 from hil.session import build
 from hil.setup.assembly import Job
 
@@ -35,7 +35,7 @@ RIG: Final = "mock"
 
 @dataclass(frozen=True)
 class Progress:
-    """Cases done of all, those of an earlier start included; simulated seconds a wall second since this start."""
+    """Cases done of all, including those of an earlier start; real-time factor since this start."""
 
     title: str
     done: int
@@ -47,7 +47,7 @@ Watch = Callable[[Progress], None]
 
 
 class Campaign:
-    """One scenario with its dispersions, checked. Raises BadInput with every fault of them."""
+    """One scenario with its dispersions, checked. Raises BadInput with one problem per error."""
 
     def __init__(
         self, scenario: Loaded[Scenario], rig: Loaded[Rig], seed: int, duration_s: float | None = None
@@ -65,25 +65,25 @@ class Campaign:
         rig, problems = self._rig.value, []
         if rig.moved_target is not None:
             problems.append(
-                Problem(self._rig.where("target_manipulator"), "rig.target_manipulator", "no campaign moves it")
+                Problem(self._rig.where("target_manipulator"), "rig.target_manipulator", "not supported by campaigns")
             )
         if self.scenario.value.vmu.source != "model":
-            text = f'"{self.scenario.value.vmu.source}": a campaign has the model of the vision unit, allowed "model"'
+            text = f'"{self.scenario.value.vmu.source}": campaigns use the model of the vision unit, allowed "model"'
             problems.append(Problem(self.scenario.where("vmu.source"), "vmu.source", text))
         for device, names in (("rails", RAIL_NAMES), ("turntable", GIMBAL_NAMES)):
             for name in names:
                 if getattr(getattr(rig, device), name).encoder == "incremental":
                     key = f"{device}.{name}.encoder"
-                    text = '"incremental": the axes of a campaign know their places'
+                    text = '"incremental": campaigns have absolute encoders, allowed "absolute"'
                     problems.append(Problem(self._rig.where(key), f"rig.{key}", text))
         if problems:
             raise BadInput(problems)
 
     def store(self, folder: Path) -> Store:
-        """Return the folder's store; raise BadInput where it holds something else."""
+        """Return the folder's store; raise BadInput if it holds another campaign."""
         library = self.scenario.value.gnc.library
-        flown_by = digest_of(library) if library is not None else ""
-        texts = (first_names_json(self.scenario.value), first_names_json(self._rig.value), flown_by)
+        gnc_digest = digest_of(library) if library is not None else ""
+        texts = (first_names_json(self.scenario.value), first_names_json(self._rig.value), gnc_digest)
         digest = hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
         identity = {
             "scenario": self.scenario.value.name,
@@ -95,22 +95,22 @@ class Campaign:
         return Store(folder, identity, self.design.names)
 
     def warm_up(self) -> None:
-        """Compile the loop where it is not yet."""
+        """Compile the loop unless it is in the kernel cache."""
         value = self.scenario.value
-        CaseRunner(value, self._rig.value, 2.0 * value.step_s).fly(value, 0)
+        CaseRunner(value, self._rig.value, 2.0 * value.step_s).run(value, 0)
 
-    def fly(self, store: Store, runs: int, engine: Engine, watch: Watch) -> dict[str, Any]:
-        """Fly what is missing of ``runs`` cases; return the summary, which the folder has as well."""
+    def run(self, store: Store, runs: int, engine: Engine, watch: Watch) -> dict[str, Any]:
+        """Run the missing ones of ``runs`` cases; return the summary, which is also written to the folder."""
         missing = store.missing(runs)
         left = sum(count for _, count in missing)
         begun_s = time.perf_counter()
-        flown = 0
-        with closing(engine.fly(self._spec, missing)) as flights:
-            for first, rows in flights:
+        done = 0
+        with closing(engine.run(self._spec, missing)) as results:
+            for first, rows in results:
                 store.put(first, rows)
-                flown += len(rows)
-                speed = flown * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
-                watch(Progress(self.scenario.value.name, runs - left + flown, runs, speed))
+                done += len(rows)
+                speed = done * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
+                watch(Progress(self.scenario.value.name, runs - left + done, runs, speed))
         store.finish(runs)
         summary = summarise(store, self.scenario.value.name, self.design.names) | {"seed": self._seed}
         write_summary(store.folder / "summary.json", summary)
@@ -118,14 +118,14 @@ class Campaign:
 
 
 def write_summary(path: Path, found: dict[str, Any]) -> None:
-    """Write ``found`` as JSON, whole or not at all. Raises CampaignStopped where the disk does not take it."""
-    with whole_or_not_at_all(path) as partial:
+    """Write ``found`` as JSON, atomically. Raises CampaignStopped if the disk is full."""
+    with atomic_write(path) as partial:
         partial.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """``key=low:high:n``: values of one key, evenly spread, both ends included."""
+    """``key=low:high:n``: equidistant values of one key, both ends included."""
 
     key: str
     values: tuple[float, ...]
@@ -153,28 +153,28 @@ def campaigns_of(
     name: str, settings: Sequence[str], seed: int, duration_s: float | None, sweep: Sweep | None
 ) -> list[Campaign]:
     """Return the campaign of the scenario ``name``, or one for each value of ``sweep``."""
-    laid_over = [()] if sweep is None else [(f"{sweep.key}={value!r}",) for value in sweep.values]
+    overrides = [()] if sweep is None else [(f"{sweep.key}={value!r}",) for value in sweep.values]
     try:
-        return _campaigns(name, settings, laid_over, seed, duration_s)
+        return _campaigns(name, settings, overrides, seed, duration_s)
     except BadInput as error:
         if sweep is None:
             raise
-        told = [
+        problems = [
             Problem("--sweep" if p.source == "--set" and p.key == sweep.key else p.source, p.key, p.message)
             for p in error.problems
         ]
-        raise BadInput(told) from error
+        raise BadInput(problems) from error
 
 
 def _campaigns(
-    name: str, settings: Sequence[str], laid_over: Sequence[tuple[str, ...]], seed: int, duration_s: float | None
+    name: str, settings: Sequence[str], overrides: Sequence[tuple[str, ...]], seed: int, duration_s: float | None
 ) -> list[Campaign]:
-    """Return a campaign for each of the settings ``laid_over`` the others."""
+    """Return a campaign for each of the ``overrides`` of the settings."""
     return [
         Campaign(
             load_scenario(name, (*settings, *more)), load_rig(RIG, (*settings, *more)), seed, duration_s
         )
-        for more in laid_over
+        for more in overrides
     ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""One case of a campaign: from scenario, rig and seed to the compiled loop's records, and the run itself."""
+"""Runner of a campaign's cases: the compiled loop's records from scenario, rig and seed, and the run itself."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hil.bench import guard as guards
 from hil.bench.kinematics import write_axes
 from hil.campaign import loop_kernel
 from hil.campaign.loop_kernel import LOOP_PARAMS, LOOP_STATE, SERVO, run_loop
-from hil.campaign.tally_kernel import RUN_STATS, start_tally
+from hil.campaign.run_stats import RUN_STATS, start_run_stats
 from hil.config.rig import BENCH_AXES, Rails, Rig, Turntable
 from hil.config.scenario import Scenario
 from hil.core.messages import AXES, CYCLE, MAX_POSES, POSE, VMU_FRAME, Array, new
@@ -23,13 +23,15 @@ from hil.dynamics.vision import VISION_NOISE
 from hil.errors import BenchError, LinkTimeout, ProtocolError, SafetyTrip
 from hil.gnc.fusion import MEMORY, STEP
 from hil.gnc_backends import external_records
-from hil.gnc_backends.external import complaint, hold_reason, reported_fault
-from hil.gnc_backends.library_file import Library
-from hil.gnc_backends.shared_library import gnc_name, step_failed
+from hil.gnc_backends.external import fault_text, hold_reason, reported_fault
+from hil.gnc_backends.shared_library import Library, gnc_name, step_failed
 from hil.loop.runner import COMPLETED
 from hil.maths.random_streams import stream
 from hil.models.camera_timing import TRAVEL_DRAWS
+from hil.params import bench as bench_params
+from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
+from hil.params import vision as vision_params
 from hil.report.summary import SETTLED_S
 from hil.report.verdict import ready_params
 from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_limits
@@ -40,7 +42,7 @@ _SPARE_FRAMES: Final = 4
 
 
 class CaseRunner:
-    """Flies cases of one scenario on one mock rig; all room that a run needs is taken once.
+    """Runs cases of one scenario on one mock rig, in memory that is allocated once.
 
     scenario: as the GNC has it. duration_s: of each run.
     """
@@ -50,69 +52,64 @@ class CaseRunner:
         self.rig = rig
         self.cycles = round(duration_s / scenario.step_s) + 1
         exposures = math.floor(duration_s * rig.vmu.rate_hz) + 2
-        self._sets, self._strength = gnc_params.allocation(scenario.chaser)
         self._params = self._fixed_params()
-        self._state_block, self._tally_block = (
+        self._state_block, self._stats_block = (
             np.zeros(1, dtype).view(np.recarray) for dtype in (LOOP_STATE, RUN_STATS)
         )
-        self._state, self._tally = self._state_block[0], self._tally_block[0]
+        self._state, self._stats = self._state_block[0], self._stats_block[0]
         self._memory = np.zeros(MEMORY, STEP)
         self._poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
-        # each exposure may be on its way twice, for two seconds at most
+        # each exposure may be in transit twice, for two seconds at most
         self._frames = np.zeros(2 * math.ceil(2.0 * rig.vmu.rate_hz) + _SPARE_FRAMES, VMU_FRAME).view(np.recarray)
         self._imu_noise = np.empty((self.cycles, IMU_NOISE))
         self._vision_noise = np.empty((exposures, VISION_NOISE))
         self._travel_draws = np.empty((exposures, TRAVEL_DRAWS))
-        self._leds = gnc_params.camera(rig)[1]
+        self._leds = vision_params.camera(rig)[1]
         self._library = Library(scenario.gnc.library, "campaign") if scenario.gnc.library is not None else None
 
     def _fixed_params(self) -> np.record:
-        """Return LOOP_PARAMS with all that the GNC and the rig make out."""
+        """Return LOOP_PARAMS with all parameters of the GNC and the rig."""
         params = new(LOOP_PARAMS)
         scenario, rig = self.scenario, self.rig
         params.cycles = self.cycles
-        params.n_thrusters = len(scenario.chaser.thrusters.position_m)
         params.step_s = scenario.step_s
-        params.dwell_s = scenario.requirements.dwell_s
         params.vmu_rate_hz, params.vmu_timeout_s = rig.vmu.rate_hz, rig.vmu.timeout_s
-        params.settled_s = SETTLED_S if (self.cycles - 1) * scenario.step_s >= SETTLED_S else 0.0
-        params.mounting = gnc_params.mounting(rig)
-        params.camera = gnc_params.camera(rig)[0]
-        params.bench = gnc_params.bench(rig, scenario.step_s)
+        params.steady_state_after_s = SETTLED_S if (self.cycles - 1) * scenario.step_s >= SETTLED_S else 0.0
+        params.mounting = vision_params.mounting(rig)
+        params.camera = vision_params.camera(rig)[0]
+        params.bench = bench_params.bench(rig, scenario.step_s)
         self._limits: SafetyLimits = safety_limits(rig, params.bench)
         params.guard = self._limits.guard
-        params.navigation = gnc_params.navigation(scenario)
-        params.guidance = gnc_params.guidance(scenario)
-        params.supervision = params.judged = gnc_params.supervision(scenario)
-        params.control = gnc_params.control(scenario, self._strength)
+        params.gnc = gnc_params.gnc(scenario)
+        params.verdict = params.gnc.approach.monitor
         params.ready = ready_params(scenario.requirements)
         return params
 
-    def tell(self, scenario: Scenario) -> None:
-        """Give the GNC another scenario of the same length, rig and thrusters."""
+    def set_gnc_scenario(self, scenario: Scenario) -> None:
+        """Set the scenario of the GNC; length, rig and thrusters must be the same."""
         self.scenario = scenario
         self._params = self._fixed_params()
 
-    def fly(self, truth: Scenario, seed: int, history: np.ndarray | None = None) -> tuple[np.record, str]:
-        """Fly one case; return its TALLY, valid until the next call, and why it ended.
+    def run(self, truth: Scenario, seed: int, history: np.ndarray | None = None) -> tuple[np.record, str]:
+        """Run one case; return its RUN_STATS, valid until the next call, and why it ended.
 
         truth: the scenario of vehicle, sensors and start. history: (n,) of CYCLE, filled for the first n cycles.
         """
-        tally = self._tally
-        for block in (self._state_block, self._tally_block, self._memory):
+        stats = self._stats
+        for block in (self._state_block, self._stats_block, self._memory):
             block[...] = np.zeros((), block.dtype)
-        start_tally(tally)
+        start_run_stats(stats)
         self._set_truth(truth, seed)
-        refusal = self._refusal()
-        if refusal:
-            return tally, refusal
-        with self._seated():
-            code = self._run(truth, seed, history)
-        return tally, self._reason(int(code))
+        interlock = self._interlock()
+        if interlock:
+            return stats, interlock
+        with self._library_instance():
+            code = self._run_loop(truth, seed, history)
+        return stats, self._reason(int(code))
 
     @contextmanager
-    def _seated(self) -> Iterator[None]:
-        """Have an instance of the library, where one flies, for one case."""
+    def _library_instance(self) -> Iterator[None]:
+        """Open an instance of the library, if the scenario has one, for one case."""
         if self._library is None:
             yield
             return
@@ -121,12 +118,11 @@ class CaseRunner:
             gnc.step_address, gnc.instance = self._library.step_address, instance.address
             yield
 
-    def _run(self, truth: Scenario, seed: int, history: np.ndarray | None) -> int:
-        state, tally = self._state, self._tally
+    def _run_loop(self, truth: Scenario, seed: int, history: np.ndarray | None) -> int:
+        state, stats = self._state, self._stats
         code: int = run_loop(
             self._params,
-            self._sets,
-            gnc_params.field(truth),
+            dynamics_params.field(truth),
             self._leds,
             stream(seed, "imu").standard_normal(out=self._imu_noise),
             stream(seed, "vision").standard_normal(out=self._vision_noise),
@@ -135,7 +131,7 @@ class CaseRunner:
             self._memory,
             self._poses,
             self._frames,
-            tally,
+            stats,
             np.zeros(0, CYCLE) if history is None else history,
         )
         return code
@@ -143,17 +139,17 @@ class CaseRunner:
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
         params.dss = dss_as_built(truth, seed)
-        params.imu = gnc_params.imu(truth)
-        params.vision = gnc_params.vision(truth)
+        params.imu = dynamics_params.imu(truth)
+        params.vision = vision_params.vision(truth)
         vmu = truth.vmu
         params.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability)
-        state.now.truth = gnc_params.initial_truth(truth)
+        state.now.truth = dynamics_params.initial_truth(truth)
         draw_initial_imu_errors(truth, seed, state.now.imu)
         rails, turntable = axes_at_start(truth, self.rig)
         state.rails, state.turntable = _servo(rails), _servo(turntable)
 
-    def _refusal(self) -> str:
-        """Return why the bench would not be armed at the start pose, "" where it would."""
+    def _interlock(self) -> str:
+        """Return why the bench could not be armed at the start pose, "" if it could."""
         state, standing = self._state, new(AXES)
         rest = np.zeros(3)
         write_axes(state.rails.position, rest, state.turntable.position, rest, standing)
@@ -161,13 +157,13 @@ class CaseRunner:
         return "" if breach == guards.NOTHING else str(breach_alarm(0.0, BENCH_AXES, breach, state.breach).trip())
 
     def _reason(self, code: int) -> str:
-        """Return why a run ended, in the words of ``hil run``."""
+        """Return why a run ended, with the text of ``hil run``."""
         state = self._state
         if code == loop_kernel.COMPLETED:
             return COMPLETED
         if code == loop_kernel.VISION_SILENT:
-            now_s = self._tally.cycles * self.scenario.step_s
-            silent_s, allowed_s = now_s - state.heard_s, self.rig.vmu.timeout_s
+            now_s = self._stats.cycles * self.scenario.step_s
+            silent_s, allowed_s = now_s - state.last_rx_s, self.rig.vmu.timeout_s
             return str(LinkTimeout("vmu", f"no answer for {silent_s:.3f} s, allowed {allowed_s:g} s"))
         if code == loop_kernel.GNC_FAILED:
             return str(self._gnc_fault())
@@ -183,16 +179,16 @@ class CaseRunner:
 
     def _gnc_fault(self) -> BenchError:
         assert self._library is not None
-        gnc, name, n = self._state.library, gnc_name(self._library), int(self._params.n_thrusters)
+        gnc, name, n = self._state.library, gnc_name(self._library), int(self._params.gnc.n_thrusters)
         if gnc.code != 0:
             return step_failed(name, gnc.code, gnc.output)
         if gnc.fault != external_records.FINE:
-            return ProtocolError(name, complaint(gnc.output, gnc.fault, gnc.place, gnc.input.cycle, n))
+            return ProtocolError(name, fault_text(gnc.output, gnc.fault, gnc.place, gnc.input.cycle, n))
         return reported_fault(name, gnc.output)
 
 
 def _servo(config: Rails | Turntable) -> np.record:
-    """Return SERVO of mock axes that stand at their parking place."""
+    """Return SERVO of mock axes at rest at their parking position."""
     axes, servo = ServoAxes(config), new(SERVO)
     for name in ("position", "setpoint", "kp", "tau", "rate_max", "acceleration_max", "low", "high"):
         values: Array = getattr(axes, name)

@@ -1,8 +1,8 @@
-"""From a case's number to the scenario that chance makes of it.
+"""Dispersions: samples the dispersed scenario of a case.
 
-A case depends on its number and the campaign's seed alone, never on how many cases there are: ``hil run --case K``
-and a campaign that is made longer find the same one. Latin hypercubes therefore come in blocks of
-``cases_per_hypercube``; Sobol's points are scrambled by the seed and counted through.
+A case depends on its number and the campaign's seed only, not on the number of cases: ``hil run --case K`` and a longer
+campaign have the same one. Latin hypercubes therefore come in blocks of
+``cases_per_hypercube``; Sobol's points are scrambled by the seed and numbered consecutively.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hil.core.messages import Array
 from hil.errors import BadInput, Problem
 
 _DESIGN, _CASE = 0, 1
-_SMALLEST = 2.0**-40  # a unit point is kept off 0 and 1 by so much, where a normal has no value
+_SMALLEST = 2.0**-40  # least distance of a unit point from 0 and 1, where the normal's inverse is infinite
 
 
 def case_seed(campaign_seed: int, case: int) -> int:
@@ -38,7 +38,7 @@ def case_seed(campaign_seed: int, case: int) -> int:
 
 @dataclass(frozen=True)
 class DispersedComponent:
-    """One number that is drawn: of the key at ``path``, its component ``index``, None for the key as a whole."""
+    """One dispersed number: component ``index`` of the key at ``path``, None for the whole key."""
 
     path: tuple[str, ...]
     index: int | None
@@ -47,7 +47,7 @@ class DispersedComponent:
     sigma: float
     low: float
     high: float
-    factor: bool  # the drawn number multiplies a whole matrix
+    factor: bool  # the sample multiplies a whole matrix
 
     @property
     def name(self) -> str:
@@ -66,7 +66,7 @@ class DispersedComponent:
 
 
 class Design:
-    """The dispersions of a scenario, checked; raises BadInput with every fault of them."""
+    """The dispersions of a scenario, checked; raises BadInput with one problem per error."""
 
     def __init__(self, scenario: Loaded[Scenario], seed: int) -> None:
         self._nominal = scenario.value
@@ -100,7 +100,7 @@ class Design:
 
     @property
     def names(self) -> list[str]:
-        """What the drawn numbers are called, in their order."""
+        """Names of the dispersed numbers, in their order."""
         return [component.name for component in self.components]
 
     def values(self, case: int) -> Array:
@@ -109,14 +109,14 @@ class Design:
         return np.array([component.value(float(u)) for component, u in zip(self.components, unit, strict=True)])
 
     def apply(self, values: Array) -> tuple[Scenario, Scenario]:
-        """Return the scenario as it is in truth, and as the GNC has it; raise BadInput where it cannot be."""
-        truth, told = (json.loads(self._text) for _ in range(2))
+        """Return the scenario of the truth, and that of the GNC; raise BadInput if one is invalid."""
+        truth, gnc = (json.loads(self._text) for _ in range(2))
         for component, value in zip(self.components, values, strict=True):
             _put(truth, component, float(value))
             if component.path[0] == "gnc":
-                _put(told, component, float(value))
+                _put(gnc, component, float(value))
         dispersed = check_table(truth, Scenario, "dispersed").value if self.components else self._nominal
-        return dispersed, check_table(told, Scenario, "dispersed").value if self.touches_gnc else self._nominal
+        return dispersed, check_table(gnc, Scenario, "dispersed").value if self.touches_gnc else self._nominal
 
     def _unit(self, case: int) -> Array:
         """Return the point of ``case`` in the unit cube, (n,), without its faces."""
@@ -151,7 +151,7 @@ def _sobol_block(seed: int, block: int, n: int) -> Array:
     if block:
         engine.fast_forward(block * _SOBOL_BLOCK)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a part of the sequence need not be balanced
+        warnings.simplefilter("ignore", UserWarning)  # a section of the sequence need not be balanced
         points: Array = engine.random(_SOBOL_BLOCK)
     return points
 
@@ -171,7 +171,7 @@ def _at(table: Any, path: tuple[str, ...]) -> Any:
 def _leaves(
     given: dict[str, Any], table: Any, path: tuple[str, ...], scenario: Loaded[Scenario], problems: list[Problem]
 ) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Give the path and the spread of each key under ``given``; note the keys that the scenario does not have."""
+    """Yield path and distribution of each key under ``given``; add a problem for each unknown key."""
     for key, inner in given.items():
         here = (*path, key)
         if not isinstance(table, dict) or key not in table:
@@ -189,7 +189,7 @@ def _leaves(
 
 
 def _components(path: tuple[str, ...], nominal: Any, spread: Spread) -> list[DispersedComponent]:
-    """Return what is drawn for one key; raise ValueError where its value cannot be spread like that."""
+    """Return the dispersed components of one key; raise ValueError if the distribution does not suit its value."""
     matrix = isinstance(nominal, (tuple, list)) and any(isinstance(row, (tuple, list)) for row in nominal)
     if matrix:
         if not spread.relative:

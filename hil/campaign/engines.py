@@ -1,8 +1,7 @@
-"""Who flies the batches: processes of this computer, or the workers of a Dask cluster.
+"""Engines that run the batches: processes of this computer, or the workers of a Dask cluster.
 
-An engine is given batches and gives back their rows, in whatever order they are done; it starts anew what a killed
-worker took with it. No more batches are handed out than keep the workers busy, so memory does not grow with the
-number of cases.
+An engine takes batches and yields their rows in the order of completion; it restarts the work of a killed worker. It
+submits only as many batches as keep the workers busy, so memory does not grow with the number of cases.
 """
 
 from __future__ import annotations
@@ -28,47 +27,47 @@ from hil.errors import BadInput, CampaignStopped
 Batch = tuple[int, int]
 """First case, and how many."""
 
-_AHEAD: Final = 2  # batches a worker, or parts of them, that wait or are flown
-_PART: Final = 10  # cases that a worker of this computer is given at once
-_TRIES: Final = 3  # times that a batch may take its worker with it
+_AHEAD: Final = 2  # batches per worker, or parts of them, that are queued or running
+_PART: Final = 10  # cases that are submitted to a worker of this computer at once
+_TRIES: Final = 3  # of a batch whose worker dies
 _CONNECT_S: Final = 10.0
 
 
 class Engine(Protocol):
-    """Flies batches."""
+    """Runs batches."""
 
     @property
     def workers(self) -> int:
         """Number of workers."""
 
-    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
-        """Give first case and rows of each of the ``batches``; closing it ends the work. Raises CampaignStopped."""
+    def run(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
+        """Yield first case and rows of each of the ``batches``; closing it ends the work. Raises CampaignStopped."""
 
     def close(self) -> None:
-        """Let go of the workers."""
+        """Release the workers."""
 
 
 class LocalEngine:
-    """Worker processes of this computer; one alone is this very process."""
+    """Worker processes of this computer; a single one is this process."""
 
     def __init__(self, workers: int) -> None:
         self.workers = workers
 
-    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
-        """Give first case and rows of each batch."""
+    def run(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
+        """Yield first case and rows of each batch."""
         if self.workers == 1:
             for first, count in batches:
                 yield first, run_batch(spec, first, count)
             return
         left = deque(batches)
         while left:
-            suspects = yield from self._until_a_worker_dies(spec, left)
-            with _Alone(spec) as alone:
+            suspects = yield from self._until_worker_death(spec, left)
+            with _Isolated(spec) as isolated:
                 for batch in suspects:
-                    yield batch[0], alone.fly(*batch)
+                    yield batch[0], isolated.run(*batch)
 
-    def _until_a_worker_dies(self, spec: Spec, left: deque[Batch]) -> Generator[tuple[int, Rows], None, list[Batch]]:
-        """Take batches from ``left`` until it is empty; after the death of a worker return those under way."""
+    def _until_worker_death(self, spec: Spec, left: deque[Batch]) -> Generator[tuple[int, Rows], None, list[Batch]]:
+        """Run batches of ``left`` until it is empty; after the death of a worker return those under way."""
         under_way: dict[Batch, _Parts] = {}
         waiting: dict[Future[Rows], tuple[Batch, int]] = {}
         parts: deque[tuple[Batch, int]] = deque()
@@ -91,31 +90,31 @@ class LocalEngine:
                         yield batch[0], whole
         except BrokenProcessPool:
             return sorted(under_way)
-        finally:  # also where nobody wants the rest: nobody waits for what is under way either
+        finally:  # also if the caller closes it early; work under way is not waited for
             pool.shutdown(wait=False, cancel_futures=True)
         return []
 
     def close(self) -> None:
-        """Nothing is held between two calls of ``fly``."""
+        """No resource is held between two calls of ``run``."""
 
 
 class _Parts:
-    """A batch that is flown in parts, so that no worker has much to do alone at the end of a campaign."""
+    """A batch that is run in parts, so that all workers stay busy to the end of a campaign."""
 
     def __init__(self, batch: Batch) -> None:
         self.borders = range(batch[0], sum(batch), _PART)
         self._rows: dict[int, Rows] = {}
 
     def put(self, first: int, rows: Rows) -> Rows | None:
-        """Take the rows of the part that begins with case ``first``; return those of the batch when all are there."""
+        """Add the rows of the part that begins with case ``first``; return those of the batch when it is complete."""
         self._rows[first] = rows
         if len(self._rows) < len(self.borders):
             return None
         return [row for border in self.borders for row in self._rows[border]]
 
 
-class _Alone:
-    """Flies what was under way when a worker died, one batch after the other in one worker; finds who kills it."""
+class _Isolated:
+    """Runs the batches that were under way when a worker died one by one, to identify the case that kills it."""
 
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
@@ -128,8 +127,8 @@ class _Alone:
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def fly(self, first: int, count: int) -> Rows:
-        """Return the rows of a batch, those of a case that kills its worker each time with that as their reason."""
+    def run(self, first: int, count: int) -> Rows:
+        """Return the rows of a batch; a case that kills its worker each time has that as its reason."""
         for _ in range(_TRIES):
             if self._pool is None:
                 self._pool = _pool(1)
@@ -139,23 +138,23 @@ class _Alone:
                 self._pool.shutdown()
                 self._pool = None
         if count > 1:
-            return [row for case in range(first, first + count) for row in self.fly(case, 1)]
+            return [row for case in range(first, first + count) for row in self.run(case, 1)]
         return [died_row(self._spec, first)]
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
     """Return worker processes, forked from one that has imported what they need."""
-    for library in ("OPENBLAS", "OMP", "MKL"):  # a worker is one core's; what this process has loaded stays as it is
+    for library in ("OPENBLAS", "OMP", "MKL"):  # one core per worker; libraries already loaded are not affected
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     context = get_context("forkserver")
     context.set_forkserver_preload(["hil.campaign.batch"])
-    return ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
+    return ProcessPoolExecutor(workers, mp_context=context, initializer=_init_worker)
 
 
-def _begin() -> None:
-    """Leave Ctrl-C to the process that hands out the batches, and end with it.
+def _init_worker() -> None:
+    """Ignore Ctrl-C, which the campaign's process handles, and end with that process.
 
-    It is not the parent of this one, which a server has forked.
+    It is not the parent of this one, which a fork server has started.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent()
@@ -169,14 +168,14 @@ def _end_with(campaign: BaseProcess) -> None:
 
 
 def died_row(spec: Spec, case: int) -> dict[str, Any]:
-    """Return the row of a case whose worker ended each time it was flown."""
+    """Return the row of a case whose worker ended each time."""
     drawn = Case(spec).drawn(case)
     reason = f"not flown: its worker process ended, {_TRIES} times"
     return {"case": case, "seed": case_seed(spec.seed, case), **drawn, **failed_row(reason)}
 
 
 class DaskEngine:
-    """The workers of the Dask scheduler at ``address``; raises BadInput where there is none."""
+    """The workers of the Dask scheduler at ``address``; raises BadInput if there is none."""
 
     def __init__(self, address: str) -> None:
         try:
@@ -185,7 +184,10 @@ class DaskEngine:
             text = "needs distributed, which is not installed: pip install 'hil-bench[campaign]'"
             raise BadInput.single("--scheduler", "", text) from error
         self._address = address
-        for name in ("distributed", *logging.root.manager.loggerDict):  # what matters of theirs is told as ours
+        for name in (
+            "distributed",
+            *logging.root.manager.loggerDict,
+        ):  # their relevant errors are reported by this class
             if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
                 logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
@@ -196,11 +198,11 @@ class DaskEngine:
 
     @property
     def workers(self) -> int:
-        """Threads of all workers that are there now, at least one."""
+        """Threads of all present workers, at least one."""
         return max(1, int(sum(self._client.nthreads().values())))
 
-    def fly(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
-        """Give first case and rows of each batch; what a lost worker had is given to others by the scheduler."""
+    def run(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
+        """Yield first case and rows of each batch; the scheduler reassigns the batches of a lost worker."""
         from distributed import CancelledError, as_completed
         from distributed.comm.core import CommClosedError
 
@@ -209,20 +211,20 @@ class DaskEngine:
         of: dict[Any, Batch] = {}
         done = as_completed(loop=self._client.loop)
 
-        def hand_out(batch: Batch) -> None:
+        def submit(batch: Batch) -> None:
             future = self._client.submit(run_batch, spec, *batch, pure=False)
             of[future.key] = batch
             done.add(future)
 
         try:
             for batch, _ in zip(left, range(_AHEAD * self.workers), strict=False):
-                hand_out(batch)
+                submit(batch)
             for future in done:
                 batch = of.pop(future.key)
                 if future.status == "finished":
                     yield batch[0], future.result()
                     if (following := next(left, None)) is not None:
-                        hand_out(following)
+                        submit(following)
                     continue
                 if future.status in ("cancelled", "lost") or self._client.status != "running":
                     raise CommClosedError
@@ -230,13 +232,13 @@ class DaskEngine:
                 if tries[batch] >= _TRIES:
                     yield batch[0], [died_row(spec, case) for case in range(batch[0], sum(batch))]
                     if (following := next(left, None)) is not None:
-                        hand_out(following)
+                        submit(following)
                 else:
-                    hand_out(batch)
+                    submit(batch)
         except (CommClosedError, CancelledError, TimeoutError, OSError) as error:
-            text = "is gone: what is done so far is kept, run it again"
+            text = "is gone: completed cases are kept, run it again"
             raise CampaignStopped(f"scheduler {self._address}: {text}") from error
 
     def close(self) -> None:
-        """Let go of the scheduler."""
+        """Disconnect from the scheduler."""
         self._client.close(timeout=2)

@@ -1,4 +1,4 @@
-"""Pictures of a campaign: how outcomes spread, and how they move along a sweep."""
+"""Figures of a campaign: distributions of the outcomes, and outcomes along a sweep."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.campaign.store import Store, whole_or_not_at_all
+from hil.campaign.store import Store, atomic_write
 from hil.config.scenario import Scenario
 from hil.report.verdict import ROW_NAMES, TABLE_V, tolerances
 
@@ -22,10 +22,10 @@ _PANELS = (
 
 
 def draw_percentiles(store: Store, scenario: Scenario, path: Path) -> None:
-    """Draw how the cases of ``scenario`` spread into ``path``.
+    """Draw the distributions over the cases of ``scenario`` into ``path``.
 
-    The share of cases below each value, with the 5th, 50th and 95th percentile; and the deviations of the ready phase
-    over what Table III allows, with the worst of the paper's Table V where it has the scenario.
+    The percentage of cases below each value, with the 5th, 50th and 95th percentile; and the deviations of the ready
+    phase relative to Table III, with the worst of the paper's Table V if it has the scenario.
     """
     from matplotlib.figure import Figure
 
@@ -35,7 +35,7 @@ def draw_percentiles(store: Store, scenario: Scenario, path: Path) -> None:
         _curve(place, _finite(store, name), label)
     _deviations(axes[5], store, scenario)
     figure.suptitle(f"{scenario.name}, {len(store.column('case'))} cases")
-    with whole_or_not_at_all(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, dpi=110, format="png")
 
 
@@ -45,7 +45,7 @@ def _finite(store: Store, name: str) -> Any:
 
 
 def _deviations(place: Any, store: Store, scenario: Scenario) -> None:
-    """Draw worst and median deviation of each cell of Table III, in percent of what it allows."""
+    """Draw worst and median deviation of each cell of Table III, in percent of its tolerance."""
     cells = [(row, i) for row in ROW_NAMES for i in range(3)]
     allowed = tolerances(scenario.requirements)
     paper = TABLE_V.get(scenario.name)
@@ -71,16 +71,16 @@ def _deviations(place: Any, store: Store, scenario: Scenario) -> None:
 
 def _curve(place: Any, values: Any, label: str) -> None:
     place.set_xlabel(label)
-    place.set_ylabel("share of cases, %")
+    place.set_ylabel("percentage of cases")
     if not len(values):
         place.text(0.5, 0.5, "none", ha="center", transform=place.transAxes)
         return
     place.locator_params(axis="x", nbins=4)
     place.xaxis.set_major_formatter("{x:.5g}")
-    shares = np.linspace(0.0, 100.0, min(len(values), _MOST_POINTS))
-    place.plot(np.percentile(values, shares), shares)
-    for share in (5.0, 50.0, 95.0):
-        place.axvline(float(np.percentile(values, share)), color="0.7", linewidth=0.8)
+    percent = np.linspace(0.0, 100.0, min(len(values), _MOST_POINTS))
+    place.plot(np.percentile(values, percent), percent)
+    for mark in (5.0, 50.0, 95.0):
+        place.axvline(float(np.percentile(values, mark)), color="0.7", linewidth=0.8)
 
 
 def draw_sweep(found: dict[str, Any], path: Path) -> None:
@@ -100,5 +100,5 @@ def draw_sweep(found: dict[str, Any], path: Path) -> None:
     below.plot(x, spent[:, 1], marker="o")
     below.set_ylabel("propellant, kg")
     below.set_xlabel(found["key"])
-    with whole_or_not_at_all(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, dpi=110, format="png")

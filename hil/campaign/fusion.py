@@ -1,4 +1,4 @@
-"""``hil fusion``: the bench paper's numerical simulation (IV.A) over many seeds, against the bound."""
+"""Fusion study (``hil fusion``): the bench paper's numerical simulation (IV.A) over many seeds, against the bound."""
 
 from __future__ import annotations
 
@@ -17,20 +17,22 @@ from hil.config.scenario import Scenario
 from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
 from hil.gnc.fusion import FUSION_STATE, MEMORY, STEP
 from hil.gnc.guidance import GUIDANCE_STATE
+from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 
 Reading = Literal["swapped", "printed"]
 
-VMU_SIGMA = {"swapped": (0.005, 0.033), "printed": (0.033, 0.005)}  # m, deg: Table I's rows, either way round
+VMU_SIGMA = {"swapped": (0.005, 0.033), "printed": (0.033, 0.005)}  # m, deg: Table I's rows, in either order
 INITIAL_SIGMA = (0.1, 0.02, 5e-4, math.radians(3.0), math.radians(1e-5))
 """m, m/s, m/s^2, rad, rad/s: of position, velocity, bias, attitude and drift at the start."""
 
 TABLE_II_SD = ((0.0037, 0.0039, 0.0039), (0.0304, 0.0315, 0.0312))  # m, deg
 TABLE_II_MAX = ((0.0141, 0.0142, 0.0132), (0.1078, 0.1045, 0.1146))
 
-_TURN_TIME_S = 10.0  # the paper's attitude converges in about 10 s
+_ROTATION_TIME_S = 10.0  # the paper's attitude converges in about 10 s
 _BAND = 0.999
 _BATCH = 20
+_COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable for colour-blind readers
 
 
 def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float) -> np.record:
@@ -40,8 +42,8 @@ def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float) -> np
     params.frame_cycles = round(1.0 / (vmu_rate_hz * scenario.step_s))
     params.sigma_position = VMU_SIGMA[reading][0]
     params.sigma_angle = math.radians(VMU_SIGMA[reading][1])
-    params.initial_turn = gnc_params.initial_rotation_vector(scenario)
-    params.turn_time = _TURN_TIME_S
+    params.initial_rotation = gnc_params.initial_rotation_vector(scenario)
+    params.rotation_time = _ROTATION_TIME_S
     params.initial_sigma = np.repeat(INITIAL_SIGMA, 3)
     return params
 
@@ -55,7 +57,7 @@ class Study:
         self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz
         self._study = study_params(scenario, reading, self.vmu_rate_hz)
         self._filters = gnc_params.navigation(scenario).fusion
-        self._imu = gnc_params.imu(scenario)
+        self._imu = dynamics_params.imu(scenario)
         self._line = gnc_params.guidance(scenario)
         self._seed = seed
 
@@ -100,7 +102,7 @@ def run_fusion(
 ) -> dict[str, Any]:
     """Do the study; return its numbers under the names of ``hil fusion --json``.
 
-    watch: told how many runs are done.
+    watch: called with the number of completed runs.
     """
     study = Study(settings, reading, seed)
     bound = study.bound()
@@ -167,3 +169,31 @@ def _nis(values: Array, updates: int) -> dict[str, float]:
 
 def _list(values: Array) -> list[float]:
     return [float(value) for value in values]
+
+
+def draw(reading: Reading, seed: int, settings: tuple[str, ...], path: str) -> None:
+    """Draw run 0 of the study of ``seed`` into ``path``."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    study = Study(settings, reading, seed)
+    trace = np.zeros((round(SNAPSHOTS_S[-1] / study.step_s), 12))
+    study.run(0, new(STUDY_RESULT), trace)
+    t_s = (1 + np.arange(len(trace))) * study.step_s
+    figure, axes = plt.subplots(3, 2, figsize=(11, 7), sharex=True, constrained_layout=True)
+    for column, (title, unit, scale) in enumerate((("position", "mm", 1e3), ("attitude", "deg", 180.0 / np.pi))):
+        late = t_s >= 20.0
+        for i in range(3):
+            plot = axes[i, column]
+            error, sigma = trace[:, 3 * column + i] * scale, trace[:, 6 + 3 * column + i] * scale
+            plot.fill_between(t_s, -3.0 * sigma, 3.0 * sigma, color="0.9", linewidth=0)
+            plot.plot(t_s, error, color=_COLOURS[i], linewidth=0.8)
+            limit = 3.5 * sigma[late].max()
+            plot.set_ylim(-limit, limit)
+            plot.set_ylabel(f"{'xyz'[i]}, {unit}" if column == 0 else f"theta{i + 1}, {unit}")
+        axes[0, column].set_title(f"{title} error and 3 sigma, vision noise as {reading}", loc="left", fontsize=10)
+        axes[2, column].set_xlabel("time, s")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)

@@ -1,7 +1,7 @@
-"""One run of the bench paper's numerical simulation (IV.A) as a compiled loop over the product's own kernels.
+"""Run of the bench paper's numerical simulation (IV.A) as a compiled loop of the GNC's own kernels.
 
-The truth moves by Hill's equations along scheme 2's reference line while the chaser turns to the
-attitude of H; the filters see the virtual IMU and poses with white noise of constant sigma.
+The truth moves by Hill's equations along scheme 2's reference line while the chaser rotates to the
+attitude of H; the filters receive the virtual IMU and poses with white noise of constant sigma.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hil.gnc.navigation import normalised_errors
 from hil.maths import quat
 from hil.maths.arrays import copy_into, fill_matrix
 
-SETTLED_S = 100.0  # errors count from here on
+STEADY_STATE_AFTER_S = 100.0  # errors count from here on
 SNAPSHOTS_S = (100.0, 200.0, 300.0, 400.0)  # when the NEES is taken
 
 STUDY_PARAMS = np.dtype(
@@ -26,8 +26,8 @@ STUDY_PARAMS = np.dtype(
         ("frame_cycles", "i8"),  # cycles from one pose to the next
         ("sigma_position", "f8"),  # m, of a pose
         ("sigma_angle", "f8"),  # rad
-        ("initial_turn", "f8", 3),  # rad, rotation vector of the chaser's attitude at the start
-        ("turn_time", "f8"),  # s, until it is that of H
+        ("initial_rotation", "f8", 3),  # rad, rotation vector of the chaser's attitude at the start
+        ("rotation_time", "f8"),  # s, until it is that of H
         ("initial_sigma", "f8", 15),  # position, velocity, bias, attitude (rad), drift (rad/s)
     ],
     align=True,
@@ -35,12 +35,12 @@ STUDY_PARAMS = np.dtype(
 
 STUDY_RESULT = np.dtype(
     [
-        ("square_error", "f8", 6),  # mean over t >= SETTLED_S: position, m^2, small turn, rad^2
+        ("square_error", "f8", 6),  # mean over t >= STEADY_STATE_AFTER_S: position, m^2, small-angle rotation, rad^2
         ("variance", "f8", 6),  # mean of the filters' own
-        ("largest_error", "f8", 6),  # over t >= SETTLED_S
+        ("largest_error", "f8", 6),  # over t >= STEADY_STATE_AFTER_S
         ("nees_pkf", "f8", 4),
         ("nees_akf", "f8", 4),
-        ("nis_pkf", "f8"),  # mean over t >= SETTLED_S
+        ("nis_pkf", "f8"),  # mean over t >= STEADY_STATE_AFTER_S
         ("nis_akf", "f8"),
         ("rejected", "i8"),
     ],
@@ -50,37 +50,39 @@ STUDY_RESULT = np.dtype(
 
 @kernel
 def _attitude(params, t_s):
-    """Return q_CH at ``t_s``: a smooth turn (minimum-jerk) from the initial attitude to that of H."""
+    """Return q_CH at ``t_s``: a smooth rotation (minimum-jerk) from the initial attitude to that of H."""
     left = 1.0
-    if t_s >= params.turn_time:
+    if t_s >= params.rotation_time:
         left = 0.0
     elif t_s > 0.0:
-        u = t_s / params.turn_time
+        u = t_s / params.rotation_time
         left = 1.0 - u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
-    turn = np.empty(3)
+    rotation = np.empty(3)
     for i in range(3):
-        turn[i] = left * params.initial_turn[i]
-    return quat.from_rotation_vector(turn)
+        rotation[i] = left * params.initial_rotation[i]
+    return quat.from_rotation_vector(rotation)
 
 
 @kernel
-def _move(study, filter_params, line, flown, point, cycle, truth):
+def _move(study, filter_params, line, guidance_state, point, cycle, truth):
     """Move ``truth`` on by one step; leave in it what gyro and accelerometer integrate over the step."""
     dt = filter_params.pkf.dt_s
     w0 = filter_params.akf.orbit_rate
     t_s = (cycle + 0.5) * dt
-    guidance.advance(line, flown, t_s, 0, 1)
-    guidance.reference(line, flown, t_s, point)
+    guidance.advance(line, guidance_state, t_s, 0, 1)
+    guidance.reference(line, guidance_state, t_s, point)
     force_h = np.empty(3)
     force_h[0] = point.a_CT_H[0] - 2.0 * w0 * truth.v_CT_H[2]
     force_h[1] = point.a_CT_H[1] + w0 * w0 * truth.r_CT_H[1]
     force_h[2] = point.a_CT_H[2] + 2.0 * w0 * truth.v_CT_H[0] - 3.0 * w0 * w0 * truth.r_CT_H[2]
     q_next = _attitude(study, (cycle + 1) * dt)
-    hill_turn = np.zeros(3)
-    hill_turn[1] = -w0 * dt
-    # c's inertial turn over the step: q_next = turn * q * (turn of H back)
-    turn = quat.multiply(q_next, quat.multiply(quat.from_rotation_vector(hill_turn), quat.conjugate(truth.q_CH)))
-    phi = quat.to_rotation_vector(turn)
+    hill_rotation = np.zeros(3)
+    hill_rotation[1] = -w0 * dt
+    # c's inertial rotation over the step: q_next = rotation * q * (inverse rotation of H)
+    rotation = quat.multiply(
+        q_next, quat.multiply(quat.from_rotation_vector(hill_rotation), quat.conjugate(truth.q_CH))
+    )
+    phi = quat.to_rotation_vector(rotation)
     middle = np.empty(4)
     for i in range(4):
         middle[i] = truth.q_CH[i] + q_next[i]
@@ -105,15 +107,15 @@ def _move(study, filter_params, line, flown, point, cycle, truth):
 def _measure(study, truth, t_s, noise, pose):
     """Write a pose of ``truth`` with the noise (6,) of standard normals."""
     z = quat.transform(truth.q_CH, truth.r_CT_H)
-    turn = np.empty(3)
+    rotation = np.empty(3)
     fill_matrix(pose.covariance_position, 0.0)
     fill_matrix(pose.covariance_attitude, 0.0)
     for i in range(3):
         pose.z_TC_C[i] = -z[i] + study.sigma_position * noise[i]
-        turn[i] = study.sigma_angle * noise[3 + i]
+        rotation[i] = study.sigma_angle * noise[3 + i]
         pose.covariance_position[i, i] = study.sigma_position**2
         pose.covariance_attitude[i, i] = study.sigma_angle**2
-    copy_into(pose.q_CH, quat.multiply(quat.from_rotation_vector(turn), truth.q_CH))
+    copy_into(pose.q_CH, quat.multiply(quat.from_rotation_vector(rotation), truth.q_CH))
     pose.t_s = t_s
 
 
@@ -124,9 +126,9 @@ def _start(study, params, truth, imu, draws, state, memory):
     fill_matrix(filters.pkf.p, 0.0)
     fill_matrix(filters.pkf.c, 0.0)
     fill_matrix(filters.akf.p, 0.0)
-    turn = np.empty(3)
+    rotation = np.empty(3)
     for i in range(3):
-        turn[i] = study.initial_sigma[9 + i] * draws[9 + i]
+        rotation[i] = study.initial_sigma[9 + i] * draws[9 + i]
         filters.pkf.x[i] = truth.r_CT_H[i] + study.initial_sigma[i] * draws[i]
         filters.pkf.x[3 + i] = truth.v_CT_H[i] + study.initial_sigma[3 + i] * draws[3 + i]
         filters.pkf.x[6 + i] = params.pkf.initial_bias[i]
@@ -137,9 +139,9 @@ def _start(study, params, truth, imu, draws, state, memory):
             filters.pkf.p[3 * block + i, 3 * block + i] = study.initial_sigma[3 * block + i] ** 2
         filters.akf.p[i, i] = study.initial_sigma[9 + i] ** 2
         filters.akf.p[3 + i, 3 + i] = study.initial_sigma[12 + i] ** 2
-    copy_into(filters.akf.x[0:4], quat.multiply(quat.from_rotation_vector(turn), truth.q_CH))
+    copy_into(filters.akf.x[0:4], quat.multiply(quat.from_rotation_vector(rotation), truth.q_CH))
     if params.attitude_form == fusion.AS_PRINTED:
-        akf_additive.spread(filters.akf.x, filters.akf.p, filters.additive)
+        akf_additive.from_multiplicative(filters.akf.x, filters.akf.p, filters.additive)
     state.started = 1
     state.cycle = 1
     memory[0].is_start = 1
@@ -152,11 +154,11 @@ def _count(truth, imu, filters, weight, result):
     error = np.empty(6)
     akf.error(filters.akf, truth.q_CH, imu.drift_C, error)
     for i in range(3):
-        turn, place = error[i], truth.r_CT_H[i] - filters.pkf.x[i]
+        rotation, place = error[i], truth.r_CT_H[i] - filters.pkf.x[i]
         result.square_error[i] += weight * place * place
-        result.square_error[3 + i] += weight * turn * turn
+        result.square_error[3 + i] += weight * rotation * rotation
         result.largest_error[i] = max(result.largest_error[i], abs(place))
-        result.largest_error[3 + i] = max(result.largest_error[3 + i], abs(turn))
+        result.largest_error[3 + i] = max(result.largest_error[3 + i], abs(rotation))
         result.variance[i] += weight * filters.pkf.p[i, i]
         result.variance[3 + i] += weight * filters.akf.p[i, i]
 
@@ -175,18 +177,18 @@ def _trace(truth, imu, filters, row):
 
 @kernel
 def run_study(
-    study, params, imu_params, line, flown, point, truth, imu, pose, state, memory, rng, noisy, result, trace
+    study, params, imu_params, line, guidance_state, point, truth, imu, pose, state, memory, rng, noisy, result, trace
 ):
     """Do one run; write ``result`` (STUDY_RESULT).
 
-    study: STUDY_PARAMS. params: FUSION_PARAMS. imu_params: IMU_PARAMS. line: GUIDANCE_PARAMS. flown,
-    point, truth, imu, pose, state: records to work in, zeroed. memory: (MEMORY,) of fusion.STEP. rng: numpy
+    study: STUDY_PARAMS. params: FUSION_PARAMS. imu_params: IMU_PARAMS. line: GUIDANCE_PARAMS. guidance_state,
+    point, truth, imu, pose, state: records of the run, zeroed. memory: (MEMORY,) of fusion.STEP. rng: numpy
     Generator. noisy: 0 gives the linear covariance along the line, without any noise or error.
-    trace: (n, 12), errors and sigmas of position, m, and small turn, rad, of the first n cycles.
+    trace: (n, 12), errors and sigmas of position, m, and small-angle rotation, rad, of the first n cycles.
     """
     dt = params.pkf.dt_s
-    guidance.start(line, flown)
-    guidance.reference(line, flown, 0.0, point)
+    guidance.start(line, guidance_state)
+    guidance.reference(line, guidance_state, 0.0, point)
     copy_into(truth.r_CT_H, point.r_CT_H)
     copy_into(truth.q_CH, _attitude(study, 0.0))
     draws = np.zeros(15)
@@ -195,14 +197,14 @@ def run_study(
         for i in range(15):
             draws[i] = rng.standard_normal()
     _start(study, params, truth, imu, draws, state, memory)
-    settled = math.ceil(SETTLED_S / dt - 1e-9)
-    weight = 1.0 / (study.cycles - settled)
+    steady_after = math.ceil(STEADY_STATE_AFTER_S / dt - 1e-9)
+    weight = 1.0 / (study.cycles - steady_after)
     nees = np.empty(2)
     snapshot = 0
     n_nis = 0
     for cycle in range(1, study.cycles + 1):
         t_s = cycle * dt
-        _move(study, params, line, flown, point, cycle - 1, truth)
+        _move(study, params, line, guidance_state, point, cycle - 1, truth)
         if noisy != 0:
             for i in range(18):
                 noise[i] = rng.standard_normal()
@@ -210,13 +212,13 @@ def run_study(
         fusion.advance(params, state, memory, imu)
         if cycle % study.frame_cycles == 0:
             _measure(study, truth, t_s, noise[12:], pose)
-            fusion.take(params, state, memory, pose)
+            fusion.fuse(params, state, memory, pose)
         state.cycle += 1
         if cycle <= trace.shape[0]:
             _trace(truth, imu, state.filters, trace[cycle - 1])
-        if cycle > settled:
+        if cycle > steady_after:
             _count(truth, imu, state.filters, weight, result)
-            # a pose whose attitude the gate kept out has no NIS of its position
+            # a pose whose attitude was rejected has no NIS of its position
             if cycle % study.frame_cycles == 0 and noisy != 0 and not math.isnan(state.nis_position):
                 result.nis_pkf += state.nis_position
                 result.nis_akf += state.nis_attitude

@@ -1,60 +1,53 @@
-"""Stages 4 to 7 of the compiled loop where a shared library flies: as ``ForeignGnc.act`` does it, call for call."""
+"""Stages 4 to 7 of the compiled loop with a GNC in a shared library: what ``ExternalGnc.step`` does, call for call."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT
+from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode, GncOrder
 from hil.core.jit import kernel
-from hil.gnc import approach_monitor, guidance
-from hil.gnc_backends import external_records, library_call
-from hil.maths.limits import has_held
+from hil.gnc.step import guide, watch_approach
+from hil.gnc_backends import external_records
 
 LIBRARY = np.dtype(
     [
-        ("step_address", "i8"),  # of hil_gnc_step; 0: the GNC here flies
+        ("step_address", "i8"),  # of hil_gnc_step; 0: the built-in GNC is used
         ("instance", "i8"),  # what hil_gnc_open gave
         ("input", GNC_INPUT),
         ("output", GNC_OUTPUT),
-        ("abort_began", "i8"),  # in the cycle before
         ("asks_for_hold", "i8"),
         # what was wrong with the output
         ("code", "i8"),  # what the step returned
-        ("fault", "i8"),  # of foreign.fault_of
+        ("fault", "i8"),  # of external_records.fault_of
         ("place", "i8"),
     ],
     align=True,
 )
 
-_RUNNING, _ABORT = 2, 2  # GncMode, GncOrder
+_RUNNING, _ABORT = GncMode.RUNNING.value, GncOrder.ABORT.value
 
 
 @kernel
-def fly_by_library(params, state, sets, poses, arrived, k, t_s):
-    """Ask the library and supervise what it says; return whether it can go on.
+def library_step(params, state, poses, n_poses, cycle, t_s):
+    """Call the library between guidance and approach monitor; return False if its output is a fault.
 
-    params: LOOP_PARAMS. state: LOOP_STATE. sets: int64 (allocation.ROWS, 2, MAX_THRUSTERS). k: number of the cycle.
+    params: GNC_PARAMS. state: LOOP_STATE. poses: array of POSE, of which the first ``n_poses`` are new.
     """
-    now, gnc = state.now, state.library
-    found = now.supervision
-    go = found.aborted == 0 and has_held(found.ready_since_s, t_s, params.dwell_s)
-    guidance.advance(params.guidance, state.flown, t_s, 0, 0 if go else 1)
-    guidance.reference(params.guidance, state.flown, t_s, now.reference)
-    orders = _ABORT if gnc.abort_began != 0 else 0
-    external_records.write_input(k, t_s, _RUNNING, orders, now.imu, now.reference, poses, arrived, gnc.input)
-    gnc.code = library_call.step(gnc.step_address, gnc.instance, gnc.input, gnc.output)
-    gnc.fault, gnc.place = external_records.fault_of(gnc.output, k, params.n_thrusters)
-    if gnc.code != 0 or gnc.fault != external_records.FINE or gnc.output.state == external_records.FAULT:
+    now, library, approach = state.now, state.library, state.gnc.approach
+    orders = _ABORT if approach.abort_began != 0 else 0
+    guide(params.approach, approach, t_s, now.supervision, now.reference)
+    external_records.write_input(
+        cycle, t_s, _RUNNING, orders, now.imu, now.reference, poses, n_poses, library.input
+    )  # fmt: skip
+    library.code = external_records.call_library(
+        library.step_address, library.instance, library.input, library.output
+    )  # fmt: skip
+    library.fault, library.place = external_records.fault_of(library.output, cycle, params.n_thrusters)
+    state_of_gnc = library.output.state
+    if library.code != 0 or library.fault != external_records.FINE or state_of_gnc == external_records.FAULT:
         return False
-    if gnc.output.state == external_records.ASKS_FOR_HOLD:
-        gnc.asks_for_hold = 1
-    external_records.take_output(gnc.output, sets, params.n_thrusters, now.reference.boost, now.navigation, now.command)
-    aborted = found.aborted
-    if now.navigation.valid == 0:
-        external_records.abort_unseen(params.supervision, params.guidance, state.flown, t_s, now.reference, 0, found)
-    approach_monitor.supervise_and_act(
-        params.supervision, params.guidance, state.flown, t_s, now.navigation, now.reference, 0, found
-    )
-    gnc.abort_began = 1 if found.aborted != aborted else 0
-    now.nees_position = now.nees_attitude = np.nan
+    if state_of_gnc == external_records.ASKS_FOR_HOLD:
+        library.asks_for_hold = 1
+    external_records.read_output(library.output, params, now.reference.boost, now.navigation, now.command)
+    watch_approach(params.approach, approach, t_s, now.navigation, now.reference, now.supervision, True)
     return True

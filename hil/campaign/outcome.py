@@ -30,20 +30,20 @@ NUMBERS: Final = (*_SINGLE, *(f"{name}_{axis}" for name in _TRIPLES for axis in 
 """Columns with floats; null where a run did not get far enough."""
 
 
-def row_of(tally: np.record, stop: str, scenario: Scenario, truth: Scenario) -> dict[str, Any]:
+def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> dict[str, Any]:
     """Return the outcome of a run by the names of FLAGS, COUNTS, TEXTS and NUMBERS.
 
     scenario: as the GNC has it, with the requirements; truth: as it was flown.
     """
-    verdict = verdict_of(tally.ready)
-    aborted = int(tally.aborted)
-    firings = int(np.sum(tally.thruster_firings))
-    propellant_kg = _propellant_kg(tally, truth)
-    energy = energy_part(float(tally.line), scenario, propellant_kg, firings)
-    flown = int(tally.cycles) > 0
+    verdict = verdict_of(stats.ready)
+    aborted = int(stats.aborted)
+    firings = int(np.sum(stats.thruster_firings))
+    propellant_kg = _propellant_kg(stats, truth)
+    energy = energy_part(float(stats.reference_delta_v), scenario, propellant_kg, firings)
+    flown = int(stats.cycles) > 0
     passed = bool(verdict.passed and stop == COMPLETED and not aborted)
-    security = bool(flown and tally.corridor_margin >= 0.0 and tally.closing_margin >= 0.0)
-    view = bool(flown and tally.view_margin >= 0.0)
+    security = bool(flown and stats.corridor_margin >= 0.0 and stats.closing_margin >= 0.0)
+    view = bool(flown and stats.view_margin >= 0.0)
     allowed = tolerances(scenario.requirements)
     row: dict[str, Any] = {
         "passed": passed,
@@ -52,19 +52,19 @@ def row_of(tally: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
         "energy_passed": bool(flown and energy["passed"]),
         "view_passed": view,
         "firings": firings,
-        "limited_cycles": int(tally.limited_cycles),
-        "cycles": int(tally.cycles),
+        "limited_cycles": int(stats.limited_cycles),
+        "cycles": int(stats.cycles),
         "stop": stop,
         "abort": ABORT_CAUSES[aborted],
         "ready_time_s": verdict.ready_time_s,
         "held_since_s": verdict.held_since_s,
-        "aborted_at_s": float(tally.aborted_at_s) if aborted else None,
+        "aborted_at_s": float(stats.aborted_at_s) if aborted else None,
         "propellant_kg": propellant_kg,
         "propellant_share": propellant_kg / energy["least_propellant_kg"] if energy["least_propellant_kg"] else None,
-        "thruster_on_time_s": scenario.step_s * float(np.sum(tally.thruster_open)),
+        "thruster_on_time_s": scenario.step_s * float(np.sum(stats.thruster_open)),
         "control_margin": None,
         **{
-            name: _number(tally[field]) if flown else None
+            name: _number(stats[field]) if flown else None
             for name, field in (
                 ("corridor_margin_m", "corridor_margin"),
                 ("closing_margin_mps", "closing_margin"),
@@ -72,9 +72,9 @@ def row_of(tally: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
                 ("view_margin_px", "view_margin"),
             )
         },
-        **_three("force_on_time_s", scenario.step_s * tally.force_cycles),
-        **_three("torque_on_time_s", scenario.step_s * tally.torque_cycles),
-        **_navigation(tally),
+        **_three("force_on_time_s", scenario.step_s * stats.force_cycles),
+        **_three("torque_on_time_s", scenario.step_s * stats.torque_cycles),
+        **_navigation(stats),
     }
     if verdict.worst is not None:
         row["control_margin"] = min(float((1.0 - verdict.worst[n] / allowed[n]).min()) for n in ROW_NAMES)
@@ -90,23 +90,23 @@ def failed_row(reason: str) -> dict[str, Any]:
     return row | {"stop": reason, "abort": ""}
 
 
-def _propellant_kg(tally: np.record, truth: Scenario) -> float:
+def _propellant_kg(stats: np.record, truth: Scenario) -> float:
     if truth.truth.mass_loss:
-        return float(tally.mass_start - tally.mass_end)
+        return float(stats.mass_start - stats.mass_end)
     thrusters = truth.chaser.thrusters
-    open_s = truth.step_s * float(np.sum(tally.thruster_open))
+    open_s = truth.step_s * float(np.sum(stats.thruster_open))
     return open_s * thrusters.force_n / (thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2)
 
 
-def _navigation(tally: np.record) -> dict[str, float | None]:
-    rms = np.sqrt(tally.square_error / tally.known) if tally.known else np.full(9, np.nan)
-    fused = int(tally.fused)
+def _navigation(stats: np.record) -> dict[str, float | None]:
+    rms = np.sqrt(stats.square_error / stats.estimates) if stats.estimates else np.full(9, np.nan)
+    fused = int(stats.fused)
     return {
         **_three("position_rmse_m", rms[0:3]),
         **_three("velocity_rmse_mps", rms[3:6]),
         **_three("attitude_rmse_deg", np.degrees(rms[6:9])),
-        "nees_pkf": _number(tally.nees_position / fused) if fused else None,
-        "nees_akf": _number(tally.nees_attitude / fused) if fused else None,
+        "nees_pkf": _number(stats.nees_position / fused) if fused else None,
+        "nees_akf": _number(stats.nees_attitude / fused) if fused else None,
     }
 
 

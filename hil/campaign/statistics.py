@@ -1,4 +1,4 @@
-"""What a finished campaign says: pass rates with intervals, worst cases, what the outcome hangs on."""
+"""Statistics of a finished campaign: pass rates with intervals, worst cases, sensitivities."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _REASONS: Final = 20
 
 
 def wilson(passed: int, runs: int) -> dict[str, float | int]:
-    """Return the share ``passed`` / ``runs`` with Wilson's interval of ``CONFIDENCE``."""
+    """Return the fraction ``passed`` / ``runs`` with Wilson's interval of ``CONFIDENCE``."""
     interval = binomtest(passed, runs).proportion_ci(CONFIDENCE, method="wilson")
     return {
         "passed": passed,
@@ -37,7 +37,7 @@ def wilson(passed: int, runs: int) -> dict[str, float | int]:
 
 
 def mean_interval(values: Array) -> dict[str, float | int | None]:
-    """Return the mean of ``values`` with Student's interval of ``CONFIDENCE``; None where too few are known."""
+    """Return the mean of ``values`` with Student's interval of ``CONFIDENCE``; None if there are too few."""
     known = values[np.isfinite(values)]
     n = len(known)
     if n < 2:
@@ -65,7 +65,7 @@ def summarise(store: Store, scenario: str, names: list[str]) -> dict[str, Any]:
 
 
 def _stops(store: Store) -> list[dict[str, Any]]:
-    """Return the most frequent reasons for which cases ended early or were not flown, each with its first case."""
+    """Return the most frequent reasons why cases ended early or could not be run, each with its first case."""
     stop, abort = store.column("stop"), store.column("abort")
     reasons = np.where(stop != COMPLETED, stop, np.where(abort != "", "aborted: " + abort.astype(object), ""))
     found, first, count = np.unique(reasons.astype(str), return_index=True, return_counts=True)
@@ -123,7 +123,7 @@ def _least(store: Store, case: Array) -> list[dict[str, Any]]:
 def _ranking(store: Store, outcome: str, names: list[str]) -> list[dict[str, Any]]:
     """Return Spearman's rank correlation of each dispersion with ``outcome``, the strongest first.
 
-    ``threshold``: what chance alone stays below in 95 of 100 cases.
+    ``significant``: above the 95 % quantile of uncorrelated samples.
     """
     values = np.asarray(store.column(outcome), dtype=float)
     known = np.isfinite(values)
@@ -149,7 +149,7 @@ COMPARED: Final = (
 def compare(first: Store, second: Store, names: tuple[str, str]) -> dict[str, Any]:
     """Return second minus first, case by case with the same seeds, with intervals of the mean difference.
 
-    share: the same as a part of the first's mean. Cases in which one of both has no value are left out.
+    Cases in which one of both has no value are omitted.
     """
     passed = [np.asarray(store.column("passed"), dtype=bool) for store in (first, second)]
     runs = len(passed[0])

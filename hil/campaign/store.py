@@ -1,7 +1,7 @@
-"""The folder of a campaign: what it is, which cases are done, and the whole of them in one Parquet file.
+"""Folder of a campaign: its identity, the completed batches, and finally all cases in one Parquet file.
 
-A batch is written to a file of its own and takes its name only when it is whole, so a process killed at any moment
-leaves no case lost or doubled: what has a name is done.
+A batch is written to a temporary file that is renamed when it is complete, so a process killed at any moment neither
+loses nor duplicates a case.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from hil.config.renamed_keys import present_key
 from hil.errors import BadInput, CampaignStopped
 
 BATCH: Final = 50
-"""Cases a batch: on fixed borders, so that the files do not depend on who flies them."""
-_GROUP: Final = 100 * BATCH  # cases a row group of the finished table
+"""Cases per batch: on fixed borders, so that the files do not depend on the engine."""
+_GROUP: Final = 100 * BATCH  # cases per row group of the finished table
 _MANIFEST: Final = "campaign.json"
 _TABLE: Final = "cases.parquet"
 _LOCK: Final = "campaign.lock"
-_NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
+_DISK_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 
 
 def parquet() -> tuple[Any, Any]:
-    """Return pyarrow and its parquet module; raise BadInput where they are not installed."""
+    """Return pyarrow and its parquet module; raise BadInput if they are not installed."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -41,10 +41,10 @@ def parquet() -> tuple[Any, Any]:
 
 
 class Store:
-    """The results of one campaign in ``folder``. identity: what must be the same for a folder to be gone on with.
+    """Results of one campaign in ``folder``. identity: must be the same for a folder to be resumed.
 
-    names: of the dispersions. The folder belongs to this store until it is closed or its process ends, however that
-    ends. Raises BadInput for a folder with other results, or where another campaign is under way.
+    names: of the dispersions. The folder is locked until the store is closed or its process ends. Raises BadInput for a
+    folder with other results, or if another campaign is running in it.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any], names: list[str]) -> None:
@@ -71,13 +71,13 @@ class Store:
     def _open(self, identity: dict[str, Any]) -> None:
         manifest = self.folder / _MANIFEST
         try:
-            if not manifest.is_file() and self.folder.is_dir() and any(map(_is_foreign, self.folder.iterdir())):
+            if not manifest.is_file() and self.folder.is_dir() and any(map(_is_unknown, self.folder.iterdir())):
                 raise BadInput.single("--out", "", f"{self.folder}: is not empty and holds no campaign")
             self.folder.mkdir(parents=True, exist_ok=True)
             self.close = weakref.finalize(self, os.close, _locked(self.folder / _LOCK))
             if manifest.is_file():
                 self._check(manifest, identity)
-            with whole_or_not_at_all(manifest) as partial:
+            with atomic_write(manifest) as partial:
                 partial.write_text(json.dumps(identity, indent=2) + "\n", encoding="utf-8")
             self._parts.mkdir(exist_ok=True)
             for left_over in self._parts.glob("*.part"):
@@ -85,7 +85,7 @@ class Store:
         except (PermissionError, NotADirectoryError, FileExistsError) as error:
             raise BadInput.single("--out", "", f"{self.folder}: {error.strerror}") from error
         except OSError as error:
-            _stop_where_full(error, self.folder)
+            _stop_if_full(error, self.folder)
             raise
 
     def __enter__(self) -> Self:
@@ -107,7 +107,7 @@ class Store:
             raise BadInput.single("--out", "", text)
 
     def missing(self, runs: int) -> list[tuple[int, int]]:
-        """Return the batches, first case and count, that are not there yet for a campaign of ``runs`` cases."""
+        """Return the batches, first case and count, that are missing for a campaign of ``runs`` cases."""
         self._restore_parts()
         batches = [(first, min(BATCH, runs - first)) for first in range(0, runs, BATCH)]
         return [batch for batch in batches if self._rows_of(batch[0]) < batch[1]]
@@ -119,7 +119,7 @@ class Store:
         try:
             return int(self._pq.read_metadata(path).num_rows)
         except (OSError, self._pa.ArrowException):
-            return 0  # cut by a crash of the whole computer: flown again
+            return 0  # truncated by a crash of the computer: run again
 
     def _part(self, first: int) -> Path:
         return self._parts / f"{first:010d}.parquet"
@@ -130,16 +130,16 @@ class Store:
         return table.rename_columns([present_key("Scenario", name) for name in table.column_names]).cast(self.schema)
 
     def put(self, first: int, rows: list[dict[str, Any]]) -> None:
-        """Keep a batch. Raises CampaignStopped where the disk does not take it."""
+        """Save a batch. Raises CampaignStopped if the disk is full."""
         columns = {field.name: [row[field.name] for row in rows] for field in self.schema}
         table = self._pa.table(columns, schema=self.schema)
-        with whole_or_not_at_all(self._part(first)) as partial:
+        with atomic_write(self._part(first)) as partial:
             self._pq.write_table(table, partial)
 
     def finish(self, runs: int) -> Path:
         """Write all ``runs`` cases into one file, in their order; return its path."""
         with (
-            whole_or_not_at_all(self.table_path) as partial,
+            atomic_write(self.table_path) as partial,
             self._pq.ParquetWriter(partial, self.schema) as writer,
         ):
             for group in range(0, runs, _GROUP):
@@ -151,7 +151,7 @@ class Store:
         return self.table_path
 
     def _restore_parts(self) -> None:
-        """Take a finished table apart again: more cases may be wanted, or fewer."""
+        """Split a finished table into batches again: the number of cases may have changed."""
         if not self.table_path.is_file():
             return
         file = self._pq.ParquetFile(self.table_path)
@@ -160,7 +160,7 @@ class Store:
             for first in range(0, len(table), BATCH):
                 path = self._part(group * _GROUP + first)
                 if not path.is_file():
-                    with whole_or_not_at_all(path) as partial:
+                    with atomic_write(path) as partial:
                         self._pq.write_table(table.slice(first, BATCH), partial)
 
     def column(self, name: str) -> Any:
@@ -169,8 +169,8 @@ class Store:
 
 
 @contextmanager
-def whole_or_not_at_all(path: Path) -> Iterator[Path]:
-    """Give a path to write to that becomes ``path`` at the end; what fails half-way leaves nothing."""
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Yield a temporary path that is renamed to ``path`` at the end, or removed on an error."""
     partial = path.with_name(f"{path.name}.part")
     try:
         yield partial
@@ -179,32 +179,32 @@ def whole_or_not_at_all(path: Path) -> Iterator[Path]:
         os.replace(partial, path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        _stop_where_full(error, path.parent)
+        _stop_if_full(error, path.parent)
         raise
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
 
 
-def _stop_where_full(error: OSError, folder: Path) -> None:
-    """Raise CampaignStopped where ``error`` says that the disk takes no more."""
-    if error.errno in _NO_ROOM or "No space" in str(error):
-        reason = os.strerror(error.errno) if error.errno in _NO_ROOM else "No space left"
-        raise CampaignStopped(f"{folder}: {reason}: what is done so far is kept, run it again") from error
+def _stop_if_full(error: OSError, folder: Path) -> None:
+    """Raise CampaignStopped if ``error`` means that the disk is full."""
+    if error.errno in _DISK_FULL or "No space" in str(error):
+        reason = os.strerror(error.errno) if error.errno in _DISK_FULL else "No space left"
+        raise CampaignStopped(f"{folder}: {reason}: completed cases are kept, run it again") from error
 
 
-def _is_foreign(path: Path) -> bool:
+def _is_unknown(path: Path) -> bool:
     return path.suffix != ".part" and path.name != _LOCK
 
 
 def _locked(path: Path) -> int:
-    """Return the descriptor of the file at ``path``, locked until it is closed; raise BadInput where another has it."""
+    """Return the descriptor of the file at ``path``, locked until it is closed; raise BadInput if it is in use."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(descriptor)
-        text = f"{path.parent}: another campaign is under way in it, give another folder or wait"
+        text = f"{path.parent}: another campaign is running in it, give another folder or wait"
         raise BadInput.single("--out", "", text) from error
     except OSError:
         os.close(descriptor)

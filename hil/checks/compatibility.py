@@ -18,6 +18,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import AXES, MAX_THRUSTERS, new
 from hil.errors import BadInput, Problem
 from hil.maths import euler
+from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 
 
@@ -25,8 +26,8 @@ def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_
     """Return AXES, at rest, for the chaser at ``position_m`` in H with the 3-2-1 angles ``attitude_deg``."""
     axes = new(AXES)
     rest = np.zeros(3)
-    q = euler.to_quaternion(np.radians(attitude_deg), gnc_params.YAW_PITCH_ROLL)
-    axes_of_pose(gnc_params.bench(rig, scenario.step_s), np.array(position_m), rest, q, rest, axes)
+    q = euler.to_quaternion(np.radians(attitude_deg), euler.YAW_PITCH_ROLL)
+    axes_of_pose(bench_params.bench(rig, scenario.step_s), np.array(position_m), rest, q, rest, axes)
     return axes
 
 

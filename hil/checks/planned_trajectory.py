@@ -1,7 +1,7 @@
-"""The run as it is planned: where the reference goes, how the start's attitude is taken out, where aborts lead.
+"""Planned trajectory: the reference, the reduction of the initial attitude, and the aborts.
 
-Nothing here is simulated: the plan is sampled from the guidance that flies it, and what the controller may
-add to it is bounded from its own settings.
+Nothing is simulated: the plan is sampled from guidance, and the motion that control may add is bounded by its
+settings.
 """
 
 from __future__ import annotations
@@ -15,55 +15,55 @@ from hil.config.scenario import Scenario
 from hil.core.messages import REFERENCE, Array, new
 from hil.gnc import guidance
 from hil.gnc.guidance import GUIDANCE_STATE
-from hil.models.profile import duration
+from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 
 _SAMPLES_OF_A_LINE = 17
 _SAMPLES_OF_THE_SLEW = 9
-_A_MOMENT_S = 1e-6  # past the end of a phase
-_THRUST_ALLOWANCE = 1.25  # thrusters stronger than named, a chaser lighter than named
+_PAST_END_S = 1e-6  # past the end of a phase
+_THRUST_ALLOWANCE = 1.25  # thrusters stronger, chaser lighter than nominal
 
 
 @dataclass(frozen=True, slots=True)
 class PlanSample:
-    """One moment of the plan: where the chaser is and how it stands, and which keys of the scenario say so.
+    """One moment of the plan: pose and velocity of the chaser, and the keys of the scenario that determine them.
 
-    abort_s: begin of the abort that it belongs to, None on the approach. r_CT_H: m, v_CT_H: m/s, turn: rotation
-    vector of the attitude against H, rad, each (3,). far_m: range, m, at which the chaser may have got off its line.
+    abort_s: begin of the abort that it belongs to, None on the approach. r_CT_H: m, v_CT_H: m/s, rotation: vector of
+    the attitude against H, rad, each (3,). far_m: largest range, m, at which the chaser may have left its line.
     """
 
     t_s: float
     abort_s: float | None
     r_CT_H: Array
     v_CT_H: Array
-    turn: Array
+    rotation: Array
     far_m: float
     point_key: str
     speed_key: str
-    turn_key: str = "initial.attitude_deg"
+    rotation_key: str = "initial.attitude_deg"
 
 
 @dataclass(frozen=True, slots=True)
 class ControlBounds:
-    """What the controller may add to the plan, each (3,), in c: m/s, rad/s, m/s^2, rad/s^2."""
+    """Bounds of the motion that control may add to the plan, each (3,), in c: m/s, rad/s, m/s^2, rad/s^2."""
 
     speed: Array
     rate: Array
     acceleration: Array
-    turning: Array
+    slewing: Array
 
 
 def control_bounds(scenario: Scenario) -> ControlBounds:
-    """Return the bounds of what control does about the plan.
+    """Return the bounds of the motion that control adds to the plan.
 
-    A position error is worked off at ``correction_rate_mps``, which one burn of a period may pass; an attitude
-    error the same at ``slew_rate_degps``, or at the start's own rate. Accelerations: all thrusters that push
-    one way. Raises ValueError where the layout cannot move an axis.
+    A position error is reduced at ``correction_rate_mps``, which one burn of a period may exceed; an attitude
+    error likewise at ``slew_rate_degps``, or at the initial rate. Accelerations: all thrusters that push
+    one way. Raises ValueError if the layout cannot move an axis.
     """
-    control = gnc_params.control(scenario, gnc_params.allocation(scenario.chaser)[1])
+    control = gnc_params.gnc(scenario).control
     burn = control.acceleration * control.period * control.dt_s
     slew = np.maximum(control.correction_rate[3:], np.abs(np.radians(scenario.initial.rate_degps)))
-    dss = gnc_params.dss(scenario)
+    dss = dynamics_params.dss(scenario)
     n = dss.n_thrusters
     force = dss.thruster_direction[:n] * dss.thruster_force[:n, None]
     wrench = np.hstack([force, np.cross(dss.thruster_position[:n], force)])
@@ -73,14 +73,14 @@ def control_bounds(scenario: Scenario) -> ControlBounds:
         speed=control.correction_rate[:3] + burn[:3],
         rate=slew + burn[3:],
         acceleration=most[:3] / scenario.chaser.mass_kg,
-        turning=np.abs(inverse) @ most[3:],
+        slewing=np.abs(inverse) @ most[3:],
     )
 
 
 def moments(scenario: Scenario) -> list[PlanSample]:
-    """Return the plan: every phase of the list, whatever the duration of the run, and an abort at each moment of it.
+    """Return the plan: every phase of the list, also beyond the end of the run, and an abort at each moment of it.
 
-    Orders to go on are taken to come at once. Raises ValueError where the layout cannot move an axis.
+    Orders to continue are assumed to come at once. Raises ValueError if the layout cannot move an axis.
     """
     params = gnc_params.guidance(scenario)
     slew = _Slew(scenario)
@@ -89,7 +89,7 @@ def moments(scenario: Scenario) -> list[PlanSample]:
 
 
 class _Slew:
-    """The start's attitude error, each component worked off at the slew rate."""
+    """The initial attitude error, each component reduced at the slew rate."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._start = gnc_params.initial_rotation_vector(scenario)
@@ -102,22 +102,22 @@ class _Slew:
 
 
 def _drift(scenario: Scenario) -> list[PlanSample]:
-    """Return how far a start in motion carries the chaser before it is stopped: the switching function at no error."""
+    """Return the motion of a start with velocity until it is stopped: the switching function without an error."""
     initial = scenario.initial
     if not any((*initial.velocity_mps, *initial.rate_degps)):
         return []
-    control = gnc_params.control(scenario, gnc_params.allocation(scenario.chaser)[1])
+    control = gnc_params.gnc(scenario).control
     motion = np.array([*initial.velocity_mps, *np.radians(initial.rate_degps)])
-    way = control.lead * motion + motion * np.abs(motion) / (2.0 * control.acceleration)
+    travel = control.lead * motion + motion * np.abs(motion) / (2.0 * control.acceleration)
     start = np.array(initial.position_m)
-    turn = gnc_params.initial_rotation_vector(scenario)
+    rotation = gnc_params.initial_rotation_vector(scenario)
     t_s = float((control.lead + np.abs(motion) / control.acceleration)[motion != 0.0].max())
-    moved = start + way[:3], np.zeros(3), turn + way[3:]
+    moved = start + travel[:3], np.zeros(3), rotation + travel[3:]
     key = "initial.velocity_mps"
-    turn_key = "initial.rate_degps" if way[3:].any() else "initial.attitude_deg"
+    rotation_key = "initial.rate_degps" if travel[3:].any() else "initial.attitude_deg"
     return [
-        PlanSample(0.0, None, start, np.array(initial.velocity_mps), turn, 0.0, "initial.position_m", key),
-        PlanSample(t_s, None, *moved, 0.0, key if way[:3].any() else "initial.position_m", key, turn_key),
+        PlanSample(0.0, None, start, np.array(initial.velocity_mps), rotation, 0.0, "initial.position_m", key),
+        PlanSample(t_s, None, *moved, 0.0, key if travel[:3].any() else "initial.position_m", key, rotation_key),
     ]
 
 
@@ -146,25 +146,19 @@ def _approach(params: np.record, scenario: Scenario, slew: _Slew) -> list[PlanSa
             return found
         from_key = to_key
         go = 1 if params.kind[phase] == guidance.WAIT else 0
-        guidance.advance(params, state, end + _A_MOMENT_S, go, 0)
+        guidance.advance(params, state, end + _PAST_END_S, go, 0)
 
 
 def _end_of(params: np.record, state: np.record) -> float:
-    """Return when the phase of the list is over, s; an order to go on comes at once."""
-    phase, begin = state.phase, float(state.since_s)
-    if params.kind[phase] == guidance.WAIT:
-        until = float(params.until_s[phase])
-        return max(begin, until) if math.isfinite(until) else begin
-    if params.kind[phase] == guidance.HOLD:
-        return begin + float(params.duration_s[phase])
-    limits = params.speed[phase], params.acceleration[phase], params.deceleration[phase]
-    return begin + float(duration(_distance(state.from_H, state.to_H), *limits))
+    """Return when the phase of the list ends, s; an order to continue comes at once."""
+    begin, end = float(state.since_s), float(guidance.nominal_end(params, state))
+    return max(begin, end) if math.isfinite(end) else begin
 
 
 def _times(begin: float, end: float, last: bool, moves: bool, slew: _Slew) -> list[float]:
-    """Return the moments of a phase that are looked at: evenly spread, and closer while the attitude slews."""
-    turning = np.linspace(0.0, slew.ends_s, _SAMPLES_OF_THE_SLEW)
-    chosen = turning[(turning >= begin) & ((turning <= end) | last)]
+    """Return the sampled moments of a phase: equidistant, and denser while the attitude slews."""
+    slewing = np.linspace(0.0, slew.ends_s, _SAMPLES_OF_THE_SLEW)
+    chosen = slewing[(slewing >= begin) & ((slewing <= end) | last)]
     even = np.linspace(begin, end, _SAMPLES_OF_A_LINE if moves else 2)
     return [float(t) for t in np.unique(np.concatenate([even, chosen]))]
 
@@ -173,14 +167,13 @@ def _abort(params: np.record, start: PlanSample, slew: _Slew) -> list[PlanSample
     """Return the end of the brake, and middle and end of the retreat, of an abort at ``start``."""
     state, reference = new(GUIDANCE_STATE), new(REFERENCE)
     guidance.start_abort(params, state, start.t_s, start.r_CT_H, start.v_CT_H)
-    braked_s = start.t_s + float(np.linalg.norm(start.v_CT_H)) / float(params.brake)
+    braked_s = float(guidance.nominal_end(params, state))
     found = [(braked_s, state.to_H.copy(), np.zeros(3), "gnc.abort.brake_mps2")]
-    guidance.advance(params, state, braked_s + _A_MOMENT_S, 0, 0)
+    guidance.advance(params, state, braked_s + _PAST_END_S, 0, 0)
     if guidance.kind_of(params, state.phase) == guidance.RETREAT:
-        limits = params.abort_speed, params.abort_acceleration, params.abort_acceleration
-        takes = float(duration(_distance(state.from_H, state.to_H), *limits))
-        for share in (0.5, 1.0):  # half-way it is fastest
-            t_s = float(state.since_s) + share * takes
+        begin = float(state.since_s)
+        for fraction in (0.5, 1.0):  # half-way it is fastest
+            t_s = begin + fraction * (float(guidance.nominal_end(params, state)) - begin)
             guidance.reference(params, state, t_s, reference)
             found.append((t_s, reference.r_CT_H.copy(), reference.v_CT_H.copy(), "gnc.abort.hold_distance_m"))
     return [

@@ -17,7 +17,8 @@ from hil.config.rig import BENCH_AXES, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import Problem
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
+from hil.params import vision as vision_params
 
 _ROUNDING = 1e-9
 _DEGREES = math.degrees(1.0)
@@ -38,15 +39,15 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
 
     Raises ValueError where the thruster layout cannot move an axis.
     """
-    bench = gnc_params.bench(rig, scenario.step_s)
+    bench = bench_params.bench(rig, scenario.step_s)
     plan = moments(scenario)
     free = control_bounds(scenario)
     band = math.radians(scenario.reachability.attitude_margin_deg)
-    known = {turn: reachability.attitude(bench, np.array(turn), band) for turn in {tuple(m.turn) for m in plan}}
-    attitudes = [known[tuple(m.turn)] for m in plan]
+    known = {turn: reachability.attitude(bench, np.array(turn), band) for turn in {tuple(m.rotation) for m in plan}}
+    attitudes = [known[tuple(m.rotation)] for m in plan]
     r, v = np.array([m.r_CT_H for m in plan]), np.array([m.v_CT_H for m in plan])
     margin = _position_margin(scenario, np.array([m.far_m for m in plan]))
-    axes = reachability.envelope(bench, attitudes, r, v, margin, free.speed, free.rate, free.acceleration, free.turning)
+    axes = reachability.envelope(bench, attitudes, r, v, margin, free.speed, free.rate, free.acceleration, free.slewing)
     return Demands(plan, attitudes, margin, axes)
 
 
@@ -84,7 +85,7 @@ class _Findings:
         self.problems: list[Problem] = []
         self._scenario = scenario
         self._rig = rig
-        self._bench = gnc_params.bench(rig, scenario.value.step_s)
+        self._bench = bench_params.bench(rig, scenario.value.step_s)
         self._asked = asked
         self._plan = asked.plan
         self._in_abort = np.array([m.abort_s is not None for m in asked.plan])
@@ -146,8 +147,8 @@ class _Findings:
 
     def view(self) -> None:
         """One problem where a lamp leaves an image."""
-        camera, leds = gnc_params.camera(self._rig)
-        asked, mounting = self._asked, gnc_params.mounting(self._rig)
+        camera, leds = vision_params.camera(self._rig)
+        asked, mounting = self._asked, vision_params.mounting(self._rig)
         r = np.array([m.r_CT_H for m in self._plan])
         planned, least = reachability.view(self._bench, mounting, camera, leds, asked.attitudes, r, asked.margin_m)
         k = int(np.argmin(least))
@@ -179,14 +180,14 @@ class _Findings:
         moment = self._plan[k]
         if axis < 3:
             return moment.point_key
-        return moment.turn_key if moment.turn.any() else "reachability.attitude_margin_deg"
+        return moment.rotation_key if moment.rotation.any() else "reachability.attitude_margin_deg"
 
     def _view_key(self, k: int) -> str:
         """Return the key of what turns the ring out of view: the attitude, or the place beside the docking axis."""
         moment = self._plan[k]
         axial = float(moment.r_CT_H @ np.array(self._scenario.value.gnc.corridor.axis))
         beside = math.acos(min(1.0, abs(axial) / max(float(np.linalg.norm(moment.r_CT_H)), 1e-9)))
-        return moment.turn_key if float(np.linalg.norm(moment.turn)) > beside else moment.point_key
+        return moment.rotation_key if float(np.linalg.norm(moment.rotation)) > beside else moment.point_key
 
     def _rate_key(self, k: int, axis: int) -> str:
         if axis < 3:

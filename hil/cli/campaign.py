@@ -163,7 +163,7 @@ def _run_all(
                 fraction = (i + now.done / now.runs) / len(campaigns)
                 bar.show(f"{now.title} {now.done} of {now.runs} cases, {now.speed:.0f} x real time", fraction)
 
-            summaries.append(each.fly(store, runs, engine, watch))
+            summaries.append(each.run(store, runs, engine, watch))
             draw_percentiles(store, each.scenario.value, store.folder / "percentiles.png")
     return summaries
 

@@ -104,7 +104,7 @@ def dss(
                 operator.mode = lambda: runner.safety.modes.mode
 
         def link_stats() -> dict[str, Any]:
-            return {"gnc_link": backend.account.as_json()}
+            return {"gnc_link": backend.stats.as_json()}
 
         job = replace(job, make_backend=lambda _: backend)
         return run_job(RunRequest(job, rig, console, json, record, {}, operator, attach, link_stats))

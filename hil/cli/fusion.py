@@ -70,7 +70,7 @@ def fusion(
     if json is not None:
         write_json(found, json)
     if figure is not None:
-        from hil.campaign.fusion_figure import draw
+        from hil.campaign.fusion import draw
 
         draw(vmu_noise, seed, settings, figure)
     passed = _passed(found)

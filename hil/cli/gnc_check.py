@@ -66,17 +66,17 @@ def gnc_check(
 def _partner(gnc: str, dial: bool, wait_s: float, console: Console) -> GncUnderTest:
     from hil.frmn.udp import parse_address, shown
     from hil.frmn.wire import PORT
-    from hil.gnc_check.gnc_under_test import LibraryPartner, LinkPartner, check_link
+    from hil.gnc_check.gnc_under_test import LibraryUnderTest, ProgramUnderTest, check_link
 
     if Path(gnc).suffix == ".so" or Path(gnc).exists():
-        return LibraryPartner(gnc, "hil gnc check")
+        return LibraryUnderTest(gnc, "hil gnc check")
     if ":" not in gnc:
         raise BadInput.single("hil gnc check", "", f"{gnc}: give a shared library (*.so) or HOST:PORT")
     address = parse_address("hil gnc check", gnc, PORT)
     link = check_link(None if dial else address, address if dial else None)
     if not dial:
         console.print(f"waiting for a GNC on {shown(link.address)}", style="dim", highlight=False)
-    return LinkPartner(link, wait_s)
+    return ProgramUnderTest(link, wait_s)
 
 
 def _print(report: Report) -> None:
@@ -87,5 +87,5 @@ def _print(report: Report) -> None:
         console.print(finding.text, highlight=False, soft_wrap=True, markup=False)
     faults = sum(not finding.passed for finding in report.findings)
     verdict = "PASS" if report.passed else "FAIL"
-    text = f"{verdict} {report.partner}" + ("" if report.passed else f" ({faults} faults)")
+    text = f"{verdict} {report.gnc}" + ("" if report.passed else f" ({faults} faults)")
     console.print(text, highlight=False, markup=False, style="bold")

@@ -11,7 +11,6 @@ from hil.bench.kinematics import pose_of_axes
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.maths import euler, quat
-from hil.params.gnc import YAW_PITCH_ROLL
 
 _TRIPLES: Final = (
     "reference_m",  # of r_CT_H, in H
@@ -152,7 +151,7 @@ def console_rows(params: np.record, rows: np.ndarray) -> np.ndarray[Any, Any]:
     """Return the columns of ``rows`` (n,) of CYCLE, shape (n, COLUMNS), 32-bit; params: BENCH_PARAMS."""
     out = np.empty((len(rows), COLUMNS))
     if len(rows):
-        columns_of(params, YAW_PITCH_ROLL, np.array(rows).view(np.recarray), out)
+        columns_of(params, euler.YAW_PITCH_ROLL, np.array(rows).view(np.recarray), out)
     return out.astype("<f4")
 
 

@@ -21,7 +21,7 @@ from hil.console.status import status_of
 from hil.core.camera_images import CAMERAS, data_of, shapes_of
 from hil.core.messages import Array
 from hil.monitor.results import Portion, portion_of
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
 from hil.setup.assembly import Job
 
 _PORTIONS: Final = 3000  # as many as the docking monitor has in an hour
@@ -41,7 +41,7 @@ class LiveView:
     def begin(self, job: Job) -> None:
         """Forget all: a session of ``job`` begins."""
         scenario, rig = job.scenario.value, job.rig.value
-        self._bench = gnc_params.bench(rig, scenario.step_s)
+        self._bench = bench_params.bench(rig, scenario.step_s)
         self._places = mounting(scenario.monitor)
         self.rows.begin()
         self.portions = []

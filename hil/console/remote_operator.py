@@ -25,8 +25,8 @@ from hil.core.modes import Mode
 from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
 from hil.errors import SafetyTrip
 from hil.frmn.mailbox import Mailbox
+from hil.gnc_backends.builtin import BuiltinGnc
 from hil.loop.runner import Runner
-from hil.loop.stages import BuiltinGnc
 from hil.recording.taps import EventRecorder
 from hil.setup.live_tuning import unpacked
 
@@ -192,7 +192,7 @@ class RemoteOperator(Operator):
         gnc = self._runner.loop.gnc
         if not isinstance(gnc, BuiltinGnc):
             return f"{key}: a setting of the built-in GNC, which is not the one that flies"
-        cycle = gnc.adjust(*records)
+        cycle = gnc.adjust(records)
         text = f"{key}={value!r}"
         if self._notes is not None:
             self._notes.setting(cycle, who, text)

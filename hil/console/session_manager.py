@@ -25,7 +25,7 @@ from hil.console.session_state import SessionState, described
 from hil.console.tuner import Tuner
 from hil.core.messages import CYCLE
 from hil.core.modes import Mode
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
 
 PRESENT_EACH_S: Final = 0.2
 _KEPT_LOG: Final = 200
@@ -158,7 +158,7 @@ class SessionManager:
     def warm_up(self) -> None:
         """Compile what is called while a bench moves: it must not keep the console from saying that it is there."""
         job = self.choice.job()
-        console_rows(gnc_params.bench(job.rig.value, job.scenario.value.step_s), np.zeros(2, CYCLE))
+        console_rows(bench_params.bench(job.rig.value, job.scenario.value.step_s), np.zeros(2, CYCLE))
 
     async def close(self) -> None:
         """End the session, the bench first at a stand."""

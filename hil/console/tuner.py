@@ -6,13 +6,16 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
+
 from hil.config.live_tunable import range_of, value_of
 from hil.config.load import Loaded
 from hil.config.renamed_keys import present_key
 from hil.config.scenario import Scenario
 from hil.console.lease import LeaseRefused
+from hil.params import gnc as gnc_params
 from hil.setup.assembly import Job
-from hil.setup.live_tuning import Tuning, check_in_flight, packed, tuning, with_setting
+from hil.setup.live_tuning import check_in_flight, packed, with_setting
 
 _UNITS: Final = {
     "_per_s": "1/s",
@@ -42,7 +45,7 @@ class Change:
     before: float
     value: float
     scenario: Loaded[Scenario]
-    records: Tuning
+    records: np.record
 
     @property
     def question(self) -> str:
@@ -87,7 +90,7 @@ class Tuner:
             raise LeaseRefused(f"{key}: {value!r} is no number")
         changed = with_setting(scenario, f"{key}={float(value)!r}", self._scenario.source)
         check_in_flight(changed, self._rig)
-        return Change(key, value_of(scenario, key), float(value), changed, tuning(changed.value))
+        return Change(key, value_of(scenario, key), float(value), changed, gnc_params.gnc(changed.value))
 
     def took(self, change: Change) -> None:
         """From now on ``change`` is how it is."""

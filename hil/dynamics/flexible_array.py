@@ -1,4 +1,4 @@
-"""One bending mode of the solar array that turns with the hub and turns it back (hybrid coordinates).
+"""Bending mode of the solar array, coupled with the rotation of the hub (hybrid coordinates).
 
     J dw/dt + w x h + delta d2eta/dt2 = torque,   h = J w + delta deta/dt
     d2eta/dt2 + 2 zeta Omega deta/dt + Omega^2 eta + delta . dw/dt = 0
@@ -17,7 +17,7 @@ from hil.core.jit import kernel
 
 MODE_PARAMS = np.dtype(
     [
-        ("frequency", "f8"),  # Omega, rad/s, of the array on a hub that does not turn
+        ("frequency", "f8"),  # Omega, rad/s, of the array on a fixed hub
         ("damping", "f8"),  # zeta
         ("coupling", "f8", 3),  # delta, kg^1/2 m, in c
         ("inertia_inverse", "f8", (3, 3)),  # of J - delta delta^T
@@ -28,7 +28,7 @@ MODE_PARAMS = np.dtype(
 
 @kernel
 def add_bending(mode, w, eta, eta_rate, torque):
-    """Add to ``torque`` (3,), N m, what the bent array does to the hub; return its spring and damper, m kg^1/2 / s^2.
+    """Add the array's torque on the hub to ``torque`` (3,), N m; return its spring and damper, m kg^1/2 / s^2.
 
     mode: MODE_PARAMS. w: (3,), rad/s, inertial rate. All in c. With ``inertia_inverse`` of the mode, Euler's equations
     then give the hub's dw/dt, and ``bending`` that of the mode.

@@ -1,7 +1,7 @@
-"""Reads lunar gravity fields: GMAT's ``.cof`` and the SHADR tables of the Planetary Data System (``.tab``, ``.sha``).
+"""Reader of lunar gravity fields: GMAT's ``.cof`` and SHADR tables of the Planetary Data System (``.tab``, ``.sha``).
 
-A file must hold what it promises: every coefficient from degree 2 to the degree of its header. A part of a
-field would be flown without a word.
+A file must hold every coefficient from degree 2 to the degree of its header: an incomplete field would go unnoticed
+in a run.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _RECOEF = re.compile(rf"RECOEF\s*(\d{{1,3}})\s*(\d{{1,3}})\s+({_NUMBER})\s*({_NU
 
 
 class GravityFileError(ValueError):
-    """The file cannot be used; the text says why, and in which line where there is one."""
+    """The file cannot be used; the text gives the reason and, if there is one, the line."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class GravityField:
         return len(self.c) - 1
 
     def up_to(self, degree: int) -> GravityField:
-        """Return the field cut off after ``degree``; raise GravityFileError where it does not reach so far."""
+        """Return the field cut off after ``degree``; raise GravityFileError if its degree is lower."""
         if degree > self.degree:
             raise GravityFileError(f"goes to degree {self.degree}, too low for degree {degree}")
         return GravityField(
@@ -56,12 +56,12 @@ class GravityField:
 
 
 def read(path: Path) -> GravityField:
-    """Return the field in ``path``, its kind told by its ending; raise GravityFileError.
+    """Return the field in ``path``, in the format of its suffix; raise GravityFileError.
 
-    A file that has not changed since is not read again.
+    An unchanged file is not read again.
     """
     if path.suffix.lower() not in _READERS:
-        raise GravityFileError(f"unknown kind {path.suffix or 'without an ending'}: give {_KINDS}")
+        raise GravityFileError(f"unknown format {path.suffix or 'without a suffix'}: give {_KINDS}")
     try:
         stamp = path.stat()
     except OSError as error:
@@ -81,12 +81,12 @@ def _read(path: Path, _changed_ns: int, _size: int) -> GravityField:
     if abs(field.gm / MOON_GM_M3PS2 - 1.0) > _GM_TOLERANCE or not 1.7e6 < field.radius < 1.8e6:
         found = f"GM {field.gm / 1e9:g} km^3/s^2, radius {field.radius / 1e3:g} km"
         raise GravityFileError(f"is not of the Moon ({found}): give {_KINDS}")
-    field.c.flags.writeable = field.s.flags.writeable = False  # shared by all who ask for this file
+    field.c.flags.writeable = field.s.flags.writeable = False  # shared by all callers
     return field
 
 
 class _Coefficients:
-    """Collects coefficients and knows which are missing."""
+    """Coefficients read so far; missing ones are nan."""
 
     def __init__(self, degree: int, order: int) -> None:
         self._order = order
@@ -107,9 +107,7 @@ class _Coefficients:
         for n in range(2, degree + 1):
             for m in range(min(n, self._order) + 1):
                 if math.isnan(self.c[n, m]):
-                    raise GravityFileError(
-                        f"is cut: its header promises degree {degree}, degree {n} order {m} is missing"
-                    )
+                    raise GravityFileError(f"is cut: its header gives degree {degree}, degree {n} order {m} is missing")
         self.c[np.isnan(self.c)] = 0.0  # degrees 0 and 1, and orders above the header's
         return GravityField(gm, radius, self.c, self.s)
 
@@ -140,7 +138,7 @@ def _read_cof(text: str) -> GravityField:
         elif word == "END":
             break
         elif word not in ("", "COMMENT", "C"):
-            raise GravityFileError(f"line {number}: {word[:20]} is not a word of a GMAT .cof file")
+            raise GravityFileError(f"line {number}: {word[:20]} is not a keyword of a GMAT .cof file")
     else:
         if found is not None:
             raise GravityFileError("is cut: there is no END line")

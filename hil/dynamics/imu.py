@@ -1,7 +1,7 @@
-"""The virtual IMU: bench paper eq. (1) and (2) with drift and bias as random walks.
+"""Virtual IMU: bench paper eq. (1) and (2) with drift and bias as random walks.
 
 Gyro and accelerometer integrate, as fibre-optic gyros and quartz accelerometers do: a sample is the
-mean over the step, so a thruster pulse inside the step is seen whole.
+mean over the step, so a thruster pulse within the step is measured in full.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import numpy as np
 
 from hil.core.jit import kernel
 
-IMU_NOISE = 12  # standard normals a sample: gyro, accelerometer, drift, bias
+IMU_NOISE = 12  # standard normals per sample: gyro, accelerometer, drift, bias
 
 IMU_PARAMS = np.dtype(
     [
         ("dt_s", "f8"),
-        ("sigma_gyro", "f8"),  # rad/s a sample
+        ("sigma_gyro", "f8"),  # rad/s per sample
         ("sigma_drift", "f8"),  # rad/s^2: drift[k+1] = drift[k] + dt * sigma * n
-        ("sigma_accelerometer", "f8"),  # m/s^2 a sample
+        ("sigma_accelerometer", "f8"),  # m/s^2 per sample
         ("sigma_bias", "f8"),  # m/s^3
     ],
     align=True,
@@ -26,7 +26,7 @@ IMU_PARAMS = np.dtype(
 
 @kernel
 def sample(params, truth, noise, imu):
-    """Write the sample of the step that ended at ``truth`` and move drift and bias on.
+    """Write the sample of the step that ended at ``truth``; advance drift and bias.
 
     params: IMU_PARAMS. truth: TRUTH. noise: standard normals, (12,). imu: IMU, whose ``drift_C`` and
     ``bias_C`` are the true values that held during the step and on return those of the next one.

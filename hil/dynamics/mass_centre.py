@@ -1,35 +1,42 @@
-"""A centre of mass that is not where it should be.
+"""Offset of the centre of mass from the reference point.
 
 The truth integrates the centre of mass; the relative state, the cameras and the IMU belong to the vehicle's
-reference point, the origin of c. The two are one where the offset is zero.
+reference point, the origin of c. Both coincide if the offset is zero.
 """
 
 from __future__ import annotations
 
 from hil.core.jit import kernel
 from hil.maths import quat, stack
-from hil.maths.vectors import cross_into
+
+
+@kernel
+def _cross_into(a, b, out):
+    """Write a x b into ``out`` (3,), which is neither of them."""
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
 
 
 @kernel
 def shift(q, offset_C, w_C, sign, r, v):
-    """Add ``sign`` times the offset's share to ``r`` (3,), m, and ``v`` (3,), m/s, of a point, in place.
+    """Add ``sign`` times the offset to ``r`` (3,), m, and ``v`` (3,), m/s, of a point, in place.
 
     q: quaternion from the frame F of r and v to c. offset_C: (3,), m, in c. w_C: (3,), rad/s, of c against F, in c.
     sign: 1.0 from the reference point to the centre of mass, -1.0 back.
     """
-    far, fast = stack.vector(3), stack.vector(3)
-    cross_into(w_C, offset_C, fast)
-    quat.transform_back_into(q, offset_C, far)
-    quat.transform_back_into(q, fast, fast)
+    offset_F, velocity_F = stack.vector(3), stack.vector(3)
+    _cross_into(w_C, offset_C, velocity_F)
+    quat.transform_back_into(q, offset_C, offset_F)
+    quat.transform_back_into(q, velocity_F, velocity_F)
     for i in range(3):
-        r[i] += sign * far[i]
-        v[i] += sign * fast[i]
+        r[i] += sign * offset_F[i]
+        v[i] += sign * velocity_F[i]
 
 
 @kernel
 def add_lever_terms(offset_C, w_before, w_after, w_mean, dt, force):
-    """Add to ``force`` (3,), m/s^2, what an accelerometer at the reference point feels and the centre of mass does not.
+    """Add to ``force`` (3,), m/s^2, the acceleration of the reference point relative to the centre of mass.
 
     The mean over a step of ``-(dw/dt x d + w x (w x d))``, d the offset (3,), m, in c. w_before, w_after, w_mean: (3,),
     rad/s, inertial rate at both ends and its mean. The first term is exact, the second to the change of w in a step.
@@ -37,8 +44,8 @@ def add_lever_terms(offset_C, w_before, w_after, w_mean, dt, force):
     gained, turned, across, drawn = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
     for i in range(3):
         gained[i] = (w_after[i] - w_before[i]) / dt
-    cross_into(gained, offset_C, turned)
-    cross_into(w_mean, offset_C, across)
-    cross_into(w_mean, across, drawn)
+    _cross_into(gained, offset_C, turned)
+    _cross_into(w_mean, offset_C, across)
+    _cross_into(w_mean, across, drawn)
     for i in range(3):
         force[i] -= turned[i] + drawn[i]

@@ -1,4 +1,4 @@
-"""The Moon's gravity: a point mass and fully normalised spherical harmonics.
+"""Gravity of the Moon: a point mass and fully normalised spherical harmonics.
 
 The harmonics follow Pines (AIAA Journal 11, 1973) in the normalised form of Lundberg and Schutz (Journal
 of Guidance 11, 1988): no angle appears, so there is no singularity at the poles. Order by order, from
@@ -26,7 +26,7 @@ GRAVITY_PARAMS = np.dtype(
     align=True,
 )
 
-LANES = 4  # places that are looked at side by side
+LANES = 4  # places that are evaluated side by side
 FIELD_COLUMNS = 6  # C, S, alpha, beta, coupled C, coupled S
 
 
@@ -34,7 +34,7 @@ def field_table(c, s):
     """Return the field as the kernel reads it, (N + 1, N + 1, 6), indexed by order m, then degree n.
 
     c, s: (N + 1, N + 1), indexed [n, m], fully normalised, without dimension. Degree 0, the point mass, is
-    left out. In a place: C, S; the factors of ``A_nm = alpha u A_(n-1)m - beta A_(n-2)m`` (on the diagonal
+    omitted. In each place: C, S; the factors of ``A_nm = alpha u A_(n-1)m - beta A_(n-2)m`` (on the diagonal
     alpha is the one from A_(m-1)(m-1)); and C, S of the order below times the factor of
     ``dA_n(m-1)/du = factor A_nm``.
     """
@@ -61,8 +61,8 @@ def harmonics_of_four(params, field, place, out):
     """Write the acceleration by the harmonics of degree 1 and above, m/s^2, at four places, in Moon-fixed axes.
 
     params: GRAVITY_PARAMS. field: (N + 1, N + 1, 6) of ``field_table``, N >= params.degree. place: (4, 3), m,
-    Moon-fixed. out: (4, 3). The recursion is a chain that a processor has to wait for; four of them side by side,
-    in the lanes of its registers, take hardly longer than one.
+    Moon-fixed. out: (4, 3). The recursion is a chain of dependent operations; four of them side by side, in the
+    lanes of a register, take hardly longer than one.
     """
     s, t, u, step = stack.vector(LANES), stack.vector(LANES), stack.vector(LANES), stack.vector(LANES)
     a1, a2, a3, a4 = stack.vector(LANES), stack.vector(LANES), stack.vector(LANES), stack.vector(LANES)
@@ -131,7 +131,7 @@ def harmonics(params, field, x, y, z):
 def perturbation(params, field, t_s, x, y, z):
     """Return the harmonics' acceleration, m/s^2, in inertial axes, as three floats, for x, y, z in m, inertial.
 
-    The Moon turns about inertial z, at ``params.rate``; ``t_s`` counts from the start of the run.
+    The Moon rotates about inertial z, at ``params.rate``; ``t_s`` counts from the start of the run.
     """
     if params.degree < 2:
         return 0.0, 0.0, 0.0
@@ -182,7 +182,7 @@ def point_mass_differential(gm, r_T, rho, target, difference):
 
 
 @kernel
-def hold_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held):
+def sample_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held):
     """Write the harmonics' accelerations of a span of ``dt``, s, from ``t_s`` on, m/s^2, into ``held`` (4, 3).
 
     Rows: the target's at the begin, in the middle and at the end of the span, and the chaser's minus the target's in

@@ -1,4 +1,4 @@
-"""The target's orbit: from elements to position and velocity, and the Hill frame that they span."""
+"""Target's orbit: position and velocity from elements, and their Hill frame."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def state_of_elements(
 def hill_frame(r, v, a):
     """Write A(q_HI) (3, 3): rows are the axes of H in inertial axes, z to the Moon, y against the orbit normal.
 
-    r: (3,), m, and v: (3,), m/s, of the target, inertial; they must not be parallel. x = y x z lies along v in a
-    circular orbit, elsewhere along its horizontal part.
+    r: (3,), m, and v: (3,), m/s, of the target, inertial; they must not be parallel. x = y x z is along v in a
+    circular orbit, otherwise along its horizontal part.
     """
     hx, hy, hz = r[1] * v[2] - r[2] * v[1], r[2] * v[0] - r[0] * v[2], r[0] * v[1] - r[1] * v[0]
     h = math.sqrt(hx * hx + hy * hy + hz * hz)
@@ -72,8 +72,8 @@ def hill_rate(r, v, acceleration, a, out):
 
 
 @kernel
-def turn_on_circle(r, v, angle):
-    """Turn ``r`` and ``v`` (3,), at right angles to each other, by ``angle``, rad, in their plane, in place."""
+def rotate_on_circle(r, v, angle):
+    """Rotate ``r`` and ``v`` (3,), orthogonal to each other, by ``angle``, rad, in their plane, in place."""
     c, s = math.cos(angle), math.sin(angle)
     distance = math.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
     speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])

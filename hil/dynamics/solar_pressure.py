@@ -1,7 +1,7 @@
 """Radiation pressure of sunlight on the solar array, a flat plate fixed to the hub.
 
-The target has no array in this model, so the force acts on the chaser alone. There is no shadow: neither
-the Moon's nor that of the two vehicles on each other.
+The target has no array in this model, so the force acts on the chaser only. Shadows, of the Moon and of the
+vehicles on each other, are not modelled.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ PLATE_PARAMS = np.dtype(
         ("area", "f8"),  # m^2
         ("normal", "f8", 3),  # unit vector, in c
         ("arm", "f8", 3),  # m, from the centre of mass to the plate's centre, in c
-        ("specular", "f8"),  # part of the light that is mirrored
-        ("diffuse", "f8"),  # part of the light that is scattered
+        ("specular", "f8"),  # fraction of the light that is reflected specularly
+        ("diffuse", "f8"),  # fraction that is reflected diffusely
     ],
     align=True,
 )
@@ -32,7 +32,7 @@ def pressure_force(plate, sun_C, out):
 
     plate: PLATE_PARAMS. sun_C: (3,), unit vector to the Sun, in c. n is the normal of the lit side, a its angle from
     the Sun. Source: Wertz, Spacecraft Attitude Determination and Control (1978), section 17.2.2; one plate, both
-    sides alike.
+    sides equal.
     """
     cosine = plate.normal[0] * sun_C[0] + plate.normal[1] * sun_C[1] + plate.normal[2] * sun_C[2]
     side = math.copysign(1.0, cosine)

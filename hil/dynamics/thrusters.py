@@ -1,19 +1,23 @@
-"""On/off thrusters: valves with a minimum on-time, and the force, torque and propellant they make."""
+"""On/off thrusters: valves with a minimum on-time, their force, torque and propellant flow, and their errors."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from hil.core.jit import kernel
+from hil.core.messages import Array
 
 STANDARD_GRAVITY_MPS2 = 9.80665
+DRAWS_PER_THRUSTER = 3  # standard normals: two tilts, one force
 
 
 @kernel
 def step_valves(on, open_s, minimum_on_s, dt_s, fraction):
-    """Write the open part (0..1) of this step for each of the n thrusters; keep ``open_s`` up.
+    """Write the open fraction (0..1) of this step for each of the n thrusters; update ``open_s``.
 
     on: commands 0 or 1. open_s: state, time for which each valve has been open, 0 for a closed one.
     A valve that opened stays open for at least ``minimum_on_s``, also when its command is
-    withdrawn; it then closes inside the step in which that time ends.
+    withdrawn; it then closes within the step in which that time ends.
     """
     for j in range(on.shape[0]):
         if on[j] != 0:
@@ -59,3 +63,21 @@ def propellant_flow(fraction, force_n, exhaust_speed_mps, n):
         if fraction[j] > 0.0:
             flow += fraction[j] * force_n[j] / exhaust_speed_mps
     return flow
+
+
+def as_built(
+    direction: Array, force_n: Array, tilt_sigma: float, force_sigma: float, draws: Array
+) -> tuple[Array, Array]:
+    """Return direction (n, 3) and force (n,), N, of the thrusters with their errors.
+
+    direction: (n, 3), unit vectors. force_n: (n,). tilt_sigma: rad, about each of two axes orthogonal to the
+    thrust. force_sigma: relative to the nominal force. draws: standard normals, (n, 3). A force is never negative.
+    """
+    first = np.cross(direction, np.eye(3)[np.abs(direction).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    aside = draws[:, 0:1] * first + draws[:, 1:2] * np.cross(direction, first)
+    size = np.linalg.norm(aside, axis=1, keepdims=True)
+    angle = tilt_sigma * size
+    turned = np.cos(angle) * direction + np.sin(angle) * aside / np.where(size > 0.0, size, 1.0)
+    built = np.where(angle == 0.0, direction, turned)
+    return built, force_n * np.maximum(0.0, 1.0 + force_sigma * draws[:, 2])

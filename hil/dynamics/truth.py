@@ -1,13 +1,13 @@
-"""One step of the truth: relative motion, attitude of the chaser and bending of its array.
+"""Truth of a step: relative motion, attitude of the chaser and bending of its array.
 
 Two models of relative motion. NONLINEAR: target and relative vector in inertial axes I under the whole
 gravity field, its difference free of cancellation. HILL: the linear motion in the Hill frame H of a
 circular orbit (bench paper eq. (11)). The axes in which a step is integrated are called F: I or H, and
 the attitude during the step is that of c against F. H is the instantaneous frame of the target's own
-position and velocity; the relative state is turned back into it at the end of each step.
+position and velocity; the relative state is transformed back into it at the end of each step.
 
 Thrust is constant over the step; everything else is integrated with the classical fourth-order
-Runge-Kutta method, gravity at places that are known beforehand (docs/decisions/0120-gravity-beforehand.md).
+Runge-Kutta method, gravity evaluated beforehand (docs/decisions/0120-gravity-beforehand.md).
 Effects are switched in the parameters; each has its file.
 """
 
@@ -17,13 +17,12 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
-from hil.dynamics import held_gravity, orbit
+from hil.dynamics import cached_gravity, orbit
 from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
-from hil.dynamics.gravity_gradient import add_gravity_gradient
 from hil.dynamics.hill import hill_acceleration
 from hil.dynamics.mass_centre import add_lever_terms, shift
 from hil.dynamics.moon_gravity import GRAVITY_PARAMS
-from hil.dynamics.rigid_body import angular_acceleration
+from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
 from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
 from hil.maths import quat, stack
@@ -60,14 +59,14 @@ DSS_PARAMS = np.dtype(
 # the integrated state, in axes F: r 0:3, v 3:6, q_CF 6:10, w_CI_C 10:13, integral of w 13:16, integral of the
 # pressure's specific force in c 16:19, eta 19, its rate 20, and in the nonlinear model r_T_I 21:24, v_T_I 24:27
 _N = 27
-_ROOM = 7  # vectors that a derivative works in
+_SCRATCH = 7  # scratch vectors of a derivative
 
 
 @kernel
 def _translate(params, gravity, y, dy, nadir_F):
-    """Write the free motion into ``dy`` and the way to the Moon, of length d, into ``nadir_F``; return GM/(r^3 d^2).
+    """Write the free motion into ``dy`` and the vector to the Moon, of length d, into ``nadir_F``; return GM/(r^3 d^2).
 
-    gravity: (10,), a row of ``held_gravity.hold_gravity``.
+    gravity: (10,), a row of ``cached_gravity.gravity_over_step``.
     """
     for i in range(3):
         dy[i] = y[3 + i]
@@ -76,7 +75,7 @@ def _translate(params, gravity, y, dy, nadir_F):
         hill_acceleration(y[0:3], y[3:6], params.orbit_rate, dy[3:6])
         nadir_F[0], nadir_F[1], nadir_F[2] = 0.0, 0.0, 1.0
         for i in range(6):
-            dy[21 + i] = 0.0  # the target's circle is turned exactly, once a step
+            dy[21 + i] = 0.0  # the target's circle is rotated exactly, once per step
         return params.orbit_rate * params.orbit_rate
     for i in range(3):
         dy[24 + i] = gravity[i]
@@ -86,24 +85,24 @@ def _translate(params, gravity, y, dy, nadir_F):
 
 
 @kernel
-def _derivative(params, gravity, y, load, sun_F, room, dy):
+def _derivative(params, gravity, y, load, sun_F, scratch, dy):
     """Write dy/dt.
 
     gravity: see ``_translate``. load: specific thrust (3,), m/s^2, the thrust's torque (3,), N m, both in c,
-    and one over the mass, 1/kg. sun_F: (3,), unit. room: (_ROOM, 3), to work in.
+    and one over the mass, 1/kg. sun_F: (3,), unit. scratch: (_SCRATCH, 3).
     """
-    force, torque, direction, seen = room[0], room[1], room[2], room[3]
+    force, torque, direction, transformed = scratch[0], scratch[1], scratch[2], scratch[3]
     for i in range(3):
         force[i], torque[i] = load[i], load[3 + i]
         dy[16 + i] = 0.0
     rate_squared = _translate(params, gravity, y, dy, direction)
     q = y[6:10]
     if params.gravity_gradient != 0:
-        quat.transform_into(q, direction, seen)
-        add_gravity_gradient(params.inertia, seen, rate_squared, torque)
+        quat.transform_into(q, direction, transformed)
+        add_gravity_gradient(params.inertia, transformed, rate_squared, torque)
     if params.solar_pressure != 0:
-        quat.transform_into(q, sun_F, seen)
-        pressure_force(params.plate, seen, direction)
+        quat.transform_into(q, sun_F, transformed)
+        pressure_force(params.plate, transformed, direction)
         arm = params.plate.arm
         torque[0] += arm[1] * direction[2] - arm[2] * direction[1]
         torque[1] += arm[2] * direction[0] - arm[0] * direction[2]
@@ -111,13 +110,13 @@ def _derivative(params, gravity, y, load, sun_F, room, dy):
         for i in range(3):
             dy[16 + i] = direction[i] * load[6]
             force[i] += dy[16 + i]
-    quat.transform_back_into(q, force, seen)
-    # rate of c against F, in c: w_CF = w_CI - A(q) w_FI (bench paper eq. (3)); H turns with [0, -w0, 0]
+    quat.transform_back_into(q, force, transformed)
+    # rate of c against F, in c: w_CF = w_CI - A(q) w_FI (bench paper eq. (3)); H rotates with [0, -w0, 0]
     frame_rate = params.orbit_rate if params.relative_motion == HILL else 0.0
-    a = room[4:7]
+    a = scratch[4:7]
     quat.to_matrix_into(q, a)
     for i in range(3):
-        dy[3 + i] += seen[i]
+        dy[3 + i] += transformed[i]
         dy[13 + i] = y[10 + i]
         direction[i] = y[10 + i] + a[i, 1] * frame_rate
     quat.rate_of_change(q, direction, dy[6:10])
@@ -137,18 +136,18 @@ def _derivative(params, gravity, y, load, sun_F, room, dy):
 def _integrate(params, gravity, y, load, sun_F, dt):
     """Move ``y`` on by ``dt`` with one classical Runge-Kutta step, in place.
 
-    gravity: (3, 10) of ``held_gravity.hold_gravity``.
+    gravity: (3, 10) of ``cached_gravity.gravity_over_step``.
     """
     k = stack.matrix(4, _N)
     trial = stack.vector(_N)
-    room = stack.matrix(_ROOM, 3)
+    scratch = stack.matrix(_SCRATCH, 3)
     copy_into(trial, y)
     for stage in range(4):
         if stage > 0:
             part = dt if stage == 3 else 0.5 * dt
             for i in range(_N):
                 trial[i] = y[i] + part * k[stage - 1, i]
-        _derivative(params, gravity[(stage + 1) // 2], trial, load, sun_F, room, k[stage])
+        _derivative(params, gravity[(stage + 1) // 2], trial, load, sun_F, scratch, k[stage])
     for i in range(_N):
         y[i] += dt / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
 
@@ -195,7 +194,7 @@ def _move_frame(params, acceleration, y, truth):
     rate, q_hi = stack.vector(3), stack.vector(4)
     fill(rate, 0.0)
     if params.relative_motion == HILL:
-        orbit.turn_on_circle(r, v, params.orbit_rate * params.dt_s)
+        orbit.rotate_on_circle(r, v, params.orbit_rate * params.dt_s)
         orbit.hill_frame(r, v, a)
         rate[1] = -params.orbit_rate
     else:
@@ -243,7 +242,7 @@ def _leave(params, y, truth):
 def step(params, field, span, truth, on):
     """Move ``truth`` (TRUTH) on by one step, in place, with the thruster commands ``on`` (n,), 0 or 1.
 
-    field: the harmonics, (N + 1, N + 1, 6), as ``moon_gravity.field_table`` gives them. span: HELD of this run.
+    field: the harmonics, (N + 1, N + 1, 6), as ``moon_gravity.field_table`` gives them. span: CACHED_GRAVITY.
     """
     dt = params.dt_s
     n = params.n_thrusters
@@ -270,10 +269,10 @@ def step(params, field, span, truth, on):
     fill_matrix(held, 0.0)
     if params.relative_motion != HILL:
         if params.gravity.degree >= 2:
-            held_gravity.follow_perturbation(
+            cached_gravity.interpolate_perturbation(
                 params.gravity, field, truth.t_s, y[21:24], y[24:27], y[0:3], y[3:6], dt, span, held
             )  # fmt: skip
-        held_gravity.hold_gravity(params.gravity.gm, held, y, load, dt, gravity)
+        cached_gravity.gravity_over_step(params.gravity.gm, held, y, load, dt, gravity)
     _integrate(params, gravity, y, load, sun_f, dt)
     truth.t_s += dt
     _move_frame(params, gravity[2], y, truth)

@@ -1,4 +1,4 @@
-"""The virtual VMU: the true camera pose with white noise that grows with range.
+"""Virtual VMU: the true camera pose with white noise that increases with range.
 
 ``sigma(r) = sigma_0 * max(1, r / r_ref)`` for position and angle, r the distance of the reference points.
 """
@@ -14,14 +14,14 @@ from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.models.mounting import camera_pose
 
-VISION_NOISE = 6  # standard normals a frame: position in v, small rotation about v's axes
+VISION_NOISE = 6  # standard normals per frame: position in v, small rotation about v's axes
 
 VISION_PARAMS = np.dtype(
     [
         ("sigma_position", "f8"),  # m
         ("sigma_angle", "f8"),  # rad
         ("reference_range", "f8"),  # m
-        ("reported_scale", "f8"),  # sigmas reported over sigmas that are
+        ("reported_scale", "f8"),  # reported over actual sigmas
     ],
     align=True,
 )
@@ -35,22 +35,22 @@ def range_factor(params, r_CT_H):
 
 
 @kernel
-def see(params, mounting, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
-    """Write what the unit reports of a chaser at ``r_CT_H`` with ``q_CH``: pose t -> v and its covariance.
+def measure(params, mounting, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
+    """Write the pose t -> v, and its covariance, that the unit reports of a chaser at ``r_CT_H`` with ``q_CH``.
 
     params: VISION_PARAMS. mounting: MOUNTING. noise: standard normals, (6,). t_v: (3,), m. q_vt: (4,).
     covariance: (6, 6), of t_v and of e in ``R_est = exp([e]x) R_true``.
     """
     factor = range_factor(params, r_CT_H)
     camera_pose(mounting, r_CT_H, q_CH, t_v, q_vt)
-    turn, aside, q_true = stack.vector(3), stack.vector(4), stack.vector(4)
+    rotation, noise_q, q_true = stack.vector(3), stack.vector(4), stack.vector(4)
     fill_matrix(covariance, 0.0)
     for i in range(3):
         t_v[i] += params.sigma_position * factor * noise[i]
-        # exp([e]x) turns the vector, from_rotation_vector the frame: hence the minus
-        turn[i] = -params.sigma_angle * factor * noise[3 + i]
+        # exp([e]x) rotates the vector, from_rotation_vector the frame: hence the minus
+        rotation[i] = -params.sigma_angle * factor * noise[3 + i]
         covariance[i, i] = (params.reported_scale * params.sigma_position * factor) ** 2
         covariance[3 + i, 3 + i] = (params.reported_scale * params.sigma_angle * factor) ** 2
     copy_into(q_true, q_vt)
-    quat.from_rotation_vector_into(turn, aside)
-    quat.multiply_into(aside, q_true, q_vt)
+    quat.from_rotation_vector_into(rotation, noise_q)
+    quat.multiply_into(noise_q, q_true, q_vt)

@@ -1,8 +1,8 @@
-"""The attitude Kalman filter: quaternion and gyro drift, with the error as a small turn of c.
+"""The attitude Kalman filter: quaternion and gyro drift, with the error as a small-angle rotation of c.
 
-The states are those of bench paper eq. (4). Their error is taken with six components, not seven: the
-small turn ``theta`` from the estimated to the true c (``q_true = from_rotation_vector(theta) q_est``) and the
-drift error. The quaternion then stays a unit one and its covariance has no direction that means nothing
+The states are those of bench paper eq. (4). Their error has six components, not seven: the small-angle
+rotation ``theta`` from the estimated to the true c (``q_true = from_rotation_vector(theta) q_est``) and the
+drift error. The quaternion keeps unit length and its covariance has no redundant direction
 (Lefferts, Markley and Shuster 1982). ``hil.gnc.akf_additive`` has the filter as printed.
 """
 
@@ -19,11 +19,11 @@ AKF_PARAMS = np.dtype(
     [
         ("dt_s", "f8"),
         ("orbit_rate", "f8"),  # rad/s
-        ("sigma_gyro", "f8"),  # rad/s a sample
+        ("sigma_gyro", "f8"),  # rad/s per sample
         ("sigma_drift", "f8"),  # rad/s^2, eq. (7): drift[k+1] = drift[k] + dt * w
         ("initial_drift", "f8", 3),  # rad/s
         ("initial_drift_sigma", "f8"),  # rad/s
-        ("gate", "f8"),  # largest NIS that is let in
+        ("gate", "f8"),  # largest NIS that is accepted
     ],
     align=True,
 )
@@ -56,19 +56,19 @@ def start(params, pose, state):
 
 
 @kernel
-def transition(turn, dt, phi):
-    """Write the transition (6, 6) of the error over a step in which c turned by ``turn`` (3,), rad.
+def transition(rotation, dt, phi):
+    """Write the transition (6, 6) of the error over a step in which c rotates by ``rotation`` (3,), rad.
 
-    ``theta' = A(turn) theta - dt J drift error`` with ``J = I - [turn]x / 2`` up to second order.
+    ``theta' = A(rotation) theta - dt J drift error`` with ``J = I - [rotation]x / 2`` up to second order.
     """
     q = stack.vector(4)
-    quat.from_rotation_vector_into(turn, q)
-    _transition_of(q, turn, dt, phi)
+    quat.from_rotation_vector_into(rotation, q)
+    _transition_of(q, rotation, dt, phi)
 
 
 @kernel
-def _transition_of(q, turn, dt, phi):
-    """Write ``transition`` of ``turn``, whose quaternion is ``q`` (4,)."""
+def _transition_of(q, rotation, dt, phi):
+    """Write ``transition`` of ``rotation``, whose quaternion is ``q`` (4,)."""
     a = stack.matrix(3, 3)
     quat.to_matrix_into(q, a)
     fill_matrix(phi, 0.0)
@@ -77,41 +77,41 @@ def _transition_of(q, turn, dt, phi):
         phi[i, 3 + i] = -dt
         for j in range(3):
             phi[i, j] = a[i, j]
-    phi[0, 4] = -0.5 * dt * turn[2]
-    phi[0, 5] = 0.5 * dt * turn[1]
-    phi[1, 3] = 0.5 * dt * turn[2]
-    phi[1, 5] = -0.5 * dt * turn[0]
-    phi[2, 3] = -0.5 * dt * turn[1]
-    phi[2, 4] = 0.5 * dt * turn[0]
+    phi[0, 4] = -0.5 * dt * rotation[2]
+    phi[0, 5] = 0.5 * dt * rotation[1]
+    phi[1, 3] = 0.5 * dt * rotation[2]
+    phi[1, 5] = -0.5 * dt * rotation[0]
+    phi[2, 3] = -0.5 * dt * rotation[1]
+    phi[2, 4] = 0.5 * dt * rotation[0]
 
 
 @kernel
 def predict(params, state, measured_rate):
     """Carry the state over one step with the gyro's sample ``measured_rate`` (3,), rad/s, in c (eq. (3))."""
-    move(params, state, measured_rate)
-    spread(params, state)
+    predict_state(params, state, measured_rate)
+    predict_covariance(params, state)
 
 
 @kernel
-def move(params, state, measured_rate):
+def predict_state(params, state, measured_rate):
     """Carry the state, without its covariance, over one step; ``state.phi`` is then the transition of its error.
 
-    The quaternion moves by the exact turn of a constant rate over the step, of c and of H.
+    The quaternion moves by the exact rotation at a constant rate over the step, of c and of H.
     """
     dt = params.dt_s
-    turn, hill_turn = stack.vector(3), stack.vector(3)
+    rotation, hill_rotation = stack.vector(3), stack.vector(3)
     q, of_c, of_h, moved = stack.vector(4), stack.vector(4), stack.vector(4), stack.vector(4)
     for i in range(3):
-        hill_turn[i] = 0.0
-        turn[i] = (measured_rate[i] - state.x[4 + i]) * dt
-    hill_turn[1] = params.orbit_rate * dt  # minus the turn of H, which is -w0 dt about y
-    quat.from_rotation_vector_into(turn, of_c)
-    quat.from_rotation_vector_into(hill_turn, of_h)
+        hill_rotation[i] = 0.0
+        rotation[i] = (measured_rate[i] - state.x[4 + i]) * dt
+    hill_rotation[1] = params.orbit_rate * dt  # minus the rotation of H, -w0 dt about y
+    quat.from_rotation_vector_into(rotation, of_c)
+    quat.from_rotation_vector_into(hill_rotation, of_h)
     quat.multiply_into(state.x[0:4], of_h, moved)
     quat.multiply_into(of_c, moved, q)
     quat.normalise(q)
     copy_into(state.x[0:4], q)
-    _transition_of(of_c, turn, dt, state.phi)
+    _transition_of(of_c, rotation, dt, state.phi)
     # the second column of A(q)
     along_y = stack.vector(3)
     quat.second_column_into(q, along_y)
@@ -121,18 +121,18 @@ def move(params, state, measured_rate):
 
 
 @kernel
-def spread(params, state):
-    """Carry the covariance over the step of ``move``: ``phi p phi.T`` and noise; below, phi is ``[0 I]``."""
+def predict_covariance(params, state):
+    """Carry the covariance over the step of ``predict_state``: ``phi p phi.T`` and noise; below, phi is ``[0 I]``."""
     p, f = state.p, state.phi
     rows = stack.matrix(3, 6)
     for i in range(3):
         for j in range(6):
-            turn = f[i, 0] * p[0, j] + f[i, 1] * p[1, j] + f[i, 2] * p[2, j]
-            rows[i, j] = turn + (f[i, 3] * p[3, j] + f[i, 4] * p[4, j] + f[i, 5] * p[5, j])
+            rotation = f[i, 0] * p[0, j] + f[i, 1] * p[1, j] + f[i, 2] * p[2, j]
+            rows[i, j] = rotation + (f[i, 3] * p[3, j] + f[i, 4] * p[4, j] + f[i, 5] * p[5, j])
     for i in range(3):
         for j in range(i, 3):
-            turn = f[j, 0] * rows[i, 0] + f[j, 1] * rows[i, 1] + f[j, 2] * rows[i, 2]
-            total = turn + (f[j, 3] * rows[i, 3] + f[j, 4] * rows[i, 4] + f[j, 5] * rows[i, 5])
+            rotation = f[j, 0] * rows[i, 0] + f[j, 1] * rows[i, 1] + f[j, 2] * rows[i, 2]
+            total = rotation + (f[j, 3] * rows[i, 3] + f[j, 4] * rows[i, 4] + f[j, 5] * rows[i, 5])
             p[i, j] = total
             p[j, i] = total
         for j in range(3, 6):
@@ -147,13 +147,13 @@ def spread(params, state):
 
 @kernel
 def innovate(state, q_measured, covariance, gain, out):
-    """Write the innovation (3,), a small turn in rad, and the gain (6, 3); return the NIS. Nothing is changed."""
-    turn, h, s_inverse = stack.vector(3), stack.matrix(3, 6), stack.matrix(3, 3)
-    quat.turn_between(q_measured, state.x[0:4], turn)
+    """Write the innovation (3,), a small-angle rotation in rad, and the gain (6, 3); return the NIS."""
+    rotation, h, s_inverse = stack.vector(3), stack.matrix(3, 6), stack.matrix(3, 3)
+    quat.rotation_between(q_measured, state.x[0:4], rotation)
     fill_matrix(h, 0.0)
     for i in range(3):
         h[i, i] = 1.0
-        out[i] = turn[i]
+        out[i] = rotation[i]
     gain_of_three(state.p, h, covariance, gain, s_inverse)
     nis = 0.0
     for i in range(3):
@@ -164,7 +164,7 @@ def innovate(state, q_measured, covariance, gain, out):
 
 @kernel
 def update(state, covariance, gain, innovation):
-    """Fuse an innovation that was let in; ``state.keep`` is left for whoever is correlated with this filter."""
+    """Fuse an accepted innovation; ``state.keep`` is for the filters that are correlated with this one."""
     correction, q, aside = stack.vector(6), stack.vector(4), stack.vector(4)
     h = stack.matrix(3, 6)
     fill_matrix(h, 0.0)
@@ -188,9 +188,9 @@ def update(state, covariance, gain, innovation):
 
 @kernel
 def error(state, q_true, drift_true, out):
-    """Write the error (6,): small turn from the estimated to the true c, rad, and true minus estimated drift."""
-    turn = stack.vector(3)
-    quat.turn_between(q_true, state.x[0:4], turn)
+    """Write the error (6,): small-angle rotation from estimated to true c, rad, and true minus estimated drift."""
+    rotation = stack.vector(3)
+    quat.rotation_between(q_true, state.x[0:4], rotation)
     for i in range(3):
-        out[i] = turn[i]
+        out[i] = rotation[i]
         out[3 + i] = drift_true[i] - state.x[4 + i]

@@ -1,8 +1,8 @@
-"""The attitude Kalman filter as printed: seven additive states (bench paper eq. (3) to (10)).
+"""Attitude Kalman filter as printed: seven additive states (bench paper eq. (3) to (10)).
 
-The quaternion is carried on by the exact transition of a constant rate over the step, which is
+The quaternion is propagated by the exact transition at a constant rate over the step, which is
 linear in the quaternion, so its Jacobian is the transition itself. The measurement is the three
-3-2-1 angles of eq. (9), whose third line is mended to ``atan2(2 (q3 q4 + q1 q2), ...)``.
+3-2-1 angles of eq. (9), whose third line is corrected to ``atan2(2 (q3 q4 + q1 q2), ...)``.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ AKF_ADDITIVE_STATE = np.dtype(
 
 
 @kernel
-def turn_response(q, out):
-    """Write Xi(q) (4, 3): a small turn phi of c changes q by ``Xi phi / 2`` (eq. (6): F12 = -Xi / 2)."""
+def rotation_response(q, out):
+    """Write Xi(q) (4, 3): a small-angle rotation phi of c changes q by ``Xi phi / 2`` (eq. (6): F12 = -Xi / 2)."""
     out[0, 0], out[0, 1], out[0, 2] = q[3], -q[2], q[1]
     out[1, 0], out[1, 1], out[1, 2] = q[2], q[3], -q[0]
     out[2, 0], out[2, 1], out[2, 2] = -q[1], q[0], q[3]
@@ -38,7 +38,7 @@ def turn_response(q, out):
 
 @kernel
 def angles(q):
-    """Return theta (3,), rad: eq. (9) with its third line mended."""
+    """Return theta (3,), rad: eq. (9) with its third line corrected."""
     theta = np.empty(3)
     theta[0] = math.atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), -q[0] * q[0] - q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     theta[1] = math.asin(min(1.0, max(-1.0, 2.0 * (q[1] * q[3] - q[0] * q[2]))))
@@ -72,12 +72,12 @@ def angle_jacobian(q, h):
 
 
 @kernel
-def angle_covariance(q, covariance_turn, out):
-    """Write the covariance (3, 3) of theta for a covariance (3, 3), rad^2, of the small turn of c."""
+def angle_covariance(q, covariance_rotation, out):
+    """Write the covariance (3, 3) of theta for a covariance (3, 3), rad^2, of the small-angle rotation of c."""
     h = np.zeros((3, 4))
     xi = np.empty((4, 3))
     angle_jacobian(q, h)
-    turn_response(q, xi)
+    rotation_response(q, xi)
     e = np.zeros((3, 3))
     for i in range(3):
         for j in range(3):
@@ -88,17 +88,17 @@ def angle_covariance(q, covariance_turn, out):
             total = 0.0
             for m in range(3):
                 for n in range(3):
-                    total += e[i, m] * covariance_turn[m, n] * e[j, n]
+                    total += e[i, m] * covariance_rotation[m, n] * e[j, n]
             out[i, j] = total
 
 
 @kernel
-def spread(x, p, state):
-    """Take over the state ``x`` (7,) of the multiplicative filter and its covariance ``p`` (6, 6)."""
+def from_multiplicative(x, p, state):
+    """Start from the state ``x`` (7,) of the multiplicative filter and its covariance ``p`` (6, 6)."""
     copy_into(state.x, x)
     state.nis = np.nan
     xi = np.empty((4, 3))
-    turn_response(x, xi)
+    rotation_response(x, xi)
     t = np.zeros((7, 6))
     for i in range(3):
         for j in range(4):
@@ -125,20 +125,20 @@ def start(params, pose, state):
         p[3 + i, 3 + i] = params.initial_drift_sigma**2
         for j in range(3):
             p[i, j] = pose.covariance_attitude[i, j]
-    spread(x, p, state)
+    from_multiplicative(x, p, state)
 
 
 @kernel
 def transition(params, x, measured_rate, q_next, phi):
     """Write the quaternion after the step, (4,), and the transition matrix ``phi`` (7, 7)."""
     dt = params.dt_s
-    turn = np.empty(3)
+    rotation = np.empty(3)
     for i in range(3):
-        turn[i] = (measured_rate[i] - x[4 + i]) * dt
-    dq_c = quat.from_rotation_vector(turn)
-    hill_turn = np.zeros(3)
-    hill_turn[1] = params.orbit_rate * dt  # minus the turn of H, which is -w0 dt about y
-    dq_h = quat.from_rotation_vector(hill_turn)
+        rotation[i] = (measured_rate[i] - x[4 + i]) * dt
+    dq_c = quat.from_rotation_vector(rotation)
+    hill_rotation = np.zeros(3)
+    hill_rotation[1] = params.orbit_rate * dt  # minus the rotation of H, -w0 dt about y
+    dq_h = quat.from_rotation_vector(hill_rotation)
     unit = np.zeros(4)
     fill_matrix(phi, 0.0)
     for j in range(4):
@@ -149,7 +149,7 @@ def transition(params, x, measured_rate, q_next, phi):
             phi[i, j] = column[i]
     copy_into(q_next, quat.multiply(dq_c, quat.multiply(x[0:4], dq_h)))
     xi = np.empty((4, 3))
-    turn_response(q_next, xi)
+    rotation_response(q_next, xi)
     for i in range(3):
         phi[4 + i, 4 + i] = 1.0
         for j in range(4):
@@ -182,7 +182,7 @@ def predict(params, state, measured_rate):
 
 @kernel
 def update(state, q_measured, covariance):
-    """Fuse a measured attitude; covariance: (3, 3), rad^2, of its small turn, in c."""
+    """Fuse a measured attitude; covariance: (3, 3), rad^2, of its small-angle rotation, in c."""
     q = state.x[0:4].copy()
     expected = angles(q)
     measured = angles(q_measured)
@@ -200,10 +200,10 @@ def update(state, q_measured, covariance):
 
 @kernel
 def error_covariance(state, out):
-    """Write the covariance (6, 6) of the small turn of c, rad, and the drift: the additive one seen in c."""
-    # t takes the seven additive errors to the six: turn = 2 Xi.T dq
+    """Write the covariance (6, 6) of the small-angle rotation of c, rad, and the drift, from the additive one."""
+    # t takes the seven additive errors to the six: rotation = 2 Xi.T dq
     xi = np.empty((4, 3))
-    turn_response(state.x[0:4], xi)
+    rotation_response(state.x[0:4], xi)
     t = np.zeros((6, 7))
     for i in range(3):
         for j in range(4):

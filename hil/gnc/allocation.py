@@ -1,9 +1,9 @@
 """From six on/off demands to thrusters.
 
 At set-up, every axis and sign gets the set of thrusters that serves it best (``thruster_sets``). In
-the cycle the sets of all demands are laid over each other: a thruster fires when more demands want
-it than want its opposite (``select``), so that demands that pull against each other spend nothing.
-An abort brakes with the strong sets of the force axes: all thrusters that push that way.
+the cycle the sets of all demands are superposed: a thruster fires if more demands use it than use its
+opposite (``select``), so that opposing demands consume nothing. An abort brakes with the full-thrust sets
+of the force axes: all thrusters that push that way.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from hil.core.jit import kernel
 from hil.core.messages import Array
 
 AXES_OF_A_BODY = 6  # force x, y, z, torque x, y, z
-ROWS = 9  # of the sets: the six axes, then force x, y, z once more with the strong sets
+ROWS = 9  # of the sets: the six axes, then force x, y, z again with the full-thrust sets
 _LARGEST_SET = 4
-_COST_OF_A_THRUSTER = 0.02  # against the unwanted part of the wrench over the wanted one
+_COST_PER_THRUSTER = 0.02  # in units of unwanted over wanted part of the wrench
 
 
 def unit_wrenches(position_m: Array, direction: Array, force_n: Array) -> Array:
@@ -27,15 +27,14 @@ def unit_wrenches(position_m: Array, direction: Array, force_n: Array) -> Array:
     return np.hstack([force, np.cross(position_m, force)])
 
 
-def thruster_sets(wrenches: Array, strong: bool = False) -> tuple[np.ndarray, Array]:
-    """Return the best set for each axis and sign, and how strong it is.
+def thruster_sets(wrenches: Array, full_thrust: bool = False) -> tuple[np.ndarray, Array]:
+    """Return the best set for each axis and sign, and its strength.
 
     wrenches: (n, 6). Returns ``sets``, int64 (6, 2, n) of 0 or 1, second index 0 for the negative
     and 1 for the positive demand, and ``strength`` (6,), N or N m, the weaker of the two signs.
-    A set is best whose unwanted force and torque are smallest against the wanted one; a torque
-    counts as the force that the thrusters' mean arm gives it. Of sets that are equally clean the
-    smallest is best, with ``strong`` the strongest. Raises ValueError where no set of up
-    to four thrusters moves an axis.
+    A set is best if its unwanted force and torque are smallest relative to the wanted one; a torque
+    counts as the force at the thrusters' mean arm. Of equally clean sets the smallest is best, with
+    ``full_thrust`` the strongest. Raises ValueError if no set of up to four thrusters moves an axis.
     """
     n = len(wrenches)
     arm = max(
@@ -60,10 +59,10 @@ def thruster_sets(wrenches: Array, strong: bool = False) -> tuple[np.ndarray, Ar
                 )
             cost = np.full(len(masks), np.inf)
             cost[useful] = unwanted[useful] / wanted[useful]
-            if strong:
-                cost[useful] -= _COST_OF_A_THRUSTER * wanted[useful] / wanted.max()
+            if full_thrust:
+                cost[useful] -= _COST_PER_THRUSTER * wanted[useful] / wanted.max()
             else:
-                cost[useful] += _COST_OF_A_THRUSTER * masks[useful].sum(axis=1)
+                cost[useful] += _COST_PER_THRUSTER * masks[useful].sum(axis=1)
             # equal costs differ by rounding alone: the first of them, whatever the machine
             best = int(np.flatnonzero(cost <= cost.min() + 1e-9)[0])
             sets[axis, sign_index] = masks[best]
@@ -75,7 +74,7 @@ def thruster_sets(wrenches: Array, strong: bool = False) -> tuple[np.ndarray, Ar
 def select(sets, n, command):
     """Write ``command.on`` for the n thrusters from ``command.force`` and ``command.torque``.
 
-    sets: int64 (ROWS, 2, MAX_THRUSTERS); with ``command.boost`` force demands take the last three rows.
+    sets: int64 (ROWS, 2, MAX_THRUSTERS); with ``command.boost`` force demands use the last three rows.
     """
     on = command.on
     for j in range(n):

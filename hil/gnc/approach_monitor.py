@@ -1,13 +1,13 @@
-"""Watches the approach: corridor, closing rate, ready state. What it finds leads to an abort.
+"""Approach monitor: checks corridor, closing rate and ready state, and starts an abort.
 
-The corridor surrounds the line of the present phase: its radius is a share of the range (a cone with
+The corridor surrounds the line of the present phase: its radius is a fraction of the range (a cone with
 its tip in the target's reference point), but never less than a minimum. The closing rate may be
-``floor`` at the ready point's range and nearer, and grows with range up to ``greatest``.
+``closing_floor`` at the ready point's range and nearer, and grows with range up to ``closing_greatest``.
 
-In the loop both are judged on the estimate. A limit counts as broken when it is broken by more than
-``confidence`` standard deviations of the estimate for ``persistence`` cycles on end: an estimate that
-is still converging must not abort an approach that is safe. The same margins on the truth, without
-allowance, are part of the verdict after the run.
+In the loop both are checked on the estimate. A limit counts as broken when it is exceeded by more than
+``confidence`` standard deviations of the estimate for ``persistence`` consecutive cycles: an estimate that
+is still converging must not abort a safe approach. The same margins on the truth, without allowance, are
+part of the verdict after the run.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.gnc import guidance
 from hil.maths import quat, stack
+from hil.maths.arrays import copy_into
 
 NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 
-SUPERVISION_PARAMS = np.dtype(
+APPROACH_MONITOR_PARAMS = np.dtype(
     [
         ("cone", "f8"),  # tangent of the corridor's half angle
         ("minimum_radius", "f8"),  # m
@@ -50,14 +51,14 @@ def corridor_margin(params, from_H, to_H, r_CT_H):
     square = 0.0
     along = 0.0
     for i in range(3):
-        way = to_H[i] - from_H[i]
-        square += way * way
-        along += way * (r_CT_H[i] - from_H[i])
-    share = min(1.0, max(0.0, along / square)) if square > 0.0 else 0.0
+        step = to_H[i] - from_H[i]
+        square += step * step
+        along += step * (r_CT_H[i] - from_H[i])
+    fraction = min(1.0, max(0.0, along / square)) if square > 0.0 else 0.0
     off = 0.0
     distance = 0.0
     for i in range(3):
-        off += (r_CT_H[i] - from_H[i] - share * (to_H[i] - from_H[i])) ** 2
+        off += (r_CT_H[i] - from_H[i] - fraction * (to_H[i] - from_H[i])) ** 2
         distance += r_CT_H[i] ** 2
     return max(params.minimum_radius, params.cone * math.sqrt(distance)) - math.sqrt(off)
 
@@ -71,7 +72,7 @@ def closing_limit(params, distance):
 
 @kernel
 def closing_margin(params, r_CT_H, v_CT_H):
-    """Return by how much, m/s, the range falls slower than it may; negative when it falls faster."""
+    """Return allowed minus actual closing rate, m/s; negative if the range falls too fast."""
     square = 0.0
     product = 0.0
     for i in range(3):
@@ -92,7 +93,7 @@ def margins(params, from_H, to_H, r_CT_H, v_CT_H, corridor, closing):
 
 @kernel
 def _largest(sigma):
-    """Return the largest of ``sigma`` (3,), 0 where it is not known."""
+    """Return the largest of ``sigma`` (3,), 0 if they are unknown (nan)."""
     largest = 0.0
     for i in range(3):
         if sigma[i] > largest:
@@ -101,43 +102,43 @@ def _largest(sigma):
 
 
 @kernel
-def _is_ready(params, navigation):
+def _is_ready(params, estimate):
     """Return whether the estimate is within Table III, each axis alone (angles as a rotation vector)."""
-    turn = stack.vector(3)
-    quat.to_rotation_vector_into(navigation.q_CH, turn)
+    rotation = stack.vector(3)
+    quat.to_rotation_vector_into(estimate.q_CH, rotation)
     for i in range(3):
         if not (
-            abs(navigation.r_CT_H[i] - params.ready_point[i]) <= params.ready_distance[i]
-            and abs(navigation.v_CT_H[i]) <= params.ready_rate[i]
-            and abs(turn[i]) <= params.ready_angle
-            and abs(navigation.w_CH_C[i]) <= params.ready_angular_rate
+            abs(estimate.r_CT_H[i] - params.ready_point[i]) <= params.ready_distance[i]
+            and abs(estimate.v_CT_H[i]) <= params.ready_rate[i]
+            and abs(rotation[i]) <= params.ready_angle
+            and abs(estimate.w_CH_C[i]) <= params.ready_angular_rate
         ):
             return False
     return True
 
 
 @kernel
-def supervise(params, t_s, navigation, reference, ordered, found):
-    """Judge the estimate; write ``found`` (SUPERVISION). Returns whether an abort has to begin now.
+def check(params, t_s, estimate, reference, ordered, found):
+    """Check the estimate (NAVIGATION); write ``found`` (SUPERVISION). Return whether an abort has to begin now.
 
-    ordered: 1 at the order to abort. Before the first pose nothing is judged; after an abort the
-    margins are still written, but lead to nothing.
+    ordered: 1 if the operator has ordered an abort. Before the first pose nothing is checked; after an abort the
+    margins are still written, but have no effect.
     """
-    if navigation.valid == 0:
+    if estimate.valid == 0:
         found.ready_since_s = np.nan
         return False
-    found.corridor_margin_m = corridor_margin(params, reference.from_H, reference.to_H, navigation.r_CT_H)
-    found.closing_margin_mps = closing_margin(params, navigation.r_CT_H, navigation.v_CT_H)
-    if not _is_ready(params, navigation):
+    found.corridor_margin_m = corridor_margin(params, reference.from_H, reference.to_H, estimate.r_CT_H)
+    found.closing_margin_mps = closing_margin(params, estimate.r_CT_H, estimate.v_CT_H)
+    if not _is_ready(params, estimate):
         found.ready_since_s = np.nan
     elif not found.ready_since_s <= t_s:
         found.ready_since_s = t_s
     if found.aborted != NOT_ABORTED:
         return False
     cause = NOT_ABORTED
-    if found.corridor_margin_m < -params.confidence * _largest(navigation.sigma_r_m):
+    if found.corridor_margin_m < -params.confidence * _largest(estimate.sigma_r_m):
         cause = CORRIDOR
-    elif found.closing_margin_mps < -params.confidence * _largest(navigation.sigma_v_mps):
+    elif found.closing_margin_mps < -params.confidence * _largest(estimate.sigma_v_mps):
         cause = CLOSING_RATE
     found.broken_cycles = found.broken_cycles + 1 if cause != NOT_ABORTED else 0
     if ordered != 0 or t_s >= params.abort_at_s:
@@ -150,13 +151,26 @@ def supervise(params, t_s, navigation, reference, ordered, found):
 
 
 @kernel
-def supervise_and_act(params, guidance_params, flown, t_s, navigation, reference, ordered, found):
-    """Supervise; where an abort has to begin, begin it in ``flown`` and in ``reference``. Returns whether one did.
+def update(params, guidance_params, guidance_state, t_s, estimate, reference, ordered, found):
+    """Check the estimate; if an abort has to begin, start it in ``guidance_state`` and in ``reference``.
 
-    flown: GUIDANCE_STATE. One kernel with both, so that nothing is left to compile when an abort comes.
+    guidance_params, guidance_state: GUIDANCE_PARAMS, GUIDANCE_STATE. The others as of ``check``.
     """
-    if not supervise(params, t_s, navigation, reference, ordered, found):
-        return False
-    guidance.start_abort(guidance_params, flown, t_s, navigation.r_CT_H, navigation.v_CT_H)
-    guidance.reference(guidance_params, flown, t_s, reference)
-    return True
+    if check(params, t_s, estimate, reference, ordered, found):
+        guidance.start_abort(guidance_params, guidance_state, t_s, estimate.r_CT_H, estimate.v_CT_H)
+        guidance.reference(guidance_params, guidance_state, t_s, reference)
+
+
+@kernel
+def abort_from_reference(params, guidance_params, guidance_state, t_s, reference, ordered, found):
+    """Start the abort that is ordered although there is no estimate: from the reference. Arguments as of ``update``."""
+    found.corridor_margin_m = found.closing_margin_mps = np.nan
+    if found.aborted != NOT_ABORTED or not (ordered != 0 or t_s >= params.abort_at_s):
+        return
+    found.aborted = ORDERED
+    found.aborted_at_s = t_s
+    from_H, speed_H = stack.vector(3), stack.vector(3)
+    copy_into(from_H, reference.r_CT_H)
+    copy_into(speed_H, reference.v_CT_H)
+    guidance.start_abort(guidance_params, guidance_state, t_s, from_H, speed_H)
+    guidance.reference(guidance_params, guidance_state, t_s, reference)

@@ -9,15 +9,16 @@ last term is the parabola on which a full-thrust braking ends at rest; ``tau`` d
 noise. ``e`` is cut to ``tau`` times the greatest rate at which an error may be worked off, so a large
 error is approached at that rate and not with one long burst each way.
 
-An axis decides once a period. Outside the dead band it fires against s for as long as takes s to zero,
+An axis decides once per period. Outside the dead band it fires against s for as long as takes s to zero,
 ``|s| / (tau a)``, at least one cycle and at most the period. The dead band is the set one plus
-``caution`` times the standard deviation of s as navigation knows it: far out, and while the filters
-converge, s is mostly noise, and propellant spent on noise is spent twice. The brake of an abort
-knows no caution.
+``deadband_sigmas`` times the standard deviation of s by the covariance of navigation: far out, and while
+the filters converge, s is mostly noise, and propellant spent on noise is spent twice. The brake of an
+abort has the set dead band only.
 
-The reference's acceleration is fed forward: what it will ask for over the coming period is fired in
-one burn. What was asked for and not yet fired, or fired ahead, is ``owed``; the rate error is counted
-against the rate that the reference had without it, so feedback never fires the same change again.
+The reference's acceleration is fed forward: the change of rate that it requires over the coming period is
+fired in one burn. The part required and not yet fired, or fired ahead, is the pending delta-v (``owed`` in
+COMMAND); the rate error is taken against the reference's rate without it, so feedback never fires the same
+change again.
 """
 
 from __future__ import annotations
@@ -35,19 +36,19 @@ CONTROL_PARAMS = np.dtype(
         ("dt_s", "f8"),
         # six axes: force along x, y, z, then torque about x, y, z
         ("deadband", "f8", 6),  # m, rad
-        ("caution", "f8", 6),  # standard deviations of s
+        ("deadband_sigmas", "f8", 6),  # standard deviations of s
         ("lead", "f8", 6),  # s
         ("correction_rate", "f8", 6),  # m/s, rad/s: greatest rate at which an error is worked off
         ("period", "i8", 6),  # cycles
         ("acceleration", "f8", 6),  # m/s^2, rad/s^2 of a demand
-        ("boosted_acceleration", "f8", 3),  # m/s^2 of a force demand while boosted
+        ("high_thrust_acceleration", "f8", 3),  # m/s^2 of a force demand with the full-thrust sets
     ],
     align=True,
 )
 
 
 @kernel
-def burn(error, rate, acceleration, deadband, lead, period, dt):
+def burn_duration(error, rate, acceleration, deadband, lead, period, dt):
     """Return how many cycles to fire, at most ``period``, negative against a positive s; 0 in the dead band."""
     s = error + lead * rate + rate * abs(rate) / (2.0 * acceleration)
     if abs(s) <= deadband:
@@ -57,20 +58,20 @@ def burn(error, rate, acceleration, deadband, lead, period, dt):
 
 
 @kernel
-def _decide(params, axis, error, rate, sigma, reference_acceleration, acceleration, command):
-    """Keep up one of the six axes: go on with what it does, or decide anew when its period is over.
+def update_axis(params, axis, error, rate, sigma, reference_acceleration, acceleration, command):
+    """Update one of the six axes: continue its burn, or decide again when its period is over.
 
-    error, rate: m, m/s or rad, rad/s. sigma: standard deviation of s; not a number counts as none.
+    error, rate: m, m/s or rad, rad/s. sigma: standard deviation of s; nan counts as zero.
     """
     dt = params.dt_s
     if command.until_decision[axis] <= 0:
         period, lead = params.period[axis], params.lead[axis]
         deadband = params.deadband[axis]
         if sigma > 0.0 and command.boost == 0:
-            deadband += params.caution[axis] * sigma
+            deadband += params.deadband_sigmas[axis] * sigma
         reach = lead * params.correction_rate[axis]
         cut = min(reach, max(-reach, error))
-        cycles = burn(cut, rate + command.owed[axis], acceleration, deadband, lead, period, dt)
+        cycles = burn_duration(cut, rate + command.owed[axis], acceleration, deadband, lead, period, dt)
         ahead = round((command.owed[axis] + reference_acceleration * period * dt) / (acceleration * dt))
         ahead = min(period - cycles, max(-period - cycles, ahead))
         command.owed[axis] -= ahead * acceleration * dt
@@ -92,8 +93,8 @@ def _decide(params, axis, error, rate, sigma, reference_acceleration, accelerati
 
 
 @kernel
-def rest(command):
-    """Make ``command`` (COMMAND) demand nothing and forget what its axes were about."""
+def clear_demands(command):
+    """Clear the demands of ``command`` (COMMAND), the burns under way and the pending delta-v."""
     fill(command.force, 0)
     fill(command.torque, 0)
     fill(command.cycles_left, 0)
@@ -103,38 +104,37 @@ def rest(command):
 
 @kernel
 def control(params, navigation, reference, command):
-    """Write the six demands of ``command`` (COMMAND), which holds what the axes are about.
+    """Write the six demands of ``command`` (COMMAND), which holds the state of the axes as well.
 
-    navigation: NAVIGATION; while it is not valid nothing is demanded. reference: REFERENCE. With
-    ``reference.boost`` a force demand counts with the acceleration of the strong thruster sets; where
-    it begins or ends, what the axes were about is dropped and they decide at once. The
-    sigmas of navigation are taken axis by axis as if c were parallel to H: they do no more than
-    widen dead bands.
+    navigation: NAVIGATION; while it is not valid there are no demands. reference: REFERENCE. With
+    ``reference.boost`` a force demand has the acceleration of the full-thrust sets; when that begins or
+    ends, the axes drop their burns and decide at once. The sigmas of navigation are taken axis by axis as
+    if c were parallel to H: they only widen dead bands.
     """
     if command.boost != reference.boost:
-        rest(command)
+        clear_demands(command)
         command.boost = reference.boost
     if navigation.valid == 0:
-        rest(command)
+        clear_demands(command)
         return
-    error_c, rate_c, wanted_c, turn = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
+    error_c, rate_c, acceleration_c, rotation = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
     for i in range(3):
         error_c[i] = navigation.r_CT_H[i] - reference.r_CT_H[i]
         rate_c[i] = navigation.v_CT_H[i] - reference.v_CT_H[i]
     quat.transform_into(navigation.q_CH, error_c, error_c)
     quat.transform_into(navigation.q_CH, rate_c, rate_c)
-    quat.transform_into(navigation.q_CH, reference.a_CT_H, wanted_c)
-    quat.turn_between(navigation.q_CH, reference.q_CH, turn)
+    quat.transform_into(navigation.q_CH, reference.a_CT_H, acceleration_c)
+    quat.rotation_between(navigation.q_CH, reference.q_CH, rotation)
     for i in range(3):
-        acceleration = params.boosted_acceleration[i] if command.boost != 0 else params.acceleration[i]
+        acceleration = params.high_thrust_acceleration[i] if command.boost != 0 else params.acceleration[i]
         sigma = 0.0
         if command.until_decision[i] <= 0:
             sigma = math.sqrt(navigation.sigma_r_m[i] ** 2 + (params.lead[i] * navigation.sigma_v_mps[i]) ** 2)
-        _decide(params, i, error_c[i], rate_c[i], sigma, wanted_c[i], acceleration, command)
-        _decide(
+        update_axis(params, i, error_c[i], rate_c[i], sigma, acceleration_c[i], acceleration, command)
+        update_axis(
             params,
             3 + i,
-            turn[i],
+            rotation[i],
             navigation.w_CH_C[i],
             navigation.sigma_attitude_rad[i],
             0.0,

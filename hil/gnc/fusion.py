@@ -1,9 +1,9 @@
 """Both filters with a memory, so that a pose is fused at its own time however late it arrives.
 
-The last ``MEMORY`` steps are kept: the IMU's sample of each, the filters as predicted, and the poses of
-that moment. A pose goes to the step nearest to its exposure; the filters go back there and come
-forward again over the same samples and poses. What comes out is what a filter would know that had
-waited for the pose: lateness costs what was not known in the meantime, and nothing else.
+The last ``MEMORY`` steps are kept: the IMU's sample of each, the predicted filters, and the poses of
+that moment. A pose is assigned to the step nearest to its exposure; the filters return to that step and are
+propagated forward again over the same samples and poses. The result is that of a filter that had waited for
+the pose.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix
 
 MEMORY = 64  # steps; at 50 Hz 1.28 s
-POSES_A_STEP = 2
+POSES_PER_STEP = 2
 
-UNJUDGED, NOTHING, ATTITUDE, WHOLE = range(4)
+NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED = range(4)
 
 MULTIPLICATIVE = 0
 AS_PRINTED = 1
@@ -42,8 +42,8 @@ STEP = np.dtype(
         ("is_start", "i8"),  # the filters were started here
         ("first", POSE),
         ("second", POSE),
-        ("first_in", "i8"),  # what the gate said when they came: UNJUDGED, or what was let in
-        ("second_in", "i8"),
+        ("first_gated", "i8"),  # result of the gate: NOT_GATED, or the part that was accepted
+        ("second_gated", "i8"),
     ],
     align=True,
 )
@@ -59,15 +59,15 @@ FUSION_STATE = np.dtype(
         ("rejected_attitude", "i8"),
         ("duplicates", "i8"),
         ("too_late", "i8"),
-        ("in_a_row", "i8"),  # rejections since the last pose that was let in
+        ("rejected_in_a_row", "i8"),  # consecutive rejections
         ("nis_position", "f8"),
         ("nis_attitude", "f8"),
     ],
     align=True,
 )
 
-_AHEAD = 1  # steps by which an exposure may be in the future: stamps and cycles are rounded
-_REOPEN_AFTER = 8  # rejections in a row: then it is the filter that is wrong, and the next pose is let in
+_AHEAD = 1  # steps that an exposure may be in the future: stamps and cycles are rounded
+_REOPEN_AFTER = 8  # consecutive rejections, after which the filter counts as wrong and the next pose is accepted
 
 
 @kernel
@@ -102,7 +102,7 @@ def _start(params, pose, filters):
     akf.start(params.akf, pose, filters.akf)
     pkf.start(params.pkf, pose, filters.akf.p, filters.pkf)
     if params.attitude_form == AS_PRINTED:
-        akf_additive.spread(filters.akf.x, filters.akf.p, filters.additive)
+        akf_additive.from_multiplicative(filters.akf.x, filters.akf.p, filters.additive)
 
 
 @kernel
@@ -110,7 +110,7 @@ def _predict(params, filters, rate_C, force_C):
     """Carry both filters over one step."""
     middle = stack.vector(4)
     copy_into(middle, filters.akf.x[0:4])
-    akf.move(params.akf, filters.akf, rate_C)
+    akf.predict_state(params.akf, filters.akf, rate_C)
     additive = params.attitude_form == AS_PRINTED
     if additive:
         akf_additive.predict(params.akf, filters.additive, rate_C)
@@ -121,82 +121,82 @@ def _predict(params, filters, rate_C, force_C):
     # with the attitude's covariance as it was before the step
     pkf.predict(params.pkf, filters.pkf, force_C, middle, filters.akf.p, filters.akf.phi)
     if additive:
-        _take_over(filters)
+        _publish_additive(filters)
     else:
-        akf.spread(params.akf, filters.akf)
+        akf.predict_covariance(params.akf, filters.akf)
 
 
 @kernel
-def _take_over(filters):
-    """Show the additive filter's state, and its covariance as seen in c, where the others look for it."""
+def _publish_additive(filters):
+    """Write state and covariance (in c) of the additive filter into the multiplicative one's records."""
     copy_into(filters.akf.x, filters.additive.x)
     copy_into(filters.akf.w_CH_C, filters.additive.w_CH_C)
     akf_additive.error_covariance(filters.additive, filters.akf.p)
 
 
 @kernel
-def _fuse(params, state, pose, moment_s, judged):
-    """Fuse one pose whose step is at ``moment_s``; return what of it was let in.
+def _fuse_pose(params, state, pose, moment_s, gated):
+    """Fuse one pose whose step is at ``moment_s``; return the part that was accepted.
 
-    judged: UNJUDGED for a new pose, which the gate judges and counts; otherwise what it said then.
+    gated: NOT_GATED for a new pose, which is then gated and counted; otherwise the earlier result of the gate.
     """
     filters = state.filters
     delta_s = pose.t_s - moment_s
-    turn, z, back, q_measured = stack.vector(3), stack.vector(3), stack.vector(4), stack.vector(4)
+    rotation, z, back, q_measured = stack.vector(3), stack.vector(3), stack.vector(4), stack.vector(4)
     for i in range(3):
-        turn[i] = -delta_s * filters.akf.w_CH_C[i]
+        rotation[i] = -delta_s * filters.akf.w_CH_C[i]
     # c at the filter's moment, from c at the exposure
-    quat.from_rotation_vector_into(turn, back)
+    quat.from_rotation_vector_into(rotation, back)
     quat.multiply_into(back, pose.q_CH, q_measured)
     quat.transform_into(back, pose.z_TC_C, z)
     gain_a, innovation_a = stack.matrix(6, 3), stack.vector(3)
     gain_p, innovation_p = stack.matrix(9, 3), stack.vector(3)
-    h, h_turn = stack.matrix(3, 9), stack.matrix(3, 3)
-    open_gate = state.in_a_row >= _REOPEN_AFTER
+    h, h_attitude = stack.matrix(3, 9), stack.matrix(3, 3)
+    open_gate = state.rejected_in_a_row >= _REOPEN_AFTER
     nis_a = akf.innovate(filters.akf, q_measured, pose.covariance_attitude, gain_a, innovation_a)
     nis_p = np.nan
-    found = judged
-    if judged == UNJUDGED:
-        found = ATTITUDE if open_gate or nis_a <= params.akf.gate else NOTHING
-    if found >= ATTITUDE:
+    found = gated
+    if gated == NOT_GATED:
+        found = ATTITUDE_ONLY if open_gate or nis_a <= params.akf.gate else REJECTED
+    if found >= ATTITUDE_ONLY:
         if params.attitude_form == AS_PRINTED:
             akf_additive.update(filters.additive, q_measured, pose.covariance_attitude)
         akf.update(filters.akf, pose.covariance_attitude, gain_a, innovation_a)
         if params.attitude_form == AS_PRINTED:
-            _take_over(filters)
+            _publish_additive(filters)
         pkf.follow_attitude_update(filters.pkf, filters.akf.keep)
         nis_p = pkf.innovate(
             filters.pkf, z, pose.covariance_position, delta_s, filters.akf.x[0:4], filters.akf.p,
-            h, h_turn, gain_p, innovation_p,
+            h, h_attitude, gain_p, innovation_p,
         )  # fmt: skip
-        if judged == UNJUDGED and (open_gate or nis_p <= params.pkf.gate):
-            found = WHOLE
-        if found == WHOLE:
-            pkf.update(filters.pkf, pose.covariance_position, filters.akf.p, h, h_turn, gain_p, innovation_p)
-    if judged == UNJUDGED:
+        if gated == NOT_GATED and (open_gate or nis_p <= params.pkf.gate):
+            found = ACCEPTED
+        if found == ACCEPTED:
+            pkf.update(filters.pkf, pose.covariance_position, filters.akf.p, h, h_attitude, gain_p, innovation_p)
+    if gated == NOT_GATED:
         _count(state, found, nis_a, nis_p)
     return found
 
 
 @kernel
 def _count(state, found, nis_attitude, nis_position):
-    """Count a pose that was judged just now."""
+    """Count a pose that has just been gated."""
     state.nis_attitude = nis_attitude
     state.nis_position = nis_position
-    if found == NOTHING:
+    if found == REJECTED:
         state.rejected_attitude += 1
-    elif found == ATTITUDE:
+    elif found == ATTITUDE_ONLY:
         state.rejected_position += 1
     else:
         state.accepted += 1
-    state.in_a_row = 0 if found == WHOLE else state.in_a_row + 1
+    state.rejected_in_a_row = 0 if found == ACCEPTED else state.rejected_in_a_row + 1
 
 
 @kernel
 def _place(params, state, memory, pose):
-    """Put a pose into the step nearest to its exposure; return that step's number, or -1 if it has no place."""
+    """Put a pose into the step nearest to its exposure; return that step's number, or -1 if there is none."""
     cycle = math.floor(pose.t_s / params.pkf.dt_s + 0.5)
-    if cycle > state.cycle + _AHEAD:  # a clock that runs ahead: the pose is of no known moment
+    if cycle > state.cycle + _AHEAD:  # the unit's clock runs ahead: the moment of exposure is unknown
         state.too_late += 1
         return -1
     cycle = min(cycle, state.cycle)
@@ -207,20 +207,20 @@ def _place(params, state, memory, pose):
         state.too_late += 1
         return -1
     step = memory[cycle % MEMORY]
-    # the pose that started the filters stands in ``first`` without being counted as one to fuse
+    # the pose that started the filters is ``first`` but not counted as one to fuse
     held = step.n_poses + step.is_start
     if (held > 0 and abs(step.first.t_s - pose.t_s) < 1e-6) or (held > 1 and abs(step.second.t_s - pose.t_s) < 1e-6):
         state.duplicates += 1
         return -1
-    if held >= POSES_A_STEP:
+    if held >= POSES_PER_STEP:
         state.too_late += 1
         return -1
     if held == 0:
         _copy_pose(pose, step.first)
-        step.first_in = UNJUDGED
+        step.first_gated = NOT_GATED
     else:
         _copy_pose(pose, step.second)
-        step.second_in = UNJUDGED
+        step.second_gated = NOT_GATED
     if state.started == 0:
         step.is_start = 1
         state.started = 1
@@ -233,11 +233,11 @@ def _place(params, state, memory, pose):
 
 @kernel
 def _fuse_step(params, state, step, moment_s):
-    """Fuse all poses that stand in ``step``."""
+    """Fuse all poses of ``step``."""
     if step.is_start == 0 and step.n_poses > 0:
-        step.first_in = _fuse(params, state, step.first, moment_s, step.first_in)
+        step.first_gated = _fuse_pose(params, state, step.first, moment_s, step.first_gated)
     if step.n_poses + step.is_start > 1:
-        step.second_in = _fuse(params, state, step.second, moment_s, step.second_in)
+        step.second_gated = _fuse_pose(params, state, step.second, moment_s, step.second_gated)
 
 
 @kernel
@@ -259,7 +259,7 @@ def advance(params, state, memory, imu):
 
 
 @kernel
-def take(params, state, memory, pose):
+def fuse(params, state, memory, pose):
     """Fuse a pose (POSE) at its own time: back to its step, and forward again."""
     first = _place(params, state, memory, pose)
     if first < 0:

@@ -1,9 +1,9 @@
-"""The reference: a list of phases, each a straight line from rest to rest and a stay at its end.
+"""Guidance: the reference as a list of phases, each a straight line from rest to rest and a stay at its end.
 
 A phase starts where the one before ended. Moving phases (approach, final, retreat) are over when
-their line is flown, a hold after its duration, a wait at its time or at the order to go on; the last
-phase of the list never ends. An abort leaves the list: brake from the velocity of the moment, retreat
-along the docking axis, hold. The reference's attitude is that of H throughout.
+their line is completed, a hold after its duration, a wait at its time or at the order to continue; the last
+phase of the list never ends. An abort leaves the list: brake from the present velocity, retreat along the
+docking axis, hold. The reference's attitude is that of H throughout.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hil.maths.arrays import copy_into, fill
 from hil.models.profile import along_line, duration
 
 APPROACH, HOLD, WAIT, FINAL, RETREAT, BRAKE = range(6)
-STAYED, MOVED, REFUSED = range(3)  # what advance did
+STAYED, MOVED, REFUSED = range(3)  # results of advance
 _ABORT_PHASES = 3  # brake, retreat, hold: numbered after the phases of the list
 
 GUIDANCE_PARAMS = np.dtype(
@@ -32,7 +32,7 @@ GUIDANCE_PARAMS = np.dtype(
         ("acceleration", "f8", MAX_PHASES),  # m/s^2
         ("deceleration", "f8", MAX_PHASES),  # m/s^2
         ("duration_s", "f8", MAX_PHASES),  # of a hold
-        ("until_s", "f8", MAX_PHASES),  # of a wait, time of the run; inf: for an order alone
+        ("until_s", "f8", MAX_PHASES),  # of a wait, time of the run; inf: an order only
         ("axis", "f8", 3),  # unit vector from the target outwards, in H
         ("abort_distance", "f8"),  # m, from the target
         ("abort_speed", "f8"),  # m/s
@@ -94,7 +94,7 @@ def _aim(params, state):
 def _aim_outwards(params, state):
     """Write ``state.to_H``: along the docking axis until the range is ``state.abort_range``.
 
-    On the far side of the target the way is radial, so that the range never falls.
+    On the far side of the target the path is radial, so that the range never decreases.
     """
     square = 0.0
     axial = 0.0
@@ -104,10 +104,10 @@ def _aim_outwards(params, state):
     distance = math.sqrt(square)
     if distance >= state.abort_range or distance == 0.0:
         return
-    way = math.sqrt(axial * axial + state.abort_range**2 - square) - axial
+    length = math.sqrt(axial * axial + state.abort_range**2 - square) - axial
     for i in range(3):
         if axial > 0.0:
-            state.to_H[i] = state.from_H[i] + way * params.axis[i]
+            state.to_H[i] = state.from_H[i] + length * params.axis[i]
         else:
             state.to_H[i] = state.from_H[i] * state.abort_range / distance
 
@@ -125,7 +125,7 @@ def start(params, state):
 def start_abort(params, state, t_s, r_CT_H, v_CT_H):
     """Leave the list at ``t_s``: brake from ``r_CT_H``, m, and ``v_CT_H``, m/s.
 
-    The retreat goes to the abort distance, from farther out back to the range of this moment.
+    The retreat goes to the abort distance, or to the present range if that is larger.
     """
     distance = math.sqrt(r_CT_H[0] ** 2 + r_CT_H[1] ** 2 + r_CT_H[2] ** 2)
     state.abort_range = max(params.abort_distance, distance)
@@ -145,29 +145,40 @@ def _limits(params, phase):
 
 
 @kernel
-def _ends_at(params, state, go):
-    """Return the time of the run at which the phase is over, inf while that is unknown."""
+def nominal_end(params, state):
+    """Return the time of the run at which the present phase ends by itself, s; inf for a wait that has no time.
+
+    The last phase of the list has a nominal end as well, after which the reference stays where it is.
+    """
     phase = state.phase
-    if phase == params.n_phases - 1 or phase == params.n_phases + _ABORT_PHASES - 1:
-        return np.inf
     kind = kind_of(params, phase)
     if kind == BRAKE:
         speed = math.sqrt(state.brake_H[0] ** 2 + state.brake_H[1] ** 2 + state.brake_H[2] ** 2)
         return state.since_s + speed / params.brake
     if kind == HOLD:
-        return state.since_s + params.duration_s[phase]
+        return state.since_s + params.duration_s[phase] if phase < params.n_phases else np.inf
     if kind == WAIT:
-        return -np.inf if go != 0 else params.until_s[phase]
+        return params.until_s[phase]
     speed, acceleration, deceleration = _limits(params, phase)
     return state.since_s + duration(_length(state), speed, acceleration, deceleration)
+
+
+@kernel
+def _ends_at(params, state, go):
+    """Return the time of the run at which the next phase may begin, inf if that is unknown or there is none."""
+    phase = state.phase
+    if phase == params.n_phases - 1 or phase == params.n_phases + _ABORT_PHASES - 1:
+        return np.inf
+    if go != 0 and kind_of(params, phase) == WAIT:
+        return -np.inf
+    return nominal_end(params, state)
 
 
 @kernel
 def advance(params, state, t_s, go, held):
     """Move ``state`` on to the phase of ``t_s``; return STAYED, MOVED or REFUSED.
 
-    go: 1 at the order to go on, refused where the wait has nothing to go on to. held: 1 where a final
-    phase must not begin.
+    go: 1 at the order to continue, refused if the next phase is not allowed. held: 1 if a final phase must not begin.
     """
     found = STAYED
     if go != 0 and kind_of(params, state.phase) == WAIT:

@@ -1,4 +1,4 @@
-"""The joint covariance of the position filter's and the attitude filter's error, over a step and through an update.
+"""Joint covariance of the errors of position and attitude filter, over a step and through an update.
 
 Of the joint covariance (15, 15) the position filter holds its own part ``p`` (9, 9) and its covariance ``c`` (9, 6)
 with the attitude filter's error; the rest, (6, 6), is the attitude filter's own.
@@ -11,18 +11,18 @@ from typing import Final
 from hil.core.jit import kernel
 from hil.maths import stack
 
-_LANES: Final = 16  # of the 15 joint errors: whole registers
-_HALF_LANES: Final = 8  # of the six of position and velocity
+_LANES: Final = 16  # for the 15 joint errors: full registers
+_HALF_LANES: Final = 8  # for the six of position and velocity
 
 
 @kernel
 def propagate(params, state, a, f0, f1, f2, attitude_p, attitude_phi):
     """Carry ``p`` and ``c`` over the step: joint covariance of this filter's and the attitude filter's error.
 
-    a: A(q_CH) (3, 3). f0, f1, f2: specific force in c, m/s^2. The joint transition is applied to rows, and then once
-    more to the rows of the transposed, because the covariance is symmetric.
+    a: A(q_CH) (3, 3). f0, f1, f2: specific force in c, m/s^2. The joint transition is applied to the rows, and
+    then to the rows of the transpose, because the covariance is symmetric.
     """
-    rows, turned, out = stack.matrix(12, _LANES), stack.matrix(12, _HALF_LANES), stack.matrix(12, _HALF_LANES)
+    rows, transposed, out = stack.matrix(12, _LANES), stack.matrix(12, _HALF_LANES), stack.matrix(12, _HALF_LANES)
     for i in range(9):
         for j in range(9):
             rows[i, j] = state.p[i, j]
@@ -42,17 +42,17 @@ def propagate(params, state, a, f0, f1, f2, attitude_p, attitude_phi):
     _move_rows(params, a, f0, f1, f2, rows, push, _LANES, half)
     for i in range(6):
         for j in range(12):
-            turned[j, i] = half[i, j]
+            transposed[j, i] = half[i, j]
     for j in range(12):
-        turned[j, 6], turned[j, 7] = 0.0, 0.0
-    # white noise of the accelerometer acts as a force in H: turning it changes nothing
+        transposed[j, 6], transposed[j, 7] = 0.0, 0.0
+    # white noise of the accelerometer acts as a force in H: it is isotropic
     noise = stack.matrix(3, _HALF_LANES)
     accelerometer = params.sigma_accelerometer * params.sigma_accelerometer
     for m in range(3):
         for i in range(6):
             noise[m, i] = accelerometer * params.hill_response[i, m]
         noise[m, 6], noise[m, 7] = 0.0, 0.0
-    _move_rows(params, a, f0, f1, f2, turned, noise, _HALF_LANES, out)
+    _move_rows(params, a, f0, f1, f2, transposed, noise, _HALF_LANES, out)
     for i in range(6):
         for j in range(i, 6):
             state.p[i, j] = out[i, j]
@@ -69,8 +69,8 @@ def propagate(params, state, a, f0, f1, f2, attitude_p, attitude_phi):
 def _move_rows(params, a, f0, f1, f2, rows, push, lanes, out):
     """Write rows r and v of the joint transition times ``rows`` into ``out``, column by column of ``lanes``.
 
-    rows: position, velocity, bias, turn, in this order, (12 or more, lanes). push: (3, lanes), added to the force in H.
-    What is zero in Hill's equations is left out.
+    rows: position, velocity, bias, rotation, in this order, (>= 12, lanes). push: (3, lanes), added to the force in H.
+    Terms that are zero in Hill's equations are omitted.
     """
     h, g = params.hill_transition, params.hill_response
     h00, h02, h03, h05 = h[0, 0], h[0, 2], h[0, 3], h[0, 5]
@@ -86,7 +86,7 @@ def _move_rows(params, a, f0, f1, f2, rows, push, lanes, out):
     for j in range(lanes):
         x0, x1, x2, x3, x4, x5 = rows[0, j], rows[1, j], rows[2, j], rows[3, j], rows[4, j], rows[5, j]
         t0, t1, t2 = rows[9, j], rows[10, j], rows[11, j]
-        # a bias takes from the force in c, a turn theta of c adds theta x force to it
+        # a bias reduces the force in c, a rotation theta of c adds theta x force
         s0 = f2 * t1 - f1 * t2 - rows[6, j]
         s1 = f0 * t2 - f2 * t0 - rows[7, j]
         s2 = f1 * t0 - f0 * t1 - rows[8, j]
@@ -112,8 +112,8 @@ def _follow_attitude(state, half, attitude_phi):
             t0, t1, t2 = state.c[i, 0], state.c[i, 1], state.c[i, 2]
             d0, d1, d2 = state.c[i, 3], state.c[i, 4], state.c[i, 5]
         for j in range(3):
-            turn = f[j, 0] * t0 + f[j, 1] * t1 + f[j, 2] * t2
-            state.c[i, j] = turn + (f[j, 3] * d0 + f[j, 4] * d1 + f[j, 5] * d2)
+            rotation = f[j, 0] * t0 + f[j, 1] * t1 + f[j, 2] * t2
+            state.c[i, j] = rotation + (f[j, 3] * d0 + f[j, 4] * d1 + f[j, 5] * d2)
         state.c[i, 3], state.c[i, 4], state.c[i, 5] = d0, d1, d2
 
 
@@ -121,7 +121,7 @@ def _follow_attitude(state, half, attitude_phi):
 def joint_product(phi, lever, sign, p, c, attitude_p, mixed, half):
     """Write ``phi c + sign lever attitude_p`` into ``mixed`` (9, 6), ``phi p + sign lever c.T`` into ``half`` (9, 9).
 
-    phi: (9, 9). lever: (9, 3), of the turn theta. What is zero in them costs nothing, see ``hil.maths.kalman``.
+    phi: (9, 9). lever: (9, 3), of the rotation theta. Their zeros are skipped, see ``hil.maths.kalman``.
     """
     of_p, of_c = stack.vector(9), stack.vector(6)  # sums of one row: kept in registers
     for i in range(9):
@@ -152,13 +152,13 @@ def joint_product(phi, lever, sign, p, c, attitude_p, mixed, half):
 @kernel
 def close_product(phi, lever, sign, mixed, half, noise, p):
     """Write ``half phi.T + sign mixed lever.T + noise``, which is symmetric, into ``p`` (9, 9)."""
-    turned, turned_mixed = stack.matrix(9, 9), stack.matrix(3, 9)
+    transposed, mixed_transposed = stack.matrix(9, 9), stack.matrix(3, 9)
     row = stack.vector(9)
     for i in range(9):
         for j in range(9):
-            turned[j, i] = half[i, j]
+            transposed[j, i] = half[i, j]
         for j in range(3):
-            turned_mixed[j, i] = mixed[i, j]
+            mixed_transposed[j, i] = mixed[i, j]
     for i in range(9):
         for j in range(9):
             row[j] = noise[i, j]
@@ -166,12 +166,12 @@ def close_product(phi, lever, sign, mixed, half, noise, p):
             factor = phi[i, m]
             if factor != 0.0:
                 for j in range(9):
-                    row[j] += factor * turned[m, j]
+                    row[j] += factor * transposed[m, j]
         for m in range(3):
             factor = sign * lever[i, m]
             if factor != 0.0:
                 for j in range(9):
-                    row[j] += factor * turned_mixed[m, j]
+                    row[j] += factor * mixed_transposed[m, j]
         for j in range(i, 9):
             p[i, j] = row[j]
             p[j, i] = row[j]

@@ -1,4 +1,4 @@
-"""Where the chaser is and how it moves: both Kalman filters, or vision alone, behind two functions."""
+"""Where the chaser is and how it moves: both Kalman filters, or vision only, behind two functions."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ NAVIGATION_STATE = np.dtype([("fusion", FUSION_STATE), ("vision_only", VISION_ON
 
 @kernel
 def navigate(params, state, memory, imu, poses, n_poses, out):
-    """Take the step's IMU sample and the poses that came; write ``out`` (NAVIGATION).
+    """Use the step's IMU sample and the new poses; write ``out`` (NAVIGATION).
 
     memory: (fusion.MEMORY,) of fusion.STEP. poses: array of POSE, of which the first ``n_poses`` are
-    new. Nothing is known, and ``out.valid`` is 0, until the first pose came.
+    new. ``out.valid`` is 0 until the first pose.
     """
     if params.sensors == VISION_AND_IMU:
         fusion.advance(params.fusion, state.fusion, memory, imu)
         for i in range(n_poses):
-            fusion.take(params.fusion, state.fusion, memory, poses[i])
+            fusion.fuse(params.fusion, state.fusion, memory, poses[i])
         state.fusion.cycle += 1
         if state.fusion.started != 0:
-            _show_filters(state.fusion.filters, out)
+            _write_filters(state.fusion.filters, out)
         out.nis_position = state.fusion.nis_position
         out.nis_attitude = state.fusion.nis_attitude
         out.valid = state.fusion.started
@@ -45,12 +45,12 @@ def navigate(params, state, memory, imu, poses, n_poses, out):
             vision_only.predict(params.vision_only, state.vision_only)
         for i in range(n_poses):
             vision_only.update(params.vision_only, state.vision_only, poses[i])
-        _show_vision(state.vision_only, out)
+        _write_vision_only(state.vision_only, out)
         out.valid = state.vision_only.started
 
 
 @kernel
-def _show_filters(filters, out):
+def _write_filters(filters, out):
     copy_into(out.r_CT_H, filters.pkf.x[0:3])
     copy_into(out.v_CT_H, filters.pkf.x[3:6])
     copy_into(out.q_CH, filters.akf.x[0:4])
@@ -62,7 +62,7 @@ def _show_filters(filters, out):
 
 
 @kernel
-def _show_vision(state, out):
+def _write_vision_only(state, out):
     copy_into(out.r_CT_H, state.r_CT_H)
     copy_into(out.v_CT_H, state.v_CT_H)
     copy_into(out.q_CH, state.q_CH)

@@ -1,10 +1,10 @@
-"""The position Kalman filter: nine states, relative position and velocity in H, accelerometer bias in c.
+"""Position Kalman filter: nine states, relative position and velocity in H, accelerometer bias in c.
 
 Bench paper eq. (11) to (16), with ``H = [-R_CH 0 0]`` (the printed "R_c^c" and transpose are misprints).
 The transition of Hill's equations is exact; the accelerometer's sample is the mean over the step, so
 its noise and the bias act through the same response as the thrust.
 
-The attitude that turns accelerations and poses between c and H is an estimate, and its error lasts from
+The attitude that takes accelerations and poses between c and H is an estimate, and its error persists from
 frame to frame: at 10 m a hundredth of a degree is 2 mm. This filter therefore carries its correlation
 with the attitude filter's error (Schmidt 1966: considered, not estimated).
 """
@@ -26,12 +26,12 @@ PKF_PARAMS = np.dtype(
         ("dt_s", "f8"),
         ("hill_transition", "f8", (6, 6)),  # of [r, v] over one step
         ("hill_response", "f8", (6, 3)),  # to a constant acceleration in H
-        ("sigma_accelerometer", "f8"),  # m/s^2 a sample
+        ("sigma_accelerometer", "f8"),  # m/s^2 per sample
         ("sigma_bias", "f8"),  # m/s^3, eq. (15): bias[k+1] = bias[k] + dt * w
         ("initial_velocity_sigma", "f8"),  # m/s
         ("initial_bias", "f8", 3),  # m/s^2
         ("initial_bias_sigma", "f8"),  # m/s^2
-        ("gate", "f8"),  # largest NIS that is let in
+        ("gate", "f8"),  # largest NIS that is accepted
     ],
     align=True,
 )
@@ -49,7 +49,7 @@ PKF_STATE = np.dtype(
 
 @kernel
 def start(params, pose, attitude_p, state):
-    """Start from the first pose, at rest, the bias from ``params``; ``attitude_p`` (6, 6) as the AKF started with.
+    """Start from the first pose, at rest, the bias from ``params``; ``attitude_p`` (6, 6): the AKF's at its start.
 
     ``r = -A.T z``: the position's error holds the measured attitude's error over the distance.
     """
@@ -103,7 +103,7 @@ def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi):
 
     measured_force: accelerometer's sample (3,), m/s^2, in c. q_CH: attitude in mid-step. attitude_p: covariance (6, 6)
     before the step of the attitude filter's error; attitude_phi: its transition over it (6, 6), whose lower rows, of
-    a drift that stays, are ``[0 I]``.
+    a constant drift, are ``[0 I]``.
     """
     a, x = stack.matrix(3, 3), stack.vector(6)
     quat.to_matrix_into(q_CH, a)
@@ -136,11 +136,11 @@ def follow_attitude_update(state, keep):
 
 
 @kernel
-def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_turn, gain, out):
-    """Write the innovation (3,), m, its matrices and the gain (9, 3); return the NIS. Nothing is changed.
+def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_attitude, gain, out):
+    """Write the innovation (3,), m, its matrices and the gain (9, 3); return the NIS. The state is not changed.
 
-    z_TC_C: measured position (3,), in c as it stood at the filter's moment; covariance: (3, 3).
-    delta_s: exposure after the filter's moment, a fraction of a step. h: (3, 9). h_turn: (3, 3), of theta.
+    z_TC_C: measured position (3,), in c at the filter's moment; covariance: (3, 3).
+    delta_s: exposure after the filter's moment, a fraction of a step. h: (3, 9). h_attitude: (3, 3), of theta.
     """
     a, expected = stack.matrix(3, 3), stack.vector(3)
     quat.to_matrix_into(q_CH, a)
@@ -148,10 +148,10 @@ def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_turn, ga
         expected[i] = state.x[i] + delta_s * state.x[3 + i]
     quat.transform_into(q_CH, expected, expected)
     fill_matrix(h, 0.0)
-    fill_matrix(h_turn, 0.0)
-    h_turn[0, 1], h_turn[0, 2] = expected[2], -expected[1]
-    h_turn[1, 0], h_turn[1, 2] = -expected[2], expected[0]
-    h_turn[2, 0], h_turn[2, 1] = expected[1], -expected[0]
+    fill_matrix(h_attitude, 0.0)
+    h_attitude[0, 1], h_attitude[0, 2] = expected[2], -expected[1]
+    h_attitude[1, 0], h_attitude[1, 2] = -expected[2], expected[0]
+    h_attitude[2, 0], h_attitude[2, 1] = expected[1], -expected[0]
     for i in range(3):
         out[i] = z_TC_C[i] + expected[i]
         for j in range(3):
@@ -159,36 +159,36 @@ def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_turn, ga
             h[i, 3 + j] = -delta_s * a[i, j]
     # with[i, j]: covariance of state i with innovation j; s: of the innovation
     s, s_inverse = stack.matrix(3, 3), stack.matrix(3, 3)
-    reach, reach_turn = stack.matrix(9, 3), stack.matrix(3, 3)
+    cross, cross_attitude = stack.matrix(9, 3), stack.matrix(3, 3)
     for i in range(9):
         for j in range(3):
             total = 0.0
             for m in range(6):
                 total += state.p[i, m] * h[j, m]
             for m in range(3):
-                total += state.c[i, m] * h_turn[j, m]
-            reach[i, j] = total
+                total += state.c[i, m] * h_attitude[j, m]
+            cross[i, j] = total
     for i in range(3):
         for j in range(3):
             total = 0.0
             for m in range(6):
                 total += state.c[m, i] * h[j, m]
             for m in range(3):
-                total += attitude_p[i, m] * h_turn[j, m]
-            reach_turn[i, j] = total
+                total += attitude_p[i, m] * h_attitude[j, m]
+            cross_attitude[i, j] = total
     for i in range(3):
         for j in range(3):
             total = covariance[i, j]
             for m in range(6):
-                total += h[i, m] * reach[m, j]
+                total += h[i, m] * cross[m, j]
             for m in range(3):
-                total += h_turn[i, m] * reach_turn[m, j]
+                total += h_attitude[i, m] * cross_attitude[m, j]
             s[i, j] = total
     invert_symmetric_3(s, s_inverse)
     nis = 0.0
     for i in range(9):
         for j in range(3):
-            gain[i, j] = reach[i, 0] * s_inverse[0, j] + reach[i, 1] * s_inverse[1, j] + reach[i, 2] * s_inverse[2, j]
+            gain[i, j] = cross[i, 0] * s_inverse[0, j] + cross[i, 1] * s_inverse[1, j] + cross[i, 2] * s_inverse[2, j]
     for i in range(3):
         for j in range(3):
             nis += out[i] * s_inverse[i, j] * out[j]
@@ -196,30 +196,32 @@ def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_turn, ga
 
 
 @kernel
-def update(state, covariance, attitude_p, h, h_turn, gain, innovation):
-    """Fuse an innovation that was let in: Joseph form of the joint covariance, whatever the gain.
+def update(state, covariance, attitude_p, h, h_attitude, gain, innovation):
+    """Fuse an accepted innovation: Joseph form of the joint covariance, valid for any gain.
 
     ``p' = L p L.T - L c T.T - T c.T L.T + T attitude_p T.T + K R K.T``, ``c' = L c - T attitude_p`` with
-    ``L = I - K h``, ``T = K h_turn``.
+    ``L = I - K h``, ``T = K h_attitude``.
     """
-    keep, turn = stack.matrix(9, 9), stack.matrix(9, 3)
+    keep, rotation = stack.matrix(9, 9), stack.matrix(9, 3)
     fill_matrix(keep, 0.0)
     for i in range(9):
         for j in range(6):
             keep[i, j] = -(gain[i, 0] * h[0, j] + gain[i, 1] * h[1, j] + gain[i, 2] * h[2, j])
         keep[i, i] += 1.0
         for j in range(3):
-            turn[i, j] = gain[i, 0] * h_turn[0, j] + gain[i, 1] * h_turn[1, j] + gain[i, 2] * h_turn[2, j]
+            rotation[i, j] = (
+                gain[i, 0] * h_attitude[0, j] + gain[i, 1] * h_attitude[1, j] + gain[i, 2] * h_attitude[2, j]
+            )
             state.x[i] += gain[i, j] * innovation[j]
     mixed, half, noise = stack.matrix(9, 6), stack.matrix(9, 9), stack.matrix(9, 9)
-    joint_covariance.joint_product(keep, turn, -1.0, state.p, state.c, attitude_p, mixed, half)
+    joint_covariance.joint_product(keep, rotation, -1.0, state.p, state.c, attitude_p, mixed, half)
     for i in range(9):
         kr0 = gain[i, 0] * covariance[0, 0] + gain[i, 1] * covariance[1, 0] + gain[i, 2] * covariance[2, 0]
         kr1 = gain[i, 0] * covariance[0, 1] + gain[i, 1] * covariance[1, 1] + gain[i, 2] * covariance[2, 1]
         kr2 = gain[i, 0] * covariance[0, 2] + gain[i, 1] * covariance[1, 2] + gain[i, 2] * covariance[2, 2]
         for j in range(9):
             noise[i, j] = kr0 * gain[j, 0] + kr1 * gain[j, 1] + kr2 * gain[j, 2]
-    joint_covariance.close_product(keep, turn, -1.0, mixed, half, noise, state.p)
+    joint_covariance.close_product(keep, rotation, -1.0, mixed, half, noise, state.p)
     copy_matrix(state.c, mixed)  # L c - T attitude_p
 
 

@@ -50,8 +50,8 @@ def deviations(params, r_CT_H, v_CT_H, q_CH, w_CH_C, out):
 
 
 @kernel
-def judge_moment(params, state, t_s, deviation):
-    """Take account of the ``deviation`` (12,) at ``t_s``. state: READY_STATE, zeroed at the start of a run."""
+def update(params, state, t_s, deviation):
+    """Update the state with the ``deviation`` (12,) at ``t_s``. state: READY_STATE, zeroed at the start of a run."""
     within = True
     for i in range(DEVIATIONS):
         if not abs(deviation[i]) <= params.tolerance[i]:
@@ -73,10 +73,10 @@ def judge_moment(params, state, t_s, deviation):
 
 
 @kernel
-def judge_all(params, state, t_s, deviation):
-    """``judge_moment`` for each of the moments ``t_s`` (n,) with its row of ``deviation`` (n, 12)."""
+def update_all(params, state, t_s, deviation):
+    """``update`` for each of the moments ``t_s`` (n,) with its row of ``deviation`` (n, 12)."""
     for k in range(t_s.shape[0]):
-        judge_moment(params, state, t_s[k], deviation[k])
+        update(params, state, t_s[k], deviation[k])
 
 
 @kernel

@@ -1,8 +1,8 @@
-"""The shadow filter: both filters once more, from filterpy, on the same inputs, to see whether the two part.
+"""Shadow filter: independent filters of filterpy on the same inputs, to detect a divergence of the compiled ones.
 
-Another author's filters, with process models written out from bench paper eq. (6) and (14) and carried
-through matrix exponentials. They run ``LAG`` steps behind, so that late poses have come in by
-then, and are laid beside what the compiled filters' memory holds of the same moment.
+Their process models are written out from bench paper eq. (6) and (14) and integrated by matrix exponentials. They run
+``LAG`` steps behind, so that late poses have come by then, and are compared with the compiled filters' memory of the
+same moment.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from hil.core.messages import Array
 
-LAG = 40  # steps behind the loop; less than the compiled filters remember
+LAG = 40  # steps behind the loop; less than the compiled filters' memory
 
 
 @dataclass(slots=True)
-class _Moment:
+class _Inputs:
     rate_C: Array
     force_C: Array
     poses: list[np.record]
@@ -29,7 +29,7 @@ class _Moment:
 
 @dataclass(frozen=True, slots=True)
 class Divergence:
-    """How far the shadow is from the compiled filters at a moment: position, m, and angle, rad."""
+    """Difference between shadow filter and compiled filters at a moment: position, m, and angle, rad."""
 
     position: float
     angle: float
@@ -38,14 +38,14 @@ class Divergence:
 class ShadowFilter:
     """filterpy's KalmanFilter and ExtendedKalmanFilter behind ``step``.
 
-    params: FUSION_PARAMS of the compiled filters, whose noise levels and orbit are taken.
+    params: FUSION_PARAMS of the compiled filters, whose noise levels and orbit are used.
     """
 
     def __init__(self, params: np.record) -> None:
         self._akf_params = params.akf
         self._pkf_params = params.pkf
         self._dt = float(params.pkf.dt_s)
-        self._moments: deque[_Moment] = deque(maxlen=LAG + 1)
+        self._inputs: deque[_Inputs] = deque(maxlen=LAG + 1)
         w0 = float(params.akf.orbit_rate)
         whole = np.zeros((9, 9))  # eq. (11) with an acceleration in H as three further states (Van Loan)
         whole[:3, 3:6] = whole[3:6, 6:] = np.eye(3)
@@ -56,33 +56,33 @@ class ShadowFilter:
         self._attitude: ExtendedKalmanFilter | None = None
 
     def step(self, cycle: int, imu: np.record, poses: np.ndarray, memory: np.ndarray) -> Divergence | None:
-        """Take what came in ``cycle``; return the parting at the moment ``LAG`` steps ago, None before the start.
+        """Use the inputs of ``cycle``; return the divergence ``LAG`` steps ago, None before the start.
 
-        poses: array of POSE, new ones alone. memory: of fusion.STEP, the compiled filters'.
+        poses: array of POSE, the new ones only. memory: of fusion.STEP, the compiled filters'.
         """
-        self._moments.append(_Moment(imu.rate_C.copy(), imu.force_C.copy(), []))
+        self._inputs.append(_Inputs(imu.rate_C.copy(), imu.force_C.copy(), []))
         for pose in poses:
             behind = cycle - round(pose.t_s / self._dt)
-            if 0 <= behind < len(self._moments):
-                moment = self._moments[-1 - behind]
-                if all(abs(known.t_s - pose.t_s) > 1e-6 for known in moment.poses):
-                    moment.poses.append(pose.copy())
-        if len(self._moments) <= LAG:
+            if 0 <= behind < len(self._inputs):
+                inputs = self._inputs[-1 - behind]
+                if all(abs(known.t_s - pose.t_s) > 1e-6 for known in inputs.poses):
+                    inputs.poses.append(pose.copy())
+        if len(self._inputs) <= LAG:
             return None
-        return self._go_on(self._moments[0], memory[(cycle - LAG) % len(memory)])
+        return self._advance(self._inputs[0], memory[(cycle - LAG) % len(memory)])
 
-    def _go_on(self, moment: _Moment, compiled: np.void) -> Divergence | None:
-        parting = None
+    def _advance(self, inputs: _Inputs, compiled: np.void) -> Divergence | None:
+        divergence = None
         if self._position is None or self._attitude is None:
-            if moment.poses:
-                self._start(moment.poses[0])
+            if inputs.poses:
+                self._start(inputs.poses[0])
             return None
-        self._predict(moment)
+        self._predict(inputs)
         if compiled["is_start"] == 0:
-            parting = self._compare(compiled)
-        for pose in moment.poses:
+            divergence = self._compare(compiled)
+        for pose in inputs.poses:
             self._update(pose)
-        return parting
+        return divergence
 
     def _start(self, pose: np.record) -> None:
         p, a = self._pkf_params, self._akf_params
@@ -101,16 +101,16 @@ class ShadowFilter:
         self._position.P[3:6, 3:6] = p.initial_velocity_sigma**2 * np.eye(3)
         self._position.P[6:, 6:] = p.initial_bias_sigma**2 * np.eye(3)
 
-    def _predict(self, moment: _Moment) -> None:
+    def _predict(self, inputs: _Inputs) -> None:
         assert self._attitude is not None
         assert self._position is not None
         ekf, kf, dt = self._attitude, self._position, self._dt
         w0 = float(self._akf_params.orbit_rate)
         before = ekf.x[:4].copy()
-        # eq. (3): dQ/dt = Omega(w) Q / 2, the turn [0, -w0, 0] of H on the other side
-        rate = moment.rate_C - ekf.x[4:]
+        # eq. (3): dQ/dt = Omega(w) Q / 2, the rate [0, -w0, 0] of H on the other side
+        rate = inputs.rate_C - ekf.x[4:]
         process = np.zeros((7, 7))
-        process[:4, :4] = 0.5 * (_omega(rate) + w0 * _HILL_TURN)
+        process[:4, :4] = 0.5 * (_omega(rate) + w0 * _HILL_RATE)
         process[:4, 4:] = -0.5 * _xi(before)
         transition = _exponential(process * dt)
         q = _exponential(process[:4, :4] * dt) @ before
@@ -129,7 +129,7 @@ class ShadowFilter:
         kf.F[:6, :6], kf.F[:6, 6:], kf.B[:6] = self._step_in_h[:6, :6], -response, response
         kf.Q = self._pkf_params.sigma_accelerometer**2 * kf.B @ kf.B.T
         kf.Q[6:, 6:] += (dt * self._pkf_params.sigma_bias) ** 2 * np.eye(3)
-        kf.predict(u=moment.force_C)
+        kf.predict(u=inputs.force_C)
 
     def _update(self, pose: np.record) -> None:
         assert self._attitude is not None
@@ -146,10 +146,10 @@ class ShadowFilter:
         self._attitude.x[:4] /= np.linalg.norm(self._attitude.x[:4])
         q = self._attitude.x[:4]
         to_c = _matrix(q)
-        turn = 2.0 * _xi(q).T @ self._attitude.P[:4, :4] @ (2.0 * _xi(q))
+        rotation_covariance = 2.0 * _xi(q).T @ self._attitude.P[:4, :4] @ (2.0 * _xi(q))
         arm = _cross(to_c @ self._position.x[:3])
         h = np.hstack([-to_c, np.zeros((3, 6))])
-        self._position.update(pose.z_TC_C, R=pose.covariance_position + arm @ turn @ arm.T, H=h)
+        self._position.update(pose.z_TC_C, R=pose.covariance_position + arm @ rotation_covariance @ arm.T, H=h)
 
     def _compare(self, compiled: np.void) -> Divergence:
         assert self._attitude is not None
@@ -160,7 +160,7 @@ class ShadowFilter:
         return Divergence(float(position), float((mine.inv() * theirs).magnitude()))
 
 
-_HILL_TURN = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]], dtype=float)
+_HILL_RATE = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]], dtype=float)
 
 
 def _exponential(m: Array) -> Array:
@@ -170,7 +170,7 @@ def _exponential(m: Array) -> Array:
 
 
 def _matrix(q: Array) -> Array:
-    """Return A(q): scipy's matrix is its transpose."""
+    """Return A(q), the transpose of scipy's matrix."""
     return np.asarray(Rotation.from_quat(q).as_matrix().T)
 
 

@@ -1,8 +1,8 @@
-"""Navigation by vision alone: low-passed differences of successive poses (bench paper, scheme 3).
+"""Navigation by vision only: low-passed differences of successive poses (bench paper, scheme 3).
 
-The paper does not say how rates come from poses. Here each frame gives a rate as the difference to
+The paper does not define how rates come from poses. Here each frame gives a rate as the difference to
 the frame before over the time between them; a first-order low-pass of time constant ``rate_lag_s``
-smooths it. The pose is carried on between frames with that rate and drawn to each new frame by a
+smooths it. The pose is propagated between frames with that rate and corrected by each new frame with a
 first-order low-pass of time constant ``pose_lag_s``. Neither thrust nor orbital motion is used.
 """
 
@@ -57,19 +57,19 @@ def _start(pose, state):
 
 @kernel
 def predict(params, state):
-    """Carry the pose on by one step with the smoothed rates."""
-    turn, aside, moved = stack.vector(3), stack.vector(4), stack.vector(4)
+    """Propagate the pose by one step with the smoothed rates."""
+    rotation, aside, moved = stack.vector(3), stack.vector(4), stack.vector(4)
     for i in range(3):
         state.r_CT_H[i] += params.dt_s * state.v_CT_H[i]
-        turn[i] = params.dt_s * state.w_CH_C[i]
-    quat.from_rotation_vector_into(turn, aside)
+        rotation[i] = params.dt_s * state.w_CH_C[i]
+    quat.from_rotation_vector_into(rotation, aside)
     quat.multiply_into(aside, state.q_CH, moved)
     copy_into(state.q_CH, moved)
 
 
 @kernel
 def update(params, state, pose):
-    """Take a pose in, the first one as the start; one that is no newer than the last is left out."""
+    """Use a pose, the first one as the start; one that is not newer than the last is discarded."""
     if state.started == 0:
         _start(pose, state)
         return

@@ -1,4 +1,4 @@
-"""The plan of an approach and its supervision: what holds whoever flies it, our GNC or the user's own."""
+"""Approach of any backend: guidance, approach monitor, the operator's orders and the event log."""
 
 from __future__ import annotations
 
@@ -7,87 +7,99 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.core.gnc_records import GncMode
-from hil.core.messages import Event, new
+from hil.core.messages import Event
 from hil.core.observable import ObservableList
-from hil.gnc import approach_monitor, guidance
-from hil.gnc.guidance import GUIDANCE_STATE
+from hil.gnc import guidance, step
+from hil.gnc.step import APPROACH_PROGRESS
 from hil.gnc_backends.approach_events import ApproachEventLog
 
 
-def _nobody(_reason: str) -> None:
-    """Hear a request for a hold where nobody can grant it."""
+def _no_hold(_reason: str) -> None:
+    """Ignore a request for a hold until the loop is assembled."""
 
 
 class Approach:
-    """Guidance, supervision, the operator's orders, and the diary of it all: the half of a seat that all share."""
+    """Base class of the backends: the plan of the approach and its monitor are the same for all of them.
 
-    def __init__(self, guidance_params: np.record, supervision_params: np.record, diary: ApproachEventLog) -> None:
-        self._guidance = guidance_params
-        self._supervision = supervision_params
-        self.diary = diary
-        self._flown = new(GUIDANCE_STATE)
-        guidance.start(guidance_params, self._flown)
-        self._go = self._abort = 0
+    params, state: APPROACH_PARAMS, APPROACH_STATE.
+    """
+
+    def __init__(self, params: np.record, state: np.record, event_log: ApproachEventLog) -> None:
+        self._approach_params = params
+        self._approach = state
+        self._progress = np.asarray(state["progress"])
+        self.event_log = event_log
+        guidance.start(params.guidance, state.guidance)
         self.cycle = -1
         """Number of the last cycle, -1 before the first."""
         self.orders: ObservableList[tuple[int, str]] = ObservableList()
-        """Each order with the number of the cycle from which on it acts."""
-        self.request_hold: Callable[[str], None] = _nobody
+        """Each order of the operator with the number of the cycle from which on it acts."""
+        self.request_hold: Callable[[str], None] = _no_hold
 
     @property
-    def not_ready(self) -> str:
-        """Why a run that is held cannot go on yet: nothing keeps it."""
+    def blocking_reason(self) -> str:
+        """Reason why a run on hold cannot be resumed, "" if it can."""
         return ""
 
     @property
-    def logs(self) -> tuple[ObservableList[Event], ...]:
-        """What happened, as it happens."""
-        return (self.diary.events,)
+    def event_logs(self) -> tuple[ObservableList[Event], ...]:
+        """Lists to which events are appended as they happen."""
+        return (self.event_log.events,)
 
     def open(self, bench_s: float) -> None:
         """Begin a session."""
 
-    def stand(self, mode: GncMode, bench_s: float) -> None:
+    def on_idle_cycle(self, mode: GncMode, bench_s: float) -> None:
         """Take note that the loop is open in this cycle."""
 
     def close(self) -> None:
         """End the session."""
 
     def order_go(self) -> None:
-        """Order the approach to go on from its wait, from the next cycle on."""
-        self._go = 1
+        """Order the approach to continue from its wait, from the next cycle on."""
+        self._progress["go"] = 1
         self.orders.append((self.cycle + 1, "go"))
 
     def order_abort(self) -> None:
         """Order an abort, from the next cycle on."""
-        self._abort = 1
+        self._approach["abort_ordered"] = 1
         self.orders.append((self.cycle + 1, "abort"))
 
-    def guide(self, t_s: float, found: np.record, out: np.record) -> None:
-        """Write REFERENCE for ``t_s`` of the run; moves on to the next phase when its time or its order has come."""
-        held = 0 if self.diary.docking_is_go(t_s, found.ready_since_s) else 1
-        did = guidance.advance(self._guidance, self._flown, t_s, self._go, held)
-        if did != guidance.STAYED:
-            if self._go:
-                self.diary.decide(t_s, found.ready_since_s)
-            if did == guidance.MOVED:
-                self.diary.phase_began(t_s, self._flown.phase)
-            self._go = 0
-        guidance.reference(self._guidance, self._flown, t_s, out)
+    def guide(self, t_s: float, supervision: np.record, reference: np.record) -> None:
+        """Start the next phase when its time or its order has come; write REFERENCE for ``t_s`` of the run."""
+        before = self._progress.tobytes()
+        step.guide(self._approach_params, self._approach, t_s, supervision, reference)
+        self._log_progress(t_s, before, supervision)
 
-    def supervise(self, t_s: float, estimate: np.record, reference: np.record, out: np.record) -> None:
-        """Judge corridor, closing rate and ready state; begin an abort where one is called for. Writes SUPERVISION."""
-        if approach_monitor.supervise_and_act(
-            self._supervision, self._guidance, self._flown, t_s, estimate, reference, self._abort, out
-        ):
-            self.diary.abort_began(t_s, out)
-        self.diary.look(t_s, out.ready_since_s)
+    def watch_approach(self, t_s: float, estimate: np.record, reference: np.record, supervision: np.record) -> None:
+        """Check corridor, closing rate and ready state; start an abort if one is due. Writes SUPERVISION."""
+        self._watch_approach(t_s, estimate, reference, supervision, False)
+
+    def _watch_approach(
+        self,
+        t_s: float,
+        estimate: np.record,
+        reference: np.record,
+        supervision: np.record,
+        abort_without_estimate: bool,
+    ) -> None:
+        before = self._progress.tobytes()
+        step.watch_approach(
+            self._approach_params, self._approach, t_s, estimate, reference, supervision, abort_without_estimate
+        )
+        self._log_progress(t_s, before, supervision)
+
+    def _log_progress(self, t_s: float, before: bytes, supervision: np.record) -> None:
+        """Log the differences to the progress ``before``; most cycles have none."""
+        if self._progress.tobytes() != before:
+            self.event_log.update(
+                t_s, np.frombuffer(before, APPROACH_PROGRESS)[0], self._approach["progress"], supervision
+            )
 
     def events(self) -> list[Event]:
-        """Return what happened so far in the order of time."""
-        return sorted((event for log in self.logs for event in log), key=lambda event: event.t_s)
+        """Return all events so far in the order of time."""
+        return sorted((event for log in self.event_logs for event in log), key=lambda event: event.t_s)
 
-    def finish(self, t_s: float, found: np.record) -> None:
-        """Note the docking decision at the end of the run, where none was asked for before."""
-        if not self.diary.decided:
-            self.diary.decide(t_s, found.ready_since_s)
+    def finish(self, t_s: float, supervision: np.record) -> None:
+        """Log the docking decision at the end of the run unless one was logged before."""
+        self.event_log.finish(t_s, self._approach["progress"], supervision)

@@ -1,4 +1,4 @@
-"""What the approach does, told as events: phases, abort, the docking decision."""
+"""Event log of the approach: phases, abort, readiness and the docking decision."""
 
 from __future__ import annotations
 
@@ -8,68 +8,66 @@ import numpy as np
 
 from hil.core.messages import Event
 from hil.core.observable import ObservableList
-from hil.maths.limits import has_held
 
 ABORT_CAUSES = ("", "the corridor was left", "the closing rate was too high", "ordered")
-_AFTER_THE_LIST = ("abort: brake", "abort: retreat", "abort: hold")
+_ABORT_PHASES = ("abort: brake", "abort: retreat", "abort: hold")
 
 
 class ApproachEventLog:
-    """Names phases and writes events.
+    """Writes an event for each difference between the progress of the approach before and after a step.
 
-    names: phases in their order. dwell_s: for how long the ready state must have held, on the
-    estimate, for docking to be a go.
+    phases: names of the phases in their order. dwell_s: for which the ready state must have held, on the estimate,
+    for docking to be a go.
     """
 
-    def __init__(self, names: Sequence[str], dwell_s: float) -> None:
-        self._names = [*names, *_AFTER_THE_LIST]
+    def __init__(self, phases: Sequence[str], dwell_s: float) -> None:
+        self._phases = [*phases, *_ABORT_PHASES]
         self._dwell_s = dwell_s
-        self._aborted = False
-        self._was_ready = False
-        self.decided = False
+        self._has_decision = False
         self.events: ObservableList[Event] = ObservableList()
-        self._add(0.0, "guidance", f"phase {self._names[0]} begins")
+        self._log_phase(0.0, 0)
 
-    def _add(self, t_s: float, source: str, text: str) -> None:
-        self.events.append(Event(t_s, source, text))
+    def update(self, t_s: float, before: np.void, after: np.void, supervision: np.record) -> None:
+        """Log what has changed. before, after: APPROACH_PROGRESS."""
+        if before["go"] and not after["go"]:
+            self._decide(t_s, bool(after["docking_go"]), float(after["ready_since_s"]), bool(before["aborted"]))
+        moved = before["phase"] != after["phase"]
+        if moved:
+            self._log_phase(t_s, int(after["phase"]))
+        aborted = before["aborted"] != after["aborted"]
+        if aborted:
+            self._log_abort(t_s, supervision)
+        if after["ready"] != (0 if moved or aborted else before["ready"]):
+            held = f"ready: within Table III for {self._dwell_s:g} s on the estimate"
+            self._log(t_s, "supervision", held if after["ready"] else "no longer ready")
 
-    def docking_is_go(self, t_s: float, ready_since_s: float) -> bool:
-        """Return whether the ready state has held for the dwell time up to ``t_s``; since nan: it does not hold."""
-        return not self._aborted and bool(has_held(ready_since_s, t_s, self._dwell_s))
+    def finish(self, t_s: float, progress: np.void, supervision: np.record) -> None:
+        """Log the docking decision at the end of a run unless one was logged before."""
+        if not self._has_decision:
+            since_s = float(supervision["ready_since_s"])
+            self._decide(t_s, bool(progress["ready"]), since_s, bool(progress["aborted"]))
 
-    def phase_began(self, t_s: float, phase: int) -> None:
-        """Note the phase that now begins."""
-        self._was_ready = False
-        self._add(t_s, "guidance", f"phase {self._names[phase]} begins")
-
-    def look(self, t_s: float, ready_since_s: float) -> None:
-        """Note the moment at which the ready state has held for the dwell time, and that at which it is lost."""
-        ready = self.docking_is_go(t_s, ready_since_s)
-        if ready == self._was_ready:
-            return
-        self._was_ready = ready
-        text = f"ready: within Table III for {self._dwell_s:g} s on the estimate" if ready else "no longer ready"
-        self._add(t_s, "supervision", text)
-
-    def abort_began(self, t_s: float, found: np.record) -> None:
-        """Note the abort and what the margins were."""
-        self._aborted = True
-        self._was_ready = False
-        self._add(
-            t_s,
-            "supervision",
-            f"abort: {ABORT_CAUSES[found.aborted]} (corridor margin {found.corridor_margin_m:.3f} m, "
-            f"closing margin {found.closing_margin_mps:.4f} m/s)",
-        )
-        self._add(t_s, "guidance", f"phase {_AFTER_THE_LIST[0]} begins")
-
-    def decide(self, t_s: float, ready_since_s: float) -> None:
-        """Note whether docking is a go at ``t_s``: at the order to go on, and at the end of a run without one."""
-        self.decided = True
-        if self.docking_is_go(t_s, ready_since_s):
+    def _decide(self, t_s: float, go: bool, ready_since_s: float, aborted: bool) -> None:
+        self._has_decision = True
+        if go:
             text = f"docking: go, ready since {ready_since_s:.2f} s"
-        elif self._aborted:
+        elif aborted:
             text = "docking: no-go, the approach was aborted"
         else:
             text = "docking: no-go, the ready state does not hold"
-        self._add(t_s, "supervision", text)
+        self._log(t_s, "supervision", text)
+
+    def _log_abort(self, t_s: float, supervision: np.record) -> None:
+        self._log(
+            t_s,
+            "supervision",
+            f"abort: {ABORT_CAUSES[supervision.aborted]} (corridor margin {supervision.corridor_margin_m:.3f} m, "
+            f"closing margin {supervision.closing_margin_mps:.4f} m/s)",
+        )
+        self._log(t_s, "guidance", f"phase {_ABORT_PHASES[0]} begins")
+
+    def _log_phase(self, t_s: float, phase: int) -> None:
+        self._log(t_s, "guidance", f"phase {self._phases[phase]} begins")
+
+    def _log(self, t_s: float, source: str, text: str) -> None:
+        self.events.append(Event(t_s, source, text))

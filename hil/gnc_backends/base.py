@@ -1,4 +1,4 @@
-"""The GNC's seat in the cycle: what the bench asks of whoever flies it, built in or the user's own."""
+"""Interface between the cycle and a GNC backend, built in or external."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from hil.core.observable import ObservableList
 
 
 class Poses(Protocol):
-    """What came in a cycle: the first ``arrived`` of ``poses``, (MAX_POSES,) of POSE."""
+    """Poses of the present cycle: the first ``arrived`` of ``poses``, (MAX_POSES,) of POSE."""
 
     poses: np.ndarray
     arrived: int
 
 
 class Records(Protocol):
-    """The records of the present cycle that a GNC reads and writes; the truth is for nobody in the seat to see."""
+    """Records of the present cycle that a GNC reads and writes; the truth is not among them."""
 
     imu: np.record
     navigation: np.record
@@ -30,50 +30,50 @@ class Records(Protocol):
 
 
 class GncBackend(Protocol):
-    """Who flies: from the IMU's sample and the poses of a cycle to thrusters on or off.
+    """GNC of a run: from the IMU's sample and the poses of a cycle to thrusters on or off.
 
-    ``open`` and ``close`` enclose a session; in between ``stand`` is called in each cycle in which the loop is
-    open and ``act`` in each in which it is closed. All of them are called in the loop's thread and do not wait.
+    A session begins with ``open`` and ends with ``close``; in between the loop calls ``on_idle_cycle`` in each cycle
+    in which it is open and ``step`` in each in which it is closed. All run in the loop's thread and do not block.
     """
 
     cycle: int
     """Number of the last cycle, -1 before the first."""
     orders: ObservableList[tuple[int, str]]
-    """Each order with the number of the cycle from which on it acts."""
+    """Each order of the operator with the number of the cycle from which on it acts."""
     request_hold: Callable[[str], None]
-    """To be called with a reason where the bench is to be brought to a stand; set by whoever puts the loop together."""
+    """Called with a reason to have the bench held; set when the loop is assembled."""
 
     @property
-    def not_ready(self) -> str:
-        """Why a run that is held cannot go on yet, "" where it can."""
+    def blocking_reason(self) -> str:
+        """Reason why a run on hold cannot be resumed, "" if it can."""
 
     @property
-    def logs(self) -> Sequence[ObservableList[Event]]:
-        """What happened, as it happens."""
+    def event_logs(self) -> Sequence[ObservableList[Event]]:
+        """Lists to which events are appended as they happen."""
 
     def open(self, bench_s: float) -> None:
         """Begin a session. Raises BadInput or BenchError."""
 
-    def stand(self, mode: GncMode, bench_s: float) -> None:
+    def on_idle_cycle(self, mode: GncMode, bench_s: float) -> None:
         """Take note that the loop is open in this cycle: STANDBY, ARMED or HOLD. Raises BenchError."""
 
-    def act(self, t_s: float, now: Records, vision: Poses) -> None:
+    def step(self, t_s: float, now: Records, vision: Poses) -> None:
         """Write NAVIGATION, REFERENCE, SUPERVISION and COMMAND of ``now`` for ``t_s`` of the run. Raises BenchError."""
 
     def close(self) -> None:
         """End the session; may be called more than once."""
 
     def order_go(self) -> None:
-        """Order the approach to go on from its wait, from the next cycle on."""
+        """Order the approach to continue from its wait, from the next cycle on."""
 
     def order_abort(self) -> None:
         """Order an abort, from the next cycle on."""
 
     def events(self) -> list[Event]:
-        """Return what happened so far in the order of time."""
+        """Return all events so far in the order of time."""
 
-    def finish(self, t_s: float, found: np.record) -> None:
-        """Note the docking decision at the end of the run, where none was asked for before."""
+    def finish(self, t_s: float, supervision: np.record) -> None:
+        """Log the docking decision at the end of the run unless one was logged before."""
 
     def consistency(self, truth: np.record, imu: np.record) -> Array:
-        """Return NEES of position and attitude filter, (2,), nan where there is none; valid until the next call."""
+        """Return NEES of position and attitude filter, (2,), nan if there is none; valid until the next call."""

@@ -1,4 +1,4 @@
-"""The seat of a flight computer that opens thrusters by digital words and is told nothing but poses."""
+"""GNC backend for a flight computer that opens thrusters by digital command words and receives poses only."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _BITS = 1 << np.arange(MAX_THRUSTERS)
 
 
 class CommandWordGnc(ExternalGnc):
-    """Flies as the newest word says; a word that is too old opens nothing, and none for longer holds or stops.
+    """Opens the thrusters of the newest command word; an expired one opens none, a longer silence holds or stops.
 
-    bench_now_s: bench time, by which words have their age.
+    bench_now_s: bench time, for the age of the words.
     """
 
     def __init__(
@@ -30,9 +30,9 @@ class CommandWordGnc(ExternalGnc):
         receiver: CommandWordReceiver,
         forwarder: PoseForwarder | None,
         bench_now_s: Callable[[], float],
-        briefing: BackendSetup,
+        setup: BackendSetup,
     ) -> None:
-        super().__init__(NAME, briefing)
+        super().__init__(NAME, setup)
         self._config = config
         self._receiver = receiver
         self.forwarder = forwarder
@@ -40,8 +40,8 @@ class CommandWordGnc(ExternalGnc):
         self._silent_since_s: float | None = None
 
     @property
-    def not_ready(self) -> str:
-        """Why a held run cannot go on: no word that is new enough."""
+    def blocking_reason(self) -> str:
+        """Reason why a run on hold cannot be resumed: no recent command word."""
         return "" if self._age_s() <= self._config.timeout_s else f"{NAME} is silent"
 
     def open(self, bench_s: float) -> None:
@@ -51,13 +51,13 @@ class CommandWordGnc(ExternalGnc):
             self.forwarder.open()
 
     def close(self) -> None:
-        """Let go of both wires."""
+        """Close both wires."""
         self._receiver.close()
         if self.forwarder is not None:
             self.forwarder.close()
 
     def exchange(self) -> bool:
-        """Bring the newest word into ``output``; False where none is new enough."""
+        """Bring the newest command word into ``output``; return False if it has expired."""
         newest = self._receiver.newest()
         now_s = self._now_s()
         if newest is None or now_s - newest[1] > self._config.timeout_s:
@@ -71,14 +71,14 @@ class CommandWordGnc(ExternalGnc):
         out.on[:] = (newest[0].thrusters & _BITS) != 0
         return True
 
-    def miss(self, now: Records) -> None:
+    def on_missing_output(self, now: Records) -> None:
         """Close all thrusters; after a longer silence hold or stop. Raises LinkTimeout."""
-        super().miss(now)
+        super().on_missing_output(now)
         assert self._silent_since_s is not None
         silent_s = self._now_s() - self._silent_since_s
         if silent_s <= self._config.lost_s:
             return
-        text = f"no word for {silent_s:.2f} s, allowed {self._config.lost_s:g} s"
+        text = f"no command word for {silent_s:.2f} s, allowed {self._config.lost_s:g} s"
         if self._config.on_loss == "stop":
             raise LinkTimeout(NAME, text)
         self.request_hold(f"{NAME}: {text}")

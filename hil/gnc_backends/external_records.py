@@ -1,21 +1,25 @@
-"""Between the records of the cycle and those of a GNC that is not ours: what it is told, and what it answers.
+"""Input and output of an external GNC: written from, checked and read into the records of the cycle.
 
-The loop and a campaign's compiled loop call the same kernels. See ``hil/core/gnc_records.py`` for the records.
+The loop and a campaign's compiled loop call the same kernels, also to call a shared library. See
+``hil/core/gnc_records.py`` for the records.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from llvmlite import ir
+from numba import typeof, types
+from numba.extending import intrinsic
 
+from hil.core.gnc_records import GncState
 from hil.core.jit import kernel
-from hil.gnc import allocation, guidance
-from hil.gnc.approach_monitor import ORDERED
+from hil.gnc import allocation
 from hil.maths.arrays import copy_into, copy_matrix, fill
 
-FINE, CYCLE, STATE, DIRECT, FORCE, TORQUE, THRUSTER, CLAIM, POSITION, VELOCITY, ATTITUDE, RATE = range(12)
-"""What is wrong with an output; FINE: nothing."""
+FINE, CYCLE, STATE, DIRECT, FORCE, TORQUE, THRUSTER, ESTIMATE, POSITION, VELOCITY, ATTITUDE, RATE = range(12)
+"""Faults of an output; FINE: none."""
 
-STARTING, WORKING, ASKS_FOR_HOLD, FAULT = range(4)
+STARTING, WORKING, ASKS_FOR_HOLD, FAULT = (state.value for state in GncState)
 """GncState, as numbers for the kernels."""
 
 _NORM_TOLERANCE = 1e-3  # of an estimated quaternion
@@ -37,17 +41,17 @@ def write_input(cycle, t_s, mode, orders, imu, reference, poses, n_poses, out):
     out.boost = reference.boost
     out.n_poses = n_poses
     for i in range(n_poses):
-        told, pose = out.poses[i], poses[i]
-        told.t_s = pose.t_s
-        copy_into(told.r_TC_C_m, pose.z_TC_C)
-        copy_into(told.q_CH, pose.q_CH)
-        copy_matrix(told.covariance_position_m2, pose.covariance_position)
-        copy_matrix(told.covariance_attitude_rad2, pose.covariance_attitude)
+        sent, pose = out.poses[i], poses[i]
+        sent.t_s = pose.t_s
+        copy_into(sent.r_TC_C_m, pose.z_TC_C)
+        copy_into(sent.q_CH, pose.q_CH)
+        copy_matrix(sent.covariance_position_m2, pose.covariance_position)
+        copy_matrix(sent.covariance_attitude_rad2, pose.covariance_attitude)
 
 
 @kernel
 def clear_output(out, cycle):
-    """Make ``out`` (GNC_OUTPUT) the answer to the input ``cycle`` of a GNC that works and demands nothing."""
+    """Make ``out`` (GNC_OUTPUT) the answer to the input ``cycle`` with state WORKING and without demands."""
     out.cycle = cycle
     out.state = WORKING
     out.direct = 0
@@ -63,7 +67,7 @@ def clear_output(out, cycle):
 
 @kernel
 def _bad(values):
-    """Return the place of the first of ``values`` that is not finite, -1 where all are."""
+    """Return the index of the first of ``values`` that is not finite, -1 if all are finite."""
     for i in range(values.shape[0]):
         if not np.isfinite(values[i]):
             return i
@@ -72,6 +76,7 @@ def _bad(values):
 
 @kernel
 def _bad_demand(values):
+    """Return the index of the first of ``values`` that is not -1, 0 or 1, -1 if there is none."""
     for i in range(values.shape[0]):
         if not -1 <= values[i] <= 1:
             return i
@@ -79,8 +84,8 @@ def _bad_demand(values):
 
 
 @kernel
-def _bad_claim(out):
-    """Return (what, place) of the first fault of an estimate."""
+def _bad_estimate(out):
+    """Return (fault, index) of an estimate; (FINE, 0) if there is none."""
     place = _bad(out.r_CT_H_m)
     if place >= 0:
         return POSITION, place
@@ -100,9 +105,9 @@ def _bad_claim(out):
 
 @kernel
 def fault_of(out, cycle, n_thrusters):
-    """Return (what, where) is wrong with ``out`` (GNC_OUTPUT), an answer to the input ``cycle``; (FINE, 0) for nothing.
+    """Return (fault, index) of ``out`` (GNC_OUTPUT), an answer to the input ``cycle``; (FINE, 0) if there is none.
 
-    Of a GNC that is starting or reports a fault the demands are not looked at.
+    Demands are not checked while the GNC is starting or reports a fault.
     """
     if out.cycle != cycle:
         return CYCLE, 0
@@ -124,52 +129,44 @@ def fault_of(out, cycle, n_thrusters):
             if out.on[i] > 1 or (out.on[i] != 0 and i >= n_thrusters):
                 return THRUSTER, i
     if out.estimate != 0 and out.estimate != 1:
-        return CLAIM, 0
+        return ESTIMATE, 0
     if out.estimate == 1:
-        return _bad_claim(out)
+        return _bad_estimate(out)
     return FINE, 0
 
 
 @kernel
-def take_output(out, sets, n_thrusters, boost, navigation, command):
+def read_output(out, params, boost, navigation, command):
     """Write NAVIGATION and COMMAND from ``out`` (GNC_OUTPUT), which has no fault.
 
-    sets: int64 (allocation.ROWS, 2, MAX_THRUSTERS). boost: as the reference has it.
+    params: GNC_PARAMS, for the allocation of demands. boost: as in the reference.
     """
+    mark_invalid(navigation)
     if out.state == STARTING or out.state == FAULT:
-        mark_invalid(navigation)
-        rest(command)
+        close_thrusters(command)
         return
-    take_estimate(out, navigation)
+    if out.estimate != 0:
+        navigation.valid = 1
+        copy_into(navigation.r_CT_H, out.r_CT_H_m)
+        copy_into(navigation.v_CT_H, out.v_CT_H_mps)
+        copy_into(navigation.q_CH, out.q_CH)
+        copy_into(navigation.w_CH_C, out.w_CH_C_radps)
     command.boost = boost
     if out.direct != 0:
         fill(command.force, 0)
         fill(command.torque, 0)
-        for i in range(n_thrusters):
+        for i in range(params.n_thrusters):
             command.on[i] = out.on[i]
         return
     for i in range(3):
         command.force[i] = out.force[i]
         command.torque[i] = out.torque[i]
-    allocation.select(sets, n_thrusters, command)
-
-
-@kernel
-def take_estimate(out, navigation):
-    """Write NAVIGATION from the estimate of ``out`` (GNC_OUTPUT): without covariance; not valid where there is none."""
-    mark_invalid(navigation)
-    if out.estimate == 0:
-        return
-    navigation.valid = 1
-    copy_into(navigation.r_CT_H, out.r_CT_H_m)
-    copy_into(navigation.v_CT_H, out.v_CT_H_mps)
-    copy_into(navigation.q_CH, out.q_CH)
-    copy_into(navigation.w_CH_C, out.w_CH_C_radps)
+    allocation.select(params.sets, params.n_thrusters, command)
 
 
 @kernel
 def mark_invalid(navigation):
-    """Write NAVIGATION of somebody who does not say where the chaser is."""
+    """Write NAVIGATION without an estimate."""
     navigation.valid = 0
     fill(navigation.r_CT_H, np.nan)
     fill(navigation.v_CT_H, np.nan)
@@ -183,25 +180,45 @@ def mark_invalid(navigation):
 
 
 @kernel
-def rest(command):
-    """Close all thrusters of COMMAND."""
+def close_thrusters(command):
+    """Write COMMAND without demands and with all thrusters closed."""
     fill(command.force, 0)
     fill(command.torque, 0)
     fill(command.on, 0)
 
 
-@kernel
-def abort_unseen(params, guidance_params, flown, t_s, reference, ordered, found):
-    """Begin the abort that is ordered where nobody says where the chaser is; return whether one begins now.
+@intrinsic
+def _call(_typing, address, instance, gnc_input, output):
+    """Call ``int address(void *instance, const void *gnc_input, void *output)`` with two records."""
+    signature = types.int32(types.int64, types.int64, gnc_input, output)
 
-    It starts from where the plan has the chaser. params: SUPERVISION_PARAMS. reference: REFERENCE, written anew.
+    def generate(_context, builder, _signature, arguments):
+        pointer = ir.IntType(8).as_pointer()
+        function = ir.FunctionType(ir.IntType(32), [pointer, pointer, pointer])
+        callee = builder.inttoptr(arguments[0], function.as_pointer())
+        return builder.call(
+            callee,
+            [
+                builder.inttoptr(arguments[1], pointer),
+                builder.bitcast(arguments[2], pointer),
+                builder.bitcast(arguments[3], pointer),
+            ],
+        )
+
+    return signature, generate
+
+
+@kernel
+def call_library(address, instance, gnc_input, output):
+    """Call the step of a GNC in a shared library; return its return value.
+
+    address: of ``hil_gnc_step``. instance: as returned by ``hil_gnc_open``. gnc_input: GNC_INPUT. output: GNC_OUTPUT,
+    zeroed but for the fields that a library may leave as they are: its cycle and its state, WORKING.
     """
-    found.corridor_margin_m = found.closing_margin_mps = np.nan
-    if found.aborted != 0 or not (ordered != 0 or t_s >= params.abort_at_s):
-        return False
-    found.aborted = ORDERED
-    found.aborted_at_s = t_s
-    from_H, speed_H = reference.r_CT_H.copy(), reference.v_CT_H.copy()
-    guidance.start_abort(guidance_params, flown, t_s, from_H, speed_H)
-    guidance.reference(guidance_params, flown, t_s, reference)
-    return True
+    clear_output(output, gnc_input.cycle)
+    return _call(address, instance, gnc_input, output)
+
+
+def compile_call(gnc_input, output):
+    """Compile ``call_library`` for these records without calling a library."""
+    call_library.compile((types.int64, types.int64, typeof(gnc_input), typeof(output)))

@@ -1,39 +1,133 @@
-"""The seat of a GNC in a shared library: its step is called in the loop's own thread."""
+"""GNC in a shared library (``hil_gnc.h``): the library, an instance of its GNC, and the backend that calls it."""
 
 from __future__ import annotations
 
+import ctypes
+import hashlib
+from pathlib import Path
+from typing import Any, Final, Self
+
 import numpy as np
 
-from hil.core.gnc_records import GncMode, GncState
-from hil.errors import DeviceError
-from hil.gnc_backends import library_call
+from hil.core.gnc_records import PROTOCOL, REASON_BYTES, GncMode, GncState
+from hil.errors import BadInput, DeviceError
+from hil.gnc_backends import external_records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc, printable
-from hil.gnc_backends.library_file import Instance, Library
+
+KEY: Final = "gnc.library"
+_SYMBOLS: Final = ("hil_gnc_protocol", "hil_gnc_open", "hil_gnc_step", "hil_gnc_close")
+_SUBNORMAL: Final = 1e-310
+
+
+class Library:
+    """The shared library at ``path``. Raises BadInput if it is not a GNC of this protocol.
+
+    source: option or file that names it, for messages. step_address: of ``hil_gnc_step``, for compiled code.
+    """
+
+    def __init__(self, path: str, source: str = "--set") -> None:
+        self.path = Path(path).absolute()
+        self.name = self.path.name
+        self._shown = path
+        self._source = source
+        if not self.path.is_file():
+            raise self._refusal("no such file: give the path of a shared library (hil gnc header prints its interface)")
+        exact = _keeps_subnormals()
+        try:
+            self._loaded = ctypes.CDLL(str(self.path))
+        except (OSError, ValueError) as error:
+            raise self._refusal(f"cannot be loaded: {_reason(error, self.path)}") from error
+        if exact and not _keeps_subnormals():
+            raise self._refusal("makes this process round small numbers to zero: build it without -ffast-math")
+        missing = [name for name in _SYMBOLS if not hasattr(self._loaded, name)]
+        if missing:
+            raise self._refusal(f"has no function {', '.join(missing)}: hil gnc header prints its interface")
+        self._declare()
+        protocol = self._loaded.hil_gnc_protocol()
+        if protocol != PROTOCOL:
+            raise self._refusal(
+                f"has protocol {protocol}, this bench has {PROTOCOL}: build it with the header of hil gnc header"
+            )
+
+    def _declare(self) -> None:
+        loaded = self._loaded
+        loaded.hil_gnc_protocol.argtypes, loaded.hil_gnc_protocol.restype = (), ctypes.c_int
+        loaded.hil_gnc_open.argtypes, loaded.hil_gnc_open.restype = (ctypes.c_void_p, ctypes.c_char_p), ctypes.c_void_p
+        loaded.hil_gnc_close.argtypes, loaded.hil_gnc_close.restype = (ctypes.c_void_p,), None
+        self.step_address: int = ctypes.cast(loaded.hil_gnc_step, ctypes.c_void_p).value or 0
+
+    def open(self, setup: np.record) -> Instance:
+        """Return a GNC set up with ``setup`` (GNC_SETUP). Raises BadInput with the reason if the library refuses it."""
+        reason = ctypes.create_string_buffer(REASON_BYTES)
+        pointer = self._loaded.hil_gnc_open(np.asarray(setup).ctypes.data, reason)
+        if not pointer:
+            raise self._refusal(f"refuses the scenario: {printable(reason.raw) or 'without a reason'}")
+        return Instance(self._loaded.hil_gnc_close, pointer)
+
+    def _refusal(self, what: str) -> BadInput:
+        return BadInput.single(self._source, KEY, f'"{self._shown}": {what}')
+
+
+class Instance:
+    """One GNC of a library; address: as returned by ``hil_gnc_open``, 0 once it is closed."""
+
+    def __init__(self, close: Any, pointer: int) -> None:
+        self._close = close
+        self.address = pointer
+
+    def close(self) -> None:
+        """Free it; may be called more than once."""
+        pointer, self.address = self.address, 0
+        if pointer:
+            self._close(pointer)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def digest_of(path: str) -> str:
+    """Return the SHA-256 of a library's file, "" if there is none."""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+def _keeps_subnormals() -> bool:
+    """Return whether this thread computes with subnormal numbers, as all results of this program do."""
+    return float(np.float64(_SUBNORMAL) * np.float64(1.0)) != 0.0
+
+
+def _reason(error: Exception, path: Path) -> str:
+    return " ".join(str(error).split()).removeprefix(f"{path}: ")
 
 
 class SharedLibraryGnc(ExternalGnc):
-    """Flies with ``library``; a session has an instance of it. It is asked in the cycles of a run and of a hold."""
+    """Calls ``library`` in the loop's own thread, in the cycles of a run and of a hold; a session has one instance."""
 
-    def __init__(self, library: Library, briefing: BackendSetup) -> None:
-        super().__init__(gnc_name(library), briefing)
+    def __init__(self, library: Library, setup: BackendSetup) -> None:
+        super().__init__(gnc_name(library), setup)
         self._library = library
         self._instance: Instance | None = None
         self._address = library.step_address
-        library_call.compile_step(self.input, self.output)
+        external_records.compile_call(self.input, self.output)
 
     def open(self, bench_s: float) -> None:
-        """Let the library make an instance. Raises BadInput where it refuses."""
+        """Open an instance. Raises BadInput if the library refuses."""
         if self._instance is None:
             self._instance = self._library.open(self.setup)
 
     def close(self) -> None:
-        """Let the library free the instance."""
+        """Close the instance."""
         if self._instance is not None:
             self._instance.close()
             self._instance = None
 
-    def stand(self, mode: GncMode, bench_s: float) -> None:
-        """Tell the library of a cycle of a hold; what it demands there does not count."""
+    def on_idle_cycle(self, mode: GncMode, bench_s: float) -> None:
+        """Call the library in a cycle of a hold; its demands there have no effect."""
         if mode is not GncMode.HOLD or self._instance is None or self.cycle < 0:
             return
         self.input.mode, self.input.orders, self.input.n_poses = int(mode), 0, 0
@@ -42,20 +136,20 @@ class SharedLibraryGnc(ExternalGnc):
             self._on_state(self.output)
 
     def exchange(self) -> bool:
-        """Call the library. Raises DeviceError where it says that it failed."""
+        """Call the library. Raises DeviceError if its step fails."""
         assert self._instance is not None
-        code = library_call.step(self._address, self._instance.address, self.input, self.output)
+        code = external_records.call_library(self._address, self._instance.address, self.input, self.output)
         if code != 0:
             raise step_failed(self.name, code, self.output)
         return True
 
 
 def gnc_name(library: Library) -> str:
-    """Return what the GNC of ``library`` is called in what is said of it."""
+    """Return the name of the GNC of ``library`` in events and errors."""
     return f"gnc {library.name}"
 
 
 def step_failed(name: str, code: int, output: np.record) -> DeviceError:
     """Return the error of a step that returned ``code``, not 0."""
-    said = printable(output.text)
-    return DeviceError(name, f"its step returned {code}" + (f": {said}" if said else ""))
+    text = printable(output.text)
+    return DeviceError(name, f"its step returned {code}" + (f": {text}" if text else ""))

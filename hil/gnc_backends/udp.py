@@ -1,9 +1,9 @@
-"""The seat of a GNC on another computer, or in another process: our own by ``hil gnc``, or anybody's.
+"""GNC backend over UDP: the GNC server of ``hil gnc``, or an external program, on another computer or in a process.
 
-Inputs go out and answers come in as cells over UDP (``hil/frmn/link.py``). In lock-step each cycle waits for its
-answer; running free it uses the newest one, which belongs to the cycle before. Without an answer the last command
-stands for a cycle or so, then all thrusters are closed; after a few cycles the GNC is lost, and the bench is held
-or stopped (docs/two-computers.md). Setpoints follow the truth: nothing that comes late makes them jump.
+Inputs and replies are mailboxes of the link (``hil/frmn/link.py``). In lock-step each cycle waits for its reply;
+running free it uses the newest one, which belongs to the cycle before. Without a reply the last command is kept for a
+cycle or so, then all thrusters are closed; after a few cycles the GNC counts as lost, and the bench is held or stopped
+(docs/two-computers.md). Setpoints follow the truth: late replies cause no jumps.
 """
 
 from __future__ import annotations
@@ -26,18 +26,16 @@ from hil.frmn.udp import Address, shown
 from hil.gnc import navigation
 from hil.gnc.filter_monitor import FilterMonitor
 from hil.gnc_backends import external_records, udp_records
-from hil.gnc_backends.approach import Approach
 from hil.gnc_backends.base import Poses, Records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc
-from hil.gnc_backends.udp_receiver import REMEMBERED, Past, ReceiveBuffers
-from hil.gnc_backends.udp_replies import ReplyReceiver
+from hil.gnc_backends.udp_receiver import KEPT_CYCLES, CycleBuffer, ReceiveBuffers, ReplyReceiver
 from hil.gnc_backends.udp_stats import LinkStats
 
 NAME: Final = "gnc"
 _OFFERS: Final = ("gnc.setup", "gnc.input", *MIRRORED)
 _WANTS: Final = ("gnc.output", "gnc.flight", "gnc.filters")
-_BUSY_S: Final = 0.1  # wall time between two cycles with the loop open after which silence is no wonder
-_SILENT_S: Final = 0.35  # wall time after which another GNC may take the place of a silent one: three heartbeats
+_BUSY_S: Final = 0.1  # wall time between two idle cycles after which the bench itself may have been silent
+_SILENT_S: Final = 0.35  # wall time after which another GNC may replace a silent one: three heartbeats
 _IDLE_S: Final = 0.01  # wall time of a cycle of a hold in simulated time
 _NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
 _A_POSE: Final = np.zeros(1, POSE).view(np.recarray)
@@ -45,18 +43,18 @@ _IDLE_IMU: Final = new(IMU)
 
 
 def gnc_link(name: str, bind: Address | None, peer: Address | None) -> Link:
-    """Return the bench's side of the link. bind: where it listens. peer: the only GNC that is spoken with.
+    """Return the bench's side of the link. bind: address to listen on. peer: the only GNC that is accepted.
 
-    Raises BadInput where it cannot listen there.
+    Raises BadInput if the address cannot be bound.
     """
     return Link(Role.DSS, name, _OFFERS, _WANTS, bind, peer, _SILENT_S)
 
 
 class UdpGnc(ExternalGnc):
-    """Flies with the GNC at the other end of ``link``.
+    """Exchanges input and output with the GNC at the other end of ``link``.
 
-    period_s: wall time of a cycle; None in simulated time, where lock-step waits as long as it takes.
-    watch: looks at the innovations that the built-in GNC reports. The others: as of ForeignGnc.
+    period_s: wall time of a cycle; None in simulated time, where lock-step waits without that limit. filter_monitor:
+    checks the innovations that a GNC server reports.
     """
 
     def __init__(
@@ -65,209 +63,196 @@ class UdpGnc(ExternalGnc):
         config: GncLink,
         lock_step: bool,
         period_s: float | None,
-        watch: FilterMonitor,
-        briefing: BackendSetup,
+        filter_monitor: FilterMonitor,
+        setup: BackendSetup,
     ) -> None:
-        self._inbox = ReceiveBuffers()
-        super().__init__(NAME, briefing)
-        self.output = self._inbox.output
+        self._buffers = ReceiveBuffers()
+        super().__init__(NAME, setup)
+        self.output = self._buffers.output
         self.link = link
-        self.account = LinkStats(link, "lock-step" if lock_step else "free-running")
-        self.watch = watch
+        self.stats = LinkStats(link, "lock-step" if lock_step else "free-running")
+        self.filter_monitor = filter_monitor
         self._config = config
         self._lock_step = lock_step
         self._period_s = period_s
-        patience_s = None if period_s is None else config.reply_timeout_fraction * period_s
-        self._answers = ReplyReceiver(NAME, link, self._inbox, self.account, briefing.setup, lock_step, patience_s)
-        self._missed = 0  # cycles on end
+        timeout_s = None if period_s is None else config.reply_timeout_fraction * period_s
+        self._replies = ReplyReceiver(NAME, link, self._buffers, self.stats, setup.setup, lock_step, timeout_s)
+        self._missed = 0  # consecutive cycles
         self._held_since_s: float | None = None
-        self._stood_s = self._judged_from_s = -math.inf
-        self._told: tuple[GncOrder, int] = (GncOrder.NONE, -1)  # orders under way, and the cycle that told them last
+        self._idle_s = self._checked_from_s = -math.inf
+        self._sent_orders: tuple[GncOrder, int] = (GncOrder.NONE, -1)  # not replied to yet, and the cycle of sending
         self._reference = new(REFERENCE)
-        self._past_truth, self._past_imu = Past(TRUTH), Past(IMU)
-        link.complaints.subscribe(self._say)
+        self._past_truth, self._past_imu = CycleBuffer(TRUTH), CycleBuffer(IMU)
+        link.complaints.subscribe(self._log_complaint)
 
     @property
-    def logs(self) -> tuple[ObservableList[Event], ...]:
-        """What happened, of the approach, of the GNC and of the filters that it reports."""
-        return (*super().logs, self.watch.events)
+    def event_logs(self) -> tuple[ObservableList[Event], ...]:
+        """Lists of events: of the approach, of the GNC and of the filters that it reports."""
+        return (*super().event_logs, self.filter_monitor.events)
 
     @property
-    def not_ready(self) -> str:
-        """Why a held run cannot go on yet: nobody there, not set up, not working."""
+    def blocking_reason(self) -> str:
+        """Reason why a run on hold cannot be resumed: no GNC, not set up, not working."""
         if not self.link.alive(time.monotonic()):
             return f"{self.name} is silent"
-        if not self._answers.is_set_up:
+        if not self._replies.is_set_up:
             return f"{self.name} has not answered its setup"
-        state = self._answers.state
+        state = self._replies.state
         if state is not GncState.WORKING:
-            return f"{self.name} says {state.name.lower().replace('_', ' ')}"
+            return f"{self.name} reports {state.name.lower().replace('_', ' ')}"
         return ""
 
     def connect(self, patience_s: float) -> str:
-        """Wait until a GNC has answered its setup, before anything moves; return who it is.
+        """Wait until a GNC has answered its setup, before anything moves; return its name and address.
 
-        Raises LinkTimeout that says where it waited.
+        Raises LinkTimeout with the address of this side.
         """
         give_up_s = time.monotonic() + patience_s
-        while not self._answers.is_set_up:
+        while not self._replies.is_set_up:
             if time.monotonic() > give_up_s:
                 refusal = f"; refused: {self.link.refusal[1]}" if self.link.refusal else ""
                 where = shown(self.link.address)
                 raise LinkTimeout(self.name, f"none has answered {where} within {patience_s:g} s{refusal}")
-            self._answers.poll(self.cycle)
+            self._replies.poll(self.cycle)
             self.link.wait(_IDLE_S)
         return self._peer_name()
 
-    def stand(self, mode: GncMode, bench_s: float) -> None:
-        """Keep the GNC informed while the loop is open, take in one that has come back, and judge silence."""
-        self._answers.poll(self.cycle)
-        if self._answers.is_set_up:
-            self._tell(mode)
+    def on_idle_cycle(self, mode: GncMode, bench_s: float) -> None:
+        """Send the mode while the loop is open, set up a GNC that has returned, and check for silence."""
+        self._replies.poll(self.cycle)
+        if self._replies.is_set_up:
+            self._send_mode(mode)
         now_s = time.monotonic()
-        if now_s - self._stood_s > _BUSY_S:  # the bench was busy, and said nothing itself
-            self._judged_from_s = now_s
-        self._stood_s = now_s
-        judged = now_s - self._judged_from_s > _SILENT_S
-        if judged and self._config.on_loss == "stop" and not self.link.alive(now_s):
+        if now_s - self._idle_s > _BUSY_S:  # the bench was busy and sent nothing itself
+            self._checked_from_s = now_s
+        self._idle_s = now_s
+        if now_s - self._checked_from_s > _SILENT_S and self._config.on_loss == "stop" and not self.link.alive(now_s):
             raise self._lost(f"has been silent for more than {_SILENT_S:g} s")
         if mode is not GncMode.HOLD:
             self._held_since_s = None
             return
         self._held_since_s = self._held_since_s or now_s
-        if self.not_ready and now_s - self._held_since_s > self._config.reconnect_timeout_s:
-            raise self._lost(f"has not come back within {self._config.reconnect_timeout_s:g} s")
+        if self.blocking_reason and now_s - self._held_since_s > self._config.reconnect_timeout_s:
+            raise self._lost(f"has not returned within {self._config.reconnect_timeout_s:g} s")
         if self._period_s is None:
             self.link.wait(_IDLE_S)
 
-    def act(self, t_s: float, now: Records, vision: Poses) -> None:
-        """Write the reference, ask the GNC, take what it says, and supervise that."""
+    def step(self, t_s: float, now: Records, vision: Poses) -> None:
+        """Write the reference, exchange input and output, and check the estimate."""
         self._reference, self._held_since_s = now.reference, None
-        super().act(t_s, now, vision)
-        if self._abort_began and self._lock_step and self._missed == 0 and self._inbox.has_flight:
+        super().step(t_s, now, vision)
+        if self._approach["abort_began"] and self._lock_step and self._missed == 0 and self._buffers.has_flight:
             self._control_again(t_s, now)
 
     def _control_again(self, t_s: float, now: Records) -> None:
-        """Let our GNC decide anew by the reference of an abort that has just begun, as ``hil run`` does."""
-        self._abort_began = False
-        self._write_input(t_s, GncMode.RUNNING, GncOrder.ABORT, now.imu, now.reference, _NO_POSES, 0)
-        self._answers.used -= 1
+        """Let a GNC server repeat its control with the reference of an abort that has just begun."""
+        self._approach["abort_began"] = 0
+        self._write_input(t_s, GncMode.RUNNING, GncOrder.ABORT, now, None)
+        self._replies.used -= 1
         if self.exchange(now.reference):
-            self._take_answer(now, t_s)
+            self._read_reply(now, t_s)
         else:
-            self.miss(now)
+            self.on_missing_output(now)
 
     def exchange(self, reference: np.record | None = None) -> bool:
-        """Send the input; bring an answer into ``output``; False where none that is new is there.
+        """Send the input; bring a reply into ``output``; return False if there is no new one.
 
-        reference: where this cycle's input goes out a second time, the other REFERENCE that it has now.
+        reference: if this cycle's input is sent a second time, the new REFERENCE in it.
         """
         self.link.service()
         if self._lock_step:
             self._send()
-            self._answers.wait(self.cycle, self.input, reference)
+            self._replies.wait(self.cycle, self.input, reference)
         else:
-            self._answers.hear(self.cycle)
+            self._replies.receive(self.cycle)
             self._send()
-        if not self._answers.take():
+        if not self._replies.take():
             return False
-        self.account.used(self.cycle - self._answers.used)
-        if self._answers.used >= self._told[1]:
-            self._told = (GncOrder.NONE, -1)
+        self.stats.used(self.cycle - self._replies.used)
+        if self._replies.used >= self._sent_orders[1]:
+            self._sent_orders = (GncOrder.NONE, -1)
         return True
 
-    def take(self, now: Records, cycle: int, t_s: float) -> None:
-        """Write NAVIGATION and COMMAND from the answer that is used in ``cycle``. Raises BenchError."""
+    def read_output(self, now: Records, cycle: int, t_s: float) -> None:
+        """Write NAVIGATION and COMMAND from the reply that is used in ``cycle``. Raises BenchError."""
         self._missed = 0
-        if self._take_answer(now, t_s) and (
+        if self._read_reply(now, t_s) and (
             math.isfinite(now.navigation.nis_position) or math.isfinite(now.navigation.nis_attitude)
         ):
-            self.watch.look(self._answers.used, now.imu, _A_POSE, now.navigation, _NO_POSES)
+            self.filter_monitor.update(self._replies.used, now.imu, _A_POSE, now.navigation, _NO_POSES)
 
-    def _take_answer(self, now: Records, t_s: float) -> bool:
-        """Write NAVIGATION and COMMAND; return whether they are those of our own GNC."""
-        super().take(now, self._answers.used, t_s)
-        if not self._inbox.has_flight or self.output.state != GncState.WORKING:
+    def _read_reply(self, now: Records, t_s: float) -> bool:
+        """Write NAVIGATION and COMMAND; return whether they are those of a GNC server."""
+        super().read_output(now, self._replies.used, t_s)
+        if not self._buffers.has_flight or self.output.state != GncState.WORKING:
             return False
-        if not udp_records.take_flight(self._inbox.navigation, self._inbox.command, now.navigation, now.command):
+        if not udp_records.read_flight(self._buffers.navigation, self._buffers.command, now.navigation, now.command):
             raise ProtocolError(self.name, "its estimate is not finite")
         return True
 
-    def miss(self, now: Records) -> None:
-        """Let the last command stand for a while, then close all thrusters; when it lasts, the GNC is lost."""
+    def on_missing_output(self, now: Records) -> None:
+        """Keep the last command for a while, then close all thrusters; after longer the GNC counts as lost."""
         self._missed += 1
         gone = self.link.peer.gone if self.link.peer is not None else None
-        why = gone or ("" if self._answers.is_set_up else "was started anew")
+        why = gone or ("" if self._replies.is_set_up else "was restarted")
         if not why and (self._missed >= self._config.timeout_cycles or self._period_s is None):
             why = "does not answer" if self._period_s is None else f"has not answered for {self._missed} cycles"
-        if self._missed <= self._config.coast_cycles and self._answers.used >= 0 and not why:
-            self.account.coasted += 1
+        if self._missed <= self._config.coast_cycles and self._replies.used >= 0 and not why:
+            self.stats.coasted += 1
             now.navigation.nis_position = now.navigation.nis_attitude = math.nan
             return
-        self.account.closed += 1
-        external_records.rest(now.command)
-        external_records.mark_invalid(now.navigation)
+        self.stats.closed += 1
+        super().on_missing_output(now)
         if why:
             self._lose(why)
 
-    def supervise(self, t_s: float, estimate: np.record, reference: np.record, out: np.record) -> None:
-        """Judge our own GNC as ``hil run`` does, also before its first pose; others as those that may say nothing."""
-        if self._missed == 0 and self._inbox.has_flight:
-            aborted = out.aborted
-            Approach.supervise(self, t_s, estimate, reference, out)
-            self._abort_began = out.aborted != aborted
-        else:
-            super().supervise(t_s, estimate, reference, out)
+    def watch_approach(self, t_s: float, estimate: np.record, reference: np.record, supervision: np.record) -> None:
+        """Check a GNC server as ``hil run`` does, before its first pose as well; others may send no estimate."""
+        external = self._missed != 0 or not self._buffers.has_flight
+        self._watch_approach(t_s, estimate, reference, supervision, external)
 
     def consistency(self, truth: np.record, imu: np.record) -> Array:
-        """Return NEES of position and attitude filter, (2,), of the filters that came in this cycle, nan without."""
+        """Return NEES of position and attitude filter, (2,), if their states came in this cycle, nan otherwise."""
         self._past_truth.put(self.cycle, truth)
         self._past_imu.put(self.cycle, imu)
         self._nees[:] = np.nan
-        of, self._inbox.filters_of = self._inbox.filters_of, -1
-        if of >= 0 and 0 <= self.cycle - of < REMEMBERED:
+        of, self._buffers.filters_of = self._buffers.filters_of, -1
+        if of >= 0 and 0 <= self.cycle - of < KEPT_CYCLES:
             then = self._past_truth.at(of), self._past_imu.at(of)
-            navigation.normalised_errors(self._inbox.filters, *then, self._nees)
+            navigation.normalised_errors(self._buffers.filters, *then, self._nees)
         return self._nees
 
     def close(self) -> None:
-        """Tell the GNC that the run is over."""
-        if self._answers.is_set_up:
-            self._tell(GncMode.STOPPED)
+        """Send the end of the run."""
+        if self._replies.is_set_up:
+            self._send_mode(GncMode.STOPPED)
         self.link.close("the run is over")
 
-    def _tell(self, mode: GncMode) -> None:
+    def _send_mode(self, mode: GncMode) -> None:
         """Send an input without measurements: the loop is open."""
         t_s = max(0.0, self.cycle * float(self.setup.step_s))
-        self._write_input(t_s, mode, GncOrder.NONE, _IDLE_IMU, self._reference, _NO_POSES, 0)
+        external_records.write_input(
+            self.cycle, t_s, int(mode), int(GncOrder.NONE), _IDLE_IMU, self._reference, _NO_POSES, 0, self.input
+        )
         self._send()
 
-    def _write_input(
-        self,
-        t_s: float,
-        mode: GncMode,
-        orders: GncOrder,
-        imu: np.record,
-        reference: np.record,
-        poses: np.ndarray,
-        arrived: int,
-    ) -> None:
-        under_way, told_in = self._told
-        if under_way and mode is GncMode.RUNNING and self.cycle - told_in >= 2:
-            orders |= under_way  # the input that said so, or the answer to it, was lost
+    def _write_input(self, t_s: float, mode: GncMode, orders: GncOrder, now: Records, vision: Poses | None) -> None:
+        pending, sent_in = self._sent_orders
+        if pending and self.cycle - sent_in >= 2:
+            orders |= pending  # the input with it, or the reply to it, was lost
         if orders:
-            self._told = (orders, self.cycle)
-        super()._write_input(t_s, mode, orders, imu, reference, poses, arrived)
+            self._sent_orders = (orders, self.cycle)
+        super()._write_input(t_s, mode, orders, now, vision)
 
     def _send(self) -> None:
-        self.account.sent(self.cycle)
+        self.stats.sent(self.cycle)
         self.link.send("gnc.input", self.input)
 
     def _lose(self, why: str) -> None:
-        self.account.losses += 1
+        self.stats.losses += 1
         if self.link.peer is None or self.link.peer.gone:
-            self._answers.forget_setup()
-        self._answers.state = GncState.STARTING
+            self._replies.forget_setup()
+        self._replies.state = GncState.STARTING
         if self._config.on_loss == "stop":
             raise self._lost(why)
         self.request_hold(f"{self._peer_name()} {why}")
@@ -278,8 +263,8 @@ class UdpGnc(ExternalGnc):
     def _peer_name(self) -> str:
         peer = self.link.peer
         if peer is None:
-            return "nobody"
+            return "no GNC"
         return f"{peer.hello.name} at {shown(peer.address)}" if peer.hello is not None else shown(peer.address)
 
-    def _say(self, complaint: str) -> None:
-        self.words.append(Event(max(0.0, self.cycle * float(self.setup.step_s)), "gnc link", complaint))
+    def _log_complaint(self, complaint: str) -> None:
+        self.messages.append(Event(max(0.0, self.cycle * float(self.setup.step_s)), "gnc link", complaint))

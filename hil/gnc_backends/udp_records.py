@@ -1,98 +1,101 @@
-"""What comes from the built-in GNC in another process, brought into the records of the cycle."""
+"""Records between the bench and a GNC server: from those of the cycle to those of the link and back."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from hil.core.gnc_records import GncState
 from hil.core.jit import kernel
 from hil.maths.arrays import copy_into, copy_matrix
 
+_WORKING = GncState.WORKING.value
+
 
 @kernel
-def take_flight(told, told_command, navigation, command):
-    """Write NAVIGATION and COMMAND as the GNC had them, but for the thrusters, which were taken and checked before.
+def read_flight(sent, sent_command, navigation, command):
+    """Write NAVIGATION and COMMAND of the GNC server, without the thrusters, which were checked and read before.
 
-    told, told_command: NAVIGATION and COMMAND as they came. Returns False, with nothing written, where an estimate
-    that is said to be valid has a value that is not finite.
+    sent, sent_command: NAVIGATION and COMMAND as received. Return False, with nothing written, if an estimate that is
+    marked valid is not finite.
     """
-    if told.valid != 0 and not (
-        np.isfinite(told.r_CT_H).all()
-        and np.isfinite(told.v_CT_H).all()
-        and np.isfinite(told.q_CH).all()
-        and np.isfinite(told.w_CH_C).all()
+    if sent.valid != 0 and not (
+        np.isfinite(sent.r_CT_H).all()
+        and np.isfinite(sent.v_CT_H).all()
+        and np.isfinite(sent.q_CH).all()
+        and np.isfinite(sent.w_CH_C).all()
     ):
         return False
-    navigation.valid = told.valid
-    copy_into(navigation.r_CT_H, told.r_CT_H)
-    copy_into(navigation.v_CT_H, told.v_CT_H)
-    copy_into(navigation.q_CH, told.q_CH)
-    copy_into(navigation.w_CH_C, told.w_CH_C)
-    copy_into(navigation.sigma_r_m, told.sigma_r_m)
-    copy_into(navigation.sigma_v_mps, told.sigma_v_mps)
-    copy_into(navigation.sigma_attitude_rad, told.sigma_attitude_rad)
-    navigation.nis_position = told.nis_position
-    navigation.nis_attitude = told.nis_attitude
-    copy_into(command.force, told_command.force)
-    copy_into(command.torque, told_command.torque)
-    copy_into(command.cycles_left, told_command.cycles_left)
-    copy_into(command.until_decision, told_command.until_decision)
-    copy_into(command.owed, told_command.owed)
-    command.boost = told_command.boost
+    navigation.valid = sent.valid
+    copy_into(navigation.r_CT_H, sent.r_CT_H)
+    copy_into(navigation.v_CT_H, sent.v_CT_H)
+    copy_into(navigation.q_CH, sent.q_CH)
+    copy_into(navigation.w_CH_C, sent.w_CH_C)
+    copy_into(navigation.sigma_r_m, sent.sigma_r_m)
+    copy_into(navigation.sigma_v_mps, sent.sigma_v_mps)
+    copy_into(navigation.sigma_attitude_rad, sent.sigma_attitude_rad)
+    navigation.nis_position = sent.nis_position
+    navigation.nis_attitude = sent.nis_attitude
+    copy_into(command.force, sent_command.force)
+    copy_into(command.torque, sent_command.torque)
+    copy_into(command.cycles_left, sent_command.cycles_left)
+    copy_into(command.until_decision, sent_command.until_decision)
+    copy_into(command.owed, sent_command.owed)
+    command.boost = sent_command.boost
     return True
 
 
 @kernel
-def take_filters(told, filters):
-    """Write into ``filters`` (FILTERS) what their consistency needs, from ``told`` (GNC_FILTERS)."""
-    copy_into(filters.akf.x, told.attitude_x)
-    copy_matrix(filters.akf.p, told.attitude_p)
-    copy_into(filters.pkf.x, told.position_x)
-    copy_matrix(filters.pkf.p, told.position_p)
+def read_filters(sent, filters):
+    """Write states and covariances of ``filters`` (FILTERS) from ``sent`` (GNC_FILTERS)."""
+    copy_into(filters.akf.x, sent.attitude_x)
+    copy_matrix(filters.akf.p, sent.attitude_p)
+    copy_into(filters.pkf.x, sent.position_x)
+    copy_matrix(filters.pkf.p, sent.position_p)
 
 
 @kernel
-def tell_filters(cycle, filters, told):
+def write_filters(cycle, filters, sent):
     """Write GNC_FILTERS from ``filters`` (FILTERS)."""
-    told.cycle = cycle
-    copy_into(told.attitude_x, filters.akf.x)
-    copy_matrix(told.attitude_p, filters.akf.p)
-    copy_into(told.position_x, filters.pkf.x)
-    copy_matrix(told.position_p, filters.pkf.p)
+    sent.cycle = cycle
+    copy_into(sent.attitude_x, filters.akf.x)
+    copy_matrix(sent.attitude_p, filters.akf.p)
+    copy_into(sent.position_x, filters.pkf.x)
+    copy_matrix(sent.position_p, filters.pkf.p)
 
 
 @kernel
-def hear_input(told, not_before_s, imu, reference, poses):
-    """Write IMU, REFERENCE and the poses (POSE) that came from ``told`` (GNC_INPUT); return how many came.
+def read_input(sent, not_before_s, imu, reference, poses):
+    """Write IMU, REFERENCE and the poses (POSE) of ``sent`` (GNC_INPUT); return the number of poses.
 
-    Poses exposed before ``not_before_s`` are left out. What the input does not say (true drift and bias, number and
-    line of the phase) stays as it is.
+    Poses exposed before ``not_before_s`` are discarded. Fields that the input does not have (true drift and bias,
+    number and line of the phase) keep their values.
     """
-    copy_into(imu.rate_C, told.rate_radps)
-    copy_into(imu.force_C, told.force_mps2)
-    copy_into(reference.r_CT_H, told.reference_r_CT_H_m)
-    copy_into(reference.v_CT_H, told.reference_v_CT_H_mps)
-    copy_into(reference.a_CT_H, told.reference_a_CT_H_mps2)
-    copy_into(reference.q_CH, told.reference_q_CH)
-    reference.boost = told.boost
+    copy_into(imu.rate_C, sent.rate_radps)
+    copy_into(imu.force_C, sent.force_mps2)
+    copy_into(reference.r_CT_H, sent.reference_r_CT_H_m)
+    copy_into(reference.v_CT_H, sent.reference_v_CT_H_mps)
+    copy_into(reference.a_CT_H, sent.reference_a_CT_H_mps2)
+    copy_into(reference.q_CH, sent.reference_q_CH)
+    reference.boost = sent.boost
     came = 0
-    for i in range(min(max(told.n_poses, 0), poses.shape[0])):
-        pose, said = poses[came], told.poses[i]
-        if said.t_s < not_before_s:
+    for i in range(min(max(sent.n_poses, 0), poses.shape[0])):
+        pose, received = poses[came], sent.poses[i]
+        if received.t_s < not_before_s:
             continue
         came += 1
-        pose.t_s = said.t_s
-        copy_into(pose.z_TC_C, said.r_TC_C_m)
-        copy_into(pose.q_CH, said.q_CH)
-        copy_matrix(pose.covariance_position, said.covariance_position_m2)
-        copy_matrix(pose.covariance_attitude, said.covariance_attitude_rad2)
+        pose.t_s = received.t_s
+        copy_into(pose.z_TC_C, received.r_TC_C_m)
+        copy_into(pose.q_CH, received.q_CH)
+        copy_matrix(pose.covariance_position, received.covariance_position_m2)
+        copy_matrix(pose.covariance_attitude, received.covariance_attitude_rad2)
     return came
 
 
 @kernel
-def tell_output(cycle, navigation, command, n_thrusters, out):
-    """Write the answer to the input ``cycle`` into ``out`` (GNC_OUTPUT): thrusters, and the estimate where one is."""
+def write_output(cycle, navigation, command, n_thrusters, out):
+    """Write the reply to the input ``cycle`` into ``out`` (GNC_OUTPUT): thrusters, and the estimate if it is valid."""
     out.cycle = cycle
-    out.state = 1
+    out.state = _WORKING
     out.direct = 1
     for i in range(3):
         out.force[i] = command.force[i]

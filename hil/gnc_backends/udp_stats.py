@@ -1,4 +1,4 @@
-"""What the bench knows of its link to a GNC elsewhere: round trips, delays, what was missed, as numbers for JSON."""
+"""Statistics of the link to a GNC: round trips, delays and missing replies, as numbers for JSON."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 
 from hil.frmn.link import Link
 
-_SENT: Final = 1024  # inputs of which it is known when they went
+_SENT: Final = 1024  # inputs whose time of sending is kept
 
 
 class LinkStats:
-    """Counts what becomes of each input. mode: "lock-step" or "free-running"."""
+    """Counts the outcome of each input. mode: "lock-step" or "free-running"."""
 
     def __init__(self, link: Link, mode: str) -> None:
         self.mode = mode
         self.coasted = self.closed = 0
-        """Cycles without an answer in which the last command stood; in which all thrusters were closed."""
+        """Cycles without a reply in which the last command was kept; in which all thrusters were closed."""
         self.late = 0
-        """Answers that came after the cycle for which they were meant had been given up."""
+        """Replies that came after the timeout of their cycle."""
         self.resent = 0
         self.losses = 0
         self._link = link
@@ -30,27 +30,27 @@ class LinkStats:
         self._delays: dict[int, int] = {}
 
     def sent(self, cycle: int) -> None:
-        """Note that the input ``cycle`` goes out now."""
+        """Record that the input ``cycle`` is sent now."""
         self._sent_s[cycle % _SENT] = time.monotonic()
 
     def answered(self, cycle: int, received_s: float) -> None:
-        """Note that the answer to input ``cycle`` came, monotonic time."""
+        """Record that the reply to input ``cycle`` came at ``received_s``, monotonic time."""
         self._round_trips_s.append(received_s - float(self._sent_s[cycle % _SENT]))
         self._sent_s[cycle % _SENT] = math.nan
 
     def used(self, delay: int) -> None:
-        """Note that an answer acts ``delay`` cycles after the one whose input it answers."""
+        """Record that a reply acts ``delay`` cycles after its input."""
         self._delays[delay] = self._delays.get(delay, 0) + 1
 
     def as_json(self) -> dict[str, Any]:
-        """Return all of it; what is not known is None."""
+        """Return all statistics; unknown ones are None."""
         trips_us = 1e6 * np.array([trip for trip in self._round_trips_s if math.isfinite(trip)])
         clock, used = self._link.clock, sum(self._delays.values())
         return {
             "mode": self.mode,
             "round_trip_us": {
-                name: float(np.percentile(trips_us, share)) if len(trips_us) else None
-                for name, share in (("p50", 50.0), ("p99", 99.0), ("max", 100.0))
+                name: float(np.percentile(trips_us, percent)) if len(trips_us) else None
+                for name, percent in (("p50", 50.0), ("p99", 99.0), ("max", 100.0))
             },
             "delay_cycles": sum(delay * n for delay, n in self._delays.items()) / used if used else None,
             "delay_cycles_max": max(self._delays, default=None),

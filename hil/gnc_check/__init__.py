@@ -1,1 +1,1 @@
-"""Plays a known sequence to a GNC of the user's own and says in words what is wrong with its answers."""
+"""Check of an external GNC: plays known inputs to it and reports errors of its replies."""

@@ -1,4 +1,4 @@
-"""Lays a GNC's estimate beside the truth of a case, and beside the truth as somebody would have it who errs."""
+"""Comparison of a GNC's estimate with the truth of a case and with common misinterpretations."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from hil.gnc_check.test_cases import TrueMotion
 from hil.maths import quat
 
 NEAR_M, NEAR_MPS, NEAR_RAD, NEAR_RADPS = 0.03, 0.01, math.radians(0.3), math.radians(0.05)
-"""How far an estimate may be from the truth: poses here have no noise."""
-_SHARE: Final = 0.1  # of a wrong value's size, by which an estimate may differ from it to be known again
+"""Tolerances of an estimate: the poses have no noise."""
+_MATCH: Final = 0.1  # relative difference within which an estimate matches a misinterpretation
 
 _Wrong = dict[str, Callable[[TrueMotion], Array]]
 
 _VECTORS: Final[_Wrong] = {
     "in millimetres": lambda now: 1000.0 * now.r,
     "in kilometres": lambda now: 0.001 * now.r,
-    "of the target from the chaser: the sign is turned round": lambda now: -now.r,
+    "of the target from the chaser: opposite sign": lambda now: -now.r,
     "in c instead of H": lambda now: quat.to_matrix(now.q) @ now.r,
-    "of the target from the chaser, in c: the pose as it came": lambda now: -quat.to_matrix(now.q) @ now.r,
+    "of the target from the chaser, in c: the pose itself": lambda now: -quat.to_matrix(now.q) @ now.r,
     "as from quaternions read with the scalar first": lambda now: _misread(now, np.roll(now.q, -1)),
     "as from quaternions read as q_HC": lambda now: _misread(now, quat.conjugate(now.q)),
 }
 _VELOCITIES: Final[_Wrong] = {
-    "in millimetres a second": lambda now: 1000.0 * now.v,
-    "with the sign turned round": lambda now: -now.v,
+    "in millimetres per second": lambda now: 1000.0 * now.v,
+    "with the opposite sign": lambda now: -now.v,
     "in c instead of H": lambda now: quat.to_matrix(now.q) @ now.v,
 }
 _RATES: Final[_Wrong] = {
-    "in degrees a second": lambda now: np.degrees(now.w),
-    "57 times too small: the gyro read as degrees a second": lambda now: np.radians(now.w + now.orbit) - now.orbit,
+    "in degrees per second": lambda now: np.degrees(now.w),
+    "57 times too small: the gyro read as degrees per second": lambda now: np.radians(now.w + now.orbit) - now.orbit,
     "57 times too small": lambda now: np.radians(now.w),
     "against inertial space instead of H": lambda now: now.w + now.orbit,
-    "with the sign turned round": lambda now: -now.w,
+    "with the opposite sign": lambda now: -now.w,
 }
 _ATTITUDES: Final[_Wrong] = {
     "has the scalar first": lambda now: np.roll(now.q, 1),
-    "is q_HC: the wrong way round": lambda now: quat.conjugate(now.q),
+    "is q_HC: the inverse": lambda now: quat.conjugate(now.q),
     "is 57 times too large: degrees for radians": lambda now: _scaled(now.q, math.degrees(1.0)),
     "is 57 times too small: radians for degrees": lambda now: _scaled(now.q, math.radians(1.0)),
 }
 
 
 def check_estimate(estimate: np.void, now: TrueMotion) -> tuple[list[str], dict[str, float]]:
-    """Return what is wrong with ``estimate`` (GNC_OUTPUT), in words, and its errors."""
+    """Return messages for the errors of ``estimate`` (GNC_OUTPUT), and their sizes."""
     r, v, q, w = (np.array(estimate[name]) for name in ("r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"))
     angle = _angle(q, now.q)
     errors = {
@@ -75,13 +75,13 @@ def check_estimate(estimate: np.void, now: TrueMotion) -> tuple[list[str], dict[
 def _named(value: Array, now: TrueMotion, wrongs: _Wrong) -> str:
     for name, wrong in wrongs.items():
         expected = wrong(now)
-        if np.linalg.norm(value - expected) <= _SHARE * np.linalg.norm(expected):
+        if np.linalg.norm(value - expected) <= _MATCH * np.linalg.norm(expected):
             return name
     return "is off"
 
 
 def _misread(now: TrueMotion, q: Array) -> Array:
-    """Return the position that somebody finds who turns the pose, seen in c, back to H by ``q``."""
+    """Return the position if the pose, in c, is transformed back to H with ``q``."""
     found: Array = quat.to_matrix(q).T @ (quat.to_matrix(now.q) @ now.r)
     return found
 

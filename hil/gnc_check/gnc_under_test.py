@@ -1,4 +1,4 @@
-"""The GNC that is checked: a shared library, or a program at the other end of a link."""
+"""GNC under test: a shared library, or a program at the other end of a link."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from hil.core.messages import new
 from hil.errors import DeviceError, LinkTimeout
 from hil.frmn.link import Arrival, Link
 from hil.frmn.udp import shown
-from hil.gnc_backends import library_call
-from hil.gnc_backends.library_file import Instance, Library
+from hil.gnc_backends import external_records
+from hil.gnc_backends.shared_library import Instance, Library
 
-_AGAIN_S: Final = 0.1  # from one setup that is not answered to the next
-_PATIENCE_S: Final = 2.0  # for an answer; a datagram may be lost: it is sent again on the way
+_AGAIN_S: Final = 0.1  # after which a setup that is not answered is sent again
+_TIMEOUT_S: Final = 2.0  # of a reply; inputs are repeated meanwhile: a datagram may be lost
 _RESEND_S: Final = 0.5
 
 
 class GncUnderTest(Protocol):
-    """Who is checked."""
+    """A GNC that can be checked."""
 
     name: str
     modes: tuple[GncMode, ...]
-    """Modes that it is told of before time runs."""
+    """Modes that are sent to it before the run's time starts."""
 
     def begin(self, setup: np.record) -> None:
-        """Begin anew with ``setup`` (GNC_SETUP). Raises BadInput or BenchError."""
+        """Restart with ``setup`` (GNC_SETUP). Raises BadInput or BenchError."""
 
-    def ask(self, told: np.record) -> tuple[np.record, float]:
-        """Return GNC_OUTPUT, valid until the next call, and how long, s, the answer took. Raises BenchError."""
+    def ask(self, sent: np.record) -> tuple[np.record, float]:
+        """Return GNC_OUTPUT, valid until the next call, and the time of the reply, s. Raises BenchError."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release it."""
 
 
-class LibraryPartner:
-    """A shared library, each time with a new instance. It is asked as in a run: while time runs or is held."""
+class LibraryUnderTest:
+    """A shared library, with a new instance per case. It is called as in a run: in RUNNING and HOLD."""
 
     modes: tuple[GncMode, ...] = ()
 
@@ -47,32 +47,32 @@ class LibraryPartner:
         self.name = self._library.name
         self._instance: Instance | None = None
         self._output = new(GNC_OUTPUT)
-        library_call.compile_step(new(GNC_INPUT), self._output)
+        external_records.compile_call(new(GNC_INPUT), self._output)
 
     def begin(self, setup: np.record) -> None:
-        """Make a new instance."""
+        """Open a new instance."""
         self.close()
         self._instance = self._library.open(setup)
 
-    def ask(self, told: np.record) -> tuple[np.record, float]:
+    def ask(self, sent: np.record) -> tuple[np.record, float]:
         """Call the library's step."""
         assert self._instance is not None
         begun_s = time.perf_counter()
-        code = library_call.step(self._library.step_address, self._instance.address, told, self._output)
+        code = external_records.call_library(self._library.step_address, self._instance.address, sent, self._output)
         took_s = time.perf_counter() - begun_s
         if code != 0:
             raise DeviceError(self.name, f"its step returned {code}")
         return self._output, took_s
 
     def close(self) -> None:
-        """Let the library free the instance."""
+        """Close the instance."""
         if self._instance is not None:
             self._instance.close()
             self._instance = None
 
 
-class LinkPartner:
-    """A program that speaks datagrams, see docs/protocols.md. It is told each mode, and set up anew for each case."""
+class ProgramUnderTest:
+    """A program that exchanges datagrams, see docs/protocols.md. It receives each mode, and a setup per case."""
 
     modes: tuple[GncMode, ...] = (GncMode.STANDBY, GncMode.ARMED)
 
@@ -83,7 +83,7 @@ class LinkPartner:
         self._block = np.zeros(1, GNC_OUTPUT).view(np.recarray)
 
     def begin(self, setup: np.record) -> None:
-        """Send ``setup`` until the GNC acknowledges it and works. Raises LinkTimeout that says where it waited."""
+        """Send ``setup`` until the GNC acknowledges it. Raises LinkTimeout with the address of this side."""
         give_up_s, sent_s = time.monotonic() + self._wait_s, -_AGAIN_S
         while True:
             self._link.service()
@@ -100,31 +100,31 @@ class LinkPartner:
             if now_s > give_up_s:
                 raise LinkTimeout(self.name, f"none has answered {shown(self._link.address)} within {self._wait_s:g} s")
 
-    def ask(self, told: np.record) -> tuple[np.record, float]:
-        """Send ``told`` and wait for the next output. Raises LinkTimeout."""
+    def ask(self, sent: np.record) -> tuple[np.record, float]:
+        """Send ``sent`` and wait for the next output. Raises LinkTimeout."""
         self._link.service()
-        list(self._outputs())  # what came late belongs to nothing any more
+        list(self._outputs())  # discard late replies
         begun_s = resend_s = time.perf_counter()
-        self._link.send("gnc.input", told)
+        self._link.send("gnc.input", sent)
         while True:
             self._link.wait(_RESEND_S)
             now_s = time.perf_counter()
             for output in self._outputs():
                 self._block[0] = output
                 return self._block[0], now_s - begun_s
-            if now_s - begun_s > _PATIENCE_S:
-                text = f"has not answered cycle {told.cycle} ({GncMode(told.mode).name}) for {_PATIENCE_S:g} s"
+            if now_s - begun_s > _TIMEOUT_S:
+                text = f"has not answered cycle {sent.cycle} ({GncMode(sent.mode).name}) for {_TIMEOUT_S:g} s"
                 raise LinkTimeout(self.name, text)
             if now_s - resend_s > _RESEND_S:
                 resend_s = now_s
-                self._link.send("gnc.input", told)
+                self._link.send("gnc.input", sent)
 
     def close(self) -> None:
-        """Say goodbye."""
+        """Disconnect."""
         self._link.close("the check is over")
 
     def _settle(self) -> None:
-        """Let answers to setups that were sent twice come and go."""
+        """Discard the replies to setups that were sent twice."""
         while self._link.wait(_AGAIN_S / 2):
             self._outputs()
 
@@ -138,7 +138,7 @@ class LinkPartner:
 
 
 def check_link(bind: tuple[str, int] | None, peer: tuple[str, int] | None) -> Link:
-    """Return a link of which this side plays the bench's part."""
+    """Return a link on which this side acts as the bench."""
     from hil.frmn.mailboxes import Role
 
-    return Link(Role.DSS, "hil gnc check", ("gnc.setup", "gnc.input"), ("gnc.output",), bind, peer, _PATIENCE_S)
+    return Link(Role.DSS, "hil gnc check", ("gnc.setup", "gnc.input"), ("gnc.output",), bind, peer, _TIMEOUT_S)

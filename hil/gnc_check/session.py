@@ -1,4 +1,4 @@
-"""Plays one case to a GNC and keeps what it answered."""
+"""Session of one case: plays it to a GNC and keeps the replies."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from hil.core.gnc_records import GNC_OUTPUT, GncMode, GncState
 from hil.core.messages import Array
 from hil.errors import BenchError
 from hil.gnc_backends import external_records
-from hil.gnc_backends.external import complaint
+from hil.gnc_backends.external import fault_text
 from hil.gnc_check.gnc_under_test import GncUnderTest
 from hil.gnc_check.test_cases import Change, CheckCase, Player
 
 
 @dataclass
 class Played:
-    """What came of a case. outputs: (n,) of GNC_OUTPUT; modes, t_s, took_s: (n,), of the inputs.
+    """Result of a case. outputs: (n,) of GNC_OUTPUT; modes, t_s, took_s: (n,), of the inputs.
 
-    faults: by its kind, what was wrong with answers first, and in which cycle. ended: why it was cut short.
+    faults: by kind, the first message and its cycle. ended: why the case ended early.
     """
 
     case: CheckCase
@@ -33,14 +33,14 @@ class Played:
     def pushes(self, setup: np.record, from_s: float = 0.0) -> Array:
         """Return force and torque, (6,), as mean over the time that runs from ``from_s`` on.
 
-        In parts of what a demand gives: 1 is a demand that stands all the time.
+        Relative to a demand: 1 is a permanent demand.
         """
         chosen = self.outputs[(self.modes == GncMode.RUNNING) & (self.t_s >= from_s)]
         return pushes(chosen, setup).mean(axis=0) if len(chosen) else np.zeros(6)
 
 
 def pushes(outputs: np.ndarray, setup: np.record) -> Array:
-    """Return force and torque that ``outputs`` (n,) call for, (n, 6), in parts of what a demand gives."""
+    """Return force and torque that ``outputs`` (n,) call for, (n, 6), relative to a demand."""
     demands = np.hstack([outputs["force"], outputs["torque"]]).astype(float)
     n = int(setup.n_thrusters)
     forces, arms = setup.thruster_force_N[:n], setup.thruster_position_m[:n]
@@ -51,27 +51,25 @@ def pushes(outputs: np.ndarray, setup: np.record) -> Array:
     return found
 
 
-def play(
-    partner: GncUnderTest, player: Player, setup: np.record, case: CheckCase, change: Change | None = None
-) -> Played:
-    """Play ``case`` from a new setup on; change: made to each input before it is told."""
+def play(gnc: GncUnderTest, player: Player, setup: np.record, case: CheckCase, change: Change | None = None) -> Played:
+    """Play ``case`` after a new setup. change: applied to each input before it is sent."""
     outputs, modes, t_s, took_s = [], [], [], []
     faults: dict[int, tuple[str, int]] = {}
     ended = ""
-    partner.begin(setup)
+    gnc.begin(setup)
     n = int(setup.n_thrusters)
-    for told in player.inputs(case, change):
+    for sent in player.inputs(case, change):
         try:
-            answer, took = partner.ask(told)
+            answer, took = gnc.ask(sent)
         except BenchError as error:
             ended = f"{error} (in case: {case.name})"
             break
-        fault, place = external_records.fault_of(answer, told.cycle, n)
-        if fault != external_records.FINE and (told.mode == GncMode.RUNNING or fault == external_records.CYCLE):
-            faults.setdefault(fault, (complaint(answer, fault, place, int(told.cycle), n), int(told.cycle)))
+        fault, place = external_records.fault_of(answer, sent.cycle, n)
+        if fault != external_records.FINE and (sent.mode == GncMode.RUNNING or fault == external_records.CYCLE):
+            faults.setdefault(fault, (fault_text(answer, fault, place, int(sent.cycle), n), int(sent.cycle)))
         outputs.append(np.array(answer, GNC_OUTPUT))
-        modes.append(int(told.mode))
-        t_s.append(float(told.t_s))
+        modes.append(int(sent.mode))
+        t_s.append(float(sent.t_s))
         took_s.append(took)
         if answer.state == GncState.FAULT:
             ended = f"it reports a fault (in case: {case.name})"

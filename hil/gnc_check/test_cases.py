@@ -1,7 +1,7 @@
-"""What is played to a GNC: a chaser that stands or drifts beside its reference, whatever the GNC demands.
+"""Test cases: a chaser at rest or drifting at an offset from its reference, independent of the GNC's demands.
 
-Nothing reacts to the thrusters, the poses have no noise and the reference stands, so each answer has one cause. The
-truth of a case is known in closed form; IMU and poses follow from it.
+The thrusters have no effect, the poses have no noise and the reference is at rest, so each reply has one cause. The
+truth of a case has a closed form; IMU and poses follow from it.
 """
 
 from __future__ import annotations
@@ -26,39 +26,38 @@ _RETREAT_MPS: Final = 0.05
 Triple = tuple[float, float, float]
 _ZERO: Final[Triple] = (0.0, 0.0, 0.0)
 Change = Callable[[np.record], None]
-"""Changes an input before it is told, to try how a GNC may misread it."""
+"""Changes an input before it is sent, as a GNC may misread it."""
 
 
 @dataclass(frozen=True)
 class CheckCase:
-    """One session. offset_m, drift_mps: from the reference, in H; turn_rad, rate_radps: of c against it, in c.
+    """One session. offset_m, drift_mps: from the reference, in H; rotation_rad, rate_radps: of c against it, in c.
 
-    late_s: from exposure to input. blind_s: after this time no pose comes. hold_s: from this time on the bench is
-    held. abort_s: at this time an abort begins.
+    late_s: from exposure to input. blind_s: time of the last pose. hold_s: start of a hold. abort_s: start of an abort.
     """
 
     name: str
     duration_s: float = 8.0
     offset_m: Triple = _ZERO
     drift_mps: Triple = _ZERO
-    turn_rad: Triple = _ZERO
+    rotation_rad: Triple = _ZERO
     rate_radps: Triple = _ZERO
     late_s: float = 0.0
     blind_s: float = math.inf
     hold_s: float = math.inf
     abort_s: float = math.inf
     before: tuple[GncMode, ...] = field(default=())
-    """Modes of the inputs before time runs."""
+    """Modes of the inputs before the run's time starts."""
 
     @property
     def moves(self) -> bool:
-        """Whether the chaser drifts or turns."""
+        """Whether the chaser drifts or rotates."""
         return self.drift_mps != _ZERO or self.rate_radps != _ZERO
 
 
 @dataclass(frozen=True)
 class TrueMotion:
-    """Where the chaser is: r_CT_H, v_CT_H, q_CH, w_CH_C; orbit: rate of H against inertial space, in c."""
+    """Motion of the chaser: r_CT_H, v_CT_H, q_CH, w_CH_C; orbit: rate of H against inertial space, in c."""
 
     r: Array
     v: Array
@@ -68,7 +67,7 @@ class TrueMotion:
 
 
 class Player:
-    """Makes the inputs of cases for ``setup`` (GNC_SETUP)."""
+    """Generates the inputs of cases for ``setup`` (GNC_SETUP)."""
 
     def __init__(self, setup: np.record) -> None:
         self._dt = float(setup.step_s)
@@ -79,47 +78,47 @@ class Player:
         """Return the truth at ``t_s`` of the case."""
         v, w = np.array(case.drift_mps), np.array(case.rate_radps)
         r = self._anchor + np.array(case.offset_m) + v * t_s
-        phi = np.array(case.turn_rad) + w * t_s  # one axis, or slow: c turns about axes fixed in it
+        phi = np.array(case.rotation_rad) + w * t_s  # one axis, or slow: c rotates about axes fixed in it
         q = quat.from_rotation_vector(phi)
         return TrueMotion(r, v, q, w, quat.to_matrix(q) @ np.array([0.0, -self._n, 0.0]))
 
     def inputs(self, case: CheckCase, change: Change | None = None) -> Iterator[np.record]:
-        """Give the inputs, one record that is filled anew each time."""
-        told = new(GNC_INPUT)
+        """Yield the inputs, each in the same record."""
+        sent = new(GNC_INPUT)
         for mode in case.before:
-            self._fill(told, case, -1, mode, 0)
-            yield told
+            self._fill(sent, case, -1, mode, 0)
+            yield sent
         cycles = round(case.duration_s / self._dt)
         held = min(cycles, math.ceil(case.hold_s / self._dt)) if math.isfinite(case.hold_s) else cycles
         aborts = round(case.abort_s / self._dt) if math.isfinite(case.abort_s) else -1
         for k in range(cycles):
             mode = GncMode.RUNNING if k < held else GncMode.HOLD
-            self._fill(told, case, min(k, held - 1), mode, GncOrder.ABORT if k == aborts else 0)
+            self._fill(sent, case, min(k, held - 1), mode, GncOrder.ABORT if k == aborts else 0)
             if change is not None:
-                change(told)
-            yield told
+                change(sent)
+            yield sent
 
-    def _fill(self, told: np.record, case: CheckCase, cycle: int, mode: GncMode, orders: int) -> None:
+    def _fill(self, sent: np.record, case: CheckCase, cycle: int, mode: GncMode, orders: int) -> None:
         t_s = max(0, cycle) * self._dt
         running = mode is GncMode.RUNNING
-        told.cycle, told.t_s, told.mode, told.orders = cycle, t_s, int(mode), int(orders)
+        sent.cycle, sent.t_s, sent.mode, sent.orders = cycle, t_s, int(mode), int(orders)
         if case.moves or cycle <= 0:
             now, free = self.truth(case, t_s), np.empty(3)
             hill_acceleration(now.r, now.v, self._n, free)
-            told.rate_radps = now.w + now.orbit
-            told.force_mps2 = quat.to_matrix(now.q) @ -free  # what keeps it from moving freely
-        told.reference_r_CT_H_m = self._anchor
+            sent.rate_radps = now.w + now.orbit
+            sent.force_mps2 = quat.to_matrix(now.q) @ -free  # against the free motion
+        sent.reference_r_CT_H_m = self._anchor
         if t_s >= case.abort_s:
-            told.reference_r_CT_H_m[0] += _RETREAT_MPS * (t_s - case.abort_s)
-            told.reference_v_CT_H_mps[0] = _RETREAT_MPS
-        told.reference_q_CH = (0.0, 0.0, 0.0, 1.0)
+            sent.reference_r_CT_H_m[0] += _RETREAT_MPS * (t_s - case.abort_s)
+            sent.reference_v_CT_H_mps[0] = _RETREAT_MPS
+        sent.reference_q_CH = (0.0, 0.0, 0.0, 1.0)
         seen_s = t_s - case.late_s
-        told.n_poses = int(running and cycle % POSE_PERIOD == 0 and seen_s >= 0.0 and t_s <= case.blind_s)
-        if told.n_poses:
-            self._see(told.poses[0], self.truth(case, seen_s), seen_s)
+        sent.n_poses = int(running and cycle % POSE_PERIOD == 0 and seen_s >= 0.0 and t_s <= case.blind_s)
+        if sent.n_poses:
+            self._write_pose(sent.poses[0], self.truth(case, seen_s), seen_s)
 
     @staticmethod
-    def _see(pose: np.record, then: TrueMotion, t_s: float) -> None:
+    def _write_pose(pose: np.record, then: TrueMotion, t_s: float) -> None:
         sigma_m = _SIGMA_M * max(1.0, float(np.linalg.norm(then.r)) / _REFERENCE_RANGE_M)
         pose["t_s"] = t_s
         pose["r_TC_C_m"] = -quat.to_matrix(then.q) @ then.r
@@ -134,29 +133,29 @@ def along(axis: int, size: float) -> Triple:
     return x, y, z
 
 
-def scalar_first(told: np.record) -> None:
-    """Write the quaternions as somebody expects them who has the scalar first."""
-    for q in _quaternions(told):
+def scalar_first(sent: np.record) -> None:
+    """Write the quaternions with the scalar first."""
+    for q in _quaternions(sent):
         q[:] = np.roll(q, 1)
 
 
-def other_way_round(told: np.record) -> None:
-    """Write the quaternions as somebody expects them who takes them for q_HC."""
-    for q in _quaternions(told):
+def inverse_quaternions(sent: np.record) -> None:
+    """Write the quaternions as q_HC."""
+    for q in _quaternions(sent):
         q[:3] = -q[:3]
 
 
-def chaser_from_target(told: np.record) -> None:
-    """Write the poses' positions as somebody expects them who takes them the other way round."""
-    for pose in told.poses[: told.n_poses]:
+def chaser_from_target(sent: np.record) -> None:
+    """Write the poses' positions with opposite sign."""
+    for pose in sent.poses[: sent.n_poses]:
         pose["r_TC_C_m"] = -pose["r_TC_C_m"]
 
 
-def in_h(told: np.record) -> None:
-    """Write the poses' positions as somebody expects them who takes them for components in H."""
-    for pose in told.poses[: told.n_poses]:
+def in_h(sent: np.record) -> None:
+    """Write the poses' positions as components in H."""
+    for pose in sent.poses[: sent.n_poses]:
         pose["r_TC_C_m"] = quat.to_matrix(np.array(pose["q_CH"])).T @ pose["r_TC_C_m"]
 
 
-def _quaternions(told: np.record) -> list[Array]:
-    return [told.reference_q_CH, *(pose["q_CH"] for pose in told.poses[: told.n_poses])]
+def _quaternions(sent: np.record) -> list[Array]:
+    return [sent.reference_q_CH, *(pose["q_CH"] for pose in sent.poses[: sent.n_poses])]

@@ -88,7 +88,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.bench.check(bench_s, now.feedback)  # 2  safety monitor: continue or stop
     loop.target.check(bench_s)  #    target at its commanded place
     loop.vision.receive(bench_s, run_zero_s, now.row[0])  # 3  poses from the vision unit
-    loop.gnc.act(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control
+    loop.gnc.step(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control
     loop.safety_io.mirror_thrusters(bench_s)  #    thruster commands on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s
     now.on_wire_s[0] = loop.safety_io.thrusters_s - run_zero_s

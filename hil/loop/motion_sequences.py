@@ -67,7 +67,7 @@ class MotionSequencer:
         self.ticks += 1
         self.check(tick.now_s)
         self._operator.poll(tick.now_s)
-        self.loop.gnc.stand(_GNC_MODES.get(self.modes.mode, GncMode.STANDBY), tick.now_s)
+        self.loop.gnc.on_idle_cycle(_GNC_MODES.get(self.modes.mode, GncMode.STANDBY), tick.now_s)
         if self.ticks % self.link_check_cycles == 0:
             self.check_links(tick.now_s)
         return tick
@@ -216,7 +216,7 @@ class MotionSequencer:
             moving = bench.brake(tick.now_s, now.setpoint)
             command = self._poll_command(Mode.HOLD)
             resume = command is OperatorCommand.RESUME or (resume and command is not OperatorCommand.HOLD)
-            if resume and not (moving or self.loop.gnc.not_ready) and bench.at_rest(tick.now_s, now.feedback):
+            if resume and not (moving or self.loop.gnc.blocking_reason) and bench.at_rest(tick.now_s, now.feedback):
                 break
             tick = self.tick()
             if held_mode is Mode.RUNNING:

@@ -10,20 +10,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.messages import ARRIVAL, MAX_POSES, POSE, Array, Event, PoseFrame, new
-from hil.core.observable import ObservableList
+from hil.core.messages import ARRIVAL, MAX_POSES, POSE, Array, PoseFrame, new
 from hil.drivers.base import PoseSource
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
-from hil.dynamics.held_gravity import CACHED_GRAVITY
+from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.frmn.ring import Telemetry
-from hil.gnc import allocation, control, navigation
-from hil.gnc.filter_monitor import FilterMonitor
-from hil.gnc.fusion import MEMORY, STEP
-from hil.gnc.navigation import NAVIGATION_STATE
-from hil.gnc_backends.approach import Approach
-from hil.gnc_backends.approach_events import ApproachEventLog
-from hil.gnc_backends.base import Poses, Records
 from hil.maths.random_streams import NormalRows
 from hil.models.mounting import chaser_pose
 
@@ -134,86 +126,3 @@ class VisionStage:
         frame.write_to(self._row["frame"])
         self._row["pose"] = pose
         self.frame_sink.put(self._row)
-
-
-class BuiltinGnc(Approach):
-    """Navigation, guidance, supervision, control and allocation: the GNC that is built in."""
-
-    def __init__(
-        self,
-        navigation_params: np.record,
-        guidance_params: np.record,
-        supervision_params: np.record,
-        control_params: np.record,
-        sets: np.ndarray,
-        n_thrusters: int,
-        diary: ApproachEventLog,
-        watch: FilterMonitor,
-    ) -> None:
-        super().__init__(guidance_params, supervision_params, diary)
-        self.watch = watch
-        self._navigation = navigation_params
-        self._control = control_params
-        self._sets = sets
-        self._n = n_thrusters
-        self.state = new(NAVIGATION_STATE)
-        self._memory = np.zeros(MEMORY, STEP)
-        self._nees = np.empty(2)
-        self._fuses = bool(navigation_params.sensors == navigation.VISION_AND_IMU)
-        self._fuses_now = False
-
-    @property
-    def logs(self) -> tuple[ObservableList[Event], ...]:
-        """What happened, of the approach and of the filters."""
-        return (self.diary.events, self.watch.events)
-
-    @property
-    def fused_now(self) -> bool:
-        """Whether the filters took a pose in the last cycle."""
-        return self._fuses_now
-
-    def act(self, t_s: float, now: Records, vision: Poses) -> None:
-        """Run stages 4 to 7 of the cycle."""
-        self.navigate(now.imu, vision, now.navigation)  # 4  AKF and PKF
-        self.guide(t_s, now.supervision, now.reference)  # 5  reference of the present phase
-        self.supervise(t_s, now.navigation, now.reference, now.supervision)  # 6  corridor, closing rate, abort
-        self.control(now.navigation, now.reference, now.command)  # 7  thrusters on or off
-
-    def adjust(self, navigation: np.record, supervision: np.record, control: np.record) -> int:
-        """Apply other parameters, between two cycles; return the number of the first cycle that uses them.
-
-        NAVIGATION_PARAMS, SUPERVISION_PARAMS, CONTROL_PARAMS of the same step and sensors. They are written in place,
-        so that the shadow filter uses the new ones as well.
-        """
-        for mine, theirs in (
-            (self._navigation, navigation),
-            (self._supervision, supervision),
-            (self._control, control),
-        ):
-            for name in mine.dtype.names or ():
-                mine[name] = theirs[name]
-        return self.cycle + 1
-
-    def navigate(self, imu: np.record, vision: Poses, out: np.record) -> None:
-        """Write NAVIGATION from the step's IMU sample and the poses that came."""
-        navigation.navigate(self._navigation, self.state, self._memory, imu, vision.poses, vision.arrived, out)
-        self.cycle += 1
-        self._fuses_now = self._fuses and vision.arrived > 0
-        if self._fuses_now or (self._fuses and self.watch.looks_always):
-            self.watch.look(self.cycle, imu, vision.poses[: vision.arrived], out, self._memory)
-
-    def control(self, estimate: np.record, reference: np.record, command: np.record) -> None:
-        """Write the demands and the thrusters of COMMAND."""
-        control.control(self._control, estimate, reference, command)
-        allocation.select(self._sets, self._n, command)
-
-    def consistency(self, truth: np.record, imu: np.record) -> Array:
-        """Return NEES of position and attitude filter, (2,), in cycles with a pose, nan otherwise.
-
-        Valid until the next call.
-        """
-        if self._fuses_now:
-            navigation.normalised_errors(self.state.fusion.filters, truth, imu, self._nees)
-        else:
-            self._nees[:] = np.nan
-        return self._nees

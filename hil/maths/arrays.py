@@ -1,4 +1,4 @@
-"""Copying and filling in plain loops: numba's own slice assignment checks shapes at a high price in compile time."""
+"""Copying and filling in plain loops: numba's own slice assignment checks shapes at a high cost in compile time."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Symmetric positive definite systems of a few unknowns, by Cholesky in plain loops.
 
-n: how many of the leading rows and columns belong to the system; the arrays may be larger.
+n: number of leading rows and columns of the system; the arrays may be larger.
 """
 
 from __future__ import annotations
@@ -10,15 +10,15 @@ from typing import Final
 
 from hil.core.jit import kernel
 
-LEAST_SHARE: Final = 1e-14
-"""Of a diagonal element: what least squares of many points must leave of it."""
+LEAST_RESIDUE: Final = 1e-14
+"""Least remaining fraction of a diagonal element in least squares of many points."""
 
 
 @kernel
-def factor(a, n, low, least_share=0.0):
-    """Write the lower triangle L of ``a = L L.T`` to low, which may be a; return False where there is none.
+def factor(a, n, low, least_residue=0.0):
+    """Write the lower triangle L of ``a = L L.T`` to low, which may be a; return False if there is none.
 
-    least_share: of each diagonal element that must be left once the unknowns before it are taken out.
+    least_residue: least remaining fraction of each diagonal element after elimination of the unknowns before it.
     """
     for i in range(n):
         for j in range(i + 1):
@@ -26,7 +26,7 @@ def factor(a, n, low, least_share=0.0):
             for m in range(j):
                 s -= low[i, m] * low[j, m]
             if i == j:
-                if not s > 0.0 or s <= least_share * abs(a[i, i]):
+                if not s > 0.0 or s <= least_residue * abs(a[i, i]):
                     return False
                 low[i, i] = math.sqrt(s)
             else:
@@ -54,7 +54,7 @@ def solve_system(a, b, x):
     """Write the solution of ``a x = b`` to x, (n,); return whether ``a`` (n, n) is positive definite. a, b are kept."""
     n = b.shape[0]
     low = a.copy()
-    if not factor(low, n, low, LEAST_SHARE):
+    if not factor(low, n, low, LEAST_RESIDUE):
         return False
     solve(low, n, b, x)
     return True

@@ -2,7 +2,7 @@
 
 Axes are numbered 0 x, 1 y, 2 z. ``order`` is outer to inner: (2, 1, 0) is yaw, pitch, roll, the
 3-2-1 angles of the bench paper, with ``A = A_x(roll) A_y(pitch) A_z(yaw)``. Angles are always
-stored by axis: ``angles[0]`` turns about x (theta1), ``angles[1]`` about y, ``angles[2]`` about z.
+stored by axis: ``angles[0]`` is about x (theta1), ``angles[1]`` about y, ``angles[2]`` about z.
 """
 
 from __future__ import annotations
@@ -14,10 +14,13 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.maths import quat, stack
 
+YAW_PITCH_ROLL = np.array([2, 1, 0])
+"""The order of the 3-2-1 angles."""
+
 
 @kernel
 def _axis_quaternion(axis, angle, q):
-    """Write the quaternion of a frame turned by ``angle``, rad, about its axis ``axis`` into ``q`` (4,)."""
+    """Write the quaternion of a frame rotated by ``angle``, rad, about its axis ``axis`` into ``q`` (4,)."""
     q[0] = q[1] = q[2] = 0.0
     q[axis] = math.sin(0.5 * angle)
     q[3] = math.cos(0.5 * angle)
@@ -25,7 +28,7 @@ def _axis_quaternion(axis, angle, q):
 
 @kernel
 def axis_quaternion(axis, angle):
-    """Return the quaternion of a frame turned by ``angle``, rad, about its axis ``axis``, shape (4,)."""
+    """Return the quaternion of a frame rotated by ``angle``, rad, about its axis ``axis``, shape (4,)."""
     q = np.empty(4)
     _axis_quaternion(axis, angle, q)
     return q
@@ -54,7 +57,7 @@ def to_quaternion(angles, order):
 def from_quaternion_into(q, order, angles):
     """Write the Tait-Bryan angles, rad, of A(q) in ``order``, by axis, into ``angles`` (3,).
 
-    For (2, 1, 0) this is bench paper eq. (9) with its third line mended to
+    For (2, 1, 0) this is bench paper eq. (9) with its third line corrected to
     ``theta3 = atan2(2 (q3 q4 + q1 q2), q1^2 - q2^2 - q3^2 + q4^2)``. The middle angle lies in
     [-pi/2, pi/2]; at its ends the outer angle takes what can be known and the inner one is zero.
     """
@@ -65,7 +68,7 @@ def from_quaternion_into(q, order, angles):
 
 @kernel
 def _angle(y, x):
-    """Return ``atan2(y, x)``; where it is small, by a series that leaves out less than 1e-17."""
+    """Return ``atan2(y, x)``; if it is small, by a series truncated below 1e-17."""
     if x > 0.0 and abs(y) < 0.1 * x:
         t = y / x
         s = t * t

@@ -1,7 +1,7 @@
 """Kalman updates in plain loops: no library call, no heap. States: up to MAX_STATES, else ValueError.
 
 A product is summed up row by row, ``row += a[i, m] * b[m]``: the inner loop runs along memory without a chain
-of sums, and what is zero in ``a``, most of a transition, costs nothing.
+of sums, and zeros in ``a``, most of a transition, are skipped.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hil.core.jit import kernel
 from hil.maths import cholesky, stack
 
 MAX_STATES: Final = 12
-"""Of any filter here; more are refused, because they would not fit on the stack."""
+"""Of any filter; a larger one would not fit on the stack."""
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Cutting numbers to what is allowed, and for how long something has held."""
+"""Limits of numbers, and dwell times of conditions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hil.core.jit import kernel
 
 @kernel
 def cut_to_range(values, low, high, out):
-    """Write ``values`` (n,) cut to [low, high] into ``out``; return the first index that is not finite, or -1."""
+    """Write ``values`` (n,) limited to [low, high] into ``out``; return the first index that is not finite, or -1."""
     bad = -1
     for i in range(values.shape[0]):
         if not math.isfinite(values[i]) and bad < 0:
@@ -20,5 +20,5 @@ def cut_to_range(values, low, high, out):
 
 @kernel
 def has_held(since_s, now_s, dwell_s):
-    """Return whether what holds since ``since_s`` has held for ``dwell_s`` at ``now_s``; nan: it does not hold."""
+    """Return whether a condition that is true since ``since_s`` (nan: false) has held for ``dwell_s`` at ``now_s``."""
     return now_s - since_s >= dwell_s - 1e-9

@@ -16,7 +16,7 @@ from hil.core.jit import kernel
 from hil.maths import stack
 
 _SMALL_TURN: Final = 0.01
-"""rad^2: below it sine, cosine and arc tangent of half the turn are a few terms of their series."""
+"""rad^2: below it sine, cosine and arc tangent of half the angle are a few terms of their series."""
 
 
 @kernel
@@ -139,10 +139,10 @@ def from_matrix(a):
 
 @kernel
 def from_rotation_vector_into(phi, q):
-    """Write the quaternion of a frame turned by ``phi`` (3,), rad, into ``q`` (4,): A = exp(-[phi]x)."""
+    """Write the quaternion of a frame rotated by ``phi`` (3,), rad, into ``q`` (4,): A = exp(-[phi]x)."""
     squared = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
     if squared < _SMALL_TURN:
-        x = 0.25 * squared  # of the half angle; what is left out is below 1e-17
+        x = 0.25 * squared  # of the half angle; truncated below 1e-17
         scale = 0.5 * (1.0 - x * (1.0 / 6.0 - x * (1.0 / 120.0 - x * (1.0 / 5040.0 - x * (1.0 / 362880.0)))))
         cosine = 1.0 - x * (0.5 - x * (1.0 / 24.0 - x * (1.0 / 720.0 - x * (1.0 / 40320.0))))
     else:
@@ -157,7 +157,7 @@ def from_rotation_vector_into(phi, q):
 
 @kernel
 def from_rotation_vector(phi):
-    """Return the quaternion of a frame turned by ``phi`` (3,), rad: A = exp(-[phi]x)."""
+    """Return the quaternion of a frame rotated by ``phi`` (3,), rad: A = exp(-[phi]x)."""
     q = np.empty(4)
     from_rotation_vector_into(phi, q)
     return q
@@ -165,11 +165,11 @@ def from_rotation_vector(phi):
 
 @kernel
 def to_rotation_vector_into(q, phi):
-    """Write the shortest turn, rad, with A(q) = exp(-[phi]x) into ``phi`` (3,)."""
+    """Write the shortest rotation vector, rad, with A(q) = exp(-[phi]x) into ``phi`` (3,)."""
     squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
     whole = q[3] * q[3]
     if squared < 0.25 * _SMALL_TURN * whole:
-        x = squared / whole  # squared tangent of the half angle; what is left out is below 1e-16
+        x = squared / whole  # squared tangent of the half angle; truncated below 1e-16
         series = 1.0 / 5.0 - x * (1.0 / 7.0 - x * (1.0 / 9.0 - x * (1.0 / 11.0)))
         scale = 2.0 / q[3] * (1.0 - x * (1.0 / 3.0 - x * series))
     else:
@@ -183,7 +183,7 @@ def to_rotation_vector_into(q, phi):
 
 @kernel
 def to_rotation_vector(q):
-    """Return the shortest turn phi (3,), rad, with A(q) = exp(-[phi]x)."""
+    """Return the shortest rotation vector phi (3,), rad, with A(q) = exp(-[phi]x)."""
     phi = np.empty(3)
     to_rotation_vector_into(q, phi)
     return phi
@@ -237,9 +237,9 @@ def rate_of_change(q, w, out):
 
 
 @kernel
-def turn_between(p, q, phi):
-    """Write the shortest turn, rad, from the frame of ``q`` to that of ``p`` into ``phi`` (3,): of A(p) A(q).T."""
-    back, turn = stack.vector(4), stack.vector(4)
+def rotation_between(p, q, phi):
+    """Write the shortest rotation vector, rad, from the frame of ``q`` to that of ``p``, A(p) A(q).T, into ``phi``."""
+    back, between = stack.vector(4), stack.vector(4)
     conjugate_into(q, back)
-    multiply_into(p, back, turn)
-    to_rotation_vector_into(turn, phi)
+    multiply_into(p, back, between)
+    to_rotation_vector_into(between, phi)

@@ -1,6 +1,6 @@
-"""Random numbers: every source of chance has a stream of its own, keyed by the run's seed.
+"""Random numbers: each random source has its own stream, keyed by the run's seed.
 
-Two runs of one seed see the same sensor noise whatever else differs between them.
+Two runs of the same seed have the same sensor noise, whatever else differs.
 """
 
 from __future__ import annotations

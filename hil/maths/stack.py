@@ -1,8 +1,8 @@
-"""Small arrays on the stack of a kernel, for numbers that do not outlive its call.
+"""Small arrays on the stack of a kernel, valid until it returns.
 
-``np.empty(3)`` in a kernel asks the heap each time, which costs more than the arithmetic on three numbers does.
-An array of ``vector`` or ``matrix`` is gone when the kernel that asked for it returns: it may be handed down
-to other kernels, never returned. Sizes are literal numbers; the contents are undefined, as those of ``np.empty``.
+``np.empty(3)`` in a kernel allocates on the heap each time, which costs more than the arithmetic on three numbers.
+An array of ``vector`` or ``matrix`` is valid until the kernel that created it returns: it may be passed to other
+kernels, never returned. Sizes are literal numbers; the contents are undefined, as those of ``np.empty``.
 """
 
 from __future__ import annotations

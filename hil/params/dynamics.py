@@ -1,4 +1,4 @@
-"""The truth's parameters and its start: from the scenario's units to the kernels' records, in SI."""
+"""Parameters of the truth and of the virtual IMU, and the truth at the start, from user units to SI."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from hil.config.truth import SolarArray
 from hil.core.messages import TRUTH, Array, new
 from hil.dynamics import gravity_file, orbit
 from hil.dynamics.gravity_file import MOON_GM_M3PS2, MOON_RADIUS_M, GravityField
+from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.moon_gravity import acceleration, field_table
-from hil.dynamics.thruster_errors import DRAWS_A_THRUSTER, as_built
-from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
+from hil.dynamics.thrusters import DRAWS_PER_THRUSTER, STANDARD_GRAVITY_MPS2, as_built
 from hil.dynamics.truth import DSS_PARAMS, HILL, NONLINEAR
 from hil.maths import euler, quat
 
-YAW_PITCH_ROLL = np.array([2, 1, 0])
 MOON_SIDEREAL_RATE_RADPS = 2.0 * math.pi / (27.321661 * 86400.0)  # Seidelmann, Explanatory Supplement (1992)
 
 
@@ -28,12 +27,12 @@ def semi_major_axis_m(scenario: Scenario) -> float:
 
 
 def orbit_rate(scenario: Scenario) -> float:
-    """Return the mean orbital rate of a point-mass Moon, rad/s: all that the GNC knows of the orbit."""
+    """Return the mean orbital rate about a point-mass Moon, rad/s: the only parameter of the orbit that the GNC has."""
     return math.sqrt(MOON_GM_M3PS2 / semi_major_axis_m(scenario) ** 3)
 
 
 def gravity(scenario: Scenario) -> GravityField:
-    """Return the field that the scenario asks for; raise GravityFileError."""
+    """Return the gravity field of the scenario. Raises GravityFileError."""
     return gravity_file.read(gravity_path(scenario)).up_to(scenario.truth.gravity_degree)
 
 
@@ -44,7 +43,7 @@ def gravity_path(scenario: Scenario) -> Path:
 
 
 def field(scenario: Scenario) -> Array:
-    """Return the harmonics as the truth's kernels read them, (N + 1, N + 1, 6)."""
+    """Return the harmonics in the layout of the truth's kernels, (N + 1, N + 1, 6)."""
     found = gravity(scenario)
     table: Array = field_table(found.c, found.s)
     return table
@@ -53,7 +52,7 @@ def field(scenario: Scenario) -> Array:
 def dss(scenario: Scenario, thruster_draws: Array | None = None) -> np.record:
     """Return DSS_PARAMS.
 
-    thruster_draws: standard normals, (n, 3), for the errors of the thrusters; without them they are as drawn up.
+    thruster_draws: standard normals, (n, 3), for the errors of the thrusters; None for nominal thrusters.
     """
     params = new(DSS_PARAMS)
     params.dt_s = scenario.step_s
@@ -73,9 +72,20 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None) -> np.record:
     return params
 
 
+def imu(scenario: Scenario) -> np.record:
+    """Return IMU_PARAMS."""
+    params = new(IMU_PARAMS)
+    params.dt_s = scenario.step_s
+    params.sigma_gyro = math.radians(scenario.imu.gyro_noise_degps)
+    params.sigma_drift = math.radians(scenario.imu.gyro_drift_noise_degps2)
+    params.sigma_accelerometer = scenario.imu.accelerometer_noise_mps2
+    params.sigma_bias = scenario.imu.accelerometer_bias_noise_mps3
+    return params
+
+
 def thruster_draws_shape(scenario: Scenario) -> tuple[int, int]:
-    """Return the shape of the draws that ``dss`` takes."""
-    return len(scenario.chaser.thrusters.position_m), DRAWS_A_THRUSTER
+    """Return the shape of ``thruster_draws`` of ``dss``."""
+    return len(scenario.chaser.thrusters.position_m), DRAWS_PER_THRUSTER
 
 
 def _set_thrusters(params: np.record, scenario: Scenario, draws: Array | None) -> None:
@@ -123,7 +133,7 @@ def initial_truth(scenario: Scenario) -> np.record:
     initial = scenario.initial
     truth.r_CT_H = initial.position_m
     truth.v_CT_H = initial.velocity_mps
-    truth.q_CH = euler.to_quaternion(np.radians(initial.attitude_deg), YAW_PITCH_ROLL)
+    truth.q_CH = euler.to_quaternion(np.radians(initial.attitude_deg), euler.YAW_PITCH_ROLL)
     _set_target(truth, scenario)
     # w_CI = w_CH + A(q_CH) w_HI
     truth.w_CI_C = np.radians(initial.rate_degps) + quat.transform(truth.q_CH, truth.w_HI_H)

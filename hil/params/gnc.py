@@ -1,4 +1,4 @@
-"""From configuration, in the units of people, to the parameter records of the kernels, in SI."""
+"""Parameters of guidance, navigation and control, from user units to SI."""
 
 from __future__ import annotations
 
@@ -8,79 +8,39 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import gammainccinv, ndtr
 
-from hil.bench.kinematics import BENCH_PARAMS
-from hil.config.rig import Rig
 from hil.config.scenario import Chaser, Scenario, Thrusters
 from hil.core.messages import MAX_THRUSTERS, Array, new
 from hil.dynamics.hill import input_response, transition
-from hil.dynamics.imu import IMU_PARAMS
-from hil.dynamics.vision import VISION_PARAMS
 from hil.gnc.allocation import AXES_OF_A_BODY, ROWS, thruster_sets, unit_wrenches
-from hil.gnc.approach_monitor import SUPERVISION_PARAMS
+from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
 from hil.gnc.control import CONTROL_PARAMS
 from hil.gnc.fusion import AS_PRINTED, MULTIPLICATIVE
 from hil.gnc.guidance import APPROACH, FINAL, GUIDANCE_PARAMS, HOLD, RETREAT, WAIT
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
+from hil.gnc.step import GNC_PARAMS
 from hil.maths import euler, quat
-from hil.models.camera import CAMERA
-from hil.models.mounting import MOUNTING
-from hil.params.dynamics import YAW_PITCH_ROLL as YAW_PITCH_ROLL
-from hil.params.dynamics import dss as dss
-from hil.params.dynamics import field as field
-from hil.params.dynamics import initial_truth as initial_truth
-from hil.params.dynamics import orbit_rate as orbit_rate
-from hil.params.dynamics import thruster_draws_shape as thruster_draws_shape
+from hil.params.dynamics import orbit_rate
+
+
+def gnc(scenario: Scenario) -> np.record:
+    """Return GNC_PARAMS of ``scenario``. Raises ValueError if the thruster layout cannot move an axis."""
+    params = new(GNC_PARAMS)
+    sets, strength = allocation(scenario.chaser)
+    params.approach.dwell_s = scenario.requirements.dwell_s
+    params.approach.guidance = guidance(scenario)
+    params.approach.monitor = approach_monitor(scenario)
+    params.navigation = navigation(scenario)
+    params.control = control(scenario, strength)
+    params.n_thrusters = len(scenario.chaser.thrusters.position_m)
+    params.sets = sets
+    return params
 
 
 def initial_rotation_vector(scenario: Scenario) -> Array:
     """Return the chaser's initial attitude against H as a rotation vector (3,), rad."""
-    q = euler.to_quaternion(np.radians(scenario.initial.attitude_deg), YAW_PITCH_ROLL)
+    q = euler.to_quaternion(np.radians(scenario.initial.attitude_deg), euler.YAW_PITCH_ROLL)
     phi: Array = quat.to_rotation_vector(q)
     return phi
-
-
-def imu(scenario: Scenario) -> np.record:
-    """Return IMU_PARAMS."""
-    params = new(IMU_PARAMS)
-    params.dt_s = scenario.step_s
-    params.sigma_gyro = math.radians(scenario.imu.gyro_noise_degps)
-    params.sigma_drift = math.radians(scenario.imu.gyro_drift_noise_degps2)
-    params.sigma_accelerometer = scenario.imu.accelerometer_noise_mps2
-    params.sigma_bias = scenario.imu.accelerometer_bias_noise_mps3
-    return params
-
-
-def vision(scenario: Scenario) -> np.record:
-    """Return VISION_PARAMS."""
-    params = new(VISION_PARAMS)
-    params.sigma_position = scenario.vmu.sigma_position_m
-    params.sigma_angle = math.radians(scenario.vmu.sigma_angle_deg)
-    params.reference_range = scenario.vmu.reference_range_m
-    params.reported_scale = scenario.vmu.reported_sigma_scale
-    return params
-
-
-def mounting(rig: Rig) -> np.record:
-    """Return MOUNTING."""
-    params = new(MOUNTING)
-    params.camera_position = rig.bench.camera_position_m
-    params.q_vc = quat.from_matrix(np.array(rig.bench.camera_axes))
-    params.led_ring_position = rig.bench.led_ring_position_m
-    params.q_th = quat.from_matrix(np.array(rig.bench.led_ring_axes))
-    params.position_variance = rig.vmu.bench_sigma_m**2
-    params.attitude_variance = math.radians(rig.vmu.bench_sigma_deg) ** 2
-    return params
-
-
-def camera(rig: Rig) -> tuple[np.record, Array]:
-    """Return CAMERA, and the lamps of the ring in t, (n, 3), m."""
-    params = new(CAMERA)
-    settings = rig.vmu.camera
-    params.focal = settings.focal_px
-    params.width = settings.width_px
-    params.height = settings.height_px
-    params.baseline = settings.baseline_m
-    return params, np.array(rig.vmu.leds_m, dtype=float)
 
 
 def navigation(scenario: Scenario) -> np.record:
@@ -109,28 +69,26 @@ def navigation(scenario: Scenario) -> np.record:
     pkf.initial_velocity_sigma = gnc.pkf.initial_velocity_sigma_mps
     pkf.initial_bias = gnc.pkf.accelerometer_bias_mps2
     pkf.initial_bias_sigma = gnc.pkf.initial_bias_sigma_mps2
-    look = params.vision_only
-    look.dt_s = scenario.step_s
-    look.position_lag_s = gnc.vision_only.position_lag_s
-    look.velocity_lag_s = gnc.vision_only.velocity_lag_s
-    look.attitude_lag_s = gnc.vision_only.attitude_lag_s
-    look.rate_lag_s = gnc.vision_only.rate_lag_s
+    vision = params.vision_only
+    vision.dt_s = scenario.step_s
+    vision.position_lag_s = gnc.vision_only.position_lag_s
+    vision.velocity_lag_s = gnc.vision_only.velocity_lag_s
+    vision.attitude_lag_s = gnc.vision_only.attitude_lag_s
+    vision.rate_lag_s = gnc.vision_only.rate_lag_s
     return params
 
 
 def _gate(sigma: float) -> float:
-    """Return the NIS of three components that is as rare as ``sigma`` standard deviations of one."""
+    """Return the NIS of three components with the tail probability of ``sigma`` standard deviations of one."""
     return float(2.0 * gammainccinv(1.5, 2.0 * ndtr(-sigma)))  # chi-square of 3; scipy.stats is slow to import
 
 
 PHASE_KINDS = {"approach": APPROACH, "hold": HOLD, "wait": WAIT, "final": FINAL, "retreat": RETREAT}
-
-
-_BRAKE_SHARE = 0.9  # of what the thrusters give: the rest is for control
+_BRAKE_FRACTION = 0.9  # of the available thrust: the rest is for control
 
 
 def braking_acceleration(scenario: Scenario) -> float:
-    """Return what the strong sets give along the docking axis with the chaser upright, m/s^2."""
+    """Return the acceleration of the full-thrust sets along the docking axis with c parallel to H, m/s^2."""
     _, strength = allocation(scenario.chaser)
     axis = np.abs(np.array(scenario.gnc.corridor.axis))
     return float((strength[AXES_OF_A_BODY:] / np.maximum(axis, 1e-12)).min() / scenario.chaser.mass_kg)
@@ -157,13 +115,13 @@ def guidance(scenario: Scenario) -> np.record:
     params.abort_distance = min(abort.hold_distance_m, max(0.0, axial_start))
     params.abort_speed = abort.speed_mps
     params.abort_acceleration = abort.acceleration_mps2
-    params.brake = min(abort.brake_mps2, _BRAKE_SHARE * braking_acceleration(scenario))
+    params.brake = min(abort.brake_mps2, _BRAKE_FRACTION * braking_acceleration(scenario))
     return params
 
 
-def supervision(scenario: Scenario) -> np.record:
-    """Return SUPERVISION_PARAMS."""
-    params = new(SUPERVISION_PARAMS)
+def approach_monitor(scenario: Scenario) -> np.record:
+    """Return APPROACH_MONITOR_PARAMS."""
+    params = new(APPROACH_MONITOR_PARAMS)
     corridor, wanted = scenario.gnc.corridor, scenario.requirements
     params.cone = math.tan(math.radians(corridor.half_angle_deg))
     params.minimum_radius = corridor.minimum_radius_m
@@ -186,7 +144,7 @@ def supervision(scenario: Scenario) -> np.record:
 def allocation(chaser: Chaser) -> tuple[np.ndarray, Array]:
     """Return the thruster sets, int64 (ROWS, 2, MAX_THRUSTERS), and the strength (ROWS,), N and N m, of each row.
 
-    Raises ValueError where the layout cannot move an axis.
+    Raises ValueError if the layout cannot move an axis.
     """
     sets, strength = _allocation(chaser.thrusters)
     return sets.copy(), strength.copy()
@@ -194,7 +152,7 @@ def allocation(chaser: Chaser) -> tuple[np.ndarray, Array]:
 
 @lru_cache(maxsize=8)
 def _allocation(thrusters: Thrusters) -> tuple[np.ndarray, Array]:
-    """Return what ``allocation`` does; thousands of sets are looked through, so each layout is looked at once."""
+    """Return ``allocation``, cached by layout: it searches thousands of sets."""
     n = len(thrusters.position_m)
     wrenches = unit_wrenches(
         np.array(thrusters.position_m), np.array(thrusters.direction), np.full(n, thrusters.force_n)
@@ -202,9 +160,9 @@ def _allocation(thrusters: Thrusters) -> tuple[np.ndarray, Array]:
     sets = np.zeros((ROWS, 2, MAX_THRUSTERS), dtype=np.int64)
     chosen, strength = thruster_sets(wrenches)
     sets[:AXES_OF_A_BODY, :, :n] = chosen
-    strong, boosted = thruster_sets(wrenches, strong=True)
-    sets[AXES_OF_A_BODY:, :, :n] = strong[:3]
-    return sets, np.concatenate([strength, boosted[:3]])
+    full, high_thrust = thruster_sets(wrenches, full_thrust=True)
+    sets[AXES_OF_A_BODY:, :, :n] = full[:3]
+    return sets, np.concatenate([strength, high_thrust[:3]])
 
 
 def control(scenario: Scenario, strength: Array) -> np.record:
@@ -218,30 +176,11 @@ def control(scenario: Scenario, strength: Array) -> np.record:
 
     params.dt_s = step_s
     params.deadband = six(settings.deadband_m, math.radians(settings.deadband_deg))
-    params.caution = six(settings.deadband_sigmas, settings.attitude_deadband_sigmas)
+    params.deadband_sigmas = six(settings.deadband_sigmas, settings.attitude_deadband_sigmas)
     params.lead = six(settings.lead_s, settings.attitude_lead_s)
     params.correction_rate = six(settings.correction_rate_mps, math.radians(settings.slew_rate_degps))
     params.period = [max(1, round(s / step_s)) for s in six(settings.period_s, settings.attitude_period_s)]
     inertia = np.diag(np.array(scenario.chaser.inertia_kg_m2))
     params.acceleration = np.concatenate([strength[:3] / scenario.chaser.mass_kg, strength[3:6] / inertia])
-    params.boosted_acceleration = strength[6:] / scenario.chaser.mass_kg
-    return params
-
-
-def bench(rig: Rig, step_s: float) -> np.record:
-    """Return BENCH_PARAMS: geometry and limits of the six axes."""
-    params = new(BENCH_PARAMS)
-    params.dt_s = step_s
-    params.lever_arm = rig.bench.lever_arm_m
-    params.order = ["xyz".index(letter) for letter in rig.bench.gimbal_order]
-    rails = (rig.rails.x, rig.rails.y, rig.rails.z)
-    gimbals = (rig.turntable.roll, rig.turntable.pitch, rig.turntable.yaw)
-    params.low = [*(a.travel_m[0] for a in rails), *(math.radians(a.travel_deg[0]) for a in gimbals)]
-    params.high = [*(a.travel_m[1] for a in rails), *(math.radians(a.travel_deg[1]) for a in gimbals)]
-    params.rate_max = [*(a.rate_max_mps for a in rails), *(math.radians(a.rate_max_degps) for a in gimbals)]
-    params.acceleration_max = [
-        *(a.acceleration_max_mps2 for a in rails),
-        *(math.radians(a.acceleration_max_degps2) for a in gimbals),
-    ]
-    params.lead = [a.lead_s for a in (*rails, *gimbals)]
+    params.high_thrust_acceleration = strength[6:] / scenario.chaser.mass_kg
     return params

@@ -1,7 +1,7 @@
 """GNC server: the built-in GNC in a process, or on a computer, of its own (``hil gnc``).
 
-It answers each input with the output that ``hil run`` would have computed in that cycle. Lost inputs are bridged by
-the newest sample of the IMU; after a longer gap, and for another bench, the filters restart.
+The reply to each input is what ``hil run`` would have computed in that cycle. Lost inputs are bridged with the newest
+sample of the IMU; after a longer gap, and for another bench, the filters restart.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from hil.setup.gnc_setup import gnc_setup
 
 _OFFERS: Final = ("gnc.flight", "gnc.output", "gnc.filters")
 _WANTS: Final = ("gnc.setup", "gnc.input")
-_SILENT_S: Final = 0.35  # wall time after which another bench is accepted
+_SILENT_S: Final = 0.35  # wall time after which another bench may replace a silent one
 _BRIDGED_S: Final = 1.2  # of consecutive lost inputs: less than the filters' memory of 64 steps at 50 Hz
-_SILENCES_REPORTED: Final = 3  # further ones are only counted
+_SILENCES_LOGGED: Final = 3  # further ones are only counted
 _SLICE_S: Final = 0.05
-_SILENT_CYCLES: Final = 3  # in real time without an input, after which the bench is reported as silent
+_SILENT_CYCLES: Final = 3  # of wall time without an input, after which the bench counts as silent
 _NEEDED: Final = ("step_s", "n_thrusters", "thruster_position_m", "thruster_force_N", "mass_kg", "inertia_kgm2")
-"""Fields of GNC_SETUP that must agree between bench and GNC: the chaser."""
+"""Fields of GNC_SETUP in which bench and GNC must agree: they describe the chaser."""
 
 
 def gnc_side(name: str, bind: Address | None, peer: Address | None) -> Link:
-    """Return the GNC's side of the link. bind: address where it waits for a bench. peer: the bench that it contacts."""
+    """Return the GNC's side of the link. bind: address to listen on. peer: the bench to connect to."""
     return Link(Role.GNC, name, _OFFERS, _WANTS, bind, peer, _SILENT_S)
 
 
 @dataclass
 class GncServerStats:
-    """Statistics of a GNC server: reason of its end, and counters."""
+    """Statistics of a GNC server, and why it ended."""
 
     end: str = ""
     setups: int = 0
@@ -53,20 +53,20 @@ class GncServerStats:
     bridged: int = 0
     """Steps for lost inputs."""
     restarts: int = 0
-    """Restarts of the filters, after gaps too long to bridge."""
+    """Of the filters, after gaps too long to bridge."""
     silences: int = 0
-    """Silences of the bench during a run, longer than three cycles."""
+    """Of the bench during a run, longer than three cycles."""
     filters: list[str] = field(default_factory=list)
-    """Events of the filter monitor: NIS and, if enabled, the shadow filter."""
+    """Events of the filter monitor: NIS and, if it is enabled, the shadow filter."""
     compute_us: list[float] = field(default_factory=list)
-    """Time of each step, from the input to the output."""
+    """Of each step: from the input to the reply."""
 
     def as_json(self, link: Link) -> dict[str, Any]:
-        """Return the statistics with the link's counters."""
+        """Return the statistics with those of the link."""
         us = np.array(self.compute_us)
         percentiles = {
-            name: float(np.percentile(us, share)) if len(us) else None
-            for name, share in (("p50", 50.0), ("p99", 99.0), ("max", 100.0))
+            name: float(np.percentile(us, percent)) if len(us) else None
+            for name, percent in (("p50", 50.0), ("p99", 99.0), ("max", 100.0))
         }
         return {
             "end": self.end,
@@ -83,7 +83,7 @@ class GncServerStats:
 
 
 class GncServer:
-    """Serves the bench at the other end of ``link`` with the GNC of ``scenario``. announce: receives lines of text."""
+    """Serves the bench at the other end of ``link`` with the GNC of ``scenario``. announce: called with a line per event."""
 
     def __init__(self, scenario: Scenario, link: Link, announce: Callable[[str], None] = lambda _: None) -> None:
         self.link = link
@@ -99,21 +99,21 @@ class GncServer:
         self._imu, self._reference = new(IMU), new(REFERENCE)
         self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self.arrived = 0
-        self._inputs, self._flights = np.zeros(1, GNC_INPUT), np.zeros(1, GNC_FLIGHT)
+        self._inputs, self._replies = np.zeros(1, GNC_INPUT), np.zeros(1, GNC_FLIGHT)
         self._filters = np.zeros(1, GNC_FILTERS)
         self._input = self._inputs.view(np.recarray)[0]
         self._input_bytes = self._inputs.view(np.uint8).data
-        self._out = self._flights.view(np.recarray)[0]
-        self._filter_record = self._filters.view(np.recarray)[0]
+        self._out = self._replies.view(np.recarray)[0]
+        self._sent_filters = self._filters.view(np.recarray)[0]
         start = GNC_FLIGHT.fields["command"][1] if GNC_FLIGHT.fields else 0
-        self._command_bytes = self._flights.view(np.uint8).data[start : start + COMMAND.itemsize]
-        self._command_before = b""  # command of the previous cycle
+        self._command_bytes = self._replies.view(np.uint8).data[start : start + COMMAND.itemsize]
+        self._command_before = b""  # COMMAND before the last decision of control
         self._aborting = False
         self._restart()
         self._warm_up()
 
     def serve(self, patience_s: float) -> GncServerStats:
-        """Answer until the bench disconnects; return the statistics.
+        """Reply to inputs until the bench disconnects; return the statistics.
 
         patience_s: wall time without a bench after which LinkTimeout is raised, or LinkLost if there was one.
         """
@@ -133,19 +133,19 @@ class GncServer:
                 self.stats.end = peer.gone or ""
                 return self.stats
             if arrivals:
-                if silent and self.stats.silences <= _SILENCES_REPORTED:
+                if silent and self.stats.silences <= _SILENCES_LOGGED:
                     self._announce("the bench sends again")
                 last_rx_s, silent = now_s, False
             elif self._is_running and not silent and now_s - last_rx_s >= silent_after_s:
                 silent = True
                 self.stats.silences += 1
-                if self.stats.silences <= _SILENCES_REPORTED:
+                if self.stats.silences <= _SILENCES_LOGGED:
                     self._announce(f"the bench has been silent for {1e3 * (now_s - last_rx_s):.0f} ms")
             self._check_silence(now_s - last_rx_s, patience_s)
 
     @property
     def _is_running(self) -> bool:
-        """Whether the bench's last message was an input of a running loop."""
+        """Whether the last input of the bench was one of a run under way."""
         return self._joined > 0 and self._input.mode == GncMode.RUNNING
 
     def _check_silence(self, silent_s: float, patience_s: float) -> None:
@@ -170,10 +170,10 @@ class GncServer:
         if self._input.mode == GncMode.RUNNING and not self._fault:
             self._run(int(self._input.cycle))
         else:
-            self._send_state(int(self._input.cycle))
+            self._send_idle(int(self._input.cycle))
 
     def _receive_setup(self, record: np.ndarray) -> None:
-        """Restart for another bench or another setup; report the state of this GNC in any case."""
+        """Restart for another bench or another setup; reply in any case with the state of this GNC."""
         setup = record.tobytes()
         if self._joined != self.link.joined or setup != self._setup:
             self._setup, self._joined = setup, self.link.joined
@@ -183,10 +183,10 @@ class GncServer:
             assert self.link.peer is not None
             where = f"the bench at {shown(self.link.peer.address)}"
             self._announce(f"{where}: {self._fault}" if self._fault else f"set up by {where}")
-        self._send_state(-1)
+        self._send_idle(-1)
 
     def _difference(self, setup: np.record) -> str:
-        """Return how the bench's chaser differs from this GNC's, "" if it does not."""
+        """Return the field in which the bench's chaser differs from the scenario's, "" if there is none."""
         for name in _NEEDED:
             ours, theirs = np.asarray(self._expected[name]), np.asarray(setup[name])
             if not np.array_equal(ours, theirs):
@@ -197,18 +197,18 @@ class GncServer:
     def _restart(self) -> None:
         """Restart filters and control."""
         self._gnc = make_gnc(self._scenario)
-        self._gnc.watch.events.subscribe(self._on_filter_event)
+        self._gnc.filter_monitor.events.subscribe(self._log_filters)
         self._last = -1
         self._not_before_s = -math.inf
         self._out.navigation, self._out.command = new(NAVIGATION), new(COMMAND)
 
-    def _on_filter_event(self, event: Event) -> None:
+    def _log_filters(self, event: Event) -> None:
         text = f"{event.t_s:.2f} s {event.source}: {event.text}"
         self.stats.filters.append(text)
         self._announce(text)
 
-    def _send_state(self, cycle: int) -> None:
-        """Answer while the loop is open: with the state of this GNC only."""
+    def _send_idle(self, cycle: int) -> None:
+        """Reply while the loop is open: the state of this GNC, without demands."""
         output = self._out.output
         output.cycle, output.direct, output.estimate = cycle, 1, 0
         output.state = GncState.FAULT if self._fault else GncState.WORKING
@@ -218,7 +218,7 @@ class GncServer:
         self.link.send("gnc.output", output)
 
     def _run(self, cycle: int) -> None:
-        """Do the step of the input, or repeat the last output."""
+        """Compute the reply to an input, or repeat the last one."""
         begun_s = time.perf_counter()
         if cycle <= self._last:
             if cycle == self._last:
@@ -233,15 +233,14 @@ class GncServer:
             self._restart()
         if self._last < 0 < cycle:
             self._join_at(cycle)
-        arrived = udp_records.hear_input(self._input, self._not_before_s, self._imu, self._reference, self.poses)
+        arrived = self._read_input()
         if self._last >= 0:
             self._bridge(gap)
         self.arrived = arrived
         out = self._out
         self._gnc.navigate(self._imu, self, out.navigation)
         self._command_before = bytes(self._command_bytes)
-        self._gnc.control(out.navigation, self._reference, out.command)
-        udp_records.tell_output(cycle, out.navigation, out.command, self._n, out.output)
+        self._actuate(cycle)
         out.output.text = b""
         self._last = cycle
         self._aborting = bool(self._input.orders & GncOrder.ABORT)
@@ -250,21 +249,30 @@ class GncServer:
         self.stats.compute_us.append(1e6 * (time.perf_counter() - begun_s))
 
     def _control_again(self) -> None:
-        """Repeat control in the same cycle with a new reference, after the approach monitor has started an abort."""
+        """Repeat the decision of control in the same cycle: an abort on the estimate has changed the reference."""
         self._aborting = True
-        udp_records.hear_input(self._input, self._not_before_s, self._imu, self._reference, self.poses)
+        self._read_input()
         self._command_bytes[:] = self._command_before
-        self._gnc.control(self._out.navigation, self._reference, self._out.command)
-        udp_records.tell_output(self._last, self._out.navigation, self._out.command, self._n, self._out.output)
+        self._actuate(self._last)
+
+    def _read_input(self) -> int:
+        """Write IMU, reference and poses from the input; return the number of poses."""
+        return int(udp_records.read_input(self._input, self._not_before_s, self._imu, self._reference, self.poses))
+
+    def _actuate(self, cycle: int) -> None:
+        """Run control on the present estimate and write the reply to the input ``cycle``."""
+        out = self._out
+        self._gnc.actuate(out.navigation, self._reference, out.command)
+        udp_records.write_output(cycle, out.navigation, out.command, self._n, out.output)
 
     def _join_at(self, cycle: int) -> None:
-        """Start the filters in the middle of a run: with its step numbers, without older poses."""
-        self._gnc.state.fusion.cycle = cycle
+        """Start the filters in the middle of a run: their steps take its cycle numbers, older poses are discarded."""
+        self._gnc.state.navigation.fusion.cycle = cycle
         self._gnc.cycle = cycle - 1
         self._not_before_s = (cycle - 0.5) * self._scenario.step_s
 
     def _bridge(self, gap: int) -> None:
-        """Step the filters over lost inputs; control is not stepped, because no thruster opened."""
+        """Carry the filters over lost inputs: their thrusters never opened, so control is not run."""
         self.arrived = 0
         for _ in range(gap):
             self._gnc.navigate(self._imu, self, self._out.navigation)
@@ -272,16 +280,15 @@ class GncServer:
 
     def _send(self) -> None:
         if self._gnc.fused_now:
-            udp_records.tell_filters(self._last, self._gnc.state.fusion.filters, self._filter_record)
+            udp_records.write_filters(self._last, self._gnc.state.navigation.fusion.filters, self._sent_filters)
             self.link.send("gnc.filters", self._filters)
-        self.link.send("gnc.flight", self._flights)
+        self.link.send("gnc.flight", self._replies)
 
     def _warm_up(self) -> None:
-        """Call each kernel once, so that nothing compiles while a bench waits for an output."""
-        udp_records.hear_input(self._input, self._not_before_s, self._imu, self._reference, self.poses)
+        """Call each kernel once: nothing compiles while a bench waits for an answer."""
+        self._read_input()
         self._gnc.navigate(self._imu, self, self._out.navigation)
-        self._gnc.control(self._out.navigation, self._reference, self._out.command)
-        udp_records.tell_output(0, self._out.navigation, self._out.command, self._n, self._out.output)
-        udp_records.tell_filters(0, self._gnc.state.fusion.filters, self._filter_record)
+        self._actuate(0)
+        udp_records.write_filters(0, self._gnc.state.navigation.fusion.filters, self._sent_filters)
         copy_into(self._imu.rate_C, np.zeros(3))
         self._restart()

@@ -1,6 +1,6 @@
-"""Compilation of the navigation filters into the kernel cache, on a second core.
+"""Compiler of the GNC's kernels into the kernel cache: the half of the work that a second core can do.
 
-``python -m hil.processes.precompile`` is started by ``compile_kernels`` when the kernel cache is empty.
+``python -m hil.processes.precompile`` runs in parallel with the first start of a program with an empty cache.
 """
 
 from __future__ import annotations
@@ -9,25 +9,28 @@ import numpy as np
 
 from hil.config.load import load_scenario
 from hil.core.child_process import Parent
-from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
+from hil.core.messages import IMU, MAX_POSES, POSE, TRUTH, new
 from hil.gnc import navigation
-from hil.gnc.fusion import MEMORY, STEP
-from hil.params import gnc as gnc_params
+from hil.loop.cycle import CycleData
+from hil.setup.assembly import make_gnc
 
 
-def compile_navigation() -> None:
-    """Call the kernels of navigation once, with the types of the loop's calls."""
-    params = gnc_params.navigation(load_scenario("scheme-1").value)
-    state = new(navigation.NAVIGATION_STATE)
-    poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
-    navigation.navigate(params, state, np.zeros(MEMORY, STEP), new(IMU), poses, 0, new(NAVIGATION))
-    navigation.normalised_errors(state.fusion.filters, new(TRUTH), new(IMU), np.empty(2))
+class _NoPoses:
+    poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
+    arrived = 0
+
+
+def compile_gnc() -> None:
+    """Call the kernels of the GNC once, with the types that the loop calls them with."""
+    gnc = make_gnc(load_scenario("scheme-1").value)
+    gnc.step(0.0, CycleData(), _NoPoses())
+    navigation.normalised_errors(gnc.state.navigation.fusion.filters, new(TRUTH), new(IMU), np.empty(2))
 
 
 def main() -> None:
     """Compile; the parent's end ends this process."""
     Parent()
-    compile_navigation()
+    compile_gnc()
 
 
 if __name__ == "__main__":

@@ -19,12 +19,13 @@ from hil.config.scenario import Scenario
 from hil.core.messages import CYCLE, MAX_POSES, POSE
 from hil.errors import BadInput, BenchError
 from hil.gnc_backends.base import GncBackend
+from hil.gnc_backends.builtin import BuiltinGnc
 from hil.loop.cycle import CycleData
-from hil.loop.stages import BuiltinGnc
+from hil.params import gnc as gnc_params
 from hil.recording.read import Recorded
 from hil.recording.schema import flat_fields
 from hil.setup.assembly import make_backend
-from hil.setup.live_tuning import tuning, with_setting
+from hil.setup.live_tuning import with_setting
 
 COMPARED: Final = ("navigation", "nees_position", "nees_attitude", "reference", "supervision", "command")
 """What the GNC writes, in the order in which it does."""
@@ -130,7 +131,7 @@ def _cycle(gnc: GncBackend, poses: _Poses, row: np.void, now: CycleData) -> str:
     """Run the lines of ``run_cycle`` that are the GNC's, from recorded inputs; return why it cannot go on."""
     now.row["truth"], now.row["imu"] = row["truth"], row["imu"]
     try:
-        gnc.act(float(row["t_s"]), now, poses)
+        gnc.step(float(row["t_s"]), now, poses)
     except BenchError as fault:
         return f"{fault}: the replay ends there"
     now.nees_position[0], now.nees_attitude[0] = gnc.consistency(now.truth, now.imu)
@@ -187,7 +188,7 @@ class _Settings:
             return
         for setting in self._by_cycle.get(cycle, ()):
             self._scenario = with_setting(self._scenario, setting, self._source).value
-            gnc.adjust(*tuning(self._scenario))
+            gnc.adjust(gnc_params.gnc(self._scenario))
 
 
 def _went_to_its_end(recorded: Recorded, scenario: Scenario) -> bool:

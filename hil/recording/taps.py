@@ -91,7 +91,7 @@ class RecordingSinks:
         loop.vision.frame_sink = self.arrivals
         if self.run_time is not None:
             loop.vision.on_run_zero = self.run_time.set_zero
-        for events in (*loop.gnc.logs, runner.events):
+        for events in (*loop.gnc.event_logs, runner.events):
             events.subscribe(notes.event)
         loop.gnc.orders.subscribe(lambda order: notes.order(*order))
         runner.safety.alarms.raised.subscribe(notes.alarm)

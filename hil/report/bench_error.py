@@ -13,7 +13,8 @@ import numpy as np
 from hil.bench.field_of_view import camera_errors
 from hil.config.rig import Rig
 from hil.core.messages import Array
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
+from hil.params import vision as vision_params
 
 _TIME_SLACK_S = 1e-6
 
@@ -42,8 +43,8 @@ def pose_errors(history: np.ndarray, rig: Rig, step_s: float) -> tuple[np.ndarra
     if len(rows):
         truth = rows["truth"]
         camera_errors(
-            gnc_params.bench(rig, step_s),
-            gnc_params.mounting(rig),
+            bench_params.bench(rig, step_s),
+            vision_params.mounting(rig),
             rail_m,
             gimbal_rad,
             np.ascontiguousarray(truth["r_CT_H"]),

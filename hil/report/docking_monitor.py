@@ -13,7 +13,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.monitor.kernels.quantities import of_chaser, of_measured_pose, quantities
 from hil.monitor.results import QUANTITIES
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
 from hil.setup.docking_monitor import MonitorOutcome
 
 Floats = NDArray[np.float64]
@@ -120,7 +120,7 @@ class _Truth:
 
 def _bench(history: np.ndarray, scenario: Scenario, rig: Rig, times: Floats) -> Floats:
     """Return QUANTITIES (n, 12), SI, of the camera by the encoders."""
-    track = EncoderTrack(gnc_params.bench(rig, scenario.step_s), mounting(scenario.monitor))
+    track = EncoderTrack(bench_params.bench(rig, scenario.step_s), mounting(scenario.monitor))
     track.add(history)
     found = np.empty((len(times), len(QUANTITIES)))
     for row, t_s in zip(found, times, strict=True):

@@ -12,10 +12,10 @@ from hil.config.scenario import Scenario
 from hil.config.sign_off import SignOff
 from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
-from hil.gnc_backends.library_file import digest_of
+from hil.gnc_backends.shared_library import digest_of
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.loop.runner import COMPLETED, Outcome
-from hil.params import gnc as gnc_params
+from hil.params import dynamics as dynamics_params
 from hil.report.bench_error import judge_bench_error
 from hil.report.latency import measure_latency
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
@@ -36,7 +36,7 @@ def summarise(
     thrusters = _thrusters(history, scenario)
     parts = {
         "control_precision": _control_precision(verdict, scenario),
-        "security": judge_security(history, scenario, gnc_params.orbit_rate(scenario)),
+        "security": judge_security(history, scenario, dynamics_params.orbit_rate(scenario)),
         "energy": judge_energy(
             history["reference"]["v_CT_H"], scenario, thrusters["propellant_kg"], sum(thrusters["thruster_firings"])
         ),

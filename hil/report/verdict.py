@@ -78,7 +78,7 @@ def judge(found: Deviations, requirements: Requirements) -> Verdict:
     """Return the verdict on a run's deviations."""
     state = new(ready_phase.READY_STATE)
     rows = np.ascontiguousarray(np.hstack([getattr(found, name) for name in ROW_NAMES]))
-    ready_phase.judge_all(ready_params(requirements), state, np.ascontiguousarray(found.t_s), rows)
+    ready_phase.update_all(ready_params(requirements), state, np.ascontiguousarray(found.t_s), rows)
     return verdict_of(state)
 
 

@@ -26,7 +26,9 @@ from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc.allocation import AXES_OF_A_BODY
 from hil.gnc.approach_monitor import margins
 from hil.gnc_backends.approach_events import ABORT_CAUSES
+from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
+from hil.params import vision as vision_params
 
 _DRIFT_SAMPLES = 720  # over one orbit
 
@@ -65,7 +67,7 @@ def judge_security(history: np.ndarray, scenario: Scenario, orbit_rate: float) -
     if len(approach) > 1:
         reference[-1] = reference[-2] if len(aborted) else reference[-1]  # the line before the abort
     margins(
-        gnc_params.supervision(scenario),
+        gnc_params.approach_monitor(scenario),
         np.ascontiguousarray(reference["from_H"]),
         np.ascontiguousarray(reference["to_H"]),
         np.ascontiguousarray(truth["r_CT_H"]),
@@ -149,12 +151,12 @@ def judge_field_of_view(history: np.ndarray, rig: Rig, step_s: float) -> dict[st
     """Return ``passed``, the least margin to an image's edge, px, its time and range, and the time outside."""
     if not len(history):
         return {"passed": False, "margin_px": None, "at_s": None, "range_m": None, "lost_s": None}
-    camera, leds = gnc_params.camera(rig)
+    camera, leds = vision_params.camera(rig)
     margins = np.empty(len(history))
     feedback = history["feedback"]
     view_margins(
-        gnc_params.bench(rig, step_s),
-        gnc_params.mounting(rig),
+        bench_params.bench(rig, step_s),
+        vision_params.mounting(rig),
         camera,
         leds,
         np.ascontiguousarray(feedback["rail_m"]),

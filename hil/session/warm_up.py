@@ -16,9 +16,9 @@ from hil.core.modes import Mode
 from hil.loop.bench_stage import Move
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import Runner
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
 from hil.session.build import in_memory
-from hil.setup.assembly import Job, make_gnc, start_axes
+from hil.setup.assembly import Job, start_axes
 
 FIRST_START = "first start: compiling the kernels for this computer, once, about a minute"
 _CYCLES = 10
@@ -38,7 +38,7 @@ def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
     started_s = time.perf_counter()
     with ChildProcess("precompile process", "hil.processes.precompile", {}) as child:
         try:
-            _warm_up_all_but_navigation(job)
+            _warm_up_all_but_gnc(job)
             child.wait_end(_CHILD_WALL_S)
         finally:
             child.kill()  # what it has not compiled is compiled here
@@ -50,13 +50,13 @@ def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
 def warm_up(job: Job) -> None:
     """Call every kernel of the loop once, in memory."""
     scenario, rig = job.scenario.value, job.rig.value
-    Move(gnc_params.bench(rig, scenario.step_s), new(AXES), start_axes(scenario, rig)).at(0.1, new(AXES))
-    brake_step(gnc_params.bench(rig, scenario.step_s), new(MOTION), new(AXES))
+    Move(bench_params.bench(rig, scenario.step_s), new(AXES), start_axes(scenario, rig)).at(0.1, new(AXES))
+    brake_step(bench_params.bench(rig, scenario.step_s), new(MOTION), new(AXES))
     _short_run(job).run()
 
 
-def _warm_up_all_but_navigation(job: Job) -> None:
-    """Call the kernels of every stage but navigation once."""
+def _warm_up_all_but_gnc(job: Job) -> None:
+    """Call the kernels of every stage but the GNC's once."""
     loop = _short_run(job).loop
     loop.safety_io.open(SimulatedRate(SimulatedClock(), job.scenario.value.step_s))
     now = loop.now
@@ -68,10 +68,6 @@ def _warm_up_all_but_navigation(job: Job) -> None:
     loop.bench.check(0.0, now.feedback)
     loop.bench.brake(0.0, now.setpoint)
     loop.vision.receive(0.0, 0.0, now.row[0])
-    gnc = make_gnc(job.scenario.value)
-    gnc.guide(0.0, now.supervision, now.reference)
-    gnc.supervise(0.0, now.navigation, now.reference, now.supervision)
-    gnc.control(now.navigation, now.reference, now.command)
     loop.dss.step(now.truth, now.command)
     loop.dss.sample_imu(now.truth, now.imu)
     loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), 0.0, now.setpoint)

@@ -25,12 +25,11 @@ from hil.dynamics.imu import IMU_NOISE
 from hil.errors import BadInput, Problem
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc.filter_monitor import FilterMonitor
-from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.gnc_backends.base import GncBackend
+from hil.gnc_backends.builtin import BuiltinGnc
 from hil.gnc_backends.command_words import CommandWordGnc
-from hil.gnc_backends.library_file import KEY as LIBRARY_KEY
-from hil.gnc_backends.library_file import Library
-from hil.gnc_backends.shared_library import SharedLibraryGnc
+from hil.gnc_backends.shared_library import KEY as LIBRARY_KEY
+from hil.gnc_backends.shared_library import Library, SharedLibraryGnc
 from hil.loop.bench_stage import BenchStage
 from hil.loop.cycle import Loop
 from hil.loop.motion_sequences import ProgressCallback
@@ -38,13 +37,16 @@ from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
 from hil.loop.runner import Runner, RunPlan
 from hil.loop.safety_io_stage import SafetyIoStage
-from hil.loop.stages import BuiltinGnc, DssStage, VisionStage
+from hil.loop.stages import DssStage, VisionStage
 from hil.loop.target_stage import PlacedTarget
 from hil.maths.random_streams import NormalRows, stream
+from hil.params import bench as bench_params
+from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
+from hil.params import vision as vision_params
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
-from hil.setup.gnc_setup import backend_setup, gnc_setup
+from hil.setup.gnc_setup import approach_event_log, backend_setup, gnc_setup
 
 _FRAMES_TO_FORGET = 2.0  # one lost frame drains from the bucket in their time, unless the rig file sets another
 
@@ -106,13 +108,13 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
     """Return a Runner of ``job`` on these devices, timed by ``rate``."""
     scenario = job.scenario.value
     rails, turntable, source, io, target = devices
-    bench = gnc_params.bench(rig, scenario.step_s)
+    bench = bench_params.bench(rig, scenario.step_s)
     axis_names = (*rails.axis_names, *turntable.axis_names)
     safety = SafetyMonitor(safety_limits(rig, bench), axis_names, _links(rig, rails, turntable, source))
     loop = Loop(
         dss=_dss(job.truth, job.seed),
         bench=BenchStage(rails, turntable, bench, safety),
-        vision=VisionStage(source, gnc_params.mounting(rig)),
+        vision=VisionStage(source, vision_params.mounting(rig)),
         gnc=_backend(job, rig, rate),
         history=np.zeros(job.cycles, CYCLE),
         telemetry=context.telemetry or NoTelemetry(),
@@ -126,7 +128,7 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         loop.vision.on_frame_used = loop.gnc.forwarder.put
     if target is not None and rig.moved_target is not None:
         loop.target = PlacedTarget(target, rig.moved_target)
-    loop.now.row["truth"] = gnc_params.initial_truth(job.truth)
+    loop.now.row["truth"] = dynamics_params.initial_truth(job.truth)
     draw_initial_imu_errors(job.truth, job.seed, loop.now.imu)
     overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s)
     overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
@@ -159,19 +161,10 @@ def _backend(job: Job, rig: Rig, rate: Rate) -> GncBackend:
 
 
 def make_gnc(scenario: Scenario) -> BuiltinGnc:
-    """Return navigation, guidance, supervision and control of ``scenario``, before their first cycle."""
-    sets, strength = gnc_params.allocation(scenario.chaser)
-    navigation = gnc_params.navigation(scenario)
-    return BuiltinGnc(
-        navigation,
-        gnc_params.guidance(scenario),
-        gnc_params.supervision(scenario),
-        gnc_params.control(scenario, strength),
-        sets,
-        len(scenario.chaser.thrusters.position_m),
-        ApproachEventLog(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
-        FilterMonitor(navigation, _shadow_limits(scenario)),
-    )
+    """Return the built-in GNC of ``scenario``, before its first cycle."""
+    params = gnc_params.gnc(scenario)
+    monitor = FilterMonitor(params.navigation, _shadow_limits(scenario))
+    return BuiltinGnc(params, approach_event_log(scenario), monitor)
 
 
 def make_backend(scenario: Scenario) -> GncBackend:
@@ -227,16 +220,16 @@ def _dss(scenario: Scenario, seed: int) -> DssStage:
     """Return the dynamics simulation with this run's thruster errors."""
     return DssStage(
         dss_as_built(scenario, seed),
-        gnc_params.field(scenario),
-        gnc_params.imu(scenario),
+        dynamics_params.field(scenario),
+        dynamics_params.imu(scenario),
         NormalRows(stream(seed, "imu"), IMU_NOISE),
     )
 
 
 def dss_as_built(scenario: Scenario, seed: int) -> np.record:
     """Return DSS_PARAMS with the thruster errors drawn from the run's seed."""
-    draws = stream(seed, "thrusters").standard_normal(gnc_params.thruster_draws_shape(scenario))
-    return gnc_params.dss(scenario, draws)
+    draws = stream(seed, "thrusters").standard_normal(dynamics_params.thruster_draws_shape(scenario))
+    return dynamics_params.dss(scenario, draws)
 
 
 def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:

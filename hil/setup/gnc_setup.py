@@ -1,4 +1,4 @@
-"""Setup of an external GNC: the record GNC_SETUP, from the nominal scenario, and the setup of its backend."""
+"""Setup of an external GNC from the scenario as the GNC has it: GNC_SETUP, setup of its backend, UDP backend."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from hil.gnc_backends.external import BackendSetup
 from hil.gnc_backends.udp import UdpGnc
 from hil.loop.runner import Runner
 from hil.maths import euler
+from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 
 
 def gnc_setup(scenario: Scenario) -> np.record:
-    """Return GNC_SETUP: the nominal vehicle and plan, without the seed and without dispersions."""
+    """Return GNC_SETUP: the nominal vehicle and plan, without seed and dispersions."""
     setup = new(GNC_SETUP)
     chaser, thrusters = scenario.chaser, scenario.chaser.thrusters
-    control = gnc_params.control(scenario, gnc_params.allocation(chaser)[1])
+    control = gnc_params.gnc(scenario).control
     setup.scenario = scenario.name.encode()[: GNC_SETUP["scenario"].itemsize]
     setup.step_s = scenario.step_s
     setup.duration_s = scenario.duration_s
-    setup.mean_motion_radps = gnc_params.orbit_rate(scenario)
+    setup.mean_motion_radps = dynamics_params.orbit_rate(scenario)
     setup.mass_kg = chaser.mass_kg
     setup.inertia_kgm2 = chaser.inertia_kg_m2
     n = len(thrusters.position_m)
@@ -38,30 +39,29 @@ def gnc_setup(scenario: Scenario) -> np.record:
     setup.acceleration_mps2 = control.acceleration[:3]
     setup.angular_acceleration_radps2 = control.acceleration[3:]
     setup.start_r_CT_H_m = scenario.initial.position_m
-    setup.start_q_CH = euler.to_quaternion(np.radians(scenario.initial.attitude_deg), gnc_params.YAW_PITCH_ROLL)
+    setup.start_q_CH = euler.to_quaternion(np.radians(scenario.initial.attitude_deg), euler.YAW_PITCH_ROLL)
     setup.ready_point_m = scenario.gnc.guidance.ready_point_m
     setup.closing_rate_max_mps = scenario.gnc.corridor.closing_rate_max_mps
     return setup
 
 
 def backend_setup(scenario: Scenario) -> BackendSetup:
-    """Return the setup of a backend that replaces the built-in GNC for ``scenario``."""
-    return BackendSetup(
-        gnc_setup(scenario),
-        gnc_params.guidance(scenario),
-        gnc_params.supervision(scenario),
-        gnc_params.allocation(scenario.chaser)[0],
-        ApproachEventLog(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s),
-    )
+    """Return the setup of the backend of an external GNC for ``scenario``."""
+    return BackendSetup(gnc_setup(scenario), gnc_params.gnc(scenario), approach_event_log(scenario))
+
+
+def approach_event_log(scenario: Scenario) -> ApproachEventLog:
+    """Return the event log of the approach of ``scenario``."""
+    return ApproachEventLog(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s)
 
 
 def make_udp_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None) -> UdpGnc:
-    """Return the backend of a GNC at the other end of ``link``. period_s: wall-clock period of a cycle, if paced."""
+    """Return the backend of ``scenario`` over ``link``. period_s: wall time of a cycle, None in simulated time."""
     monitor = FilterMonitor(gnc_params.navigation(scenario), None)
     return UdpGnc(link, config, lock_step, period_s, monitor, backend_setup(scenario))
 
 
 def mirror_of(runner: Runner, link: Link) -> Mirror:
-    """Return the telemetry of ``runner`` with a copy to ``link``, for the mailboxes that its peer has requested."""
+    """Return the telemetry of ``runner`` that sends the other side the mailboxes that it wants."""
     modes, rate = runner.safety.modes, runner.rate
     return Mirror(runner.loop.telemetry, link, lambda: modes.mode.value, lambda: rate.overruns)

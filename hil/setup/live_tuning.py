@@ -1,12 +1,11 @@
-"""Live tuning of the GNC: its parameter records, rebuilt from a checked scenario and exchanged between two cycles.
+"""Live tuning: parameters of the GNC that may change between two cycles, built from a checked scenario.
 
-Session and replay use the same function at the same cycle, so both get the same bits.
+Session and replay take over the same records at the same cycle: both have the same bits.
 """
 
 from __future__ import annotations
 
 import base64
-from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -15,32 +14,11 @@ from hil.config.load import Loaded, apply_settings, check_table
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.errors import BadInput
-from hil.gnc.approach_monitor import SUPERVISION_PARAMS
-from hil.gnc.control import CONTROL_PARAMS
-from hil.gnc.navigation import NAVIGATION_PARAMS
-from hil.params import gnc as gnc_params
-
-_LAYOUTS: Final = (NAVIGATION_PARAMS, SUPERVISION_PARAMS, CONTROL_PARAMS)
-
-
-class Tuning(NamedTuple):
-    """NAVIGATION_PARAMS, SUPERVISION_PARAMS and CONTROL_PARAMS of one scenario."""
-
-    navigation: np.record
-    supervision: np.record
-    control: np.record
-
-
-def tuning(scenario: Scenario) -> Tuning:
-    """Return the parameter records of the GNC of ``scenario``."""
-    _, strength = gnc_params.allocation(scenario.chaser)
-    return Tuning(
-        gnc_params.navigation(scenario), gnc_params.supervision(scenario), gnc_params.control(scenario, strength)
-    )
+from hil.gnc.step import GNC_PARAMS
 
 
 def with_setting(scenario: Scenario, setting: str, source: str) -> Loaded[Scenario]:
-    """Return ``scenario`` with ``key=value`` applied, validated. Raises BadInput, which names ``source``."""
+    """Return ``scenario`` with ``key=value`` set, checked. Raises BadInput; source: named in its messages."""
     table = scenario.model_dump(mode="json", exclude_none=True)
     origin: dict[str, str] = {}
     apply_settings(table, [setting], Scenario, origin)
@@ -48,26 +26,20 @@ def with_setting(scenario: Scenario, setting: str, source: str) -> Loaded[Scenar
 
 
 def check_in_flight(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> None:
-    """Raise BadInput if a run could not have been started with the settings of this scenario."""
+    """Raise BadInput if a run could not have been started with the settings of ``scenario``."""
     if problems := [*approach_problems(scenario), *flight_problems(scenario, rig)]:
         raise BadInput(problems)
 
 
-def packed(records: Tuning) -> str:
-    """Return ``records`` as text, to send them to another process."""
-    return base64.b64encode(b"".join(record.tobytes() for record in records)).decode()
+def packed(params: np.record) -> str:
+    """Return ``params`` (GNC_PARAMS) as text, to be sent between processes."""
+    return base64.b64encode(params.tobytes()).decode()
 
 
-def unpacked(text: str) -> Tuning:
-    """Return the records that ``packed`` has encoded. Raises ValueError for any other text."""
+def unpacked(text: str) -> np.record:
+    """Return GNC_PARAMS from a text of ``packed``. Raises ValueError for any other text."""
     data = base64.b64decode(text, validate=True)
-    sizes = [layout.itemsize for layout in _LAYOUTS]
-    if len(data) != sum(sizes):
-        raise ValueError(f"{len(data)} bytes of parameters, expected {sum(sizes)}")
-    starts = np.cumsum([0, *sizes]).tolist()
-    return Tuning(
-        *(
-            np.frombuffer(data, layout, 1, start).view(np.recarray)[0]
-            for layout, start in zip(_LAYOUTS, starts, strict=False)
-        )
-    )
+    if len(data) != GNC_PARAMS.itemsize:
+        raise ValueError(f"{len(data)} bytes of parameters, expected {GNC_PARAMS.itemsize}")
+    params: np.record = np.frombuffer(data, GNC_PARAMS).view(np.recarray)[0]
+    return params

@@ -20,8 +20,9 @@ from hil.core.modes import Mode
 from hil.frmn.mailbox import MailboxBlock
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
+from hil.params import gnc as gnc_params
 from hil.session import build
-from hil.setup.live_tuning import packed, tuning
+from hil.setup.live_tuning import packed
 from tests.support.run_settings import make_job
 
 LEASE_S = 1.0
@@ -264,7 +265,7 @@ def test_line_that_nobody_reads_never_stops_the_loop() -> None:
 
 
 def test_setting_is_changed_between_two_cycles_and_what_the_scenario_does_not_allow_is_refused() -> None:
-    records = packed(tuning(load_scenario("scheme-1", [f"{DEADBAND}=90.0"]).value))
+    records = packed(gnc_params.gnc(load_scenario("scheme-1", [f"{DEADBAND}=90.0"]).value))
 
     def script(talk: Talk) -> None:
         talk.fly()

@@ -50,7 +50,7 @@ def test_words_over_a_serial_port_fly_the_bench_and_their_end_stops_it() -> None
         outcome = runner.run()
     silent.set()
     thread.join()
-    assert outcome.stop.startswith("flight computer: no word for 1.0")
+    assert outcome.stop.startswith("flight computer: no command word for 1.0")
     fired = outcome.history["command"]["on"].astype(bool)
     flying = np.flatnonzero(fired.any(axis=1))
     assert {tuple(row) for row in np.nonzero(fired[flying][:, :16])[1].reshape(-1, 2).tolist()} == {(1, 5)}

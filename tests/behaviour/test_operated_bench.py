@@ -14,11 +14,11 @@ from hil.core.messages import AxisFeedback
 from hil.core.modes import Mode
 from hil.core.operator_commands import OperatorCommand
 from hil.errors import LinkLost
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
 from hil.report.summary import summarise
 from tests.support.operated_bench import STEP_S, Script, Session, operate
 
-LIMITS = gnc_params.bench(load_rig("mock").value, STEP_S)
+LIMITS = bench_params.bench(load_rig("mock").value, STEP_S)
 
 
 def idle(_: Session) -> None:

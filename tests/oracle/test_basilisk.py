@@ -16,9 +16,9 @@ from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import moon_gravity
 from hil.dynamics import truth as kernels
-from hil.dynamics.held_gravity import CACHED_GRAVITY
+from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.maths import quat
-from hil.params import gnc as gnc_params
+from hil.params import dynamics as dynamics_params
 from tests.support.basilisk_pair import Pair, gravity_model, write_field
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # Basilisk's own
@@ -55,7 +55,7 @@ def inertial_states(truth: np.record) -> list[tuple[Any, Any]]:
 
 
 def test_gravity_agrees_to_rounding(drift: Scenario, field_file: Path, rng: np.random.Generator) -> None:
-    params, field = gnc_params.dss(drift), gnc_params.field(drift)
+    params, field = dynamics_params.dss(drift), dynamics_params.field(drift)
     body = gravity_model(field_file)
     params.gravity.rotation = params.gravity.rate = 0.0
     ours = np.empty(3)
@@ -69,7 +69,11 @@ def test_gravity_agrees_to_rounding(drift: Scenario, field_file: Path, rng: np.r
 
 @pytest.mark.parametrize(("span_s", "tolerance_m"), [(400.0, 1e-6), (7655.0, 1e-3)], ids=["400 s", "an orbit"])
 def test_relative_position_agrees(drift: Scenario, field_file: Path, span_s: float, tolerance_m: float) -> None:
-    params, field, truth = gnc_params.dss(drift), gnc_params.field(drift), gnc_params.initial_truth(drift)
+    params, field, truth = (
+        dynamics_params.dss(drift),
+        dynamics_params.field(drift),
+        dynamics_params.initial_truth(drift),
+    )
     span = new(CACHED_GRAVITY)
     assert 2.0 * math.pi / params.orbit_rate == pytest.approx(7655.0, abs=60.0)
     theirs = Pair(params, inertial_states(truth), field_file, step_s=0.5).run_to(span_s)

@@ -100,7 +100,7 @@ class Split:
         return float(change[:, :3].max()), float(change[:, 3:].max())
 
     def account(self) -> dict[str, Any]:
-        return self.gnc.account.as_json()
+        return self.gnc.stats.as_json()
 
 
 @contextmanager

@@ -5,41 +5,67 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.core.messages import SUPERVISION, new
+from hil.config.scenario import Scenario
+from hil.core.messages import REFERENCE, SUPERVISION, new
+from hil.gnc import guidance, step
+from hil.gnc.step import APPROACH_PROGRESS, APPROACH_STATE
 from hil.gnc_backends.approach_events import ApproachEventLog
+from hil.params import gnc as gnc_params
 from hil.session import build
 from tests.support.run_settings import make_job
 
 
 @pytest.fixture
-def diary() -> ApproachEventLog:
-    """Return the diary of an approach of two phases, ready after 5 s."""
+def event_log() -> ApproachEventLog:
+    """Return the event log of an approach of two phases, ready after 5 s."""
     return ApproachEventLog(("approach", "ready"), 5.0)
 
 
-def texts(diary: ApproachEventLog) -> list[str]:
-    return [event.text for event in diary.events]
+def texts(event_log: ApproachEventLog) -> list[str]:
+    return [event.text for event in event_log.events]
 
 
-def test_docking_is_go_after_the_dwell_and_not_before(diary: ApproachEventLog) -> None:
-    assert not diary.docking_is_go(100.0, np.nan)
-    assert not diary.docking_is_go(14.9, 10.0)
-    assert diary.docking_is_go(15.0, 10.0)
+def progress(**fields: float) -> np.void:
+    """Return APPROACH_PROGRESS with these fields, the others zero."""
+    record = np.zeros((), APPROACH_PROGRESS)
+    for name, value in fields.items():
+        record[name] = value
+    return record[()]
 
 
-def test_readiness_is_noted_when_it_comes_and_when_it_goes(diary: ApproachEventLog) -> None:
-    for t_s, since_s in ((10.0, 10.0), (15.0, 10.0), (16.0, 10.0), (17.0, np.nan), (30.0, 18.0)):
-        diary.look(t_s, since_s)
-    assert [text.partition(":")[0] for text in texts(diary)[1:]] == ["ready", "no longer ready", "ready"]
+@pytest.mark.parametrize(("t_s", "since_s", "go"), [(100.0, np.nan, 0), (14.9, 10.0, 0), (15.0, 10.0, 1)])
+def test_docking_is_go_after_the_dwell_and_not_before(scheme_1: Scenario, t_s: float, since_s: float, go: int) -> None:
+    params, state, supervision = gnc_params.gnc(scheme_1).approach, new(APPROACH_STATE), new(SUPERVISION)
+    params.dwell_s, supervision.ready_since_s = 5.0, since_s
+    guidance.start(params.guidance, state.guidance)
+    step.guide(params, state, t_s, supervision, new(REFERENCE))
+    assert state.progress.docking_go == go
 
 
-def test_decision_after_an_abort_is_no_go(diary: ApproachEventLog) -> None:
-    watch = new(SUPERVISION)
-    watch.aborted, watch.corridor_margin_m = 1, -0.02
-    diary.abort_began(50.0, watch)
-    diary.decide(60.0, 10.0)
-    assert "the corridor was left (corridor margin -0.020 m" in texts(diary)[1]
-    assert texts(diary)[-1] == "docking: no-go, the approach was aborted"
+def test_readiness_is_logged_when_it_begins_and_when_it_ends(event_log: ApproachEventLog) -> None:
+    was = 0
+    for t_s, ready in ((10.0, 0), (15.0, 1), (16.0, 1), (17.0, 0), (30.0, 1)):
+        event_log.update(t_s, progress(ready=was), progress(ready=ready), new(SUPERVISION))
+        was = ready
+    assert [text.partition(":")[0] for text in texts(event_log)[1:]] == ["ready", "no longer ready", "ready"]
+
+
+def test_readiness_is_logged_again_in_a_new_phase_and_its_end_is_not_after_an_abort(
+    event_log: ApproachEventLog,
+) -> None:
+    event_log.update(10.0, progress(ready=1), progress(phase=1, ready=1), new(SUPERVISION))
+    assert [text.partition(":")[0] for text in texts(event_log)[1:]] == ["phase ready begins", "ready"]
+    event_log.update(11.0, progress(phase=1, ready=1), progress(phase=1, aborted=1), new(SUPERVISION))
+    assert not any(text.startswith("no longer ready") for text in texts(event_log))
+
+
+def test_decision_after_an_abort_is_no_go(event_log: ApproachEventLog) -> None:
+    supervision = new(SUPERVISION)
+    supervision.aborted, supervision.corridor_margin_m = 1, -0.02
+    event_log.update(50.0, progress(), progress(aborted=1), supervision)
+    event_log.update(60.0, progress(go=1, aborted=1), progress(aborted=1, ready_since_s=10.0), supervision)
+    assert "the corridor was left (corridor margin -0.020 m" in texts(event_log)[1]
+    assert texts(event_log)[-1] == "docking: no-go, the approach was aborted"
 
 
 def test_order_to_go_on_is_answered_once() -> None:

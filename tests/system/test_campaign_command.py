@@ -71,8 +71,8 @@ def test_campaign_of_one_run_is_the_first_case_of_a_long_one(alone: Path, tmp_pa
 class Deadly(LocalEngine):
     """Kills one of its workers with -9 after the first batch."""
 
-    def fly(self, spec: batch.Spec, batches: list[engines.Batch]) -> Iterator[tuple[int, batch.Rows]]:  # type: ignore[override]
-        for number, done in enumerate(super().fly(spec, batches)):
+    def run(self, spec: batch.Spec, batches: list[engines.Batch]) -> Iterator[tuple[int, batch.Rows]]:  # type: ignore[override]
+        for number, done in enumerate(super().run(spec, batches)):
             if number == 0:
                 children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
                 workers = [w for child in children for w in _children(int(child))]
@@ -87,7 +87,7 @@ def _children(pid: int) -> list[int]:
 def test_worker_killed_in_the_middle_changes_nothing(alone: Path, tmp_path: Path) -> None:
     campaign = Campaign(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0)
     store = campaign.store(tmp_path / "c")
-    campaign.fly(store, 120, Deadly(2), lambda _: None)
+    campaign.run(store, 120, Deadly(2), lambda _: None)
     assert_same(alone, tmp_path / "c")
 
 
@@ -98,7 +98,7 @@ def test_case_that_kills_its_worker_is_recorded_and_the_rest_flown(
     monkeypatch.setattr(engines, "run_batch", _deadly_batch)
     scenario = load_scenario("scheme-1").value
     spec = batch.Spec.of(scenario, load_rig("mock").value, 0, 0.1)
-    rows = dict(LocalEngine(2).fly(spec, [(0, 1), (1, 2)]))
+    rows = dict(LocalEngine(2).run(spec, [(0, 1), (1, 2)]))
     found = [row for first in sorted(rows) for row in rows[first]]
     assert [row["case"] for row in found] == [0, 1, 2]
     died = [row["case"] for row in found if row["stop"].startswith("not flown: its worker process ended")]
@@ -124,7 +124,7 @@ def test_campaign_killed_in_the_middle_goes_on_where_it_was_and_shares_its_folde
         options = ["--runs", "120", "--out", str(folder), *SHORT]
         assert execute(["campaign", "scheme-1", *options, "--workers", "1"]) == 2
         said = capsys.readouterr().err.strip()
-        assert said.splitlines()[-1].endswith("another campaign is under way in it, give another folder or wait")
+        assert said.splitlines()[-1].endswith("another campaign is running in it, give another folder or wait")
         child.kill()
     fly(folder, "--workers", "1")
     assert_same(alone, folder)
@@ -239,6 +239,6 @@ def test_dask_cluster_gives_the_same_cases_also_when_a_worker_is_killed(alone: P
                 os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
             seen.append(now)
 
-        campaign.fly(store, 120, engine, kill_one)
+        campaign.run(store, 120, engine, kill_one)
         engine.close()
     assert_same(alone, tmp_path / "killed")

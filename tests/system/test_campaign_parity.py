@@ -31,7 +31,7 @@ OF_THE_CLOCK = ("sampled_s", "received_s", "commanded_s", "on_wire_s", "lateness
 def both(
     scheme: str, settings: tuple[str, ...], duration_s: float, case: int | None = None
 ) -> tuple[Outcome, build.Job, np.ndarray, np.record, str]:
-    """Return the outcome of a run on the mock rig, its job, and history, tally and stop of the compiled one."""
+    """Return the outcome of a run on the mock rig, its job, and history, stats and stop of the compiled one."""
     scenario, rig = load_scenario(scheme, settings), load_rig("mock", settings)
     truth, told, seed = scenario.value, scenario.value, 3
     if case is not None:
@@ -42,10 +42,10 @@ def both(
     with build.runner(job) as runner:
         outcome = runner.run()
     flight = CaseRunner(told, rig.value, duration_s)
-    flight.fly(truth, seed + 1)  # what was flown before leaves no trace
+    flight.run(truth, seed + 1)  # what was flown before leaves no trace
     history = np.zeros(flight.cycles, CYCLE)
-    tally, stop = flight.fly(truth, seed, history)
-    return outcome, job, history, tally, stop
+    stats, stop = flight.run(truth, seed, history)
+    return outcome, job, history, stats, stop
 
 
 def assert_same_bits(one: np.ndarray, other: np.ndarray, name: str = "") -> None:
@@ -63,9 +63,9 @@ def assert_same_bits(one: np.ndarray, other: np.ndarray, name: str = "") -> None
     ids=["scheme-1", "scheme-2 with late, lost and repeated poses", "scheme-3", "the filter as printed"],
 )
 def test_compiled_loop_has_the_bits_of_the_cycle(scheme: str, settings: tuple[str, ...]) -> None:
-    outcome, _, history, tally, stop = both(scheme, settings, 20.0)
+    outcome, _, history, stats, stop = both(scheme, settings, 20.0)
     assert outcome.stop == stop == COMPLETED
-    assert tally.cycles == len(history) == len(outcome.history)
+    assert stats.cycles == len(history) == len(outcome.history)
     assert_same_bits(outcome.history, history)
 
 
@@ -78,9 +78,9 @@ def test_compiled_loop_has_the_bits_of_the_cycle_to_the_end(scheme: str) -> None
 
 
 def test_abort_and_retreat_have_the_same_bits() -> None:
-    outcome, _, history, tally, _ = both("scheme-1", ("gnc.abort.at_s=8.0",), 20.0)
+    outcome, _, history, stats, _ = both("scheme-1", ("gnc.abort.at_s=8.0",), 20.0)
     assert_same_bits(outcome.history, history)
-    assert tally.aborted == history["supervision"]["aborted"][-1] != 0
+    assert stats.aborted == history["supervision"]["aborted"][-1] != 0
 
 
 def test_dispersed_case_has_the_bits_of_the_cycle() -> None:
@@ -94,17 +94,17 @@ def test_dispersed_case_has_the_bits_of_the_cycle() -> None:
     ids=["silent vision unit", "following error"],
 )
 def test_fault_ends_both_at_the_same_cycle_with_the_same_words(settings: tuple[str, ...]) -> None:
-    outcome, _, history, tally, stop = both("scheme-1", settings, 20.0)
+    outcome, _, history, stats, stop = both("scheme-1", settings, 20.0)
     assert outcome.stop == stop != COMPLETED
-    assert tally.cycles == len(outcome.history) < len(history)
-    assert_same_bits(outcome.history, history[: tally.cycles])
+    assert stats.cycles == len(outcome.history) < len(history)
+    assert_same_bits(outcome.history, history[: stats.cycles])
 
 
 def test_row_of_a_case_holds_the_numbers_of_the_report() -> None:
-    outcome, job, _, tally, stop = both("scheme-1", CLOSE, 60.0)
+    outcome, job, _, stats, stop = both("scheme-1", CLOSE, 60.0)
     scenario = job.scenario.value
     summary, _ = summarise(outcome, scenario, job.rig.value, "mock", job.seed, 50.0)
-    row = row_of(tally, stop, scenario, job.truth)
+    row = row_of(stats, stop, scenario, job.truth)
     assert summary["ready_time_s"] is not None
     for name in ("passed", "passed_all_parts", "stop", "ready_time_s", "held_since_s"):
         assert row[name] == summary[name], name

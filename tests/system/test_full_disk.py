@@ -46,7 +46,7 @@ def test_full_disk_stops_the_campaign_and_with_room_it_goes_on_to_the_same_table
     folder = small_disk / "c"
     assert fly(folder) == SAFE_STOPPED
     said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "No space left on device: what is done so far is kept, run it again" in said
+    assert "No space left on device: completed cases are kept, run it again" in said
     kept = sorted(folder.glob("parts/*.parquet"))
     assert kept
     assert not list(folder.rglob("*.part"))

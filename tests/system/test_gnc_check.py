@@ -1,4 +1,4 @@
-"""The check of a foreign GNC: the example passes, each fault that is put into it is found and named."""
+"""Check of an external GNC: the example passes, each fault that is put into it is found and named."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from hil.cli.main import execute
 from hil.config.load import load_scenario
 from hil.gnc_check.check import Report, check_gnc
-from hil.gnc_check.gnc_under_test import LibraryPartner, LinkPartner, check_link
+from hil.gnc_check.gnc_under_test import LibraryUnderTest, ProgramUnderTest, check_link
 from tests.support.external_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
 
 SCALAR_FIRST = (
@@ -39,7 +39,7 @@ WORDS = {
     "scalar first": ("misread", "reads quaternions with the scalar first"),
     "hold": ("quiet", "fires in HOLD"),
     "millimetres": ("estimate", "position in millimetres"),
-    "gyro": ("estimate", "the gyro read as degrees a second"),
+    "gyro": ("estimate", "the gyro read as degrees per second"),
 }
 
 
@@ -51,8 +51,8 @@ def check(library: Path, slower_s: float = 0.0) -> Report:
         partner.close()
 
 
-class _Slower(LibraryPartner):
-    """A library whose answers take longer, as a stopwatch would say."""
+class _Slower(LibraryUnderTest):
+    """A library whose replies take longer."""
 
     def __init__(self, library: Path, slower_s: float) -> None:
         super().__init__(str(library), "test")
@@ -115,7 +115,7 @@ def test_programs_pass_over_udp(tmp_path: Path, language: str) -> None:
     else:
         command = [sys.executable, str(PYTHON_EXAMPLE)]
     with subprocess.Popen([*command, "127.0.0.1", str(link.address[1])]) as program:
-        partner = LinkPartner(link, 20.0)
+        partner = ProgramUnderTest(link, 20.0)
         try:
             report = check_gnc(partner, load_scenario("scheme-1").value)
         finally:

@@ -58,10 +58,10 @@ def compiled(library: Path, duration_s: float, *settings: str) -> tuple[np.ndarr
     chosen = (f"gnc.library={library}", *settings)
     scenario, rig = load_scenario("scheme-1", chosen).value, load_rig("mock", chosen).value
     flight = CaseRunner(scenario, rig, duration_s)
-    flight.fly(scenario, 4)  # what was flown before leaves no trace
+    flight.run(scenario, 4)  # what was flown before leaves no trace
     history = np.zeros(flight.cycles, CYCLE)
-    tally, stop = flight.fly(scenario, 3, history)
-    return history[: tally.cycles], tally, stop
+    stats, stop = flight.run(scenario, 3, history)
+    return history[: stats.cycles], stats, stop
 
 
 def assert_same_bits(one: np.ndarray, other: np.ndarray, name: str = "") -> None:
@@ -74,8 +74,8 @@ def assert_same_bits(one: np.ndarray, other: np.ndarray, name: str = "") -> None
 
 def test_c_example_flies_scheme_1_through_table_iii(library: Path) -> None:
     scenario = load_scenario("scheme-1", [f"gnc.library={library}"]).value
-    tally, stop = CaseRunner(scenario, load_rig("mock").value, scenario.duration_s).fly(scenario, 0)
-    row = row_of(tally, stop, scenario, scenario)
+    stats, stop = CaseRunner(scenario, load_rig("mock").value, scenario.duration_s).run(scenario, 0)
+    row = row_of(stats, stop, scenario, scenario)
     assert row["passed"]
     assert row["ready_time_s"] < 170.0
 
@@ -209,7 +209,7 @@ def test_library_that_reports_a_fault_or_asks_for_a_hold_is_heard(tmp_path: Path
         (lambda folder: folder / "none.so", "no such file"),
         (lambda folder: PYTHON_EXAMPLE, "cannot be loaded"),
         (lambda folder: variant(folder, "int hil_gnc_step( => int some_step("), "has no function hil_gnc_step"),
-        (lambda folder: variant(folder, "return HIL_GNC_PROTOCOL; => return 99;"), "speaks protocol 99"),
+        (lambda folder: variant(folder, "return HIL_GNC_PROTOCOL; => return 99;"), "has protocol 99"),
         (
             lambda folder: variant(folder, 'if (g == NULL) => strcpy(reason, "no star"); return NULL; if (g == NULL)'),
             "refuses the scenario: no star",
@@ -238,7 +238,7 @@ def test_every_command_refuses_it(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert execute(arguments[command]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert "gnc.library" in lines[-1]
-    assert "speaks protocol 99" in lines[-1]
+    assert "has protocol 99" in lines[-1]
 
 
 def test_path_of_a_library_counts_from_the_folder_of_its_scenario(library: Path, tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_shadow_filter_that_parts_is_told_where_the_gnc_runs() -> None:
     settings = ("gnc.shadow.enabled=true", "gnc.shadow.position_limit_m=1e-5")
     with split_bench("scheme-1", 4.0) as bench, gnc_thread("scheme-1", bench.link.address, settings) as gnc:
         assert bench.fly().faults == []
-    told = [text for text in gnc.stats.as_json(gnc.link)["filters"] if "shadow: parts from the filters" in text]
+    told = [text for text in gnc.stats.as_json(gnc.link)["filters"] if "shadow: diverges from the filters" in text]
     assert told
     assert told[0].endswith("allowed 1e-05 m and 0.05 deg")
 

@@ -148,7 +148,7 @@ def fit_edge_samples(image, first_line, line_step, samples, count, blur, noise, 
         for _ in range(turns):
             misfit = _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right)
             factor = normal.copy()
-            if not cholesky.factor(factor, known, factor, cholesky.LEAST_SHARE):
+            if not cholesky.factor(factor, known, factor, cholesky.LEAST_RESIDUE):
                 solved = False
                 break
             for i in range(4):

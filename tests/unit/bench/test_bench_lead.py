@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hil.bench.kinematics import BENCH_PARAMS, MOTION, ahead, limit_setpoint
 from hil.config.load import load_rig
 from hil.core.messages import AXES, new
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
 
 DT = 0.02
 places = st.floats(-0.9, 0.9)
@@ -79,10 +79,10 @@ def test_limits_hold_for_what_is_sent_and_not_only_for_what_was_wanted(
 def test_leads_of_the_rig_file_reach_their_own_axes() -> None:
     settings = ("rig.rails.y.lead_s=0.02", "rig.turntable.yaw.lead_s=-0.01")
     np.testing.assert_array_equal(
-        gnc_params.bench(load_rig("mock", settings).value, DT).lead, [0.0, 0.02, 0.0, 0.0, 0.0, -0.01]
+        bench_params.bench(load_rig("mock", settings).value, DT).lead, [0.0, 0.02, 0.0, 0.0, 0.0, -0.01]
     )
 
 
 @pytest.mark.parametrize("rig", ["mock", "emulated"])
 def test_shipped_rigs_have_no_lead(rig: str) -> None:
-    np.testing.assert_array_equal(gnc_params.bench(load_rig(rig).value, DT).lead, 0.0)
+    np.testing.assert_array_equal(bench_params.bench(load_rig(rig).value, DT).lead, 0.0)

@@ -13,7 +13,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import CYCLE
 from hil.maths import euler
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
 
 STEP_S = 0.02
 PLACED = DockingMonitor(camera_position_m=(0.8, 0.1, -0.5), target_position_m=(-0.3, 0.05, -0.45))
@@ -21,7 +21,7 @@ STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def track_of(rig: Rig) -> EncoderTrack:
-    return EncoderTrack(gnc_params.bench(rig, STEP_S), mounting(PLACED))
+    return EncoderTrack(bench_params.bench(rig, STEP_S), mounting(PLACED))
 
 
 def rows_at(t_s: np.ndarray, rail_m: np.ndarray, delays_s: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
@@ -43,10 +43,10 @@ def test_head_on_the_camera_sees_the_target_where_the_stations_say() -> None:
 def test_turns_of_the_chaser_are_turns_of_the_camera_about_its_axes() -> None:
     # S: x1 = -y_c, x2 = z_c, x3 = -x_c
     for angles, expected in (([0.0, 0.0, 0.01], [0.0, 0.01, 0.0]), ([0.0, 0.02, 0.0], [-0.02, 0.0, 0.0])):
-        q = euler.to_quaternion(np.array(angles), gnc_params.YAW_PITCH_ROLL)
+        q = euler.to_quaternion(np.array(angles), euler.YAW_PITCH_ROLL)
         _, phi = view(mounting(DockingMonitor()), np.array([5.0, 0.0, 0.0]), q)
         np.testing.assert_allclose(phi, expected, atol=1e-12)
-    q = euler.to_quaternion(np.array([0.03, 0.0, 0.0]), gnc_params.YAW_PITCH_ROLL)
+    q = euler.to_quaternion(np.array([0.03, 0.0, 0.0]), euler.YAW_PITCH_ROLL)
     _, phi = view(mounting(DockingMonitor()), np.array([5.0, 0.0, 0.0]), q)
     np.testing.assert_allclose(phi, [0.0, 0.0, -0.03], atol=1e-12)
 
@@ -57,7 +57,7 @@ def test_encoders_are_turned_into_the_pose_of_the_chaser(mock_rig: Rig, scheme_1
     rows["feedback"]["gimbal_rad"] = axes.gimbal_rad
     track = track_of(mock_rig)
     track.add(rows)
-    q = euler.to_quaternion(np.radians([3.0, 3.0, -3.0]), gnc_params.YAW_PITCH_ROLL)
+    q = euler.to_quaternion(np.radians([3.0, 3.0, -3.0]), euler.YAW_PITCH_ROLL)
     expected = view(mounting(PLACED), np.array([5.0, -0.3, 0.3]), q)
     for found, wanted in zip(track(0.5), expected, strict=True):
         np.testing.assert_allclose(found, wanted, atol=1e-12)

@@ -86,7 +86,7 @@ def test_full_disk_stops_cleanly_and_keeps_what_is_done(tmp_path: Path, monkeypa
 
 def test_folder_belongs_to_one_campaign_at_a_time(tmp_path: Path) -> None:
     with Store(tmp_path / "c", IDENTITY, ["a"]) as store:
-        with pytest.raises(BadInput, match="another campaign is under way"):
+        with pytest.raises(BadInput, match="another campaign is running in it"):
             Store(tmp_path / "c", IDENTITY, ["a"])
         put(store, 0, BATCH)  # which takes nothing from the first
     assert Store(tmp_path / "c", IDENTITY, ["a"]).missing(BATCH) == []

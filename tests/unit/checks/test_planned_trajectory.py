@@ -16,6 +16,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import REFERENCE, new
 from hil.gnc import guidance
 from hil.gnc.guidance import GUIDANCE_STATE
+from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 
 
@@ -76,7 +77,7 @@ def test_start_in_motion_drifts_until_it_is_stopped() -> None:
     # lead 5 s and 10 N on 1000 kg
     np.testing.assert_allclose(moved.r_CT_H, [5.0, -0.3 + 0.02 * 5.0 + 0.02**2 / 0.02, 0.3], atol=1e-9)
     assert math.degrees(moved.turn[2]) < -3.0 - 0.3 * 1.5
-    assert (moved.point_key, moved.turn_key) == ("initial.velocity_mps", "initial.rate_degps")
+    assert (moved.point_key, moved.rotation_key) == ("initial.velocity_mps", "initial.rate_degps")
 
 
 @pytest.mark.parametrize("scheme", ["scheme-1", "scheme-2", "scheme-3"])
@@ -122,7 +123,7 @@ def test_band_is_table_iii_at_the_ready_point_and_a_share_of_the_corridor_farthe
 
 
 def test_lever_arm_moves_the_rails_with_the_attitudes_band(mock_rig: Rig) -> None:
-    params = gnc_params.bench(mock_rig, 0.02)  # lever arm 0.35 m along z
+    params = bench_params.bench(mock_rig, 0.02)  # lever arm 0.35 m along z
     band = math.radians(2.0)
     level = reachability.attitude(params, np.zeros(3), band)
     np.testing.assert_allclose(level.planned, [0.0, 0.0, -0.35, 0.0, 0.0, 0.0], atol=1e-12)
@@ -135,7 +136,7 @@ def test_lever_arm_moves_the_rails_with_the_attitudes_band(mock_rig: Rig) -> Non
 
 
 def test_travel_includes_the_room_to_brake(mock_rig: Rig) -> None:
-    params = gnc_params.bench(mock_rig, 0.02)
+    params = bench_params.bench(mock_rig, 0.02)
     level = reachability.attitude(params, np.zeros(3), 0.0)
     at, fast = np.array([[1.0, 0.0, 0.35]]), np.array([[0.3, 0.0, 0.0]])
     asked = reachability.envelope(params, [level], at, fast, np.array([[0.1, 0.0, 0.0]]), *[np.zeros(3)] * 4)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from hil.console.columns import COLUMNS, INDEX, console_rows
 from hil.core.clock import SimulatedClock
 from hil.loop.rate_keeper import SimulatedRate
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
 from hil.session import build
 from tests.support.run_settings import make_job
 
@@ -20,7 +20,7 @@ def flown() -> tuple[np.ndarray, np.ndarray]:
     job = make_job(4.0, seed=3)
     step_s = job.scenario.value.step_s
     history = build.in_memory(job, SimulatedRate(SimulatedClock(), step_s), lambda *_: None).run().history
-    return history, console_rows(gnc_params.bench(job.rig.value, step_s), history)
+    return history, console_rows(bench_params.bench(job.rig.value, step_s), history)
 
 
 def triple(rows: np.ndarray, name: str) -> np.ndarray:
@@ -84,7 +84,7 @@ def test_nothing_is_shown_of_an_estimate_before_there_is_one() -> None:
     step_s = job.scenario.value.step_s
     history = build.in_memory(job, SimulatedRate(SimulatedClock(), step_s), lambda *_: None).run().history
     history["navigation"]["valid"] = 0
-    rows = console_rows(gnc_params.bench(job.rig.value, step_s), history)
+    rows = console_rows(bench_params.bench(job.rig.value, step_s), history)
     assert rows.shape == (3, COLUMNS)
     for name in ("estimate_m", "angle_estimate_deg", "position_error_mm", "angle_band_deg"):
         assert np.isnan(triple(rows, name)).all()

@@ -19,7 +19,6 @@ from hil.core.messages import CYCLE
 from hil.frmn.ring import Ring
 from hil.maths import euler
 from hil.monitor.results import PORTION, Portion, portion_row
-from hil.params.gnc import YAW_PITCH_ROLL
 from tests.support.run_settings import make_job
 
 JOB = make_job(1.0)
@@ -104,7 +103,7 @@ def test_picture_that_nobody_dates_is_new() -> None:
 
 def test_portions_come_once_and_all_of_them_to_a_page_that_comes_late(shown: LiveView) -> None:
     places = mounting(JOB.scenario.value.monitor)
-    r, q = np.array([1.2, 0.03, -0.02]), euler.to_quaternion(np.array([0.02, -0.03, 0.01]), YAW_PITCH_ROLL)
+    r, q = np.array([1.2, 0.03, -0.02]), euler.to_quaternion(np.array([0.02, -0.03, 0.01]), euler.YAW_PITCH_ROLL)
     near = np.full(12, 0.1)
     near[:3], near[3:6] = view(places, r, q)
     far = np.full(12, np.nan)
@@ -129,7 +128,7 @@ def test_chaser_is_where_its_docking_camera_s_view_has_it(rng: np.random.Generat
     places = mounting(JOB.scenario.value.monitor)
     for _ in range(20):
         r = rng.uniform([0.4, -0.5, -0.5], [20.0, 0.5, 0.5])
-        q = euler.to_quaternion(rng.uniform(-0.3, 0.3, 3), YAW_PITCH_ROLL)
+        q = euler.to_quaternion(rng.uniform(-0.3, 0.3, 3), euler.YAW_PITCH_ROLL)
         np.testing.assert_allclose(chaser_position(places, *view(places, r, q)), r, atol=1e-12)
 
 

@@ -35,7 +35,7 @@ from hil.frmn.image_memory import PictureMemory
 from hil.frmn.ring import Ring
 from hil.frmn.run_time import RunTime
 from hil.loop.stages import VisionStage
-from hil.params import gnc as gnc_params
+from hil.params import vision as vision_params
 from hil.recording.read import contents
 from hil.recording.writer import RecordingHeader, RunFile
 
@@ -221,7 +221,7 @@ def test_vision_tells_the_run_s_time_when_it_begins_changes_and_stands() -> None
         def poll(self, now_s: float) -> list[PoseFrame]:
             return []
 
-    vision = VisionStage(Silent(), gnc_params.mounting(load_rig("mock").value))  # type: ignore[arg-type]
+    vision = VisionStage(Silent(), vision_params.mounting(load_rig("mock").value))  # type: ignore[arg-type]
     told: list[float] = []
     vision.on_run_zero = told.append
     row = np.zeros(1, CYCLE)[0]

@@ -174,7 +174,7 @@ class Bench:
     def act(self, now_s: float) -> list[int]:
         """Return the thrusters that are open after a cycle, from 1."""
         self.now_s = now_s
-        self.seat.act(now_s, self.now, _Silence())
+        self.seat.step(now_s, self.now, _Silence())
         return (np.flatnonzero(self.now.command.on) + 1).tolist()
 
 
@@ -194,15 +194,15 @@ def test_longer_silence_stops_or_holds_as_configured(scheme_1: Scenario) -> None
     bench = Bench(scheme_1, on_loss="stop")
     bench.said.word = (Word(1, 1), 0.0)
     assert bench.act(0.5) == []
-    with pytest.raises(LinkTimeout, match=r"flight computer: no word for 0.60 s, allowed 0.5 s"):
+    with pytest.raises(LinkTimeout, match=r"flight computer: no command word for 0.60 s, allowed 0.5 s"):
         bench.act(0.6)
     bench = Bench(scheme_1, on_loss="hold")
     bench.act(0.0)
     assert bench.act(0.6) == []
-    assert bench.held == "flight computer: no word for 0.60 s, allowed 0.5 s"
-    assert bench.seat.not_ready
+    assert bench.held == "flight computer: no command word for 0.60 s, allowed 0.5 s"
+    assert bench.seat.blocking_reason
     bench.said.word = (Word(1, 1), 0.59)
-    assert not bench.seat.not_ready
+    assert not bench.seat.blocking_reason
 
 
 def test_wire_is_asked_for_and_a_mock_rig_has_no_flight_computer() -> None:

@@ -8,13 +8,13 @@ import pytest
 from hil.config.scenario import Scenario
 from hil.core.messages import new
 from hil.dynamics import moon_gravity
-from hil.dynamics.held_gravity import CACHED_GRAVITY, follow_perturbation
-from hil.params import gnc as gnc_params
+from hil.dynamics.cached_gravity import CACHED_GRAVITY, interpolate_perturbation
+from hil.params import dynamics as dynamics_params
 from tests.support import moon_reference as reference
 
 
 def test_each_of_four_places_has_its_own_pull(scheme_2: Scenario, rng: np.random.Generator) -> None:
-    params, field = gnc_params.dss(scheme_2).gravity, gnc_params.field(scheme_2)
+    params, field = dynamics_params.dss(scheme_2).gravity, dynamics_params.field(scheme_2)
     places = rng.normal(size=(4, 3))
     places *= (rng.uniform(1.75e6, 2.5e6, 4) / np.linalg.norm(places, axis=1))[:, None]
     out = np.empty((4, 3))
@@ -26,11 +26,15 @@ def test_each_of_four_places_has_its_own_pull(scheme_2: Scenario, rng: np.random
 
 @pytest.mark.parametrize("t_s", [0.0, 5000.0])
 def test_held_pull_is_that_of_the_step(scheme_2: Scenario, t_s: float) -> None:
-    dss, field, truth = gnc_params.dss(scheme_2), gnc_params.field(scheme_2), gnc_params.initial_truth(scheme_2)
+    dss, field, truth = (
+        dynamics_params.dss(scheme_2),
+        dynamics_params.field(scheme_2),
+        dynamics_params.initial_truth(scheme_2),
+    )
     r, v, dt = truth.r_T_I, truth.v_T_I, dss.dt_s
     rho, rate = np.array([7.0, -5.0, 4.0]), np.array([0.02, 0.03, -0.01])
     held, near = np.empty((4, 3)), np.empty(3)
-    moon_gravity.hold_perturbation(dss.gravity, field, t_s, r, v, rho, rate, dt, held)
+    moon_gravity.sample_perturbation(dss.gravity, field, t_s, r, v, rho, rate, dt, held)
     moon_gravity.acceleration(dss.gravity, field, t_s, r, near)
     for row, share in enumerate((0.0, 0.5, 1.0)):
         t = share * dt
@@ -52,10 +56,10 @@ def _pull(params: np.record, t_s: float, r: np.ndarray) -> np.ndarray:
 
 
 def test_point_mass_alone_holds_nothing(scheme_2: Scenario) -> None:
-    dss, truth = gnc_params.dss(scheme_2), gnc_params.initial_truth(scheme_2)
+    dss, truth = dynamics_params.dss(scheme_2), dynamics_params.initial_truth(scheme_2)
     dss.gravity.degree = 0
     held = np.full((4, 3), np.nan)
-    moon_gravity.hold_perturbation(
+    moon_gravity.sample_perturbation(
         dss.gravity, np.zeros((1, 1, 6)), 0.0, truth.r_T_I, truth.v_T_I, np.ones(3), np.ones(3), 0.02, held
     )
     np.testing.assert_array_equal(held, 0.0)
@@ -63,7 +67,11 @@ def test_point_mass_alone_holds_nothing(scheme_2: Scenario) -> None:
 
 @pytest.mark.parametrize("dt", [0.02, 0.07, 1.0])
 def test_pull_between_two_evaluations_is_that_of_the_place(scheme_2: Scenario, dt: float) -> None:
-    dss, field, truth = gnc_params.dss(scheme_2), gnc_params.field(scheme_2), gnc_params.initial_truth(scheme_2)
+    dss, field, truth = (
+        dynamics_params.dss(scheme_2),
+        dynamics_params.field(scheme_2),
+        dynamics_params.initial_truth(scheme_2),
+    )
     r, v, near = truth.r_T_I.copy(), truth.v_T_I.copy(), np.empty(3)
     rho, rate = np.array([7.0, -5.0, 4.0]), np.array([0.02, 0.03, -0.01])
     span, step, evaluated = new(CACHED_GRAVITY), np.empty((4, 3)), 0
@@ -74,7 +82,7 @@ def test_pull_between_two_evaluations_is_that_of_the_place(scheme_2: Scenario, d
             break
         there, then = r + t * v + 0.5 * t * t * near, v + t * near
         before = span.pull.copy()
-        follow_perturbation(dss.gravity, field, t, there, then, rho + t * rate, rate, dt, span, step)
+        interpolate_perturbation(dss.gravity, field, t, there, then, rho + t * rate, rate, dt, span, step)
         evaluated += not np.array_equal(before, span.pull)
         for row, share in enumerate((0.0, 0.5, 1.0)):
             at = there + share * dt * then + 0.5 * (share * dt) ** 2 * near

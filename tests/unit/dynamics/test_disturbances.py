@@ -12,15 +12,14 @@ from scipy.spatial.transform import Rotation
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
+from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
-from hil.dynamics.gravity_gradient import add_gravity_gradient
-from hil.dynamics.held_gravity import CACHED_GRAVITY
 from hil.dynamics.orbit import state_of_elements
-from hil.dynamics.rigid_body import angular_acceleration
+from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, SOLAR_PRESSURE_PA, pressure_force
-from hil.dynamics.thruster_errors import as_built
+from hil.dynamics.thrusters import as_built
 from hil.maths import quat
-from hil.params import gnc as gnc_params
+from hil.params import dynamics as dynamics_params
 
 J = np.array([[900.0, 12.0, -8.0], [12.0, 1100.0, 15.0], [-8.0, 15.0, 1050.0]])
 NO_FIELD = np.zeros((1, 1, 6))  # the linear model reads no gravity field
@@ -58,7 +57,11 @@ def test_gravity_gradient_turns_the_vehicle_alike_in_both_models(plain_1: Scenar
     found = []
     for model in ("hill", "nonlinear"):
         scenario = with_truth(plain_1, gravity_gradient=True, relative_motion=model, gravity_degree=0)
-        params, field, truth = gnc_params.dss(scenario), gnc_params.field(scenario), gnc_params.initial_truth(scenario)
+        params, field, truth = (
+            dynamics_params.dss(scenario),
+            dynamics_params.field(scenario),
+            dynamics_params.initial_truth(scenario),
+        )
         span = new(CACHED_GRAVITY)
         w = truth.w_CI_C.copy()
         kernels.step(params, field, span, truth, QUIET)
@@ -109,8 +112,8 @@ def test_both_sides_are_alike_and_the_edge_is_not_pushed(plate: np.record) -> No
 
 def test_sunlight_accelerates_turns_and_is_felt_by_the_accelerometer(plain_1: Scenario) -> None:
     scenario = with_truth(plain_1, solar_pressure=True)
-    params, truth = gnc_params.dss(scenario), gnc_params.initial_truth(scenario)
-    dark_params, dark = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
+    dark_params, dark = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     sun_C = quat.transform(truth.q_CH, quat.transform(truth.q_HI, params.sun_I))
     force = pressure(params.plate, sun_C)
     kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, QUIET)
@@ -152,7 +155,7 @@ def test_hub_and_mode_satisfy_their_coupled_equations(mode: np.record, rng: np.r
 
 def bent(plain_1: Scenario, damping: float) -> tuple[np.record, np.record]:
     scenario = with_truth(plain_1, flexible_array=True)
-    params, truth = gnc_params.dss(scenario), gnc_params.initial_truth(scenario)
+    params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
     params.mode.damping = damping
     truth.w_CI_C, truth.eta, truth.eta_rate = [0.03, -0.04, 0.05], 0.4, -0.2
     return params, truth
@@ -190,7 +193,7 @@ def test_damping_takes_energy_and_no_momentum(plain_1: Scenario) -> None:
 
 def test_torque_pulse_makes_the_array_swing_at_the_coupled_frequency(plain_1: Scenario) -> None:
     scenario = with_truth(plain_1, flexible_array=True)
-    params, truth = gnc_params.dss(scenario), gnc_params.initial_truth(scenario)
+    params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
     params.mode.damping = 0.0
     kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, firing(2, 7))
     assert truth.eta != 0.0
@@ -226,8 +229,8 @@ def test_tilt_and_scatter_have_the_sizes_asked_for(rng: np.random.Generator) -> 
 
 
 def test_errors_of_the_thrusters_reach_the_truth_only_with_draws(scheme_1: Scenario) -> None:
-    draws = np.ones(gnc_params.thruster_draws_shape(scheme_1))
-    nominal, built = gnc_params.dss(scheme_1), gnc_params.dss(scheme_1, draws)
+    draws = np.ones(dynamics_params.thruster_draws_shape(scheme_1))
+    nominal, built = dynamics_params.dss(scheme_1), dynamics_params.dss(scheme_1, draws)
     n = nominal.n_thrusters
     np.testing.assert_allclose(built.thruster_force[:n], nominal.thruster_force[:n] * 1.01)
     cosine = np.sum(built.thruster_direction[:n] * nominal.thruster_direction[:n], axis=1)
@@ -236,15 +239,15 @@ def test_errors_of_the_thrusters_reach_the_truth_only_with_draws(scheme_1: Scena
 
 def test_offset_of_the_mass_centre_shortens_the_thrusters_arms(plain_1: Scenario) -> None:
     offset = np.array([0.01, -0.02, 0.03])
-    moved = gnc_params.dss(with_truth(plain_1, centre_of_mass_offset_m=tuple(offset)))
-    nominal = gnc_params.dss(plain_1)
+    moved = dynamics_params.dss(with_truth(plain_1, centre_of_mass_offset_m=tuple(offset)))
+    nominal = dynamics_params.dss(plain_1)
     np.testing.assert_allclose(moved.thruster_position[:16], nominal.thruster_position[:16] - offset)
 
 
 def test_reference_point_circles_the_mass_centre_of_a_free_spin(plain_1: Scenario) -> None:
     offset = np.array([0.05, 0.0, 0.0])
     scenario = with_truth(plain_1, centre_of_mass_offset_m=tuple(offset))
-    params, truth = gnc_params.dss(scenario), gnc_params.initial_truth(scenario)
+    params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
     params.orbit_rate = 0.0  # H is inertial
     params.inertia, params.inertia_inverse = 1000.0 * np.eye(3), np.eye(3) / 1000.0
     truth.w_HI_H, truth.w_CI_C = 0.0, [0.0, 0.0, 0.3]
@@ -262,7 +265,7 @@ def test_reference_point_circles_the_mass_centre_of_a_free_spin(plain_1: Scenari
 
 def test_accelerometer_off_the_mass_centre_agrees_with_the_velocity_it_gains(plain_1: Scenario) -> None:
     scenario = with_truth(plain_1, centre_of_mass_offset_m=(0.05, -0.04, 0.03))
-    params, truth = gnc_params.dss(scenario), gnc_params.initial_truth(scenario)
+    params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
     params.orbit_rate = 0.0
     truth.w_HI_H = 0.0
     before = truth.v_CT_H.copy()
@@ -274,7 +277,7 @@ def test_accelerometer_off_the_mass_centre_agrees_with_the_velocity_it_gains(pla
 
 def test_mass_stays_where_loss_is_switched_off(plain_1: Scenario) -> None:
     scenario = with_truth(plain_1, mass_loss=False)
-    params, truth = gnc_params.dss(scenario), gnc_params.initial_truth(scenario)
+    params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
     for _ in range(10):
         kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, firing(0))
     assert truth.mass_kg == scenario.chaser.mass_kg

@@ -82,8 +82,8 @@ def test_shadr_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "lines", "words"),
     [
-        ("moon.gfc", ["product_type gravity_field"], "unknown kind .gfc"),
-        ("moon.cof", ["  1738.0, 4902.8, 0, 8, 8, 1, 0, 0", "2, 0, -9e-5, 0, 0, 0"], "not a word of a GMAT"),
+        ("moon.gfc", ["product_type gravity_field"], "unknown format .gfc"),
+        ("moon.cof", ["  1738.0, 4902.8, 0, 8, 8, 1, 0, 0", "2, 0, -9e-5, 0, 0, 0"], "not a keyword of a GMAT"),
         ("moon.cof", ["COMMENT nothing else"], "no POTFIELD line"),
         ("moon.tab", cof_lines(), "line 1: not a row of numbers"),
         ("moon.tab", ["1, 2, 3"], "line 1: not a SHADR header"),

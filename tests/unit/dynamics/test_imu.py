@@ -11,10 +11,10 @@ from scipy.stats import chi2
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_THRUSTERS, TRUTH, new
 from hil.dynamics import truth as truth_kernels
-from hil.dynamics.held_gravity import CACHED_GRAVITY
+from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.imu import IMU_NOISE, IMU_PARAMS, sample
 from hil.maths.random_streams import NormalRows, stream
-from hil.params import gnc as gnc_params
+from hil.params import dynamics as dynamics_params
 
 TS = 0.02
 NO_FIELD = np.zeros((1, 1, 6))  # the linear model reads no gravity field
@@ -68,7 +68,7 @@ def test_noise_and_walks_have_the_stated_spread_and_are_white(params: np.record)
 
 
 def test_gyro_sees_the_mean_rate_of_a_step_and_not_its_end(plain_1: Scenario) -> None:
-    dss, truth, imu = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1), new(IMU)
+    dss, truth, imu = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1), new(IMU)
     perfect = new(IMU_PARAMS)
     on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
     on[:2] = [1, 0]
@@ -82,7 +82,7 @@ def test_gyro_sees_the_mean_rate_of_a_step_and_not_its_end(plain_1: Scenario) ->
 
 
 def test_accelerometer_feels_thrust_and_not_gravity(plain_1: Scenario) -> None:
-    dss, truth, imu = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1), new(IMU)
+    dss, truth, imu = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1), new(IMU)
     dss.minimum_on_s = 0.0
     on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
     truth_kernels.step(dss, NO_FIELD, new(CACHED_GRAVITY), truth, on)
@@ -96,7 +96,7 @@ def test_accelerometer_feels_thrust_and_not_gravity(plain_1: Scenario) -> None:
 
 
 def test_shipped_sensor_has_the_numbers_of_table_i(scheme_1: Scenario) -> None:
-    params = gnc_params.imu(scheme_1)
+    params = dynamics_params.imu(scheme_1)
     assert math.degrees(params.sigma_gyro) == pytest.approx(8.33e-7)
     assert math.degrees(params.sigma_drift) == pytest.approx(8.33e-8)
     assert params.sigma_accelerometer == 1.0e-4

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.held_gravity import CACHED_GRAVITY
+from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.rigid_body import angular_acceleration
 from hil.maths import quat
-from hil.params import gnc as gnc_params
+from hil.params import dynamics as dynamics_params
 
 NO_FIELD = np.zeros((1, 1, 6))  # the linear model reads no gravity field
 J = np.array([[900.0, 12.0, -8.0], [12.0, 1100.0, 15.0], [-8.0, 15.0, 1050.0]])
@@ -52,7 +52,7 @@ def test_symmetric_body_precesses_at_the_textbook_rate() -> None:
 
 
 def test_torque_free_tumble_keeps_momentum_and_energy_in_inertial_space(plain_1: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     params.orbit_rate = 0.02  # H itself must turn visibly
     truth.w_CI_C = [0.3, -0.4, 0.5]
     on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
@@ -72,7 +72,7 @@ def test_torque_free_tumble_keeps_momentum_and_energy_in_inertial_space(plain_1:
 
 
 def test_tumble_agrees_with_an_integrator_of_higher_order(plain_1: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     truth.w_CI_C = [0.01, 0.5, 0.02]  # near the axis of largest inertia
     start = truth.w_CI_C.copy()
     for _ in range(1000):

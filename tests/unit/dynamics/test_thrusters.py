@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.held_gravity import CACHED_GRAVITY
+from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
-from hil.params import gnc as gnc_params
+from hil.params import dynamics as dynamics_params
 
 NO_FIELD = np.zeros((1, 1, 6))  # the linear model reads no gravity field
 DT_S = 0.02
@@ -75,7 +75,7 @@ def test_wrench_is_the_sum_of_forces_and_of_their_moments(rng: np.random.Generat
 
 
 def test_propellant_is_thrust_times_time_over_exhaust_speed(plain_1: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
     on[[0, 5, 9]] = 1
     steps = 250

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.held_gravity import CACHED_GRAVITY
+from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.hill import input_response, transition
 from hil.maths import quat
-from hil.params import gnc as gnc_params
+from hil.params import dynamics as dynamics_params
 
 NO_FIELD = np.zeros((1, 1, 6))  # the linear model reads no gravity field
 QUIET = np.zeros(MAX_THRUSTERS, dtype=np.int64)
@@ -30,7 +30,7 @@ def to_inertial(orbit_rate: float, t_s: float) -> Rotation:
 
 
 def test_free_drift_agrees_with_the_closed_form(plain_2: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_2), gnc_params.initial_truth(plain_2)
+    params, truth = dynamics_params.dss(plain_2), dynamics_params.initial_truth(plain_2)
     truth.v_CT_H = [-0.03, 0.01, 0.02]
     start = np.concatenate([truth.r_CT_H, truth.v_CT_H])
     for _ in range(5000):
@@ -42,7 +42,7 @@ def test_free_drift_agrees_with_the_closed_form(plain_2: Scenario) -> None:
 
 
 def test_attitude_against_hill_includes_hills_own_turn(plain_1: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     params.orbit_rate = 0.05
     params.inertia = params.inertia_inverse = np.eye(3)  # a sphere keeps its inertial rate
     truth.w_CI_C = [0.2, -0.1, 0.3]
@@ -55,7 +55,7 @@ def test_attitude_against_hill_includes_hills_own_turn(plain_1: Scenario) -> Non
 
 
 def test_scenario_at_relative_rest_keeps_its_attitude_against_hill(plain_1: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     rate = np.empty(3)
     kernels.rate_against_hill(truth, rate)
     np.testing.assert_allclose(rate, 0.0, atol=1e-18)
@@ -66,7 +66,7 @@ def test_scenario_at_relative_rest_keeps_its_attitude_against_hill(plain_1: Scen
 
 
 def test_rate_against_hill_is_inertial_rate_minus_hills(plain_1: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     truth.w_CI_C = [0.01, 0.02, -0.03]
     rate = np.empty(3)
     kernels.rate_against_hill(truth, rate)
@@ -75,8 +75,8 @@ def test_rate_against_hill_is_inertial_rate_minus_hills(plain_1: Scenario) -> No
 
 
 def test_mean_rate_is_the_integral_of_the_rate_over_the_step(plain_1: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
-    fine, fine_truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
+    fine, fine_truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     fine.dt_s = params.dt_s / 200
     truth.w_CI_C = fine_truth.w_CI_C = [0.5, -0.7, 0.6]
     on = firing(0, 5)
@@ -91,7 +91,7 @@ def test_mean_rate_is_the_integral_of_the_rate_over_the_step(plain_1: Scenario) 
 
 
 def test_thrust_pushes_along_body_axes_seen_from_hill(plain_1: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     start = np.concatenate([truth.r_CT_H, truth.v_CT_H])
     attitude = Rotation.from_quat(truth.q_CH)
     kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, firing(2, 6, 10, 14))  # two of +z, two of +y
@@ -103,7 +103,7 @@ def test_thrust_pushes_along_body_axes_seen_from_hill(plain_1: Scenario) -> None
 
 
 def test_momentum_gained_is_the_impulse_of_the_thrusters(plain_1: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     params.orbit_rate = 0.0  # H is inertial
     truth.v_CT_H = truth.w_CI_C = 0.0
     number = 3
@@ -125,7 +125,7 @@ def test_momentum_gained_is_the_impulse_of_the_thrusters(plain_1: Scenario) -> N
 
 
 def test_couple_turns_without_pushing(plain_1: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     params.orbit_rate = 0.0
     truth.w_CI_C = 0.0
     kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, firing(0, 5))  # +x at +y, -x at -y
@@ -135,7 +135,7 @@ def test_couple_turns_without_pushing(plain_1: Scenario) -> None:
 
 
 def test_records_say_what_the_valves_did(plain_1: Scenario) -> None:
-    params, truth = gnc_params.dss(plain_1), gnc_params.initial_truth(plain_1)
+    params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     params.minimum_on_s = 0.03
     for fraction in (1.0, 0.5, 0.0):
         kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, firing(7) if fraction == 1.0 else QUIET)

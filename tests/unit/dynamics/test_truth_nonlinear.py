@@ -13,9 +13,9 @@ from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.held_gravity import CACHED_GRAVITY
+from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.maths import quat
-from hil.params import gnc as gnc_params
+from hil.params import dynamics as dynamics_params
 from tests.support import moon_reference as reference
 
 QUIET = np.zeros(MAX_THRUSTERS, dtype=np.int64)
@@ -46,7 +46,11 @@ def inertial(truth: np.record) -> tuple[np.ndarray, np.ndarray]:
 
 def fly(scenario: Scenario, span_s: float, step_s: float, on: np.ndarray = QUIET) -> np.record:
     """Return TRUTH after ``span_s`` in steps of ``step_s``."""
-    params, field, truth = gnc_params.dss(scenario), gnc_params.field(scenario), gnc_params.initial_truth(scenario)
+    params, field, truth = (
+        dynamics_params.dss(scenario),
+        dynamics_params.field(scenario),
+        dynamics_params.initial_truth(scenario),
+    )
     span = new(CACHED_GRAVITY)
     params.dt_s = step_s
     for _ in range(round(span_s / step_s)):
@@ -62,7 +66,7 @@ def fly(scenario: Scenario, span_s: float, step_s: float, on: np.ndarray = QUIET
     ],
 )
 def test_relative_position_agrees_with_dop853(drift: Scenario, span_s: float, tolerance_m: float) -> None:
-    params, start = gnc_params.dss(drift), gnc_params.initial_truth(drift)
+    params, start = dynamics_params.dss(drift), dynamics_params.initial_truth(drift)
 
     def rate(t_s: float, y: np.ndarray) -> np.ndarray:
         angle = params.gravity.rotation + params.gravity.rate * t_s
@@ -87,7 +91,11 @@ def test_halving_the_step_changes_nothing_that_matters(scheme_2: Scenario) -> No
 
 
 def test_jacobi_constant_holds_about_the_turning_moon(drift: Scenario) -> None:
-    params, field, truth = gnc_params.dss(drift), gnc_params.field(drift), gnc_params.initial_truth(drift)
+    params, field, truth = (
+        dynamics_params.dss(drift),
+        dynamics_params.field(drift),
+        dynamics_params.initial_truth(drift),
+    )
     span = new(CACHED_GRAVITY)
     params.gravity.rate = 1e-4  # a Moon that turns visibly
     spin = np.array([0.0, 0.0, params.gravity.rate])
@@ -110,7 +118,11 @@ def test_jacobi_constant_holds_about_the_turning_moon(drift: Scenario) -> None:
 
 
 def test_recorded_rate_of_hill_is_that_of_the_recorded_frame(drift: Scenario) -> None:
-    params, field, truth = gnc_params.dss(drift), gnc_params.field(drift), gnc_params.initial_truth(drift)
+    params, field, truth = (
+        dynamics_params.dss(drift),
+        dynamics_params.field(drift),
+        dynamics_params.initial_truth(drift),
+    )
     span = new(CACHED_GRAVITY)
     frames, rates = [], []
     for _ in range(101):
@@ -121,7 +133,7 @@ def test_recorded_rate_of_hill_is_that_of_the_recorded_frame(drift: Scenario) ->
     np.testing.assert_allclose(turn, rates[50], atol=1e-11)
     assert abs(rates[50][2]) > 1e-9  # the orbit plane turns too
     np.testing.assert_allclose(
-        frames[0][2], -gnc_params.initial_truth(drift).r_T_I / np.linalg.norm(truth.r_T_I), rtol=1e-2
+        frames[0][2], -dynamics_params.initial_truth(drift).r_T_I / np.linalg.norm(truth.r_T_I), rtol=1e-2
     )
 
 
@@ -139,7 +151,11 @@ def test_near_the_target_on_a_circle_the_motion_is_hills(plain_2: Scenario) -> N
 
 
 def test_plain_hill_keeps_its_numbers_to_the_last_bit(plain_2: Scenario) -> None:
-    params, field, truth = gnc_params.dss(plain_2), gnc_params.field(plain_2), gnc_params.initial_truth(plain_2)
+    params, field, truth = (
+        dynamics_params.dss(plain_2),
+        dynamics_params.field(plain_2),
+        dynamics_params.initial_truth(plain_2),
+    )
     span = new(CACHED_GRAVITY)
     for i in range(500):
         on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
@@ -171,7 +187,11 @@ def test_attitude_against_hill_follows_from_the_inertial_one(scheme_2: Scenario)
 
 
 def test_attitude_keeps_its_sign_along_a_whole_orbit(scheme_2: Scenario) -> None:
-    params, field, truth = gnc_params.dss(scheme_2), gnc_params.field(scheme_2), gnc_params.initial_truth(scheme_2)
+    params, field, truth = (
+        dynamics_params.dss(scheme_2),
+        dynamics_params.field(scheme_2),
+        dynamics_params.initial_truth(scheme_2),
+    )
     span = new(CACHED_GRAVITY)
     params.dt_s = 1.0
     before = truth.q_CH.copy(), truth.q_HI.copy()

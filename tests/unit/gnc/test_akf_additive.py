@@ -68,7 +68,7 @@ def test_hill_part_of_the_process_is_eq_3(rng: np.random.Generator) -> None:
 def test_turn_response_is_the_change_of_q_under_a_small_turn(rng: np.random.Generator) -> None:
     found = np.empty((4, 3))
     for q in Rotation.random(10, rng=rng).as_quat():
-        additive.turn_response(q, found)
+        additive.rotation_response(q, found)
         for axis in range(3):
             turn = np.zeros(3)
             turn[axis] = 1e-6
@@ -226,7 +226,7 @@ class Both:
         for params, state, memory in zip(self.params, self.state, self._memory, strict=True):
             fusion.advance(params, state, memory, self._imu)
             if self._cycle % 8 == 0:
-                fusion.take(params, state, memory, self._pose)
+                fusion.fuse(params, state, memory, self._pose)
             state.cycle += 1
         self._cycle += 1
 
@@ -286,7 +286,7 @@ def test_additive_covariance_has_a_direction_along_q_that_means_nothing(
         both.step()
         q, p = both.state[1].filters.additive.x[:4].copy(), both.state[1].filters.additive.p[:4, :4].copy()
         across = np.empty((4, 3))
-        additive.turn_response(q, across)
+        additive.rotation_response(q, across)
         sigma_along, sigma_across = math.sqrt(max(0.0, q @ p @ q)), np.sqrt(np.diag(across.T @ p @ across))
         # no unit quaternion errs along itself; the filter holds rounding and leaks of its own updates there
         assert sigma_along < 1e-3 * sigma_across.min()

@@ -14,10 +14,10 @@ from hil.gnc.approach_monitor import (
     CORRIDOR,
     NOT_ABORTED,
     ORDERED,
+    check,
     closing_limit,
     closing_margin,
     corridor_margin,
-    supervise,
 )
 from hil.params import gnc as gnc_params
 
@@ -27,7 +27,7 @@ FAR, READY = np.array([5.0, 0.0, 0.0]), np.array([0.4, 0.0, 0.0])
 @pytest.fixture
 def params(scheme_1: Scenario) -> np.record:
     """Return the shipped parameters."""
-    return gnc_params.supervision(scheme_1)
+    return gnc_params.approach_monitor(scheme_1)
 
 
 def line() -> np.record:
@@ -76,7 +76,7 @@ def test_broken_limit_aborts_after_its_persistence(
     params: np.record, r: tuple[float, float, float], v: tuple[float, float, float], cause: int
 ) -> None:
     watch = new(SUPERVISION)
-    found = [supervise(params, 0.02 * k, seen(r, v), line(), 0, watch) for k in range(8)]
+    found = [check(params, 0.02 * k, seen(r, v), line(), 0, watch) for k in range(8)]
     assert found == [False] * (params.persistence - 1) + [True] + [False] * (8 - params.persistence)
     assert watch.aborted == cause
     assert watch.aborted_at_s == pytest.approx(0.02 * (params.persistence - 1))
@@ -86,36 +86,36 @@ def test_limit_that_is_broken_now_and_then_does_not_abort(params: np.record) -> 
     watch = new(SUPERVISION)
     for k in range(100):
         y = 0.5 if k % params.persistence else 0.0
-        assert not supervise(params, 0.02 * k, seen((3.0, y, 0.0)), line(), 0, watch)
+        assert not check(params, 0.02 * k, seen((3.0, y, 0.0)), line(), 0, watch)
 
 
 def test_estimate_that_is_not_sure_does_not_abort(params: np.record) -> None:
     watch, navigation = new(SUPERVISION), seen((3.0, 0.5, 0.0), (-0.05, 0.0, 0.0))
     navigation.sigma_r_m = navigation.sigma_v_mps = 0.2
     for k in range(100):
-        assert not supervise(params, 0.02 * k, navigation, line(), 0, watch)
+        assert not check(params, 0.02 * k, navigation, line(), 0, watch)
     assert watch.corridor_margin_m < 0.0
     assert watch.aborted == NOT_ABORTED
 
 
 def test_order_aborts_at_once_and_only_once(params: np.record) -> None:
     watch = new(SUPERVISION)
-    assert supervise(params, 1.0, seen((3.0, 0.0, 0.0)), line(), 1, watch)
+    assert check(params, 1.0, seen((3.0, 0.0, 0.0)), line(), 1, watch)
     assert watch.aborted == ORDERED
-    assert not supervise(params, 1.02, seen((3.0, 0.0, 0.0)), line(), 1, watch)
+    assert not check(params, 1.02, seen((3.0, 0.0, 0.0)), line(), 1, watch)
 
 
 def test_rehearsal_aborts_at_its_time(params: np.record) -> None:
     params.abort_at_s = 1.0
     watch = new(SUPERVISION)
-    assert not supervise(params, 0.98, seen((3.0, 0.0, 0.0)), line(), 0, watch)
-    assert supervise(params, 1.0, seen((3.0, 0.0, 0.0)), line(), 0, watch)
+    assert not check(params, 0.98, seen((3.0, 0.0, 0.0)), line(), 0, watch)
+    assert check(params, 1.0, seen((3.0, 0.0, 0.0)), line(), 0, watch)
 
 
 def test_ready_since_is_the_begin_of_the_unbroken_stay(params: np.record) -> None:
     watch = new(SUPERVISION)
     since = []
     for k, x in enumerate((0.5, 0.42, 0.41, 0.45, 0.4, 0.4)):
-        supervise(params, float(k), seen((x, 0.0, 0.0)), line(), 0, watch)
+        check(params, float(k), seen((x, 0.0, 0.0)), line(), 0, watch)
         since.append(float(watch.ready_since_s))
     np.testing.assert_array_equal(since, [np.nan, 1.0, 1.0, np.nan, 4.0, 4.0])

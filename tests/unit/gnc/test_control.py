@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.scenario import Scenario
 from hil.core.messages import COMMAND, NAVIGATION, REFERENCE, new
-from hil.gnc.control import burn, control
+from hil.gnc.control import burn_duration, control
 from hil.params import gnc as gnc_params
 
 IDENTITY = [0.0, 0.0, 0.0, 1.0]
@@ -101,23 +101,23 @@ def test_nothing_fires_without_valid_navigation(params: np.record) -> None:
 
 def test_burn_lasts_as_long_as_takes_the_switching_function_to_zero() -> None:
     # s = 0.01 m at rest: 0.01 / (8 s * 0.02 m/s^2) = 0.0625 s, three cycles of 0.02 s
-    assert burn(0.01, 0.0, A, DEADBAND, LEAD, 50, DT) == -3
-    assert burn(-0.01, 0.0, A, DEADBAND, LEAD, 50, DT) == 3
+    assert burn_duration(0.01, 0.0, A, DEADBAND, LEAD, 50, DT) == -3
+    assert burn_duration(-0.01, 0.0, A, DEADBAND, LEAD, 50, DT) == 3
 
 
 def test_burn_is_at_least_a_cycle_and_at_most_the_period() -> None:
-    assert burn(1.1 * DEADBAND, 0.0, A, DEADBAND, LEAD, 50, DT) == -1
-    assert burn(10.0, 0.0, A, DEADBAND, LEAD, 50, DT) == -50
-    assert burn(0.9 * DEADBAND, 0.0, A, DEADBAND, LEAD, 50, DT) == 0
+    assert burn_duration(1.1 * DEADBAND, 0.0, A, DEADBAND, LEAD, 50, DT) == -1
+    assert burn_duration(10.0, 0.0, A, DEADBAND, LEAD, 50, DT) == -50
+    assert burn_duration(0.9 * DEADBAND, 0.0, A, DEADBAND, LEAD, 50, DT) == 0
 
 
 def test_switching_line_is_the_braking_parabola_plus_the_lead() -> None:
     for rate in (0.05, 0.2):
         on_line = -LEAD * rate - rate * rate / (2.0 * A)
-        assert burn(on_line, rate, A, DEADBAND, LEAD, 1, DT) == 0
-        assert burn(on_line + 2 * DEADBAND, rate, A, DEADBAND, LEAD, 1, DT) == -1
-        assert burn(on_line - 2 * DEADBAND, rate, A, DEADBAND, LEAD, 1, DT) == 1
-        assert burn(-on_line, -rate, A, DEADBAND, LEAD, 1, DT) == 0
+        assert burn_duration(on_line, rate, A, DEADBAND, LEAD, 1, DT) == 0
+        assert burn_duration(on_line + 2 * DEADBAND, rate, A, DEADBAND, LEAD, 1, DT) == -1
+        assert burn_duration(on_line - 2 * DEADBAND, rate, A, DEADBAND, LEAD, 1, DT) == 1
+        assert burn_duration(-on_line, -rate, A, DEADBAND, LEAD, 1, DT) == 0
 
 
 def test_axis_holds_its_decision_for_a_period(params: np.record) -> None:
@@ -169,7 +169,7 @@ def test_dead_band_is_widened_by_what_navigation_does_not_know(params: np.record
     error = 5.0 * params.deadband[0]
     navigation = seen((error, 0.0, 0.0))
     assert demanded(params, navigation).force[0] == -1
-    navigation.sigma_v_mps[0] = error / (params.caution[0] * params.lead[0])
+    navigation.sigma_v_mps[0] = error / (params.deadband_sigmas[0] * params.lead[0])
     assert demanded(params, navigation).force[0] == 0
     navigation.sigma_v_mps[0] = np.nan  # not known: no widening
     assert demanded(params, navigation).force[0] == -1

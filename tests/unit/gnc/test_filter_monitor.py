@@ -18,7 +18,7 @@ def events_of(*settings: str, duration_s: float = 120.0, scheme: str = "scheme-1
     job = make_job(duration_s, settings, scenario=scheme)
     with build.runner(job) as runner:
         runner.run()
-        watch = runner.loop.gnc.watch
+        watch = runner.loop.gnc.filter_monitor
         assert watch is not None
         return watch.events
 
@@ -77,11 +77,11 @@ def test_shadow_agrees_with_the_compiled_filters_also_on_late_poses() -> None:
     job = build.Job(load_scenario("scheme-1", settings), load_rig("mock", ("rig.vmu.timeout_s=1.0",)), 0, 20.0, 1.0)
     with build.runner(job) as runner:
         runner.run()
-        watch = runner.loop.gnc.watch
+        watch = runner.loop.gnc.filter_monitor
     assert watch is not None
     assert watch.events == []
-    assert 0.0 < watch.largest_parting[0] < 0.006
-    assert 0.0 < watch.largest_parting[1] < 1e-4
+    assert 0.0 < watch.largest_divergence[0] < 0.006
+    assert 0.0 < watch.largest_divergence[1] < 1e-4
 
 
 def test_shadow_tells_when_the_filters_part() -> None:

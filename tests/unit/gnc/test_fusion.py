@@ -68,7 +68,7 @@ class Run:
     def step(self, *poses: np.record) -> None:
         fusion.advance(self._params, self.state, self._memory, self._flight.imu[self.state.cycle])
         for pose in poses:
-            fusion.take(self._params, self.state, self._memory, pose)
+            fusion.fuse(self._params, self.state, self._memory, pose)
         self.state.cycle += 1
 
     def steps(self, count: int) -> None:
@@ -267,10 +267,10 @@ def test_ninth_pose_after_eight_rejections_in_a_row_is_let_in(
     for n in range(1, 9):
         run.steps(FRAME - 1)
         run.step(flight.pose(FRAME * n))
-        assert (run.counts()[0], sum(run.counts()[1:3]), run.state.in_a_row) == (0, n, n)
+        assert (run.counts()[0], sum(run.counts()[1:3]), run.state.rejected_in_a_row) == (0, n, n)
     run.steps(FRAME - 1)
     run.step(flight.pose(FRAME * 9))
-    assert (run.counts()[0], sum(run.counts()[1:3]), run.state.in_a_row) == (1, 8, 0)
+    assert (run.counts()[0], sum(run.counts()[1:3]), run.state.rejected_in_a_row) == (1, 8, 0)
 
 
 def test_pose_let_in_after_rejections_stays_in_when_an_older_one_comes(

@@ -12,12 +12,12 @@ from scipy.stats import chi2
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
-from hil.dynamics.vision import see
 from hil.gnc import fusion, navigation
 from hil.gnc.navigation import VISION_ALONE
 from hil.maths import quat
 from hil.models.mounting import chaser_pose
 from hil.params import gnc as gnc_params
+from hil.params import vision as vision_params
 
 SIGMA_M, SIGMA_RAD = 0.005, math.radians(0.033)
 
@@ -148,8 +148,8 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
 ) -> None:
     """The attitude is estimated: its error, which lasts from frame to frame, is 10 m long."""
     runs, marks = 40, (0, 80, 400)
-    params, mounting = gnc_params.navigation(scheme_2), gnc_params.mounting(mock_rig)
-    vision, akf, pkf = gnc_params.vision(scheme_2), params.fusion.akf, params.fusion.pkf
+    params, mounting = gnc_params.navigation(scheme_2), vision_params.mounting(mock_rig)
+    vision, akf, pkf = vision_params.vision(scheme_2), params.fusion.akf, params.fusion.pkf
     vision.reference_range = 1e3  # noise as in Table I at every range
     hill_rate, no_imu = np.array([0.0, -akf.orbit_rate, 0.0]), new(IMU)
     truth, out, two = new(TRUTH), new(NAVIGATION), np.empty(2)
@@ -171,7 +171,7 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
                 imu.drift_C += 0.02 * akf.sigma_drift * rng.standard_normal(3)
             truth.r_CT_H, truth.v_CT_H = x[:3], x[3:]
             if k % 8 == 0:
-                see(vision, mounting, truth.r_CT_H, truth.q_CH, rng.standard_normal(6), t_v, q_vt, covariance)
+                measure(vision, mounting, truth.r_CT_H, truth.q_CH, rng.standard_normal(6), t_v, q_vt, covariance)
                 chaser_pose(mounting, t_v, q_vt, covariance, poses[0])
                 poses[0].t_s = 0.02 * k
             navigation.navigate(params, state, memory, imu, poses, int(k % 8 == 0), out)

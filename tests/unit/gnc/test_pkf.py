@@ -15,6 +15,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import POSE, new
 from hil.gnc import akf, pkf
 from hil.maths import quat
+from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 
 KNOWN, STAYS = np.zeros((6, 6)), np.eye(6)  # covariance and transition of an attitude without error
@@ -28,7 +29,7 @@ def params(scheme_1: Scenario) -> np.record:
 
 def discrete(scenario: Scenario, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return Phi (9, 9) and Psi (9, 3) of one step from the continuous F and B of eq. (14) (Van Loan)."""
-    w0 = gnc_params.orbit_rate(scenario)
+    w0 = dynamics_params.orbit_rate(scenario)
     to_h = quat.to_matrix(q).T
     f = np.zeros((12, 12))
     f[0:3, 3:6] = np.eye(3)

@@ -8,7 +8,7 @@ from hil.config.rig import Rig
 from hil.core.messages import ARRIVAL, CYCLE, MAX_POSES, PoseFrame
 from hil.core.observable import ObservableList
 from hil.loop.stages import VisionStage
-from hil.params import gnc as gnc_params
+from hil.params import vision as vision_params
 
 
 class Source:
@@ -49,7 +49,7 @@ def frame(counter: int, t_s: float) -> PoseFrame:
 
 def test_frames_are_told_with_the_cycle_that_used_them(mock_rig: Rig) -> None:
     source, told, row = Source(), Rows(), np.zeros(1, CYCLE)
-    vision = VisionStage(source, gnc_params.mounting(mock_rig))
+    vision = VisionStage(source, vision_params.mounting(mock_rig))
     vision.frame_sink = told
 
     def cycle(*frames: PoseFrame) -> list[tuple[int, int]]:

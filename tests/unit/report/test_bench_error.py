@@ -11,7 +11,7 @@ from hil.bench.kinematics import axes_of_pose
 from hil.config.rig import Rig
 from hil.core.messages import AXES, CYCLE, new
 from hil.maths import quat
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
 from hil.report.bench_error import encoders_at_truth, judge_bench_error
 from hil.report.latency import measure_latency, setpoint_to_encoder_s
 
@@ -22,7 +22,7 @@ SPEED = np.array([-0.05, 0.01, 0.002])
 
 def flight(rig: Rig, sampled_early_s: float = 0.0) -> np.ndarray:
     """Return a history of an approach in a straight line whose axes are where they should be at every moment."""
-    params = gnc_params.bench(rig, DT)
+    params = bench_params.bench(rig, DT)
     history = np.zeros(N, CYCLE)
     q = quat.from_rotation_vector(np.radians([3.0, -2.0, 4.0]))
     axes = new(AXES)

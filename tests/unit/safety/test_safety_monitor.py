@@ -12,7 +12,7 @@ import pytest
 from hil.config.rig import Rig
 from hil.core.messages import AXES, AxisFeedback, Homing, new
 from hil.core.modes import Mode
-from hil.params import gnc as gnc_params
+from hil.params import bench as bench_params
 from hil.safety.alarms import Alarm
 from hil.safety.monitor import CHECKS, SafetyMonitor, safety_limits
 
@@ -48,7 +48,7 @@ def _axes_at_3_m() -> np.record:
 
 @pytest.fixture
 def scene(mock_rig: Rig) -> Scene:
-    return Scene(SafetyMonitor(safety_limits(mock_rig, gnc_params.bench(mock_rig, 0.02)), NAMES))
+    return Scene(SafetyMonitor(safety_limits(mock_rig, bench_params.bench(mock_rig, 0.02)), NAMES))
 
 
 def press(scene: Scene) -> None:

@@ -18,13 +18,14 @@ from hil.console.tuner import Tuner, unit_of
 from hil.core.operator_commands import Operator
 from hil.errors import BadInput
 from hil.loop.runner import Runner
+from hil.params import gnc as gnc_params
 from hil.recording.read import Recorded, load
 from hil.recording.replay import replay
 from hil.recording.session import recording
 from hil.recording.taps import EventRecorder
 from hil.report.summary import summarise
 from hil.session import build
-from hil.setup.live_tuning import packed, tuning, unpacked, with_setting
+from hil.setup.live_tuning import packed, unpacked, with_setting
 
 NOISE = "gnc.pkf.accelerometer_noise_mps2"
 DEADBAND = "gnc.control.deadband_m"
@@ -49,7 +50,7 @@ class Changes(Operator):
         gnc = self.runner.loop.gnc
         if (text := self._changes.pop(gnc.cycle, None)) is not None:
             self._scenario = with_setting(self._scenario, text, "test").value
-            self.notes.setting(gnc.adjust(*tuning(self._scenario)), "ann", text)
+            self.notes.setting(gnc.adjust(gnc_params.gnc(self._scenario)), "ann", text)
 
 
 def fly(folder: Path, job: build.Job, changes: dict[int, str]) -> Recorded:
@@ -110,11 +111,11 @@ def test_each_setting_that_is_sound_in_flight_acts_on_the_parameters_and_has_a_r
     limits = range_of(Scenario, key)
     assert limits["low"] == 0.0 <= before
     changed = with_setting(scenario, f"{key}={1.25 * before + 0.04!r}", "test").value
-    assert packed(tuning(changed)) != packed(tuning(scenario))
+    assert packed(gnc_params.gnc(changed)) != packed(gnc_params.gnc(scenario))
 
 
 def test_records_come_back_from_their_text_bit_by_bit_and_nothing_else_does() -> None:
-    records = tuning(load_scenario("scheme-1").value)
+    records = gnc_params.gnc(load_scenario("scheme-1").value)
     assert packed(unpacked(packed(records))) == packed(records)
     for text in ("", "AAAA", "no text of ours!"):
         with pytest.raises(ValueError, match=r"bytes of parameters|base64|[Pp]adding|alphabet"):

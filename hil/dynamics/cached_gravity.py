@@ -1,6 +1,6 @@
-"""Gravity over a step of the truth, at places that are known beforehand: nothing in a Runge-Kutta stage waits for it.
+"""Cached gravity over a step of the truth (multi-rate): evaluated before the Runge-Kutta stages that use it.
 
-The point mass is taken three times a step, the harmonics four times every HOLD_S
+The point mass is evaluated three times per step, the harmonics at four places once per CACHE_SPAN_S
 (docs/decisions/0120-gravity-beforehand.md).
 """
 
@@ -16,35 +16,35 @@ from hil.dynamics.moon_gravity import LANES
 from hil.maths import quat, stack
 from hil.maths.arrays import fill_matrix
 
-HOLD_S = 0.4  # span over which the harmonics are held; one step where that is longer
+CACHE_SPAN_S = 0.4  # over which the harmonics are interpolated; one step if that is longer
 
 CACHED_GRAVITY = np.dtype(
     [
         ("steps", "i8"),  # of the span, 0 before the first
         ("step", "i8"),  # number of the next one
-        ("pull", "f8", (LANES, 3)),  # m/s^2, see hold_perturbation
+        ("pull", "f8", (LANES, 3)),  # m/s^2, see sample_perturbation
     ],
     align=True,
 )
 
 
 @kernel
-def follow_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held, out):
+def interpolate_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held, out):
     """Write the harmonics' accelerations of the step of ``dt``, s, from ``t_s`` on, m/s^2, into ``out`` (4, 3).
 
-    Rows and arguments as for ``moon_gravity.hold_perturbation``, which is asked once every HOLD_S; in between the
-    target's pull follows the parabola through its three values. held: HELD, zeroed at the start of a run, and kept up
-    here; steps of one run follow each other.
+    Rows and arguments as for ``moon_gravity.sample_perturbation``, which is called once per CACHE_SPAN_S; in between
+    the target's acceleration is interpolated by the parabola through its three values. held: CACHED_GRAVITY, zeroed at
+    the start of a run and updated here; the steps of a run are consecutive.
     """
     if held.step >= held.steps:
-        held.steps = max(1, int(HOLD_S / dt + 1e-6))
+        held.steps = max(1, int(CACHE_SPAN_S / dt + 1e-6))
         held.step = 0
-        moon_gravity.hold_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, held.steps * dt, held.pull)
+        moon_gravity.sample_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, held.steps * dt, held.pull)
     pull = held.pull
     for row in range(3):
-        share = (held.step + 0.5 * row) / held.steps  # of the span
-        begin, end = (1.0 - share) * (1.0 - 2.0 * share), share * (2.0 * share - 1.0)
-        middle = 4.0 * share * (1.0 - share)
+        fraction = (held.step + 0.5 * row) / held.steps  # of the span
+        begin, end = (1.0 - fraction) * (1.0 - 2.0 * fraction), fraction * (2.0 * fraction - 1.0)
+        middle = 4.0 * fraction * (1.0 - fraction)
         for i in range(3):
             out[row, i] = begin * pull[0, i] + middle * pull[1, i] + end * pull[2, i]
     for i in range(3):
@@ -53,13 +53,13 @@ def follow_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held, o
 
 
 @kernel
-def hold_gravity(gm, harmonics, y, force_C, dt, gravity):
-    """Write what gravity does at begin, middle and end of a step of ``dt``, s, into the rows of ``gravity`` (3, 10).
+def gravity_over_step(gm, harmonics, y, force_C, dt, gravity):
+    """Write gravity at begin, middle and end of a step of ``dt``, s, into the rows of ``gravity`` (3, 10).
 
-    In a row: the target's acceleration (3,), the chaser's minus it (3,), m/s^2, the way from the chaser to the Moon's
-    centre (3,), m, of length d, and GM/d^5, 1/(s^2 m^2). The places are those of parabolas under the accelerations of
-    the begin; what that leaves out moves them by a nanometre. gm: m^3/s^2. harmonics: (4, 3) of
-    ``follow_perturbation``. y: the integrated state of ``truth`` in inertial axes. force_C: (3,), specific thrust,
+    In a row: the target's acceleration (3,), the chaser's minus it (3,), m/s^2, the vector from the chaser to the
+    Moon's centre (3,), m, of length d, and GM/d^5, 1/(s^2 m^2). The places are those of parabolas under the
+    accelerations of the begin, within a nanometre. gm: m^3/s^2. harmonics: (4, 3) of
+    ``interpolate_perturbation``. y: the integrated state of ``truth`` in inertial axes. force_C: (3,), specific thrust,
     m/s^2, in c.
     """
     r, rho, thrust = stack.vector(3), stack.vector(3), stack.vector(3)

@@ -1,0 +1,141 @@
+"""Statistics of a run in a campaign, accumulated per cycle: the numbers of ``hil run --json`` without a history."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.jit import kernel
+from hil.core.messages import MAX_THRUSTERS
+from hil.dynamics import truth as truth_kernels
+from hil.gnc import approach_monitor, ready_phase
+from hil.gnc.ready_phase import READY_STATE
+from hil.maths import stack
+from hil.maths.arrays import copy_into
+from hil.models.camera import view_margin
+from hil.models.mounting import camera_pose
+
+RUN_STATS = np.dtype(
+    [
+        ("cycles", "i8"),
+        ("limited_cycles", "i8"),
+        ("ready", READY_STATE),
+        ("aborted", "i8"),  # cause, 0 for none
+        ("aborted_at_s", "f8"),
+        ("corridor_margin", "f8"),  # m, least on the truth, up to an abort
+        ("closing_margin", "f8"),  # m/s, the same
+        ("nearest", "f8"),  # m, least range
+        ("view_margin", "f8"),  # px, least at an exposure
+        ("reference_delta_v", "f8"),  # m/s, changes of the reference's velocity
+        ("mass_start", "f8"),  # kg
+        ("mass_end", "f8"),
+        ("force_cycles", "i8", 3),  # with a demand on the axis
+        ("torque_cycles", "i8", 3),
+        ("thruster_open", "f8", MAX_THRUSTERS),  # cycles, fractions included
+        ("thruster_firings", "i8", MAX_THRUSTERS),
+        ("was_open", "i8", MAX_THRUSTERS),
+        ("estimates", "i8"),  # cycles with an estimate in steady state
+        ("square_error", "f8", 9),  # sums: position, m^2, velocity, small-angle rotation, rad^2
+        ("fused", "i8"),  # updates in steady state
+        ("nees_position", "f8"),  # sums over them
+        ("nees_attitude", "f8"),
+        ("from_H", "f8", 3),  # line of the cycle before
+        ("to_H", "f8", 3),
+        ("reference_v", "f8", 3),
+        ("deviation", "f8", 12),  # of the present cycle
+    ],
+    align=True,
+)
+
+
+@kernel
+def start_run_stats(stats):
+    """Initialise the zeroed ``stats`` for a run."""
+    stats.corridor_margin = stats.closing_margin = stats.nearest = stats.view_margin = np.inf
+
+
+@kernel
+def count_exposure(camera, mounting, leds, r, q, stats):
+    """Count the field-of-view margin at an exposure with the bench at ``r`` (3,), m, ``q`` (4,)."""
+    t_v, q_vt = stack.vector(3), stack.vector(4)
+    camera_pose(mounting, r, q, t_v, q_vt)
+    stats.view_margin = min(stats.view_margin, view_margin(camera, leds, t_v, q_vt))
+
+
+@kernel
+def _count_security(params, now, stats):
+    truth, reference = now.truth, now.reference
+    square = 0.0
+    for i in range(3):
+        square += truth.r_CT_H[i] * truth.r_CT_H[i]
+    stats.nearest = min(stats.nearest, math.sqrt(square))
+    if stats.aborted != 0:
+        return
+    if now.supervision.aborted != 0:
+        stats.aborted = now.supervision.aborted
+        stats.aborted_at_s = now.supervision.aborted_at_s
+    if now.supervision.aborted == 0 or stats.cycles == 0:  # otherwise that before the abort
+        copy_into(stats.from_H, reference.from_H)
+        copy_into(stats.to_H, reference.to_H)
+    corridor = approach_monitor.corridor_margin(params.verdict, stats.from_H, stats.to_H, truth.r_CT_H)
+    closing = approach_monitor.closing_margin(params.verdict, truth.r_CT_H, truth.v_CT_H)
+    stats.corridor_margin = min(stats.corridor_margin, corridor)
+    stats.closing_margin = min(stats.closing_margin, closing)
+
+
+@kernel
+def _count_thrusters(params, now, stats):
+    for j in range(params.gnc.n_thrusters):
+        fraction = now.truth.thrust_fraction[j]
+        is_open = 1 if fraction > 0.0 else 0
+        stats.thruster_open[j] += fraction
+        if is_open != 0 and stats.was_open[j] == 0:
+            stats.thruster_firings[j] += 1
+        stats.was_open[j] = is_open
+    change = 0.0
+    for i in range(3):
+        stats.force_cycles[i] += 1 if now.command.force[i] != 0 else 0
+        stats.torque_cycles[i] += 1 if now.command.torque[i] != 0 else 0
+        change += (now.reference.v_CT_H[i] - stats.reference_v[i]) ** 2
+        stats.reference_v[i] = now.reference.v_CT_H[i]
+    stats.reference_delta_v += math.sqrt(change)
+    if stats.cycles == 0:
+        stats.mass_start = now.truth.mass_kg
+    stats.mass_end = now.truth.mass_kg
+
+
+@kernel
+def _count_navigation(now, stats):
+    """Add the errors of the estimate."""
+    truth, estimate = now.truth, now.navigation
+    stats.estimates += 1
+    p, q = estimate.q_CH, truth.q_CH
+    # vector and scalar part of q_true * conj(q_estimate); the small-angle rotation is twice the former
+    scalar = p[3] * q[3] + p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+    sign = 2.0 if scalar >= 0.0 else -2.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        rotation = sign * (p[3] * q[i] - q[3] * p[i] + q[j] * p[k] - q[k] * p[j])
+        stats.square_error[i] += (truth.r_CT_H[i] - estimate.r_CT_H[i]) ** 2
+        stats.square_error[3 + i] += (truth.v_CT_H[i] - estimate.v_CT_H[i]) ** 2
+        stats.square_error[6 + i] += rotation * rotation
+    if not math.isnan(now.nees_position):
+        stats.fused += 1
+        stats.nees_position += now.nees_position
+        stats.nees_attitude += now.nees_attitude
+
+
+@kernel
+def count_cycle(params, state, stats):
+    """Count the cycle in ``state.now``. params: LOOP_PARAMS."""
+    now = state.now
+    rate = stack.vector(3)
+    truth_kernels.rate_against_hill(now.truth, rate)
+    ready_phase.deviations(params.ready, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, rate, stats.deviation)
+    ready_phase.update(params.ready, stats.ready, now.t_s, stats.deviation)
+    _count_security(params, now, stats)
+    _count_thrusters(params, now, stats)
+    if now.navigation.valid != 0 and now.t_s >= params.steady_state_after_s:
+        _count_navigation(now, stats)
+    stats.cycles += 1

@@ -1,0 +1,141 @@
+"""One step of the GNC: stages 4 to 7 of the cycle, compiled into one function.
+
+The built-in backend and the compiled loop of a campaign call ``gnc_step``. A backend whose filters and control are
+elsewhere calls ``guide`` before it asks them and ``watch_approach`` after; the GNC server, whose guidance runs on the
+bench, calls ``navigate`` and ``actuate``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.core.jit import kernel
+from hil.core.messages import MAX_THRUSTERS
+from hil.gnc import allocation, approach_monitor, control, guidance, navigation
+from hil.gnc.allocation import ROWS
+from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, NOT_ABORTED
+from hil.gnc.control import CONTROL_PARAMS
+from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
+from hil.gnc.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
+from hil.maths.limits import has_held
+
+APPROACH_PARAMS = np.dtype(
+    [
+        ("dwell_s", "f8"),  # for which the ready state must have held for docking to be a go
+        ("guidance", GUIDANCE_PARAMS),
+        ("monitor", APPROACH_MONITOR_PARAMS),
+    ],
+    align=True,
+)
+
+GNC_PARAMS = np.dtype(
+    [
+        ("approach", APPROACH_PARAMS),
+        ("navigation", NAVIGATION_PARAMS),
+        ("control", CONTROL_PARAMS),
+        ("n_thrusters", "i8"),
+        ("sets", "i8", (ROWS, 2, MAX_THRUSTERS)),  # of thrusters by demand, see allocation.select
+    ],
+    align=True,
+)
+
+APPROACH_PROGRESS = np.dtype(
+    [
+        ("phase", "i8"),  # as guidance has it, before an abort that begins in this cycle
+        ("go", "i8"),  # 1: the operator's order to continue, pending
+        ("docking_go", "i8"),  # 1: docking is a go by the ready state as guidance had it
+        ("ready_since_s", "f8"),  # of that ready state, nan if it does not hold
+        ("ready", "i8"),  # 1: the ready state has held for the dwell time since the phase began, without an abort
+        ("aborted", "i8"),  # cause, 0 for none
+    ],
+    align=True,
+)
+"""Progress of the approach: events are the differences between two cycles, see ``gnc_backends.approach_events``."""
+
+APPROACH_STATE = np.dtype(
+    [
+        ("guidance", GUIDANCE_STATE),
+        ("abort_ordered", "i8"),  # 1: by the operator
+        ("abort_began", "i8"),  # 1: in this cycle
+        ("progress", APPROACH_PROGRESS),
+    ],
+    align=True,
+)
+
+GNC_STATE = np.dtype(
+    [
+        ("approach", APPROACH_STATE),
+        ("navigation", NAVIGATION_STATE),
+        ("fused", "i8"),  # 1: the filters took a pose in this cycle
+    ],
+    align=True,
+)
+
+
+@kernel
+def gnc_step(params, state, memory, t_s, imu, poses, n_poses, estimate, reference, supervision, command):
+    """Run stages 4 to 7: write NAVIGATION, REFERENCE, SUPERVISION and COMMAND for ``t_s``, time of the run.
+
+    params: GNC_PARAMS. state: GNC_STATE, zeroed at the start of a run but for guidance (``guidance.start``). memory:
+    (fusion.MEMORY,) of fusion.STEP, zeroed. imu: IMU. poses: array of POSE, of which the first ``n_poses`` are new.
+    """
+    navigate(params, state, memory, imu, poses, n_poses, estimate)
+    guide(params.approach, state.approach, t_s, supervision, reference)
+    watch_approach(params.approach, state.approach, t_s, estimate, reference, supervision, False)
+    actuate(params, estimate, reference, command)
+
+
+@kernel
+def navigate(params, state, memory, imu, poses, n_poses, estimate):
+    """Stage 4: both filters, or vision only. Arguments as of ``gnc_step``."""
+    navigation.navigate(params.navigation, state.navigation, memory, imu, poses, n_poses, estimate)
+    state.fused = 1 if n_poses > 0 and params.navigation.sensors == navigation.VISION_AND_IMU else 0
+
+
+@kernel
+def guide(params, state, t_s, supervision, reference):
+    """Stage 5: start the next phase when its time or its order has come, and write REFERENCE.
+
+    params: APPROACH_PARAMS. state: APPROACH_STATE. supervision: SUPERVISION of the cycle before.
+    """
+    progress = state.progress
+    is_go = supervision.aborted == NOT_ABORTED and has_held(supervision.ready_since_s, t_s, params.dwell_s)
+    progress.docking_go = 1 if is_go else 0
+    progress.ready_since_s = supervision.ready_since_s
+    did = guidance.advance(params.guidance, state.guidance, t_s, progress.go, 0 if is_go else 1)
+    if did != guidance.STAYED:
+        progress.go = 0
+    if did == guidance.MOVED:
+        progress.ready = 0
+    progress.phase = state.guidance.phase
+    guidance.reference(params.guidance, state.guidance, t_s, reference)
+
+
+@kernel
+def watch_approach(params, state, t_s, estimate, reference, supervision, abort_without_estimate):
+    """Stage 6: check the estimate against corridor, closing rate and ready state; start an abort if one is due.
+
+    Writes SUPERVISION, and REFERENCE if an abort begins. abort_without_estimate: an abort that is ordered does not
+    wait for a valid estimate, but starts from the reference. The others as of ``guide``.
+    """
+    aborted = supervision.aborted
+    ordered = state.abort_ordered
+    if abort_without_estimate and estimate.valid == 0:
+        approach_monitor.abort_from_reference(
+            params.monitor, params.guidance, state.guidance, t_s, reference, ordered, supervision
+        )
+    approach_monitor.update(
+        params.monitor, params.guidance, state.guidance, t_s, estimate, reference, ordered, supervision
+    )
+    state.abort_began = 1 if supervision.aborted != aborted else 0
+    progress = state.progress
+    progress.aborted = supervision.aborted
+    is_ready = supervision.aborted == NOT_ABORTED and has_held(supervision.ready_since_s, t_s, params.dwell_s)
+    progress.ready = 1 if is_ready else 0
+
+
+@kernel
+def actuate(params, estimate, reference, command):
+    """Stage 7: write the six demands and the thrusters of COMMAND. params: GNC_PARAMS."""
+    control.control(params.control, estimate, reference, command)
+    allocation.select(params.sets, params.n_thrusters, command)

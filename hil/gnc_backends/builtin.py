@@ -1,0 +1,93 @@
+"""Built-in GNC: navigation, guidance, approach monitor, control and allocation in the loop's own thread."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.core.messages import Array, Event, new
+from hil.core.observable import ObservableList
+from hil.gnc import navigation, step
+from hil.gnc.filter_monitor import FilterMonitor
+from hil.gnc.fusion import MEMORY, STEP
+from hil.gnc.step import GNC_STATE
+from hil.gnc_backends.approach import Approach
+from hil.gnc_backends.approach_events import ApproachEventLog
+from hil.gnc_backends.base import Poses, Records
+
+_LIVE = ("navigation", "control")
+
+
+class BuiltinGnc(Approach):
+    """The compiled GNC. params: GNC_PARAMS. filter_monitor: reads the same record of parameters."""
+
+    def __init__(self, params: np.record, event_log: ApproachEventLog, filter_monitor: FilterMonitor) -> None:
+        self._params = params
+        self.state = new(GNC_STATE)
+        super().__init__(params.approach, self.state.approach, event_log)
+        self.filter_monitor = filter_monitor
+        self._memory = np.zeros(MEMORY, STEP)
+        self._nees = np.empty(2)
+        self._fuses = bool(params.navigation.sensors == navigation.VISION_AND_IMU)
+        self.fused_now = False
+        """Whether the filters took a pose in the last cycle."""
+
+    @property
+    def event_logs(self) -> tuple[ObservableList[Event], ...]:
+        """Lists of events: of the approach and of the filter monitor."""
+        return (self.event_log.events, self.filter_monitor.events)
+
+    def step(self, t_s: float, now: Records, vision: Poses) -> None:
+        """Run stages 4 to 7 of the cycle."""
+        before = self._progress.tobytes()
+        step.gnc_step(
+            self._params,
+            self.state,
+            self._memory,
+            t_s,
+            now.imu,
+            vision.poses,
+            vision.arrived,
+            now.navigation,
+            now.reference,
+            now.supervision,
+            now.command,
+        )
+        self._monitor_filters(now.imu, vision, now.navigation)
+        self._log_progress(t_s, before, now.supervision)
+
+    def navigate(self, imu: np.record, vision: Poses, estimate: np.record) -> None:
+        """Run stage 4 alone, for a GNC whose guidance runs on the bench: write NAVIGATION."""
+        step.navigate(self._params, self.state, self._memory, imu, vision.poses, vision.arrived, estimate)
+        self._monitor_filters(imu, vision, estimate)
+
+    def actuate(self, estimate: np.record, reference: np.record, command: np.record) -> None:
+        """Run stage 7 alone: write the demands and the thrusters of COMMAND."""
+        step.actuate(self._params, estimate, reference, command)
+
+    def _monitor_filters(self, imu: np.record, vision: Poses, estimate: np.record) -> None:
+        self.cycle += 1
+        self.fused_now = self._fuses and vision.arrived > 0
+        if self.fused_now or (self._fuses and self.filter_monitor.needs_every_cycle):
+            self.filter_monitor.update(self.cycle, imu, vision.poses[: vision.arrived], estimate, self._memory)
+
+    def adjust(self, params: np.record) -> int:
+        """Take over other parameters between two cycles; return the number of the cycle from which on they act.
+
+        params: GNC_PARAMS of the same step and sensors; those of guidance are left as they are. The record is written
+        in place: the shadow filter, which reads the same one, takes the new values as well.
+        """
+        for name in _LIVE:
+            self._params[name] = params[name]
+        self._params["approach"]["monitor"] = params["approach"]["monitor"]
+        return self.cycle + 1
+
+    def consistency(self, truth: np.record, imu: np.record) -> Array:
+        """Return NEES of position and attitude filter, (2,), in cycles with a pose, nan otherwise.
+
+        Valid until the next call.
+        """
+        if self.fused_now:
+            navigation.normalised_errors(self.state.navigation.fusion.filters, truth, imu, self._nees)
+        else:
+            self._nees[:] = np.nan
+        return self._nees
