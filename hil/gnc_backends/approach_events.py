@@ -22,6 +22,7 @@ class ApproachEventLog:
 
     def __init__(self, phases: Sequence[str], dwell_s: float) -> None:
         self._phases = [*phases, *_ABORT_PHASES]
+        self._brake = len(phases)
         self._dwell_s = dwell_s
         self._has_decision = False
         self.events: ObservableList[Event] = ObservableList()
@@ -32,7 +33,7 @@ class ApproachEventLog:
         if before["go"] and not after["go"]:
             self._decide(t_s, bool(after["docking_go"]), float(after["ready_since_s"]), bool(before["aborted"]))
         moved = before["phase"] != after["phase"]
-        if moved:
+        if moved and after["phase"] != self._brake:  # that one is logged with the abort, a cycle earlier
             self._log_phase(t_s, int(after["phase"]))
         aborted = before["aborted"] != after["aborted"]
         if aborted:

@@ -64,6 +64,8 @@ def test_decision_after_an_abort_is_no_go(event_log: ApproachEventLog) -> None:
     supervision.aborted, supervision.corridor_margin_m = 1, -0.02
     event_log.update(50.0, progress(), progress(aborted=1), supervision)
     event_log.update(60.0, progress(go=1, aborted=1), progress(aborted=1, ready_since_s=10.0), supervision)
+    event_log.update(50.02, progress(aborted=1), progress(phase=2, aborted=1), supervision)
+    assert texts(event_log).count("phase abort: brake begins") == 1
     assert "the corridor was left (corridor margin -0.020 m" in texts(event_log)[1]
     assert texts(event_log)[-1] == "docking: no-go, the approach was aborted"
 
