@@ -83,7 +83,7 @@ class GncServerStats:
 
 
 class GncServer:
-    """Serves the bench at the other end of ``link`` with the GNC of ``scenario``. announce: called with a line per event."""
+    """Serves the bench at the other end of ``link`` with the GNC of ``scenario``. announce: receives lines of text."""
 
     def __init__(self, scenario: Scenario, link: Link, announce: Callable[[str], None] = lambda _: None) -> None:
         self.link = link

@@ -104,7 +104,7 @@ def test_killed_bench_is_missed_by_the_gnc_within_three_cycles() -> None:
         assert dss.stdout is not None
         port = int(dss.stdout.readline())
         with gnc_thread("scheme-1", (LOCAL[0], port), patience_s=2.0) as gnc:
-            gnc._log = lambda text: told.append((time.monotonic(), text))
+            gnc._announce = lambda text: told.append((time.monotonic(), text))
             for line in dss.stdout:
                 if int(line) == 100:
                     break
