@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
+from hil.dynamics.vision import measure
 from hil.gnc import fusion, navigation
 from hil.gnc.navigation import VISION_ALONE
 from hil.maths import quat
