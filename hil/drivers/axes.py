@@ -1,4 +1,4 @@
-"""Three emulated axes: the servo model with its parameters, for mocks and emulators alike."""
+"""Servo model of three axes with its parameters, for mocks and emulators."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from hil.models.servo import servo_step
 
 
 class ServoAxes:
-    """Three axes that follow setpoints; inside SI units: m and m/s, or rad and rad/s.
+    """Three axes that follow setpoints, in SI units: m and m/s, or rad and rad/s.
 
-    position, rate, setpoint, feedforward, low, high, kp (1/s), tau (s): arrays of shape (3,), rails x y z or
-    gimbals roll pitch yaw. The axes start at their park position, at rest.
+    position, rate, setpoint, feedforward, low, high, kp (1/s), tau (s): arrays of shape (3,), rails x y z or gimbals
+    roll pitch yaw. The axes start at their park position, at rest.
     """
 
     def __init__(self, config: AxisGroupTable) -> None:
@@ -33,7 +33,7 @@ class ServoAxes:
         self.feedforward[:] = 0.0
 
     def step(self, dt_s: float) -> None:
-        """Move on by ``dt_s``."""
+        """Advance by ``dt_s``."""
         servo_step(
             self.position,
             self.rate,

@@ -1,9 +1,8 @@
-"""What the cycle knows of a device. Every backend keeps these promises; ``tests/contract`` holds them to it.
+"""Interfaces of the devices as the cycle uses them. ``tests/contract`` tests each backend against them.
 
-Life of a device: ``open`` (connect, identify, make ready; may block), then any number of ``send`` /
-``read`` / ``poll`` (never block: they hand over to and take from the newest-sample box of the
-device's own thread), ``stop`` (bounded, may be called in any state and more than once, never
-raises), ``close`` (the same). Time is bench time in seconds and is always handed in.
+Life cycle of a device: ``open`` (connect, identify, make ready; may block), then any number of ``send``, ``read`` and
+``poll`` (never block: they exchange newest samples with the device's own thread), ``stop`` (bounded, allowed in any
+state and more than once, never raises), ``close`` (the same). Time is bench time in s, always an argument.
 """
 
 from __future__ import annotations
@@ -28,51 +27,51 @@ class AxisGroup(Protocol):
         """Connect, check the identity, enable the drives, and hold the present position. Raises DeviceError."""
 
     def home(self, now_s: float) -> None:
-        """Let each axis that does not know its place look for its home switch; returns at once.
+        """Start homing of each axis that is not homed; returns at once.
 
-        ``read`` tells how far it is (AxisFeedback.homing). Setpoints are refused until all are at DONE.
+        ``read`` reports the progress (AxisFeedback.homing). Setpoints are rejected until all axes are at DONE.
         """
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
-        """Give the drives their next position and its rate; return the position that was accepted.
+        """Set the next position and its rate; return the accepted position.
 
-        What lies outside an axis' travel is cut to it. Raises SafetyTrip for a number that is not
-        finite, DeviceError once the link has failed.
+        The position is limited to the travel. Raises SafetyTrip for a value that is not finite, DeviceError once the
+        link has failed.
         """
 
     def read(self, now_s: float) -> AxisFeedback:
-        """Return the newest feedback. Raises LinkTimeout when it is too old, DeviceError on failure."""
+        """Return the newest feedback. Raises LinkTimeout if it is too old, DeviceError on failure."""
 
     def stop(self, now_s: float) -> None:
-        """Bring all axes to a stand and keep them there: quick stop. Idempotent, never raises."""
+        """Quick stop of all axes, which then hold. Idempotent, never raises."""
 
     def close(self) -> None:
-        """Let go of the wire. Idempotent, never raises."""
+        """Disconnect. Idempotent, never raises."""
 
 
 @runtime_checkable
 class Jogs(Protocol):
-    """An axis group that lets an axis be jogged that is not homed, or that stands beyond its travel."""
+    """An axis group whose axes can be jogged when not homed or outside their travel."""
 
     def set_jogging(self, on: bool) -> None:
-        """While on, take setpoints of axes that are not homed, and cut none to the travel."""
+        """While on, accept setpoints for axes that are not homed, and do not limit them to the travel."""
 
 
 @runtime_checkable
 class Parks(Protocol):
-    """An axis group whose drives go to a place by profiles of their own."""
+    """An axis group with profiled moves."""
 
     def move_to(self, position: Array, rate: Array, now_s: float) -> Array:
-        """Let the axes go to position (3,) and stand there, at most at rate (3,); return the goal that was accepted.
+        """Move to position (3,) at most at rate (3,) and hold there; return the accepted goal.
 
-        Returns at once, ``read`` tells how far they are. Later setpoints are not passed on until the next
-        ``open``: ``send`` returns where the axes stand. Errors as for ``send``.
+        Returns at once, ``read`` reports the progress. Later setpoints are not passed on until the next ``open``:
+        ``send`` returns the present position. Errors as for ``send``.
         """
 
 
 @runtime_checkable
 class CountsLosses(Protocol):
-    """A device whose wire counts what it lost."""
+    """A device that counts lost packets."""
 
     def lost_packets(self) -> int:
         """Return how many packets were lost or damaged since ``open``."""
@@ -88,17 +87,16 @@ class PoseSource(Protocol):
         """Connect. Raises DeviceError."""
 
     def poll(self, now_s: float) -> list[PoseFrame]:
-        """Return the frames that came since the last call, oldest first.
+        """Return the frames received since the last call, oldest first.
 
-        Raises LinkTimeout when the unit has been silent for longer than its time-out, DeviceError
-        on failure.
+        Raises LinkTimeout if none was received for longer than the time-out, DeviceError on failure.
         """
 
     def counters(self) -> dict[str, int]:
-        """Return what was counted since ``open``: frames, crc_errors, skipped_bytes, lost, duplicates."""
+        """Return the counters since ``open``: frames, crc_errors, skipped_bytes, lost, duplicates."""
 
     def close(self) -> None:
-        """Let go of the wire. Idempotent, never raises."""
+        """Disconnect. Idempotent, never raises."""
 
 
 @runtime_checkable
@@ -111,26 +109,26 @@ class DiscreteIo(Protocol):
         """Connect, check the identity, set all outputs off. Raises DeviceError."""
 
     def pulse(self, now_s: float) -> None:
-        """Say that whoever watches the bench is alive: the charge pump toggles, at its own period at most.
+        """Toggle the charge pump, at most once per its period; never raises.
 
-        Without these calls the pump stops and the safety relay opens. Never raises.
+        Without these calls the pump stops and the safety relay opens.
         """
 
     def write(self, outputs: IoOutputs, now_s: float) -> None:
-        """Hand over the outputs; thruster lines beyond those given are off. Raises DeviceError once the link failed."""
+        """Set the outputs; thruster lines that are not given are off. Raises DeviceError once the link has failed."""
 
     def read(self, now_s: float) -> IoInputs:
-        """Return the newest inputs. Raises LinkTimeout when they are too old, DeviceError on failure."""
+        """Return the newest inputs. Raises LinkTimeout if they are too old, DeviceError on failure."""
 
     def stop(self, now_s: float) -> None:
-        """Set all outputs off and keep them off: the safety relay opens. Bounded, idempotent, never raises."""
+        """Set all outputs off for good: the safety relay opens. Bounded, idempotent, never raises."""
 
     def close(self) -> None:
-        """Let go of the wire, outputs off. Idempotent, never raises."""
+        """Set the outputs off and disconnect. Idempotent, never raises."""
 
 
 def full_names(device: str, short: tuple[str, str, str]) -> tuple[str, str, str]:
-    """Return the axis names as errors show them: ``rails.x``."""
+    """Return the axis names as used in errors: ``rails.x``."""
     return (f"{device}.{short[0]}", f"{device}.{short[1]}", f"{device}.{short[2]}")
 
 
@@ -145,7 +143,7 @@ def setpoint_bounds(low: Array, high: Array, jogging: bool) -> tuple[Array, Arra
 def accepted_setpoint(
     axis_names: tuple[str, str, str], values: Array, low: Array, high: Array, quantity: str = "setpoint"
 ) -> Array:
-    """Return ``values`` (3,) cut to [low, high]; raise SafetyTrip, naming ``quantity``, where one is not finite."""
+    """Return ``values`` (3,) limited to [low, high]; raise SafetyTrip with ``quantity`` if one is not finite."""
     accepted = np.empty(3)
     bad = cut_to_range(values, low, high, accepted)
     if bad >= 0:

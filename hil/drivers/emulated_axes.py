@@ -1,4 +1,4 @@
-"""The mechanics behind three emulated drives: servos, brakes, encoders, home and limit switches, and their faults."""
+"""Mechanics of three emulated drives: servos, brakes, encoders, home and limit switches, and their faults."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hil.drivers.fault_injection import AXIS, WIRE, Faults, kinds
 from hil.drivers.shared_state import SharedAxisState
 from hil.maths.random_streams import stream
 
-STEP_S: Final = 0.004  # longest bench time between two looks at the axes; the board is due every 5 ms
+STEP_S: Final = 0.004  # longest bench time between two updates of the axes; the shared state is due every 5 ms
 WATCHDOG_S: Final = 0.5
 _SUBSTEP_S: Final = 0.002
 _STANDSTILL: Final = 2e-3  # of m/s or rad/s
@@ -29,11 +29,10 @@ ChainClosed = Callable[[], bool]
 class EmulatedAxes:
     """Axes 0, 1, 2 of ``device``; m and m/s (rails x, y, z) or rad and rad/s (turntable roll, pitch, yaw).
 
-    An axis follows setpoints, or it brakes along its acceleration limit and then stands (a real one has
-    its brake on or holds by current; both stand). What a drive reports are ``position`` and ``rate``: the
-    encoder's values, which are not where the axis is once an encoder fails. overdue: axes that braked
-    because no command came in time; it is the owner who clears them. chain_closed: whether the safety
-    chain lets the drives have torque; left away, ``board`` tells.
+    An axis follows setpoints, or brakes at its acceleration limit and then holds (a real one by its brake or by
+    current). ``position`` and ``rate`` are the encoder's values, which a drive reports; they differ from the true ones
+    when an encoder fails. overdue: axes that braked because setpoints ceased; cleared by the owner. chain_closed:
+    whether the drives have torque; unless given, the state in ``shared``.
     """
 
     def __init__(
@@ -41,7 +40,7 @@ class EmulatedAxes:
         device: str,
         config: AxisGroupTable,
         clock: WallClock,
-        board: SharedAxisState,
+        shared: SharedAxisState,
         faults: Faults | None = None,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
@@ -54,8 +53,8 @@ class EmulatedAxes:
         scale, axes = config.si_per_unit, config.axes
         self._unit = scale
         self._axes = ServoAxes(config)
-        self._board = board
-        self._chain_closed = chain_closed or partial(board.chain_closed, clock)
+        self._shared = shared
+        self._chain_closed = chain_closed or partial(shared.chain_closed, clock)
         self._sigma = scale * config.encoder_sigma
         self._noise = stream(seed, "encoders")
         self._absolute = [axis.encoder == "absolute" for axis in axes]
@@ -64,28 +63,28 @@ class EmulatedAxes:
         self.homing = [Homing.DONE if known else Homing.NEEDED for known in self._absolute]
         # an incremental encoder counts from where it was switched on
         self._offset = np.where(self._absolute, 0.0, -self._axes.position)
-        self._gear = np.ones(3)  # what the drive takes for the axis' way, as a share of it
-        self._count = np.ones(3)  # what the encoder counts: the same, but for one that is reversed
-        self._wanted = np.zeros(3)  # as the encoder counts
+        self._gear = np.ones(3)  # displacement assumed by the drive per displacement of the axis
+        self._count = np.ones(3)  # displacement counted by the encoder, negative when reversed
+        self._setpoint = np.zeros(3)  # in the encoder's zero and scale
         self._braking = [True, True, True]
         self._deadline_s = [math.inf, math.inf, math.inf]
         self._homing_until_s = [math.inf, math.inf, math.inf]
         self.position: Array = np.zeros(3)
         self.rate: Array = np.zeros(3)
-        self._axes.step(0.0)  # compiles the kernel before anyone waits for an answer
+        self._axes.step(0.0)  # compiles the kernel outside the cycle
         self._t_s = clock.now_s()
         self._stood = self._axes.position.copy()
-        self._look()
+        self._update_encoders()
         self._publish()
 
     @property
     def low(self) -> Array:
-        """Where the low limit switches are, (3,)."""
+        """Positions of the low limit switches, (3,)."""
         return self._axes.low
 
     @property
     def high(self) -> Array:
-        """Where the high limit switches are, (3,)."""
+        """Positions of the high limit switches, (3,)."""
         return self._axes.high
 
     @property
@@ -96,20 +95,20 @@ class EmulatedAxes:
         return (on[0], on[1], on[2])
 
     def moving(self, axis: int) -> bool:
-        """Whether the axis turns or travels faster than at a standstill."""
+        """Whether the axis moves faster than the standstill limit."""
         return bool(abs(self._axes.rate[axis]) > _STANDSTILL)
 
     def follow(self, axis: int, position: float, rate: float, now_s: float, watchdog_s: float = WATCHDOG_S) -> None:
-        """Give one axis its setpoint, as the encoder counts; it brakes when no other comes within ``watchdog_s``."""
+        """Set the setpoint of one axis in the encoder's zero; without another within ``watchdog_s`` the axis brakes."""
         if self.torque_off or self.homing[axis] is Homing.UNDER_WAY:
             return
-        self._wanted[axis] = position
+        self._setpoint[axis] = position
         self._axes.feedforward[axis] = rate / self._gear[axis]
         self._braking[axis] = False
         self._deadline_s[axis] = now_s + watchdog_s
 
     def brake(self, axis: int) -> None:
-        """Quick stop of one axis: slow down as fast as it may, then stand. Ends its homing."""
+        """Quick stop of one axis: brake at the acceleration limit, then hold. Aborts its homing."""
         if self.homing[axis] is Homing.UNDER_WAY:
             self.homing[axis] = Homing.FAILED
         self._axes.feedforward[axis] = 0.0
@@ -117,7 +116,7 @@ class EmulatedAxes:
         self._deadline_s[axis] = math.inf
 
     def home(self, axis: int) -> None:
-        """Let the axis look for its home switch at ``homing_rate``; nothing to do for an absolute encoder."""
+        """Start homing at ``homing_rate``; no effect with an absolute encoder."""
         if self._absolute[axis] or self.torque_off:
             return
         self.homing[axis] = Homing.UNDER_WAY
@@ -126,28 +125,28 @@ class EmulatedAxes:
         self._homing_until_s[axis] = self._t_s + _HOMING_TIME_MAX_S
 
     def power_off(self, axis: int) -> None:
-        """Take the supply away: an incremental encoder loses its place."""
+        """Switch the supply off: an incremental encoder loses its zero."""
         self.brake(axis)
         if not self._absolute[axis]:
             self.homing[axis] = Homing.NEEDED
             self._offset[axis] = -self._axes.position[axis]
 
     def advance(self, now_s: float) -> None:
-        """Move on to bench time ``now_s`` and show the axes on the board."""
+        """Advance to bench time ``now_s`` and publish the axes."""
         if now_s <= self._t_s:
             return
-        self._obey_the_chain()
+        self._apply_safety_chain()
         while self._t_s < now_s:
             step_s = min(_SUBSTEP_S, now_s - self._t_s)
             self._t_s += step_s
             for axis in range(3):
                 self._supervise(axis)
             self._axes.step(step_s)
-            self._let_stuck_axes_stand()
-        self._look()
+            self._hold_stuck_axes()
+        self._update_encoders()
         self._publish()
 
-    def _obey_the_chain(self) -> None:
+    def _apply_safety_chain(self) -> None:
         self.torque_off = not self._chain_closed()
         if self.torque_off:
             for axis in range(3):
@@ -158,27 +157,27 @@ class EmulatedAxes:
             self.overdue[axis] = True
             self.brake(axis)
         if self.homing[axis] is Homing.UNDER_WAY:
-            self._search(axis)
+            self._step_homing(axis)
         elif not self._braking[axis]:
             self._regulate(axis)
         if self._braking[axis] and self._axes.rate[axis] != 0.0:
-            self._axes.setpoint[axis] = self._axes.position[axis]  # no way back to where braking began
+            self._axes.setpoint[axis] = self._axes.position[axis]  # does not return to where braking began
 
     def _regulate(self, axis: int) -> None:
-        """Let the drive's position loop act on what its encoder says: one that counts backwards makes it run away."""
+        """Close the drive's position loop on its encoder; a reversed encoder makes the axis run away."""
         place = self._axes.position[axis]
-        error = self._wanted[axis] - (self._count[axis] * place + self._offset[axis])
+        error = self._setpoint[axis] - (self._count[axis] * place + self._offset[axis])
         self._axes.setpoint[axis] = place + error / self._gear[axis]
 
-    def _search(self, axis: int) -> None:
-        """One step of the way to the home switch."""
+    def _step_homing(self, axis: int) -> None:
+        """Advance homing by one step."""
         place, home = self._axes.position[axis], self._home[axis]
         way = home - place
         if abs(way) <= self._homing_rate[axis] * _SUBSTEP_S:
             self._offset[axis] = 0.0
             self._count[axis] = 1.0
             self.homing[axis] = Homing.DONE
-            self._wanted[axis] = home
+            self._setpoint[axis] = home
             self._axes.setpoint[axis] = home
             self._axes.feedforward[axis] = 0.0
         elif self._t_s > self._homing_until_s[axis]:
@@ -187,22 +186,22 @@ class EmulatedAxes:
             self._axes.setpoint[axis] = place
             self._axes.feedforward[axis] = math.copysign(self._homing_rate[axis], way)
 
-    def _let_stuck_axes_stand(self) -> None:
+    def _hold_stuck_axes(self) -> None:
         for axis, name in enumerate(self.names):
             if self.faults.value("stuck", name) is not None:
                 self._axes.rate[axis] = 0.0
                 self._axes.position[axis] = self._stood[axis]
         self._stood[:] = self._axes.position
 
-    def _look(self) -> None:
-        """Bring the encoders' values up to date."""
+    def _update_encoders(self) -> None:
+        """Update the encoders' values."""
         axes = self._axes
         for axis, name in enumerate(self.names):
             jump = self.faults.pop("jump", name)
             if jump is not None:
                 self._offset[axis] += self._unit * jump
-            self._gear[axis], count = self._geared(name)
-            if count != self._count[axis]:  # from here on it counts otherwise
+            self._gear[axis], count = self._signs_and_scales(name)
+            if count != self._count[axis]:  # the scale changes, the present value does not
                 self._offset[axis] += (self._count[axis] - count) * axes.position[axis]
                 self._count[axis] = count
         if self.faults.value("freeze") is None:
@@ -210,12 +209,12 @@ class EmulatedAxes:
             self.position = self._count * axes.position + self._offset + noise
             self.rate = self._count * axes.rate
 
-    def _geared(self, name: str) -> tuple[float, float]:
-        """Return how the drive takes the axis' way, and how the encoder counts it, under the faults that are on."""
+    def _signs_and_scales(self, name: str) -> tuple[float, float]:
+        """Return the scales of drive and encoder under the active faults."""
         gear = self.faults.value("scaled", name) or 1.0
         if self.faults.value("mirrored", name) is not None:
             gear = -gear
         return gear, -gear if self.faults.value("reversed", name) is not None else gear
 
     def _publish(self) -> None:
-        self._board.write(self.device, self._t_s, self._axes.position, self._axes.rate)
+        self._shared.write(self.device, self._t_s, self._axes.position, self._axes.rate)

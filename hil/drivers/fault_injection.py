@@ -1,4 +1,4 @@
-"""Faults that can be switched on in an emulated device while it runs, and the port where that is done.
+"""Fault injection into a running emulated device, and its control port.
 
 The control port speaks lines of text (``nc 127.0.0.1 PORT`` will do); each gets one line back:
 

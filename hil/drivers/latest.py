@@ -1,4 +1,4 @@
-"""The newest-sample box between a device's own thread and the loop: nobody waits for a wire."""
+"""Newest-sample box between a device's own thread and the cycle, which never waits for a wire."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ Sample = TypeVar("Sample")
 
 
 class Latest(Generic[Sample]):
-    """Holds the newest sample with its time, or the error that ended the link.
+    """Newest sample with its time, or the error that ended the link.
 
-    One thread puts, another gets. An error stays: a link that failed once does not heal by itself.
+    One thread puts, another gets. An error is permanent: a failed link does not recover.
     """
 
     def __init__(self, device: str) -> None:
@@ -29,19 +29,19 @@ class Latest(Generic[Sample]):
             self._t_s = t_s
 
     def fail(self, error: DeviceError) -> None:
-        """Leave ``error`` for the loop; the first one counts."""
+        """Store ``error`` for the cycle; later errors are ignored."""
         with self._lock:
             if self._error is None:
                 self._error = error
 
     def check(self) -> None:
-        """Raise the error that was left here, if any."""
+        """Raise the stored error, if any."""
         with self._lock:
             if self._error is not None:
                 raise self._error
 
     def get(self, now_s: float, max_age_s: float) -> Sample:
-        """Return the newest sample; raise LinkTimeout when it is older than ``max_age_s``."""
+        """Return the newest sample; raise LinkTimeout if it is older than ``max_age_s``."""
         with self._lock:
             if self._error is not None:
                 raise self._error
@@ -53,6 +53,6 @@ class Latest(Generic[Sample]):
             return self._sample
 
     def peek(self) -> Sample | None:
-        """Return the newest sample of whatever age, or None."""
+        """Return the newest sample of any age, or None."""
         with self._lock:
             return self._sample

@@ -1,4 +1,4 @@
-"""The life that drivers on asyncio share: one event loop in one thread of its own, from ``open`` to ``close``."""
+"""Life cycle of drivers on asyncio: one event loop in its own thread, from ``open`` to ``close``."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _END_WAIT_WALL_S: Final = 0.1
 
 
 class LoopThread:
-    """Base of a driver whose wire is served by the coroutine ``_live`` in a thread of its own.
+    """Base of a driver whose wire is served by the coroutine ``_live`` in its own thread.
 
-    A subclass makes a new ``_box`` for each life; what ends the thread is left there for the loop. ``_wake`` is an
-    event of the thread's loop, for ``_call(self._wake.set)``.
+    A subclass makes a new ``_box`` in each ``open``; the error that ends the thread is stored there. ``_wake`` is an
+    event of the thread's event loop, set by ``_call(self._wake.set)``.
     """
 
     name: str
@@ -30,13 +30,13 @@ class LoopThread:
     _loop: asyncio.AbstractEventLoop
     _wake: asyncio.Event
     _closing = False
-    """Whether the thread is to end. ``_live`` looks at it: Python 3.11 may drop a cancellation that comes with an
-    answer."""
+    """Whether the thread must end; checked by ``_live``, since Python 3.11 may drop a cancellation that coincides with
+    a response."""
 
     def _start(self, bound_s: float) -> None:
-        """Start the thread and wait until ``_live`` has opened the wire, ``bound_s`` of bench time at most.
+        """Start the thread and wait until ``_live`` has opened the wire, at most ``bound_s`` of bench time.
 
-        Raises what ``_live`` raised, LinkTimeout when it takes longer.
+        Raises the error of ``_live``, or LinkTimeout.
         """
         self._closing = False
         self._wake = asyncio.Event()
@@ -50,7 +50,7 @@ class LoopThread:
             raise LinkTimeout(self.name, f"not open after {bound_s:g} s") from error
 
     def _end(self) -> None:
-        """Let the thread end; wait for it, 0.1 s of wall time at most. Idempotent."""
+        """End the thread; wait for it, at most 0.1 s of wall time. Idempotent."""
         if self._thread is None:
             return
         self._closing = True
@@ -59,10 +59,10 @@ class LoopThread:
         if not self._thread.is_alive():
             self._thread = None
 
-    def _await_the_thread_before(self, bound_s: float) -> None:
-        """Wait until the thread of a life before is gone: on a busy computer ``_end`` does not see its end.
+    def _await_previous_thread(self, bound_s: float) -> None:
+        """Wait for the previous thread, which on a busy host may outlast ``_end``.
 
-        Until then nothing that it uses may be replaced. Raises LinkTimeout when it stays.
+        Until it has ended nothing that it uses may be replaced. Raises LinkTimeout.
         """
         if self._thread is not None:
             self._thread.join(self._clock.wall_s(bound_s))
@@ -71,18 +71,18 @@ class LoopThread:
         self._thread = None
 
     def _call(self, function: Callable[[], object]) -> None:
-        """Let the thread's loop call ``function`` soon."""
-        with suppress(RuntimeError):  # the loop has ended; why lies in the box
+        """Schedule ``function`` in the event loop of the thread."""
+        with suppress(RuntimeError):  # the event loop has ended; the box holds the error
             self._loop.call_soon_threadsafe(function)
 
-    # From here on: in the thread.
+    # The methods below run in the thread.
 
     async def _live(self, opened: Future[None]) -> None:
-        """Open the wire, tell ``opened``, serve until ``_closing`` or cancelled."""
+        """Open the wire, set the result of ``opened``, serve until ``_closing`` or cancelled."""
         raise NotImplementedError
 
     def _when_ended(self) -> None:
-        """Do what is due once the thread's loop has ended, whatever it died of."""
+        """Hook called when the event loop has ended, for any reason."""
 
     def _run(self, opened: Future[None]) -> None:
         try:

@@ -1,4 +1,4 @@
-"""Three axes in memory, in simulated time: the mock of the rails and of the turntable."""
+"""Mock of rails and turntable: three axes in memory, in simulated time."""
 
 from __future__ import annotations
 
@@ -18,13 +18,10 @@ _AT_SWITCH: Final = 1e-4  # m or rad
 
 
 class MockAxes:
-    """An AxisGroup without a wire; the same calls give the same numbers, bit for bit.
+    """AxisGroup without a wire; equal calls give equal numbers, bit for bit.
 
-    name: the device; short_names: its axes as in ``RAIL_NAMES`` or ``GIMBAL_NAMES``. The axes move
-    when they are asked, up to the time that they are given; time that runs backwards moves nothing.
-
-    An axis with ``encoder = "incremental"`` counts from where it stood when its drive was switched on.
-    ``home`` lets all that need it creep to their home switches.
+    Each call advances the axes to its time; earlier times move nothing. An axis with ``encoder = "incremental"``
+    counts from its position at power-on. ``home`` moves axes that are not homed to their home switches.
     """
 
     def __init__(self, name: str, config: AxisGroupTable) -> None:
@@ -35,9 +32,9 @@ class MockAxes:
         self._homing_rate = [config.si_per_unit * axis.homing_rate for axis in config.axes]
         self._incremental = [axis.encoder == "incremental" for axis in config.axes]
         self._homing = HOMED
-        self._counted_from: Array = np.zeros(3)  # where an encoder that has not been homed has its zero
+        self._counted_from: Array = np.zeros(3)  # zero of an encoder that is not homed
         self._limit = NO_LIMIT
-        self._blind: set[int] = set()
+        self._without_switch: set[int] = set()
         self._jogging = False
         self._t_s = 0.0
         self._stopped = False
@@ -53,17 +50,17 @@ class MockAxes:
         self._error = None
 
     def home(self, now_s: float) -> None:
-        """Let each axis that is not homed creep to its home switch."""
+        """Start homing of each axis that is not homed."""
         self._check()
         self._move(now_s)
         self._set_homing({i: Homing.UNDER_WAY for i, state in enumerate(self._homing) if state != Homing.DONE})
 
     def set_jogging(self, on: bool) -> None:
-        """While on, take setpoints of axes that are not homed, and cut none to the travel."""
+        """While on, accept setpoints for axes that are not homed, and do not limit them to the travel."""
         self._jogging = on
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
-        """Take the setpoint at ``now_s``; a stopped device stays where it is and returns that place."""
+        """Set the setpoint at ``now_s``; a stopped device returns the position that it holds."""
         self._check()
         axes = self._axes
         if not self._jogging:
@@ -79,13 +76,13 @@ class MockAxes:
         return accepted
 
     def read(self, now_s: float) -> AxisFeedback:
-        """Return where the axes are at ``now_s``, by their encoders."""
+        """Return the feedback of the encoders at ``now_s``."""
         self._check()
         self._move(now_s)
         return AxisFeedback(now_s, self._shown(), self._axes.rate.copy(), self._homing, self._limit)
 
     def stop(self, now_s: float) -> None:
-        """Brake, then stand; an axis on its way to its home switch does not get there."""
+        """Brake, then hold; homing is aborted."""
         self._move(now_s)
         self._stopped = True
         self._set_homing({i: Homing.NEEDED for i, state in enumerate(self._homing) if state == Homing.UNDER_WAY})
@@ -95,11 +92,11 @@ class MockAxes:
         self._error = LinkLost(self.name, "is closed")
 
     def fail(self, error: DeviceError) -> None:
-        """Let every later ``send`` and ``read`` raise ``error``, as after a failure of the link."""
+        """Make later ``send`` and ``read`` raise ``error``, as after a failure of the link."""
         self._error = error
 
     def switch_off_and_on(self) -> None:
-        """Take the drives' power away for a moment: incremental encoders begin to count anew, not homed."""
+        """Cycle the drives' power: incremental encoders restart from zero, not homed."""
         self._axes.hold()
         self._axes.rate[:] = 0.0
         self._counted_from = np.where(self._incremental, self._axes.position, 0.0)
@@ -107,14 +104,14 @@ class MockAxes:
         self._set_homing({i: Homing.NEEDED for i, lost in enumerate(self._incremental) if lost})
 
     def set_limit_switch(self, axis: int, switch: int) -> None:
-        """Let ``axis`` stand on its low (-1), its high (1) or no (0) limit switch."""
+        """Put ``axis`` on its low (-1), its high (1) or no (0) limit switch."""
         limit = [*self._limit]
         limit[axis] = switch
         self._limit = (limit[0], limit[1], limit[2])
 
     def hide_home_switch(self, axis: int) -> None:
-        """Let homing of ``axis`` fail when it gets to where its switch should be."""
-        self._blind.add(axis)
+        """Make homing of ``axis`` fail at the position of its switch."""
+        self._without_switch.add(axis)
 
     def _check(self) -> None:
         if self._error is not None:
@@ -142,16 +139,16 @@ class MockAxes:
         self._t_s = now_s
         if not self._stopped:
             if Homing.UNDER_WAY in self._homing:
-                self._creep_home(left_s)
+                self._step_homing(left_s)
             self._axes.step(left_s)
             return
         while left_s > 0.0 and self._axes.rate.any():
-            self._axes.hold()  # no way back to the place where braking began
+            self._axes.hold()  # does not return to where braking began
             self._axes.step(min(left_s, _BRAKE_STEP_S))
             left_s -= _BRAKE_STEP_S
 
-    def _creep_home(self, dt_s: float) -> None:
-        """Let the axes under way go on towards their home switches; those that are there know their places now."""
+    def _step_homing(self, dt_s: float) -> None:
+        """Advance homing; axes at their switches are homed."""
         axes = self._axes
         arrived: dict[int, Homing] = {}
         for axis, state in enumerate(self._homing):
@@ -161,7 +158,7 @@ class MockAxes:
             if abs(self._home[axis] - axes.position[axis]) > _AT_SWITCH:
                 axes.setpoint[axis] += math.copysign(min(abs(way), self._homing_rate[axis] * dt_s), way)
                 axes.feedforward[axis] = 0.0
-            elif axis in self._blind:
+            elif axis in self._without_switch:
                 arrived[axis] = Homing.FAILED
             else:
                 arrived[axis] = Homing.DONE

@@ -1,7 +1,7 @@
-"""Emulated serial wires: pseudo terminals that take as long as the real line.
+"""Emulated serial lines: pseudo terminals with the timing of the real line.
 
-A pty has no line rate; here every byte takes its ten bit times of bench time, so latency and
-half-duplex turn-around come out as on the bench. The other end opens ``path`` like any port.
+A pty has no line rate; here every byte takes ten bit times of bench time, which reproduces latency and half-duplex
+turn-around. The other end opens ``path`` like any port.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import tty
 
 from hil.core.clock import WallClock
 
-_BITS_A_BYTE = 10
+_BITS_PER_BYTE = 10
 _CHUNK = 4096
 
 
@@ -30,14 +30,14 @@ class PtyLine:
 
     def __init__(self, baud: int, clock: WallClock) -> None:
         self._clock = clock
-        self._byte_s = _BITS_A_BYTE / baud
+        self._byte_s = _BITS_PER_BYTE / baud
         self._master, self._slave, self.path = _open_raw_pty()
         self._sent_until_s = 0.0
         self._write_lock = threading.Lock()
         self._open = True
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what came within ``timeout_s`` of bench time, b"" if nothing, after its line time."""
+        """Return the data received within ``timeout_s`` of bench time, b"" if none, after its line time."""
         ready, _, _ = select.select([self._master], [], [], self._clock.wall_s(timeout_s))
         if not ready:
             return b""
@@ -47,9 +47,9 @@ class PtyLine:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send ``data``: the call returns, and the bytes appear, when the last of them is through.
+        """Send ``data``; returns, and the bytes arrive, after their line time.
 
-        What nobody reads is lost once the kernel's buffer is full, as on a real line.
+        Unread data is lost once the kernel's buffer is full, as on a real line.
         """
         with self._write_lock:
             start_s = max(self._clock.now_s(), self._sent_until_s)
@@ -58,7 +58,7 @@ class PtyLine:
             _write_or_lose(self._master, data)
 
     def close(self) -> None:
-        """Let go of the line; idempotent."""
+        """Close the line. Idempotent."""
         if self._open:
             self._open = False
             os.close(self._slave)
@@ -66,7 +66,7 @@ class PtyLine:
 
 
 def _write_or_lose(descriptor: int, data: bytes) -> None:
-    """Write ``data`` to a non-blocking ``descriptor``; what it cannot take now is lost, as on a real line."""
+    """Write ``data`` to a non-blocking ``descriptor``; data beyond its buffer is lost, as on a real line."""
     try:
         while data:
             data = data[os.write(descriptor, data) :]

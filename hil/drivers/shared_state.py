@@ -1,4 +1,4 @@
-"""What emulated devices share: where the axes are, for cameras to look at, and whether the drives may have torque."""
+"""Shared state of the emulated devices: positions of the axes, for the cameras, and state of the safety chain."""
 
 from __future__ import annotations
 
@@ -12,54 +12,54 @@ from hil.frmn.mailbox import MailboxBlock
 
 _AXES: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3)])
 _CHAIN: Final = np.dtype([("closed", "i8")])
-_CELLS: Final = {"rails": _AXES, "turntable": _AXES, "target": _AXES, "chain": _CHAIN}
-_CHAIN_AGE_WALL_S: Final = 0.25  # a coupler that is silent for longer is dead, and its outputs are off
+_MAILBOXES: Final = {"rails": _AXES, "turntable": _AXES, "target": _AXES, "chain": _CHAIN}
+_CHAIN_AGE_WALL_S: Final = 0.25  # of a coupler; its outputs are off when it is older
 
 
 class SharedAxisState:
-    """Positions (3,) and rates (3,) of rails (m) and turntable (rad) at a moment, s of bench time.
+    """Positions (3,) and rates (3,) of rails (m) and turntable (rad) with their bench time, s.
 
-    Each device writes its own cell; a device that was killed leaves the last thing it wrote.
+    Each device writes its own mailbox; that of a killed device keeps its last value.
     """
 
     def __init__(self, descriptor: int) -> None:
-        self._block = MailboxBlock(descriptor, _CELLS, "axis-board")
+        self._block = MailboxBlock(descriptor, _MAILBOXES, "axis-board")
 
     @classmethod
     def create(cls) -> SharedAxisState:
-        """Make a new board; hand ``descriptor`` to other processes (``pass_fds``)."""
-        board = cls.__new__(cls)
-        board._block = MailboxBlock.create(_CELLS, "axis-board")
-        return board
+        """Create the shared state; ``descriptor`` is passed to other processes (``pass_fds``)."""
+        created = cls.__new__(cls)
+        created._block = MailboxBlock.create(_MAILBOXES, "axis-board")
+        return created
 
     @property
     def descriptor(self) -> int:
         return self._block.descriptor
 
     def write(self, device: str, t_s: float, position: Array, rate: Array) -> None:
-        """Tell where the axes of ``device`` are at ``t_s``."""
+        """Write position and rate of the axes of ``device`` at ``t_s``."""
         record = np.empty(1, _AXES)
         record["position"][0] = position
         record["rate"][0] = rate
         self._block[device].write(record, t_s)
 
     def read(self, device: str, t_s: float) -> tuple[Array, Array]:
-        """Return position and rate of ``device`` carried on to ``t_s`` by its rate; zeros before its first word."""
+        """Return position and rate of ``device`` extrapolated to ``t_s``; zeros before its first write."""
         record = np.zeros(1, _AXES)
         _, written_s = self._block[device].read(record)
         rate = record["rate"][0]
         return record["position"][0] + (t_s - written_s) * rate, rate
 
     def write_chain(self, closed: bool, t_s: float) -> None:
-        """Tell whether the safety chain lets the drives have torque."""
+        """Write whether the safety chain is closed, so that the drives have torque."""
         record = np.empty(1, _CHAIN)
         record["closed"] = closed
         self._block["chain"].write(record, t_s)
 
     def chain_closed(self, clock: WallClock) -> bool:
-        """Return the last word on the chain; closed where nobody ever wrote one: a bench without such a device.
+        """Return whether the chain is closed; True if its state was never written: a bench without such a device.
 
-        Open where the last word is older than 0.25 s of wall time.
+        False if the state is older than 0.25 s of wall time.
         """
         record = np.zeros(1, _CHAIN)
         number, written_s = self._block["chain"].read(record)
@@ -68,5 +68,5 @@ class SharedAxisState:
         return bool(record["closed"][0]) and clock.wall_s(clock.now_s() - written_s) <= _CHAIN_AGE_WALL_S
 
     def close(self) -> None:
-        """Let go of the block; idempotent."""
+        """Release the memory. Idempotent."""
         self._block.close()

@@ -55,7 +55,7 @@ class ModbusIo(LoopThread):
         """Connect, check what it is, set all outputs off, read the inputs."""
         bound_s = 6.0 * self._config.timeout_s
         self.close()
-        self._await_the_thread_before(bound_s)
+        self._await_previous_thread(bound_s)
         self._box = Latest(NAME)
         self._outputs = _OFF
         self._pump = self._stopped = False
@@ -103,7 +103,7 @@ class ModbusIo(LoopThread):
         self._box.fail(LinkLost(NAME, "is closed"))
         self._end()
 
-    # From here on: in the thread.
+    # The methods below run in the thread.
 
     def _when_ended(self) -> None:
         self._is_off.set()

@@ -1,4 +1,4 @@
-"""The link to one rail drive: every request is bounded, one lost answer is forgiven, every failure names the axis."""
+"""Link to one rail drive: requests are bounded in time, one lost response is retried, errors name the axis."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from hil.drivers.rails.modbus_bus import ModbusBus
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
 
 CONNECT_TIMEOUT_S: Final = 1.0
-ENABLE_TIMEOUT_S: Final = 2.0  # a holding brake takes some tenths of a second to open
+ENABLE_TIMEOUT_S: Final = 2.0  # a holding brake takes some 0.1 s to open
 STOP: Final = ControlFlags.ENABLE | ControlFlags.QUICK_STOP
 ATTEMPTS: Final = 2
 _ENABLE_POLL_S: Final = 0.005
-_RATE_MARGIN: Final = 1.5  # an axis may overshoot its highest rate by so much
-_PLACE_MARGIN_M: Final = 0.01  # encoder noise, servo ripple, jitter of the time stamps
+_RATE_MARGIN: Final = 1.5  # allowed overshoot of the highest rate
+_POSITION_MARGIN_M: Final = 0.01  # encoder noise, servo ripple, jitter of the time stamps
 
 _Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True)
 class ModbusDevice:
-    """Where a drive is: its line, and who it is there. attempt_s: bench time for one answer."""
+    """Address of a drive: its bus and device id. attempt_s: bench time for one response."""
 
-    line: ModbusBus
+    bus: ModbusBus
     device_id: int
     attempt_s: float
 
 
 class Drive:
-    """One drive. Must be made and used inside a running event loop. rate_max_mps: highest rate of its axis."""
+    """One drive; requires a running event loop. rate_max_mps: highest rate of its axis."""
 
     def __init__(
         self, name: str, wire: ModbusDevice, register_map: RegisterMap, rate_max_mps: float, clock: WallClock
     ) -> None:
         self.name = name
         self.failed = False
-        self.moment_s = 0.0  # of the newest state, bench time
-        self._line = wire.line
+        self.sampled_s = 0.0  # bench time of the newest state
+        self._bus = wire.bus
         self._device_id = wire.device_id
         self._attempt_s = wire.attempt_s
         self._map = register_map
@@ -52,17 +52,17 @@ class Drive:
         self._last: tuple[float, float] | None = None  # bench time, position
 
     async def identify(self) -> None:
-        """Connect, and make sure that the right kind of drive answers."""
-        await self._line.connect(self.name, CONNECT_TIMEOUT_S)
+        """Connect and check the identity of the drive."""
+        await self._bus.connect(self.name, CONNECT_TIMEOUT_S)
         registers = await self._twice(lambda: self._read(self._map.identity))
         identity = self._decoded(lambda: self._map.decode_identity(registers))
         if problem := self._map.identity_problem(identity):
-            raise ProtocolError(self.name, f"wrong drive at {self._line.label}: {problem}")
+            raise ProtocolError(self.name, f"wrong drive at {self._bus.label}: {problem}")
         self._identified = True
 
     async def enable(self) -> float:
-        """Clear what an earlier run left, then switch on; return the position that is held, m."""
-        first = await self._twice(self._look)
+        """Reset faults of an earlier run, enable the drive; return the position that it holds, m."""
+        first = await self._twice(self._read_state)
         self._last = self._clock.now_s(), first.position_m
         state = await self.exchange(ControlFlags.FAULT_RESET, first.position_m)
         deadline_s = self._clock.now_s() + ENABLE_TIMEOUT_S
@@ -84,10 +84,10 @@ class Drive:
         rate_mps: float = 0.0,
         problem: Callable[[State], DriveFault | None] = lambda _: None,
     ) -> State:
-        """Write one command and read the state that follows it, in one transaction.
+        """Write one command and read the following state, in one transaction.
 
-        A state with a ``problem``, or a place that the axis cannot have reached, is asked for once more, as
-        a lost answer is: TCP carries no check sum of the drive's own. What comes twice is true.
+        A state with a ``problem``, or with a position that the axis cannot have reached, is read once more, like a lost
+        response: TCP carries no checksum of the drive. A state received twice is accepted.
         """
         seen: list[State] = []
         attempts = 0
@@ -98,23 +98,23 @@ class Drive:
             state = await self._transact(self._next(control, position_m, rate_mps))
             seen.append(state)
             if attempts < ATTEMPTS and (problem(state) or self._jumped(state, self._last)):
-                raise ProtocolError(self.name, "a doubtful answer")
+                raise ProtocolError(self.name, "implausible response")
             return state
 
         state = await self._twice(attempt)
         if self._jumped(state, self._last) and (
-            len(seen) < 2 or self._jumped(state, (self.moment_s, seen[0].position_m))
+            len(seen) < 2 or self._jumped(state, (self.sampled_s, seen[0].position_m))
         ):
-            raise ProtocolError(self.name, f"position {state.position_m:.6g} m cannot be true: too far from the last")
-        self._last = self.moment_s, state.position_m
+            raise ProtocolError(self.name, f"position {state.position_m:.6g} m is implausible: too far from the last")
+        self._last = self.sampled_s, state.position_m
         return state
 
-    def forget_place(self) -> None:
-        """Take the next position as it comes: homing moves the axis' zero."""
+    def forget_position(self) -> None:
+        """Accept any next position: homing moves the zero."""
         self._last = None
 
     def problem(self, state: State, stopping: bool) -> DriveFault | None:
-        """Return why the drive is not in the state that it was commanded to, None where it is."""
+        """Return why the drive is not in the commanded state, None if it is."""
         if state.status & Status.FAULT:
             return self._fault(state.fault)
         if stopping:
@@ -125,10 +125,10 @@ class Drive:
             return DriveFault(self.name, "switched itself off")
         return None
 
-    async def stop_blindly(self) -> None:
-        """Leave a quick stop on the wire without waiting for an answer: the drive may be unable to give one."""
+    async def send_stop(self) -> None:
+        """Send a quick stop without waiting for a response: the drive may be unable to send one."""
         if self._identified:
-            await self._line.leave(self._device_id, *self._transfer(self._next(STOP, 0.0, 0.0)))
+            await self._bus.send(self._device_id, *self._transfer(self._next(STOP, 0.0, 0.0)))
 
     def _fault(self, code: int) -> DriveFault:
         return DriveFault(self.name, self._map.fault_text(code), self._map.fault_kind(code))
@@ -143,29 +143,29 @@ class Drive:
 
     async def _transact(self, command: Command) -> State:
         echo = None if self._map.echo_at is None else (self._map.echo_at, command.number)
-        registers = await self._line.write_and_read(
+        registers = await self._bus.write_and_read(
             self.name, self._device_id, *self._transfer(command), echo, self._attempt_s
         )
-        self.moment_s = self._line.moment_s
+        self.sampled_s = self._bus.sampled_s
         return self._decoded(lambda: self._map.decode_state(registers))
 
-    async def _look(self) -> State:
+    async def _read_state(self) -> State:
         registers = await self._read(self._map.state)
         return self._decoded(lambda: self._map.decode_state(registers))
 
     async def _read(self, block: RegisterBlock) -> list[int]:
-        return await self._line.read(self.name, self._device_id, block.address, block.count, self._attempt_s)
+        return await self._bus.read(self.name, self._device_id, block.address, block.count, self._attempt_s)
 
     async def _twice(self, attempt: Callable[[], Awaitable[_Result]]) -> _Result:
-        """Return what one of two attempts gives; the second one's error counts."""
+        """Return the result of one of two attempts; raise the error of the second one."""
         try:
             return await attempt()
         except LinkTimeout:
-            if not self._line.tcp and self._map.echo_at is None:
-                raise  # a late answer could not be told from the one to the second request
+            if not self._bus.tcp and self._map.echo_at is None:
+                raise  # a late response would pass for that to the second request
         except ProtocolError:
             pass
-        self._line.counters["retries"] += 1
+        self._bus.counters["retries"] += 1
         try:
             return await attempt()
         except LinkTimeout as error:
@@ -175,12 +175,12 @@ class Drive:
         try:
             return decode()
         except ValueError as error:
-            self._line.counters["protocol_errors"] += 1
+            self._bus.counters["protocol_errors"] += 1
             raise ProtocolError(self.name, str(error)) from error
 
     def _jumped(self, state: State, before: tuple[float, float] | None) -> bool:
-        """Whether the axis cannot have come from where it was ``before`` (bench time, m)."""
+        """Whether the axis cannot have moved there from its position ``before`` (bench time, m)."""
         if before is None:
             return False
-        way_m = _RATE_MARGIN * self._rate_max * (self._clock.now_s() - before[0]) + _PLACE_MARGIN_M
-        return abs(state.position_m - before[1]) > way_m or abs(state.rate_mps) > 2.0 * _RATE_MARGIN * self._rate_max
+        path_m = _RATE_MARGIN * self._rate_max * (self._clock.now_s() - before[0]) + _POSITION_MARGIN_M
+        return abs(state.position_m - before[1]) > path_m or abs(state.rate_mps) > 2.0 * _RATE_MARGIN * self._rate_max

@@ -1,9 +1,8 @@
-"""Driver of the rails: three drives on Modbus TCP or RTU, one event loop in one thread of its own.
+"""Driver of the rails: three drives on Modbus TCP or RTU, one event loop in its own thread.
 
-Every exchange is one transaction (function 23) a drive, all three at once; those that share a wire take
-turns. It is started by ``send``, and by itself every 20 ms while no setpoint comes, so that feedback stays
-fresh and the drives hold the last setpoint. One lost or damaged answer is asked for again; once one drive
-has failed the others are stopped at once.
+An exchange is one transaction (function 23) per drive, all three at once; those that share a wire go one after the
+other. It is triggered by ``send``, and every 20 ms without a setpoint, so that feedback stays fresh and the drives hold
+the last setpoint. One lost or damaged response is retried; when one drive fails the others are stopped at once.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from hil.drivers.loop_thread import LoopThread
 from hil.drivers.rails.codec import ControlFlags, RegisterMap, State
 from hil.drivers.rails.drive import CONNECT_TIMEOUT_S, ENABLE_TIMEOUT_S, STOP, Drive
 from hil.drivers.rails.frames import new_counters
-from hil.drivers.rails.homing import HomingWatch, limit_switch
+from hil.drivers.rails.homing import HomingMonitor, limit_switch
 from hil.drivers.rails.wiring import make_wires
 from hil.errors import DeviceError, DriveFault, LinkLost, SafetyTrip
 
-IDLE_PERIOD_S: Final = 0.02  # between exchanges while nobody sends
+IDLE_PERIOD_S: Final = 0.02  # between exchanges without setpoints
 _STOP_WAIT_WALL_S: Final = 0.08
 
 _Result = TypeVar("_Result")
@@ -40,8 +39,8 @@ _Result = TypeVar("_Result")
 class ModbusRails(LoopThread):
     """AxisGroup of the rails (m, m/s). May be opened again after ``close``.
 
-    config.timeout_s: longest silence of a drive. clock: stamps feedback with bench time, half way
-    between request and answer. name: of the device, for errors.
+    config.timeout_s: longest silence of a drive. clock: stamps feedback with bench time, half way between request and
+    response. name: of the device, for errors.
     """
 
     def __init__(self, config: Rails, clock: WallClock, name: str = "rails") -> None:
@@ -52,7 +51,7 @@ class ModbusRails(LoopThread):
         self._clock = clock
         self._map = RegisterMap(config.map)
         self._counters = new_counters()
-        self._homing = HomingWatch(config)
+        self._homing = HomingMonitor(config)
         limits = ServoAxes(config)
         self._low, self._high, self._rate_max = limits.low, limits.high, limits.rate_max
         self._box: Latest[AxisFeedback] = Latest(self.name)
@@ -67,13 +66,13 @@ class ModbusRails(LoopThread):
         self._stop_task: asyncio.Task[None] | None = None
 
     def open(self, now_s: float) -> None:
-        """Connect to the three drives, check what they are, enable them where they stand."""
+        """Connect to the three drives, check their identity, enable them at their present positions."""
         bound_s = CONNECT_TIMEOUT_S + ENABLE_TIMEOUT_S + 6.0 * self._timeout_s
         self.close()
-        self._await_the_thread_before(bound_s)
+        self._await_previous_thread(bound_s)
         self._box = Latest(self.name)
         self._counters = new_counters()
-        self._homing = HomingWatch(self._config)
+        self._homing = HomingMonitor(self._config)
         self._serving = self._stopping = self._stop_was_called = self._jogging = False
         self._stop_task = None
         self._all_stopped.clear()
@@ -84,18 +83,18 @@ class ModbusRails(LoopThread):
             raise
 
     def home(self, now_s: float) -> None:
-        """Let each axis with an incremental encoder look for its home switch, unless it knows its place."""
+        """Start homing of each axis that is not homed."""
         self._box.check()
         self._call(self._begin_homing)
 
     def set_jogging(self, on: bool) -> None:
-        """While on, take setpoints of axes that are not homed, and cut none to the travel."""
+        """While on, accept setpoints for axes that are not homed, and do not limit them to the travel."""
         self._jogging = on
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
-        """Hand over the next setpoint; a stopped device stays where it is and returns that place.
+        """Set the next setpoint; a stopped device returns the position that it holds.
 
-        Raises SafetyTrip as well while an axis has not been homed.
+        Raises SafetyTrip also if an axis is not homed.
         """
         self._box.check()
         bounds = setpoint_bounds(self._low, self._high, self._jogging)
@@ -112,11 +111,11 @@ class ModbusRails(LoopThread):
         return accepted
 
     def read(self, now_s: float) -> AxisFeedback:
-        """Return the newest exchange in which all three drives answered."""
+        """Return the newest exchange in which all three drives responded."""
         return self._box.get(now_s, self._timeout_s)
 
     def stop(self, now_s: float) -> None:
-        """Command quick stop; wait until the drives that answer have it, 0.08 s of wall time at most."""
+        """Command a quick stop; wait for its acknowledgement, at most 0.08 s of wall time."""
         again = self._stop_was_called
         self._stopping = self._stop_was_called = True
         if self._thread is None or not self._thread.is_alive():
@@ -126,23 +125,23 @@ class ModbusRails(LoopThread):
             self._all_stopped.wait(_STOP_WAIT_WALL_S)
 
     def close(self) -> None:
-        """Leave a quick stop behind and let go of the wires; 0.1 s of wall time at most."""
+        """Send a quick stop and disconnect; at most 0.1 s of wall time."""
         self._stopping = True
         self._box.fail(LinkLost(self.name, "is closed"))
         self._end()
 
     def counters(self) -> dict[str, int]:
-        """Return what was counted on the wires since ``open``.
+        """Return the counters of the wires since ``open``.
 
-        exchanges: requests that were answered; retries: asked again; protocol_errors: damaged, impossible or
-        refusing answers; late: answers to an older request; duplicates: answers that came twice.
+        exchanges: requests with a response; retries: repeated requests; protocol_errors: damaged or implausible
+        responses and exceptions; late: responses to an older request; duplicates: responses received twice.
         """
         return dict(self._counters)
 
-    # From here on: in the thread.
+    # The methods below run in the thread.
 
     async def _live(self, opened: Future[None]) -> None:
-        # A little less than the box allows, so that a silent drive is reported by its own name.
+        # Slightly below the limit of the box, so that the error names the silent drive.
         timeout_s = max(0.5 * self._timeout_s, self._timeout_s - 1.5 * IDLE_PERIOD_S)
         wires = make_wires(self._config, timeout_s, self._counters, self._clock)
         self._drives = [
@@ -159,14 +158,14 @@ class ModbusRails(LoopThread):
             opened.set_result(None)
             await self._serve()
         finally:
-            await asyncio.gather(*(drive.stop_blindly() for drive in self._drives))
+            await asyncio.gather(*(drive.send_stop() for drive in self._drives))
             for wire in wires:
-                wire.line.close()
+                wire.bus.close()
 
     async def _serve(self) -> None:
         idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
         while not self._closing:
-            with suppress(TimeoutError):  # nobody sent: exchange all the same
+            with suppress(TimeoutError):  # no setpoint: exchange all the same
                 async with asyncio.timeout(idle_wall_s):
                     await self._wake.wait()
             self._wake.clear()
@@ -174,13 +173,13 @@ class ModbusRails(LoopThread):
 
     async def _exchange_all(self) -> None:
         states = await asyncio.gather(*(self._exchange(index) for index in range(len(self._drives))))
-        answers = [state for state in states if state is not None]
-        if len(answers) == len(self._drives):
-            t_s = sum(drive.moment_s for drive in self._drives) / len(self._drives)
-            position = np.array([state.position_m for state in answers])
-            rate = np.array([state.rate_mps for state in answers])
+        received = [state for state in states if state is not None]
+        if len(received) == len(self._drives):
+            t_s = sum(drive.sampled_s for drive in self._drives) / len(self._drives)
+            position = np.array([state.position_m for state in received])
+            rate = np.array([state.rate_mps for state in received])
             homing = self._homing.state
-            limit = (self._limit(0, answers), self._limit(1, answers), self._limit(2, answers))
+            limit = (self._limit(0, received), self._limit(1, received), self._limit(2, received))
             self._box.put(AxisFeedback(t_s, position, rate, (homing[0], homing[1], homing[2]), limit), t_s)
 
     def _limit(self, axis: int, states: list[State]) -> int:
@@ -188,18 +187,18 @@ class ModbusRails(LoopThread):
         return limit_switch(states[axis].status, states[axis].position_m, middle_m)
 
     async def _exchange(self, index: int) -> State | None:
-        """Exchange with one drive; whatever is wrong with it ends the run of all."""
+        """Exchange with one drive; any failure stops all of them."""
         drive = self._drives[index]
         if drive.failed:
             return None
         stopping = self._stopping
-        position_m, rate_mps = self._wanted(index)
-        seeking = not stopping and self._homing.seeks(index)
-        control = STOP if stopping else ControlFlags.ENABLE | ControlFlags.HOME if seeking else ControlFlags.ENABLE
-        if seeking:
-            drive.forget_place()
+        position_m, rate_mps = self._setpoint_of(index)
+        homing = not stopping and self._homing.is_homing(index)
+        control = STOP if stopping else ControlFlags.ENABLE | ControlFlags.HOME if homing else ControlFlags.ENABLE
+        if homing:
+            drive.forget_position()
 
-        def problem(state: State) -> DriveFault | None:  # a stop may come while this exchange is under way
+        def problem(state: State) -> DriveFault | None:  # a stop may be requested during this exchange
             return drive.problem(state, stopping or self._stopping)
 
         try:
@@ -210,25 +209,25 @@ class ModbusRails(LoopThread):
             drive.failed = self._stopping = True
             self._box.fail(error)
             self._begin_stop()
-            await drive.stop_blindly()
+            await drive.send_stop()
             return None
-        if self._homing.heard(index, state, seeking) or seeking:
-            self._stand_at(index, state.position_m)
+        if self._homing.update(index, state, homing) or homing:
+            self._hold_at(index, state.position_m)
         return state
 
     def _begin_homing(self) -> None:
         self._homing.begin()
         self._wake.set()
 
-    def _stand_at(self, index: int, position_m: float) -> None:
-        """Make the place that an axis reports its setpoint: homing has moved its zero."""
+    def _hold_at(self, index: int, position_m: float) -> None:
+        """Set the reported position as setpoint: homing has moved the zero."""
         position, rate, sent_s = self._setpoint
         moved, stood = list(position), list(rate)
         moved[index], stood[index] = position_m, 0.0
         self._setpoint = (moved, stood, sent_s)
 
-    def _wanted(self, index: int) -> tuple[float, float]:
-        """Return position and rate; without a new setpoint the rate ends: the axis stands at the last one."""
+    def _setpoint_of(self, index: int) -> tuple[float, float]:
+        """Return position and rate; the rate is 0 if the setpoint is old."""
         position, rate, sent_s = self._setpoint
         fresh = self._clock.now_s() - sent_s <= self._timeout_s
         return position[index], rate[index] if fresh else 0.0
@@ -239,13 +238,13 @@ class ModbusRails(LoopThread):
             self._stop_task = asyncio.get_running_loop().create_task(self._stop_all())
 
     async def _stop_all(self) -> None:
-        # Not a part of the exchange under way: that one may be waiting for a drive that is dead.
+        # Independent of the exchange under way, which may be waiting for a dead drive.
         await asyncio.gather(*(self._exchange(index) for index in range(len(self._drives))))
         self._all_stopped.set()
 
 
 async def _all(steps: Iterable[Awaitable[_Result]]) -> list[_Result]:
-    """Take the steps at once, wait for all, raise the first failure."""
+    """Run the steps concurrently, wait for all, raise the first failure."""
     results = await asyncio.gather(*steps, return_exceptions=True)
     for result in results:
         if isinstance(result, BaseException):

@@ -1,8 +1,7 @@
-"""Modbus answers out of a stream of bytes, TCP and RTU: none that is not the awaited one is taken. No I/O.
+"""Matching of Modbus responses, TCP and RTU, in a stream of bytes. No I/O.
 
-An answer counts only with the device, the function, the length and the transaction (TCP) or the check sum
-(RTU) that belong to the request under way, and with its exchange number where the drive echoes one. What is
-found instead is counted: damaged bytes, answers that came late, answers that came twice.
+A response is valid if device, function, length and transaction (TCP) or checksum (RTU) match the pending request, and
+the exchange number, if the drive echoes one. Others are counted: damaged bytes, late and duplicate responses.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ Counters = dict[str, int]
 
 
 def new_counters() -> Counters:
-    """Return what is counted on the wires of one driver, all zero."""
+    """Return the counters of the wires of one driver, all zero."""
     return {"exchanges": 0, "retries": 0, "protocol_errors": 0, "late": 0, "duplicates": 0}
 
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """The answer to the request under way. echo: place among the registers, and value, of the number to come back."""
+    """Response to the pending request. echo: index of the register, and value, of the echoed exchange number."""
 
     device_id: int
     function: int
@@ -49,7 +48,7 @@ class Expected:
 
 @dataclass(frozen=True, slots=True)
 class ModbusFrame:
-    """One sound answer. registers: of a reading function; exception: code of an error answer, else 0."""
+    """One intact response. registers: of a read function; exception: exception code, 0 for none."""
 
     device_id: int
     function: int
@@ -62,7 +61,7 @@ Measure = Callable[[bytes, int], int]
 
 
 def measure_rtu(data: bytes, start: int) -> int:
-    """Return the length of the sound RTU answer at ``start``; 0: too short to tell; -1: there is none."""
+    """Return the length of the intact RTU response at ``start``; 0: incomplete; -1: none."""
     left = len(data) - start
     if left < 2:
         return 0
@@ -82,7 +81,7 @@ def measure_rtu(data: bytes, start: int) -> int:
 
 
 def measure_tcp(data: bytes, start: int) -> int:
-    """The same for a TCP answer, whose header must agree with what follows it."""
+    """Return the same for a TCP response, whose header must be consistent with its body."""
     left = len(data) - start
     if left < _MBAP + 2:
         return 0
@@ -100,10 +99,10 @@ def measure_tcp(data: bytes, start: int) -> int:
 
 
 def split(data: bytes, measure: Measure) -> tuple[int, list[bytes], int]:
-    """Return how many bytes of ``data`` are done with, the sound answers in it, and how many bytes were skipped.
+    """Return the number of bytes of ``data`` consumed, the intact responses in it, and the number of bytes skipped.
 
-    An answer behind garbage is found as soon as it is complete, even where the garbage looks like the
-    beginning of a longer one.
+    A response after garbage is found as soon as it is complete, even if the garbage resembles the start of a longer
+    one.
     """
     frames = []
     at = done = sound = 0
@@ -124,7 +123,7 @@ def split(data: bytes, measure: Measure) -> tuple[int, list[bytes], int]:
 
 
 def parse(frame: bytes, tcp: bool) -> ModbusFrame:
-    """Return what stands in a sound answer."""
+    """Return the content of an intact response."""
     transaction = int.from_bytes(frame[:2], "big") if tcp else 0
     body = frame[_MBAP - 1 :] if tcp else frame[:-_CRC]
     if body[1] & _ERROR:
@@ -135,10 +134,10 @@ def parse(frame: bytes, tcp: bool) -> ModbusFrame:
 
 @dataclass(slots=True)
 class ResponseMatcher:
-    """Lets through the one answer that is awaited, and counts everything else.
+    """Selects the response to the pending request, and counts everything else.
 
-    expect is set with each request and is None between them. damaged: what was wrong with the bytes that came
-    since then, "" for nothing.
+    expect: set with each request, None between requests. damaged: description of damaged bytes received since then,
+    "" for none.
     """
 
     tcp: bool
@@ -148,16 +147,16 @@ class ResponseMatcher:
     _last: ModbusFrame | None = field(default=None)
 
     def await_(self, expected: Expected | None) -> None:
-        """Begin with a request; None: it needs no answer."""
+        """Start a request; None: without a response."""
         self.expect = expected
         self.damaged = ""
 
     def feed(self, data: bytes) -> tuple[int, ModbusFrame | None]:
-        """Return how many bytes are done with, and the awaited answer if it is among them."""
+        """Return the number of bytes consumed, and the expected response if it is among them."""
         used, frames, skipped = split(data, measure_tcp if self.tcp else measure_rtu)
         if skipped:
             self.counters["protocol_errors"] += 1
-            self.damaged = f"{skipped} bytes that are no answer: {data[:24].hex(' ')}"
+            self.damaged = f"{skipped} bytes that are no response: {data[:24].hex(' ')}"
         answer = None
         for raw in frames:
             frame = parse(raw, self.tcp)

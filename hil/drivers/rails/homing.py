@@ -1,4 +1,4 @@
-"""What the rails' driver makes of the drives' homing bits and limit switches. No I/O."""
+"""Homing state machine and limit switches of the rails. No I/O."""
 
 from __future__ import annotations
 
@@ -7,59 +7,59 @@ from hil.core.messages import Homing
 from hil.drivers.rails.codec import State, Status
 
 
-class HomingWatch:
-    """How far the homing of each axis is. Axes with absolute encoders are at DONE from the beginning.
+class HomingMonitor:
+    """Homing state of each axis. Axes with absolute encoders are DONE from the start.
 
-    An axis that has been told to seek (``begin``) is UNDER_WAY until its drive says homed, or failed; the
-    drive's "failed" of an earlier search counts no more once it was told to seek anew.
+    From ``begin`` an axis is UNDER_WAY until its drive reports homed or failed; "failed" of an earlier homing is
+    ignored.
     """
 
     def __init__(self, config: Rails) -> None:
         self._absolute = [getattr(config, name).encoder == "absolute" for name in RAIL_NAMES]
         self.state = [Homing.DONE if known else Homing.NEEDED for known in self._absolute]
-        self._told = [0, 0, 0]  # exchanges since the search began
+        self._exchanges = [0, 0, 0]  # since homing was commanded
 
     def begin(self) -> None:
-        """Let each axis that does not know its place seek its home switch."""
+        """Start homing of each axis that is not homed."""
         for axis, homing in enumerate(self.state):
             if homing in (Homing.NEEDED, Homing.FAILED):
                 self.state[axis] = Homing.UNDER_WAY
-                self._told[axis] = 0
+                self._exchanges[axis] = 0
 
     def abort(self) -> None:
-        """Give every search that is under way up."""
+        """Abort homing that is under way."""
         for axis, homing in enumerate(self.state):
             if homing is Homing.UNDER_WAY:
                 self.state[axis] = Homing.FAILED
 
-    def seeks(self, axis: int) -> bool:
-        """Whether the drive is to be told to seek."""
+    def is_homing(self, axis: int) -> bool:
+        """Whether the homing bit must be set in the command."""
         return self.state[axis] is Homing.UNDER_WAY
 
-    def heard(self, axis: int, state: State, told: bool) -> bool:
-        """Take what the drive says; return whether its zero has just moved. told: the command said to seek."""
+    def update(self, axis: int, state: State, commanded: bool) -> bool:
+        """Update from a state of the drive; return whether its zero has just moved. commanded: homing bit was set."""
         if self._absolute[axis]:
             return False
         before = self.state[axis]
         if before is Homing.UNDER_WAY:
-            self._told[axis] += told
-            if not told:
+            self._exchanges[axis] += commanded
+            if not commanded:
                 return False
-            if state.status & Status.HOMING_FAILED and self._told[axis] > 1:
+            if state.status & Status.HOMING_FAILED and self._exchanges[axis] > 1:
                 self.state[axis] = Homing.FAILED
             elif state.status & Status.HOMED:
                 self.state[axis] = Homing.DONE
         elif state.status & Status.HOMED and before is Homing.NEEDED:
-            self.state[axis] = Homing.DONE  # from an earlier run, and the drive was not off since
+            self.state[axis] = Homing.DONE  # homed in an earlier run, not switched off since
         elif not state.status & Status.HOMED and before is Homing.DONE:
-            self.state[axis] = Homing.NEEDED  # the drive was off
+            self.state[axis] = Homing.NEEDED  # the drive was switched off
         return self.state[axis] is not before
 
 
 def limit_switch(status: Status, position_m: float, middle_m: float) -> int:
-    """Return the limit switch that an axis stands on: -1 low, 1 high, 0 none.
+    """Return the limit switch that is active: -1 low, 1 high, 0 none.
 
-    A drive that does not tell which one it is stands on the one nearer to its position.
+    If the drive reports one without its side, the one nearer to the position is meant.
     """
     if status & Status.LIMIT_LOW:
         return -1

@@ -1,4 +1,4 @@
-"""Which drive is on which wire, as the rig file says; drives that have a wire in common share it."""
+"""Wires of the rail drives as configured in the rig file; drives on one wire share it."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from hil.drivers.rails.drive import ATTEMPTS, ModbusDevice
 from hil.drivers.rails.frames import Counters
 from hil.drivers.rails.modbus_bus import ModbusBus
 
-# An exchange that waits for one drive keeps the others without a command: their watchdogs must not notice.
+# Waiting for one drive delays the commands of the others: it must stay below their watchdog time.
 ATTEMPT_MAX_S: Final = 0.2
 
 
 def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: WallClock) -> list[ModbusDevice]:
     """Return the wires of x, y, z, not connected yet. Requires a running event loop.
 
-    timeout_s: after which a dead wire is told at the latest.
+    timeout_s: within which a dead wire is reported.
     """
     if config.driver == "modbus_rtu":
         rtu = config.rtu or ModbusRtu()
@@ -35,14 +35,14 @@ def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: WallC
 
 
 def _attempt_s(timeout_s: float, drives: int) -> float:
-    """Return how long one of so many drives on a wire may take for one answer, s.
+    """Return the time for one response if ``drives`` share a wire, s.
 
-    On a dead wire each of them waits in turn before the first one asks again, and fails by its name.
+    On a dead wire each of them waits once before the first one retries and reports the failure.
     """
     return min(timeout_s / (drives + ATTEMPTS - 1), ATTEMPT_MAX_S)
 
 
 def tcp_axes(config: Rails) -> list[ModbusAxis]:
-    """Return the drives x, y, z as the rig file has them on TCP."""
+    """Return the TCP settings of the drives x, y, z."""
     modbus = config.modbus or Modbus()
     return [modbus.x, modbus.y, modbus.z]
