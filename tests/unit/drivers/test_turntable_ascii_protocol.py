@@ -29,13 +29,13 @@ def line_of(dialect, action):
 
 def read(dialect, action, line, axis=DEVICE):
     sequence, body = dialect.replies.decode(line)
-    return sequence, dialect.take_reply(body, line_of(dialect, action), axis)
+    return sequence, dialect.decode_reply(body, line_of(dialect, action), axis)
 
 
 def test_setpoint_is_one_line_of_degrees_with_checksum():
     values = {("position", k): x for k, x in enumerate(POSITIONS)} | {("rate", k): x for k, x in enumerate(RATES)}
     assert HIL.request(0x3A, line_of(HIL, "set"), DEVICE, values) == SET + b"\r\n"
-    sequence, line, axis, found = HIL.take_request(SET)
+    sequence, line, axis, found = HIL.decode_request(SET)
     assert (sequence, line.action, axis) == (0x3A, "set", DEVICE)
     assert found == axes("position", POSITIONS) | axes("rate", RATES)
 
@@ -60,7 +60,7 @@ def test_acu_asks_each_axis_in_milli_degrees_with_an_exclusive_or():
     values = {("position", 0): POSITIONS[0], ("rate", 0): -RATES[0]}
     line = b"PA1=12345.678;VA1=-500.000;^26\r"
     assert ACU.request(0, line_of(ACU, "set"), 0, values) == line
-    _, step, axis, found = ACU.take_request(line[:-1])
+    _, step, axis, found = ACU.decode_request(line[:-1])
     assert (step.action, axis) == ("set", 0)
     assert found == {key: pytest.approx(value, abs=1e-12) for key, value in values.items()}
 
@@ -101,14 +101,14 @@ def test_what_is_no_line_is_refused(line):
 @pytest.mark.parametrize("body", ["OK 01", "OK " + "0 " * 11 + "nan", "OK " + " ".join(["x"] * 12), ""])
 def test_what_is_no_report_is_refused(body):
     with pytest.raises(BrokenLine, match="no reply"):
-        HIL.take_reply(body, line_of(HIL, "status"), DEVICE)
+        HIL.decode_reply(body, line_of(HIL, "status"), DEVICE)
 
 
 @pytest.mark.parametrize("numbers", ["1 1 1 1 1", "1 1 1 1 1 inf", "1 1 1 1 1 one", "1 1 1 1 1 1 1"])
 def test_setpoint_needs_six_finite_numbers(numbers):
     line = HIL.requests.encode(1, f"SET {numbers}")[:-2]
     with pytest.raises(CommandRefused):
-        HIL.take_request(line)
+        HIL.decode_request(line)
 
 
 def test_lines_are_found_after_garbage_and_across_reads():

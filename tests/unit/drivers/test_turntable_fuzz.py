@@ -85,9 +85,9 @@ def test_mutated_lines(protocol, direction, count):
         """Take a line; whatever is taken must bear its own checksum."""
         try:
             if direction == "replies":
-                dialect.take_reply(framing.decode(text)[1], line, axis)
+                dialect.decode_reply(framing.decode(text)[1], line, axis)
             else:
-                dialect.take_request(text)
+                dialect.decode_request(text)
         except (BrokenLine, CommandRefused):
             return
         covered, _, checksum = text[len(framing.start) :].rpartition(separator)

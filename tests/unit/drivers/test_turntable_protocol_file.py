@@ -124,5 +124,5 @@ def test_axis_that_must_home_needs_a_command_for_it(tmp_path):
 def test_ignored_field_takes_whatever_stands_there(tmp_path):
     path = altered(tmp_path, '"IDN {model} {serial} 3"', '"IDN {model} {ignore} 3"')
     dialect = AsciiProtocol(load_protocol(path).value)
-    told = dialect.take_reply("IDN X some words here 3", dialect.lines["identify"][0], DEVICE)
+    told = dialect.decode_reply("IDN X some words here 3", dialect.lines["identify"][0], DEVICE)
     assert told["model", DEVICE] == "X"

@@ -1,4 +1,4 @@
-"""Emulated serial turntable controller: any protocol file on a paced pty, three gimbals behind it."""
+"""Emulator of an ASCII turntable controller: any protocol file, on a pseudo terminal with the line's timing."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hil.drivers.fault_injection import FaultyChannel
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.ascii.frames import BrokenLine
-from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiCommand, AsciiProtocol, CommandRefused, Key, Value
+from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiCommand, AsciiProtocol, CommandRefused, FieldValues
 from hil.errors import BadInput
 from hil.maths.random_streams import stream
 
@@ -25,14 +25,14 @@ _ALL: Final = (0, 1, 2)
 class AsciiTurntableEmulator:
     """Controller of roll, pitch, yaw on ``config.ascii``; serve it with ``run`` in a process of its own.
 
-    Faults of the wire hit its replies; a dead wire brings no requests either.
+    Faults of the wire apply to its replies; a dead wire transfers no requests either.
     """
 
     def __init__(
         self,
         config: Turntable,
         clock: WallClock,
-        board: SharedAxisState,
+        shared: SharedAxisState,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
         name: str = "turntable",
@@ -46,20 +46,20 @@ class AsciiTurntableEmulator:
         self._words = protocol.emulator
         self._torque_off = protocol.faults.torque_off or self._words.drive_fault
         self._has_flags = protocol.faults.kind == "flags"
-        self.dialect = AsciiProtocol(protocol)
-        self.gimbals = EmulatedAxes(name, config, clock, board, chain_closed=chain_closed, seed=seed)
+        self.protocol = AsciiProtocol(protocol)
+        self.gimbals = EmulatedAxes(name, config, clock, shared, chain_closed=chain_closed, seed=seed)
         self.faults = self.gimbals.faults
         self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
-        self.splitter = self.dialect.requests.splitter()
+        self.splitter = self.protocol.requests.splitter()
         self._enabled = [False, False, False]
-        self._searching = [False, False, False]  # until the axis stands again
+        self._homing = [False, False, False]  # until the axis is at rest again
         self._quick_stopped = False
         self.fault = [0, 0, 0]
-        self._frozen: dict[Key, Value] | None = None
+        self._frozen: FieldValues | None = None
         self._line: PtyLine | None = None
 
     def start(self) -> dict[str, str]:
-        """Open the line; return the controller's port of it."""
+        """Open the line; return its path."""
         self._line = PtyLine(self._baud, self._clock)
         return {self.faults.device: self._line.path}
 
@@ -72,14 +72,14 @@ class AsciiTurntableEmulator:
             data = line.read(STEP_S)
             if self.faults.value("link_down") is not None:
                 data = b""
-            self._pass_time()
+            self._advance()
             for request in self.splitter.feed(data) if data else ():
                 reply = self.answer(request)
                 if reply:
                     self._channel.put(reply, self._clock.now_s())
             for reply in self._channel.due(self._clock.now_s()):
                 line.write(reply)
-                self._pass_time()
+                self._advance()
 
     def close(self) -> None:
         """Close the line."""
@@ -88,17 +88,17 @@ class AsciiTurntableEmulator:
         self._line = None
 
     def answer(self, text: bytes) -> bytes:
-        """Do what one request line says; return the reply line, b"" for a line that is broken."""
+        """Execute one request; return the reply, b"" for a broken line."""
         try:
-            sequence, line, axis, values = self.dialect.take_request(text)
+            sequence, line, axis, values = self.protocol.decode_request(text)
         except BrokenLine:
-            return b""  # whose sequence number could not be trusted: the controller says nothing
+            return b""  # its sequence number is not reliable: no reply
         except CommandRefused as refused:
-            return self.dialect.refusal(int(str(refused), 16), self._words.unknown)
+            return self.protocol.refusal(int(str(refused), 16), self._words.unknown)
         if self._refuses(line.action, axis):
-            return self.dialect.refusal(sequence, self._words.refused)
-        self._do(line, axis, values)
-        return self.dialect.reply(sequence, line, axis, self._told())
+            return self.protocol.refusal(sequence, self._words.refused)
+        self._execute(line, axis, values)
+        return self.protocol.reply(sequence, line, axis, self._report())
 
     def _refuses(self, action: str, axis: int) -> bool:
         axes = _ALL if axis == DEVICE else (axis,)
@@ -106,7 +106,7 @@ class AsciiTurntableEmulator:
             return any(self.fault[i] or self.gimbals.moving(i) or self.gimbals.torque_off for i in axes)
         return action == "home" and not all(self._enabled[i] for i in axes)
 
-    def _do(self, line: AsciiCommand, axis: int, values: dict[Key, Value]) -> None:
+    def _execute(self, line: AsciiCommand, axis: int, values: FieldValues) -> None:
         for i in _ALL if axis == DEVICE else (axis,):
             if line.action == "set":
                 position = values.get(("position", i), self.gimbals.position[i])
@@ -114,36 +114,36 @@ class AsciiTurntableEmulator:
             elif line.action == "enable":
                 self._enabled[i] = True
                 self._quick_stopped = False
-                self._stand(i)
+                self._hold(i)
             elif line.action == "hold":
-                self._stand(i)
+                self._hold(i)
             elif line.action == "quick_stop":
                 self._quick_stopped = True
                 self._disable(i)
             elif line.action == "clear_faults":
                 self.fault[i] = 0
             elif line.action == "home" and self.gimbals.homing[i] is not Homing.DONE:
-                self._searching[i] = True
+                self._homing[i] = True
                 self.gimbals.home(i)
 
     def _follow(self, axis: int, position_rad: float, rate_radps: float) -> None:
         if self._enabled[axis]:
             self.gimbals.follow(axis, position_rad, rate_radps, self._clock.now_s())
 
-    def _stand(self, axis: int) -> None:
-        """Stay where the axis is, for as long as nothing else is said: setpoints alone are watched to go on."""
+    def _hold(self, axis: int) -> None:
+        """Hold the present position; the watchdog applies to setpoints only."""
         if self._enabled[axis]:
-            place = float(self.gimbals.position[axis])
-            self.gimbals.follow(axis, place, 0.0, self._clock.now_s(), watchdog_s=math.inf)
+            held = float(self.gimbals.position[axis])
+            self.gimbals.follow(axis, held, 0.0, self._clock.now_s(), watchdog_s=math.inf)
 
     def _disable(self, axis: int) -> None:
         self._enabled[axis] = False
         self.gimbals.brake(axis)
 
-    def _pass_time(self) -> None:
+    def _advance(self) -> None:
         self.gimbals.advance(self._clock.now_s())
         for axis, name in enumerate(GIMBAL_NAMES):
-            self._searching[axis] &= self.gimbals.homing[axis] is Homing.UNDER_WAY or self.gimbals.moving(axis)
+            self._homing[axis] &= self.gimbals.homing[axis] is Homing.UNDER_WAY or self.gimbals.moving(axis)
             switched = self.faults.pop("drive_fault", name)
             if switched is not None:
                 self._fail(axis, round(switched) or self._words.drive_fault)
@@ -166,24 +166,24 @@ class AsciiTurntableEmulator:
             "moving": self.gimbals.moving(axis),
             "homed": homing is Homing.DONE,
             "not_homed": homing is not Homing.DONE,
-            "homing": self._searching[axis],
+            "homing": self._homing[axis],
             "homing_failed": homing is Homing.FAILED,
             "limit_low": limit < 0,
             "limit_high": limit > 0,
         }
         return sum(getattr(self._bits, name) or 0 for name, on in shown.items() if on)
 
-    def _told(self) -> dict[Key, Value]:
-        """Return everything that a reply may tell; for ever the same once the device is frozen."""
+    def _report(self) -> FieldValues:
+        """Return the values of all fields of replies; constant while the device is frozen."""
         if self._frozen is not None and self.faults.value("freeze") is not None:
             return self._frozen
         words = self._words
-        told: dict[Key, Value] = {("model", DEVICE): words.model, ("serial", DEVICE): words.serial}
-        told |= {("firmware", DEVICE): words.firmware, ("ignore", DEVICE): ""}
+        report: FieldValues = {("model", DEVICE): words.model, ("serial", DEVICE): words.serial}
+        report |= {("firmware", DEVICE): words.firmware, ("ignore", DEVICE): ""}
         for axis in _ALL:
-            told["position", axis] = float(self.gimbals.position[axis])
-            told["rate", axis] = float(self.gimbals.rate[axis])
-            told["status", axis] = self._status(axis)
-            told["fault", axis] = self.fault[axis]
-        self._frozen = told
-        return told
+            report["position", axis] = float(self.gimbals.position[axis])
+            report["rate", axis] = float(self.gimbals.rate[axis])
+            report["status", axis] = self._status(axis)
+            report["fault", axis] = self.fault[axis]
+        self._frozen = report
+        return report

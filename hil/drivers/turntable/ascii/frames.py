@@ -15,7 +15,7 @@ _HEX = re.compile(rb"[0-9A-F]+")
 
 
 class BrokenLine(Exception):
-    """A line that does not mean what it should."""
+    """A line that is damaged or not of this protocol."""
 
 
 def sum8(data: bytes) -> int:
@@ -78,7 +78,7 @@ class Framing:
         return sequence, text.decode("ascii")
 
     def splitter(self) -> LineSplitter:
-        """Return a cutter of lines for this direction."""
+        """Return a splitter for this direction."""
         return LineSplitter(self.start, self.end, self._longest)
 
     def _checked(self, text: bytes) -> bytes:
@@ -103,7 +103,7 @@ class Framing:
 
 
 class LineSplitter:
-    """Cuts a byte stream into lines; what cannot be part of a line is skipped and counted."""
+    """Splits a byte stream into lines; bytes outside lines are skipped and counted."""
 
     def __init__(self, start: bytes, end: bytes, longest: int) -> None:
         self._start = start
@@ -130,6 +130,6 @@ class LineSplitter:
         return lines
 
     def clear(self) -> None:
-        """Forget a begun line."""
+        """Discard an incomplete line."""
         self.skipped_bytes += len(self._buffer)
         self._buffer.clear()

@@ -1,4 +1,4 @@
-"""A protocol file at work: actions <-> lines, for the driver and for the emulator alike. No I/O, no clock.
+"""ASCII protocol of a protocol file: actions <-> lines, for driver and emulator. No I/O, no clock.
 
 Values are keyed by (field, axis): ("position", 0) in rad, ("rate", 2) in rad/s, ("status", 1) and
 ("fault", 1) as whole numbers; fields of the device, such as "model", have axis -1.
@@ -19,12 +19,13 @@ from hil.errors import FaultKind
 DEVICE: Final = -1
 Value = float | int | str
 Key = tuple[str, int]
+FieldValues = dict[Key, Value]
 
 _DEGREES: Final = {"deg": 1.0, "mdeg": 1e-3, "arcsec": 1.0 / 3600.0}
 
 
 class CommandRefused(Exception):
-    """The controller answered by an error; ``text`` says which."""
+    """The controller returned an error reply; ``text`` describes it."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -32,7 +33,7 @@ class CommandRefused(Exception):
 
 
 class FieldFormat:
-    """How one field is written: text <-> value."""
+    """Format of one field: text <-> value."""
 
     def __init__(self, protocol: Protocol, name: str) -> None:
         fields = protocol.fields
@@ -71,57 +72,57 @@ class FieldFormat:
 
 
 class MessageTemplate:
-    """One template, as text to write and as pattern to read. ``axes``: what ``{axis}`` is for each."""
+    """One template, as text to write and as pattern to read."""
 
     def __init__(self, protocol: Protocol, text: str) -> None:
         self.text = text
         self._axes = protocol.axes
         self._parts = template_places(text)
-        self._forms = [
+        self._formats = [
             FieldFormat(protocol, name.partition(".")[0]) for _, name in self._parts if name and name != "axis"
         ]
         pattern = ""
-        forms = iter(self._forms)
+        formats = iter(self._formats)
         for literal, name in self._parts:
             pattern += re.escape(literal)
             if name == "axis":
                 pattern += "(" + "|".join(map(re.escape, self._axes)) + ")"
             elif name:
-                pattern += f"({next(forms).pattern})"
+                pattern += f"({next(formats).pattern})"
         self._pattern = re.compile(pattern, re.ASCII)
         self.names = [name for _, name in self._parts if name]
 
     def write(self, values: Mapping[Key, Value], axis: int) -> str:
         """Return the text; fields without an axis name are those of ``axis``."""
-        out, forms = [], iter(self._forms)
+        out, formats = [], iter(self._formats)
         for literal, name in self._parts:
             out.append(literal)
             if name == "axis":
                 out.append(self._axes[axis])
             elif name:
-                out.append(next(forms).write(values[_key(name, axis)]))
+                out.append(next(formats).write(values[_key(name, axis)]))
         return "".join(out)
 
-    def read(self, text: str, axis: int | None) -> tuple[int, dict[Key, Value]] | None:
-        """Return the axis that the text speaks of and its values, None where it does not fit the template.
+    def read(self, text: str, axis: int | None) -> tuple[int, FieldValues] | None:
+        """Return the axis of the text and its values, None if it does not match the template.
 
-        axis: the one expected; None where the text itself has to tell, DEVICE where it speaks of none.
+        axis: the expected one; None if the text gives it, DEVICE if it is for no axis.
         """
         match = self._pattern.fullmatch(text)
         if match is None:
             return None
         groups = match.groups()
-        told = {self._axes.index(group) for name, group in zip(self.names, groups, strict=True) if name == "axis"}
-        if len(told) > 1 or (told and axis is not None and told != {axis}):
+        axes = {self._axes.index(group) for name, group in zip(self.names, groups, strict=True) if name == "axis"}
+        if len(axes) > 1 or (axes and axis is not None and axes != {axis}):
             return None
-        spoken = axis if axis is not None else (told.pop() if told else DEVICE)
+        of_axis = axis if axis is not None else (axes.pop() if axes else DEVICE)
         fields = [(name, group) for name, group in zip(self.names, groups, strict=True) if name != "axis"]
-        pairs = zip(fields, self._forms, strict=True)
-        return spoken, {_key(name, spoken): form.read(group) for (name, group), form in pairs}
+        pairs = zip(fields, self._formats, strict=True)
+        return of_axis, {_key(name, of_axis): form.read(group) for (name, group), form in pairs}
 
 
 class AsciiCommand:
-    """One line that can be sent: the step of an action, compiled."""
+    """One request: the step of an action, compiled."""
 
     def __init__(self, protocol: Protocol, action: str, step: Step) -> None:
         self.action = action
@@ -151,7 +152,7 @@ class AsciiProtocol:
         self._error = MessageTemplate(protocol, protocol.errors.reply) if protocol.errors else None
         self._errors = numbers("errors.names", protocol.error_names)
         self._faults = numbers("faults.names", protocol.faults.names)
-        self.set_tells_all = {
+        self.set_reports_all = {
             (name, axis) for name in ("position", "status") for axis in GIMBAL_NAMES
         } <= protocol.gives("set")
 
@@ -159,10 +160,10 @@ class AsciiProtocol:
         """Return a request."""
         return self.requests.encode(sequence, line.send.write(values, axis))
 
-    def take_request(self, text: bytes) -> tuple[int, AsciiCommand, int, dict[Key, Value]]:
-        """Return sequence number, what is asked, of which axis, and its values.
+    def decode_request(self, text: bytes) -> tuple[int, AsciiCommand, int, FieldValues]:
+        """Return sequence number, command, axis and values of a request.
 
-        Raises BrokenLine for a line without meaning, Refused for a good line with an unknown command.
+        Raises BrokenLine for an invalid line, CommandRefused for a valid line with an unknown command.
         """
         sequence, body = self.requests.decode(text)
         for line in self._all_lines:
@@ -176,15 +177,15 @@ class AsciiProtocol:
         return self.replies.encode(sequence, line.reply.write(values, axis))
 
     def refusal(self, sequence: int, number: int) -> bytes:
-        """Return the reply that says no, b"" where the command set has none."""
+        """Return the error reply, b"" if the command set has none."""
         if self._error is None:
             return b""
         return self.replies.encode(
             sequence, self._error.write({("error", DEVICE): number, ("ignore", DEVICE): ""}, DEVICE)
         )
 
-    def take_reply(self, body: str, line: AsciiCommand, axis: int) -> dict[Key, Value]:
-        """Return the values in a reply's body. Raises BrokenLine, or Refused for an error reply."""
+    def decode_reply(self, body: str, line: AsciiCommand, axis: int) -> FieldValues:
+        """Return the values in a reply's body. Raises BrokenLine, or CommandRefused for an error reply."""
         found = line.reply.read(body, axis)
         if found is not None:
             return found[1]
@@ -205,7 +206,7 @@ class AsciiProtocol:
         return ", ".join(names) or "no fault flag"
 
     def fault_kind(self, number: int) -> FaultKind:
-        """Return what a fault number means to the bench."""
+        """Return the kind of a fault number."""
         faults = self.protocol.faults
         if faults.torque_off is None:
             return FaultKind.OTHER
@@ -214,7 +215,7 @@ class AsciiProtocol:
 
 
 def _key(name: str, axis: int) -> Key:
-    """Return the key of a field as a template names it."""
+    """Return the key of a field of a template."""
     field, _, of = name.partition(".")
     if of:
         return field, GIMBAL_NAMES.index(of)
