@@ -139,5 +139,5 @@ def test_another_unit_is_refused(name: str, text: str, said: str) -> None:
 def test_unit_that_does_not_say_what_it_is_is_refused() -> None:
     with emulated(identity={"vendor": "hil"}) as (emulator, vmu, clock):
         emulator.faults.on("link_down")
-        with pytest.raises(LinkTimeout, match=r"vmu: did not say what it is in 2\.5 s"):
+        with pytest.raises(LinkTimeout, match=r"vmu: no identity frame within 2\.5 s"):
             vmu.open(clock.now_s())

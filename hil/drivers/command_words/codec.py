@@ -1,4 +1,4 @@
-"""Thruster words: bytes <-> numbers.
+"""Thruster command words: bytes <-> numbers.
 
 A word on a serial port is 9 bytes, little endian:
 
@@ -33,7 +33,7 @@ _CRC_AT: Final = CAN_BYTES - _CRC.size
 
 @dataclass(frozen=True, slots=True)
 class Word:
-    """A word that came whole. thrusters: bit n = thruster n + 1 is open."""
+    """An intact word. thrusters: bit n = thruster n + 1 is open."""
 
     counter: int
     thrusters: int
@@ -51,22 +51,22 @@ def encode_can(word: Word) -> bytes:
 
 
 def decode_can(data: bytes) -> Word | None:
-    """Return the word in a CAN frame's data, None for what is none: length, version or CRC."""
+    """Return the word in a CAN frame's data, None if length, version or CRC are wrong."""
     if len(data) != CAN_BYTES or data[0] != VERSION or _CRC.unpack_from(data, _CRC_AT)[0] != crc16(data[:_CRC_AT]):
         return None
     return Word(data[1], int.from_bytes(data[2:5], "little"))
 
 
 class CommandWordDecoder:
-    """Finds words in a stream of bytes, however it is cut or damaged; never raises on any bytes."""
+    """Decodes words from a byte stream with arbitrary splits and damage; never raises."""
 
     def __init__(self) -> None:
         self.refused = 0
-        """Syncs that no word followed: CRC or version."""
+        """Number of syncs without a valid word: CRC or version."""
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Word]:
-        """Take ``data``; return the words completed by it. What fails is searched again from behind its sync."""
+        """Decode ``data``; return the completed words. After an error the search resumes after the sync."""
         self._buffer += data
         words: list[Word] = []
         while True:

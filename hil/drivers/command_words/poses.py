@@ -1,4 +1,4 @@
-"""The vision unit's frames on a serial port of the flight computer's, as the unit itself would send them."""
+"""Forwarder of the vision unit's frames to a serial port of the flight computer."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from hil.drivers.command_words.receiver import NAME
 from hil.drivers.vmu.codec import encode
 from hil.errors import LinkLost
 
-_WAITING: Final = 64  # frames; what comes beyond is lost
+_WAITING: Final = 64  # frames; further ones are lost
 
 
 class PoseForwarder:
-    """Sends frames with the time of the run; a thread of its own writes, ``put`` never waits."""
+    """Sends frames with the time of the run, in its own thread; ``put`` never waits."""
 
     def __init__(self, line: WordsLine) -> None:
         self._line = line
@@ -40,7 +40,7 @@ class PoseForwarder:
         self._writer.start()
 
     def put(self, frame: PoseFrame, t_s: float) -> None:
-        """Send ``frame``, exposed at ``t_s`` of the run; one of before the run is left out."""
+        """Send ``frame``, exposed at ``t_s`` of the run; frames from before the run are discarded."""
         if self._writer is None or t_s < 0.0:
             return
         try:
@@ -49,7 +49,7 @@ class PoseForwarder:
             self.lost += 1
 
     def close(self) -> None:
-        """Let go of the port; idempotent."""
+        """Close the port. Idempotent."""
         writer, self._writer = self._writer, None
         if writer is not None:
             with contextlib.suppress(queue.Full):
@@ -57,6 +57,6 @@ class PoseForwarder:
             writer.join(1.5)
 
     def _write(self, port: serial.Serial, frames: queue.Queue[bytes | None]) -> None:
-        with contextlib.suppress(Exception), port:  # who does not listen does not get it: the words will tell
+        with contextlib.suppress(Exception), port:  # the command words show that the flight computer is gone
             while (frame := frames.get()) is not None:
                 port.write(frame)

@@ -1,4 +1,4 @@
-"""Hears thruster words: a reader thread keeps the newest one and counts what was lost on the way."""
+"""Receiver of thruster command words: a reader thread keeps the newest word and counts losses."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _READ_WALL_S: Final = 0.1  # bound of one blocking read
 
 
 class WordWire(Protocol):
-    """Where words come from."""
+    """Source of command words."""
 
     @property
     def refused(self) -> int:
-        """What came and was no word."""
+        """Number of invalid words received."""
 
     def receive(self) -> list[Word]:
-        """Return the words that came, after a bounded wait. Raises LinkLost and whatever the wire raises."""
+        """Return the received words, after a bounded wait. Raises LinkLost and the errors of the wire."""
 
     def close(self) -> None:
-        """Let go of the wire."""
+        """Close the wire."""
 
 
 class SerialWords:
@@ -49,11 +49,11 @@ class SerialWords:
         return self._decoder.refused
 
     def receive(self) -> list[Word]:
-        """Return the words that came."""
+        """Return the received words."""
         return self._decoder.feed(self._port.read(max(1, self._port.in_waiting)))
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         with contextlib.suppress(Exception):
             self._port.close()
 
@@ -71,7 +71,7 @@ class CanWords:
         return self._refused
 
     def receive(self) -> list[Word]:
-        """Return the words that came."""
+        """Return the received words."""
         frame = self._port.receive(_READ_WALL_S)
         if frame is None or frame[0] != self._identifier:
             return []
@@ -80,12 +80,12 @@ class CanWords:
         return [] if word is None else [word]
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Leave the bus."""
         self._port.close()
 
 
 class CommandWordReceiver:
-    """The newest word of a flight computer, and when it came. now_s: tells bench time, from any thread."""
+    """The newest word of a flight computer and its time of reception. now_s: returns bench time, from any thread."""
 
     def __init__(self, config: FlightComputer, now_s: Callable[[], float]) -> None:
         self._config = config
@@ -113,17 +113,17 @@ class CommandWordReceiver:
         self._reader.start()
 
     def newest(self) -> tuple[Word, float] | None:
-        """Return the newest word and when it came, None before the first. Raises LinkLost where the wire is gone."""
+        """Return the newest word and its time of reception, None before the first. Raises LinkLost."""
         self._newest.check()
         return self._newest.peek()
 
     def counters(self) -> dict[str, int]:
-        """Return what was counted since ``open``."""
+        """Return the counters since ``open``."""
         refused = self._wire.refused if self._wire is not None else 0
         return {"received": self.received, "lost": self.lost, "repeated": self.repeated, "refused": refused}
 
     def close(self) -> None:
-        """End the reader and let go of the wire; idempotent."""
+        """End the reader and close the wire. Idempotent."""
         self._ending.set()
         wire, self._wire = self._wire, None
         reader, self._reader = self._reader, None
@@ -138,15 +138,15 @@ class CommandWordReceiver:
             while not self._ending.is_set():
                 for word in wire.receive():
                     if word.counter == before:
-                        self.repeated += 1  # a sender that hangs must not pass for one that lives
+                        self.repeated += 1  # a sender that hangs repeats its word
                         continue
                     if before is not None:
                         self.lost += (word.counter - before - 1) & 0xFF
                     before = word.counter
                     self.received += 1
-                    heard_s = self._now_s()
-                    self._newest.put((word, heard_s), heard_s)
-        except Exception as cause:  # whatever ends this thread must reach the loop
+                    received_s = self._now_s()
+                    self._newest.put((word, received_s), received_s)
+        except Exception as cause:  # any error that ends the thread is reported to the cycle
             if not self._ending.is_set():
                 error = cause if isinstance(cause, LinkLost) else LinkLost(NAME, str(cause))
                 self._newest.fail(error)

@@ -1,9 +1,9 @@
-"""The coupler's lines as Modbus sees them: which bit is what, and the answers of a coupler to requests.
+"""Modbus codec of the I/O coupler: map of its lines, and responses of a coupler to requests.
 
 ========= =========================== ==============================================================
 kind      address (rig file, [io])    meaning
 ========= =========================== ==============================================================
-coil      coils.charge_pump           heartbeat: toggles while somebody who watches the bench is alive
+coil      coils.charge_pump           heartbeat: toggles while the watchdog process runs
 coil      coils.enable                1 asks the safety relay to close; an edge is needed each time
 coil      coils.thrusters_first + n   1 while thruster n is open
 input     inputs.estop_closed         1 while the emergency stop is released
@@ -47,7 +47,7 @@ class ModbusException(IntEnum):
 
 
 class LineMap:
-    """Which coil and which input is what. coils: charge pump, enable, thrusters, in this order."""
+    """Addresses of coils and inputs. coils: charge pump, enable, thrusters, in this order."""
 
     def __init__(self, config: Io) -> None:
         first = config.coils.thrusters_first
@@ -64,7 +64,7 @@ class LineMap:
 
 
 def runs(addresses: Iterable[int]) -> tuple[range, ...]:
-    """Return the addresses, sorted, as ranges without gaps: what one request can carry and nothing else."""
+    """Return the addresses, sorted, as ranges without gaps, one per request."""
     found: list[range] = []
     for address in sorted(addresses):
         if found and found[-1].stop == address and len(found[-1]) < MAX_WRITE:
@@ -76,7 +76,7 @@ def runs(addresses: Iterable[int]) -> tuple[range, ...]:
 
 @dataclass
 class Image:
-    """The coupler's memory: coils and inputs by address, and what it says it is (objects 0, 1, 2)."""
+    """Memory of the coupler: coils and inputs by address, and its identification (objects 0, 1, 2)."""
 
     coils: dict[int, bool]
     inputs: dict[int, bool]
@@ -90,35 +90,35 @@ class _RefusedError(Exception):
 
 
 def respond(image: Image, request: bytes) -> bytes:
-    """Return the coupler's answer (PDU) to a request (PDU, at least one byte); writes go into ``image.coils``.
+    """Return the coupler's response (PDU) to a request (PDU, at least one byte); writes change ``image.coils``.
 
-    What cannot be done is answered by a Modbus exception; nothing is raised on any bytes.
+    Invalid requests get a Modbus exception; never raises.
     """
     try:
-        return request[:1] + _done(image, request[0], request[1:])
+        return request[:1] + _execute(image, request[0], request[1:])
     except _RefusedError as refused:
         return bytes((request[0] | 0x80, refused.code))
     except struct.error:
         return bytes((request[0] | 0x80, ModbusException.VALUE))
 
 
-def _done(image: Image, function: int, body: bytes) -> bytes:
+def _execute(image: Image, function: int, body: bytes) -> bytes:
     if function in (Function.READ_COILS, Function.READ_INPUTS):
         memory = image.coils if function == Function.READ_COILS else image.inputs
         first, count = struct.unpack(">HH", body)
-        bits = [memory[address] for address in _known(memory, first, count, MAX_READ)]
+        bits = [memory[address] for address in _addresses(memory, first, count, MAX_READ)]
         packed = pack_bits(bits)
         return bytes((len(packed),)) + packed
     if function == Function.WRITE_COIL:
         first, value = struct.unpack(">HH", body)
         if value not in (0x0000, 0xFF00):
             raise _RefusedError(ModbusException.VALUE)
-        for address in _known(image.coils, first, 1, 1):
+        for address in _addresses(image.coils, first, 1, 1):
             image.coils[address] = value != 0
         return body
     if function == Function.WRITE_COILS:
         first, count, size = struct.unpack_from(">HHB", body)
-        addresses = _known(image.coils, first, count, MAX_WRITE)
+        addresses = _addresses(image.coils, first, count, MAX_WRITE)
         if size != (count + 7) // 8 or len(body) != 5 + size:
             raise _RefusedError(ModbusException.VALUE)
         image.coils.update(zip(addresses, unpack_bits(body[5:], count), strict=True))
@@ -128,7 +128,7 @@ def _done(image: Image, function: int, body: bytes) -> bytes:
     raise _RefusedError(ModbusException.FUNCTION)
 
 
-def _known(memory: dict[int, bool], first: int, count: int, most: int) -> range:
+def _addresses(memory: dict[int, bool], first: int, count: int, most: int) -> range:
     if not 1 <= count <= most:
         raise _RefusedError(ModbusException.VALUE)
     addresses = range(first, first + count)
@@ -138,7 +138,7 @@ def _known(memory: dict[int, bool], first: int, count: int, most: int) -> range:
 
 
 def _identification(image: Image, body: bytes) -> bytes:
-    """Answer function 43/14, basic identification as a stream: vendor, product code, revision."""
+    """Return the response to function 43/14, basic identification as a stream: vendor, product code, revision."""
     kind, code, first = struct.unpack(">BBB", body)
     if kind != 14:
         raise _RefusedError(ModbusException.FUNCTION)

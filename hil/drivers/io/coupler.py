@@ -1,4 +1,4 @@
-"""The link to the coupler: every request is bounded, every failure names the device."""
+"""Link to the coupler: requests are bounded in time, errors name the device."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from hil.drivers.io import NAME
 from hil.drivers.io.codec import Function, LineMap
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
 
-_LAST_WORD_WALL_S: Final = 0.02
+_LAST_REQUEST_WALL_S: Final = 0.02
 _HANGS_UP_WALL_S: Final = 0.002
 _IDENTITY: Final = ("vendor", "product", "revision")  # objects 0, 1, 2
 
-# What goes wrong is raised and names the device; pymodbus would add a packet trace on standard error.
+# Errors are raised with the device; pymodbus would log a packet trace to standard error.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 
 class Coupler:
-    """One coupler. Must be made and used inside a running event loop.
+    """One coupler; requires a running event loop.
 
-    timeout_s: bench time that it has for an answer.
+    timeout_s: bench time for a response.
     """
 
     def __init__(self, config: Io, lines: LineMap, timeout_s: float, clock: WallClock) -> None:
@@ -40,20 +40,20 @@ class Coupler:
         self._device_id = config.device_id
         self._timeout_s = timeout_s
         self._timeout_wall_s = clock.wall_s(timeout_s)
-        self._waits: set[asyncio.Timeout] = set()  # one a request under way
-        self._garbled: BaseException | None = None
-        asyncio.get_running_loop().set_exception_handler(self._on_garbage)
+        self._waits: set[asyncio.Timeout] = set()  # of pending requests
+        self._decode_error: BaseException | None = None
+        asyncio.get_running_loop().set_exception_handler(self._on_decode_error)
         self._client = AsyncModbusTcpClient(
             config.host,
             port=config.port or 0,
-            timeout=10.0 * self._timeout_wall_s,  # the time-out below comes first: it can tell what happened
+            timeout=10.0 * self._timeout_wall_s,  # the time-out below expires first and reports the cause
             retries=0,
             reconnect_delay=0,  # a lost coupler stays lost until the bench is opened again
             trace_connect=self._on_connection,
         )
 
     async def identify(self) -> None:
-        """Connect, and make sure that it is the coupler that the rig file names, where it names one."""
+        """Connect and check the identity, if the rig file requires one."""
         try:
             async with asyncio.timeout(self._timeout_wall_s):
                 connected = await self._client.connect()
@@ -65,11 +65,11 @@ class Coupler:
         if all(expected is None for _, _, expected in wanted):
             return
         request = partial(self._client.read_device_information, read_code=1, object_id=0, device_id=self._device_id)
-        reply = await self._ask(Function.ENCAPSULATED, request)
+        reply = await self._request(Function.ENCAPSULATED, request)
         objects: dict[int, object] = getattr(reply, "information", {})
         for number, name, expected in wanted:
-            said = objects.get(number, b"")
-            found = said.decode("ascii", "replace") if isinstance(said, bytes) else str(said)
+            reported = objects.get(number, b"")
+            found = reported.decode("ascii", "replace") if isinstance(reported, bytes) else str(reported)
             if expected is not None and found != expected:
                 text = f"wrong coupler at {self._address}: {name} {found!r}, expected {expected!r}"
                 raise ProtocolError(NAME, text)
@@ -77,8 +77,8 @@ class Coupler:
     async def exchange(self, levels: dict[int, bool]) -> dict[int, bool]:
         """Write the coils, read them back, read the inputs; return the inputs by address.
 
-        Raises ProtocolError where a coil does not read as it was written: the coupler does not work, or
-        somebody else writes to it.
+        Raises ProtocolError if a coil does not read back as written: a defect of the coupler, or another client writes
+        to it.
         """
         await self.write(levels)
         for run in self._lines.coil_runs:
@@ -97,45 +97,45 @@ class Coupler:
         for run in self._lines.coil_runs:
             values = [levels[address] for address in run]
             request = partial(self._client.write_coils, run.start, values, device_id=self._device_id)
-            await self._ask(Function.WRITE_COILS, request)
+            await self._request(Function.WRITE_COILS, request)
 
-    async def say_off(self) -> None:
-        """Leave all outputs off, if that can be had in a moment."""
+    async def send_off(self) -> None:
+        """Set all outputs off, within a short time or not at all."""
         if not self._client.connected:
-            return  # pymodbus would connect anew
-        with suppress(TimeoutError, ModbusException, LinkLost, LinkTimeout, ProtocolError):  # nothing more can be done
-            async with asyncio.timeout(_LAST_WORD_WALL_S):
+            return  # pymodbus would reconnect
+        with suppress(TimeoutError, ModbusException, LinkLost, LinkTimeout, ProtocolError):  # the outputs time out
+            async with asyncio.timeout(_LAST_REQUEST_WALL_S):
                 await self.write(dict.fromkeys(self._lines.coils, False))
 
     async def close(self) -> None:
-        """Hang up, and let the connection see its end."""
+        """Disconnect, and let the connection's callbacks run."""
         self._client.close()
         await asyncio.sleep(_HANGS_UP_WALL_S)
 
     async def _bits(self, function: Function, read: Callable[..., Awaitable[ModbusPDU]], run: range) -> dict[int, bool]:
-        reply = await self._ask(function, partial(read, run.start, count=len(run), device_id=self._device_id))
-        padded = (len(run) + 7) // 8 * 8  # answers come in whole bytes
+        reply = await self._request(function, partial(read, run.start, count=len(run), device_id=self._device_id))
+        padded = (len(run) + 7) // 8 * 8  # responses are in whole bytes
         if len(reply.bits) != padded:
-            raise ProtocolError(NAME, f"{len(reply.bits)} bits came, expected {padded}")
+            raise ProtocolError(NAME, f"{len(reply.bits)} bits received, expected {padded}")
         return dict(zip(run, reply.bits, strict=False))
 
     def _on_connection(self, connected: bool) -> None:
-        """End the waiting for a coupler that has hung up: pymodbus would wait on (it calls this)."""
+        """End the wait for a coupler that has disconnected (called by pymodbus, which would keep waiting)."""
         if not connected:
             for wait in self._waits:
                 if not wait.expired():
                     wait.reschedule(0.0)
 
-    def _on_garbage(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Keep what pymodbus made of bytes that it cannot read; asyncio hangs up after it (and calls this)."""
-        self._garbled = context.get("exception", self._garbled)
+    def _on_decode_error(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Store the error of pymodbus on invalid bytes (called by asyncio, which then disconnects)."""
+        self._decode_error = context.get("exception", self._decode_error)
 
     def _lost(self) -> DeviceError:
-        if self._garbled is not None:
-            return ProtocolError(NAME, f"{self._address} sent what cannot be read: {self._garbled}")
+        if self._decode_error is not None:
+            return ProtocolError(NAME, f"{self._address} sent invalid data: {self._decode_error}")
         return LinkLost(NAME, f"{self._address} closed the connection")
 
-    async def _ask(self, function: Function, request: Callable[[], Awaitable[ModbusPDU]]) -> ModbusPDU:
+    async def _request(self, function: Function, request: Callable[[], Awaitable[ModbusPDU]]) -> ModbusPDU:
         if not self._client.connected:
             raise self._lost()
         try:
@@ -156,6 +156,6 @@ class Coupler:
         if reply.isError():
             code = getattr(reply, "exception_code", 0)
             raise ProtocolError(NAME, f"Modbus exception {code} to function {reply.function_code & 0x7F}")
-        if reply.function_code != function:  # pymodbus takes any
-            raise ProtocolError(NAME, f"answer to function {reply.function_code}, asked for {function:d}")
+        if reply.function_code != function:  # pymodbus accepts any
+            raise ProtocolError(NAME, f"response to function {reply.function_code}, expected {function:d}")
         return reply

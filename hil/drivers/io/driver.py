@@ -1,7 +1,7 @@
-"""Driver of the coupler: Modbus TCP, one event loop in one thread of its own.
+"""Driver of the coupler: Modbus TCP, one event loop in its own thread.
 
-Every exchange writes all outputs, reads them back, and reads the inputs. It is started by a change of
-an output, and by itself every 20 ms, so that the inputs stay fresh.
+An exchange writes all outputs, reads them back, and reads the inputs. It is triggered by a change of an output, and
+every 20 ms, so that the inputs stay fresh.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class ModbusIo(LoopThread):
         self._is_off = threading.Event()
 
     def open(self, now_s: float) -> None:
-        """Connect, check what it is, set all outputs off, read the inputs."""
+        """Connect, check the identity, set all outputs off, read the inputs."""
         bound_s = 6.0 * self._config.timeout_s
         self.close()
         self._await_previous_thread(bound_s)
@@ -76,7 +76,7 @@ class ModbusIo(LoopThread):
             self._call(self._wake.set)
 
     def write(self, outputs: IoOutputs, now_s: float) -> None:
-        """Hand over the outputs; once stopped they stay off."""
+        """Set the outputs; after ``stop`` they stay off."""
         self._box.check()
         if not self._stopped and outputs != self._outputs:
             self._outputs = outputs
@@ -87,7 +87,7 @@ class ModbusIo(LoopThread):
         return self._box.get(now_s, self._config.timeout_s)
 
     def stop(self, now_s: float) -> None:
-        """Set all outputs off; wait until the coupler has it, 0.08 s of wall time at most."""
+        """Set all outputs off; wait for the coupler's confirmation, at most 0.08 s of wall time."""
         again = self._stopped
         self._stopped = True
         self._outputs = _OFF
@@ -97,7 +97,7 @@ class ModbusIo(LoopThread):
         self._is_off.wait(_STOP_WAIT_WALL_S)
 
     def close(self) -> None:
-        """Leave the outputs off and let go of the wire; 0.1 s of wall time at most."""
+        """Set the outputs off and disconnect; at most 0.1 s of wall time."""
         self._stopped = True
         self._outputs = _OFF
         self._box.fail(LinkLost(NAME, "is closed"))
@@ -109,7 +109,7 @@ class ModbusIo(LoopThread):
         self._is_off.set()
 
     async def _live(self, opened: Future[None]) -> None:
-        # A little less than the box allows, so that silence is reported by what was waited for.
+        # Slightly below the limit of the box, so that the error names what was waited for.
         timeout_s = max(0.5 * self._config.timeout_s, self._config.timeout_s - 1.5 * IDLE_PERIOD_S)
         coupler = Coupler(self._config, self._lines, timeout_s, self._clock)
         try:
@@ -125,12 +125,12 @@ class ModbusIo(LoopThread):
                 await self._exchange(coupler)
         finally:
             try:
-                await coupler.say_off()
-            finally:  # close() may cancel this while it speaks
+                await coupler.send_off()
+            finally:  # close() may cancel this during the request
                 await coupler.close()
 
     async def _begin(self, coupler: Coupler) -> None:
-        """Set all outputs off and see the chain open: a relay whose contacts are welded protects nobody."""
+        """Set all outputs off and check that the chain opens: welded contacts of the relay must be detected."""
         deadline_s = self._clock.now_s() + _OPENING_TIME_S
         await self._exchange(coupler)
         while (inputs := self._box.peek()) is not None and inputs.chain_closed:
@@ -142,10 +142,10 @@ class ModbusIo(LoopThread):
 
     async def _exchange(self, coupler: Coupler) -> None:
         stopped = self._stopped
-        asked_s = self._clock.now_s()
+        started_s = self._clock.now_s()
         levels = self._levels()
         inputs = await coupler.exchange(levels)
-        t_s = 0.5 * (asked_s + self._clock.now_s())
+        t_s = 0.5 * (started_s + self._clock.now_s())
         thrusters = bytes(levels[coil] for coil in self._lines.coils[2:])
         if thrusters != self._thrusters:
             self._thrusters, self._thrusters_s = thrusters, t_s
@@ -156,7 +156,7 @@ class ModbusIo(LoopThread):
             self._is_off.set()
 
     def _levels(self) -> dict[int, bool]:
-        """Return the coils as they are to be, by address."""
+        """Return the required coils by address."""
         outputs, coils = self._outputs, self._lines.coils
         levels = dict.fromkeys(coils, False)
         if not self._stopped:

@@ -1,4 +1,4 @@
-"""An emulated coupler on Modbus TCP with the safety relay, the emergency stop and the interlocks behind it."""
+"""Emulator of the coupler on Modbus TCP, with safety relay, emergency stop and interlocks."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class EmulatedCoupler:
         return tuple(self.image.coils[address] for address in self.map.coils[2:])
 
     def advance(self, now_s: float) -> bool:
-        """Bring relay and inputs up to date; return whether the chain is closed."""
+        """Update relay and inputs; return whether the chain is closed."""
         image, lines = self.image, self.map
         released = self.faults.value("estop") is None
         open_now = {name for name in lines.interlocks if self.faults.value("interlock", name) is not None}

@@ -1,4 +1,4 @@
-"""The coupler in memory, in simulated time, with the safety relay behind it."""
+"""Mock of the coupler, in simulated time, with the safety relay."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _OFF = IoOutputs(False, b"")
 
 
 class MockIo:
-    """A DiscreteIo without a wire. ``pressed`` and ``open_interlocks`` are what people do to the bench."""
+    """DiscreteIo without a wire. ``pressed`` and ``open_interlocks``: emergency stop and interlocks, set by tests."""
 
     def __init__(self, config: Io) -> None:
         self.name = NAME
@@ -27,7 +27,7 @@ class MockIo:
         self._error: DeviceError | None = LinkLost(NAME, "is not open")
 
     def open(self, now_s: float) -> None:
-        """Begin with all outputs off."""
+        """Start with all outputs off."""
         self._relay = SafetyRelay(self._pump_timeout_s)
         self._pump = False
         self._toggled_s = now_s - self._period_s
@@ -56,18 +56,18 @@ class MockIo:
         return IoInputs(now_s, not self.pressed, closed, self.open_interlocks, self._thrusters_s)
 
     def stop(self, now_s: float) -> None:
-        """Set all outputs off and leave them off."""
+        """Set all outputs off for good."""
         if self._error is None:
             self.outputs = _OFF
             self._advance(now_s)
 
     def close(self) -> None:
-        """Let go: the outputs of a coupler without a master are off."""
+        """Disconnect: the outputs of a coupler without a client are off."""
         self.outputs = _OFF
         self._error = LinkLost(NAME, "is closed")
 
     def fail(self, error: DeviceError) -> None:
-        """Let every later ``write`` and ``read`` raise ``error``, as after a failure of the link."""
+        """Make later ``write`` and ``read`` raise ``error``, as after a failure of the link."""
         self._error = error
 
     def _check(self) -> None:

@@ -1,4 +1,4 @@
-"""The safety relay, as the emulator and the mock have it: no I/O, time is handed in."""
+"""Safety relay of emulator and mock. No I/O, time is an argument."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ DROP_OUT_S: Final = 0.005
 
 
 class SafetyRelay:
-    """Lets the drives have torque while the emergency stop is released, the charge pump toggles and enable is on.
+    """Enables torque while the emergency stop is released, the charge pump toggles and enable is on.
 
-    It opens ``DROP_OUT_S`` after one of them ends, and closes again only at an edge of enable at which all
-    is well: a bench never starts by itself because a button was released or a program came back. It sees
-    what it is shown: call ``update`` more often than the pump toggles.
+    It opens ``DROP_OUT_S`` after one of the conditions fails, and closes only at a rising edge of enable at which all
+    of them hold: a released button or a restarted program never starts the bench. ``update`` must be called more often
+    than the pump toggles.
     pump_timeout_s: longest time between two edges of the charge pump.
     """
 
@@ -25,7 +25,7 @@ class SafetyRelay:
         self._open_at_s = math.inf
 
     def update(self, t_s: float, pump: bool, enable: bool, contacts_closed: bool) -> bool:
-        """Take the levels at ``t_s``; contacts_closed: emergency stop and interlocks. Return ``closed``."""
+        """Update with the levels at ``t_s``; contacts_closed: emergency stop and interlocks. Return ``closed``."""
         if pump != self._pump:
             self._pump = pump
             self._edge_s = t_s

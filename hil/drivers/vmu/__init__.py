@@ -18,12 +18,11 @@ COUNTERS: Final = (
     "late",
     "clock_jumps",
 )
-"""What every backend counts since ``open``.
+"""Counters of every backend since ``open``.
 
-frames: poses handed out. no_pose: frames in which the unit says that it has none. crc_errors: wrong
-checksum; frames cut short are in it. wrong_length: sync and type of a frame beside a length that it does
-not have. skipped_bytes: what belongs to no frame. invalid: right checksum, impossible content. lost: gaps
-of the unit's frame counter, so frames refused by checksum or content are in it too. duplicates: repeated
-ones. late: overtaken by others, or left over from before ``open``. clock_jumps: frames dropped because
-their time of exposure cannot be.
+frames: poses returned. no_pose: frames without a pose. crc_errors: wrong checksum, including truncated frames.
+wrong_length: sync and type of a frame with a wrong length. skipped_bytes: bytes outside frames. invalid: correct
+checksum, impossible content. lost: gaps of the unit's frame counter, including frames rejected by checksum or content.
+duplicates: repeated frames. late: overtaken by others, or sent before ``open``. clock_jumps: frames discarded for an
+impossible time of exposure.
 """

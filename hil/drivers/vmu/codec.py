@@ -7,7 +7,7 @@ offset bytes type           content
 ====== ===== ============== ====================================================================
 0      2     bytes          sync, EB 90
 2      1     u8             version (high nibble, 1) and type (low nibble, 1 = pose)
-3      1     u8             length of what stands between here and the CRC, 155
+3      1     u8             length of the following bytes up to the CRC, 155
 4      4     u32            frame counter, wraps
 8      8     u64            bench time of the exposure, microseconds
 16     24    3 x float64    t_v, m: ring centre from the left camera, in v
@@ -20,12 +20,12 @@ offset bytes type           content
 159    2     u16            CRC-16/CCITT-FALSE of offsets 2 to 158
 ====== ===== ============== ====================================================================
 
-An identity frame, 40 bytes, comes when the unit starts and once a second:
+An identity frame, 40 bytes, is sent when the unit starts and once per second:
 
 ====== ===== ============== ====================================================================
 0      2     bytes          sync, EB 90
 2      1     u8             version (high nibble, 1) and type (low nibble, 2 = identity)
-3      1     u8             length of what stands between here and the CRC, 34
+3      1     u8             length of the following bytes up to the CRC, 34
 4      16    ASCII          vendor, filled up with zeros
 20     16    ASCII          serial number, filled up with zeros
 36     2     2 x u8         firmware, major and minor
@@ -53,8 +53,7 @@ _CRC: Final = struct.Struct("<H")
 _SYNC: Final = b"\xeb\x90"
 _POSE_VERSION_1: Final = 0x11
 _IDENTITY_VERSION_1: Final = 0x12
-# Type and length never vary, so they are searched for together with the sync: no length that came
-# over the wire is ever trusted.
+# Type and length are constant and part of the searched header: a received length is never trusted.
 HEADER: Final = _SYNC + bytes([_POSE_VERSION_1, _BODY.size])
 FRAME_BYTES: Final = len(HEADER) + _BODY.size + _CRC.size
 _IDENTITY_BODY: Final = struct.Struct("<16s16sBB")
@@ -71,7 +70,7 @@ _VOID: Final = (0.0,) * 28
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """A frame that came whole. t_s: exposure, s of bench time; ``pose`` is None unless status is good."""
+    """An intact frame. t_s: exposure, s of bench time; ``pose`` is None unless status is good."""
 
     counter: int
     t_s: float
@@ -81,7 +80,7 @@ class Decoded:
 
 @dataclass(frozen=True, slots=True)
 class ReportedIdentity:
-    """What a unit says it is; vendor and serial number up to 16 ASCII characters."""
+    """Identity that a unit reports; vendor and serial number up to 16 ASCII characters."""
 
     vendor: str
     serial: str
@@ -106,7 +105,7 @@ def encode_status(counter: int, t_s: float, status: int) -> bytes:
 
 
 def encode_identity(identity: ReportedIdentity) -> bytes:
-    """Return the bytes of the frame in which a unit says what it is."""
+    """Return the bytes of the identity frame."""
     major, minor = (int(part) for part in identity.firmware.split("."))
     frame = IDENTITY_HEADER + _IDENTITY_BODY.pack(identity.vendor.encode(), identity.serial.encode(), major, minor)
     return frame + _CRC.pack(crc16(frame[len(_SYNC) :]))
@@ -118,10 +117,10 @@ def _frame(counter: int, t_s: float, numbers: tuple[float, ...], left: int, righ
 
 
 class PoseDecoder:
-    """Finds frames in a stream of bytes, however it is cut or damaged; never raises on any bytes.
+    """Decodes frames from a byte stream with arbitrary splits and damage; never raises.
 
-    Whatever fails its CRC is searched again from the byte after its sync, so neither a truncated
-    frame nor a header inside other data takes a following good frame with it.
+    After a CRC error the search resumes after the sync, so that neither a truncated frame nor a header inside other
+    data hides an intact frame.
     """
 
     def __init__(self) -> None:
@@ -129,11 +128,11 @@ class PoseDecoder:
         self.skipped_bytes = 0
         self.invalid = 0  # right CRC, impossible content
         self.wrong_length = 0  # sync and a known type, but not the length that this type has
-        self.identity: ReportedIdentity | None = None  # the newest one that came
+        self.identity: ReportedIdentity | None = None  # the newest
         self._buffer = bytearray()
 
     def feed(self, data: bytes, received_s: float) -> list[Decoded]:
-        """Take ``data``, whose last byte came at bench time ``received_s``; return the frames completed by it."""
+        """Decode ``data``, whose last byte was received at bench time ``received_s``; return the completed frames."""
         self._buffer += data
         frames = []
         start = self._skip_to_header(0)
@@ -156,11 +155,11 @@ class PoseDecoder:
         return frames
 
     def _size_at(self, start: int) -> int:
-        """Return the size of the frame whose header begins at ``start``; of a pose's where the header is not whole."""
+        """Return the size of the frame at ``start``; that of a pose frame if its header is incomplete."""
         return _SIZES.get(bytes(self._buffer[start : start + len(HEADER)]), FRAME_BYTES)
 
     def _skip_to_header(self, start: int) -> int:
-        """Return where the next header, or the beginning of one at the end of the buffer, stands."""
+        """Return the position of the next header, or of an incomplete one at the end of the buffer."""
         buffer, place = self._buffer, start
         while (place := buffer.find(_SYNC[:1], place)) >= 0:
             head = bytes(buffer[place : place + len(HEADER)])
@@ -184,7 +183,7 @@ def _text(padded: bytes) -> str:
 
 
 def _decode(raw: bytes, received_s: float) -> Decoded | None:
-    """Return the content of a frame of right CRC, or None where a good status stands beside an impossible pose."""
+    """Return the content of a frame with correct CRC, None for an impossible pose with good status."""
     counter, t_us, *numbers, left, right, status = _BODY.unpack_from(raw, len(HEADER))
     t_s = t_us / 1e6
     if status != STATUS_GOOD:

@@ -22,24 +22,22 @@ _LOOK_WALL_S: Final = 0.01
 _READ_WALL_S: Final = 0.1  # bound of one blocking read; close cuts it short
 _COUNTER_MASK: Final = 0xFFFF_FFFF
 _HALF_COUNTER: Final = 0x8000_0000
-_REMEMBERED: Final = 64  # frames; 10 s of a unit at 6.25 Hz
-_BITS_A_FRAME: Final = 10 * FRAME_BYTES
+_HISTORY: Final = 64  # frames; 10 s of a unit at 6.25 Hz
+_BITS_PER_FRAME: Final = 10 * FRAME_BYTES
 _CLOCKS_AGREE_S: Final = 0.001  # a shared clock may be off by this
 _OLDEST_S: Final = 5.0  # no frame takes longer from exposure to arrival
 _JUMP_S: Final = 0.5  # a clock of the unit's own that goes off by more than this at once has jumped
-_IDENTITY_WAIT_S: Final = 2.5  # the unit says what it is once a second
+_IDENTITY_WAIT_S: Final = 2.5  # the identity frame has a period of 1 s
 
 
 class Rs422Vmu:
     """Pose source on ``config.rs422``. Times of reception are read from ``clock``, bench time.
 
-    Freshness counts frames that are new and usable: one that the CRC or the content check refused,
-    a repeated or an older one does not prove that the unit works; one that says "no pose" does.
-    A frame that was overtaken by others is handed on all the same, once: it belongs to its own time.
+    Only new and valid frames, also those without a pose, restart the time-out; rejected, repeated and older ones do
+    not. A frame overtaken by others is returned once: it belongs to its own time.
 
-    Times of exposure are bench time where ``config.clock`` is "shared". A unit with a clock of its own
-    is set against bench time by its fastest frames: the smallest difference of reception and time
-    stamp lately, less line time and ``processing_s``.
+    Times of exposure are bench time if ``config.clock`` is "shared". The clock of another unit is synchronised by its
+    fastest frames: the smallest recent difference of reception and time stamp, less line time and ``processing_s``.
     """
 
     def __init__(self, config: Vmu, clock: Clock) -> None:
@@ -48,7 +46,7 @@ class Rs422Vmu:
         self._line = config.rs422 or SerialLine()
         self._expected = config.identity
         self._own_clock = config.clock == "own"
-        self._fastest_s = config.processing_s + _BITS_A_FRAME / self._line.baud
+        self._fastest_s = config.processing_s + _BITS_PER_FRAME / self._line.baud
         self._clock = clock
         self._port: serial.Serial | None = None
         self._reader: threading.Thread | None = None
@@ -57,10 +55,10 @@ class Rs422Vmu:
     def _reset(self, now_s: float) -> None:
         self._opened_s = now_s
         self._ending = threading.Event()
-        self._heard: Latest[bool] = Latest(self.name)  # when the unit was last heard
+        self._received: Latest[bool] = Latest(self.name)  # time of the last valid frame
         self._newest: int | None = None  # frame counter
-        self._seen: deque[int] = deque(maxlen=_REMEMBERED)  # counters handed on
-        self._offsets: deque[float] = deque(maxlen=_REMEMBERED)  # reception less time stamp
+        self._seen: deque[int] = deque(maxlen=_HISTORY)  # counters handed on
+        self._offsets: deque[float] = deque(maxlen=_HISTORY)  # reception less time stamp
         self._decoder = PoseDecoder()
         self._frames: deque[PoseFrame] = deque()
         self._counts = dict.fromkeys(COUNTERS, 0)
@@ -68,8 +66,8 @@ class Rs422Vmu:
     def open(self, now_s: float) -> None:
         """Open the port and start to read; the time-out runs from ``now_s``. Raises LinkLost.
 
-        Where the rig file names an identity, waits for the unit to say what it is: ProtocolError for
-        another one, LinkTimeout where it does not say.
+        If the rig file requires an identity, waits for the identity frame: ProtocolError for another identity,
+        LinkTimeout without one.
         """
         self.close()
         self._reset(now_s)
@@ -77,13 +75,13 @@ class Rs422Vmu:
             raise LinkLost(self.name, "rs422.port is not set")
         try:
             self._port = serial.Serial(self._line.port, self._line.baud, timeout=_READ_WALL_S, exclusive=True)
-            self._port.reset_input_buffer()  # what waited here came at a time that nobody knows
+            self._port.reset_input_buffer()  # pending bytes have an unknown time of reception
         except Exception as cause:  # pyserial: OSError, ValueError (baud), termios.error
             self.close()
             raise LinkLost(self.name, f"cannot open {self._line.port}: {cause}") from cause
-        with contextlib.suppress(ValueError):  # a kindness of some UART drivers only: else FTDI chips add 16 ms
+        with contextlib.suppress(ValueError):  # not supported by all UART drivers; FTDI chips add 16 ms otherwise
             self._port.set_low_latency_mode(True)
-        self._heard.put(True, now_s)
+        self._received.put(True, now_s)
         self._reader = threading.Thread(target=self._read, args=(self._port,), name="vmu-reader", daemon=True)
         self._reader.start()
         try:
@@ -93,34 +91,34 @@ class Rs422Vmu:
             raise
 
     def _check_identity(self, now_s: float) -> None:
-        """Wait until the unit has said what it is, where the rig file names what it expects."""
+        """Wait for the identity frame and check it, if the rig file requires an identity."""
         wanted = {name: text for name, text in self._expected.model_dump().items() if text is not None}
         if not wanted:
             return
         while (found := self._decoder.identity) is None:
-            self._heard.check()
+            self._received.check()
             if self._clock.now_s() - now_s > _IDENTITY_WAIT_S:
-                raise LinkTimeout(self.name, f"did not say what it is in {_IDENTITY_WAIT_S:g} s{self._hint()}")
+                raise LinkTimeout(self.name, f"no identity frame within {_IDENTITY_WAIT_S:g} s{self._hint()}")
             self._ending.wait(_LOOK_WALL_S)
         for name, text in wanted.items():
             if getattr(found, name) != text:
                 raise ProtocolError(self.name, f"wrong unit: {name} {getattr(found, name)!r}, expected {text!r}")
-        self._heard.put(True, self._clock.now_s())
+        self._received.put(True, self._clock.now_s())
 
     def poll(self, now_s: float) -> list[PoseFrame]:
-        """Return the frames that came since the last call, oldest first; never waits.
+        """Return the frames received since the last call, oldest first; never waits.
 
         Raises LinkTimeout after more than ``timeout_s`` without a new frame, LinkLost when the port is gone,
         DriveFault when the unit reports a fault.
         """
         try:
-            self._heard.get(now_s, self._timeout_s)
+            self._received.get(now_s, self._timeout_s)
         except LinkTimeout as silence:
             raise LinkTimeout(self.name, silence.what + self._hint()) from None
         return [self._frames.popleft() for _ in range(len(self._frames))]
 
     def counters(self) -> dict[str, int]:
-        """Return what was counted since ``open``, by the names of ``hil.drivers.vmu.COUNTERS``."""
+        """Return the counters since ``open``, named as in ``hil.drivers.vmu.COUNTERS``."""
         decoder = self._decoder
         return self._counts | {
             "crc_errors": decoder.crc_errors,
@@ -130,9 +128,9 @@ class Rs422Vmu:
         }
 
     def close(self) -> None:
-        """End the reader and let go of the port: well under 0.1 s, idempotent, never raises."""
+        """End the reader and close the port: well under 0.1 s, idempotent, never raises."""
         self._ending.set()
-        self._heard.fail(LinkLost(self.name, "is closed"))
+        self._received.fail(LinkLost(self.name, "is closed"))
         port, self._port = self._port, None
         reader, self._reader = self._reader, None
         if port is None:
@@ -145,7 +143,7 @@ class Rs422Vmu:
             port.close()
 
     def _hint(self) -> str:
-        """Return what did come, for whoever looks for the fault: a wrong baud rate shows as skipped bytes."""
+        """Return the counters, for diagnosis: a wrong baud rate shows as skipped bytes."""
         seen = ", ".join(f"{name} {count}" for name, count in self.counters().items() if count)
         return f" (since open: {seen})" if seen else ""
 
@@ -155,14 +153,14 @@ class Rs422Vmu:
                 data = port.read(max(1, port.in_waiting))
                 received_s = self._clock.now_s()
                 for decoded in self._decoder.feed(data, received_s):
-                    self._take(decoded, received_s)
-        except Exception as cause:  # whatever ends this thread must reach the loop
+                    self._accept(decoded, received_s)
+        except Exception as cause:  # any error that ends the thread is reported to the cycle
             error = LinkLost(self.name, f"{port.port}: {cause}")
             error.__cause__ = cause
-            self._heard.fail(error)
+            self._received.fail(error)
 
-    def _take(self, decoded: Decoded, received_s: float) -> None:
-        if self._left_over(decoded.t_s, received_s):
+    def _accept(self, decoded: Decoded, received_s: float) -> None:
+        if self._sent_before_open(decoded.t_s, received_s):
             self._counts["late"] += 1
             return
         if self._clock_jumped(decoded.t_s, received_s):
@@ -178,16 +176,16 @@ class Rs422Vmu:
         elif decoded.status == STATUS_NO_POSE:
             self._counts["no_pose"] += 1
         else:
-            self._heard.fail(DriveFault(self.name, f"reports fault 0x{decoded.status:02x}"))
+            self._received.fail(DriveFault(self.name, f"reports fault 0x{decoded.status:02x}"))
         if in_order:
-            self._heard.put(True, received_s)
+            self._received.put(True, received_s)
 
-    def _left_over(self, stamp_s: float, received_s: float) -> bool:
-        """Whether a frame waited in the adapter since before ``open``: its arrival means nothing."""
+    def _sent_before_open(self, stamp_s: float, received_s: float) -> bool:
+        """Whether a frame was buffered in the adapter before ``open``, so that its time of reception is wrong."""
         return not self._own_clock and stamp_s < self._opened_s and received_s < self._opened_s + _OLDEST_S
 
     def _clock_jumped(self, stamp_s: float, received_s: float) -> bool:
-        """Whether a time of exposure cannot be: after the arrival, long before it, or far off its neighbours'."""
+        """Whether a time of exposure is impossible: after reception, long before it, or far from its neighbours."""
         age_s = received_s - stamp_s
         if not self._own_clock:
             return not -_CLOCKS_AGREE_S <= age_s <= _OLDEST_S
@@ -200,9 +198,9 @@ class Rs422Vmu:
         return stamp_s + min(self._offsets) - self._fastest_s
 
     def _in_order(self, counter: int) -> bool | None:
-        """Compare the counter, which wraps, with the newest one; count what is missing, repeated or overtaken.
+        """Compare the counter, which wraps, with the newest one; count lost, repeated and overtaken frames.
 
-        Returns True for a new frame, False for one that others overtook, None for one to be dropped.
+        Returns True for a new frame, False for an overtaken one, None for one to be discarded.
         """
         ahead = 1 if self._newest is None else (counter - self._newest) & _COUNTER_MASK
         if ahead == 0 or counter in self._seen:
@@ -214,8 +212,8 @@ class Rs422Vmu:
             self._seen.append(counter)
             return True
         self._counts["late"] += 1
-        if _COUNTER_MASK + 1 - ahead > _REMEMBERED:
-            return None  # far behind: the unit began to count anew, or its frames are of another life
+        if _COUNTER_MASK + 1 - ahead > _HISTORY:
+            return None  # far behind: the counter was restarted, or the frames are from before that
         self._counts["lost"] = max(0, self._counts["lost"] - 1)
         self._seen.append(counter)
         return False

@@ -1,4 +1,4 @@
-"""The vision unit in memory, in simulated time: the same promises as on the wire."""
+"""Mock of the vision unit, in simulated time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class MockVmu:
 
     ``pose_at(t_s)`` is called in the first ``poll`` at or after each exposure and returns the measured
     pose (its counter and times are overwritten here), or None when the ring is not seen. The frame is
-    handed out after the delay, or the two, that ``transport`` draws for it.
+    returned after the delay, or the two, that ``transport`` draws for it.
     """
 
     def __init__(
@@ -34,8 +34,8 @@ class MockVmu:
         self._reset(0.0)
 
     def _reset(self, now_s: float) -> None:
-        self._heard: Latest[bool] = Latest(self.name)
-        self._on_the_way: list[tuple[float, int, PoseFrame | None]] = []  # a heap by time of arrival
+        self._received: Latest[bool] = Latest(self.name)
+        self._in_transit: list[tuple[float, int, PoseFrame | None]] = []  # a heap by time of arrival
         self._sent = 0
         self._next = int(first_exposure(now_s, self._rate_hz))  # number of the next exposure
         self._counter = 0
@@ -44,36 +44,36 @@ class MockVmu:
     def open(self, now_s: float) -> None:
         """Start at bench time ``now_s``."""
         self._reset(now_s)
-        self._heard.put(True, now_s + (self._transport.longest_s if self._transport else 0.0))
+        self._received.put(True, now_s + (self._transport.longest_s if self._transport else 0.0))
 
     def poll(self, now_s: float) -> list[PoseFrame]:
-        """Return the frames that came since the last call, oldest first.
+        """Return the frames received since the last call, oldest first.
 
         Raises LinkTimeout after more than ``timeout_s`` without a frame, or the error given to ``fail``.
         """
-        self._heard.check()
+        self._received.check()
         self._expose_until(now_s + TIME_SLACK_S)
         frames = []
-        while self._on_the_way and self._on_the_way[0][0] <= now_s + TIME_SLACK_S:
-            received_s, _, frame = heapq.heappop(self._on_the_way)
-            self._heard.put(True, received_s)
+        while self._in_transit and self._in_transit[0][0] <= now_s + TIME_SLACK_S:
+            received_s, _, frame = heapq.heappop(self._in_transit)
+            self._received.put(True, received_s)
             self._counts["no_pose" if frame is None else "frames"] += 1
             if frame is not None:
                 frames.append(frame)
-        self._heard.get(now_s, self._timeout_s)
+        self._received.get(now_s, self._timeout_s)
         return frames
 
     def counters(self) -> dict[str, int]:
-        """Return what was counted since ``open``, by the names of ``hil.drivers.vmu.COUNTERS``."""
+        """Return the counters since ``open``, named as in ``hil.drivers.vmu.COUNTERS``."""
         return dict(self._counts)
 
     def fail(self, error: DeviceError) -> None:
-        """Let every further ``poll`` raise ``error``."""
-        self._heard.fail(error)
+        """Make later ``poll`` raise ``error``."""
+        self._received.fail(error)
 
     def close(self) -> None:
         """End; ``poll`` raises LinkLost until the next ``open``."""
-        self._heard.fail(LinkLost(self.name, "is closed"))
+        self._received.fail(LinkLost(self.name, "is closed"))
 
     def _expose_until(self, now_s: float) -> None:
         while (t_s := exposure_time(self._next, self._rate_hz)) <= now_s:
@@ -81,7 +81,7 @@ class MockVmu:
             for delay_s in self._transport.delays() if self._transport else (0.0,):
                 received_s = t_s + delay_s
                 frame = pose and replace(pose, counter=self._counter, t_s=t_s, received_s=received_s)
-                heapq.heappush(self._on_the_way, (received_s, self._sent, frame))
+                heapq.heappush(self._in_transit, (received_s, self._sent, frame))
                 self._sent += 1
             self._counter = (self._counter + 1) & 0xFFFF_FFFF
             self._next += 1

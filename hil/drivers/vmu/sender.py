@@ -1,4 +1,4 @@
-"""The vision unit's end of a real RS-422 line: whoever makes poses on this computer sends them like the unit."""
+"""Sender of frames on a real RS-422 line, for poses measured by this computer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class FrameSender:
         self._port = port
 
     def send(self, pose: PoseFrame | None, t_s: float) -> None:
-        """Send what was found of the exposure at ``t_s``, s of the unit's clock; None: that there is no pose."""
+        """Send the pose of the exposure at ``t_s``, s of the unit's clock; None: no pose."""
         counter, self._counter = self._counter, (self._counter + 1) & 0xFFFF_FFFF
         data = b""
         if t_s - self._identified_s >= IDENTITY_PERIOD_S:
@@ -45,7 +45,7 @@ class FrameSender:
             raise LinkLost(_NAME, f"{self._port}: {error}") from error
 
     def close(self) -> None:
-        """Let go of the port once everything is on the wire. Idempotent."""
+        """Close the port after all data has been sent. Idempotent."""
         if self._line.is_open:
             self._line.flush()
             self._line.close()

@@ -1,4 +1,4 @@
-"""How frames travel in an emulated vision unit: late, twice, out of order, or not at all."""
+"""Transport of frames of an emulated vision unit: delays, duplicates, reordering, losses."""
 
 from __future__ import annotations
 

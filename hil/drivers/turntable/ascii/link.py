@@ -98,7 +98,7 @@ class AsciiTransport:
     def request(
         self, line: AsciiCommand, axis: int, values: Mapping[Key, Value], reply_s: float = REPLY_S, patient: bool = True
     ) -> tuple[float, dict[Key, Value]] | None:
-        """Return the bench time, s, when the controller received the request, and the values of its valid reply, or None.
+        """Return the bench time of the request at the controller, s, and the values of its reply; None without one.
 
         patient: without sequence numbers, wait longer for a late reply, which would pass for that to the next request;
         not for urgent requests. Raises CommandRefused for an error reply, ProtocolError for a burst of broken ones,

@@ -12,7 +12,7 @@ from hil.errors import LinkLost, ProtocolError
 
 
 class CanLine(Protocol):
-    """What a rig file says of a CAN bus: interface of python-can, channel, its rate, and that of a serial adapter."""
+    """Settings of a CAN bus: interface of python-can, channel, bit rate, baud rate of a serial adapter."""
 
     @property
     def interface(self) -> str: ...
@@ -28,11 +28,10 @@ class CanLine(Protocol):
 
 
 class CanPort:
-    """One station on a bus. Frames have 11-bit identifiers and at most eight bytes.
+    """One node on a bus. Frames have 11-bit identifiers and at most eight bytes.
 
-    python-can's ``serial`` framing is read by this package's own cutter, which finds its way back after
-    spoilt bytes. Raises LinkLost when the bus is gone, ProtocolError for an error of the interface;
-    both name ``device``.
+    python-can's ``serial`` framing is decoded here, with resynchronisation after damaged bytes. Raises LinkLost if
+    the bus is gone, ProtocolError for an error of the interface; both name ``device``.
     """
 
     def __init__(self, device: str, config: CanLine) -> None:
@@ -69,7 +68,7 @@ class CanPort:
             raise LinkLost(self.device, f"CAN send failed: {error}") from error
 
     def receive(self, wall_s: float) -> tuple[int, bytes] | None:
-        """Return identifier and data of the next frame, None if none came within ``wall_s``."""
+        """Return identifier and data of the next frame, None if none was received within ``wall_s``."""
         try:
             if self._serial is not None:
                 return self._serial.receive(wall_s)

@@ -71,7 +71,7 @@ RPDO_TIMEOUT: Final = 0x8250
 TORQUE_OFF: Final = 0x5441
 OVER_CURRENT: Final = 0x2310
 
-BOOT_UP: Final = 0x00  # NMT states, as a heartbeat shows them
+BOOT_UP: Final = 0x00  # NMT states in a heartbeat
 STOPPED: Final = 0x04
 OPERATIONAL: Final = 0x05
 PRE_OPERATIONAL: Final = 0x7F
@@ -83,7 +83,7 @@ DISABLE_VOLTAGE: Final = 0x00
 QUICK_STOP: Final = 0x02
 FAULT_RESET: Final = 0x80
 START_HOMING: Final = 0x1F  # controlword bit 4 in homing mode, the drive being enabled
-NEW_SETPOINT: Final = 0x3F  # bits 4 and 5 in profile position mode: go to the target at once
+NEW_SETPOINT: Final = 0x3F  # bits 4 and 5 in profile position mode: move to the target at once
 
 TARGET_REACHED: Final = 0x0400  # statusword
 SETPOINT_TAKEN: Final = 0x1000  # in profile position mode
@@ -129,7 +129,7 @@ TOWARDS_ENABLED: Final = {
     DriveState.SWITCHED_ON: ENABLE_OPERATION,
     DriveState.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
 }
-"""Controlword that brings a drive one state nearer to operation enabled; in other states one waits."""
+"""Controlword that moves a drive one state towards operation enabled; in other states the driver waits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +204,7 @@ def decode_status(data: bytes) -> tuple[int, int]:
 
 
 def homing_of(statusword: int) -> Homing:
-    """Return what the statusword of a drive in homing mode, which was told to start, says of it."""
+    """Return the homing state in the statusword of a drive in homing mode that was commanded to start."""
     if statusword & HOMING_ERROR:
         return Homing.FAILED
     both = HOMING_ATTAINED | TARGET_REACHED
@@ -212,12 +212,12 @@ def homing_of(statusword: int) -> Homing:
 
 
 def limit_of(inputs: int) -> int:
-    """Return which limit switch the digital inputs show: -1 the low one, 1 the high one, 0 none."""
+    """Return the active limit switch of the digital inputs: -1 low, 1 high, 0 none."""
     return int(bool(inputs & HIGH_LIMIT)) - int(bool(inputs & LOW_LIMIT))
 
 
 def encode_emergency(error_code: int, error_register: int) -> bytes:
-    """Return the data of an EMCY frame; code 0 says that the error is gone."""
+    """Return the data of an EMCY frame; code 0: no error any more."""
     return _EMCY.pack(error_code, error_register, bytes(5))
 
 
@@ -256,7 +256,7 @@ FAULT_NAMES: Final = {
 
 
 def fault_kind(code: int) -> FaultKind:
-    """Return what an error code means to the bench."""
+    """Return the kind of an error code."""
     return FaultKind.TORQUE_OFF if code == TORQUE_OFF else FaultKind.OTHER
 
 

@@ -1,7 +1,6 @@
-"""One emulated CiA 402 drive: NMT, PDOs and power state machine over its object dictionary.
+"""Emulated CiA 402 drive: NMT, PDOs and power state machine over its object dictionary.
 
-Frames in, frames out; it has no wire and no clock of its own. What the axis does is told to, and
-asked of, an ``AxisPort``.
+Frames in, frames out; no wire, no clock. The axis is an ``AxisPort``.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from hil.drivers.turntable.cia402.modes import AxisPort, DriveMotion
 from hil.drivers.turntable.cia402.objects import MappedPdo, ObjectDictionary
 from hil.drivers.turntable.cia402.serial_can import Frame
 
-_REMOTE = 0x0200  # statusword: the controlword is listened to
+_REMOTE = 0x0200  # statusword: the controlword is executed
 _VOLTAGE = 0x0010
 _GENERIC_ERROR = 0x01  # error register
 _COMMUNICATION_ERROR = 0x10
@@ -25,7 +24,7 @@ _POWERED: Final = (DriveState.SWITCHED_ON, DriveState.ENABLED, DriveState.QUICK_
 _NMT_STATES: Final = {codec.NMT_START: codec.OPERATIONAL, codec.NMT_STOP: codec.STOPPED}
 
 _S = DriveState
-# (state, what the controlword asks for) -> next state; CiA 402-2, power drive system FSA
+# (state, command in the controlword) -> next state; CiA 402-2, power drive system FSA
 _MOVES: Final = {
     (_S.SWITCH_ON_DISABLED, "shutdown"): _S.READY,
     (_S.READY, "switch on"): _S.SWITCHED_ON,
@@ -44,8 +43,8 @@ _MOVES: Final = {
 }
 
 
-def asked_for(controlword: int) -> str:
-    """Return what the low bits of a controlword ask for."""
+def command_of(controlword: int) -> str:
+    """Return the command in the low bits of a controlword."""
     if not controlword & 0x02:
         return "disable voltage"
     if not controlword & 0x04:
@@ -81,7 +80,7 @@ class EmulatedCia402Drive:
         return [(codec.HEARTBEAT_ID + self.node_id, b"\x00")]
 
     def on_frame(self, identifier: int, data: bytes, now_s: float) -> list[Frame]:
-        """Take one frame of the bus; return what the drive sends because of it."""
+        """Receive one frame of the bus; return the frames that the drive sends in response."""
         if identifier == codec.SYNC_ID:
             return self._on_sync()
         if identifier == codec.NMT_ID:
@@ -99,7 +98,7 @@ class EmulatedCia402Drive:
         return self.status(now_s)
 
     def advance(self, now_s: float) -> list[Frame]:
-        """Let time pass; return heartbeat, status and what else is due."""
+        """Advance to ``now_s``; return heartbeat, status and other frames due."""
         frames: list[Frame] = []
         if self._axis.torque_off() and self.state in _POWERED:
             frames += self.fail(codec.TORQUE_OFF)
@@ -114,23 +113,23 @@ class EmulatedCia402Drive:
     def status(self, now_s: float) -> list[Frame]:
         """Return the status PDO when the statusword has changed or its timer has run out."""
         pdo = self._pdos.get(codec.TPDO2_ID + self.node_id)
-        told = (self._statusword(), self._axis.limit())
-        if pdo is None or (told == self._status_sent and now_s < self._status_due_s):
+        current = (self._statusword(), self._axis.limit())
+        if pdo is None or (current == self._status_sent and now_s < self._status_due_s):
             return []
-        self._status_sent = told
+        self._status_sent = current
         timer_ms = self.objects.value(codec.STATUS_PDO.parameter, codec.PDO_EVENT_TIMER)
         self._status_due_s = now_s + timer_ms * 1e-3 if timer_ms else math.inf
         self._refresh()
         return [(pdo.identifier, pdo.pack())]
 
     def fail(self, code: int) -> list[Frame]:
-        """A fault: brake, go to fault, tell."""
+        """Brake, enter the fault state, send the emergency message."""
         self._axis.brake()
         self.state = DriveState.FAULT
         return self._emergency(code, _GENERIC_ERROR)
 
     def overdue(self) -> list[Frame]:
-        """Setpoints have ceased (CiA 402 abort connection option 3): quick stop, and tell."""
+        """Quick stop because setpoints have ceased (CiA 402 abort connection option 3), with emergency message."""
         if self.state is not DriveState.ENABLED:
             return []
         self._enter(DriveState.QUICK_STOP_ACTIVE)
@@ -146,7 +145,7 @@ class EmulatedCia402Drive:
         rising, falling = word & ~self._controlword, self._controlword & ~word
         self._controlword = word
         if self.state is not DriveState.FAULT:
-            self._enter(_MOVES.get((self.state, asked_for(word)), self.state))
+            self._enter(_MOVES.get((self.state, command_of(word)), self.state))
             if self.state is DriveState.ENABLED:
                 self._motion.control(word, rising, falling, now_s)
         elif rising & codec.FAULT_RESET:
@@ -169,7 +168,7 @@ class EmulatedCia402Drive:
         return word | self._motion.statusword() if is_homing or self.state is DriveState.ENABLED else word
 
     def _refresh(self) -> None:
-        """Bring the measured objects up to date."""
+        """Update the measured objects."""
         objects = self.objects
         objects[codec.POSITION_ACTUAL].value, objects[codec.VELOCITY_ACTUAL].value = self._axis.feedback()
         objects[codec.STATUSWORD].value = self._statusword()

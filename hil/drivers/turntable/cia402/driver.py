@@ -23,17 +23,17 @@ from hil.drivers.turntable.cia402.node import Node
 from hil.drivers.turntable.cia402.setup import DriveSetup, PortNetwork
 from hil.errors import BadInput, DeviceError, LinkTimeout
 
-_ANSWER_S: Final = 0.04  # bench time within which the answers to one SYNC count
-_WATCHDOG_S: Final = 0.5  # drives quick-stop when setpoints cease for longer
+_RESPONSE_S: Final = 0.04  # bench time within which the responses to one SYNC are valid
+_WATCHDOG_S: Final = 0.5  # drives make a quick stop without setpoints for longer
 _OLD_FRAMES_WALL_S: Final = 0.005
-_CONTROL_EVERY: Final = 5  # exchanges: the controlword is repeated, so that a lost frame heals
+_CONTROL_EVERY: Final = 5  # exchanges: the controlword is repeated, in case a frame was lost
 
 
 class Cia402Link:
-    """The bus and its three nodes. A cycle is three setpoint PDOs and a SYNC; three feedback PDOs answer.
+    """The bus and its three nodes. A cycle is three setpoint PDOs and a SYNC; three feedback PDOs respond.
 
-    Feedback is stamped with the bench time of the SYNC, when the drives sample. Raises BadInput where the
-    drives' EDS lacks what the driver needs.
+    Feedback is stamped with the bench time of the SYNC, when the drives sample. Raises BadInput if
+    the drives' EDS lacks objects that the driver needs.
     """
 
     def __init__(self, device: str, config: Turntable, wire: Cia402, clock: Clock) -> None:
@@ -62,23 +62,23 @@ class Cia402Link:
             )
         }
         self._port: CanPort | None = None
-        self._listening = False
-        self._passive = False  # the drives go by themselves: setpoints are not passed on
+        self._receiving = False
+        self._passive = False  # profiled move: setpoints are not passed on
         self._stopped = False
-        self._errands: deque[Callable[[], None]] = deque()
+        self._slow_steps: deque[Callable[[], None]] = deque()
         self._exchanges = 0
         self._lost = 0
 
     def open(self) -> AxisFeedback:
-        """Set all drives up, enable them where they stand; return where that is."""
+        """Set all drives up and enable them; return their positions."""
         self._port = CanPort(self.device, self._wire)
         self._exchanges = self._lost = 0
-        self._passive = self._stopped = self._listening = False
-        self._errands.clear()
+        self._passive = self._stopped = self._receiving = False
+        self._slow_steps.clear()
         try:
             return self._set_up(self._port)
         except DeviceError:
-            with contextlib.suppress(DeviceError):  # the first error tells the story
+            with contextlib.suppress(DeviceError):  # the first error is raised
                 self.quick_stop()
             self.close()
             raise
@@ -97,14 +97,14 @@ class Cia402Link:
             port.receive(left_s)
         for node, position in zip(self._nodes, counts, strict=True):
             node.reset(position)
-        self._listening = True
+        self._receiving = True
         return self._feedback(self._clock.now_s())
 
     def exchange(self, position: Array, rate: Array) -> AxisFeedback | None:
-        """Send one cycle's setpoints and SYNC, take the answers."""
+        """Send setpoints and SYNC of one cycle, receive the responses."""
         port = self._open_port()
         self._take_pending(port)
-        self._run_one_errand(port)
+        self._run_slow_step(port)
         if self._exchanges % _CONTROL_EVERY == 0:
             self._send_controlwords(port)
         self._exchanges += 1
@@ -119,26 +119,26 @@ class Cia402Link:
         return self._collect(port, self._clock.now_s())
 
     def home(self) -> None:
-        """Let the drives that do not know their places look for their home switches."""
+        """Start homing of the drives that are not homed."""
         for node in self._nodes:
             if node.homing is not Homing.DONE:
                 node.homing = Homing.UNDER_WAY
-                self._errands.append(node.begin_homing)
+                self._slow_steps.append(node.begin_homing)
 
     def move_to(self, position: Array, rate: Array) -> None:
-        """Let the drives go to position (3,), rad, at most at rate (3,), rad/s, by their own profiles."""
+        """Start profiled moves to position (3,), rad, at most at rate (3,), rad/s."""
         self._passive = True
         for node, angle, speed in zip(self._nodes, position, rate, strict=True):
             goal = codec.counts_from_rad(angle, self._scale), codec.counts_from_rad(speed, self._scale)
-            self._errands.append(partial(node.begin_profile, *goal))
+            self._slow_steps.append(partial(node.begin_profile, *goal))
 
-    def _run_one_errand(self, port: CanPort) -> None:
-        """Do something slow with one drive only: the others must not wait for their next setpoint for too long."""
+    def _run_slow_step(self, port: CanPort) -> None:
+        """Run one slow step, of one drive: the setpoints of the others must not be delayed for long."""
         for node in self._nodes:
             if node.homing_is_over:
-                self._errands.append(node.end_homing)
-        if self._errands and not self._stopped:
-            self._errands.popleft()()
+                self._slow_steps.append(node.end_homing)
+        if self._slow_steps and not self._stopped:
+            self._slow_steps.popleft()()
             self._send_controlwords(port)
 
     def quick_stop(self) -> None:
@@ -155,14 +155,14 @@ class Cia402Link:
         port, self._port = self._port, None
         if port is None:
             return
-        with contextlib.suppress(DeviceError):  # a bus that is gone needs no farewell
+        with contextlib.suppress(DeviceError):  # the bus may be gone
             port.send(codec.NMT_ID, bytes((codec.NMT_STOP, 0)))
         port.close()
 
     def counters(self) -> dict[str, int]:
         """Return exchanges, lost (not answered by all drives in time), protocol_errors, late, skipped_bytes.
 
-        late: answers that came when none was due, repeated ones included; a PDO bears no number.
+        late: responses received when none was due, including repeated ones; a PDO has no number.
         """
         return {
             "exchanges": self._exchanges,
@@ -191,18 +191,18 @@ class Cia402Link:
             self._handle(*frame)
 
     def _collect(self, port: CanPort, sync_s: float) -> AxisFeedback | None:
-        end_s = sync_s + _ANSWER_S
+        end_s = sync_s + _RESPONSE_S
         while not self._all_answered() and (left_s := end_s - self._clock.now_s()) > 0.0:
             frame = port.receive(left_s / self._clock.speed)
             if frame is not None:
                 self._handle(*frame)
         if not self._all_answered():
-            self._take_pending(port)  # this thread may have slept while the answers came
+            self._take_pending(port)  # the responses may have arrived while this thread was suspended
         complete = self._all_answered()
         now_s = self._clock.now_s()
         for node in self._nodes:
             node.check_silence(now_s)
-            node.answered = True  # what comes from now on comes too late
+            node.answered = True  # later responses are late
         if not complete:
             self._lost += 1
             return None
@@ -228,14 +228,14 @@ class Cia402Link:
             handler(data)
 
     def _on_other(self, identifier: int, data: bytes) -> None:
-        """Take a frame that came while an SDO reply was waited for."""
-        if self._listening:
-            self._listening = False  # no second transfer inside the first one
+        """Receive a frame while waiting for an SDO response."""
+        if self._receiving:
+            self._receiving = False  # no second transfer inside the first one
             try:
                 if identifier & 0x780 != codec.EMCY_ID and identifier & 0x780 != codec.TPDO2_ID:
                     self._handle(identifier, data)
             finally:
-                self._listening = True
+                self._receiving = True
 
 
 class Cia402Turntable(CyclicAxisGroup):

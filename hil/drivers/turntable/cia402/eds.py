@@ -1,4 +1,4 @@
-"""Electronic data sheets (CiA 306) of CiA 402 drives: whether a drive can do what the driver asks of it."""
+"""Electronic data sheets (CiA 306) of CiA 402 drives, checked for the objects that the driver uses."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ _PROFILE: Final = (codec.PROFILE_VELOCITY, codec.PROFILE_ACCELERATION, codec.PRO
 class Eds:
     """A data sheet that was read; ``variables`` by index and sub-index.
 
-    homing: an axis has to look for its home switch. Raises BadInput with everything that the driver misses.
+    homing: an axis needs homing. Raises BadInput with everything that the driver misses.
     """
 
     def __init__(self, path: Path, homing: bool = False) -> None:
@@ -121,7 +121,7 @@ class Eds:
         return self.variables.get((index, subindex))
 
     def _fault(self, need: Need) -> str:
-        """Return what is wrong with one object, "" when it will do."""
+        """Return the problem of one object, "" for none."""
         key = f"0x{need.index:04X}" + (f" sub {need.subindex}" if need.subindex else "")
         variable = self._find(need.index, need.subindex)
         if variable is None:
@@ -136,7 +136,7 @@ class Eds:
 
 def _read(path: Path) -> canopen.ObjectDictionary:
     try:
-        text = path.read_text(encoding="latin-1")  # makers write umlauts as they like
+        text = path.read_text(encoding="latin-1")  # encodings of vendors differ
     except OSError as error:
         raise BadInput.single(str(path), "", f"cannot be read: {error}") from error
     if "[DeviceInfo]" not in text:

@@ -1,7 +1,7 @@
-"""The emulated drives' end of a CAN bus: python-can's serial framing on a paced pty, or a bus of python-can.
+"""CAN bus of the emulated drives: python-can's serial framing on a pty with line timing, or a bus of python-can.
 
-Faults of the wire hit what the drives send. On the serial wire spoilt bytes arrive; on a real bus the
-controller's own checksum would have refused the frame, so there it is lost. A dead wire brings nothing in either.
+Faults of the wire apply to frames that the drives send. On the serial wire damaged bytes arrive; on a real bus the CAN
+controller's checksum would reject the frame, so it is lost. A dead wire transfers nothing in either direction.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ _ALONE_AFTER_S = 1.0
 
 
 class Station(Protocol):
-    """One end of the bus. ``address`` is what the controller's configuration names as channel."""
+    """One end of the bus. ``address``: channel in the driver's configuration."""
 
     address: str
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        """Return what came within ``timeout_s`` of bench time."""
+        """Return the frames received within ``timeout_s`` of bench time."""
 
     def send(self, frames: list[Frame]) -> None:
-        """Put frames on the bus, and those that were on their way until now."""
+        """Send frames, and delayed ones that are due."""
 
     def close(self) -> None:
         """Leave the bus."""
 
 
 class SerialStation:
-    """A station on a pty that takes ``bytes_per_s`` of bench time, both ways."""
+    """A node on a pty with ``bytes_per_s`` of bench time, in both directions."""
 
     def __init__(self, bytes_per_s: float, clock: WallClock, faults: Faults, generator: np.random.Generator) -> None:
         self._faults = faults
@@ -46,19 +46,19 @@ class SerialStation:
         self.address = self._line.path
         self._frames = SerialFrames()
         self._clock = clock
-        self._heard_s = -_ALONE_AFTER_S
+        self._received_s = -_ALONE_AFTER_S
 
     def receive(self, timeout_s: float) -> list[Frame]:
         data = self._line.read(max(0.0, timeout_s))
         if not data or self._faults.value("link_down") is not None:
             return []
-        self._heard_s = self._clock.now_s()
+        self._received_s = self._clock.now_s()
         return self._frames.feed(data)
 
     def send(self, frames: list[Frame]) -> None:
-        """Put frames on the wire; without another station nothing leaves, as on a bus nobody acknowledges."""
+        """Send frames; without another node on the bus none is sent, as without acknowledgement."""
         now_s = self._clock.now_s()
-        if now_s - self._heard_s < _ALONE_AFTER_S:
+        if now_s - self._received_s < _ALONE_AFTER_S:
             for frame in frames:
                 self._channel.put(encode_serial(frame), now_s)
         if arrived := self._channel.due(now_s):
@@ -69,7 +69,7 @@ class SerialStation:
 
 
 class BusStation:
-    """A station on any bus of python-can."""
+    """A node on any bus of python-can."""
 
     def __init__(self, config: Cia402, clock: WallClock, faults: Faults, generator: np.random.Generator) -> None:
         self._faults = faults

@@ -1,4 +1,4 @@
-"""Three emulated CiA 402 drives on one CAN bus: python-can's serial framing over a pty, or any other bus."""
+"""Emulator of three CiA 402 drives on one CAN bus: python-can's serial framing over a pty, or any other bus."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ class _Axis:
 
 
 class Cia402Emulator:
-    """Drives of roll, pitch, yaw on ``config.cia402.node_ids``; serve them with ``run`` in a process of their own."""
+    """Drives of roll, pitch, yaw on ``config.cia402.node_ids``."""
 
     def __init__(
         self,
         config: Turntable,
         clock: WallClock,
-        board: SharedAxisState,
+        shared: SharedAxisState,
         chain_closed: ChainClosed | None = None,
         seed: int = 0,
         name: str = "turntable",
@@ -73,7 +73,7 @@ class Cia402Emulator:
             raise BadInput.single("rig", "turntable.cia402", "is missing")
         self._config = config.cia402
         self._clock = clock
-        self.gimbals = EmulatedAxes(name, config, clock, board, chain_closed=chain_closed, seed=seed)
+        self.gimbals = EmulatedAxes(name, config, clock, shared, chain_closed=chain_closed, seed=seed)
         self.faults = self.gimbals.faults
         self.drives = []
         for index, node_id in enumerate(config.cia402.node_ids):
@@ -83,7 +83,7 @@ class Cia402Emulator:
         self._station: Station | None = None
 
     def start(self) -> dict[str, str]:
-        """Join the bus; return the controller's address of it."""
+        """Join the bus; return its address."""
         if self._config.interface == "serial":
             self._station = SerialStation(BUS_BYTES_PER_S, self._clock, self.faults, self._wire_noise)
         else:

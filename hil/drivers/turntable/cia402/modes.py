@@ -1,4 +1,4 @@
-"""What an emulated CiA 402 drive does in each mode of operation, once it is enabled; counts and counts/s."""
+"""Modes of operation of an emulated CiA 402 drive that is enabled; counts and counts/s."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _BIT_4 = 0x10  # of the controlword: start
 _FOLLOWS = 0x1000  # statusword in cyclic synchronous position: the drive follows the target
 _CLOSE_COUNTS = 50
 _HOMING_WORD = {
-    Homing.NEEDED: codec.TARGET_REACHED,  # stands, and was not asked yet
+    Homing.NEEDED: codec.TARGET_REACHED,  # at rest, not commanded yet
     Homing.UNDER_WAY: 0,
     Homing.DONE: codec.HOMING_ATTAINED,
     Homing.FAILED: codec.TARGET_REACHED | codec.HOMING_ERROR,
@@ -30,36 +30,36 @@ class AxisPort(Protocol):
         """Return position and velocity."""
 
     def follow(self, target: int, velocity_offset: int, watchdog_s: float) -> None:
-        """Go to ``target``; brake when no other target comes within ``watchdog_s``."""
+        """Move to ``target``; brake without another target within ``watchdog_s``."""
 
     def brake(self) -> None:
-        """Quick stop, then stand."""
+        """Quick stop, then hold."""
 
     def home(self) -> None:
-        """Look for the home switch."""
+        """Start homing."""
 
     def homing(self) -> Homing:
-        """Return how far that is."""
+        """Return the homing state."""
 
     def moving(self) -> bool:
         """Return whether the axis moves."""
 
     def limit(self) -> int:
-        """Return the limit switch that the axis stands on: -1, 0, 1."""
+        """Return the active limit switch: -1, 0, 1."""
 
     def torque_off(self) -> bool:
-        """Return whether the safety chain takes the torque away."""
+        """Return whether the safety chain is open."""
 
 
 class DriveMotion:
-    """The enabled drive: follows setpoints, homes or goes by a profile, as object 0x6060 says."""
+    """Motion of the enabled drive: setpoints, homing or profile, selected by object 0x6060."""
 
     def __init__(self, axis: AxisPort, objects: ObjectDictionary) -> None:
         self._axis = axis
         self._objects = objects
         self._profile: ProfiledMove | None = None
         self._goal = 0
-        self._taken = False
+        self._acknowledged = False
         compile_profile()
 
     @property
@@ -67,9 +67,9 @@ class DriveMotion:
         return self._objects.value(codec.MODE)
 
     def begin(self) -> None:
-        """The drive was enabled, or its mode has changed: stay where the setpoint, or the axis, is."""
+        """Hold the setpoint or the present position after enabling or a change of mode."""
         self._profile = None
-        self._taken = False
+        self._acknowledged = False
         if self.mode == codec.CYCLIC_SYNCHRONOUS_POSITION:
             self.follow()
         else:
@@ -83,7 +83,7 @@ class DriveMotion:
             self._axis.brake()
         elif self.mode == codec.PROFILE_POSITION and rising & _BIT_4:
             self._plan(now_s)
-        self._taken = bool(word & _BIT_4)
+        self._acknowledged = bool(word & _BIT_4)
 
     def on_sync(self) -> None:
         """Take the new target."""
@@ -99,7 +99,7 @@ class DriveMotion:
         )
 
     def advance(self, now_s: float) -> None:
-        """Go on along the profile."""
+        """Advance along the profile."""
         if self._profile is not None:
             position, rate = self._profile.at(now_s)
             self._axis.follow(round(position[0]), round(rate[0]), math.inf)
@@ -107,11 +107,11 @@ class DriveMotion:
     def statusword(self) -> int:
         """Return the bits that depend on the mode."""
         if self.mode == codec.HOMING:
-            stands = self._axis.homing() is Homing.DONE and not self._axis.moving()
-            return _HOMING_WORD[self._axis.homing()] | codec.TARGET_REACHED * stands
+            at_rest = self._axis.homing() is Homing.DONE and not self._axis.moving()
+            return _HOMING_WORD[self._axis.homing()] | codec.TARGET_REACHED * at_rest
         if self.mode == codec.PROFILE_POSITION:
             there = self._profile is not None and abs(self._axis.feedback()[0] - self._goal) <= _CLOSE_COUNTS
-            return codec.SETPOINT_TAKEN * self._taken | codec.TARGET_REACHED * there
+            return codec.SETPOINT_TAKEN * self._acknowledged | codec.TARGET_REACHED * there
         return _FOLLOWS
 
     def _plan(self, now_s: float) -> None:

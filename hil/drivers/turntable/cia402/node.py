@@ -1,4 +1,4 @@
-"""One axis on the CAN bus as the driver knows it: what it was told, what it said, and when."""
+"""Node of one axis on the CAN bus: commanded values, received values and their times."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from hil.drivers.turntable.cia402.codec import DriveState
 from hil.drivers.turntable.cia402.setup import DriveSetup
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
 
-BURST: Final = 4  # frames in a row that cannot be true
+BURST: Final = 4  # consecutive implausible frames that end the link
 _STANDSTILL_RADPS: Final = 2e-3
 _LOST_BEATS: Final = 3.0
 _SLACK: Final = 2.0  # times the largest rate of the axis
-_WHAT: Final = ("answer to SYNC", "statusword", "heartbeat")
+_MESSAGES: Final = ("answer to SYNC", "statusword", "heartbeat")
 
 
 class Node:
     """An axis ``name`` on node ``node_id``. Errors name the axis: DriveFault, LinkTimeout, ProtocolError.
 
-    A frame that cannot be true, because of its length, a place where the axis cannot be yet, or a state
-    that the drive denies when it is asked by SDO, is counted and left out; a burst of them is an error.
+    A frame that is implausible (its length, a position that the axis cannot have reached, a state that an SDO upload
+    contradicts) is counted and discarded; a burst of them is an error.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Node:
         self.reset()
 
     def reset(self, position: int | None = None) -> None:
-        """Begin to listen, as if all had been heard just now; position: counts, where the drive itself says it is."""
+        """Reset the reception state and its time-outs; position: counts, as reported by the drive."""
         now_s = self._clock.now_s()
         self.controlword = codec.ENABLE_OPERATION
         self.target = self.position = position or 0
@@ -53,11 +53,11 @@ class Node:
         self.limit = 0
         self.answered = True
         self.mode = codec.CYCLIC_SYNCHRONOUS_POSITION
-        self._homing_found: Homing | None = None
-        # when the position was accepted last, against which the next one is held; None while homing may move the zero
-        self._placed_s: float | None = now_s if position is not None and self.homing is Homing.DONE else None
-        self._wrong_in_a_row = 0
-        self._heard_s = [now_s] * len(_WHAT)
+        self._homing_result: Homing | None = None
+        # time of the last accepted position, for the plausibility of the next; None while homing may move the zero
+        self._position_s: float | None = now_s if position is not None and self.homing is Homing.DONE else None
+        self._implausible_in_a_row = 0
+        self._received_s = [now_s] * len(_MESSAGES)
 
     def set_up(self, setup: DriveSetup, timeout_s: float, watchdog_s: float) -> None:
         """Identify and configure the drive (node pre-operational)."""
@@ -70,35 +70,35 @@ class Node:
             self.homing = Homing.DONE if homed else Homing.NEEDED
 
     def enable(self) -> int:
-        """Enable the drive where it stands; return that place, counts."""
-        return self._asked.enable(codec.counts_from_rad(_STANDSTILL_RADPS, self._wire.counts_per_turn))
+        """Enable the drive at its present position; return that, counts."""
+        return self._sdo.enable(codec.counts_from_rad(_STANDSTILL_RADPS, self._wire.counts_per_turn))
 
     def begin_homing(self) -> None:
-        """Let the drive look for its home switch."""
-        self._asked.choose_mode(codec.HOMING)  # statuswords from before, of other meaning, are gone with its replies
+        """Start homing."""
+        self._sdo.choose_mode(codec.HOMING)  # discards earlier statuswords, of other meaning
         self.mode = codec.HOMING
-        self._homing_found = None
+        self._homing_result = None
         self.controlword = codec.START_HOMING
 
     @property
     def homing_is_over(self) -> bool:
-        """Whether the drive has said, since ``begin_homing``, that it found its place or did not."""
-        return self.homing is Homing.UNDER_WAY and self._homing_found is not None
+        """Whether the drive has reported the result of homing since ``begin_homing``."""
+        return self.homing is Homing.UNDER_WAY and self._homing_result is not None
 
     def end_homing(self) -> None:
-        """Take what the drive said; one that found its place goes back to setpoints, where it stands."""
+        """Accept the result of homing; a homed drive returns to setpoints, at its present position."""
         if not self.homing_is_over:
             return
-        if self._homing_found is Homing.DONE:
-            self.target = self._asked.back_to_setpoints()
+        if self._homing_result is Homing.DONE:
+            self.target = self._sdo.back_to_setpoints()
             self.mode = codec.CYCLIC_SYNCHRONOUS_POSITION
             self.controlword = codec.ENABLE_OPERATION
-            self._placed_s = None
-        self.homing = self._homing_found or Homing.FAILED
+            self._position_s = None
+        self.homing = self._homing_result or Homing.FAILED
 
     def begin_profile(self, target: int, speed: int) -> None:
-        """Let the drive go to ``target``, counts, by a profile of its own, at most at ``speed``, counts/s."""
-        self._asked.prepare_profile(target, max(1, speed), self._acceleration)
+        """Start a profiled move to ``target``, counts, at most at ``speed``, counts/s."""
+        self._sdo.prepare_profile(target, max(1, speed), self._acceleration)
         self.mode = codec.PROFILE_POSITION
         self.controlword = codec.NEW_SETPOINT
 
@@ -113,68 +113,68 @@ class Node:
         return codec.RPDO2_ID + self.node_id, codec.encode_control(self.controlword)
 
     def check_silence(self, now_s: float) -> None:
-        """Raise LinkTimeout when something that must come has not come for too long."""
-        for what, heard_s, allowed_s in zip(_WHAT, self._heard_s, self._allowed_s, strict=True):
-            if now_s - heard_s > allowed_s:
-                raise LinkTimeout(self.name, f"no {what} for {now_s - heard_s:.3f} s, allowed {allowed_s:g} s")
+        """Raise LinkTimeout if an expected message has not been received for too long."""
+        for what, received_s, allowed_s in zip(_MESSAGES, self._received_s, self._allowed_s, strict=True):
+            if now_s - received_s > allowed_s:
+                raise LinkTimeout(self.name, f"no {what} for {now_s - received_s:.3f} s, allowed {allowed_s:g} s")
 
     def on_feedback(self, data: bytes) -> None:
-        """Take position and velocity."""
+        """Receive position and velocity."""
         now_s = self._clock.now_s()
         try:
             position, velocity = codec.decode_feedback(data)
         except ValueError as error:
-            self._wrong(f"feedback has {error}")
+            self._count_implausible(f"feedback has {error}")
             return
-        if self.answered:  # not asked for: a repeated frame, or one that comes after its time
+        if self.answered:  # not requested: a repeated or late frame
             self.surplus += 1
             return
-        if self._cannot_be_true(position, velocity, now_s):
-            self._wrong(f"jumps from {self.position} to {position} counts at {velocity} counts/s")
+        if self._is_implausible(position, velocity, now_s):
+            self._count_implausible(f"jumps from {self.position} to {position} counts at {velocity} counts/s")
             return
-        self._wrong_in_a_row = 0
+        self._implausible_in_a_row = 0
         self.position, self.velocity = position, velocity
-        self._placed_s = now_s if self.homing is Homing.DONE else None
+        self._position_s = now_s if self.homing is Homing.DONE else None
         self.answered = True
-        self._heard_s[0] = now_s
+        self._received_s[0] = now_s
 
     def on_status(self, data: bytes) -> None:
-        """Take statusword and digital inputs; raise DriveFault for a state that the drive should not be in."""
+        """Receive statusword and digital inputs; raise DriveFault for an unexpected state."""
         try:
             statusword, inputs = codec.decode_status(data)
         except ValueError as error:
-            self._wrong(f"status has {error}")
+            self._count_implausible(f"status has {error}")
             return
         if self._is_bad(codec.state_of(statusword)):
             self._confirm_fault()
             return
-        self._heard_s[1] = self._clock.now_s()
+        self._received_s[1] = self._clock.now_s()
         self.limit = codec.limit_of(inputs)
-        if self.mode == codec.HOMING and self._homing_found is None:
+        if self.mode == codec.HOMING and self._homing_result is None:
             found = codec.homing_of(statusword)
-            self._homing_found = None if found is Homing.UNDER_WAY else found
+            self._homing_result = None if found is Homing.UNDER_WAY else found
 
     def on_emergency(self, data: bytes) -> None:
-        """Raise DriveFault for an emergency message, unless the drive denies it."""
+        """Raise DriveFault for an emergency message that an SDO upload confirms."""
         try:
             code = codec.decode_emergency(data)
         except ValueError as error:
-            self._wrong(f"emergency message has {error}")
+            self._count_implausible(f"emergency message has {error}")
             return
         if code != 0:
             self._confirm_fault(code)
 
     def on_heartbeat(self, data: bytes) -> None:
-        """Take a heartbeat; raise DriveFault for a node that has restarted or stopped to take part."""
+        """Receive a heartbeat; raise DriveFault for a node that has restarted."""
         if data == bytes((codec.OPERATIONAL,)):
-            self._heard_s[2] = self._clock.now_s()
+            self._received_s[2] = self._clock.now_s()
         elif data == bytes((codec.BOOT_UP,)):
             raise DriveFault(self.name, "has restarted")
         else:
-            self._wrong(f"heartbeat says {data.hex(' ') or 'nothing'}, 05 (operational) expected")
+            self._count_implausible(f"heartbeat is {data.hex(' ') or 'empty'}, expected 05 (operational)")
 
     @property
-    def _asked(self) -> DriveSetup:
+    def _sdo(self) -> DriveSetup:
         if self.setup is None:
             raise LinkTimeout(self.name, "is not open")
         return self.setup
@@ -182,30 +182,30 @@ class Node:
     def _counts_deg(self, angle_deg: float) -> int:
         return round(angle_deg * self._wire.counts_per_turn / 360.0)
 
-    def _cannot_be_true(self, position: int, velocity: int, now_s: float) -> bool:
-        if self._placed_s is None:
+    def _is_implausible(self, position: int, velocity: int, now_s: float) -> bool:
+        if self._position_s is None:
             return False
-        way = _SLACK * self._rate_max * (now_s - self._placed_s) + self._margin
-        return abs(position - self.position) > way or abs(velocity) > 2 * _SLACK * self._rate_max
+        path = _SLACK * self._rate_max * (now_s - self._position_s) + self._margin
+        return abs(position - self.position) > path or abs(velocity) > 2 * _SLACK * self._rate_max
 
     def _is_bad(self, state: DriveState | None) -> bool:
         stopping = self.controlword == codec.QUICK_STOP
         return state in codec.FAULT_STATES or (not stopping and state is not DriveState.ENABLED)
 
     def _confirm_fault(self, code: int = 0) -> None:
-        """Ask the drive itself, so that no spoilt frame passes for a fault; raise DriveFault when it is one."""
-        state = codec.state_of(self._asked.statusword())
-        found = self._asked.fault_code()
+        """Read the state by SDO, so that no damaged frame passes for a fault; raise DriveFault if it is one."""
+        state = codec.state_of(self._sdo.statusword())
+        found = self._sdo.fault_code()
         if state in codec.FAULT_STATES or found != 0:
             code = found or code
             raise DriveFault(self.name, codec.fault_text(code), codec.fault_kind(code))
         if self._is_bad(state):
             title = state.title if state else "an undefined state"
             raise DriveFault(self.name, f"left operation enabled by itself, is in {title}")
-        self._wrong("a fault or state was told that the drive denies")
+        self._count_implausible("a reported fault or state is not confirmed by SDO")
 
-    def _wrong(self, what: str) -> None:
+    def _count_implausible(self, what: str) -> None:
         self.protocol_errors += 1
-        self._wrong_in_a_row += 1
-        if self._wrong_in_a_row >= BURST:
-            raise ProtocolError(self.name, f"{BURST} frames in a row that cannot be true: {what}")
+        self._implausible_in_a_row += 1
+        if self._implausible_in_a_row >= BURST:
+            raise ProtocolError(self.name, f"{BURST} implausible frames in a row: {what}")

@@ -21,7 +21,7 @@ _UNKNOWN_COMMAND = 0x05040001
 _PDOS = (codec.SETPOINT_PDO, codec.CONTROL_PDO, codec.FEEDBACK_PDO, codec.STATUS_PDO)
 _MAPPING_INDICES = tuple(pdo.mapping_index for pdo in _PDOS)
 _MODES = (codec.PROFILE_POSITION, codec.HOMING, codec.CYCLIC_SYNCHRONOUS_POSITION)
-_FORMATS = {16: "H", 32: "i"}  # what mappable objects come in
+_FORMATS = {16: "H", 32: "i"}  # of mappable objects, by bits
 
 
 class _Refused(Exception):
@@ -64,11 +64,11 @@ class MappedPdo:
 
 
 class ObjectDictionary:
-    """The drive's objects, and what the bus may do with them. Item access is to sub-index 0."""
+    """Objects of the drive and their access by SDO. Item access is to sub-index 0."""
 
     def __init__(self, watchdog_ms: int) -> None:
         self.entries = _drive_objects() | _pdo_objects(watchdog_ms)
-        self._string = b""  # what is left to send of one
+        self._string = b""  # rest of a segmented upload
 
     def __getitem__(self, index: int) -> Object:
         return self.entries[(index, 0)]

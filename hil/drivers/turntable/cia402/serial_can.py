@@ -1,7 +1,7 @@
 """python-can's ``serial`` framing of CAN on a serial wire.
 
 A frame (little-endian): 0xAA, time stamp u32, length u8, identifier u32 (flags in bits 29 to 31), data,
-0xBB. There is no checksum: what a spoilt byte inside can do is bounded by whoever reads the data.
+0xBB. There is no checksum: the receiver of the data bounds the effect of a damaged byte.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def encode_serial(frame: Frame) -> bytes:
 
 
 class SerialFrames:
-    """Cuts the bytes of the serial wire into frames; other bytes are skipped and counted.
+    """Splits the bytes of the serial wire into frames; other bytes are skipped and counted.
 
-    Frames with flags (extended, remote, error) are none of ours: they are taken off the wire and left out.
+    Frames with flags (extended, remote, error) are discarded.
     """
 
     def __init__(self) -> None:
@@ -85,5 +85,5 @@ class SerialCan:
         return self._frames.popleft() if self._frames else None
 
     def close(self) -> None:
-        """Let go of the port. Idempotent."""
+        """Close the port. Idempotent."""
         self._port.close()

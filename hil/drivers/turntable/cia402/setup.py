@@ -1,4 +1,4 @@
-"""Setting up one CiA 402 drive by SDO: identify, map its PDOs, choose the mode, enable.
+"""Set-up of one CiA 402 drive by SDO: identity, PDO mapping, mode, enabling.
 
 canopen's SDO client does the transfers, pumped from the bus in the calling thread: no notifier
 thread, so an error of the bus is raised here. Blocks; each reply is waited for at most REPLY_WALL_S.
@@ -39,7 +39,7 @@ Handler = Callable[[int, bytes], None]
 
 
 class PortNetwork(canopen.Network):
-    """What canopen's clients send through: our own port."""
+    """Network of canopen's clients on a ``CanPort``."""
 
     def __init__(self, port: CanPort) -> None:
         super().__init__()
@@ -75,7 +75,7 @@ class _PumpedClient(SdoClient):
 class DriveSetup:
     """One drive on the bus, spoken to by SDO. Errors name ``axis``: LinkTimeout, ProtocolError, DriveFault.
 
-    others: is handed the frames that come in between and are no SDO replies of this drive.
+    others: handler of received frames that are not SDO responses of this drive.
     """
 
     def __init__(
@@ -125,10 +125,10 @@ class DriveSetup:
         """Write the mode of operation and check that the drive is in it."""
         self.put(codec.MODE, mode, 1)
         if (found := self.get(codec.MODE_DISPLAY, 1)) != mode:
-            raise ProtocolError(self.axis, f"stays in mode {found}, asked for {mode} ({codec.MODE_NAMES[mode]})")
+            raise ProtocolError(self.axis, f"stays in mode {found}, requested {mode} ({codec.MODE_NAMES[mode]})")
 
     def prepare_homing(self, method: int, speed: int, acceleration: int) -> bool:
-        """Write how to home, counts/s and counts/s^2; return whether the drive has homed before and knows its place."""
+        """Write the homing parameters, counts/s and counts/s^2; return whether the drive is homed already."""
         self.put(codec.HOMING_METHOD, method, 1)
         self.put(codec.HOMING_SPEEDS, speed, 4, subindex=1)
         self.put(codec.HOMING_SPEEDS, max(1, speed // 4), 4, subindex=2)
@@ -147,7 +147,7 @@ class DriveSetup:
         self.put(codec.TARGET_POSITION, target, 4)
 
     def back_to_setpoints(self) -> int:
-        """Choose cyclic synchronous position mode, holding where the axis stands; return that position, counts."""
+        """Select cyclic synchronous position mode at the present position; return that, counts."""
         position = self.get(codec.POSITION_ACTUAL, 4)
         self.put(codec.TARGET_POSITION, position, 4)
         self.choose_mode(codec.CYCLIC_SYNCHRONOUS_POSITION)
@@ -157,9 +157,9 @@ class DriveSetup:
         return self.get(codec.STATUSWORD, 2) & 0xFFFF
 
     def enable(self, standstill: int) -> int:
-        """Take the drive to operation enabled, holding where it stands; return that position, counts.
+        """Enable operation at the present position; return that, counts.
 
-        A drive that is found enabled or in quick stop first comes to a stand: below ``standstill``, counts/s.
+        A drive found enabled or in quick stop is stopped first: below ``standstill``, counts/s.
         """
         end_s = time.monotonic() + _ENABLE_WALL_S
         state = self._state()
@@ -169,7 +169,7 @@ class DriveSetup:
             if time.monotonic() > end_s:
                 title = state.title if state else "an undefined state"
                 raise LinkTimeout(self.axis, f"not enabled within {_ENABLE_WALL_S:g} s, is in {title}")
-            if state is DriveState.FAULT:  # from before, or the torque came back only now
+            if state is DriveState.FAULT:  # from before, or the torque was restored only now
                 self._reset_fault()
                 continue
             moving = state is DriveState.QUICK_STOP_ACTIVE and abs(self.get(codec.VELOCITY_ACTUAL, 4)) > standstill
@@ -211,7 +211,7 @@ class DriveSetup:
         self._transfer(index, lambda: self._sdo.download(index, subindex, data))
 
     def _map_either(self, full: Pdo, plain: Pdo) -> bool:
-        """Map ``full``, or ``plain`` where EDS or drive do not know all of its objects; return whether it is full."""
+        """Map ``full``, or ``plain`` if EDS or drive lack one of its objects; return whether it is full."""
         if self._eds.maps(full):
             try:
                 self._map(full)
@@ -243,7 +243,7 @@ class DriveSetup:
                 raise ProtocolError(self.axis, f"refuses object 0x{index:04X}: {error}") from error
             except SdoCommunicationError as error:
                 if tries_left:
-                    continue  # a frame was lost or spoilt
+                    continue  # a frame was lost or damaged
                 what = f"node {self.node_id} does not answer for object 0x{index:04X} within {REPLY_WALL_S:g} s"
                 raise LinkTimeout(self.axis, what) from error
         raise AssertionError("unreachable")
