@@ -173,7 +173,7 @@ def test_mutated_pdo_emergency_and_heartbeat_frames(count):
         if error is not None:
             assert str(error).startswith("turntable.roll")
             node.reset(1000)
-        if node._placed_s is not None:
+        if node._position_s is not None:
             assert abs(node.position) <= farthest
         assert node.homing is Homing.DONE
 
