@@ -20,8 +20,8 @@ class AxisSignOff(ConfigModel):
     by: str
     digest: Digest  # of the rig with which it passed
     scale_error: float  # of the encoder, against the command
-    following_error_max_m: NotNegative | None = None  # rails, at a crawl
-    following_error_max_deg: NotNegative | None = None  # turntable, at a crawl
+    following_error_max_m: NotNegative | None = None  # rails, at low speed
+    following_error_max_deg: NotNegative | None = None  # turntable, at low speed
 
 
 class SignOff(ConfigModel):
