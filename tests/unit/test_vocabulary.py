@@ -17,7 +17,6 @@ CHECKED = (
     "hil/__init__.py",
     "hil/__main__.py",
     "hil/cameras",
-    "sims",
     "hil/cli",
     "hil/commission",
     "hil/config",
