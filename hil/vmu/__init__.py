@@ -1,1 +1,1 @@
-"""The vision measurement unit: stereo images of an LED ring become poses with their covariance."""
+"""Vision measurement unit: poses with covariance from stereo images of an LED ring."""

@@ -221,10 +221,10 @@ class VisionUnit:
     ) -> Solution:
         """Return the track's prediction, or ``status`` without a pose if there is no track of at least two poses."""
         expected = self.track.predict(t_s)
-        known = expected is not None and self.track.poses > 1
+        tracked = expected is not None and self.track.poses > 1
         if spots[0] is not _NO_SPOTS:
             self.track.fail()
-        if not known or expected is None:
+        if not tracked or expected is None:
             return Solution(t_s, status, None, spots, (self._none, self._none))
         pose = Pose(expected.t_v, expected.q_vt, expected.covariance)
         return Solution(t_s, PREDICTED, pose, spots, (self._none, self._none))

@@ -1,1 +1,1 @@
-"""Calibration of the vision unit from views at known places of the bench, and the check of later days."""
+"""Calibration of the vision unit from views at measured positions of the bench, and drift check."""

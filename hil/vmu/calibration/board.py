@@ -59,9 +59,9 @@ def find_corners(image: np.ndarray, board: Board) -> Array | None:
     apart = min(float(np.linalg.norm(np.diff(grid, axis=k), axis=2).min()) for k in range(2))
     half = int(np.clip(_WINDOW * apart, 2, 11))
     refined = cv2.cornerSubPix(image, np.asarray(corners, dtype=np.float32), (half, half), (-1, -1), _UNTIL)
-    places, before = (np.asarray(found, dtype=float).reshape(-1, 2) for found in (refined, corners))
+    positions, before = (np.asarray(found, dtype=float).reshape(-1, 2) for found in (refined, corners))
     # a corner that moves far has met the board's edge or a speck
-    return np.where(np.linalg.norm(places - before, axis=1, keepdims=True) < _FARTHEST_PX, places, before)
+    return np.where(np.linalg.norm(positions - before, axis=1, keepdims=True) < _FARTHEST_PX, positions, before)
 
 
 def observations(views: Views, board: Board, progress: Callable[[str, float], None]) -> tuple[Observations, Array]:
@@ -103,10 +103,10 @@ def _matrix(numbers: Array) -> Array:
     return np.array([[numbers[0], 0.0, numbers[2]], [0.0, numbers[1], numbers[3]], [0.0, 0.0, 1.0]])
 
 
-def _intrinsics(seen: Observations, points: Array, side: int, size: Array, guess: Array | None) -> Array:
+def _intrinsics(observed: Observations, points: Array, side: int, size: Array, guess: Array | None) -> Array:
     """Return the nine numbers of one camera from its own views of the board (Zhang's method, then all parameters)."""
-    objects = [points.astype(np.float32)] * len(seen.names)
-    images = [pixels.astype(np.float32) for pixels in seen.pixels[:, side]]
+    objects = [points.astype(np.float32)] * len(observed.names)
+    images = [pixels.astype(np.float32) for pixels in observed.pixels[:, side]]
     flags = cv2.CALIB_FIX_K3
     matrix: np.ndarray = np.eye(3)
     lens: np.ndarray = np.zeros(5)
@@ -123,26 +123,26 @@ def _intrinsics(seen: Observations, points: Array, side: int, size: Array, guess
 
 
 def _pose(points: Array, pixels: Array, numbers: Array) -> tuple[Array, Array]:
-    _, turn, place = cv2.solvePnP(points, pixels, _matrix(numbers), numbers[4:], flags=cv2.SOLVEPNP_IPPE)
-    turn, place = cv2.solvePnPRefineLM(points, pixels, _matrix(numbers), numbers[4:], turn, place)
-    return Rotation.from_rotvec(np.asarray(turn, dtype=float).ravel()).as_matrix(), np.asarray(
-        place, dtype=float
+    _, rotation, position = cv2.solvePnP(points, pixels, _matrix(numbers), numbers[4:], flags=cv2.SOLVEPNP_IPPE)
+    rotation, position = cv2.solvePnPRefineLM(points, pixels, _matrix(numbers), numbers[4:], rotation, position)
+    return Rotation.from_rotvec(np.asarray(rotation, dtype=float).ravel()).as_matrix(), np.asarray(
+        position, dtype=float
     ).ravel()
 
 
 def _stereo(
-    seen: Observations, points: Array, left: Array, right: Array, size: Array
+    observed: Observations, points: Array, left: Array, right: Array, size: Array
 ) -> tuple[Array, Array, np.ndarray]:
     """Return rotation vector and baseline of the right camera, and the views with consistent pairs."""
     poses = [
-        (k, _pose(points, seen.pixels[k, 0], left), _pose(points, seen.pixels[k, 1], right))
-        for k in range(len(seen.names))
+        (k, _pose(points, observed.pixels[k, 0], left), _pose(points, observed.pixels[k, 1], right))
+        for k in range(len(observed.names))
     ]
     # all pairs must have the same relative pose: p_v = R p_r + b
-    turns = np.array([a[0] @ b[0].T for _, a, b in poses])
-    places = np.array([a[1] - a[0] @ b[0].T @ b[1] for _, a, b in poses])
-    apart = np.array([Rotation.from_matrix(turns @ turn.T).magnitude() for turn in turns])
-    between = np.linalg.norm(places[:, None] - places[None], axis=2)
+    rotations = np.array([a[0] @ b[0].T for _, a, b in poses])
+    positions = np.array([a[1] - a[0] @ b[0].T @ b[1] for _, a, b in poses])
+    apart = np.array([Rotation.from_matrix(rotations @ rotation.T).magnitude() for rotation in rotations])
+    between = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     middle = int(np.argmin(np.median(apart, axis=1) / 1e-3 + np.median(between, axis=1) / 1e-2))
     angle_far, far = 5.0 * max(np.median(apart[middle]), 1e-3), 5.0 * max(np.median(between[middle]), 1e-3)
     agree = [
@@ -153,19 +153,23 @@ def _stereo(
     if len(chosen) < LEAST_VIEWS:
         text = f"left and right image are consistent in {len(chosen)} views, {LEAST_VIEWS} are required"
         raise BadInput.single("VIEWS", "", text)
-    lefts, rights = ([seen.pixels[k, side].astype(np.float32) for k in chosen] for side in range(2))
+    lefts, rights = ([observed.pixels[k, side].astype(np.float32) for k in chosen] for side in range(2))
     eye, zero = np.eye(3), np.zeros(3)  # initial values, not used with these flags
     shape = (int(size[0]), int(size[1]))
     cameras = (_matrix(left), left[4:], _matrix(right), right[4:])
     fixed = cv2.CALIB_FIX_INTRINSIC
     found = cv2.stereoCalibrate(objects, lefts, rights, *cameras, shape, eye, zero, flags=fixed)
     # OpenCV: p_r = R p_v + T
-    turn, place = np.asarray(found[5], dtype=float), np.asarray(found[6], dtype=float).ravel()
-    return Rotation.from_matrix(turn.T).as_rotvec(), np.asarray(-turn.T @ place, dtype=float), np.array(chosen)
+    rotation, position = np.asarray(found[5], dtype=float), np.asarray(found[6], dtype=float).ravel()
+    return (
+        Rotation.from_matrix(rotation.T).as_rotvec(),
+        np.asarray(-rotation.T @ position, dtype=float),
+        np.array(chosen),
+    )
 
 
 def start(
-    seen: Observations, board: Board, nominal: Setup, turntable: TurntableModel, keep: tuple[str, ...], guess: bool
+    observed: Observations, board: Board, nominal: Setup, turntable: TurntableModel, keep: tuple[str, ...], guess: bool
 ) -> tuple[Setup, Observations, tuple[str, ...]]:
     """Return initial cameras, mounting and board from OpenCV and the hand-eye calibration.
 
@@ -176,22 +180,25 @@ def start(
     for side, part in enumerate(SIDES):
         if part not in keep:
             old = theta[PARTS[part]] if guess else None
-            theta[PARTS[part]] = _intrinsics(seen, nominal.points, side, nominal.sizes[side], old)
+            theta[PARTS[part]] = _intrinsics(observed, nominal.points, side, nominal.sizes[side], old)
     left, right = theta[PARTS["left"]], theta[PARTS["right"]]
-    turn, baseline, agree = _stereo(seen, nominal.points, left, right, nominal.sizes[0])
+    rotation, baseline, agree = _stereo(observed, nominal.points, left, right, nominal.sizes[0])
     if "stereo" not in keep:
-        theta[ROTATION:BASELINE], theta[BASELINE:CAMERA_ROTATION] = turn, baseline
-    poses = [_pose(nominal.points, seen.pixels[k, 0], left) for k in agree]
+        theta[ROTATION:BASELINE], theta[BASELINE:CAMERA_ROTATION] = rotation, baseline
+    poses = [_pose(nominal.points, observed.pixels[k, 0], left) for k in agree]
     gimbals = np.array(
-        [quat.to_matrix(euler.to_quaternion(np.ascontiguousarray(seen.axes[k, 3:]), turntable.order)) for k in agree]
+        [
+            quat.to_matrix(euler.to_quaternion(np.ascontiguousarray(observed.axes[k, 3:]), turntable.order))
+            for k in agree
+        ]
     )
-    turns, flipped = _resolve_ends(np.array([pose[0] for pose in poses]), gimbals)
-    pixels = seen.pixels.copy()
+    rotations, flipped = _resolve_ends(np.array([pose[0] for pose in poses]), gimbals)
+    pixels = observed.pixels.copy()
     for k in agree[flipped]:
         pixels[k] = pixels[k, :, ::-1]
-    places = np.array([pose[1] for pose in poses])
+    positions = np.array([pose[1] for pose in poses])
     arm = turntable.lever_arm + theta[CAMERA_POSITION:TARGET_ROTATION]
-    found = hand_eye(turns, places, gimbals, seen.axes[agree, :3], nominal.camera_axes, arm)
+    found = hand_eye(rotations, positions, gimbals, observed.axes[agree, :3], nominal.camera_axes, arm)
     camera_axes = found.camera_axes
     if "mounting" in keep:
         camera_axes = nominal.camera_axes
@@ -200,21 +207,21 @@ def start(
     theta[TARGET_POSITION:SCALE] = found.position
     begun = replace(nominal, theta=theta, camera_axes=camera_axes, target_axes=np.ascontiguousarray(found.target_axes))
     good = set(agree[found.good])
-    bad = tuple(name for k, name in enumerate(seen.names) if k not in good)
-    return begun, replace(seen, pixels=pixels), bad
+    bad = tuple(name for k, name in enumerate(observed.names) if k not in good)
+    return begun, replace(observed, pixels=pixels), bad
 
 
-def _resolve_ends(turns: Array, gimbals: Array) -> tuple[Array, Array]:
+def _resolve_ends(rotations: Array, gimbals: Array) -> tuple[Array, Array]:
     """Return the rotations, corrected by 180 deg for boards that were read from the other end, and which those are.
 
     The rotation between two views has the angle by which the turntable rotated.
     """
     half = np.diag([-1.0, -1.0, 1.0])
     tries = []
-    for turn, gimbal in zip(turns, gimbals, strict=True):  # relative to each view, as one may be wrong
+    for rotation, gimbal in zip(rotations, gimbals, strict=True):  # relative to each view, as one may be wrong
         made = Rotation.from_matrix(gimbals @ gimbal.T).magnitude()
-        as_read = np.abs(Rotation.from_matrix(turns @ turn.T).magnitude() - made)
-        turned = np.abs(Rotation.from_matrix(turns @ half @ turn.T).magnitude() - made)
+        as_read = np.abs(Rotation.from_matrix(rotations @ rotation.T).magnitude() - made)
+        turned = np.abs(Rotation.from_matrix(rotations @ half @ rotation.T).magnitude() - made)
         tries.append((float(np.sum(np.minimum(as_read, turned))), turned < as_read))
     flipped = min(tries, key=lambda found: found[0])[1]
-    return np.where(flipped[:, None, None], turns @ half, turns), flipped
+    return np.where(flipped[:, None, None], rotations @ half, rotations), flipped

@@ -74,10 +74,10 @@ class _Score:
         matrix = directions.T @ self.matrix @ directions
         scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
         values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
-        seen = values > _LEAST_SHARE * max(float(values[-1]), 1e-300)
-        along = directions @ (scale[:, None] * vectors[:, seen] / np.sqrt(values[seen]))
+        observed = values > _LEAST_SHARE * max(float(values[-1]), 1e-300)
+        along = directions @ (scale[:, None] * vectors[:, observed] / np.sqrt(values[observed]))
         components = along.T @ self.gradient
-        return float(components @ components), int(seen.sum()), along @ components, along @ along.T
+        return float(components @ components), int(observed.sum()), along @ components, along @ along.T
 
     def freed(self, directions: Array) -> _Score:
         """Return the remaining score if ``directions`` are unconstrained."""
@@ -86,14 +86,14 @@ class _Score:
         return _Score(self.gradient - self.matrix @ change, self.matrix - moved @ self.matrix, self.square - gain)
 
 
-def check(known: StoredCalibration, seen: Observations, setup: Setup, target_moved: bool) -> Drift:
-    """Return the deviation of ``seen`` from the prediction of ``known``.
+def check(known: StoredCalibration, observed: Observations, setup: Setup, target_moved: bool) -> Drift:
+    """Return the deviation of ``observed`` from the prediction of ``known``.
 
     setup: that of ``known``, with the points of today's target; if ``target_moved`` the target's pose is only
     approximate, and unconstrained.
     """
     on_leds = len(setup.points) <= MOST_LEDS
-    found = information(seen, setup, known.turntable, known.axis_sigma, known.noise, on_leds)
+    found = information(observed, setup, known.turntable, known.axis_sigma, known.noise, on_leds)
     size = len(found.score)
     score = _with_prior(found.matrix, found.score, found.square, known.covariance, size)
     parts = _directions(setup, size)
@@ -111,7 +111,7 @@ def check(known: StoredCalibration, seen: Observations, setup: Setup, target_mov
     for name, directions in parts.items():
         gain, rank, change, covariance = score.best(directions)
         sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        shift = _shift_px(seen, setup, known.turntable, change)
+        shift = _shift_px(observed, setup, known.turntable, change)
         chance = float(f.sf(gain / rank / noise2, rank, left))
         explanations.append(Explanation(name, gain / noise2, rank, chance, change, sigma, shift))
     worth = {e.part: e.square - e.freedom * math.log(max(rows, 3)) for e in explanations}
@@ -120,7 +120,7 @@ def check(known: StoredCalibration, seen: Observations, setup: Setup, target_mov
     together = float(f.sf(square / freedom / noise2, freedom, left))
     # correction for testing all parts at once and each alone (Bonferroni)
     chance = min(1.0, (1 + len(explanations)) * min(together, *(e.chance for e in explanations)))
-    counts = (len(seen.names), int(seen.visible.sum()))
+    counts = (len(observed.names), int(observed.visible.sum()))
     return Drift(*counts, found.rms_px, math.sqrt(noise2), square / noise2, freedom, chance, tuple(explanations), alike)
 
 
@@ -148,10 +148,10 @@ def _directions(setup: Setup, size: int) -> dict[str, Array]:
     return found
 
 
-def _shift_px(seen: Observations, setup: Setup, turntable: TurntableModel, change: Array) -> float:
+def _shift_px(observed: Observations, setup: Setup, turntable: TurntableModel, change: Array) -> float:
     """Return the RMS effect of ``change`` on the coordinates of all measured pixels."""
     moves = []
-    for axes, here in zip(seen.axes, seen.visible, strict=True):
+    for axes, here in zip(observed.axes, observed.visible, strict=True):
         slopes = project_view(setup, turntable, axes)
         by_point = np.zeros(3 * len(setup.points)) if len(change) == COMMON else change[COMMON:]
         along = slopes.by_common @ change[:COMMON]

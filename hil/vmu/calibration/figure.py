@@ -31,9 +31,9 @@ def draw(outcome: CalibrationOutcome, path: str) -> None:
 
 
 def _residuals(outcome: CalibrationOutcome, side: int, plot: Any) -> None:
-    seen, fit = outcome.solved.observations, outcome.solved.fit
-    mask = seen.visible[:, side]
-    at, off = seen.pixels[:, side][mask], fit.residuals[:, side][mask]
+    observed, fit = outcome.solved.observations, outcome.solved.fit
+    mask = observed.visible[:, side]
+    at, off = observed.pixels[:, side][mask], fit.residuals[:, side][mask]
     width, height = fit.setup.sizes[side]
     stretch = 0.04 * width / max(float(np.hypot(*off.T).max(initial=0.0)), 1e-6)
     stretch = float(f"{stretch:.0e}")
@@ -71,7 +71,7 @@ def _ranges(outcome: CalibrationOutcome, plot: Any) -> None:
         ("calibration_depth_mm", "calibration, depth", _GREEN, "-"),
     ):
         plot.loglog([f.range_m for f in found], [getattr(f, name) for f in found], style, color=colour, label=label)
-    plot.set_title("place of one point seen by both cameras, 1 sigma", loc="left", fontsize=10)
+    plot.set_title("position of one point visible to both cameras, 1 sigma", loc="left", fontsize=10)
     plot.set_xlabel("range, m")
     plot.set_ylabel("mm")
     plot.grid(True, which="both", linewidth=0.3)

@@ -34,23 +34,25 @@ class HandEye:
     good: Array
 
 
-def hand_eye(turns: Array, places: Array, gimbals: Array, rails: Array, camera_axes: Array, arm: Array) -> HandEye:
+def hand_eye(
+    rotations: Array, positions: Array, gimbals: Array, rails: Array, camera_axes: Array, arm: Array
+) -> HandEye:
     """Return the mounting that fits the poses best; inconsistent views are excluded.
 
-    turns: (n, 3, 3), R_vt. places: (n, 3), t_v, m. gimbals: (n, 3, 3), A_ch. rails: (n, 3), m.
+    rotations: (n, 3, 3), R_vt. positions: (n, 3), t_v, m. gimbals: (n, 3, 3), A_ch. rails: (n, 3), m.
     camera_axes, arm: nominal mounting; used only for what the views leave open.
     """
-    good = np.ones(len(turns), dtype=bool)
+    good = np.ones(len(rotations), dtype=bool)
     while True:
         chosen = np.flatnonzero(good)
-        found = _closed_form(turns[chosen], places[chosen], gimbals[chosen], rails[chosen], camera_axes, arm)
+        found = _closed_form(rotations[chosen], positions[chosen], gimbals[chosen], rails[chosen], camera_axes, arm)
         expected = found[0] @ gimbals @ found[1]
-        angle = Rotation.from_matrix(turns @ expected.transpose(0, 2, 1)).magnitude()
+        angle = Rotation.from_matrix(rotations @ expected.transpose(0, 2, 1)).magnitude()
         at = (found[3] - rails)[:, None, :] @ gimbals.transpose(0, 2, 1)
-        distance = np.linalg.norm((at[:, 0] - found[2]) @ found[0].T - places, axis=1)
+        distance = np.linalg.norm((at[:, 0] - found[2]) @ found[0].T - positions, axis=1)
         off = np.maximum(angle / _usual(angle[good], 5e-4), distance / _usual(distance[good], 5e-4))
         worst = int(np.argmax(np.where(good, off, 0.0)))
-        if off[worst] < _FAR or good.sum() <= max(3, 2 * len(turns) // 3):
+        if off[worst] < _FAR or good.sum() <= max(3, 2 * len(rotations) // 3):
             return HandEye(*found, good)
         good[worst] = False
 
@@ -60,23 +62,23 @@ def _usual(values: Array, least: float) -> float:
 
 
 def _closed_form(
-    turns: Array, places: Array, gimbals: Array, rails: Array, camera_axes: Array, arm: Array
+    rotations: Array, positions: Array, gimbals: Array, rails: Array, camera_axes: Array, arm: Array
 ) -> tuple[Array, Array, Array, Array]:
-    seen, made = [*(_WEAK * camera_axes.T)], [*(_WEAK * np.eye(3))]
-    for i, j in combinations(range(len(turns)), 2):
-        seen.append(Rotation.from_matrix(turns[i] @ turns[j].T).as_rotvec())
+    observed, made = [*(_WEAK * camera_axes.T)], [*(_WEAK * np.eye(3))]
+    for i, j in combinations(range(len(rotations)), 2):
+        observed.append(Rotation.from_matrix(rotations[i] @ rotations[j].T).as_rotvec())
         made.append(Rotation.from_matrix(gimbals[i] @ gimbals[j].T).as_rotvec())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # all axes parallel: the weak prior decides
-        a_vc = Rotation.align_vectors(np.array(seen), np.array(made))[0].as_matrix()
-    b = orthonormal(np.sum(gimbals.transpose(0, 2, 1) @ a_vc.T @ turns, axis=0))
+        a_vc = Rotation.align_vectors(np.array(observed), np.array(made))[0].as_matrix()
+    b = orthonormal(np.sum(gimbals.transpose(0, 2, 1) @ a_vc.T @ rotations, axis=0))
     # A_vc.T t_v + A_ch rails = A_ch position - arm
-    n = len(turns)
+    n = len(rotations)
     left = np.zeros((3 * n + 3, 6))
     right = np.zeros(3 * n + 3)
     left[: 3 * n, :3] = gimbals.reshape(-1, 3)
     left[: 3 * n, 3:] = np.tile(-np.eye(3), (n, 1))
-    right[: 3 * n] = (places @ a_vc + np.einsum("nab,nb->na", gimbals, rails)).ravel()
+    right[: 3 * n] = (positions @ a_vc + np.einsum("nab,nb->na", gimbals, rails)).ravel()
     left[3 * n :, 3:] = _WEAK * np.eye(3)
     right[3 * n :] = _WEAK * arm
     solution: Array = np.linalg.lstsq(left, right, rcond=None)[0].astype(float)

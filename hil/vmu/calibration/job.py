@@ -111,15 +111,15 @@ def calibrate(
         spots = spot_views(views, nominal.sizes, geometry.sensor, progress)
         solved = solve_leds(spots, nominal, turntable, held, progress)
     else:
-        seen, sizes = boards.observations(views, given.board, progress)
+        observed, sizes = boards.observations(views, given.board, progress)
         nominal = Setup.of(geometry, rig.bench, given.board.points())
         if (sizes != nominal.sizes).any():
             raise BadInput.single("VIEWS", "", _sizes_differ(sizes, nominal.sizes))
         progress("fitting", 0.9)
-        begun, resolved, doubtful = boards.start(seen, given.board, nominal, turntable, given.keep, guess)
+        begun, resolved, doubtful = boards.start(observed, given.board, nominal, turntable, given.keep, guess)
         held = weak_prior(begun, given.keep, given.axis_sigma, 0.0, given.square_sigma)
         solved = solve(resolved, begun, turntable, held, doubtful)
-        not_whole = (name for name in views.names if name not in seen.names)
+        not_whole = (name for name in views.names if name not in observed.names)
         solved.left_out.update(dict.fromkeys(not_whole, "the board is not completely visible to both cameras"))
     return _outcome(label, solved, turntable, held, nominal, limits, given.board is not None)
 
@@ -142,8 +142,8 @@ def _outcome(
     limits: CalibrationLimits,
     rigid: bool,
 ) -> CalibrationOutcome:
-    fit, seen = solved.fit, solved.observations
-    sigma = quality.sigma_px(fit, seen)
+    fit, observed = solved.fit, solved.observations
+    sigma = quality.sigma_px(fit, observed)
     at_ranges = [
         found
         for range_m in sorted({*quality.RANGES_M, limits.range_m})
@@ -153,7 +153,7 @@ def _outcome(
     error = float("inf") if here is None else float(np.hypot(here.calibration_across_mm, here.calibration_depth_mm))
     checks = [
         CalibrationCheck("reprojection, RMS", fit.rms_px, limits.rms_px, "px"),
-        CalibrationCheck(f"place of a point at {limits.range_m:g} m, 1 sigma", error, limits.error_mm, "mm"),
+        CalibrationCheck(f"position of a point at {limits.range_m:g} m, 1 sigma", error, limits.error_mm, "mm"),
     ]
     if held.free[PARTS["mounting"]].any():
         rotation, position = np.split(fit.sigma[PARTS["mounting"]], 2)
@@ -166,8 +166,8 @@ def _outcome(
     if rigid and held.free[SCALE]:
         off = 100.0 * abs(float(fit.setup.theta[SCALE]) - 1.0)
         checks.append(CalibrationCheck("board's size against the rails", off, limits.square_percent, "%"))
-    shares = quality.coverage(seen, fit.setup.sizes)
-    warnings = quality.warnings_of(fit, seen, held, shares, rigid)
+    shares = quality.coverage(observed, fit.setup.sizes)
+    warnings = quality.warnings_of(fit, observed, held, shares, rigid)
     return CalibrationOutcome(label, solved, turntable, held, nominal, sigma, at_ranges, shares, warnings, checks)
 
 
@@ -194,42 +194,42 @@ def check(
     if board is None:
         spots = spot_views(views, known.setup.sizes, known.sensor, progress)
         elsewhere = moved or known.label.target != "leds"
-        seen, setup = _identify_leds(spots, known, elsewhere)
+        observed, setup = _identify_leds(spots, known, elsewhere)
     else:
-        seen, sizes = boards.observations(views, board, progress)
+        observed, sizes = boards.observations(views, board, progress)
         if (sizes != known.setup.sizes).any():
             raise BadInput.single("VIEWS", "", _sizes_differ(sizes, known.setup.sizes))
         keep = ("left", "right", "stereo", "mounting")
         with_board = Setup(
             known.setup.theta, known.setup.camera_axes, known.setup.target_axes, board.points(), known.setup.sizes
         )
-        begun, seen, _ = boards.start(seen, board, with_board, known.turntable, keep, True)
-        setup, elsewhere = _locate_target(seen, begun, known), True
-    found = drift.check(known, seen, setup, elsewhere)
+        begun, observed, _ = boards.start(observed, board, with_board, known.turntable, keep, True)
+        setup, elsewhere = _locate_target(observed, begun, known), True
+    found = drift.check(known, observed, setup, elsewhere)
     across, depth = quality.displacement(setup, found.explanations[0].change[:COMMON], range_m)
-    lost = tuple(name for name in views.names if name not in seen.names)
+    lost = tuple(name for name in views.names if name not in observed.names)
     return DriftCheck(known, setup, found, across, depth, range_m, lost)
 
 
 def _identify_leds(spots: SpotViews, known: StoredCalibration, moved: bool) -> tuple[Observations, Setup]:
     """Return today's LEDs, searched first near the positions predicted by the calibration."""
     setup = known.setup
-    seen = identify(spots, setup, known.turntable, None if moved else _WIDE_GATE_PX)
-    if not moved and not _enough(seen):
-        seen = identify(spots, setup, known.turntable)
-    good = np.flatnonzero(seen.visible.sum(axis=2).max(axis=1) >= 3)
+    observed = identify(spots, setup, known.turntable, None if moved else _WIDE_GATE_PX)
+    if not moved and not _enough(observed):
+        observed = identify(spots, setup, known.turntable)
+    good = np.flatnonzero(observed.visible.sum(axis=2).max(axis=1) >= 3)
     if len(good) < 2:
         text = f"{len(good)} of {len(spots.names)} views show 3 LEDs near their positions, 2 are required"
         raise BadInput.single("VIEWS", "", text)
-    seen = seen.only(good)
-    return seen, _locate_target(seen, setup, known) if moved else setup
+    observed = observed.only(good)
+    return observed, _locate_target(observed, setup, known) if moved else setup
 
 
-def _enough(seen: Observations) -> bool:
-    return bool((seen.visible.sum(axis=2).max(axis=1) >= 3).mean() > 0.5)
+def _enough(observed: Observations) -> bool:
+    return bool((observed.visible.sum(axis=2).max(axis=1) >= 3).mean() > 0.5)
 
 
-def _locate_target(seen: Observations, setup: Setup, known: StoredCalibration) -> Setup:
+def _locate_target(observed: Observations, setup: Setup, known: StoredCalibration) -> Setup:
     """Return ``setup`` with the target's pose fitted to today's views, all else as calibrated."""
     held = weak_prior(setup, ("left", "right", "stereo", "mounting"), known.axis_sigma, 0.0, 0.0)
-    return robust_fit(seen, setup, known.turntable, held)
+    return robust_fit(observed, setup, known.turntable, held)

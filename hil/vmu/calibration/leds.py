@@ -27,7 +27,7 @@ _SEARCH_PX = 150.0
 class Spots:
     """Spots in one image: positions (k, 2), px, and covariances (k, 2, 2), px^2."""
 
-    places: Array
+    positions: Array
     covariance: Array
 
 
@@ -76,57 +76,57 @@ def identify(views: SpotViews, setup: Setup, turntable: TurntableModel, gate_px:
     for side in range(2):
         shift, gate = np.zeros(2), gate_px or 0.0
         if gate_px is None:
-            shift = _common_shift([e[side] for e in expected], [s[side].places for s in views.spots])
-        for k, (places, pair) in enumerate(zip(expected, views.spots, strict=True)):
+            shift = _common_shift([e[side] for e in expected], [s[side].positions for s in views.spots])
+        for k, (positions, pair) in enumerate(zip(expected, views.spots, strict=True)):
             spots = pair[side]
             if gate_px is None:
-                gate = max(4.0, 0.3 * _least_distance(places[side]))
-                shift_here = _own_shift(places[side] + shift, spots.places, 2.0 * gate, gate)
+                gate = max(4.0, 0.3 * _least_distance(positions[side]))
+                shift_here = _own_shift(positions[side] + shift, spots.positions, 2.0 * gate, gate)
             else:
                 shift_here = np.zeros(2)
-            for led, spot in _nearest(places[side] + shift + shift_here, spots.places, gate):
-                pixels[k, side, led] = spots.places[spot]
+            for led, spot in _nearest(positions[side] + shift + shift_here, spots.positions, gate):
+                pixels[k, side, led] = spots.positions[spot]
                 covariance[k, side, led] = spots.covariance[spot]
     return Observations(views.names, views.axes, pixels, covariance)
 
 
-def _least_distance(places: Array) -> float:
-    apart = cdist(places, places)
+def _least_distance(positions: Array) -> float:
+    apart = cdist(positions, positions)
     apart[np.diag_indices(len(apart))] = np.inf
     least = float(np.min(apart))
     return least if np.isfinite(least) else 0.0
 
 
-def _nearest(places: Array, spots: Array, gate: float) -> list[tuple[int, int]]:
+def _nearest(positions: Array, spots: Array, gate: float) -> list[tuple[int, int]]:
     """Return pairs (LED, spot), each once, with distances within ``gate`` and the smallest sum."""
     if not len(spots):
         return []
-    apart = np.nan_to_num(cdist(places, spots), nan=1e6)
+    apart = np.nan_to_num(cdist(positions, spots), nan=1e6)
     rows, columns = linear_sum_assignment(np.minimum(apart, 2.0 * gate))
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if apart[i, j] < gate]
 
 
-def _candidates(places: Array, spots: Array, reach: float) -> Array:
+def _candidates(positions: Array, spots: Array, reach: float) -> Array:
     """Return all displacements, (c, 2), that move an LED onto a spot."""
-    shifts = (spots[None] - places[:, None]).reshape(-1, 2)
+    shifts = (spots[None] - positions[:, None]).reshape(-1, 2)
     near: Array = shifts[np.linalg.norm(shifts, axis=1) < reach]
     return near
 
 
-def _hits(places: Array, spots: Array, gate: float) -> int:
-    return len(_nearest(places, spots, gate))
+def _hits(positions: Array, spots: Array, gate: float) -> int:
+    return len(_nearest(positions, spots, gate))
 
 
 def _common_shift(expected: list[Array], spots: list[Array]) -> Array:
     """Return the displacement, (2,), px, common to most LEDs of all views."""
     votes = []
-    for places, seen in zip(expected, spots, strict=True):
-        if not np.isfinite(places).all() or not len(seen):
+    for positions, observed in zip(expected, spots, strict=True):
+        if not np.isfinite(positions).all() or not len(observed):
             continue
-        gate = max(4.0, 0.3 * _least_distance(places))
-        shifts = _candidates(places, seen, _SEARCH_PX)
-        counts = np.array([_hits(places + shift, seen, gate) for shift in shifts])
-        if len(counts) and counts.max() >= min(3, len(places)):
+        gate = max(4.0, 0.3 * _least_distance(positions))
+        shifts = _candidates(positions, observed, _SEARCH_PX)
+        counts = np.array([_hits(positions + shift, observed, gate) for shift in shifts])
+        if len(counts) and counts.max() >= min(3, len(positions)):
             best = shifts[counts == counts.max()]
             votes.append((best.mean(axis=0), best.std(axis=0).max()))
     if not votes:
@@ -136,12 +136,12 @@ def _common_shift(expected: list[Array], spots: list[Array]) -> Array:
     return middle
 
 
-def _own_shift(places: Array, spots: Array, reach: float, gate: float) -> Array:
+def _own_shift(positions: Array, spots: Array, reach: float, gate: float) -> Array:
     """Return the additional displacement of this view alone: the part of the error that grows at short range."""
-    shifts = _candidates(places, spots, reach) if np.isfinite(places).all() and len(spots) else np.empty((0, 2))
+    shifts = _candidates(positions, spots, reach) if np.isfinite(positions).all() and len(spots) else np.empty((0, 2))
     if not len(shifts):
         return np.zeros(2)
     tight = 0.5 * gate
-    counts = np.array([_hits(places + shift, spots, tight) for shift in shifts])
+    counts = np.array([_hits(positions + shift, spots, tight) for shift in shifts])
     best: Array = shifts[counts == counts.max()].mean(axis=0)
     return best if counts.max() >= 3 else np.zeros(2)

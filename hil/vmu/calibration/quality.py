@@ -64,12 +64,12 @@ def field(setup: Setup, range_m: float) -> list[tuple[Array, Array]]:
 
 def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -> RangeAccuracy | None:
     """Return the accuracy of a point at ``range_m``; None if the cameras have no common field there."""
-    places = field(setup, range_m)
-    if not places:
+    positions = field(setup, range_m)
+    if not positions:
         return None
     cameras = covariance[_CAMERAS, _CAMERAS]
-    noise = np.mean([np.diagonal(p @ p.T) * sigma_px**2 for p, _ in places], axis=0)
-    numbers = np.mean([np.diagonal(g[:, _CAMERAS] @ cameras @ g[:, _CAMERAS].T) for _, g in places], axis=0)
+    noise = np.mean([np.diagonal(p @ p.T) * sigma_px**2 for p, _ in positions], axis=0)
+    numbers = np.mean([np.diagonal(g[:, _CAMERAS] @ cameras @ g[:, _CAMERAS].T) for _, g in positions], axis=0)
     spread = [1e3 * float(np.sqrt(v)) for v in (noise[:2].mean(), noise[2], numbers[:2].mean(), numbers[2])]
     return RangeAccuracy(range_m, *spread)
 
@@ -87,11 +87,11 @@ def displacement(setup: Setup, change: Array, range_m: float) -> tuple[float, fl
     return 1e3 * float(np.sqrt(square[:2].mean())), 1e3 * float(np.sqrt(square[2]))
 
 
-def coverage(seen: Observations, sizes: Array) -> list[float]:
+def coverage(observed: Observations, sizes: Array) -> list[float]:
     """Return the fraction of the left and of the right image, in 8 x 8 fields, that contains points."""
     shares = []
     for side in range(2):
-        points = seen.pixels[:, side].reshape(-1, 2)
+        points = observed.pixels[:, side].reshape(-1, 2)
         points = points[np.isfinite(points).all(axis=1)]
         edges = [np.linspace(-0.5, size - 0.5, _CELLS + 1) for size in sizes[side]]
         counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=edges)
@@ -99,23 +99,23 @@ def coverage(seen: Observations, sizes: Array) -> list[float]:
     return shares
 
 
-def sigma_px(fit: RefinementFit, seen: Observations) -> float:
+def sigma_px(fit: RefinementFit, observed: Observations) -> float:
     """Return the standard deviation of one coordinate of a spot or corner, px, as estimated by the fit."""
-    variances = np.einsum("...ii->...", seen.covariance)[seen.visible] / 2.0
+    variances = np.einsum("...ii->...", observed.covariance)[observed.visible] / 2.0
     return fit.noise * float(np.sqrt(np.median(variances)))
 
 
-def warnings_of(fit: RefinementFit, seen: Observations, held: Prior, shares: list[float], rigid: bool) -> list[str]:
+def warnings_of(fit: RefinementFit, observed: Observations, held: Prior, shares: list[float], rigid: bool) -> list[str]:
     """Return the deficiencies of the views, one sentence each. rigid: the target is a board of known size."""
     found = []
-    if len(seen.names) < 10:
-        found.append(f"few views: {len(seen.names)}, 15 or more are recommended")
+    if len(observed.names) < 10:
+        found.append(f"few views: {len(observed.names)}, 15 or more are recommended")
     found += [
         f"the {side} image is covered to {100 * share:.0f} % only: bring the target to its edges and corners too"
         for side, share in zip(SIDES, shares, strict=True)
         if share < 0.5 and held.free[PARTS[side]].any()
     ]
-    rails, gimbals = np.ptp(seen.axes[:, :3], axis=0), np.degrees(np.ptp(seen.axes[:, 3:], axis=0))
+    rails, gimbals = np.ptp(observed.axes[:, :3], axis=0), np.degrees(np.ptp(observed.axes[:, 3:], axis=0))
     turned = int((gimbals >= 8.0).sum())
     if held.free[PARTS["mounting"]].any() and turned < 2:
         found.append("no tilt: fewer than two gimbals were moved by 8 deg: the camera's mounting is not determined")

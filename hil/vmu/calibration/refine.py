@@ -101,10 +101,10 @@ def layout_basis(points: Array) -> Array:
     return np.ascontiguousarray(u[:, int((s > 1e-9 * s[0]).sum()) :])
 
 
-def whiteners(covariance: Array, seen: Array) -> Array:
+def whiteners(covariance: Array, observed: Array) -> Array:
     """Return W (..., 2, 2) with W cov W' = 1, zero if a point was not measured."""
     out = np.zeros(covariance.shape)
-    out[seen] = np.linalg.inv(np.linalg.cholesky(covariance[seen]))
+    out[observed] = np.linalg.inv(np.linalg.cholesky(covariance[observed]))
     return out
 
 
@@ -123,8 +123,8 @@ class _System:
         gap[: len(common)] = (held.centre - setup.theta)[common]
         # rotations are relative to the current ones: their prior is too wide to matter
         for part in ("mounting", "target"):
-            turn = range(PARTS[part].start, PARTS[part].start + 3)
-            gap[: len(common)][np.isin(common, turn)] = 0.0
+            rotation = range(PARTS[part].start, PARTS[part].start + 3)
+            gap[: len(common)][np.isin(common, rotation)] = 0.0
         if problem.basis is not None:
             prior[len(common) :] = 1.0 / held.layout_sigma**2
             gap[len(common) :] = problem.basis.T @ (problem.nominal - setup.points).ravel()
@@ -137,15 +137,15 @@ class _System:
         self.rows: list[tuple[Array, Array, Array]] = []
         for i in range(n):
             slopes = project_view(setup, problem.turntable, observations.axes[i] + offsets[i])
-            seen = problem.visible[i]
-            gaps = np.where(seen[..., None], observations.pixels[i] - slopes.pixels, 0.0)
-            self.residuals[i][seen] = gaps[seen]
-            white = problem.whiten[i][seen] / noise
-            r = np.einsum("kab,kb->ka", white, gaps[seen]).ravel()
-            a = np.einsum("kab,kbp->kap", white, slopes.by_common[seen][..., common]).reshape(len(r), -1)
+            observed = problem.visible[i]
+            gaps = np.where(observed[..., None], observations.pixels[i] - slopes.pixels, 0.0)
+            self.residuals[i][observed] = gaps[observed]
+            white = problem.whiten[i][observed] / noise
+            r = np.einsum("kab,kb->ka", white, gaps[observed]).ravel()
+            a = np.einsum("kab,kbp->kap", white, slopes.by_common[observed][..., common]).reshape(len(r), -1)
             if problem.basis is not None:
-                a = np.hstack([a, self._by_layout(problem.basis, white, slopes.by_point, seen)])
-            b = np.einsum("kab,kbp->kap", white, slopes.by_axes[seen]).reshape(len(r), 6)
+                a = np.hstack([a, self._by_layout(problem.basis, white, slopes.by_point, observed)])
+            b = np.einsum("kab,kbp->kap", white, slopes.by_axes[observed]).reshape(len(r), 6)
             if not np.isfinite(r).all():
                 self.cost = np.inf
                 return
@@ -159,10 +159,10 @@ class _System:
             self.cost += float(r @ r + self.axis_weight @ offsets[i] ** 2)
 
     @staticmethod
-    def _by_layout(basis: Array, white: Array, by_point: Array, seen: Array) -> Array:
-        _, which = np.nonzero(seen)
+    def _by_layout(basis: Array, white: Array, by_point: Array, observed: Array) -> Array:
+        _, which = np.nonzero(observed)
         blocks = basis.reshape(-1, 3, basis.shape[1])[which]
-        out: Array = np.einsum("kab,kbc,kcp->kap", white, by_point[seen], blocks)
+        out: Array = np.einsum("kab,kbc,kcp->kap", white, by_point[observed], blocks)
         return out.reshape(2 * len(which), -1)
 
     def step(self, damping: float) -> tuple[Array, Array]:

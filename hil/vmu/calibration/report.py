@@ -21,8 +21,8 @@ def values(setup: Setup, paper: Setup, leds: bool) -> Array:
         ("mounting", setup.camera_axes, paper.camera_axes),
         ("target", setup.target_axes, paper.target_axes),
     ):
-        turn = slice(PARTS[part].start, PARTS[part].start + 3)
-        theta[turn] = Rotation.from_matrix(mine @ other.T).as_rotvec()
+        rotation = slice(PARTS[part].start, PARTS[part].start + 3)
+        theta[rotation] = Rotation.from_matrix(mine @ other.T).as_rotvec()
     return np.concatenate([theta, setup.points.ravel()]) if leds else theta
 
 
@@ -39,7 +39,7 @@ def found_numbers(outcome: CalibrationOutcome) -> list[tuple[Parameter, float, f
 def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
     """Return the content of ``hil calibrate --json``."""
     solved, fit = outcome.solved, outcome.solved.fit
-    seen = solved.observations
+    observed = solved.observations
     view_rms = np.sqrt(np.nanmean(np.square(fit.residuals), axis=(1, 2, 3)))
     return {
         "id": outcome.label.id,
@@ -64,7 +64,7 @@ def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
                 "gimbals_off_deg": [float(x) for x in np.degrees(offsets[3:])],
             }
             for name, rms, points, offsets in zip(
-                seen.names, view_rms, seen.visible.sum(axis=(1, 2)), fit.offsets, strict=True
+                observed.names, view_rms, observed.visible.sum(axis=(1, 2)), fit.offsets, strict=True
             )
         },
         "left_out": dict(solved.left_out),

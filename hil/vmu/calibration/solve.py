@@ -35,7 +35,7 @@ class CalibrationSolution:
 
 
 def solve(
-    seen: Observations, setup: Setup, turntable: TurntableModel, held: Prior, doubtful: tuple[str, ...] = ()
+    observed: Observations, setup: Setup, turntable: TurntableModel, held: Prior, doubtful: tuple[str, ...] = ()
 ) -> CalibrationSolution:
     """Return the calibration from the initial values ``setup``.
 
@@ -44,32 +44,32 @@ def solve(
     """
     nominal = setup.points
     left_out = dict.fromkeys(doubtful, "its pose is inconsistent with the other views")
-    seen = seen.only([k for k, name in enumerate(seen.names) if name not in left_out])
-    if len(seen.names) < LEAST_VIEWS:
-        text = f"{len(seen.names)} consistent views remain, {LEAST_VIEWS} are required"
+    observed = observed.only([k for k, name in enumerate(observed.names) if name not in left_out])
+    if len(observed.names) < LEAST_VIEWS:
+        text = f"{len(observed.names)} consistent views remain, {LEAST_VIEWS} are required"
         raise BadInput.single("VIEWS", "", text)
-    setup = robust_fit(seen, setup, turntable, held)
-    sizes = _view_rms(seen, setup, turntable)
+    setup = robust_fit(observed, setup, turntable, held)
+    sizes = _view_rms(observed, setup, turntable)
     usual = float(np.median(sizes))
     far = sizes > _FAR * max(usual, 0.02)
     if far.sum() <= len(far) // 3:
         for k in np.flatnonzero(far):
-            left_out[seen.names[k]] = f"residuals of {sizes[k]:.2f} px, median {usual:.2f} px"
-        seen = seen.only(np.flatnonzero(~far))
-    allowed = min(len(seen.names) // 4, len(seen.names) - LEAST_VIEWS)
+            left_out[observed.names[k]] = f"residuals of {sizes[k]:.2f} px, median {usual:.2f} px"
+        observed = observed.only(np.flatnonzero(~far))
+    allowed = min(len(observed.names) // 4, len(observed.names) - LEAST_VIEWS)
     while True:
-        fit = RefinementProblem(seen, turntable, held, nominal).solve(setup)
+        fit = RefinementProblem(observed, turntable, held, nominal).solve(setup)
         setup = fit.setup
         ratio = fit.view_square / np.maximum(fit.view_freedom, 1.0)
         scaled = fit.view_square / max(float(np.median(ratio)), 1e-12)
         chance = chi2.sf(scaled, np.maximum(fit.view_freedom, 1.0))
         worst = int(np.argmax(scaled / np.maximum(fit.view_freedom, 1.0)))
         if chance[worst] > _DOUBTFUL or ratio[worst] < _FAR_BY_FIT**2 * np.median(ratio) or allowed == 0:
-            return CalibrationSolution(fit, seen, left_out, 0)
+            return CalibrationSolution(fit, observed, left_out, 0)
         allowed -= 1
         text = f"residuals and encoder errors {np.sqrt(ratio[worst] / np.median(ratio)):.1f} times the median"
-        left_out[seen.names[worst]] = text
-        seen = seen.only([k for k in range(len(seen.names)) if k != worst])
+        left_out[observed.names[worst]] = text
+        observed = observed.only([k for k in range(len(observed.names)) if k != worst])
 
 
 def solve_leds(
@@ -77,32 +77,34 @@ def solve_leds(
 ) -> CalibrationSolution:
     """Return the calibration from spots, identified first by the nominal setup and then by the fit."""
     progress("identifying the LEDs", 0.0)
-    seen = _enough(identify(views, setup, turntable))
+    observed = _enough(identify(views, setup, turntable))
     # the nominal mounting has the largest error: estimate only the mounting first
     mounting = replace(held, free=_only(held.free, "mounting"), layout_sigma=0.0)
-    rough = robust_fit(seen, setup, turntable, mounting)
-    gate = max(_NEAR_GATE_PX, 4.0 * float(np.median(_view_rms(seen, rough, turntable))))
-    seen = _enough(identify(views, rough, turntable, gate))
+    rough = robust_fit(observed, setup, turntable, mounting)
+    gate = max(_NEAR_GATE_PX, 4.0 * float(np.median(_view_rms(observed, rough, turntable))))
+    observed = _enough(identify(views, rough, turntable, gate))
     progress("fitting", 0.3)
-    rough = robust_fit(seen, rough, turntable, held)
-    seen = _enough(identify(views, rough, turntable, _NEAR_GATE_PX))
-    strays = _strays(seen, rough, turntable)
-    seen = _enough(seen.without(strays))
+    rough = robust_fit(observed, rough, turntable, held)
+    observed = _enough(identify(views, rough, turntable, _NEAR_GATE_PX))
+    strays = _strays(observed, rough, turntable)
+    observed = _enough(observed.without(strays))
     progress("refining", 0.6)
     # the prior of the layout refers to the nominal one, so the fit starts from it
     start, held = replace(rough, points=setup.points), replace(held, centre=setup.theta.copy())
-    solved = solve(seen, start, turntable, held)
-    lost = {name: "fewer than 3 LEDs at their expected positions" for name in views.names if name not in seen.names}
+    solved = solve(observed, start, turntable, held)
+    lost = {name: "fewer than 3 LEDs at their expected positions" for name in views.names if name not in observed.names}
     return replace(solved, left_out=lost | solved.left_out, spots_left_out=int(strays.sum()))
 
 
-def _enough(seen: Observations) -> Observations:
+def _enough(observed: Observations) -> Observations:
     """Return the views in which one camera identified at least three LEDs."""
-    good = np.flatnonzero(seen.visible.sum(axis=2).max(axis=1) >= 3)
+    good = np.flatnonzero(observed.visible.sum(axis=2).max(axis=1) >= 3)
     if len(good) < LEAST_VIEWS:
-        text = f"{len(good)} of {len(seen.names)} views show 3 LEDs near the positions given by rig and geometry file"
+        text = (
+            f"{len(good)} of {len(observed.names)} views show 3 LEDs near the positions given by rig and geometry file"
+        )
         raise BadInput.single("VIEWS", "", f"{text}, {LEAST_VIEWS} are required")
-    return seen.only(good)
+    return observed.only(good)
 
 
 def _only(free: Array, part: str) -> np.ndarray:
@@ -111,15 +113,15 @@ def _only(free: Array, part: str) -> np.ndarray:
     return np.asarray(free & mask)
 
 
-def _view_rms(seen: Observations, setup: Setup, turntable: TurntableModel) -> Array:
-    gaps = np.array([project_view(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
+def _view_rms(observed: Observations, setup: Setup, turntable: TurntableModel) -> Array:
+    gaps = np.array([project_view(setup, turntable, axes).pixels for axes in observed.axes]) - observed.pixels
     out: Array = np.sqrt(np.nanmean(np.square(gaps), axis=(1, 2, 3)))
     return out
 
 
-def _strays(seen: Observations, setup: Setup, turntable: TurntableModel) -> np.ndarray:
+def _strays(observed: Observations, setup: Setup, turntable: TurntableModel) -> np.ndarray:
     """Return which points, (n, 2, m), are outliers relative to the rest of their view."""
-    gaps = np.array([project_view(setup, turntable, axes).pixels for axes in seen.axes]) - seen.pixels
+    gaps = np.array([project_view(setup, turntable, axes).pixels for axes in observed.axes]) - observed.pixels
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a camera without points in a view
         gaps -= np.nanmedian(gaps, axis=2, keepdims=True)  # a common displacement of the view is due to the encoders
@@ -128,12 +130,12 @@ def _strays(seen: Observations, setup: Setup, turntable: TurntableModel) -> np.n
     return np.asarray(np.nan_to_num(size) > max(6.0 * usual, 0.3))
 
 
-def robust_fit(seen: Observations, setup: Setup, turntable: TurntableModel, held: Prior) -> Setup:
+def robust_fit(observed: Observations, setup: Setup, turntable: TurntableModel, held: Prior) -> Setup:
     """Return the setup that fits most of the pixels, without encoder errors (Cauchy loss)."""
     columns = np.flatnonzero(held.free)
-    mask = seen.visible
+    mask = observed.visible
     basis = layout_basis(setup.points) if held.layout_sigma > 0.0 else None
-    whiten = whiteners(seen.covariance, mask)[mask]
+    whiten = whiteners(observed.covariance, mask)[mask]
     weights = 1.0 / held.sigma[columns]
     rotations = [k for part in ("mounting", "target") for k in range(PARTS[part].start, PARTS[part].start + 3)]
     centre = np.where(np.isin(columns, rotations), 0.0, held.centre[columns])
@@ -146,14 +148,16 @@ def robust_fit(seen: Observations, setup: Setup, turntable: TurntableModel, held
 
     def residual(x: Array) -> Array:
         here = place(x)
-        gaps = (np.array([project_view(here, turntable, axes).pixels for axes in seen.axes]) - seen.pixels)[mask]
+        gaps = (np.array([project_view(here, turntable, axes).pixels for axes in observed.axes]) - observed.pixels)[
+            mask
+        ]
         white = np.einsum("kab,kb->ka", whiten, np.nan_to_num(gaps, nan=1e4)).ravel()
         layout = x[len(columns) :] / held.layout_sigma if basis is not None else np.empty(0)
         return np.concatenate([white, (x[: len(columns)] - centre) * weights, layout])
 
     def slopes(x: Array) -> Array:
         here = place(x)
-        views = [project_view(here, turntable, axes) for axes in seen.axes]
+        views = [project_view(here, turntable, axes) for axes in observed.axes]
         common = np.array([view.by_common for view in views])[mask][..., columns]
         rows = np.einsum("kab,kbp->kap", whiten, common).reshape(-1, len(columns))
         prior = np.diag(weights)

@@ -62,8 +62,8 @@ def spots_of(seen: Observations, rng: np.random.Generator) -> SpotViews:
     views = []
     for view in seen.pixels:
         pair = []
-        for places in view:
-            lit = places[np.isfinite(places).all(axis=1) & (rng.random(len(places)) > 0.05)]
+        for positions in view:
+            lit = positions[np.isfinite(positions).all(axis=1) & (rng.random(len(positions)) > 0.05)]
             lit = np.vstack([lit, rng.uniform(0.0, 1023.0, (2, 2))])
             lit = lit[rng.permutation(len(lit))]
             pair.append(Spots(lit, np.tile(PIXEL_SIGMA**2 * np.eye(2), (len(lit), 1, 1))))
