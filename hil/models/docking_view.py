@@ -27,17 +27,6 @@ def attitude(phi):
 
 
 @kernel
-def rotation_vector(a):
-    """Return the shortest phi (3,), rad, with ``attitude(phi)`` = ``a`` (3, 3)."""
-    turned = np.empty((3, 3))
-    for j in range(3):
-        turned[j, 0] = a[0, j]
-        turned[j, 1] = -a[1, j]
-        turned[j, 2] = -a[2, j]
-    return quat.to_rotation_vector(quat.from_matrix(turned))
-
-
-@kernel
 def to_camera(a, d, y):
     """Return x = A.T (y - d), shape (3,), m: the point ``y`` (3,), m, of C in the camera's axes."""
     x = np.empty(3)

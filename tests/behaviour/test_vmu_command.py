@@ -1,4 +1,4 @@
-"""``hil vmu`` on rendered images: columns, statuses, and what it says of bad input."""
+"""``hil vmu`` on rendered images: columns, statuses, and messages for invalid input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images of a chessboard or of LEDs through known cameras, and the folder of views made of them."""
+"""Rendered images of a chessboard or of LEDs in known cameras, and a folder of views from them."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _board_image(numbers: Array, size: Array, turn: Array, place: Array, board: 
 
 
 def _level(on_board: Array, board: Board) -> Array:
-    """Return the grey level at places on the board, (n, 2), m; a white margin of one square around it."""
+    """Return the grey level at points on the board, (n, 2), m; a white margin of one square around it."""
     column = np.floor(on_board[:, 0] / board.square_m + 0.5 * (board.columns + 1))
     row = np.floor(on_board[:, 1] / board.square_m + 0.5 * (board.rows + 1))
     inside = (column >= 0) & (column <= board.columns) & (row >= 0) & (row <= board.rows)
@@ -128,15 +128,15 @@ def led_renderer(setup: Setup) -> RingRenderer:
     return RingRenderer(camera_pair_of(setup), setup.points, RingAppearance())
 
 
-def write_views(folder: Path, told: Array, pairs: list[list[np.ndarray]]) -> None:
-    """Write a folder of views. told: (n, 6), rails, m, gimbals, rad, as the encoders have them."""
+def write_views(folder: Path, axes: Array, pairs: list[list[np.ndarray]]) -> None:
+    """Write a folder of views. axes: (n, 6), rails, m, gimbals, rad, from the encoders."""
     for side in ("left", "right"):
         (folder / side).mkdir(parents=True, exist_ok=True)
     with (folder / "views.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
-        for k, axes in enumerate(told):
-            rails, gimbals = (f"{x:.7f}" for x in axes[:3]), (f"{x:.6f}" for x in np.degrees(axes[3:]))
+        for k, row in enumerate(axes):
+            rails, gimbals = (f"{x:.7f}" for x in row[:3]), (f"{x:.6f}" for x in np.degrees(row[3:]))
             writer.writerow([f"{k:04d}", *rails, *gimbals])
     for k, pair in enumerate(pairs):
         for side, image in zip(("left", "right"), pair, strict=True):

@@ -1,4 +1,4 @@
-"""Views of a known target through known cameras: what rehearsals and tests calibrate from."""
+"""Simulated observations of a known target by known cameras, for tests and studies of the calibration."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def plan(
     generator: np.random.Generator,
     spread: float = 0.3,
 ) -> Array:
-    """Return places of the bench's axes, (count, 6), from which the target is seen all over the images.
+    """Return axis positions of the bench, (count, 6), that distribute the target over the images.
 
-    range_m: from camera to target, drawn evenly in its logarithm. turn_deg: largest angle of each gimbal.
-    spread: how far off the optical axis the target goes, as the tangent of the angle.
+    range_m: from camera to target, log-uniform. turn_deg: largest angle of each gimbal.
+    spread: largest distance of the target from the optical axis, as the tangent of the angle.
     """
     arm = turntable.lever_arm + setup.theta[CAMERA_POSITION : CAMERA_POSITION + 3]
     axes = np.empty((count, 6))
@@ -46,19 +46,19 @@ def observe(
     generator: np.random.Generator,
     margin_px: float = 3.0,
 ) -> Observations:
-    """Return what the cameras see with the axes at ``axes`` (n, 6) while their encoders err by ``axis_sigma`` (6,)."""
-    told = axes + generator.standard_normal(axes.shape) * axis_sigma
+    """Return the observations with the axes at ``axes`` (n, 6) and encoder errors of sigma ``axis_sigma`` (6,)."""
+    encoders = axes + generator.standard_normal(axes.shape) * axis_sigma
     pixels = np.array([project_view(setup, turntable, row).pixels for row in axes])
     pixels += generator.standard_normal(pixels.shape) * pixel_sigma
     size = setup.sizes[None, :, None, :]
     outside = ~((pixels > margin_px) & (pixels < size - margin_px)).all(axis=-1)
     pixels[outside] = np.nan
     covariance = np.broadcast_to(pixel_sigma**2 * np.eye(2), (*pixels.shape, 2)).copy()
-    return Observations(tuple(f"{k:04d}" for k in range(len(axes))), told, pixels, covariance)
+    return Observations(tuple(f"{k:04d}" for k in range(len(axes))), encoders, pixels, covariance)
 
 
 def shifted(setup: Setup, **changes: float | Array) -> Setup:
-    """Return ``setup`` with some of theta changed: ``shifted(setup, CAMERA_ROTATION=[0, 1e-3, 0])``."""
+    """Return ``setup`` with changes to theta: ``shifted(setup, CAMERA_ROTATION=[0, 1e-3, 0])``."""
     from hil.vmu.kernels import chain
 
     theta = setup.theta.copy()

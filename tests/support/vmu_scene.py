@@ -60,7 +60,7 @@ class Truth:
         return float(e @ np.linalg.solve(pose.covariance, e))
 
     def prediction(self, rng: np.random.Generator, sigma_m: float = 0.03, sigma_deg: float = 1.5) -> Prediction:
-        """Return a prediction that is as wrong as it says."""
+        """Return a prediction whose error matches its covariance."""
         sigmas = np.repeat([sigma_m, np.radians(sigma_deg)], 3)
         e = sigmas * rng.standard_normal(6)
         turned = Rotation.from_rotvec(e[3:]) * Rotation.from_rotvec(self.turn)

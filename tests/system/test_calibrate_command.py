@@ -99,7 +99,7 @@ def test_led_views_give_a_geometry_file_that_a_later_check_agrees_with(led_views
     assert "mounting" in json.loads(report.read_text())["moved"]
 
 
-def test_chessboard_views_are_calibrated_and_one_at_a_wrong_place_is_named(
+def test_chessboard_views_are_calibrated_and_one_with_wrong_axes_is_named(
     board_views: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "views"
@@ -126,7 +126,7 @@ def test_squares_of_another_size_fail(board_views: Path, capsys: pytest.CaptureF
     assert "FAIL      board's size against the rails" in capsys.readouterr().out
 
 
-def test_a_board_of_other_squares_than_told_is_refused(board_views: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_board_with_a_wrong_square_size_is_rejected(board_views: Path, capsys: pytest.CaptureFixture[str]) -> None:
     few = board_views / "few.csv"
     few.write_text("\n".join((board_views / "views.csv").read_text().splitlines()[:3]))
     assert execute(["calibrate", str(few), "--board", "9x6", "--square-mm", "50", *SET]) == 2
@@ -145,7 +145,7 @@ def test_a_board_of_other_squares_than_told_is_refused(board_views: Path, capsys
         (["--moved"], "--moved: goes with --check alone"),
     ],
 )
-def test_options_that_cannot_be_are_told_in_one_line(
+def test_invalid_options_are_reported_in_one_line(
     led_views: Path, words: list[str], line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert execute(["calibrate", str(led_views), *SET, *words]) == 2
@@ -154,7 +154,7 @@ def test_options_that_cannot_be_are_told_in_one_line(
     assert error.count("\n") == 1
 
 
-def test_views_that_cannot_be_read_are_told_in_one_line(
+def test_unreadable_views_are_reported_in_one_line(
     led_views: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def said(folder: Path) -> str:
@@ -166,7 +166,7 @@ def test_views_that_cannot_be_read_are_told_in_one_line(
     assert "cannot be read" in said(tmp_path / "none")
     folder = tmp_path / "views"
     shutil.copytree(led_views, folder)
-    (folder / "left" / "0003.png").write_bytes(b"not a picture")
+    (folder / "left" / "0003.png").write_bytes(b"not an image")
     assert "0003.png: not an image" in said(folder)
     cv2.imwrite(str(folder / "left" / "0003.png"), np.zeros((300, 400), np.uint8))
     assert "is 400 x 300 px, the others are 400 x 400 px" in said(folder)
@@ -180,7 +180,7 @@ def test_views_that_cannot_be_read_are_told_in_one_line(
     assert "line 3: view '0000': must be given, and unique" in said(folder)
 
 
-def test_a_check_against_a_file_without_calibration_is_refused(
+def test_a_check_against_a_file_without_calibration_is_rejected(
     led_views: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plain = tmp_path / "plain.json"

@@ -27,7 +27,7 @@ COLUMNS = [
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[np.ndarray]]:
-    """Return a recording of 14 pictures at 8 m, and its rows as the live monitor gives them."""
+    """Return a recording of 14 images at 8 m, and the rows of the live monitor."""
     scene = load_scene("atv").value
     path = tmp_path_factory.mktemp("monitor") / "approach.mkv"
     size = (scene.camera.width, scene.camera.height)
@@ -46,7 +46,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[np.n
 def test_a_recording_gives_the_numbers_of_the_live_run(
     recording: tuple[Path, list[np.ndarray]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Columns as promised, a row a portion, bit for bit what the live monitor said."""
+    """Documented columns, one row per portion, bit-identical to the live monitor."""
     path, live = recording
     out, summary, frames = tmp_path / "out.csv", tmp_path / "out.json", tmp_path / "frames.csv"
     extra = ["--json", str(summary), "--frames", str(frames), "--screen", str(tmp_path / "screen.png")]
@@ -77,7 +77,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return line
 
 
-def test_what_is_not_a_video_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_video_is_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One line, exit code 2, and no table."""
     video, out = tmp_path / "video.mkv", tmp_path / "out.csv"
     video.write_bytes(b"not a video at all" * 100)
@@ -89,7 +89,7 @@ def test_what_is_not_a_video_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
 def test_a_cut_video_leaves_no_table_under_its_name(
     recording: tuple[Path, list[np.ndarray]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What was seen until then stays beside as .part, so that nobody takes it for the whole."""
+    """The rows until then remain in a .part file, so that they are not mistaken for a complete table."""
     video, out = tmp_path / "cut.mkv", tmp_path / "out.csv"
     whole = recording[0].read_bytes()
     video.write_bytes(whole[: len(whole) * 3 // 5])
@@ -107,7 +107,7 @@ def test_a_cut_video_leaves_no_table_under_its_name(
         (["--out", "/nowhere/out.csv"], "--out"),
     ],
 )
-def test_wrong_options_are_told_in_one_line(
+def test_wrong_options_are_reported_in_one_line(
     recording: tuple[Path, list[np.ndarray]],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -121,8 +121,8 @@ def test_wrong_options_are_told_in_one_line(
     assert what in refused(capsys, str(recording[0]), *arguments)
 
 
-def test_a_region_of_interest_is_looked_at_first(recording: tuple[Path, list[np.ndarray]], tmp_path: Path) -> None:
-    """Also one without the target costs nothing but the search of the whole picture."""
+def test_a_region_of_interest_is_searched_first(recording: tuple[Path, list[np.ndarray]], tmp_path: Path) -> None:
+    """A region without the target only adds the search of the whole image."""
     for roi in ("200,100,400,400", "0,0,64,64"):
         out = tmp_path / "out.csv"
         assert execute(["monitor", str(recording[0]), "--scene", "atv", "--out", str(out), "--roi", roi]) == 0

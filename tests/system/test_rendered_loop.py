@@ -1,4 +1,4 @@
-"""The loop closed through pictures: drawn from where the axes stand, solved by the vision unit's own software."""
+"""Loop closed through images: rendered from the axis positions, solved by the vision unit's own software."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def seen(*settings: str, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) 
     return found, t_v, q_vt
 
 
-def test_poses_from_pictures_are_as_good_as_they_say() -> None:
+def test_errors_of_poses_from_images_match_their_covariance() -> None:
     poses, t_v, q_vt = seen()
     assert len(poses) == 20
     squares = []
@@ -66,7 +66,7 @@ def test_an_error_of_the_bench_reaches_the_pose() -> None:
 
 
 def believing(path: Path, shift_px: float = 0.0, baseline: float = 1.0) -> str:
-    """Write a geometry that is wrong; return the setting that lets the unit believe it."""
+    """Write a wrong geometry; return the setting by which the unit uses it."""
     believed = geometry_of_rig(load_rig("mock").value).model_dump(mode="json")
     believed["baseline_m"][0] *= baseline
     for side in ("left", "right"):
@@ -92,7 +92,7 @@ def test_lights_that_are_no_leds_do_not_mislead() -> None:
     assert np.abs(np.array([pose.t_v for pose in poses]) - t_v).max() < 5e-3
 
 
-def test_the_filters_live_on_pictures() -> None:
+def test_the_filters_converge_on_poses_from_images() -> None:
     settings = (RENDERED, "initial.position_m=[1.2, -0.05, 0.05]")
     job = make_job(12.0, settings)
     with build.runner(job) as runner:
@@ -104,7 +104,7 @@ def test_the_filters_live_on_pictures() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rig", ["mock", "emulated"])
-def test_scheme_1_through_pictures_passes_table_iii(rig: str, tmp_path: Path) -> None:
+def test_scheme_1_with_rendered_images_passes_table_iii(rig: str, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     assert execute(["run", "scheme-1", "--rig", rig, "--set", RENDERED, "--json", str(path)]) == 0
     assert json.loads(path.read_text())["passed"]

@@ -1,4 +1,4 @@
-"""The television camera of a bench without one: it is where the encoders say, at the time when they said it."""
+"""Simulated television camera: its pose is that of the encoders at the time of their samples."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def rows_at(t_s: np.ndarray, rail_m: np.ndarray, delays_s: tuple[float, float] =
     return rows
 
 
-def test_head_on_the_camera_sees_the_target_where_the_stations_say() -> None:
+def test_head_on_view_matches_the_mounting() -> None:
     d, phi = view(mounting(PLACED), np.array([5.0, 0.0, 0.0]), STRAIGHT)
     # camera from target in H: (5.8 + 0.3, 0.1 - 0.05, -0.5 + 0.45); y1 = -y_H, y2 = -z_H, y3 = x_H
     np.testing.assert_allclose(d, [-0.05, 0.05, 6.1], atol=1e-12)
     np.testing.assert_allclose(phi, 0.0, atol=1e-12)
 
 
-def test_turns_of_the_chaser_are_turns_of_the_camera_about_its_axes() -> None:
+def test_rotations_of_the_chaser_are_rotations_of_the_camera_about_its_axes() -> None:
     # S: x1 = -y_c, x2 = z_c, x3 = -x_c
     for angles, expected in (([0.0, 0.0, 0.01], [0.0, 0.01, 0.0]), ([0.0, 0.02, 0.0], [-0.02, 0.0, 0.0])):
         q = euler.to_quaternion(np.array(angles), euler.YAW_PITCH_ROLL)
@@ -51,7 +51,7 @@ def test_turns_of_the_chaser_are_turns_of_the_camera_about_its_axes() -> None:
     np.testing.assert_allclose(phi, [0.0, 0.0, -0.03], atol=1e-12)
 
 
-def test_encoders_are_turned_into_the_pose_of_the_chaser(mock_rig: Rig, scheme_1: Scenario) -> None:
+def test_encoders_are_converted_to_the_pose_of_the_chaser(mock_rig: Rig, scheme_1: Scenario) -> None:
     axes = axes_at(scheme_1, mock_rig, (5.0, -0.3, 0.3), (3.0, 3.0, -3.0))
     rows = rows_at(np.array([0.0, 1.0]), np.tile(axes.rail_m, (2, 1)))
     rows["feedback"]["gimbal_rad"] = axes.gimbal_rad
@@ -64,7 +64,7 @@ def test_encoders_are_turned_into_the_pose_of_the_chaser(mock_rig: Rig, scheme_1
 
 
 @pytest.mark.parametrize("delays_s", [(0.0, 0.0), (0.013, 0.004)])
-def test_the_place_belongs_to_the_time_of_the_sample(mock_rig: Rig, delays_s: tuple[float, float]) -> None:
+def test_the_position_belongs_to_the_time_of_the_sample(mock_rig: Rig, delays_s: tuple[float, float]) -> None:
     t = np.arange(0.0, 2.0, STEP_S)
     rail = np.column_stack((5.0 - 0.1 * (t - delays_s[0]), np.zeros_like(t), np.zeros_like(t)))
     whole, pieces = track_of(mock_rig), track_of(mock_rig)
@@ -101,20 +101,20 @@ def test_frames_come_as_soon_as_the_encoders_cover_their_time_and_once(mock_rig:
         camera.track.add(row)
         got += [(frame.number, frame.t_s, float(row["t_s"][0])) for frame in camera.frames()]
     numbers, times, known_at = np.array(got).T
-    np.testing.assert_array_equal(numbers, np.arange(10))  # 50 half frames a second
+    np.testing.assert_array_equal(numbers, np.arange(10))  # 50 fields per second
     np.testing.assert_allclose(times, numbers * 0.02)
     assert (known_at >= times - 1e-12).all()
     assert (known_at < times + STEP_S + 1e-9).all()
 
 
-def test_a_run_refuses_a_scene_that_is_not_there(scheme_1: Scenario, tmp_path: object) -> None:
+def test_a_run_rejects_a_missing_scene(scheme_1: Scenario, tmp_path: object) -> None:
     from hil.config.load import load_scenario
 
     def said(*settings: str) -> list[str]:
         return [str(problem) for problem in monitor_problems(load_scenario("scheme-1", settings))]
 
     assert said() == []
-    assert said("monitor.scene=missing") == []  # nobody looks
+    assert said("monitor.scene=missing") == []  # no reader
     rendered = "monitor.source=rendered"
     assert said(rendered) == []
     assert said(rendered, "monitor.target=backup") == []

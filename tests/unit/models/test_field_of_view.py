@@ -1,4 +1,4 @@
-"""Which lamps fall into both images: projections by hand."""
+"""LEDs in view of both cameras: projections by hand."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def margin(rig: Rig, t_v: tuple[float, float, float], q_vt: np.ndarray = ALIGNED
     return float(view_margin(camera, leds, np.array(t_v), q_vt))
 
 
-def test_shipped_ring_has_six_lamps_and_one_of_them_is_raised(mock_rig: Rig) -> None:
+def test_shipped_ring_has_six_leds_and_one_of_them_is_raised(mock_rig: Rig) -> None:
     leds = np.array(mock_rig.vmu.leds_m)
     np.testing.assert_allclose(np.hypot(leds[:, 0], leds[:, 1]), 0.12)
     np.testing.assert_allclose(leds[:, 2], [-0.06, 0, 0, 0, 0, 0])
@@ -36,7 +36,7 @@ def test_edge_distance_is_that_of_the_pinhole_projection(mock_rig: Rig) -> None:
 
 
 def test_ring_before_the_left_camera_is_lost_in_the_right_one_first(mock_rig: Rig) -> None:
-    # the lamp at x = -0.12 m is 0.32 m left of the right camera's axis
+    # the LED at x = -0.12 m is 0.32 m left of the right camera's axis
     closest_m = (0.12 + BASELINE_M) * FOCAL_PX / HALF_PX
     assert closest_m == pytest.approx(0.75)
     assert margin(mock_rig, (0.0, 0.0, closest_m + 0.001)) > 0.0
@@ -45,14 +45,14 @@ def test_ring_before_the_left_camera_is_lost_in_the_right_one_first(mock_rig: Ri
 
 
 def test_ring_between_the_cameras_is_seen_from_about_0_6_m_on(mock_rig: Rig) -> None:
-    # the raised lamp, 0.22 m from the left camera's axis, is 0.06 m nearer than the ring
+    # the raised LED, 0.22 m from the left camera's axis, is 0.06 m nearer than the ring
     closest_m = (0.12 + 0.5 * BASELINE_M) * FOCAL_PX / HALF_PX + 0.06
     assert closest_m == pytest.approx(0.6, abs=0.03)
     assert margin(mock_rig, (0.1, 0.0, closest_m + 0.001)) > 0.0
     assert margin(mock_rig, (0.1, 0.0, closest_m - 0.001)) < 0.0
 
 
-def test_turned_camera_loses_the_ring(mock_rig: Rig) -> None:
+def test_rotated_camera_loses_the_ring(mock_rig: Rig) -> None:
     turned = from_rotation_vector(np.radians([0.0, 10.0, 0.0]))
     assert margin(mock_rig, (0.0, 0.0, 2.0)) > 0.0
     assert margin(mock_rig, (0.0, 0.0, 2.0)) > margin(mock_rig, (0.4, 0.0, 2.0), turned)

@@ -77,7 +77,7 @@ def test_camera_pose_maps_points_of_the_ring_to_the_camera(odd_mounting: np.reco
     np.testing.assert_allclose(quat.to_matrix(q_vt) @ p_t + t_v, in_v, atol=1e-13)
 
 
-def test_pose_survives_the_way_to_the_camera_and_back(odd_mounting: np.record, rng: np.random.Generator) -> None:
+def test_camera_pose_and_chaser_pose_are_inverse(odd_mounting: np.record, rng: np.random.Generator) -> None:
     for _ in range(20):
         q_CH, r_CT_H = Rotation.random(rng=rng).as_quat(), 5.0 * rng.standard_normal(3)
         pose = chaser(odd_mounting, *see(odd_mounting, r_CT_H, q_CH), np.eye(6))
@@ -118,7 +118,7 @@ def test_scatter_of_noisy_poses_matches_their_covariance(odd_mounting: np.record
     np.testing.assert_allclose(whitened @ whitened.T / len(noise), np.eye(6), atol=0.1)
 
 
-def test_what_the_bench_adds_stands_on_top_of_what_the_unit_reports(odd_mounting: np.record) -> None:
+def test_bench_variance_is_added_to_the_reported_covariance(odd_mounting: np.record) -> None:
     t_v, q_vt = see(odd_mounting, np.array([3.0, 0.4, -0.5]), IDENTITY)
     reported = chaser(odd_mounting, t_v, q_vt, 1e-8 * np.eye(6))
     odd_mounting.position_variance, odd_mounting.attitude_variance = 4e-6, 9e-8

@@ -64,6 +64,6 @@ def test_rate_is_the_derivative_of_the_path(length: float, speed: float, up: flo
     assert slope == pytest.approx(at(length, speed, up, down, t)[1], abs=(up + down) * h + 1e-9 * length / h)
 
 
-def test_line_of_no_length_stands_still() -> None:
+def test_line_of_zero_length_has_no_motion() -> None:
     assert duration(0.0, 1.0, 1.0, 1.0) == 0.0
     np.testing.assert_array_equal(at(0.0, 1.0, 1.0, 1.0, 3.0), 0.0)

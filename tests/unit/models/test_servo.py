@@ -67,7 +67,7 @@ def test_speed_acceleration_and_travel_keep_their_limits(commands: list[tuple[fl
         assert abs(axis.position[0] - position) <= 0.5 * 0.02 + 1e-12
 
 
-def test_axis_stands_at_its_end_stop_and_leaves_it_again() -> None:
+def test_axis_stops_at_its_end_stop_and_leaves_it_again() -> None:
     axis = Axis(rate_max=0.5, travel=0.2)
     for _ in range(100):
         axis.step(5.0)

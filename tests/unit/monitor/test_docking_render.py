@@ -48,7 +48,7 @@ def centroid(image: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["near", "far"])
-def test_edges_stand_where_another_renderer_puts_them(atv: Scene, name: str) -> None:
+def test_edges_agree_with_another_renderer(atv: Scene, name: str) -> None:
     u0, v0, d, phi = SAMPLES[name]
     sample = cv2.imread(str(DATA / f"{name}.png"), cv2.IMREAD_GRAYSCALE).astype(float)
     height, width = sample.shape
@@ -71,7 +71,7 @@ def test_edges_stand_where_another_renderer_puts_them(atv: Scene, name: str) -> 
 
 
 @pytest.mark.parametrize("roll", [0.0, 1e-6, 0.03, 0.8])
-def test_the_area_of_a_disc_is_exact_at_any_place(atv: Scene, roll: float) -> None:
+def test_the_area_of_a_disc_is_exact_at_any_position(atv: Scene, roll: float) -> None:
     scene = with_target(atv, disc=atv.target.disc).model_copy(
         update={"camera": atv.camera.model_copy(update={"sky": 0.0})}
     )
@@ -95,12 +95,12 @@ def test_an_upright_edge_covers_the_share_of_a_pixel_that_it_should(atv: Scene) 
         line = TargetRenderer(scene, conditions=Conditions(blur_px=0.0, extra=(half,))).draw(
             np.array([0, 0, 10.0]), AHEAD
         )[287]
-        right = line[384:]  # its pixels end 1, 2, 3 ... px from the middle of the picture
+        right = line[384:]  # its pixels end 1, 2, 3 ... px from the middle of the image
         np.testing.assert_allclose(right.sum() / 100.0, edge_px, atol=1e-4)
         assert right[int(edge_px) + 1] == 0.0
 
 
-def test_parts_beyond_the_picture_cover_what_is_inside(atv: Scene) -> None:
+def test_parts_beyond_the_image_cover_the_pixels_inside(atv: Scene) -> None:
     scene = with_target(atv, outline=atv.target.outline)
     close = TargetRenderer(scene).draw(np.array([0.0, 0.0, 1.3]), AHEAD)
     np.testing.assert_allclose(close, 120.0, rtol=1e-6)
@@ -108,7 +108,7 @@ def test_parts_beyond_the_picture_cover_what_is_inside(atv: Scene) -> None:
         d = np.array([*corner, 3.0])
         image = TargetRenderer(scene, conditions=Conditions(blur_px=0.0)).draw(d, AHEAD)
         lines, columns = np.mgrid[:576, :768]
-        # the outline's plane is 3.4 m away and parallel to the picture
+        # the outline's plane is 3.4 m away and parallel to the image plane
         u, v = 383.5 - 1100.0 * corner[0] / 3.4, 287.5 - 1100.0 * corner[1] / 3.4
         reach = np.hypot(columns - u, lines - v) - 1100.0 * 2.24 / 3.4
         np.testing.assert_allclose(image[reach < -1.0], 120.0, rtol=1e-6)
@@ -140,13 +140,13 @@ def test_noise_is_the_cameras(atv: Scene, rng: np.random.Generator) -> None:
     assert image.var() == pytest.approx(9.0 + 0.1 * 120.0 + 1.0 / 12.0, rel=0.02)
 
 
-def test_a_seed_gives_its_picture_again(atv: Scene) -> None:
+def test_image_is_reproducible_from_its_seed(atv: Scene) -> None:
     d = np.array([0.1, 0.2, 9.0])
     one, two = (TargetRenderer(atv).image(d, AHEAD, 0.0, np.random.default_rng(5)) for _ in range(2))
     np.testing.assert_array_equal(one, two)
 
 
-def test_light_flicker_glare_black_and_cover_are_what_they_say(atv: Scene, rng: np.random.Generator) -> None:
+def test_light_flicker_glare_black_and_cover_have_their_values(atv: Scene, rng: np.random.Generator) -> None:
     scene = with_target(atv, outline=atv.target.outline)
     d = np.array([0.0, 0.0, 1.3])
 

@@ -1,4 +1,4 @@
-"""The monitor on rendered pictures: what it accepts, what it refuses, and how far its sigmas can be trusted."""
+"""Docking monitor on rendered images: acceptance, rejection, consistency of its sigmas."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def ratios(portion: Result, w: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("d3", "status"), [(1.4, "near"), (5.0, "near"), (13.0, "near"), (22.0, "far"), (38.0, "far")])
 def test_errors_are_within_their_sigmas_near_and_far(atv: Scene, d3: float, status: str) -> None:
-    """A fresh portion has errors of the size that it says, and says only what it can see."""
+    """The errors of a new monitor's portion match its sigmas, and only observable quantities have values."""
     w = motion_at(d3)
     (portion,), _ = watched(atv, w, PLAIN)
     assert (portion.status, portion.frames) == (status, 10)
@@ -101,7 +101,7 @@ def test_a_bright_cross_on_a_dark_disc_in_half_frames_is_no_special_case(bright:
     ],
     ids=["glare", "cover on the disc", "cover on a box", "uneven light", "dim", "noise"],
 )
-def test_what_lies_in_the_way_costs_precision_and_not_truth(atv: Scene, conditions: Conditions) -> None:
+def test_occlusion_reduces_precision_without_bias(atv: Scene, conditions: Conditions) -> None:
     """Covers, glare, light and noise are outliers or wider sigmas."""
     w = motion_at(6.0)
     (portion,), _ = watched(atv, w, conditions)
@@ -109,7 +109,7 @@ def test_what_lies_in_the_way_costs_precision_and_not_truth(atv: Scene, conditio
     assert np.all(np.abs(ratios(portion, w)) < 4.5)
 
 
-def test_black_frames_are_said_and_the_target_is_found_again(atv: Scene) -> None:
+def test_black_frames_are_reported_and_the_target_is_detected_again(atv: Scene) -> None:
     """Twenty black frames give no numbers, and none of what follows suffers."""
     w = motion_at(6.0, rate=-0.1)
     conditions = replace(PLAIN, black_s=((10 / 12.5 - 1e-6, 30 / 12.5 - 1e-6),))
@@ -121,7 +121,7 @@ def test_black_frames_are_said_and_the_target_is_found_again(atv: Scene) -> None
 
 
 def other_pictures(scene: Scene) -> dict[str, np.ndarray]:
-    """Return pictures of something else."""
+    """Return images without the target."""
     rng = np.random.default_rng(5)
     height, width = scene.camera.height, scene.camera.width
     pictures = {"noise": np.full((height, width), 100.0), "black": np.zeros((height, width))}
@@ -164,8 +164,8 @@ def test_something_else_gives_never_numbers(atv: Scene, bright: Scene) -> None:
         assert portion.status == "no_target" or portion.status.startswith("rejected_"), name
 
 
-def test_a_cross_at_another_place_than_the_scene_says_shows_in_sigma_squared(atv: Scene) -> None:
-    """Geometry that does not go together is told, and widens the sigmas until they cover it."""
+def test_a_cross_off_its_position_in_the_scene_raises_sigma_squared(atv: Scene) -> None:
+    """Inconsistent geometry is reported, and inflates the sigmas until they cover it."""
     wrong = atv.target.cross.model_copy(update={"offset_m": 0.36})  # type: ignore[union-attr]
     w = motion_at(6.0)
     monitor, done = Monitor(atv), []
@@ -195,7 +195,7 @@ def test_a_slow_camera_still_gives_a_portion_a_second(atv: Scene) -> None:
 
 
 def test_the_paper_form_gives_the_same_motion_within_the_papers_own_error(atv: Scene) -> None:
-    """Its relations are of first order in small angles and know no growth of edges: some hundredths of a degree."""
+    """Its relations are of first order in small angles and neglect the growth of edges: some hundredths of a degree."""
     w = np.zeros(12)
     w[0], w[2], w[4], w[5] = 0.1, -0.1, 6.0, -0.05
     monitor, done = Monitor(atv, MonitorSettings(calculation="paper")), []

@@ -1,4 +1,4 @@
-"""Where edges are measured to be, and how well their variances tell the scatter."""
+"""Measured edge positions, and consistency of their variances with the scatter."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_edges_are_found_where_the_geometry_has_them(atv: Scene, d3: float) -> N
 
 @pytest.mark.parametrize("read", [1.5, 6.0])
 def test_variances_of_edges_are_those_of_their_scatter(atv: Scene, read: float) -> None:
-    """The shifts of many noisy pictures scatter as much as each one's own variance says."""
+    """The scatter of the shifts over many noisy images matches each one's variance."""
     at = np.array([0.2, -0.1, 7.0, -0.01, -0.01, 0.3])
     renderer = TargetRenderer(atv, conditions=Conditions(blur_px=0.8, noise=PixelNoise(read=read, k=0.05)))
     clean = renderer.draw(at[:3], at[3:])

@@ -1,4 +1,4 @@
-"""The monitor paper's relations as mended: lines, circle, motion over portions, derived quantities."""
+"""The monitor paper's relations, corrected: lines, circle, motion over portions, derived quantities."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_the_bar_across_has_the_slope_minus_phi3() -> None:
 
 
 def test_the_circle_of_noisy_points_is_within_its_covariance(rng: np.random.Generator) -> None:
-    """Gauss-Newton on Phi_2 from the geometric start: errors as large as the covariance says."""
+    """Gauss-Newton on Phi_2 from the geometric start: errors match the covariance."""
     ratios = []
     for _ in range(200):
         t = rng.uniform(0.0, 2.0 * np.pi, 40)
@@ -99,7 +99,7 @@ def _look(t_s: float, **fields: object) -> FrameResult:
 
 @pytest.mark.parametrize("q", [0.0, 0.6])
 def test_one_time_origin_and_one_a_portion_give_the_same_motion(rng: np.random.Generator, q: float) -> None:
-    """Carrying z, v and their normal matrices to a new origin changes nothing but the conditioning."""
+    """Carrying z, v and their normal matrices to a new origin changes only the conditioning."""
     settings = MonitorSettings(q=q, q_attitude=q)
     one = PaperMotionFit(replace(settings, motion="printed"), F, B, R)
     own = PaperMotionFit(settings, F, B, R)
@@ -142,7 +142,7 @@ def exact_looks(rng: np.random.Generator, start: int, w: np.ndarray, normal: np.
     return looks
 
 
-def test_carried_motion_has_the_errors_that_its_covariance_says(rng: np.random.Generator) -> None:
+def test_errors_of_the_carried_motion_match_its_covariance(rng: np.random.Generator) -> None:
     """The fit of whole poses, q = 0.5: the mean square error in sigmas is one, for places and for rates."""
     spread = rng.normal(size=(7, 7))
     normal = np.diag(1.0 / np.array([2e-3, 2e-3, 1e-3, 3e-4, 3e-4, 2e-4, 0.02]))

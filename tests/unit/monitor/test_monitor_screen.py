@@ -18,7 +18,7 @@ from hil.monitor.screen.screen import HEIGHT, WIDTH, Screen, ScreenFile
 from hil.monitor.sources import LOWER, UPPER, VideoFrame
 
 GREY_FRAME = VideoFrame(0, 0.0, np.full((576, 768), 90, np.uint8))
-SCALE = 600 / 576  # picture to screen
+SCALE = 600 / 576  # image to screen
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def camera() -> SceneCamera:
 
 
 def portion(t_s: float, status: str = "near", **known: float) -> Portion:
-    """Return a portion that knows only these values, each with a sigma of 0.01."""
+    """Return a portion with only these values, each with a sigma of 0.01."""
     values = np.array([known.get(name, np.nan) for name in QUANTITIES])
     return Portion(t_s, 10, status, values, np.where(np.isfinite(values), 0.01, np.nan))
 
@@ -38,7 +38,7 @@ def has(part: np.ndarray, colour: drawing.Colour) -> bool:
 
 
 def around(canvas: np.ndarray, u: float, v: float, reach: int = 2) -> np.ndarray:
-    """Return the screen around the place u, v of the picture."""
+    """Return the screen around the point u, v of the image."""
     column, line = round((u + 0.5) * SCALE - 0.5), round((v + 0.5) * SCALE - 0.5)
     return canvas[line - reach : line + reach + 1, column - reach : column + reach + 1]
 
@@ -56,7 +56,7 @@ def test_what_was_seen_is_drawn_where_it_was_seen(camera: SceneCamera) -> None:
     np.testing.assert_array_equal(around(screen.canvas, 600, 500), 90)
 
 
-def test_a_turned_cross_is_drawn_turned(camera: SceneCamera) -> None:
+def test_a_rotated_cross_is_drawn_rotated(camera: SceneCamera) -> None:
     screen = Screen(camera, "test")
     screen.show_frame(GREY_FRAME, FrameDetection(0, 0.0, "near", cross=(350.0, 275.0, 0.5), disc=(350.0, 275.0, 60.0)))
     assert has(around(screen.canvas, 350 + 40 * np.cos(0.5), 275 - 40 * np.sin(0.5)), drawing.PINK)
@@ -72,7 +72,7 @@ def test_each_frame_wipes_the_marks_of_the_last(camera: SceneCamera) -> None:
 
 
 @pytest.mark.parametrize("field", [UPPER, LOWER])
-def test_a_half_frame_fills_the_picture(camera: SceneCamera, field: int) -> None:
+def test_a_field_fills_the_image(camera: SceneCamera, field: int) -> None:
     screen = Screen(camera, "test")
     screen.show_frame(VideoFrame(0, 0.0, np.full((288, 768), 77, np.uint8), field), FrameDetection(0, 0.0, "near"))
     np.testing.assert_array_equal(screen.canvas[30:600, :800], 77)
@@ -100,7 +100,7 @@ def test_what_is_not_observable_leaves_a_gap_in_its_plot_and_no_number(camera: S
     assert np.nanmax(sigmas) == 0.01
 
 
-def test_the_vertices_of_a_plot_stand_at_their_times_and_values() -> None:
+def test_the_vertices_of_a_plot_are_at_their_times_and_values() -> None:
     history = plots.History()
     for t in range(11):
         history.add(portion(float(t), range_m=10.0 - 0.5 * t))
@@ -153,7 +153,7 @@ def test_a_screen_video_has_every_canvas(tmp_path: Path, camera: SceneCamera, na
     assert video.read()[1].shape == (HEIGHT, WIDTH, 3)
 
 
-def test_a_screen_picture_is_the_last_canvas(tmp_path: Path, camera: SceneCamera) -> None:
+def test_a_screen_image_is_the_last_canvas(tmp_path: Path, camera: SceneCamera) -> None:
     path = tmp_path / "screen.png"
     screen = Screen(camera, "test")
     with ScreenFile(str(path), 12.5) as file:
@@ -171,7 +171,7 @@ def test_a_screen_file_that_cannot_be_is_one_line(tmp_path: Path, name: str, sai
         ScreenFile(str(tmp_path / name), 12.5)
 
 
-def test_what_stands_over_a_picture_by_itself_has_words_first_and_not_every_edge() -> None:
+def test_overlay_of_a_stand_alone_image_has_text_first_and_not_every_edge() -> None:
     edges = np.vstack((np.column_stack((np.arange(500.0), np.arange(500.0))), [[np.nan, 1.0]]))
     seen = FrameDetection(3, 1.25, "near", (200, 150, 300, 250), edges, (350.0, 275.0, 0.0), (350.0, 275.0, 60.0))
     found = annotated_shapes(seen, portion(1.2, range_m=8.5))

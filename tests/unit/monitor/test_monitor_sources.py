@@ -1,4 +1,4 @@
-"""Pictures for the monitor from files: their times, and what cannot be used."""
+"""Image sources of the monitor: times of the images, and invalid sources."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def write_video(path: Path, pictures: list[np.ndarray], fps: float = 12.5, code:
     return path
 
 
-def test_a_video_gives_every_picture_bit_for_bit_with_its_time(
+def test_a_video_yields_every_image_bit_for_bit_with_its_time(
     tmp_path: Path, scene: Loaded[Scene], pictures: list[np.ndarray]
 ) -> None:
     source = open_source(str(write_video(tmp_path / "a.mkv", pictures)), scene)
@@ -68,7 +68,7 @@ def test_an_interlaced_video_gives_half_frames(
 
 
 @pytest.mark.parametrize(("name", "code"), [("a.mkv", "FFV1"), ("a.avi", "MJPG")])
-def test_a_cut_video_gives_its_whole_pictures_and_then_says_so(
+def test_a_truncated_video_yields_its_complete_images_then_raises(
     tmp_path: Path, scene: Loaded[Scene], pictures: list[np.ndarray], name: str, code: str
 ) -> None:
     path = write_video(tmp_path / name, pictures, code=code)
@@ -82,7 +82,7 @@ def test_a_cut_video_gives_its_whole_pictures_and_then_says_so(
         np.testing.assert_array_equal(image, picture)
 
 
-def test_a_picture_lost_in_mid_file_leaves_a_gap_in_the_times(
+def test_an_image_lost_within_the_file_leaves_a_gap_in_the_times(
     tmp_path: Path, scene: Loaded[Scene], pictures: list[np.ndarray]
 ) -> None:
     many = 12 * pictures  # Matroska finds its way again at the next cluster, 5 s on
@@ -105,7 +105,7 @@ def test_a_folder_is_read_in_the_order_of_its_numbers_and_a_lost_image_leaves_a_
 ) -> None:
     for number in (8, 9, 10, 12):
         cv2.imwrite(str(tmp_path / f"{number}.png"), pictures[number - 8])
-    (tmp_path / "notes.txt").write_text("not a picture", encoding="utf-8")
+    (tmp_path / "notes.txt").write_text("not an image", encoding="utf-8")
     frames = list(open_source(str(tmp_path), scene))
     np.testing.assert_allclose([frame.t_s * 12.5 for frame in frames], [0, 1, 2, 4])
     np.testing.assert_array_equal(frames[3].image, pictures[4])
@@ -120,7 +120,7 @@ def test_images_without_numbers_are_counted(tmp_path: Path, scene: Loaded[Scene]
 
 
 def refused(name: str | Path, scene: Loaded[Scene]) -> str:
-    """Return the one line that says why a source cannot be used."""
+    """Return the line that reports why a source is invalid."""
     with pytest.raises(BadInput) as caught:
         list(open_source(str(name), scene))
     text = str(caught.value)
@@ -165,7 +165,7 @@ def test_another_rate_than_the_scenes_is_one_line(
 
 
 class Clicks:
-    """A television camera that a test can script: pictures, and the clock at which each one is had."""
+    """Scripted television camera: images, and the clock time of each."""
 
     def __init__(self, pictures: list[np.ndarray], times_s: list[float]) -> None:
         self._pictures, self._times_s, self._taken = pictures, times_s, 0
@@ -189,7 +189,7 @@ class Clicks:
         return self._times_s[min(self._taken, len(self._times_s)) - 1]
 
 
-def test_a_camera_counts_whole_picture_times_so_that_a_recording_has_the_same_ones(
+def test_a_camera_counts_image_periods_so_that_a_recording_has_the_same_times(
     scene: Loaded[Scene], pictures: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = Clicks(pictures, [50.0, 50.083, 50.158, 50.405, 50.48])  # 12.5 a second, two lost, hands that tremble

@@ -113,7 +113,7 @@ def test_the_noise_of_the_pixels_is_found(mock_rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("calibrated", [calibrated_by_leds, calibrated_by_board])
-def test_a_view_whose_place_is_wrong_is_left_out_by_name(mock_rig: Rig, calibrated) -> None:  # type: ignore[no-untyped-def]
+def test_view_with_wrong_axes_is_excluded_by_name(mock_rig: Rig, calibrated) -> None:  # type: ignore[no-untyped-def]
     solved, truth = calibrated(mock_rig, 2, spoil=0.01)
     clean, _ = calibrated(mock_rig, 2)
     assert "0005" in solved.left_out or len(solved.left_out) == 1
@@ -121,14 +121,14 @@ def test_a_view_whose_place_is_wrong_is_left_out_by_name(mock_rig: Rig, calibrat
     assert nees(solved.fit, truth) < 1.8
 
 
-def test_the_rails_tell_that_the_squares_have_another_size(mock_rig: Rig) -> None:
+def test_rails_reveal_a_wrong_square_size(mock_rig: Rig) -> None:
     solved, _ = calibrated_by_board(mock_rig, 3, told=0.97)
     scale, sigma = solved.fit.setup.theta[SCALE], solved.fit.sigma[SCALE]
     assert scale == pytest.approx(1.0 / 0.97, abs=3e-3)
     assert sigma < 1e-3
 
 
-def test_without_tilt_and_travel_the_report_says_what_is_open(mock_rig: Rig) -> None:
+def test_warnings_name_what_views_without_tilt_and_travel_leave_open(mock_rig: Rig) -> None:
     paper, turntable = on_paper(mock_rig, True), TurntableModel.of(mock_rig.bench)
     rng = np.random.default_rng(1)
     axes = plan(paper, turntable, 8, (1.5, 1.5001), 0.01, rng, 0.001)
@@ -152,7 +152,7 @@ def test_what_is_kept_is_not_touched(mock_rig: Rig) -> None:
     assert (fit.sigma[24:36] > 0.0).all()
 
 
-def test_spots_that_are_nowhere_near_are_refused(mock_rig: Rig) -> None:
+def test_spots_far_from_the_projected_leds_are_rejected(mock_rig: Rig) -> None:
     paper, turntable = on_paper(mock_rig, True), TurntableModel.of(mock_rig.bench)
     rng = np.random.default_rng(4)
     seen = leds_seen(paper, turntable, rng, 6)

@@ -16,7 +16,7 @@ from hil.vmu.render import Extras, HotPixel, Reflection, RingAppearance, RingRen
 
 SIZE, FOCAL = 320, 1200.0
 STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
-AWAY = np.array([0.0, 0.0, -1.0])  # the target is behind the camera: nothing but what the extras show
+AWAY = np.array([0.0, 0.0, -1.0])  # the target is behind the camera: only the extras are visible
 GRID = np.stack(np.meshgrid([60.0, 160.0, 260.0], [60.0, 160.0, 260.0]), axis=-1).reshape(-1, 2)
 LOOK = RingAppearance()
 
@@ -75,7 +75,7 @@ def errors(
     ],
     ids=["12 m", "3 m", "1 m", "noisy", "gradient", "clipped", "sharp"],
 )
-def test_every_led_is_found_where_its_covariance_says(pair: CameraPair, look: RingAppearance, range_m: float) -> None:
+def test_errors_of_every_led_match_its_covariance(pair: CameraPair, look: RingAppearance, range_m: float) -> None:
     squares, found, besides = errors(pair, look, range_m, 14, None)
     assert besides == 0
     assert np.max(np.abs(found)) < 0.5
@@ -144,7 +144,7 @@ def test_spot_cut_by_the_edge_is_flagged_and_less_certain_across_it(pair: Camera
     assert abs(spot["u"] - 0.4) < 4.0 * np.sqrt(spot["var_u"])
 
 
-def test_two_lights_that_run_into_each_other_are_told_apart(pair: CameraPair) -> None:
+def test_two_overlapping_lights_are_separated(pair: CameraPair) -> None:
     lights = Reflection(0, 150.2, 100.0, 1500.0), Reflection(0, 154.9, 101.0, 1100.0)
     spots = SpotDetector((SIZE, SIZE)).spots(shown(pair, LOOK, *lights))
     assert len(spots) == 2
@@ -176,7 +176,7 @@ def test_one_image_leaves_nothing_behind_for_the_next(pair: CameraPair) -> None:
     assert np.array_equal(first, detector.spots(image))
 
 
-def test_images_that_are_not_the_cameras_are_refused() -> None:
+def test_images_of_another_size_are_rejected() -> None:
     detector = SpotDetector((240, 320))
     with pytest.raises(BadInput, match=r"image: shape: uint8 \(320, 240\), must be uint8 \(240, 320\)"):
         detector.spots(np.zeros((320, 240), dtype=np.uint8))

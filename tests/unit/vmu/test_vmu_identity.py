@@ -24,7 +24,7 @@ def flat() -> VisionUnit:
 
 
 @pytest.mark.parametrize("decoys", [0, 2, 5])
-def test_six_leds_are_known_without_a_track(raised: VisionUnit, rng: np.random.Generator, decoys: int) -> None:
+def test_six_leds_are_identified_without_a_track(raised: VisionUnit, rng: np.random.Generator, decoys: int) -> None:
     for _ in range(25):
         truth = somewhere(rng)
         raised.track.drop()
@@ -74,7 +74,7 @@ def test_a_flat_ring_is_ambiguous_without_a_track(flat: VisionUnit, rng: np.rand
         assert solution.candidates >= 6
 
 
-def test_a_prediction_tells_the_leds_of_a_flat_ring_apart(flat: VisionUnit, rng: np.random.Generator) -> None:
+def test_a_prediction_identifies_the_leds_of_a_flat_ring(flat: VisionUnit, rng: np.random.Generator) -> None:
     solved = 0
     for _ in range(30):
         truth = somewhere(rng, far_m=3.0)
@@ -99,7 +99,7 @@ def test_a_flat_ring_seen_head_on_from_afar_does_not_claim_a_tilt(flat: VisionUn
             assert solution.status == "ambiguous"
 
 
-def test_a_marked_led_tells_the_leds_of_a_flat_ring_apart(rng: np.random.Generator) -> None:
+def test_a_marked_led_identifies_the_leds_of_a_flat_ring(rng: np.random.Generator) -> None:
     unit = VisionUnit(ring(raised_m=0.0, marked_led=2))
     for _ in range(10):
         truth = somewhere(rng, 1.0, 2.0)
@@ -126,7 +126,7 @@ def test_three_leds_of_one_camera_need_a_prediction(raised: VisionUnit, rng: np.
     assert with_track >= 10
 
 
-def test_a_wrong_prediction_does_not_bend_what_the_spots_say(raised: VisionUnit, rng: np.random.Generator) -> None:
+def test_a_wrong_prediction_does_not_bias_the_solution(raised: VisionUnit, rng: np.random.Generator) -> None:
     for _ in range(10):
         truth, elsewhere = somewhere(rng), somewhere(rng)
         raised.track.drop()

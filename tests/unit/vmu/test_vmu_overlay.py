@@ -1,4 +1,4 @@
-"""What is drawn over the vision unit's pictures: where it belongs, and what matters most first."""
+"""Overlay of the vision unit's images: positions, and the most important shapes first."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DECOY = (0.3, 0.2, 2.0)
 
 @pytest.fixture(scope="module")
 def seen() -> tuple[VisionUnit, np.ndarray, np.ndarray, Solution, np.ndarray]:
-    """Return a unit, a pair with a light that is no LED, what the unit says, and where the LEDs truly are."""
+    """Return a unit, a pair with a light that is no LED, its solution, and the true positions of the LEDs."""
     geometry = geometry_of_rig(load_rig("mock").value)
     pair, leds = camera_pair(geometry), led_positions(geometry)
     renderer, unit = RingRenderer(pair, leds, RingAppearance()), VisionUnit(geometry)
@@ -38,7 +38,7 @@ def parts(found: list[Shape]) -> dict[str, list[Shape]]:
 
 
 @pytest.mark.parametrize("camera", [0, 1])
-def test_leds_spots_and_identities_stand_where_the_leds_are(seen: tuple, camera: int) -> None:
+def test_leds_spots_and_numbers_are_drawn_at_the_leds(seen: tuple, camera: int) -> None:
     unit, _, _, solution, truth = seen
     assert solution.status == "ok"
     found = parts(shapes(unit.solver.scene, solution, camera))
@@ -50,7 +50,7 @@ def test_leds_spots_and_identities_stand_where_the_leds_are(seen: tuple, camera:
         np.testing.assert_allclose(circle["at"], truth[camera][int(name["text"])], atol=0.5)
 
 
-def test_words_come_first_and_tell_pose_and_sigmas(seen: tuple) -> None:
+def test_text_comes_first_with_pose_and_sigmas(seen: tuple) -> None:
     unit, _, _, solution, _ = seen
     found = shapes(unit.solver.scene, solution, 0)
     words = [shape for shape in found if shape["kind"] == "text" and shape["part"] != IDENTITY]

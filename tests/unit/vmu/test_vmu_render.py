@@ -54,7 +54,7 @@ def test_spot_is_a_blurred_disc_summed_over_pixels(width: float, shear: float, h
     assert canvas.sum() == pytest.approx(1000.0, rel=1e-4)
 
 
-def test_spots_stand_where_the_leds_project_to(pair: CameraPair, geometry: VmuGeometry) -> None:
+def test_spots_are_at_the_projections_of_the_leds(pair: CameraPair, geometry: VmuGeometry) -> None:
     leds = led_positions(geometry)
     renderer = RingRenderer(pair, leds, RingAppearance(**{**_quiet(), "led_diameter_m": 0.0, "background_levels": 0.0}))
     t_v = np.array([0.05, 0.01, 1.4])

@@ -76,7 +76,7 @@ def test_a_target_that_has_jumped_is_found_again(unit: VisionUnit, rng: np.rando
 
 
 def test_a_track_on_the_wrong_leds_is_given_up(rng: np.random.Generator) -> None:
-    """A flat ring locked a sixth of a turn off stays so; one raised LED tells, at once."""
+    """A flat ring locked 60 deg off remains so; one raised LED reveals it at once."""
     unit = VisionUnit(ring())
     truth = Truth(np.array([0.1, 0.0, 3.0]), np.array([0.0, 0.0, 0.2]))
     off = Truth(truth.t, truth.turn + np.array([0.0, 0.0, np.radians(60.0)]))
