@@ -142,7 +142,7 @@ class Identifier:
         leds = self._solver.scene.leds
         flat = is_flat(leds[(fit["spot"][:, : len(leds)] >= 0).any(axis=0)])
         largest = self._settings.largest_sigma_deg[0 if flat else 1]
-        return attitude_sigma_deg(fit) < largest and self._solver.is_straight(view, fit)
+        return attitude_sigma_deg(fit) < largest and self._solver.is_linear(view, fit)
 
     def _marked_cost(self, view: View, fit: np.void) -> float:
         """Return the cost of a marked LED that is not the brightest, 0 if it is or is not in use."""

@@ -20,7 +20,7 @@ from hil.vmu.kernels.start_poses import orientation_of
 
 _REMEMBERED, _FITS = 256, 64
 _COARSE = 5.0  # sigmas
-_STRAIGHT = (0.6, 1.7)  # growth of chi-square relative to the covariance for which it is valid
+_LINEAR = (0.6, 1.7)  # growth of chi-square relative to the covariance for which it is valid
 _FAR = 5.0  # sigmas
 _FLAT = 0.05  # thickness over extent
 _STRAY_FACTOR = 10.0  # density of stray lights near the target relative to the whole image
@@ -141,7 +141,7 @@ class Solver:
         density: Array = _STRAY_FACTOR * (view.counts + 1.0) / (lens["width"] * lens["height"])
         return density
 
-    def is_straight(self, view: View, fit: np.void) -> bool:
+    def is_linear(self, view: View, fit: np.void) -> bool:
         """Return whether chi-square grows quadratically, as its covariance, along the two least certain rotations.
 
         For a flat target with a tilt of m sigmas, chi-square at zero tilt is m^2 / 4 above its minimum, and at n sigmas
@@ -153,7 +153,7 @@ class Solver:
         for k in (1, 2):  # the tilt axis and the one perpendicular to it may be equally uncertain
             direction = fit["covariance"][:, 3:] @ vectors[:, k] / math.sqrt(values[k])
             ratios = [chi_square_growth(self.scene, view, fit, direction, sigmas) for sigmas in (-_FAR, _FAR)]
-            if not all(_STRAIGHT[0] <= ratio <= _STRAIGHT[1] for ratio in ratios):
+            if not all(_LINEAR[0] <= ratio <= _LINEAR[1] for ratio in ratios):
                 return False
         return True
 

@@ -119,7 +119,7 @@ class VisionUnit:
         view = self.solver.view(left, right)
         fits, _ = self.solver.hypotheses(view)
         for fit in fits[:1]:
-            self.solver.is_straight(view, fit)
+            self.solver.is_linear(view, fit)
         track, self.track = self.track, Track(self.track.settings)
         for t_s in (0.0, 0.1, 0.2):
             self.solve_spots(left, right, t_s, Prediction(ahead, np.array([0.0, 0.0, 0.0, 1.0]), 1e-6 * np.eye(6)))
