@@ -113,7 +113,7 @@ def test_chessboard_views_are_calibrated_and_one_with_wrong_axes_is_named(
     found = json.loads(report.read_text())
     assert found["left_out"].pop("0004") == "its pose is inconsistent with the other views"
     # a view in which the board is blurred or far to the side may go too, but for its residuals
-    assert sum("whole" not in why for why in found["left_out"].values()) <= 1
+    assert sum("completely" not in why for why in found["left_out"].values()) <= 1
     assert "rejected  0004" in capsys.readouterr().out
     truth, _ = truth_of(False)
     for k, name in enumerate(("fx", "fy", "cx", "cy")):
@@ -142,7 +142,7 @@ def test_a_board_with_a_wrong_square_size_is_rejected(board_views: Path, capsys:
         (["--keep", "lens"], "--keep: lens: unknown, give left, right, stereo, mounting, leds"),
         (["--rail-sigma-mm", "0"], "--rail-sigma-mm: 0: must be above 0"),
         (["--date", "1.3.2026"], "--date: 1.3.2026: must be a date like 2026-03-01"),
-        (["--moved"], "--moved: goes with --check alone"),
+        (["--moved"], "--moved: goes with --check only"),
     ],
 )
 def test_invalid_options_are_reported_in_one_line(
@@ -167,7 +167,7 @@ def test_unreadable_views_are_reported_in_one_line(
     folder = tmp_path / "views"
     shutil.copytree(led_views, folder)
     (folder / "left" / "0003.png").write_bytes(b"not an image")
-    assert "0003.png: not an image" in said(folder)
+    assert "0003.png: not a readable image" in said(folder)
     cv2.imwrite(str(folder / "left" / "0003.png"), np.zeros((300, 400), np.uint8))
     assert "is 400 x 300 px, the others are 400 x 400 px" in said(folder)
     (folder / "left" / "0003.png").unlink()
