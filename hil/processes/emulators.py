@@ -6,22 +6,16 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
 from typing import Protocol
 
-from hil.cameras.pose_sensor import make_pose_sensor, transport
 from hil.config.driver_registry import DeviceTable
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.core.camera_images import ThreadedImageSink
 from hil.core.child_process import Message, Service, serve
 from hil.core.clock import WallClock
-from hil.core.messages import PoseFrame
 from hil.core.realtime import take_fifo
 from hil.drivers.fault_injection import ControlPort, Faults
 from hil.drivers.shared_state import SharedAxisState
-from hil.frmn.image_memory import PictureMemory
-from hil.setup.assembly import start_axes
 
 _FIFO_PRIORITY = 40  # below everything that the bench itself is run by
 
@@ -71,36 +65,12 @@ def make_emulator(configuration: Message) -> Emulator:
     if device == "io":
         emulator = table.make_emulator(clock, board.write_chain, seed=seed)
     elif device == "vmu":
-        emulator = _vision_unit(table, scenario, rig, clock, seed, board, configuration["images"])
+        from hil.processes.emulated_vision_unit import emulated_vision  # its imports take a second
+
+        vision = emulated_vision(scenario, rig, seed, board, configuration["images"])
+        emulator = table.make_emulator(clock, vision.pose_at, vision.transport, seed=seed, at_end=vision.at_end)
     else:
         emulator = table.make_emulator(clock, board, seed=seed, name=device)
-    return emulator
-
-
-def _vision_unit(
-    table: DeviceTable,
-    scenario: Scenario,
-    rig: Rig,
-    clock: WallClock,
-    seed: int,
-    board: SharedAxisState,
-    memory: Sequence[int] | None,
-) -> Emulator:
-    encoder = PictureMemory(*memory).maker(rig) if memory else None
-    images = ThreadedImageSink(encoder) if encoder else None  # a thread: the unit keeps time
-    sensor = make_pose_sensor(scenario, rig, seed, images)
-    rehearsed = make_pose_sensor(scenario, rig, seed)  # compiles, and leaves the other one's noise alone
-    start = start_axes(scenario, rig)
-    for k in range(3):  # the search in whole images, then windows
-        rehearsed.measure(start.rail_m, start.gimbal_rad, k / rig.vmu.rate_hz)
-
-    def pose_at(t_s: float) -> PoseFrame | None:
-        rails, _ = board.read("rails", t_s)
-        gimbals, _ = board.read("turntable", t_s)
-        return sensor.measure(rails, gimbals, t_s)
-
-    at_end = images.close if images else lambda: None
-    emulator: Emulator = table.make_emulator(clock, pose_at, transport(scenario.vmu, seed), seed=seed, at_end=at_end)
     return emulator
 
 

@@ -1,0 +1,47 @@
+"""Vision unit of an emulated rig: what it measures of the emulated axes, and when its frames arrive.
+
+A module of its own because its imports (cameras, scipy) take longer than all of another device's emulator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from hil.cameras.pose_sensor import make_pose_sensor, transport
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.core.camera_images import ThreadedImageSink
+from hil.core.messages import PoseFrame
+from hil.drivers.shared_state import SharedAxisState
+from hil.drivers.vmu.transport import Transport
+from hil.frmn.image_memory import PictureMemory
+from hil.setup.assembly import start_axes
+
+
+class EmulatedVision(NamedTuple):
+    """What the emulator of a vision unit is made of: pose at a bench time, transport of frames, end of the images."""
+
+    pose_at: Callable[[float], PoseFrame | None]
+    transport: Transport
+    at_end: Callable[[], None]
+
+
+def emulated_vision(
+    scenario: Scenario, rig: Rig, seed: int, board: SharedAxisState, image_memory: Sequence[int] | None
+) -> EmulatedVision:
+    """Return a vision unit that observes the axes of ``board``; its kernels are compiled when this returns."""
+    encoder = PictureMemory(*image_memory).maker(rig) if image_memory else None
+    images = ThreadedImageSink(encoder) if encoder else None  # a thread: the unit keeps time
+    sensor = make_pose_sensor(scenario, rig, seed, images)
+    warm_up = make_pose_sensor(scenario, rig, seed)  # compiles; the noise of ``sensor`` stays untouched
+    start = start_axes(scenario, rig)
+    for k in range(3):  # the search in whole images, then windows
+        warm_up.measure(start.rail_m, start.gimbal_rad, k / rig.vmu.rate_hz)
+
+    def pose_at(t_s: float) -> PoseFrame | None:
+        rails, _ = board.read("rails", t_s)
+        gimbals, _ = board.read("turntable", t_s)
+        return sensor.measure(rails, gimbals, t_s)
+
+    return EmulatedVision(pose_at, transport(scenario.vmu, seed), images.close if images else lambda: None)
