@@ -46,17 +46,15 @@ WIRE: Final = {
     "corrupt": InjectableFault("bits of packets are flipped", value="share", high=1.0),
     "delay": InjectableFault("packets come late", value="s", default=0.2, high=10.0),
     "duplicate": InjectableFault("packets come twice", value="share", high=1.0),
-    "freeze": InjectableFault("the device sends its last values for ever"),
+    "freeze": InjectableFault("the device repeats its last values"),
     "link_down": InjectableFault("the wire is dead"),
 }
 AXIS: Final = {
-    "stuck": InjectableFault("the axis stands still, whatever it is told", of_axis=True),
+    "stuck": InjectableFault("the axis does not move, whatever its setpoint", of_axis=True),
     "jump": InjectableFault("the encoder jumps", of_axis=True, value="m or deg", default=0.1, once=True),
     "reversed": InjectableFault("the encoder counts the wrong way", of_axis=True),
     "mirrored": InjectableFault("motor and encoder are both the wrong way round", of_axis=True),
-    "scaled": InjectableFault(
-        "the drive counts so many times the way that the axis goes", of_axis=True, value="factor"
-    ),
+    "scaled": InjectableFault("the drive counts a multiple of the displacement", of_axis=True, value="factor"),
     "drive_fault": InjectableFault("the drive reports a fault", of_axis=True, value="code", default=0.0, once=True),
 }
 
@@ -75,7 +73,7 @@ class Faults:
         self._on: dict[tuple[str, str], float] = {}
 
     def on(self, kind: str, axis: str = "", value: float | None = None) -> None:
-        """Switch a fault on; ValueError, with the sentence for the user, where there is no such fault."""
+        """Switch a fault on; ValueError, with a message for the user, if there is no such fault."""
         known = self._kind(kind, axis)
         size = known.default if value is None else value
         if not (math.isfinite(size) and size <= known.high and (size >= 0.0 or known.once)):
@@ -111,7 +109,7 @@ class Faults:
         return ", ".join(found) or "none"
 
     def execute(self, line: str) -> str:
-        """Do what a line of the control port says; return the line that answers it."""
+        """Execute a line of the control port; return the response line."""
         word, *words = line.split() or [""]
         try:
             if word in ("on", "off") and words:

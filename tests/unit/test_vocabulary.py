@@ -19,6 +19,7 @@ CHECKED = (
     "hil/cameras",
     "hil/cli",
     "hil/commission",
+    "hil/drivers",
     "hil/config",
     "hil/core/child_process.py",
     "hil/core/clock.py",

@@ -1,6 +1,6 @@
 """Thruster command words: bytes <-> numbers.
 
-A word on a serial port is 9 bytes, little endian:
+Format on a serial port, 9 bytes, little endian:
 
 ====== ===== ====== ===============================================================
 offset bytes type   content

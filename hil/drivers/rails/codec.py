@@ -1,7 +1,7 @@
 """Register map of a rail drive: numbers in SI on one side, Modbus holding registers on the other.
 
-Which registers, and how their numbers are written, stands in ``hil/config/rail_map.py``; a rig file may
-replace any of it. The default, which the emulated drives have:
+Registers and formats are configured by ``hil/config/rail_map.py``; a rig file may replace any of them. The default,
+also of the emulated drives:
 
 ======= ======= ====== ========== ================================================================
 address name    form   one count  meaning
@@ -54,7 +54,7 @@ class ControlFlags(IntFlag):
 
 
 class Status(IntFlag):
-    """What the drive tells. The bits on the wire are the map's."""
+    """Status bits of the drive. Their positions on the wire are those of the map."""
 
     READY = 1 << 0
     ENABLED = 1 << 1

@@ -93,7 +93,7 @@ class Framing:
         return body
 
     def _check_part(self, text: bytes) -> bytes:
-        """Return separator and digits for what stands between start and separator."""
+        """Return separator and digits of the checksum for the text between start and separator."""
         if self._checksum.kind == "none":
             return b""
         function, digits = CHECKSUMS[self._checksum.kind]
