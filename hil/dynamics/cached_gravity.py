@@ -58,7 +58,7 @@ def gravity_over_step(gm, harmonics, y, force_C, dt, gravity):
 
     In a row: the target's acceleration (3,), the chaser's minus it (3,), m/s^2, the vector from the chaser to the
     Moon's centre (3,), m, of length d, and GM/d^5, 1/(s^2 m^2). The places are those of parabolas under the
-    accelerations of the begin, within a nanometre. gm: m^3/s^2. harmonics: (4, 3) of
+    accelerations of the start, within a nanometre. gm: m^3/s^2. harmonics: (4, 3) of
     ``interpolate_perturbation``. y: the integrated state of ``truth`` in inertial axes. force_C: (3,), specific thrust,
     m/s^2, in c.
     """

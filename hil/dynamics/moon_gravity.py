@@ -185,7 +185,7 @@ def point_mass_differential(gm, r_T, rho, target, difference):
 def sample_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held):
     """Write the harmonics' accelerations of a span of ``dt``, s, from ``t_s`` on, m/s^2, into ``held`` (4, 3).
 
-    Rows: the target's at the begin, in the middle and at the end of the span, and the chaser's minus the target's in
+    Rows: the target's at the start, in the middle and at the end of the span, and the chaser's minus the target's in
     the middle, which stands for the whole span: plain differences are good to 1e-19 m/s^2. r_T: (3,), m, and v_T:
     (3,), m/s, of the target, inertial; rho: (3,), m, and rho_rate: (3,), m/s, of the chaser relative to it. The places
     are those of a parabola under the point mass; what that leaves out moves them by a micrometre.

@@ -48,7 +48,7 @@ GUIDANCE_STATE = np.dtype(
         ("since_s", "f8"),  # begin of the phase, time of the run
         ("from_H", "f8", 3),  # m, where the phase began
         ("to_H", "f8", 3),  # m, where it ends
-        ("brake_H", "f8", 3),  # m/s, velocity at the begin of a brake
+        ("brake_H", "f8", 3),  # m/s, velocity at the start of a brake
         ("abort_range", "f8"),  # m, from the target, to which the abort retreats
     ],
     align=True,
