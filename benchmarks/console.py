@@ -28,8 +28,8 @@ import uvicorn
 
 from hil.config.load import shipped
 from hil.console.app import make_app
-from hil.console.client import Client
 from hil.console.columns import INDEX
+from hil.console.live_view import Client
 from hil.console.service import ConsoleService
 from hil.console.session import Choice
 from hil.loop.overrun_monitor import lateness_percentiles_us
@@ -80,12 +80,15 @@ class Console:
 
     def __init__(self, rig: str, duration_s: float) -> None:
         choice = Choice(scenario="scheme-1", rig=rig, duration_s=duration_s, settings=PATIENT, on_loss="continue")
-        self.desk = ConsoleService(choice, shipped("scenarios"), [rig], time.monotonic)
-        self.desk.warm_up()
+        self.service = ConsoleService(choice, shipped("scenarios"), [rig], time.monotonic)
+        self.service.warm_up()
         listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{listener.getsockname()[1]}"
         config = uvicorn.Config(
-            make_app(self.desk, None, None), log_level="warning", ws="websockets-sansio", ws_per_message_deflate=False
+            make_app(self.service, None, None),
+            log_level="warning",
+            ws="websockets-sansio",
+            ws_per_message_deflate=False,
         )
         self._server = uvicorn.Server(config)
         self._loop = asyncio.new_event_loop()
@@ -98,7 +101,7 @@ class Console:
         self._loop.run_until_complete(self._server.serve(sockets=[listener]))
 
     def obey(self, **command: Any) -> None:
-        asked = asyncio.run_coroutine_threadsafe(self.desk.obey(self._client, command), self._loop)
+        asked = asyncio.run_coroutine_threadsafe(self.service.execute(self._client, command), self._loop)
         answer = asked.result(30.0)
         assert answer["ok"], answer
 
@@ -109,13 +112,13 @@ class Console:
 
     def wait_for(self, mode: str) -> None:
         end_s = time.monotonic() + 180.0
-        while self.desk.account.mode.value != mode:
-            lost = self.desk.account.alarms or time.monotonic() > end_s
-            assert not lost, f"{mode} did not come: {list(self.desk.log)[-3:]}"
+        while self.service.state.mode.value != mode:
+            lost = self.service.state.alarms or time.monotonic() > end_s
+            assert not lost, f"{mode} did not come: {list(self.service.log_lines)[-3:]}"
             time.sleep(0.05)
 
     def run_s(self) -> float:
-        newest = self.desk.shown.rows.newest
+        newest = self.service.view.rows.newest
         return 0.0 if newest is None else float(newest[0])
 
     def close(self) -> None:
@@ -145,7 +148,7 @@ def turns(console: Console, clients: int, kind: str, rounds: int, seconds: float
             for child in children:
                 child.stdin.close() if kind == "--browse" and child.stdin else child.kill()
                 child.wait()
-            ended = console.desk.account.ended
+            ended = console.service.state.ended
             assert ended is None, f"the session ended: {ended}"
     return found
 
@@ -188,8 +191,8 @@ def main() -> None:
         console.order("start", "running")
         kind = "--browse" if options.browser else "--read"
         found = turns(console, options.clients, kind, options.rounds, options.seconds)
-        table(console.desk.shown.rows.all(), found, options.clients)
-        print(f"rows of the ring that were lost: {console.desk.session.lost_rows if console.desk.session else 0}")
+        table(console.service.view.rows.all(), found, options.clients)
+        print(f"rows of the ring that were lost: {console.service.session.lost_rows if console.service.session else 0}")
     finally:
         console.close()
     return None

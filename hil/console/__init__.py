@@ -1,1 +1,1 @@
-"""The console: one web page to see and command a session at the bench, served by a process of its own."""
+"""Console: web page that shows and commands a session at the bench, served by a separate process."""

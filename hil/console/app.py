@@ -1,4 +1,4 @@
-"""The page and its websocket: who may come in, what a page says, and what it is sent."""
+"""Web application of the console: the page, and its websocket with authentication, requests and updates."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.requests import HTTPConnection
 
-from hil.console.client import Client
+from hil.console.live_view import Client
 from hil.console.message import pack
 from hil.console.service import ConsoleService
 
 PAGE: Final = Path(__file__).parent / "page"
 TICK_S: Final = 0.05
-_HELLO_WALL_S: Final = 5.0
-_WRONG_TOKEN_WALL_S: Final = 0.5  # a guess costs this
+_HELLO_TIMEOUT_WALL_S: Final = 5.0
+_WRONG_TOKEN_DELAY_WALL_S: Final = 0.5
 _REFUSED: Final = 4401
-_TEXT_AT_MOST: Final = 4096
+_LONGEST_TEXT: Final = 4096
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:; style-src 'self'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
@@ -35,30 +35,30 @@ _HEADERS: Final = {
 }
 
 
-def make_app(desk: ConsoleService, token: str | None, hosts: frozenset[str] | None) -> FastAPI:
-    """Return the application. token: what a page must know, None for no token. hosts: names that a browser may call
-    this console by, None for any: on loopback they keep other people's pages from reaching it through a name."""
+def make_app(service: ConsoleService, token: str | None, hosts: frozenset[str] | None) -> FastAPI:
+    """Return the application. token: required of each client, None for none. hosts: host names accepted in requests,
+    None for any; on loopback they prevent access by other sites' pages through a rebound name."""
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
-        ticking = asyncio.create_task(_keep_ticking(desk, news))
-        ticking.add_done_callback(_end_with_a_defect)
+        ticking = asyncio.create_task(_keep_ticking(service, updated))
+        ticking.add_done_callback(_exit_on_error)
         yield
         ticking.cancel()
         with suppress(asyncio.CancelledError):
             await ticking
-        await desk.close()
+        await service.close()
 
-    news = asyncio.Condition()
+    updated = asyncio.Condition()
     app = FastAPI(lifespan=life, docs_url=None, redoc_url=None, openapi_url=None)
 
     @app.middleware("http")
-    async def _guard(request: Any, go_on: Any) -> Any:
-        if not _is_called_by(request, hosts):
+    async def _check_host(request: Any, call_next: Any) -> Any:
+        if not _is_known_host(request, hosts):
             from fastapi.responses import PlainTextResponse
 
             return PlainTextResponse("hil console: unknown host name\n", status_code=421)
-        response = await go_on(request)
+        response = await call_next(request)
         response.headers.update(_HEADERS)
         return response
 
@@ -67,113 +67,120 @@ def make_app(desk: ConsoleService, token: str | None, hosts: frozenset[str] | No
         return FileResponse(PAGE / "index.html")
 
     @app.websocket("/ws")
-    async def _talk(socket: WebSocket) -> None:
-        await _serve_page(socket, desk, token, hosts, news)
+    async def _websocket(socket: WebSocket) -> None:
+        await _serve_client(socket, service, token, hosts, updated)
 
     app.mount("/page", StaticFiles(directory=PAGE), name="page")
     return app
 
 
-async def _keep_ticking(desk: ConsoleService, news: asyncio.Condition) -> None:
+async def _keep_ticking(service: ConsoleService, updated: asyncio.Condition) -> None:
     while True:
-        desk.tick()
-        async with news:
-            news.notify_all()
+        service.tick()
+        async with updated:
+            updated.notify_all()
         await asyncio.sleep(TICK_S)
 
 
-def _end_with_a_defect(ticking: asyncio.Task[None]) -> None:
-    """End a console that does not tick any more: the loop hears nothing of it by now, and acts as its rig says."""
-    if not ticking.cancelled() and (defect := ticking.exception()) is not None:
-        traceback.print_exception(defect)
+def _exit_on_error(ticking: asyncio.Task[None]) -> None:
+    """End a console whose tick has failed: the loop receives no messages then, and reacts as its rig requires."""
+    if not ticking.cancelled() and (error := ticking.exception()) is not None:
+        traceback.print_exception(error)
         signal.raise_signal(signal.SIGINT)
 
 
-async def _serve_page(
-    socket: WebSocket, desk: ConsoleService, token: str | None, hosts: frozenset[str] | None, news: asyncio.Condition
+async def _serve_client(
+    socket: WebSocket,
+    service: ConsoleService,
+    token: str | None,
+    hosts: frozenset[str] | None,
+    updated: asyncio.Condition,
 ) -> None:
-    """Let one page in, or tell it why not; then feed it and do what it asks for until it goes."""
+    """Authenticate one client; then send updates and execute its requests until it disconnects."""
     await socket.accept()
-    client = await _let_in(socket, token, hosts)
+    client = await _authenticate(socket, token, hosts)
     if client is None:
         return
-    desk.clients.append(client)
-    desk.changed()
-    works = [asyncio.create_task(_feed(socket, desk, client, news)), asyncio.create_task(_listen(socket, desk, client))]
+    service.clients.append(client)
+    service.changed()
+    tasks = [
+        asyncio.create_task(_send_updates(socket, service, client, updated)),
+        asyncio.create_task(_receive(socket, service, client)),
+    ]
     try:
-        await asyncio.wait(works, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        for work in works:
-            work.cancel()
-        ends = await asyncio.gather(*works, return_exceptions=True)
-        desk.clients.remove(client)
-        desk.changed()
-    for end in ends:
-        if isinstance(end, Exception) and not isinstance(end, (WebSocketDisconnect, RuntimeError)):
-            raise end  # a defect: the page is disconnected and the server's log tells
+        for task in tasks:
+            task.cancel()
+        results = await asyncio.gather(*tasks, return_exceptions=True)
+        service.clients.remove(client)
+        service.changed()
+    for result in results:
+        if isinstance(result, Exception) and not isinstance(result, (WebSocketDisconnect, RuntimeError)):
+            raise result  # an internal error: the client is disconnected and the server logs it
 
 
-async def _let_in(socket: WebSocket, token: str | None, hosts: frozenset[str] | None) -> Client | None:
-    """Return the client that said hello properly; None, with the reason told, for any other."""
-    if not (_is_called_by(socket, hosts) and _is_own_page(socket)):
-        await _turn_away(socket, "this console is not to be used from another site's page")
+async def _authenticate(socket: WebSocket, token: str | None, hosts: frozenset[str] | None) -> Client | None:
+    """Return the client of a valid first message; else send the reason and return None."""
+    if not (_is_known_host(socket, hosts) and _is_own_page(socket)):
+        await _reject(socket, "this console rejects pages of other sites")
         return None
     try:
-        hello = json.loads(await asyncio.wait_for(socket.receive_text(), _HELLO_WALL_S))
+        hello = json.loads(await asyncio.wait_for(socket.receive_text(), _HELLO_TIMEOUT_WALL_S))
         key, name, given = (str(hello.get(field, "")) for field in ("key", "name", "token"))
     except (TimeoutError, ValueError, AttributeError, KeyError, WebSocketDisconnect):
-        await _turn_away(socket, 'the first message must be {"key": ..., "name": ..., "token": ...}')
+        await _reject(socket, 'the first message must be {"key": ..., "name": ..., "token": ...}')
         return None
     if token is not None and not hmac.compare_digest(given.encode(), token.encode()):
-        await asyncio.sleep(_WRONG_TOKEN_WALL_S)
-        await _turn_away(socket, "wrong token" if given else "this console wants a token")
+        await asyncio.sleep(_WRONG_TOKEN_DELAY_WALL_S)
+        await _reject(socket, "wrong token" if given else "this console requires a token")
         return None
     if len(key) < 16:
-        await _turn_away(socket, "key: at least 16 characters, by chance")
+        await _reject(socket, "key: at least 16 random characters")
         return None
-    return Client(key, name.strip()[:24] or "somebody")
+    return Client(key, name.strip()[:24] or "unnamed")
 
 
-async def _turn_away(socket: WebSocket, why: str) -> None:
+async def _reject(socket: WebSocket, reason: str) -> None:
     with suppress(WebSocketDisconnect, RuntimeError):
-        await socket.send_text(json.dumps({"refused": why}))
-        await socket.close(_REFUSED, why)
+        await socket.send_text(json.dumps({"refused": reason}))
+        await socket.close(_REFUSED, reason)
 
 
-async def _feed(socket: WebSocket, desk: ConsoleService, client: Client, news: asyncio.Condition) -> None:
-    """Send the newest state whenever there is news; a page that reads slowly gets fewer messages, none that is old."""
+async def _send_updates(socket: WebSocket, service: ConsoleService, client: Client, updated: asyncio.Condition) -> None:
+    """Send the newest state on each update; a slow client gets fewer messages, never outdated ones."""
     while True:
-        async with news:
-            await news.wait()
-        if not client.behind:
+        async with updated:
+            await updated.wait()
+        if not client.congested:
             client.sent += 1
-            await socket.send_bytes(pack(*desk.news_for(client)))
+            await socket.send_bytes(pack(*service.update_for(client)))
 
 
-async def _listen(socket: WebSocket, desk: ConsoleService, client: Client) -> None:
+async def _receive(socket: WebSocket, service: ConsoleService, client: Client) -> None:
     while True:
         text = await socket.receive_text()
         try:
-            message = json.loads(text) if len(text) <= _TEXT_AT_MOST else None
+            message = json.loads(text) if len(text) <= _LONGEST_TEXT else None
         except ValueError:
             message = None
         if not isinstance(message, dict):
             await socket.send_text(json.dumps({"answer": None, "ok": False, "text": "not a JSON object, or too long"}))
             continue
-        desk.heard(client, message.get("got"))
+        service.refresh(client, message.get("got"))
         if message.get("do") == "beat":
             continue
-        answer = await desk.obey(client, message)
+        answer = await service.execute(client, message)
         if message.get("id") is not None or not answer["ok"]:
             await socket.send_text(json.dumps({"answer": message.get("id"), **answer}))
 
 
-def _is_called_by(connection: HTTPConnection, hosts: frozenset[str] | None) -> bool:
-    """Return whether the browser calls this console by one of its names: other names may be made to point here."""
+def _is_known_host(connection: HTTPConnection, hosts: frozenset[str] | None) -> bool:
+    """Return whether the request names an accepted host: other names may be rebound to this address."""
     return hosts is None or connection.url.hostname in hosts
 
 
 def _is_own_page(socket: WebSocket) -> bool:
-    """Return whether the page that connects came from here; programs that are no browser name no page."""
+    """Return whether the page was served by this console; programs other than browsers send no origin."""
     origin = socket.headers.get("origin")
     return origin is None or origin.partition("://")[2] == socket.headers.get("host")

@@ -1,4 +1,4 @@
-"""The bench of a session with all that the console watches of it: numbers, pictures, what the docking monitor says."""
+"""Bench of a console session with its outputs: cycles, images, results of the docking monitor."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from hil.recording.taps import EventRecorder, RecordingSinks
 from hil.session import build, with_docking_monitor
 
 RINGS: Final = {"pictures": PICTURE, "monitor_pictures": PICTURE, "portions": PORTION}
-"""What the console reads beside the cycles, by its name in ``RecordingSinks``."""
+"""Rings that the console reads in addition to the cycles, by their names in ``RecordingSinks``."""
 
 
 @dataclass
 class ConsoleBench:
-    """A runner, and the way to what it does. The mock rig keeps the time of the wall here, so that one can watch.
+    """Runner and its outputs. The mock rig runs in real time here, so that it can be watched.
 
-    notes: where to put down what the operator does. watched: asked for what the docking monitor saw, after the run.
+    notes: recorder of operator actions. watched: returns the results of the docking monitor after the run.
     """
 
     runner: Runner
@@ -44,15 +44,15 @@ class ConsoleBench:
 def opened(
     job: build.Job, operator: RemoteOperator, announce: Callable[[str], None], recorder: RecordingSinks | None = None
 ) -> Iterator[ConsoleBench]:
-    """Give the bench of ``job``; its processes are ended after. recorder: who records it."""
+    """Yield the bench of ``job``; its processes are ended afterwards. recorder: sinks of a recording."""
     with ExitStack() as stack:
-        taps = recorder or stack.enter_context(_taps_of_our_own(job))
+        taps = recorder or stack.enter_context(_unrecorded_sinks(job))
         rings = {name: ring for name in RINGS if isinstance(ring := getattr(taps, name), Ring)}
         assert isinstance(taps.cycles, Ring)
         if job.rig.value.kind != "mock":
             bench = stack.enter_context(build.wired_bench(job, announce, taps))
             watched = stack.enter_context(with_docking_monitor.beside(job, bench.telemetry, announce, taps))
-            runner = bench.runner(operator.watch, operator)
+            runner = bench.runner(operator.on_progress, operator)
             yield ConsoleBench(runner, bench.telemetry, bench.notes, watched, bench.addresses, rings)
             return
         watched = stack.enter_context(with_docking_monitor.beside(job, taps.cycles, announce, taps))
@@ -63,13 +63,13 @@ def opened(
         pictures = ThreadedImageSink(maker) if maker else None
         if pictures:
             stack.callback(pictures.close)
-        runner = build.in_memory(job, rate, operator.watch, realtime, taps.cycles, operator, pictures)
+        runner = build.in_memory(job, rate, operator.on_progress, realtime, taps.cycles, operator, pictures)
         yield ConsoleBench(runner, taps.cycles, taps.attach(runner), watched, {}, rings)
 
 
 @contextmanager
-def _taps_of_our_own(job: build.Job) -> Iterator[RecordingSinks]:
-    """Give taps of a session that nobody records: the console alone reads them."""
+def _unrecorded_sinks(job: build.Job) -> Iterator[RecordingSinks]:
+    """Yield sinks of a session without a recording: only the console reads them."""
     fed = fed_by(job)
     rings = {"cycles": Ring.create(CYCLE, build.TELEMETRY_ROWS)}
     rings |= {name: Ring.create(dtype, SLOTS[name], name) for name, dtype in RINGS.items() if name in fed}

@@ -1,4 +1,4 @@
-"""What the console shows of each cycle: one row of numbers from one row of CYCLE, and fewer rows from many."""
+"""Columns of the console: one row of numbers per row of CYCLE, and decimation of rows."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from hil.maths import euler, quat
 _TRIPLES: Final = (
     "reference_m",  # of r_CT_H, in H
     "estimate_m",
-    "bench_m",  # by the encoders
-    "vision_m",  # by a pose as it came; nan in cycles without one
+    "bench_m",  # from the encoders
+    "vision_m",  # from the received pose; nan in cycles without one
     "velocity_estimate_mps",  # in H
     "velocity_truth_mps",
     "angle_reference_deg",  # theta1 theta2 theta3 of H to c
@@ -26,8 +26,8 @@ _TRIPLES: Final = (
     "rate_estimate_degps",  # c against H, in c
     "rate_truth_degps",
     "position_error_mm",  # estimate minus truth, in H
-    "position_band_mm",  # three sigma by the filter
-    "angle_error_deg",  # small turn from the estimated to the true frame, in c
+    "position_band_mm",  # three sigma of the filter
+    "angle_error_deg",  # small rotation from the estimated to the true frame, in c
     "angle_band_deg",
     "rail_m",
     "gimbal_deg",
@@ -47,7 +47,7 @@ _SINGLES: Final = (
     "phase",
 )
 NAMES: Final = ("t_s", *(f"{name}.{axis}" for name in _TRIPLES for axis in "xyz"), *_SINGLES)
-"""Of the columns, in their order; the bits of 24 thrusters are exact in a 32-bit float."""
+"""Names of the columns in order; the bits of 24 thrusters are exact in a 32-bit float."""
 COLUMNS: Final = len(NAMES)
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}
 
@@ -72,7 +72,7 @@ def _put_angles(out, at, q, order):
 
 
 @kernel
-def _error_of_turn(q_true, q_estimate):
+def _attitude_error(q_true, q_estimate):
     """Return the small rotation (3,), rad, in c, from the estimated to the true frame."""
     return quat.to_rotation_vector(quat.multiply(q_true, quat.conjugate(q_estimate)))
 
@@ -81,8 +81,7 @@ def _error_of_turn(q_true, q_estimate):
 def columns_of(params, order, rows, out):
     """Write the console's columns of ``rows`` (n,) of CYCLE into ``out`` (n, COLUMNS), in the order of NAMES.
 
-    params: BENCH_PARAMS. order (3,): of the rotations that angles are told by. Lengths in m or mm, angles in deg, as
-    the names say.
+    params: BENCH_PARAMS. order (3,): rotation sequence of the angles. Lengths in m or mm, angles in deg, as named.
     """
     deg = 180.0 / math.pi
     r_bench, q_bench = np.empty(3), np.empty(4)
@@ -105,17 +104,17 @@ def columns_of(params, order, rows, out):
         at = _put(o, at, euler.from_quaternion(pose.q_CH, order) if seen else none, deg)
         at = _put(o, at, estimate.w_CH_C, deg)
         w_HI_C = quat.transform(truth.q_CH, truth.w_HI_H)
-        turn = _error_of_turn(truth.q_CH, estimate.q_CH)
+        error = _attitude_error(truth.q_CH, estimate.q_CH)
         for i in range(3):
             o[at + i] = deg * (truth.w_CI_C[i] - w_HI_C[i])
             o[at + 3 + i] = 1e3 * (estimate.r_CT_H[i] - truth.r_CT_H[i])
             o[at + 6 + i] = 3e3 * estimate.sigma_r_m[i]
-            o[at + 9 + i] = deg * turn[i]
+            o[at + 9 + i] = deg * error[i]
             o[at + 12 + i] = 3.0 * deg * estimate.sigma_attitude_rad[i]
         at = _put(o, at + 15, row.feedback.rail_m, 1.0)
         at = _put(o, at, row.feedback.gimbal_rad, deg)
         if estimate.valid == 0:
-            _forget_the_estimate(o)
+            _clear_estimate(o)
         for i in range(4):
             o[at + i] = q_bench[i]
         o[at + 4] = estimate.nis_position
@@ -141,8 +140,8 @@ _OF_ESTIMATE: Final = tuple(
 
 
 @kernel
-def _forget_the_estimate(out):
-    """Write nan where nothing is known before the first pose."""
+def _clear_estimate(out):
+    """Write nan into the columns of the estimate, invalid before the first pose."""
     for i in _OF_ESTIMATE:
         out[i] = np.nan
 
@@ -155,10 +154,10 @@ def console_rows(params: np.record, rows: np.ndarray) -> np.ndarray[Any, Any]:
     return out.astype("<f4")
 
 
-def thinned(rows: np.ndarray[Any, Any], at_most: int) -> np.ndarray[Any, Any]:
-    """Return at most ``at_most`` rows (m, COLUMNS) that stand for ``rows`` (n, COLUMNS), the newest of each group.
+def decimated(rows: np.ndarray[Any, Any], at_most: int) -> np.ndarray[Any, Any]:
+    """Return at most ``at_most`` rows (m, COLUMNS) that represent ``rows`` (n, COLUMNS), the newest of each group.
 
-    Of a group the worst lateness and NIS are kept, every thruster that fired, and the newest pose that came.
+    Each keeps the largest lateness and NIS of its group, all thrusters that fired, and the newest pose.
     """
     n = len(rows)
     if n <= at_most:

@@ -1,4 +1,4 @@
-"""The command lease: one operator commands, the others watch. Time is an argument."""
+"""Command lease: one operator commands, the others watch. Time is an argument."""
 
 from __future__ import annotations
 
@@ -6,63 +6,63 @@ import math
 from dataclasses import dataclass
 
 
-class LeaseRefused(Exception):
-    """What was asked for is not done; the text says why, to the one who asked."""
+class RequestRejected(Exception):
+    """Rejected request of a client; the text is the reason sent to it."""
 
 
 @dataclass(slots=True)
 class Lease:
-    """Held by one client as long as it is heard at least every ``lasts_s``; ``key`` knows the client, ``name`` people.
+    """Right to command, held by one client while it sends a message at least every ``timeout_s``.
 
-    A lease that has run out is held by nobody: whoever had it takes it again in so many words.
+    key: secret of the client; name: of its operator. An expired lease is free; its holder must acquire it again.
     """
 
-    lasts_s: float
+    timeout_s: float
     key: str = ""
     name: str = ""
-    heard_s: float = -math.inf
+    last_rx_s: float = -math.inf
 
     @property
     def held(self) -> bool:
         return bool(self.key)
 
     def silent_s(self, now_s: float) -> float:
-        """Return for how long the holder has been silent."""
-        return now_s - self.heard_s
+        """Return the time since the last message of the holder."""
+        return now_s - self.last_rx_s
 
-    def take(self, key: str, name: str, now_s: float) -> None:
-        """Take a lease that is free, or go on with one's own; Refused where another one holds it."""
+    def acquire(self, key: str, name: str, now_s: float) -> None:
+        """Acquire a free lease, or renew the client's own; raise RequestRejected if another client holds it."""
         if self.held and self.key != key:
-            raise LeaseRefused(f"{self.name} has the command: watch, or take it over")
-        self.key, self.name, self.heard_s = key, name, now_s
+            raise RequestRejected(f"{self.name} has the command: watch, or take it over")
+        self.key, self.name, self.last_rx_s = key, name, now_s
 
     def take_over(self, key: str, name: str, now_s: float) -> str:
-        """Take the lease from whoever holds it; return that one's name, "" where it was free or one's own."""
+        """Take the lease over; return the name of the previous holder, "" if it was free or the client's own."""
         before = self.name if self.held and self.key != key else ""
-        self.key, self.name, self.heard_s = key, name, now_s
+        self.key, self.name, self.last_rx_s = key, name, now_s
         return before
 
     def renew(self, key: str, now_s: float) -> None:
-        """The client ``key`` was heard; of no effect for one who does not hold the lease."""
+        """Renew the lease after a message of ``key``; no effect for a client that does not hold it."""
         if self.held and self.key == key:
-            self.heard_s = now_s
+            self.last_rx_s = now_s
 
     def release(self, key: str) -> None:
-        """Give the lease back."""
+        """Release the lease if ``key`` holds it."""
         if self.key == key:
             self.key = self.name = ""
 
     def expire(self, now_s: float) -> str:
-        """Let the lease go where its holder has been silent for too long; return the name, "" otherwise."""
-        if not self.held or self.silent_s(now_s) <= self.lasts_s:
+        """Release the lease if its holder has timed out; return the holder's name, else ""."""
+        if not self.held or self.silent_s(now_s) <= self.timeout_s:
             return ""
         name = self.name
         self.key = self.name = ""
         return name
 
     def require(self, key: str) -> None:
-        """Raise Refused where ``key`` may not command."""
+        """Raise RequestRejected if ``key`` may not command."""
         if self.key == key and self.held:
             return
-        who = f"{self.name} has the command" if self.held else "nobody has the command"
-        raise LeaseRefused(f"{who}: take it before you order anything")
+        holder = self.name if self.held else "no operator"
+        raise RequestRejected(f"{holder} has the command: take it before sending orders")

@@ -1,21 +1,21 @@
-"""What a session shows of itself beside words: plotted rows, pictures, the docking monitor's numbers.
+"""Live view of a session: plotted rows, camera images, results of the docking monitor.
 
-The newest picture of each camera is kept, and each page gets those of the one camera that it watches: a page that is
-slow misses pictures, and nobody waits for it.
+The newest image of each camera is kept, and each client gets those of the camera that it watches; a slow client misses
+images and delays no other.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
 from hil.cameras.docking import chaser_position, mounting
-from hil.console.client import Client
 from hil.console.columns import console_rows
 from hil.console.message import ImageMessage
-from hil.console.rows import RowStore
+from hil.console.rows import Cursor, RowStore
 from hil.console.session_process import SessionProcess
 from hil.console.status import status_of
 from hil.core.camera_images import CAMERAS, data_of, shapes_of
@@ -24,11 +24,35 @@ from hil.monitor.results import Portion, portion_of
 from hil.params import bench as bench_params
 from hil.setup.assembly import Job
 
-_PORTIONS: Final = 3000  # as many as the docking monitor has in an hour
+MAX_UNREAD: Final = 20
+"""Largest number of unread messages of a client: about one second."""
+_PORTIONS: Final = 3000  # one hour of the docking monitor
+
+
+@dataclass(slots=True)
+class Client:
+    """One client. key: its secret, which identifies it to the lease; name: of its operator."""
+
+    key: str
+    name: str
+    cursor: Cursor = field(default_factory=Cursor)
+    page_seen: int = -1
+    camera: str = ""
+    """Camera whose images it requests; "" for any."""
+    picture_seen: int = 0
+    portions_seen: int = 0
+    sent: int = 0
+    got: int | None = None
+    """Number of messages that it has received, None if it does not report it."""
+
+    @property
+    def congested(self) -> bool:
+        """Whether it has too many unread messages: further ones would be outdated when read."""
+        return self.got is not None and self.sent - self.got >= MAX_UNREAD
 
 
 class LiveView:
-    """Rows, pictures and portions since the session began."""
+    """Rows, images and batches of the docking monitor since the session started."""
 
     def __init__(self) -> None:
         self.rows = RowStore()
@@ -39,7 +63,7 @@ class LiveView:
         self._places: np.record | None = None
 
     def begin(self, job: Job) -> None:
-        """Forget all: a session of ``job`` begins."""
+        """Clear everything for a session of ``job``."""
         scenario, rig = job.scenario.value, job.rig.value
         self._bench = bench_params.bench(rig, scenario.step_s)
         self._places = mounting(scenario.monitor)
@@ -47,29 +71,29 @@ class LiveView:
         self.portions = []
         self._pictures.clear()
 
-    def take(self, session: SessionProcess, status: np.ndarray, now_s: float) -> None:
-        """Take what ``session`` has put into its shared memory. status: the newest STATUS (1,); now_s: wall time."""
+    def update(self, session: SessionProcess, status: np.ndarray, now_s: float) -> None:
+        """Read the new data of ``session``. status: newest STATUS (1,); now_s: wall-clock time."""
         assert self._bench is not None
-        self.rows.add(console_rows(self._bench, session.take_rows()))
-        for rows in session.take_pictures():
+        self.rows.add(console_rows(self._bench, session.read_rows()))
+        for rows in session.read_pictures():
             for row in rows:
                 self.show(picture_of(row, status, now_s))
-        for row in session.take_portions():
+        for row in session.read_portions():
             if len(self.portions) < _PORTIONS:
-                self.portions.append(self._told(portion_of(row)))
+                self.portions.append(self._portion(portion_of(row)))
 
     def show(self, picture: ImageMessage) -> None:
-        """Show ``picture`` from now on instead of the one of its camera before."""
+        """Replace the image of its camera by ``picture``."""
         self._number += 1
         self._pictures[picture.name] = (self._number, picture)
 
     @property
     def cameras(self) -> list[str]:
-        """Those with pictures, the known ones first."""
+        """Cameras with images, the known ones first."""
         return sorted(self._pictures, key=lambda name: (CAMERAS.index(name) if name in CAMERAS else len(CAMERAS), name))
 
     def picture_for(self, client: Client) -> ImageMessage | None:
-        """Return the newest picture of the camera that ``client`` watches, None where it has it."""
+        """Return the newest image of the camera that ``client`` watches, None if it already has it."""
         camera = client.camera if client.camera in self._pictures else next(iter(self.cameras), "")
         number, picture = self._pictures.get(camera, (0, None))
         if number == client.picture_seen:
@@ -78,7 +102,7 @@ class LiveView:
         return picture
 
     def rows_for(self, client: Client) -> tuple[np.ndarray[Any, Any], int, dict[str, Any] | None]:
-        """Return the rows that ``client`` has not seen, the number of their first, and the portions, None for none."""
+        """Return the rows new to ``client``, the number of their first, and the new monitor results, None for none."""
         before = client.cursor.seen
         rows = self.rows.since(client.cursor)
         first = 0 if client.cursor.restarted else before
@@ -88,7 +112,7 @@ class LiveView:
             return rows, first, None
         return rows, first, {"first": begin, "list": self.portions[begin:]}
 
-    def _told(self, portion: Portion) -> dict[str, Any]:
+    def _portion(self, portion: Portion) -> dict[str, Any]:
         assert self._places is not None
         d, phi = portion.values[:3], portion.values[3:6]
         known = bool(np.isfinite(d).all() and np.isfinite(phi).all())
@@ -103,7 +127,7 @@ class LiveView:
 
 
 def picture_of(row: np.void, status: np.ndarray, now_s: float) -> ImageMessage:
-    """Return ``row``, of PICTURE, for the pages, with how old it is by the bench's time, or else by the run's."""
+    """Return the image of ``row`` (PICTURE) with its age by bench time, or else by the run's time."""
     bench = status_of(status)
     late_s = float(bench.bench_s - row["bench_s"])
     if not math.isfinite(late_s):

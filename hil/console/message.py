@@ -1,13 +1,13 @@
-"""The one message that a page gets: state, plotted rows and picture of the same moment in one binary packet.
+"""Update message of the console: state, plotted rows and image of the same time in one binary packet.
 
     4 bytes  length of the header, little-endian
     header   JSON, padded by spaces to a multiple of 4
     rows     rows x columns 32-bit floats, little-endian (``hil.console.columns.NAMES``)
-    picture  a JPEG or PNG file, where the header has one
+    picture  a JPEG or PNG file, if the header has one
 
-The header: ``now`` (what changes all the time), ``page`` (the rest, where it has changed), ``rows``, ``columns``,
-``first`` (number of the first row since the session began; 0 lets the page forget what it had), ``picture``, and
-``portions`` of the docking monitor with a ``first`` of their own, where there are new ones.
+The header: ``now`` (the live state), ``page`` (the rest, if changed), ``rows``, ``columns``, ``first`` (number of the
+first row since the session started; 0 clears the page's rows), ``picture``, and ``portions`` (batches of the docking
+monitor, with their own ``first``, if there are new ones).
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _LENGTH: Final = struct.Struct("<I")
 
 @dataclass(frozen=True, slots=True)
 class ImageMessage:
-    """A camera's picture and what is drawn over it, as of ``hil.core.camera_images``.
+    """Camera image and its overlay, see ``hil.core.camera_images``.
 
-    t_s: time of the run at which it was exposed. data: empty where there is nothing but the overlay. status: what its
-    maker said of it. exposed_s: wall time of its exposure, nan where nobody knows.
+    t_s: run time of the exposure. data: empty for an overlay without an image. status: reported by its source.
+    exposed_s: wall-clock time of the exposure, nan if unknown.
     """
 
     name: str
@@ -44,7 +44,7 @@ class ImageMessage:
     exposed_s: float = math.nan
 
     def header(self, now_s: float) -> dict[str, Any]:
-        """Return what a page is told of it at ``now_s`` of wall time."""
+        """Return its part of the header at ``now_s`` of wall-clock time."""
         age_s = now_s - self.exposed_s
         return {
             "name": self.name,
@@ -83,7 +83,7 @@ def pack(
 
 
 def unpack(message: bytes) -> tuple[dict[str, Any], np.ndarray[Any, Any], bytes]:
-    """Return header, rows (n, m) and picture of a message: for clients that are no page."""
+    """Return header, rows (n, m) and image data of a message, for clients other than the page."""
     (length,) = _LENGTH.unpack_from(message)
     header = json.loads(message[4 : 4 + length])
     n, m = header["rows"], header["columns"]

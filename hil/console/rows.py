@@ -1,4 +1,4 @@
-"""All rows of a session that the console plots, for each page from where it left off."""
+"""Plotted rows of a session; each client reads on from its cursor."""
 
 from __future__ import annotations
 
@@ -6,41 +6,41 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.console.columns import COLUMNS, thinned
+from hil.console.columns import COLUMNS, decimated
 
-AT_MOST: Final = 250
-"""Rows in a message: what comes late is thinned out, so that no page ever falls behind."""
+MAX_ROWS: Final = 250
+"""Largest number of rows in a message: delayed rows are decimated, so that no client falls behind."""
 BACKLOG: Final = 1500
-"""Rows that a page gets of what was before it came."""
-_CAPACITY: Final = 60_000  # 20 minutes at 50 Hz; then every second row is forgotten
+"""Largest number of earlier rows for a new client."""
+_CAPACITY: Final = 60_000  # 20 minutes at 50 Hz; then every second row is dropped
 
 
 class RowStore:
-    """Rows (n, COLUMNS) since the session began; ``session`` tells pages of one session from those of the next."""
+    """Rows (n, COLUMNS) since the session started; ``session`` is the number of the session."""
 
     def __init__(self) -> None:
         self.session = 0
         self.total = 0
-        """Rows that came since the session began."""
+        """Number of rows since the session started."""
         self._rows = np.empty((0, COLUMNS), "<f4")
         self._count = 0
-        self._each = 1  # of so many rows that came one is kept
+        self._each = 1  # decimation factor of the stored rows
 
     def begin(self) -> None:
-        """Forget all: a new session begins."""
+        """Clear all rows for a new session."""
         self.session += 1
         self.total = self._count = 0
         self._each = 1
         self._rows = np.empty((1024, COLUMNS), "<f4")
 
     def add(self, rows: np.ndarray[Any, Any]) -> None:
-        """Take further rows."""
+        """Append rows."""
         if not len(rows):
             return
         self.total += len(rows)
-        kept = thinned(rows, -(-len(rows) // self._each))
+        kept = decimated(rows, -(-len(rows) // self._each))
         while self._count + len(kept) > len(self._rows):
-            self._make_room()
+            self._grow()
         self._rows[self._count : self._count + len(kept)] = kept
         self._count += len(kept)
 
@@ -54,31 +54,31 @@ class RowStore:
         return self._rows[self._count - 1] if self._count else None
 
     def all(self) -> np.ndarray[Any, Any]:
-        """Return a copy of all that is kept."""
+        """Return a copy of all stored rows."""
         return self._rows[: self._count].copy()
 
     def since(self, cursor: Cursor) -> np.ndarray[Any, Any]:
-        """Return what ``cursor`` has not seen, at most AT_MOST rows, and move it to the end."""
+        """Return the rows after ``cursor``, at most MAX_ROWS, and move it to the end."""
         new = cursor.session != self.session or cursor.each != self._each
         first = 0 if new else cursor.seen
         cursor.restarted = new
         cursor.session, cursor.each, cursor.seen = self.session, self._each, self._count
-        return thinned(self._rows[first : self._count], BACKLOG if new else AT_MOST)
+        return decimated(self._rows[first : self._count], BACKLOG if new else MAX_ROWS)
 
-    def _make_room(self) -> None:
+    def _grow(self) -> None:
         if len(self._rows) < _CAPACITY:
             grown = np.empty((2 * len(self._rows), COLUMNS), "<f4")
             grown[: self._count] = self._rows[: self._count]
             self._rows = grown
             return
-        half = thinned(self._rows[: self._count], -(-self._count // 2))
+        half = decimated(self._rows[: self._count], -(-self._count // 2))
         self._rows[: len(half)] = half
         self._count = len(half)
         self._each *= 2
 
 
 class Cursor:
-    """How far one page is. restarted: what it gets next replaces all that it has."""
+    """Read position of one client. restarted: the next rows replace all earlier ones."""
 
     def __init__(self) -> None:
         self.session = -1

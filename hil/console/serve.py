@@ -1,4 +1,4 @@
-"""Serves the console: the address, the token, and the web server about the desk."""
+"""Server of the console: address, token and web server."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from hil.config.load import shipped
 from hil.console.session import Choice
 from hil.errors import BadInput, Problem
 
-_TOKEN_AT_LEAST: Final = 16
+_SHORTEST_TOKEN: Final = 16
 _LOOPBACK_NAMES: Final = ("localhost", "127.0.0.1", "::1")
 
 
 def read_token(path: str) -> str:
-    """Return the token in the file at ``path``; raises BadInput where it is none, or others can read it."""
+    """Return the token in the file at ``path``; raises BadInput if it is invalid or readable by other users."""
     option = "--token-file"
     try:
         mode = Path(path).stat().st_mode
@@ -27,15 +27,17 @@ def read_token(path: str) -> str:
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput.single(option, "", f"{path}: cannot be read: {error}") from error
     if stat.S_IMODE(mode) & 0o077:
-        raise BadInput.single(option, "", f"{path}: others may read it, mode {stat.S_IMODE(mode):o}: chmod 600 {path}")
-    if len(token) < _TOKEN_AT_LEAST:
-        text = f"{path}: {len(token)} characters, at least {_TOKEN_AT_LEAST}: openssl rand -hex 16 > {path}"
+        raise BadInput.single(
+            option, "", f"{path}: readable by other users, mode {stat.S_IMODE(mode):o}: chmod 600 {path}"
+        )
+    if len(token) < _SHORTEST_TOKEN:
+        text = f"{path}: {len(token)} characters, at least {_SHORTEST_TOKEN}: openssl rand -hex 16 > {path}"
         raise BadInput.single(option, "", text)
     return token
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only programs on this computer reach ``host``."""
+    """Return whether ``host`` is reachable only from this computer."""
     if host == "localhost":
         return True
     try:
@@ -45,12 +47,12 @@ def is_loopback(host: str) -> bool:
 
 
 def listen(host: str, port: int, token: str | None) -> socket.socket:
-    """Return a socket that listens; raises BadInput where it cannot, or where others could come in without a token."""
+    """Return a listening socket; raises BadInput on failure, or for a remotely reachable address without a token."""
     problems = []
     if not 0 <= port <= 65535:
-        problems.append(Problem("--port", "", f"{port}: allowed 0 to 65535, 0 for any that is free"))
+        problems.append(Problem("--port", "", f"{port}: allowed 0 to 65535, 0 for any free port"))
     if not is_loopback(host) and token is None:
-        text = f"{host}: other computers can reach it: give --token-file, or stay on 127.0.0.1"
+        text = f"{host}: reachable from other computers: give --token-file, or use 127.0.0.1"
         problems.append(Problem("--host", "", text))
     if problems:
         raise BadInput(problems)
@@ -58,11 +60,11 @@ def listen(host: str, port: int, token: str | None) -> socket.socket:
     try:
         return socket.create_server((host, port), family=family)
     except OSError as error:
-        raise BadInput.single("--port", "", f"{host}:{port}: cannot listen there: {error.strerror or error}") from error
+        raise BadInput.single("--port", "", f"{host}:{port}: cannot listen: {error.strerror or error}") from error
 
 
 def serve(choice: Choice, listener: socket.socket, host: str, token: str | None, log: Callable[[str], None]) -> None:
-    """Serve the page until Ctrl-C, which a KeyboardInterrupt tells; a session that is open is stopped before."""
+    """Serve the page until Ctrl-C (KeyboardInterrupt); an open session is stopped first."""
     import uvicorn
 
     from hil.console.app import make_app
@@ -70,11 +72,11 @@ def serve(choice: Choice, listener: socket.socket, host: str, token: str | None,
 
     scenarios = [*dict.fromkeys([choice.scenario, *shipped("scenarios")])]
     rigs = [*dict.fromkeys([choice.rig, *shipped("rigs")])]
-    desk = ConsoleService(choice, scenarios, rigs, time.monotonic, log)
-    desk.warm_up()
+    service = ConsoleService(choice, scenarios, rigs, time.monotonic, log)
+    service.warm_up()
     hosts = frozenset({host, *_LOOPBACK_NAMES}) if is_loopback(host) else None
     config = uvicorn.Config(
-        make_app(desk, token, hosts),
+        make_app(service, token, hosts),
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",

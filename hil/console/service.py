@@ -1,4 +1,4 @@
-"""What the console does for its pages: obeys what they ask for, tells what there is. Nothing of the web is in it."""
+"""Request handler of the console: executes the requests of its clients and assembles their updates. No web code."""
 
 from __future__ import annotations
 
@@ -6,38 +6,45 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.console.client import Client
 from hil.console.columns import COLUMNS, NAMES
-from hil.console.confirmations import CONFIRMATIONS
-from hil.console.lease import LeaseRefused
+from hil.console.lease import RequestRejected
+from hil.console.live_view import Client
 from hil.console.message import ImageMessage
 from hil.console.session_manager import SessionManager
-from hil.core.modes import Mode
+from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
 from hil.errors import BadInput
 
-_BENCH_AT_REST: Final = frozenset({Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.HOLD, Mode.SAFE_STOP})
+CONFIRMATIONS: Final = {
+    OperatorCommand.HOME: "Home: axes that are not homed search for their switches. Is the bench clear of people?",
+    OperatorCommand.ARM: "Arm: all axes move to the start pose. Is the bench clear of people?",
+    OperatorCommand.START: "Start: the loop is closed and the bench moves automatically. Is the bench clear of people?",
+    OperatorCommand.RESUME: "Resume: the bench continues from its present position. Is the bench clear of people?",
+    OperatorCommand.ABORT: "Abort: the chaser brakes and retreats with the bench. The approach cannot be continued.",
+    OperatorCommand.GO: "Go: the chaser leaves its waiting point and approaches the target.",
+    OperatorCommand.PARK: "Park: all axes move to the park position; the session ends. Is the bench clear of people?",
+    OperatorCommand.RESET: "Reset: the devices open and the drives are powered. Is the cause gone, is the bench clear?",
+}
+"""Commands that require a confirmation, and the question asked."""
 
 
 class ConsoleService(SessionManager):
-    """The keeper of the session behind its counter."""
+    """Session manager with the requests and the updates of clients."""
 
-    # what the pages ask for
+    # requests of the clients
 
-    async def obey(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
-        """Do what a page asks for; return its answer: ok, text, and ``ask`` where it has to be confirmed first."""
+    async def execute(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
+        """Execute a request; return the answer: ok, text, and ``ask`` if it requires a confirmation."""
         try:
-            return await self._obey(client, command)
-        except LeaseRefused as refusal:
-            return {"ok": False, "text": str(refusal)}
-        except BadInput as error:
+            return await self._execute(client, command)
+        except (RequestRejected, BadInput) as error:
             return {"ok": False, "text": str(error)}
 
-    async def _obey(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
+    async def _execute(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
         match command.get("do"):
             case "take":
-                self.lease.take(client.key, client.name, self.wall_s())
-                self.note(f"{client.name} has the command")
+                self.lease.acquire(client.key, client.name, self.wall_s())
+                self.log(f"{client.name} has the command")
             case "take_over":
                 return self._take_over(client, bool(command.get("confirmed")))
             case "release":
@@ -62,114 +69,116 @@ class ConsoleService(SessionManager):
             case "fault":
                 self.lease.require(client.key)
                 await self.faults.switch(str(command.get("device")), str(command.get("line")))
-                self.note(f"{client.name} switched a fault: {command['device']} {command['line']}")
-                self.put_down("fault", client.name, f"{command['device']}: {command['line']}")
+                self.log(f"{client.name} switched a fault: {command['device']} {command['line']}")
+                self.record_event("fault", client.name, f"{command['device']}: {command['line']}")
             case other:
-                raise LeaseRefused(f"{other!r}: unknown request")
+                raise RequestRejected(f"{other!r}: unknown request")
         return {"ok": True, "text": ""}
 
     def _take_over(self, client: Client, confirmed: bool) -> dict[str, Any]:
         if self.lease.held and self.lease.key != client.key and not confirmed:
-            return {"ok": False, "ask": f"Take the command over from {self.lease.name}? They can only watch then."}
+            return {"ok": False, "ask": f"Take the command over from {self.lease.name}, who can then only watch?"}
         before = self.lease.take_over(client.key, client.name, self.wall_s())
-        self.note(f"{client.name} took the command over from {before}" if before else f"{client.name} has the command")
+        self.log(f"{client.name} took the command over from {before}" if before else f"{client.name} has the command")
         return {"ok": True, "text": ""}
 
     def _release(self, client: Client) -> None:
         self.lease.require(client.key)
-        if self.mode not in _BENCH_AT_REST:
-            raise LeaseRefused(f"the bench is {self.mode.value}: hold or stop it first, or let somebody take over")
+        if self.mode not in AT_REST:
+            raise RequestRejected(
+                f"the bench is {self.mode.value}: hold or stop it first, or let another operator take over"
+            )
         self.lease.release(client.key)
-        self.note(f"{client.name} gave the command back")
+        self.log(f"{client.name} released the command")
 
     async def _open(self, command: dict[str, Any]) -> None:
         if self.session is not None:
-            raise LeaseRefused("a session is open: stop it first")
-        if self.account.unseen:
-            raise LeaseRefused("an alarm has not been acknowledged: read it, acknowledge it, then open the bench")
+            raise RequestRejected("a session is open: stop it first")
+        if self.state.unacknowledged:
+            raise RequestRejected("an alarm is not acknowledged: read and acknowledge it, then open the bench")
         changes: dict[str, Any] = {name: command[name] for name in ("scenario", "rig", "seed") if name in command}
         for name, allowed in (("scenario", self.scenarios), ("rig", self.rigs)):
             if changes.get(name, allowed[0]) not in allowed:
-                raise LeaseRefused(f"{name} {changes[name]!r}: allowed {', '.join(allowed)}")
+                raise RequestRejected(f"{name} {changes[name]!r}: allowed {', '.join(allowed)}")
         seed = changes.get("seed", 0)
         if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-            raise LeaseRefused(f"seed {seed!r}: allowed a whole number from 0 on")
-        self.begin(self.choice.model_copy(update=changes))
+            raise RequestRejected(f"seed {seed!r}: allowed an integer of 0 or more")
+        self.start_session(self.choice.model_copy(update=changes))
 
     async def _order(self, client: Client, word: str, confirmed: bool) -> dict[str, Any]:
         if word not in [order.value for order in OperatorCommand if order is not OperatorCommand.JOG]:
-            raise LeaseRefused(f"{word!r}: unknown order")
+            raise RequestRejected(f"{word!r}: unknown order")
         order = OperatorCommand(word)
         if self.session is None:
             if order is OperatorCommand.RESET:
-                return self._let_go_of_alarms()
-            raise LeaseRefused(f"bench: cannot {word}, no session is open")
+                return self._reset_alarms()
+            raise RequestRejected(f"bench: cannot {word}, no session is open")
         if not self.session.ready:
             if order is not OperatorCommand.STOP:
-                raise LeaseRefused(f"bench: cannot {word}, it is being opened")
+                raise RequestRejected(f"bench: cannot {word} while it is being opened")
             self.session.interrupt()
             return {"ok": True, "text": ""}
         if order in CONFIRMATIONS and self.mode in ALLOWED_IN[order] and not confirmed:
             return {"ok": False, "ask": CONFIRMATIONS[order]}
-        self.say_who_is_there(self.session, self.wall_s())  # whoever orders has the command by then
+        self.report_operator(self.session, self.wall_s())  # the session then has the present holder of the lease
         text = await self.session.ask(order=word, by=client.name)
-        self.note(f"{client.name}: {word}{f' refused: {text}' if text else ''}")
+        self.log(f"{client.name}: {word}{f' rejected: {text}' if text else ''}")
         return {"ok": not text, "text": text}
 
-    def _let_go_of_alarms(self) -> dict[str, Any]:
-        if self.account.unseen:
-            raise LeaseRefused("an alarm has not been acknowledged: read it, acknowledge it, then reset")
-        self.account.let_go()
+    def _reset_alarms(self) -> dict[str, Any]:
+        if self.state.unacknowledged:
+            raise RequestRejected("an alarm is not acknowledged: read and acknowledge it, then reset")
+        self.state.unlatch()
         self.changed()
         return {"ok": True, "text": ""}
 
     def _jog(self, axis: str, direction: object) -> None:
         if self.session is None or not self.session.ready:
-            raise LeaseRefused("bench: cannot jog, no session is open")
-        if axis not in self.account.bench["axes"] or direction not in (-1, 1):
-            raise LeaseRefused(f"bench: cannot jog {axis} by {direction}")
+            raise RequestRejected("bench: cannot jog, no session is open")
+        if axis not in self.state.bench["axes"] or direction not in (-1, 1):
+            raise RequestRejected(f"bench: cannot jog {axis} by {direction}")
         if self.mode in (Mode.STANDBY, Mode.JOGGING):
             self.session.send(jog=[axis, direction])
         else:
-            raise LeaseRefused(f"bench: cannot jog in {self.mode.value}")
+            raise RequestRejected(f"bench: cannot jog in {self.mode.value}")
 
     async def _adjust(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
-        """Let the loop have another value of one of its settings."""
+        """Send a changed setting to the loop."""
         if self.session is None or not self.session.ready or self.tuner is None:
-            raise LeaseRefused("bench: cannot change a setting, no session is open")
+            raise RequestRejected("bench: cannot change a setting, no session is open")
         async with self.tuning:
             change = self.tuner.change(command.get("key"), command.get("value"))
             if not command.get("confirmed"):
                 return {"ok": False, "ask": change.question}
-            self.say_who_is_there(self.session, self.wall_s())
+            self.report_operator(self.session, self.wall_s())
             text = await self.session.ask(adjust=change.as_message(), by=client.name)
             if not text:
-                self.tuner.took(change)
-        done = f"refused: {text}" if text else f"was {change.before:g}"
-        self.note(f"{client.name}: {change.key} = {change.value:g}, {done}")
+                self.tuner.applied(change)
+        done = f"rejected: {text}" if text else f"was {change.before:g}"
+        self.log(f"{client.name}: {change.key} = {change.value:g}, {done}")
         return {"ok": not text, "text": text}
 
     async def _acknowledge(self, client: Client) -> None:
         if self.session is not None and self.session.ready:
             text = await self.session.ask(acknowledge=True, by=client.name)
             if text:
-                raise LeaseRefused(text)
-        self.account.acknowledge()
-        self.note(f"{client.name} acknowledged the alarms")
+                raise RequestRejected(text)
+        self.state.acknowledge()
+        self.log(f"{client.name} acknowledged the alarms")
 
-    # what the pages see
+    # updates for the clients
 
-    def news_for(
+    def update_for(
         self, client: Client
     ) -> tuple[
         dict[str, Any], dict[str, Any] | None, np.ndarray[Any, Any], int, ImageMessage | None, dict[str, Any] | None
     ]:
-        """Return the arguments of ``message.pack`` for ``client``, of all that it has not seen."""
+        """Return the arguments of ``message.pack`` for ``client``: everything new since its last update."""
         page = None
         if client.page_seen != self.page_version:
             client.page_seen, page = self.page_version, self._page()
-        rows, first, portions = self.shown.rows_for(client)
-        return self._now(client), page, rows.reshape(-1, COLUMNS), first, self.shown.picture_for(client), portions
+        rows, first, portions = self.view.rows_for(client)
+        return self._now(client), page, rows.reshape(-1, COLUMNS), first, self.view.picture_for(client), portions
 
     def _now(self, client: Client) -> dict[str, Any]:
         now_s = self.wall_s()
@@ -181,21 +190,21 @@ class ConsoleService(SessionManager):
             "ready": self.session is not None and self.session.ready,
             "lease": {"holder": lease.name, "mine": lease.held and lease.key == client.key},
             "watching": len(self.clients),
-            "cameras": self.shown.cameras,
-            "recording": self.account.recording.as_json() if self.session is not None else None,
-            **self.account.now(now_s),
+            "cameras": self.view.cameras,
+            "recording": self.state.recording.as_json() if self.session is not None else None,
+            **self.state.live(now_s),
         }
 
     def _page(self) -> dict[str, Any]:
         return {
-            "session": self.shown.rows.session,
+            "session": self.view.rows.session,
             "columns": NAMES,
             "choice": {"scenario": self.choice.scenario, "rig": self.choice.rig, "seed": self.choice.seed},
             "scenarios": self.scenarios,
             "rigs": self.rigs,
             "obeyed_in": {order.value: [mode.value for mode in modes] for order, modes in ALLOWED_IN.items()},
-            "log": list(self.log)[-40:],
-            "settings": self.tuner.offered() if self.tuner is not None and self.session is not None else [],
+            "log": list(self.log_lines)[-40:],
+            "settings": self.tuner.available() if self.tuner is not None and self.session is not None else [],
             "faults": {"menu": self.faults.menu, "on": self.faults.on},
-            **self.account.page(),
+            **self.state.page(),
         }

@@ -68,37 +68,37 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
         operator = RemoteOperator(words, status["status"], choice.on_loss or rig.console.on_loss, rig.console.lease_s)
 
         def announce(text: str) -> None:
-            words.say(word=text)
+            words.send(word=text)
 
         with _recorded(choice, job, announce) as taken:
             with opened(job, operator, announce, taken.taps if taken else None) as bench:
                 operator.attach(bench.runner, bench.notes, job.scenario.value.console.adjustable)
                 _say_hello(channel, bench, status, taken)
                 outcome = bench.runner.run()
-                operator.tell(bench.runner.now_s())
-                words.say(word="the loop has ended: judging the run, closing its files", closing=True)
+                operator.publish(bench.runner.now_s())
+                words.send(word="the loop has ended: judging the run, closing its files", closing=True)
                 watched = bench.watched(outcome)
-            words.say(ended=_how_it_ended(choice, job, outcome, watched, taken))
+            words.send(ended=_how_it_ended(choice, job, outcome, watched, taken))
     except BadInput as error:
-        words.say(refused=[str(problem) for problem in error.problems])
+        words.send(refused=[str(problem) for problem in error.problems])
     except BenchError as error:
-        words.say(refused=[str(error)])
+        words.send(refused=[str(error)])
     except KeyboardInterrupt:
-        words.say(refused=["stopped by the operator while the bench was being opened"])
+        words.send(refused=["stopped by the operator while the bench was being opened"])
     finally:
         channel.settimeout(_LAST_WORDS_WALL_S)  # the loop is over: now there is time to wait
-        words.push()
+        words.flush()
         status.close()
 
 
 def _prepare(job: build.Job, words: OutgoingMessages) -> None:
     """Check that rig and scenario suit each other, and compile what has not been compiled before anything moves."""
-    words.say(word="checking that the rig can follow the scenario")
+    words.send(word="checking that the rig can follow the scenario")
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         build.check(build.Job(job.scenario, job.rig, job.seed, job.duration_s, 1.0))
     else:
         build.check(job)
-    compile_kernels(job, lambda text: words.say(word=text))
+    compile_kernels(job, lambda text: words.send(word=text))
 
 
 @contextmanager

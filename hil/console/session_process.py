@@ -30,17 +30,17 @@ _STOP_WALL_S: Final = 5.0  # for a bench to be stopped and its processes ended
 
 
 class SessionProcess:
-    """One session. ``on_words`` is called, in the event loop, with each message that is not an answer.
+    """One session. ``on_message`` is called, in the event loop, with each message that is not an answer.
 
     ready: the bench is up. ended: the process has sent its last message, or has died.
     """
 
-    def __init__(self, choice: Choice, on_words: Callable[[dict[str, Any]], None]) -> None:
+    def __init__(self, choice: Choice, on_message: Callable[[dict[str, Any]], None]) -> None:
         self.choice = choice
         self.ready = False
         self.ended = False
         self.addresses: dict[str, str] = {}
-        self._on_words = on_words
+        self._on_words = on_message
         self._answers: dict[int, asyncio.Future[str]] = {}
         self._numbers = itertools.count(1)
         self._rings: dict[str, Ring] = {}
@@ -89,15 +89,15 @@ class SessionProcess:
             return False
         return True
 
-    def take_rows(self) -> np.ndarray:
+    def read_rows(self) -> np.ndarray:
         """Return the rows of CYCLE, (n,), that came since the last call."""
         return self._take("telemetry", CYCLE)
 
-    def take_portions(self) -> np.ndarray:
+    def read_portions(self) -> np.ndarray:
         """Return what the docking monitor said since the last call, (n,) of PORTION."""
         return self._take("portions", PORTION)
 
-    def take_pictures(self) -> list[np.ndarray]:
+    def read_pictures(self) -> list[np.ndarray]:
         """Return the newest pictures since the last call, (n,) of PICTURE each: a pair, and one of the monitor's."""
         newest = {"pictures": 2, "monitor_pictures": 1}
         return [self._readers[name].newest(n) for name, n in newest.items() if name in self._readers]
@@ -154,7 +154,7 @@ class SessionProcess:
             await asyncio.sleep(0.01)
         return True
 
-    def look(self) -> None:
+    def poll_exit(self) -> None:
         """Notice a process that has ended though the event loop never said so; call it now and then.
 
         uvloop lets go of a line on which an error stands, and one does where a session ended with packets unread.

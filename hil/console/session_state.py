@@ -1,58 +1,93 @@
-"""What a session has told of itself, as the pages get it."""
+"""State of a session for the clients: alarms, events, status, recording."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
-from hil.console.recording_watch import RecordingWatch
 from hil.console.status import DEVICES, MODES, UNKNOWN, empty_status, status_of
 from hil.core.modes import Mode
 from hil.gnc.filter_monitor import nis_band
 from hil.monitor.results import QUANTITIES
 from hil.monitor.screen.overlay import NUMBERS
 
-_NIS_TAIL: Final = 0.0027  # what lies beyond three sigma of a normal number
+_NIS_TAIL: Final = 0.0027  # probability beyond three sigma of a normal variable
+SILENT_S: Final = 2.0
+"""The recorder reports ten times per second; after this time without a report it counts as dead."""
 _SHOWN_EVENTS: Final = 20
 
 
-class SessionState:
-    """Alarms, events, status and last words of one session; of the last one, after it has ended.
+class RecordingStatus:
+    """Status of the recording into ``file``; "" if nothing is recorded."""
 
-    bench: what a page has to know of bench and run to draw them.
+    def __init__(self, file: str = "") -> None:
+        self.file = file
+        self._size_bytes = self._lost = 0
+        self._trouble = ""
+
+    def update(self, state: np.ndarray, silent_s: float) -> list[str]:
+        """Update from recorder.STATE (1,) and the time since the last report; return new lines for the log."""
+        row = state[0]
+        trouble = row["trouble"].decode(errors="replace")
+        if not trouble and silent_s > SILENT_S:
+            trouble = f"no report of its process for {SILENT_S:g} s"
+        lines = []
+        if trouble and trouble != self._trouble:
+            lines.append(f"recording: {self.file}: {trouble}: recording stopped, the bench continues")
+        if self._trouble and not trouble:
+            lines.append("recording: continues")
+        lost = int(row["dropped"])
+        if lost and not self._lost and not trouble:
+            lines.append(f"recording: {self.file}: {lost} messages lost by overload, further losses are counted")
+        self._size_bytes, self._lost, self._trouble = int(row["size_bytes"]), lost, trouble
+        return lines
+
+    def as_json(self) -> dict[str, Any] | None:
+        """Return the recording's status for the page; None if nothing is recorded."""
+        if not self.file:
+            return None
+        name = Path(self.file).name
+        return {"file": name, "size_bytes": self._size_bytes, "lost": self._lost, "trouble": self._trouble}
+
+
+class SessionState:
+    """Alarms, events, status and messages of one session; after its end those of the last one.
+
+    bench: description of bench and run for drawing. status_text: line shown on the page.
     """
 
-    def __init__(self, bench: dict[str, Any], word: str) -> None:
+    def __init__(self, bench: dict[str, Any], status_text: str) -> None:
         self.bench = bench
-        self.word = word
+        self.status_text = status_text
         self.alarms: list[dict[str, Any]] = []
         self.events: list[dict[str, Any]] = []
         self.hold_reason = ""
         self.ended: dict[str, Any] | None = None
-        self.recording = RecordingWatch()
+        self.recording = RecordingStatus()
         self.closing = False
-        """Whether the loop has ended and only the files are yet to be closed."""
+        """Whether the loop has ended and only the files are still being closed."""
         self._status = empty_status()
         self._number = 0
-        self._came_s = -math.inf
+        self._received_s = -math.inf
 
-    def take_status(self, number: int, status: np.ndarray, now_s: float) -> None:
-        """Take the newest STATUS (1,), the ``number``-th that was written."""
+    def set_status(self, number: int, status: np.ndarray, now_s: float) -> None:
+        """Set the newest STATUS (1,), the ``number``-th that was written."""
         if number != self._number:
-            self._number, self._status, self._came_s = number, status, now_s
+            self._number, self._status, self._received_s = number, status, now_s
 
     @property
     def mode(self) -> Mode:
-        """As last told; OFF before anything was."""
+        """Mode of the last status; OFF before the first one."""
         mode: Mode = MODES[int(self._status["mode"][0])] if self._number else Mode.OFF
         return mode
 
-    def hear(self, message: dict[str, Any]) -> list[str]:
-        """Take what the session says; return what of it belongs into the log."""
+    def apply(self, message: dict[str, Any]) -> list[str]:
+        """Apply a message of the session; return new lines for the log."""
         lines: list[str] = []
         if "alarms" in message:
             known = {alarm["text"] for alarm in self.alarms if alarm["latched"]}
@@ -63,43 +98,43 @@ class SessionState:
             self.hold_reason = message["hold_reason"]
         self.closing = self.closing or "closing" in message
         if "word" in message:
-            self.word = message["word"]
-            lines.append(self.word)
+            self.status_text = message["word"]
+            lines.append(self.status_text)
         if "ended" in message:
             self.ended = message["ended"]
-            self.word = f"session ended: {message['ended']['stop']}"
-            lines.append(self.word)
+            self.status_text = f"session ended: {message['ended']['stop']}"
+            lines.append(self.status_text)
             if problem := message["ended"].get("recording", {}).get("problem"):
                 lines.append(f"recording: {problem}")
         if "refused" in message:
-            self.word = message["refused"][0]
+            self.status_text = message["refused"][0]
             lines += message["refused"]
         return lines
 
     @property
-    def unseen(self) -> bool:
-        """Whether an alarm has not been acknowledged."""
+    def unacknowledged(self) -> bool:
+        """Whether an alarm is not acknowledged."""
         return any(not alarm["acknowledged"] for alarm in self.alarms)
 
     def acknowledge(self) -> None:
-        """Somebody has seen all alarms."""
+        """Mark all alarms as acknowledged."""
         self.alarms = [alarm | {"acknowledged": True} for alarm in self.alarms]
 
-    def let_go(self) -> None:
+    def unlatch(self) -> None:
         """Unlatch all alarms."""
         self.alarms = [alarm | {"latched": False} for alarm in self.alarms]
 
-    def now(self, now_s: float) -> dict[str, Any]:
-        """Return what changes all the time; nothing before the session's first word."""
+    def live(self, now_s: float) -> dict[str, Any]:
+        """Return the live part of the state; empty before the first status."""
         if not self._number:
             return {}
-        status, since_s = status_of(self._status), now_s - self._came_s
+        status, since_s = status_of(self._status), now_s - self._received_s
         return {
             "status_age_s": since_s,
             "ages_s": {name: _number(status.age_s[i] + since_s) for i, name in enumerate(DEVICES)},
             "bench_s": _number(status.bench_s),
             "run_s": _number(status.run_s),
-            "share": _number(status.share),
+            "share": _number(status.fraction),
             "rail_m": [_number(v) for v in status.feedback.rail_m],
             "gimbal_deg": [_number(math.degrees(v)) for v in status.feedback.gimbal_rad],
             "rail_mps": [_number(v) for v in status.feedback.rail_mps],
@@ -114,24 +149,24 @@ class SessionState:
         }
 
     def page(self) -> dict[str, Any]:
-        """Return the rest."""
+        """Return the slow part of the state."""
         return {
             "bench": self.bench,
             "alarms": self.alarms,
             "events": self.events[-_SHOWN_EVENTS:],
-            "word": self.word,
+            "word": self.status_text,
             "hold_reason": self.hold_reason,
             "ended": self.ended,
         }
 
 
 def _number(value: float) -> float | None:
-    """Return ``value``; None for one that is not finite, which JSON does not have."""
+    """Return ``value``; None for a non-finite number, which JSON does not support."""
     return float(value) if math.isfinite(value) else None
 
 
 def _monitor_numbers(scenario: Scenario) -> list[dict[str, Any]]:
-    """Return how each of the docking monitor's numbers is shown; none where there is no monitor."""
+    """Return the display format of the docking monitor's numbers; empty without a monitor."""
     if scenario.monitor.source == "none":
         return []
     return [
@@ -140,8 +175,8 @@ def _monitor_numbers(scenario: Scenario) -> list[dict[str, Any]]:
     ]
 
 
-def described(rig: Rig, scenario: Scenario) -> dict[str, Any]:
-    """Return what a page has to know of the bench and of the run to draw them."""
+def bench_description(rig: Rig, scenario: Scenario) -> dict[str, Any]:
+    """Return the description of bench and run that a page needs to draw them."""
     rails = {f"rails.{name}": [*getattr(rig.rails, name).travel_m] for name in RAIL_NAMES}
     gimbals = {f"turntable.{name}": [*getattr(rig.turntable, name).travel_deg] for name in GIMBAL_NAMES}
     guidance, corridor = scenario.gnc.guidance, scenario.gnc.corridor

@@ -1,4 +1,4 @@
-"""How the bench is, some twenty times a second in every mode: a record in shared memory, written by the loop."""
+"""Status of the bench: a record in shared memory, written by the loop about twenty times per second in every mode."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ UNKNOWN: Final = -1
 
 STATUS = np.dtype(
     [
-        ("mode", "i8"),  # its place in MODES
+        ("mode", "i8"),  # index in MODES
         ("bench_s", "f8"),
         ("run_s", "f8"),  # time of the run's last cycle
-        ("share", "f8"),  # of what is under way, 0..1
+        ("fraction", "f8"),  # completed, of the present sequence, 0..1
         ("feedback", AXES),
         ("setpoint", AXES),
-        ("age_s", "f8", len(DEVICES)),  # of what each of DEVICES last said; nan where it is not known
+        ("age_s", "f8", len(DEVICES)),  # of the last data of each of DEVICES; nan if unknown
         ("homing", "i8", 6),
         ("limit", "i8", 6),
         ("estop", "i8"),  # 1 pressed, 0 released, UNKNOWN
@@ -41,7 +41,7 @@ CELLS: Final = {"status": STATUS}
 
 
 class StatusWriter:
-    """Fills STATUS from a runner; in the loop's thread."""
+    """Writes STATUS from a runner, in the loop's thread."""
 
     def __init__(self, runner: Runner) -> None:
         self._runner = runner
@@ -49,14 +49,14 @@ class StatusWriter:
         self._view: np.record = self.record.view(np.recarray)[0]
         self._frames = -1
         self._frame_s = math.nan
-        self.share = 0.0
+        self.fraction = 0.0
 
     def fill(self, now_s: float) -> np.ndarray:
-        """Return STATUS (1,) as of bench time ``now_s``; the same array each time."""
+        """Return STATUS (1,) at bench time ``now_s``; always the same array."""
         runner, out = self._runner, self._view
         loop, bench = runner.loop, runner.loop.bench
         out.mode = MODES.index(runner.safety.modes.mode)
-        out.bench_s, out.run_s, out.share = now_s, loop.now.t_s[0], self.share
+        out.bench_s, out.run_s, out.fraction = now_s, loop.now.t_s[0], self.fraction
         self.record["feedback"] = loop.now.row["feedback"]
         self.record["setpoint"] = loop.now.row["setpoint"]
         out.estop = UNKNOWN
@@ -67,7 +67,7 @@ class StatusWriter:
             out.homing[:] = (*rails.homing, *turntable.homing)
             out.limit[:] = (*rails.limit, *turntable.limit)
             out.age_s[2] = self._age_of_frames(now_s)
-            self._look_at_lines(now_s)
+            self._read_safety_io(now_s)
         rate = runner.rate
         out.overruns, out.skipped_periods = rate.overruns, rate.skipped_periods
         out.limited_cycles = bench.limited_cycles
@@ -80,10 +80,10 @@ class StatusWriter:
             self._frames = self._view.frames = frames
         return now_s - self._frame_s
 
-    def _look_at_lines(self, now_s: float) -> None:
+    def _read_safety_io(self, now_s: float) -> None:
         lines = self._runner.loop.safety_io
         if isinstance(lines, SafetyIoStage):
-            with suppress(BenchError):  # its reader in the cycle makes the alarm
+            with suppress(BenchError):  # the cycle raises the alarm
                 inputs = lines.io.read(now_s)
                 self._view.estop = 0 if inputs.estop_closed else 1
                 self._view.age_s[3] = now_s - inputs.t_s
@@ -96,5 +96,5 @@ def status_of(record: np.ndarray) -> np.record:
 
 
 def empty_status() -> np.ndarray:
-    """Return a STATUS (1,) to read into."""
+    """Return an empty STATUS (1,)."""
     return np.zeros(1, STATUS)

@@ -1,4 +1,4 @@
-"""The settings that the operator may change in flight, as they are now, and what a change of one makes of them."""
+"""Settings that the operator may change during a run: their present values and checked changes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.config.live_tunable import range_of, value_of
 from hil.config.load import Loaded
 from hil.config.renamed_keys import present_key
 from hil.config.scenario import Scenario
-from hil.console.lease import LeaseRefused
+from hil.console.lease import RequestRejected
 from hil.params import gnc as gnc_params
 from hil.setup.assembly import Job
 from hil.setup.live_tuning import check_in_flight, packed, with_setting
@@ -29,17 +29,17 @@ _UNITS: Final = {
     "_m": "m",
     "_s": "s",
 }
-"""By the ending of a key; the first that fits."""
+"""Unit by the ending of a key; the first match applies."""
 
 
 def unit_of(key: str) -> str:
-    """Return the unit that the name of ``key`` ends in, "" for a plain number."""
+    """Return the unit named by the ending of ``key``, "" for a dimensionless number."""
     return next((unit for ending, unit in _UNITS.items() if key.endswith(ending)), "")
 
 
 @dataclass(frozen=True)
 class Change:
-    """One setting that is to have another value. scenario: with it, checked; records: what the loop takes over."""
+    """Checked change of one setting. scenario: with the new value; records: parameters for the loop."""
 
     key: str
     before: float
@@ -50,7 +50,7 @@ class Change:
     @property
     def question(self) -> str:
         unit = unit_of(self.key)
-        return f"{self.key}: from {self.before:g} to {self.value:g}{unit and f' {unit}'}, from the next cycle on?"
+        return f"{self.key}: from {self.before:g} to {self.value:g}{unit and f' {unit}'}, from the next cycle?"
 
     def as_message(self) -> dict[str, Any]:
         """Return the change for the session's process."""
@@ -58,14 +58,14 @@ class Change:
 
 
 class Tuner:
-    """The settings of one session. ``took`` is told each change that its loop has made."""
+    """Adjustable settings of one session; ``applied`` must be called with each change that the loop has accepted."""
 
     def __init__(self, job: Job) -> None:
         self._scenario = job.scenario
         self._rig = job.rig
 
-    def offered(self) -> list[dict[str, Any]]:
-        """Return what may be changed: key, unit, value as it is now, and allowed range."""
+    def available(self) -> list[dict[str, Any]]:
+        """Return the adjustable settings: key, unit, present value and allowed range."""
         scenario = self._scenario.value
         return [
             {
@@ -78,20 +78,20 @@ class Tuner:
         ]
 
     def change(self, key: object, value: object) -> Change:
-        """Return the change of ``key`` to ``value``. Raises LeaseRefused, or BadInput for an invalid one."""
+        """Return the change of ``key`` to ``value``. Raises RequestRejected, or BadInput for an invalid one."""
         scenario = self._scenario.value
         allowed = scenario.console.adjustable
         key = present_key("Scenario", key) if isinstance(key, str) else key
         if key not in allowed or not isinstance(key, str):
-            raise LeaseRefused(
-                f"{key!r}: this scenario lets nobody change it in flight; it allows {', '.join(allowed) or '-'}"
+            raise RequestRejected(
+                f"{key!r}: not adjustable during a run of this scenario, allowed {', '.join(allowed) or 'none'}"
             )
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise LeaseRefused(f"{key}: {value!r} is no number")
+            raise RequestRejected(f"{key}: {value!r} is not a number")
         changed = with_setting(scenario, f"{key}={float(value)!r}", self._scenario.source)
         check_in_flight(changed, self._rig)
         return Change(key, value_of(scenario, key), float(value), changed, gnc_params.gnc(changed.value))
 
-    def took(self, change: Change) -> None:
-        """From now on ``change`` is how it is."""
+    def applied(self, change: Change) -> None:
+        """Make the scenario of ``change`` the present one."""
         self._scenario = change.scenario

@@ -31,6 +31,9 @@ class Mode(Enum):
     SAFE_STOP = "safe-stop"
 
 
+AT_REST = frozenset({Mode.OFF, Mode.STANDBY, Mode.ARMED, Mode.HOLD, Mode.SAFE_STOP})
+"""Modes without motion of the axes."""
+
 ALLOWED: dict[Mode, frozenset[Mode]] = {
     Mode.OFF: frozenset({Mode.STANDBY, Mode.SAFE_STOP}),
     Mode.STANDBY: frozenset({Mode.HOMING, Mode.JOGGING, Mode.PLACING, Mode.PARKING, Mode.OFF, Mode.SAFE_STOP}),

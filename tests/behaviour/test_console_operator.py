@@ -88,7 +88,7 @@ def converse(script: Script, on_loss: OnLoss = "hold", duration_s: float = 2.0) 
     block = MailboxBlock.create(CELLS, "console")
     rate = SimulatedRate(SimulatedClock(), job.scenario.value.step_s)
     operator = RemoteOperator(OutgoingMessages(there), block["status"], on_loss, LEASE_S, rate.now_s)
-    runner = build.in_memory(job, rate, operator.watch, operator=operator)
+    runner = build.in_memory(job, rate, operator.on_progress, operator=operator)
     operator.attach(runner, adjustable=(DEADBAND,))
     talk = Talk(here, runner, block["status"])
 
@@ -107,7 +107,7 @@ def converse(script: Script, on_loss: OnLoss = "hold", duration_s: float = 2.0) 
     runner.loop.bench.emergency_input = look
     try:
         outcome = runner.run()
-        operator.tell(talk.now_s)
+        operator.publish(talk.now_s)
         if here.fileno() >= 0:
             talk.take()
         return outcome, talk
@@ -160,7 +160,7 @@ def test_lost_operator_holds_a_run_and_it_goes_on_only_by_an_order(how: str) -> 
     assert outcome.stop == "completed"
     assert talk.modes.count(Mode.HOLD) == 1
     (event,) = [event.text for event in outcome.events if event.text.startswith("hold: ")]
-    assert event.startswith("hold: console: the operator's page silent for 1")
+    assert event.startswith("hold: console: operator's page silent for 1")
     assert event.endswith("allowed 1 s")
     assert not outcome.alarms
     assert talk.done["resume"] - talk.done["lose"] > 6.0
@@ -184,8 +184,8 @@ def test_lost_operator_stops_the_bench_with_an_alarm_where_the_rig_says_so() -> 
     outcome, _ = converse(script, "stop", duration_s=10.0)
     assert outcome.mode is Mode.SAFE_STOP
     (alarm,) = outcome.alarms
-    assert (alarm.device, alarm.limit) == ("console", "an operator while the bench moves")
-    assert alarm.quantity == "the operator's page"
+    assert (alarm.device, alarm.limit) == ("console", "1 s of silence while the bench moves")
+    assert alarm.quantity == "operator's page"
     assert len(outcome.history) * 0.02 < LEASE_S + 0.1
 
 
@@ -218,7 +218,7 @@ def test_session_without_its_console_ends_by_itself_with_the_bench_at_rest(on_lo
         assert Mode.HOLD in talk.modes
         assert outcome.stop == STOPPED_BY_OPERATOR
     else:
-        assert outcome.alarms[0].text.startswith("console: its process gone")
+        assert outcome.alarms[0].text.startswith("console: console process disconnected")
 
 
 def test_alarm_is_told_latched_acknowledged_over_the_line_and_reset() -> None:
@@ -277,10 +277,10 @@ def test_setting_is_changed_between_two_cycles_and_what_the_scenario_does_not_al
     outcome, talk = converse(script)
     answers = {message["answer"]: message["text"] for message in talk.said if "answer" in message}
     assert answers[10] == ""
-    assert answers[11] == "step_s: this scenario lets nobody change it in flight"
+    assert answers[11] == "step_s: not adjustable during a run of this scenario"
     assert answers[12].startswith(f"{DEADBAND}: 3 bytes of parameters, expected")
     (event,) = [event for event in outcome.events if "changed" in event.text]
-    assert event.text == f"ann changed {DEADBAND}=90.0, from cycle {round(event.t_s / 0.02) + 1} on"
+    assert event.text == f"ann changed {DEADBAND}=90.0, from cycle {round(event.t_s / 0.02) + 1}"
     changed = round(event.t_s / 0.02) + 11  # when the last burn that had begun is over
     assert outcome.history["command"]["torque"][:changed].any()
     assert not outcome.history["command"]["torque"][changed:].any()  # a quarter of a turn is nothing now

@@ -72,7 +72,7 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recor
 
         ann.beats = False
         bob.until_mode("hold")
-        bob.until(lambda: "the operator's page silent" in bob.page["hold_reason"], "the reason")
+        bob.until(lambda: "operator's page silent" in bob.page["hold_reason"], "the reason")
         assert bob.now["lease"]["holder"] == ""
 
         assert bob.ask("take")["ok"]
@@ -156,7 +156,7 @@ def test_disk_that_fills_up_is_said_on_the_page_and_the_bench_goes_on(small_disk
 def test_takeover_is_asked_back_and_logged(idle: Console) -> None:
     ann, bob = idle.page("ann"), idle.page("bob")
     assert ann.ask("take")["ok"]
-    assert bob.ask("take_over")["ask"] == "Take the command over from ann? They can only watch then."
+    assert bob.ask("take_over")["ask"] == "Take the command over from ann, who can then only watch?"
     assert bob.ask("take_over", confirmed=True)["ok"]
     bob.until(lambda: bob.now["lease"]["mine"], "the lease")
     assert "bob took the command over from ann" in bob.log()
@@ -174,7 +174,7 @@ def test_wrong_token_and_other_sites_are_turned_away_in_clear_words(tmp_path: Pa
         page.until(lambda: True, "the state")
         assert not page.refused
         other = c.page("eve", TOKEN, origin="http://elsewhere.example")
-        assert other.take() == {"refused": "this console is not to be used from another site's page"}
+        assert other.take() == {"refused": "this console rejects pages of other sites"}
         short = c.page("eve", TOKEN, key="short")
         assert "at least 16" in (short.take() or {})["refused"]
         with pytest.raises(HTTPError) as rebound:
@@ -283,7 +283,7 @@ def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread(lin
         end_s = time.monotonic() + 20.0
         while not session.ended:
             assert time.monotonic() < end_s, heard
-            session.look()
+            session.poll_exit()
             await asyncio.sleep(0.01)
         await session.close()
         return heard

@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import pytest
 
-from hil.console.lease import Lease, LeaseRefused
+from hil.console.lease import Lease, RequestRejected
 
 ANN, BOB = "a" * 16, "b" * 16
 
 
 def held_by_ann() -> Lease:
     lease = Lease(2.0)
-    lease.take(ANN, "ann", 10.0)
+    lease.acquire(ANN, "ann", 10.0)
     return lease
 
 
 def test_nobody_commands_before_taking_the_lease() -> None:
-    with pytest.raises(LeaseRefused, match="nobody has the command: take it before you order anything"):
+    with pytest.raises(RequestRejected, match="no operator has the command: take it before sending orders"):
         Lease(2.0).require(ANN)
 
 
 def test_second_commander_is_refused_by_the_name_of_the_first() -> None:
     lease = held_by_ann()
-    with pytest.raises(LeaseRefused, match="ann has the command: watch, or take it over"):
-        lease.take(BOB, "bob", 10.1)
-    with pytest.raises(LeaseRefused, match="ann has the command"):
+    with pytest.raises(RequestRejected, match="ann has the command: watch, or take it over"):
+        lease.acquire(BOB, "bob", 10.1)
+    with pytest.raises(RequestRejected, match="ann has the command"):
         lease.require(BOB)
     lease.require(ANN)
 
@@ -33,7 +33,7 @@ def test_takeover_says_from_whom_and_leaves_the_first_one_watching() -> None:
     lease = held_by_ann()
     assert lease.take_over(BOB, "bob", 10.5) == "ann"
     lease.require(BOB)
-    with pytest.raises(LeaseRefused, match="bob has the command"):
+    with pytest.raises(RequestRejected, match="bob has the command"):
         lease.require(ANN)
     assert lease.take_over(BOB, "bob", 10.6) == ""
 
@@ -45,7 +45,7 @@ def test_lease_runs_out_in_silence_and_not_while_its_holder_is_heard() -> None:
     assert lease.expire(13.51) == "ann"
     assert not lease.held
     assert lease.expire(20.0) == ""
-    lease.take(BOB, "bob", 20.0)
+    lease.acquire(BOB, "bob", 20.0)
 
 
 def test_watcher_that_is_heard_does_not_keep_the_lease_alive() -> None:
@@ -58,7 +58,7 @@ def test_holder_who_was_lost_does_not_get_the_lease_back_by_being_heard() -> Non
     lease = held_by_ann()
     lease.expire(13.0)
     lease.renew(ANN, 13.1)
-    with pytest.raises(LeaseRefused):
+    with pytest.raises(RequestRejected):
         lease.require(ANN)
 
 
@@ -71,5 +71,5 @@ def test_only_the_holder_gives_the_lease_back() -> None:
 
 
 def test_empty_key_does_not_pass_for_the_holder_of_a_free_lease() -> None:
-    with pytest.raises(LeaseRefused):
+    with pytest.raises(RequestRejected):
         Lease(2.0).require("")

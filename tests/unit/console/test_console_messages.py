@@ -1,4 +1,4 @@
-"""What the console's pages are sent: rows of numbers, thinned where they come late, and one message for all."""
+"""Messages of the console: rows of numbers, decimated if delayed, and one binary packet."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.console.columns import COLUMNS, INDEX, thinned
+from hil.console.columns import COLUMNS, INDEX, decimated
 from hil.console.message import ImageMessage, pack, unpack
-from hil.console.rows import AT_MOST, BACKLOG, Cursor, RowStore
+from hil.console.rows import BACKLOG, MAX_ROWS, Cursor, RowStore
 
 
 def rows(n: int, start: int = 0) -> np.ndarray:
@@ -73,7 +73,7 @@ def test_thinned_rows_keep_the_worst_every_firing_and_the_newest_pose() -> None:
     many[7, INDEX["thrusters"]] = 1 << 2
     many[6, INDEX["vision_m.x"]] = 1.5
     many[8, INDEX["vision_m.x"]] = 2.5
-    few = thinned(many, 2)
+    few = decimated(many, 2)
     assert few[:, 0].tolist() == [4.0, 9.0]
     assert few[0, INDEX["lateness_us"]] == 900.0
     assert np.isnan(few[0, INDEX["vision_m.x"]])
@@ -85,7 +85,7 @@ def test_thinned_rows_keep_the_worst_every_firing_and_the_newest_pose() -> None:
 
 @pytest.mark.parametrize(("n", "at_most"), [(0, 5), (5, 5), (6, 5), (11, 5), (1000, 250), (1001, 250)])
 def test_thinned_rows_are_no_more_than_allowed_and_end_with_the_newest(n: int, at_most: int) -> None:
-    few = thinned(rows(n), at_most)
+    few = decimated(rows(n), at_most)
     assert len(few) <= at_most
     assert n == 0 or few[-1, 0] == n - 1
 
@@ -102,7 +102,7 @@ def test_page_gets_each_row_once_and_one_that_was_slow_gets_few() -> None:
     assert len(store.since(cursor)) == 0
     store.add(rows(5000, 5))
     late = store.since(cursor)
-    assert len(late) <= AT_MOST
+    assert len(late) <= MAX_ROWS
     assert late[-1, 0] == 5004.0
 
 
@@ -111,7 +111,7 @@ def test_new_page_gets_a_backlog_and_a_new_session_begins_anew() -> None:
     store.begin()
     store.add(rows(4000))
     backlog = store.since(cursor)
-    assert AT_MOST < len(backlog) <= BACKLOG
+    assert MAX_ROWS < len(backlog) <= BACKLOG
     store.begin()
     store.add(rows(1))
     assert store.since(cursor)[:, 0].tolist() == [0.0]

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from hil.cameras.docking import chaser_position, mounting, view
-from hil.console.client import Client
-from hil.console.live_view import LiveView, picture_of
+from hil.console.live_view import Client, LiveView, picture_of
 from hil.console.message import ImageMessage, pack, unpack
 from hil.console.session_process import SessionProcess
 from hil.console.status import empty_status
@@ -31,13 +30,13 @@ class Session:
         self.pictures: list[np.ndarray] = []
         self.portions = np.empty(0, PORTION)
 
-    def take_rows(self) -> np.ndarray:
+    def read_rows(self) -> np.ndarray:
         return np.empty(0, CYCLE)
 
-    def take_pictures(self) -> list[np.ndarray]:
+    def read_pictures(self) -> list[np.ndarray]:
         return self.pictures
 
-    def take_portions(self) -> np.ndarray:
+    def read_portions(self) -> np.ndarray:
         return self.portions
 
 
@@ -47,14 +46,14 @@ def status(bench_s: float, run_s: float) -> np.ndarray:
     return found
 
 
-def take(shown: LiveView, **what: Any) -> None:
+def take(live_view: LiveView, **what: Any) -> None:
     session = Session()
     vars(session).update(what)
-    shown.take(cast(SessionProcess, session), status(12.0, 2.0), 100.0)
+    live_view.update(cast(SessionProcess, session), status(12.0, 2.0), 100.0)
 
 
 @pytest.fixture
-def shown() -> LiveView:
+def live_view() -> LiveView:
     made = LiveView()
     made.begin(JOB)
     return made
@@ -64,25 +63,25 @@ def page(**more: Any) -> Client:
     return Client("k" * 16, "ann", **more)
 
 
-def test_each_page_gets_the_newest_picture_of_its_camera_once(shown: LiveView) -> None:
+def test_each_page_gets_the_newest_picture_of_its_camera_once(live_view: LiveView) -> None:
     pair = [picture_row(camera, 1.5, b"l" + camera.encode(), "png", (8, 6)) for camera in ("vmu.left", "vmu.right")]
-    take(shown, pictures=[np.concatenate(pair), picture_row("monitor", 1.0, b"tv")])
+    take(live_view, pictures=[np.concatenate(pair), picture_row("monitor", 1.0, b"tv")])
     anyone, watcher, lost = page(), page(camera="monitor"), page(camera="no such camera")
-    assert shown.cameras == ["vmu.left", "vmu.right", "monitor"]
+    assert live_view.cameras == ["vmu.left", "vmu.right", "monitor"]
     for client, name in ((anyone, "vmu.left"), (watcher, "monitor"), (lost, "vmu.left")):
-        found = shown.picture_for(client)
+        found = live_view.picture_for(client)
         assert found is not None
         assert found.name == name
-        assert shown.picture_for(client) is None
+        assert live_view.picture_for(client) is None
     watcher.camera = "vmu.right"
-    found = shown.picture_for(watcher)
+    found = live_view.picture_for(watcher)
     assert found is not None
     assert (found.name, found.data, found.encoding, found.width_px) == ("vmu.right", b"lvmu.right", "png", 8)
-    take(shown, pictures=[picture_row("monitor", 1.4, b"newer")])
-    assert shown.picture_for(watcher) is None  # of another camera
-    shown.begin(JOB)
-    assert shown.cameras == []
-    assert shown.picture_for(page()) is None
+    take(live_view, pictures=[picture_row("monitor", 1.4, b"newer")])
+    assert live_view.picture_for(watcher) is None  # of another camera
+    live_view.begin(JOB)
+    assert live_view.cameras == []
+    assert live_view.picture_for(page()) is None
 
 
 @pytest.mark.parametrize(
@@ -101,7 +100,7 @@ def test_picture_that_nobody_dates_is_new() -> None:
     assert ImageMessage("left", 0.0, 1, 1).header(5.0)["age_s"] == 0.0
 
 
-def test_portions_come_once_and_all_of_them_to_a_page_that_comes_late(shown: LiveView) -> None:
+def test_portions_come_once_and_all_of_them_to_a_page_that_comes_late(live_view: LiveView) -> None:
     places = mounting(JOB.scenario.value.monitor)
     r, q = np.array([1.2, 0.03, -0.02]), euler.to_quaternion(np.array([0.02, -0.03, 0.01]), euler.YAW_PITCH_ROLL)
     near = np.full(12, 0.1)
@@ -109,17 +108,17 @@ def test_portions_come_once_and_all_of_them_to_a_page_that_comes_late(shown: Liv
     far = np.full(12, np.nan)
     rows = [portion_row(Portion(1.0, 25, "near", near, near)), portion_row(Portion(2.0, 12, "far", far, far))]
     early = page()
-    assert shown.rows_for(early)[2] == {"first": 0, "list": []}
-    take(shown, portions=np.concatenate(rows))
-    told = shown.rows_for(early)[2]
+    assert live_view.rows_for(early)[2] == {"first": 0, "list": []}
+    take(live_view, portions=np.concatenate(rows))
+    told = live_view.rows_for(early)[2]
     assert told is not None
     one, other = told["list"]
     np.testing.assert_allclose(one["r_m"], r, atol=1e-12)
     assert (other["status"], other["r_m"], other["values"][0]) == ("far", None, None)
-    assert shown.rows_for(early)[2] is None
-    assert shown.rows_for(page())[2] == {"first": 0, "list": [one, other]}
-    take(shown, portions=rows[0])
-    again = shown.rows_for(early)[2]
+    assert live_view.rows_for(early)[2] is None
+    assert live_view.rows_for(page())[2] == {"first": 0, "list": [one, other]}
+    take(live_view, portions=rows[0])
+    again = live_view.rows_for(early)[2]
     assert again is not None
     assert again["first"] == 2
 

@@ -13,7 +13,7 @@ from hil.config.gnc_override import with_other_gnc
 from hil.config.live_tunable import LIVE_TUNABLE, range_of, value_of
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
-from hil.console.lease import LeaseRefused
+from hil.console.lease import RequestRejected
 from hil.console.tuner import Tuner, unit_of
 from hil.core.operator_commands import Operator
 from hil.errors import BadInput
@@ -142,11 +142,11 @@ def test_scenario_that_allows_what_cannot_be_is_refused_in_one_line(adjustable: 
 
 def test_page_is_offered_exactly_what_the_scenario_allows_with_value_unit_and_range() -> None:
     tuner = Tuner(scheme(f'console.adjustable=["{DEADBAND}", "gnc.corridor.half_angle_deg"]'))
-    first, second = tuner.offered()
+    first, second = tuner.available()
     assert (first["key"], first["unit"], first["value"], first["range"]["words"]) == (DEADBAND, "m", 0.0002, "above 0")
     assert (second["unit"], second["range"]["words"]) == ("\u00b0", "above 0 to below 90")
-    tuner.took(tuner.change(DEADBAND, 0.0004))
-    assert tuner.offered()[0]["value"] == 0.0004
+    tuner.applied(tuner.change(DEADBAND, 0.0004))
+    assert tuner.available()[0]["value"] == 0.0004
 
 
 @pytest.mark.parametrize(
@@ -158,14 +158,14 @@ def test_page_is_offered_exactly_what_the_scenario_allows_with_value_unit_and_ra
         (DEADBAND, True, "is no number"),
         (DEADBAND, float("nan"), "is no number"),
         (DEADBAND, None, "is no number"),
-        ("gnc.control.lead_s", 4.0, "'gnc.control.lead_s': this scenario lets nobody change it in flight"),
-        ("chaser.mass_kg", 1.0, "'chaser.mass_kg': this scenario lets nobody change it in flight; it allows gnc."),
-        (["x"], 1.0, "this scenario lets nobody change it"),
+        ("gnc.control.lead_s", 4.0, "'gnc.control.lead_s': not adjustable during a run of this scenario"),
+        ("chaser.mass_kg", 1.0, "'chaser.mass_kg': not adjustable during a run of this scenario, allowed gnc."),
+        (["x"], 1.0, "not adjustable during a run"),
         ("gnc.corridor.closing_rate_max_mps", 0.03, "0.03: must be below gnc.corridor.closing_rate_max_mps, 0.03"),
     ],
 )
 def test_change_that_cannot_be_is_refused_in_words(key: Any, value: Any, words: str) -> None:
-    with pytest.raises((LeaseRefused, BadInput)) as refused:
+    with pytest.raises((RequestRejected, BadInput)) as refused:
         Tuner(scheme()).change(key, value)
     assert words in str(refused.value)
 
