@@ -127,7 +127,7 @@ class LiveView:
 
 
 def picture_of(row: np.void, status: np.ndarray, now_s: float) -> ImageMessage:
-    """Return the image of ``row`` (PICTURE) with its age by bench time, or else by the run's time."""
+    """Return the image of ``row`` (``PICTURE``) with its age by bench time, or else by the run's time."""
     bench = status_of(status)
     late_s = float(bench.bench_s - row["bench_s"])
     if not math.isfinite(late_s):

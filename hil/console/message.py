@@ -3,7 +3,7 @@
     4 bytes  length of the header, little-endian
     header   JSON, padded by spaces to a multiple of 4
     rows     rows x columns 32-bit floats, little-endian (``hil.console.columns.NAMES``)
-    picture  a JPEG or PNG file, if the header has one
+    image    a JPEG or PNG file, if the header has one
 
 The header: ``now`` (the live state), ``page`` (the rest, if changed), ``rows``, ``columns``, ``first`` (number of the
 first row since the session started; 0 clears the page's rows), ``picture``, and ``portions`` (batches of the docking

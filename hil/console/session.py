@@ -32,11 +32,11 @@ from hil.session import build
 from hil.session.warm_up import compile_kernels
 from hil.setup.docking_monitor import MonitorOutcome
 
-_LAST_WORDS_WALL_S: Final = 2.0
+_FLUSH_WALL_S: Final = 2.0
 
 
 class Choice(ConfigModel):
-    """What is to be run, as the operator chose it."""
+    """Scenario, rig and options chosen by the operator."""
 
     scenario: str
     rig: str
@@ -45,9 +45,9 @@ class Choice(ConfigModel):
     speed: float = 1.0
     settings: tuple[str, ...] = ()
     on_loss: OnLoss | None = None
-    """Instead of the rig's."""
+    """Overrides the rig's."""
     record: str | None = None
-    """Folder of the recordings; None: nothing is recorded."""
+    """Folder of the recordings; None: no recording."""
 
     def job(self) -> build.Job:
         """Return the job; raises BadInput."""
@@ -58,52 +58,54 @@ class Choice(ConfigModel):
 
 
 def run_session(choice: Choice, channel: socket.socket) -> None:
-    """Open the bench, run it as it is ordered, say how it ended."""
-    words = OutgoingMessages(channel)
+    """Open the bench, execute the operator's commands, and send the result."""
+    messages = OutgoingMessages(channel)
     status = MailboxBlock.create(CELLS, "console")
     try:
         job = choice.job()
-        _prepare(job, words)
+        _check_and_compile(job, messages)
         rig = job.rig.value
-        operator = RemoteOperator(words, status["status"], choice.on_loss or rig.console.on_loss, rig.console.lease_s)
+        operator = RemoteOperator(
+            messages, status["status"], choice.on_loss or rig.console.on_loss, rig.console.lease_s
+        )
 
         def announce(text: str) -> None:
-            words.send(word=text)
+            messages.send(word=text)
 
         with _recorded(choice, job, announce) as taken:
             with opened(job, operator, announce, taken.taps if taken else None) as bench:
                 operator.attach(bench.runner, bench.notes, job.scenario.value.console.adjustable)
-                _say_hello(channel, bench, status, taken)
+                _send_hello(channel, bench, status, taken)
                 outcome = bench.runner.run()
                 operator.publish(bench.runner.now_s())
-                words.send(word="the loop has ended: judging the run, closing its files", closing=True)
+                messages.send(word="the loop has ended: evaluating the run and closing its files", closing=True)
                 watched = bench.watched(outcome)
-            words.send(ended=_how_it_ended(choice, job, outcome, watched, taken))
+            messages.send(ended=_result(choice, job, outcome, watched, taken))
     except BadInput as error:
-        words.send(refused=[str(problem) for problem in error.problems])
+        messages.send(refused=[str(problem) for problem in error.problems])
     except BenchError as error:
-        words.send(refused=[str(error)])
+        messages.send(refused=[str(error)])
     except KeyboardInterrupt:
-        words.send(refused=["stopped by the operator while the bench was being opened"])
+        messages.send(refused=["stopped by the operator while the bench was being opened"])
     finally:
-        channel.settimeout(_LAST_WORDS_WALL_S)  # the loop is over: now there is time to wait
-        words.flush()
+        channel.settimeout(_FLUSH_WALL_S)  # after the loop, blocking is allowed
+        messages.flush()
         status.close()
 
 
-def _prepare(job: build.Job, words: OutgoingMessages) -> None:
-    """Check that rig and scenario suit each other, and compile what has not been compiled before anything moves."""
-    words.send(word="checking that the rig can follow the scenario")
+def _check_and_compile(job: build.Job, messages: OutgoingMessages) -> None:
+    """Check that rig and scenario are compatible, and compile the kernels before any motion."""
+    messages.send(word="checking that the rig can realise the scenario")
     if job.rig.value.kind == "mock" and job.speed != 1.0:
         build.check(build.Job(job.scenario, job.rig, job.seed, job.duration_s, 1.0))
     else:
         build.check(job)
-    compile_kernels(job, lambda text: words.send(word=text))
+    compile_kernels(job, lambda text: messages.send(word=text))
 
 
 @contextmanager
 def _recorded(choice: Choice, job: build.Job, announce: Callable[[str], None]) -> Iterator[Recording | None]:
-    """Give the recording of ``job``, None where none is wanted."""
+    """Yield the recording of ``job``, None without one."""
     if choice.record is None:
         yield None
         return
@@ -111,8 +113,8 @@ def _recorded(choice: Choice, job: build.Job, announce: Callable[[str], None]) -
         yield taken
 
 
-def _say_hello(channel: socket.socket, bench: ConsoleBench, status: MailboxBlock, taken: Recording | None) -> None:
-    """Tell the console that the bench is up, and hand it what is shared with it: descriptors in the order of names."""
+def _send_hello(channel: socket.socket, bench: ConsoleBench, status: MailboxBlock, taken: Recording | None) -> None:
+    """Report the bench as ready to the console, with the descriptors of the shared memory in the order of names."""
     rings = {"telemetry": bench.telemetry, **bench.rings}
     shared = {"status": status.descriptor, **{name: ring.descriptor for name, ring in rings.items()}}
     if taken is not None and taken.state is not None:
@@ -127,10 +129,10 @@ def _say_hello(channel: socket.socket, bench: ConsoleBench, status: MailboxBlock
     socket.send_fds(channel, [json.dumps({"hello": hello}).encode()], list(shared.values()))
 
 
-def _how_it_ended(
+def _result(
     choice: Choice, job: build.Job, outcome: Outcome, watched: MonitorOutcome | None, taken: Recording | None
 ) -> dict[str, Any]:
-    """Return what the console is told of the end; the recording is closed with it."""
+    """Return the result for the console, and close the recording."""
     rate_hz = 1.0 / job.scenario.value.step_s
     ended: dict[str, Any] = {"stop": outcome.stop, "faults": outcome.faults, "mode": outcome.mode.value, "passed": None}
     summary: dict[str, Any] = {}
@@ -146,6 +148,6 @@ def _how_it_ended(
             "timing": summary["timing"],
         }
     if taken is not None:
-        account = taken.finish(summary) if summary else taken.break_off(outcome.stop)
-        ended["recording"] = {"file": str(taken.path), "dropped": account.dropped, "problem": account.problem}
+        stats = taken.finish(summary) if summary else taken.break_off(outcome.stop)
+        ended["recording"] = {"file": str(taken.path), "dropped": stats.dropped, "problem": stats.problem}
     return ended

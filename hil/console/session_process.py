@@ -1,4 +1,4 @@
-"""The console's hold on a session's process: starts it, sends orders, keeps what it says, reads its shared memory."""
+"""Process of a session, as controlled by the console: start, commands, messages, shared memory, end."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from hil.monitor.results import PORTION
 from hil.recording import recorder
 
 _PACKET: Final = 1 << 18
-_SHARED_AT_MOST: Final = 8
+_MAX_DESCRIPTORS: Final = 8
 _DTYPES: Final = {"telemetry": CYCLE, **RINGS}
 _ANSWER_WALL_S: Final = 2.0
-_STOP_WALL_S: Final = 5.0  # for a bench to be stopped and its processes ended
+_STOP_WALL_S: Final = 5.0  # allowed to stop the bench and end its processes
 
 
 class SessionProcess:
     """One session. ``on_message`` is called, in the event loop, with each message that is not an answer.
 
-    ready: the bench is up. ended: the process has sent its last message, or has died.
+    ready: the bench is open. ended: the process has sent its last message, or has died.
     """
 
     def __init__(self, choice: Choice, on_message: Callable[[dict[str, Any]], None]) -> None:
@@ -40,7 +40,7 @@ class SessionProcess:
         self.ready = False
         self.ended = False
         self.addresses: dict[str, str] = {}
-        self._on_words = on_message
+        self._on_message = on_message
         self._answers: dict[int, asyncio.Future[str]] = {}
         self._numbers = itertools.count(1)
         self._rings: dict[str, Ring] = {}
@@ -48,7 +48,7 @@ class SessionProcess:
         self._block: MailboxBlock | None = None
         self._recording: MailboxBlock | None = None
         self.file = ""
-        """That the session is recorded into; "" where it is not."""
+        """File of the recording; "" without one."""
         self._status = empty_status()
         self._channel, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._channel.setblocking(False)
@@ -59,7 +59,7 @@ class SessionProcess:
             )
         finally:
             there.close()
-        self._dying: asyncio.Task[None] | None = None
+        self._exit_task: asyncio.Task[None] | None = None
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._channel, self._read)
 
@@ -68,85 +68,82 @@ class SessionProcess:
         return self._child.pid
 
     async def ask(self, **message: Any) -> str:
-        """Send one packet that wants an answer; return it: "" for done, else why not."""
+        """Send one packet and return its answer: "" if executed, else the reason of the rejection."""
         number = next(self._numbers)
         answer: asyncio.Future[str] = self._loop.create_future()
         self._answers[number] = answer
         try:
             if not self.send(**message, id=number):
-                return "the session does not listen"
+                return "the session receives no messages"
             return await asyncio.wait_for(answer, _ANSWER_WALL_S)
         except TimeoutError:
-            return f"the session has not answered within {_ANSWER_WALL_S:g} s: its devices are being opened or closed"
+            return f"no answer of the session within {_ANSWER_WALL_S:g} s: its devices are being opened or closed"
         finally:
             del self._answers[number]
 
     def send(self, **message: Any) -> bool:
-        """Send one packet; return whether it left. Never waits."""
+        """Send one packet; return whether it was sent. Never waits."""
         try:
             self._channel.send(json.dumps(message).encode())
-        except OSError:  # no room, or nobody there: then its end is read soon
+        except OSError:  # buffer full, or process ended: its end is detected soon
             return False
         return True
 
     def read_rows(self) -> np.ndarray:
-        """Return the rows of CYCLE, (n,), that came since the last call."""
-        return self._take("telemetry", CYCLE)
+        """Return the new rows of CYCLE, (n,)."""
+        return self._read_ring("telemetry", CYCLE)
 
     def read_portions(self) -> np.ndarray:
-        """Return what the docking monitor said since the last call, (n,) of PORTION."""
-        return self._take("portions", PORTION)
+        """Return the new results of the docking monitor, (n,) of PORTION."""
+        return self._read_ring("portions", PORTION)
 
     def read_pictures(self) -> list[np.ndarray]:
-        """Return the newest pictures since the last call, (n,) of PICTURE each: a pair, and one of the monitor's."""
+        """Return the newest images since the last call, (n,) of ``PICTURE`` each: a stereo pair, and one of the monitor."""
         newest = {"pictures": 2, "monitor_pictures": 1}
         return [self._readers[name].newest(n) for name, n in newest.items() if name in self._readers]
 
-    def _take(self, name: str, dtype: np.dtype) -> np.ndarray:
+    def _read_ring(self, name: str, dtype: np.dtype) -> np.ndarray:
         return self._readers[name].read() if name in self._readers else np.empty(0, dtype)
 
     @property
     def lost_rows(self) -> int:
-        """How many rows were overwritten before they were taken."""
+        """Number of rows overwritten before they were read."""
         return self._readers["telemetry"].lost if self._readers else 0
 
     def read_status(self) -> tuple[int, np.ndarray]:
-        """Return how often the status was written, and the newest one, STATUS (1,)."""
+        """Return the number of written status records, and the newest one, STATUS (1,)."""
         if self._block is None:
             return 0, self._status
         return self._block["status"].read(self._status)[0], self._status
 
     def read_recording(self) -> tuple[np.ndarray, float] | None:
-        """Return how the recording stands, STATE (1,), and when its process said so by ``time.monotonic``.
-
-        None where the session is not recorded.
-        """
+        """Return the recording's state, STATE (1,), and its time by ``time.monotonic``; None without a recording."""
         if self._recording is None:
             return None
         state = np.zeros(1, recorder.STATE)
-        _, said_s = self._recording["state"].read(state)
-        return state, said_s
+        _, updated_s = self._recording["state"].read(state)
+        return state, updated_s
 
     def interrupt(self) -> None:
-        """Let a session that is still being opened end."""
+        """Interrupt a session that is still being opened."""
         self._child.signal(signal.SIGINT)
 
     async def close(self) -> None:
-        """End the session: by its own way out, then at once. Idempotent."""
+        """End the session: by its STOP command, then by signals. Idempotent."""
         if not self._child.exit_status():
             if not (self.ready and self.send(order="stop", id=0)):
                 self.interrupt()
             for number in (signal.SIGTERM, signal.SIGKILL):
-                if await self._gone_within(_STOP_WALL_S):
+                if await self._exited_within(_STOP_WALL_S):
                     break
                 self._child.signal(number)
-        await self._gone_within(_STOP_WALL_S)
-        if self._dying is not None:
-            await self._dying
+        await self._exited_within(_STOP_WALL_S)
+        if self._exit_task is not None:
+            await self._exit_task
         self._end()
-        self._forget()
+        self._release()
 
-    async def _gone_within(self, wall_s: float) -> bool:
+    async def _exited_within(self, wall_s: float) -> bool:
         end = self._loop.time() + wall_s
         while not self._child.exit_status():
             if self._loop.time() > end:
@@ -155,27 +152,27 @@ class SessionProcess:
         return True
 
     def poll_exit(self) -> None:
-        """Notice a process that has ended though the event loop never said so; call it now and then.
+        """Detect an ended process that the event loop did not report; called periodically.
 
-        uvloop lets go of a line on which an error stands, and one does where a session ended with packets unread.
+        uvloop drops a socket with a pending error, which occurs if a session ended with unread packets.
         """
-        if not self.ended and self._dying is None and self._child.exit_status():
+        if not self.ended and self._exit_task is None and self._child.exit_status():
             while self._read():
                 pass
 
     def _read(self) -> bool:
-        """Take one packet; return whether there may be more."""
+        """Receive one packet; return whether there may be more."""
         try:
-            packet, descriptors, _, _ = socket.recv_fds(self._channel, _PACKET, _SHARED_AT_MOST)
+            packet, descriptors, _, _ = socket.recv_fds(self._channel, _PACKET, _MAX_DESCRIPTORS)
         except BlockingIOError:
             return False
         except ConnectionResetError:
-            return True  # it ended without reading all that was sent; its own last words come yet, then the end
+            return True  # it ended with unread packets; its own last messages still follow, then the end
         except OSError:
             packet, descriptors = b"", []
         if not packet:
             self._loop.remove_reader(self._channel)
-            self._dying = self._loop.create_task(self._died())
+            self._exit_task = self._loop.create_task(self._handle_exit())
             return False
         message = json.loads(packet)
         if "hello" in message:
@@ -185,7 +182,7 @@ class SessionProcess:
             if answer is not None and not answer.done():
                 answer.set_result(message["text"])
             return True
-        self._on_words(message)
+        self._on_message(message)
         if "ended" in message or "refused" in message:
             self._end()
         return not self.ended
@@ -201,12 +198,12 @@ class SessionProcess:
             self.file = hello["file"]
         self.ready = True
 
-    async def _died(self) -> None:
-        """Say how the process ended that has closed its end without a last word."""
-        await self._gone_within(_STOP_WALL_S)  # it may be writing down why
+    async def _handle_exit(self) -> None:
+        """Report how the process ended that closed its socket without a final message."""
+        await self._exited_within(_STOP_WALL_S)  # it may still be writing its error
         how = self._child.exit_status() or "closed its channel"
         lines = self._child.last_stderr().splitlines()[1:]
-        self._on_words({"refused": [f"the session's process {how} without a result", *lines[-12:]]})
+        self._on_message({"refused": [f"the session's process {how} without a result", *lines[-12:]]})
         self.ended = True
 
     def _end(self) -> None:
@@ -215,7 +212,7 @@ class SessionProcess:
             self._loop.remove_reader(self._channel)
             self._channel.close()
 
-    def _forget(self) -> None:
+    def _release(self) -> None:
         self._readers.clear()
         for ring in self._rings.values():
             ring.close()
