@@ -98,7 +98,7 @@ class SessionProcess:
         return self._read_ring("portions", PORTION)
 
     def read_pictures(self) -> list[np.ndarray]:
-        """Return the newest images since the last call, (n,) of ``PICTURE`` each: a stereo pair, and one of the monitor."""
+        """Return the newest images since the last call, (n,) of ``PICTURE`` each: a pair, and one of the monitor."""
         newest = {"pictures": 2, "monitor_pictures": 1}
         return [self._readers[name].newest(n) for name, n in newest.items() if name in self._readers]
 

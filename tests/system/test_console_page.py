@@ -151,7 +151,7 @@ def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(
         screen.picture("alarm")
         assert screen.page.is_enabled("#acknowledge")
         screen.press("n", "open")
-        screen.until("document.getElementById('answer').textContent.includes('has not been acknowledged')")
+        screen.until("document.getElementById('answer').textContent.includes('is not acknowledged')")
         screen.press("c", "acknowledge")
         screen.until("window.hil.page.alarms.every(alarm => alarm.acknowledged)")
         assert "acknowledged" in screen.page.inner_text("#alarmline")

@@ -1,10 +1,10 @@
-// A camera's picture with its overlay, or, where none comes, what the camera must have in view by the encoders.
+// Camera image with its overlay, or, without an image, the expected LEDs computed from the encoders.
 
 import { prepare } from "/page/chart.js";
-import { lampsInView } from "/page/scene.js";
+import { ledsInView } from "/page/scene.js";
 
 const GOOD = "#56b4e9", BAD = "#e69f00";
-// parts that stand for something of their own; what is bad keeps its colour
+// parts with their own colour; bad ones keep the colour of bad
 const PARTS = { region: "#a9b4c0", edge: "#009e73", cross: "#f0e442", number: "#f4f6f8" };
 const NAMES = { "vmu.left": ["VMU left", "Left"], "vmu.right": ["VMU right", "Right"], monitor: ["Monitor", "Monitor"] };
 
@@ -18,17 +18,17 @@ export class Camera {
     this.picture = null; // the newest, decoded
     this.decoding = false;
     this.waiting = null;
-    this.wanted = ""; // the camera that this page watches
+    this.wanted = ""; // camera that this page watches
   }
 
-  forget() {
+  clear() {
     if (this.picture && this.picture.image) this.picture.image.close();
     this.picture = null;
   }
 
-  // Take the picture of a message; of those that come while one is being decoded the newest is next.
-  async take(header, data) {
-    this.waiting = { header, data, came_ms: performance.now() };
+  // Receive the image of a message; of those received while one is being decoded the newest is next.
+  async receive(header, data) {
+    this.waiting = { header, data, received_ms: performance.now() };
     if (this.decoding) return;
     this.decoding = true;
     while (this.waiting) {
@@ -39,19 +39,19 @@ export class Camera {
     this.decoding = false;
   }
 
-  async decode({ header, data, came_ms }) {
+  async decode({ header, data, received_ms }) {
     let image = null, status = header.status;
     try {
       if (data.byteLength) image = await createImageBitmap(new Blob([data], { type: `image/${header.encoding}` }));
     } catch {
       status = "cannot be decoded";
     }
-    this.forget();
-    this.picture = { ...header, status, image, came_ms };
+    this.clear();
+    this.picture = { ...header, status, image, received_ms };
   }
 
   age_s() {
-    return this.picture.age_s + (performance.now() - this.picture.came_ms) / 1000;
+    return this.picture.age_s + (performance.now() - this.picture.received_ms) / 1000;
   }
 
   draw(bench, pose) {
@@ -61,23 +61,23 @@ export class Camera {
       const age_s = this.age_s(), stale = age_s > (bench.picture_stale_s || 1);
       const put = this.fit(c, width, height, picture.width_px, picture.height_px);
       c.filter = stale ? "grayscale(1) brightness(0.6)" : "none";
-      if (picture.image) c.drawImage(picture.image, ...put(-0.5, -0.5), ...put.size); // pixel centres at whole numbers
-      // the monitor's numbers stand beside its picture
+      if (picture.image) c.drawImage(picture.image, ...put(-0.5, -0.5), ...put.size); // pixel centres at integers
+      // the monitor's numbers are shown next to its image
       const shapes = picture.name === "monitor" ? picture.overlay.filter((shape) => shape.part !== "number") : picture.overlay;
       this.overlay(c, put, shapes, height);
       c.filter = "none";
       const at = picture.t_s === null ? "before the run" : `at ${picture.t_s.toFixed(2)} s`;
-      this.say(`${nameOf(picture.name)} ${at}, ${age_s.toFixed(1)} s old${stale ? ": STALE" : ""}${picture.status ? ` \u00b7 ${picture.status}` : ""}`, stale);
+      this.caption(`${nameOf(picture.name)} ${at}, ${age_s.toFixed(1)} s old${stale ? ": STALE" : ""}${picture.status ? ` \u00b7 ${picture.status}` : ""}`, stale);
       return;
     }
-    if (!bench || !bench.camera || !pose) return this.say("no picture", false);
+    if (!bench || !bench.camera || !pose) return this.caption("no image", false);
     const put = this.fit(c, width, height, bench.camera.width_px, bench.camera.height_px);
-    for (const lamp of lampsInView(bench, pose)) if (lamp) this.shape(c, put, { kind: "circle", at: lamp, radius: 14, good: true });
+    for (const led of ledsInView(bench, pose)) if (led) this.shape(c, put, { kind: "circle", at: led, radius: 14, good: true });
     this.shape(c, put, { kind: "cross", at: [bench.camera.width_px / 2, bench.camera.height_px / 2], good: false });
-    this.say("no picture: lamps by the encoders", false);
+    this.caption("no image: expected LEDs from the encoders", false);
   }
 
-  say(text, stale) {
+  caption(text, stale) {
     this.text.textContent = text;
     this.text.classList.toggle("stale", stale);
   }
@@ -93,17 +93,17 @@ export class Camera {
     return put;
   }
 
-  // Words keep a size that can be read, each in a line of its own; a small picture has no room for them.
+  // Texts keep a readable size, one per line; a small image shows none.
   overlay(c, put, shapes, height) {
     const size = 16, [left, top] = put(0, 0);
     let line = 0;
     for (const shape of shapes) {
       if (shape.kind !== "text") this.shape(c, put, shape);
-      else if (height > 300) this.word(c, shape, left + 8, top + (++line) * (size + 5), size);
+      else if (height > 300) this.label(c, shape, left + 8, top + (++line) * (size + 5), size);
     }
   }
 
-  word(c, shape, x, y, size) {
+  label(c, shape, x, y, size) {
     c.font = `700 ${size}px "DejaVu Sans", sans-serif`;
     c.textAlign = "left";
     c.textBaseline = "alphabetic";

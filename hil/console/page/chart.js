@@ -3,7 +3,7 @@
 const TEXT = "#f4f6f8", DIM = "#a9b4c0", GRID = "#2c3743";
 const FONT = '"DejaVu Sans", Verdana, sans-serif';
 
-// Make the canvas as sharp as the screen; return its context, width and height in CSS pixels.
+// Scale the canvas to the resolution of the screen; return its context, width and height in CSS pixels.
 export function prepare(canvas) {
   const scale = window.devicePixelRatio || 1;
   const width = canvas.clientWidth, height = canvas.clientHeight;
@@ -17,7 +17,7 @@ export function prepare(canvas) {
   return [context, width, height];
 }
 
-// 1, 2 or 5 times a power of ten, so that about n steps fill the range
+// 1, 2 or 5 times a power of ten, for about n steps in the range
 export function niceStep(range, n) {
   const rough = range / n, power = 10 ** Math.floor(Math.log10(rough));
   const digit = rough / power;
@@ -31,7 +31,7 @@ export function shown(value) {
 }
 
 export class Chart {
-  // series: {name, column, color, dash, dots, minus, scale}, or {name, color, points(store)} for [t, value] of its own; bands: {column, color} about zero; bound: {value, text}
+  // series: {name, column, color, dash, dots, minus, scale}, or {name, color, points(store)} for separate [t, value] points; bands: {column, color} about zero; bound: {value, text}
   constructor(canvas, { title, series, bands = [], bound = null, log = false, low = 0, shows = null }) {
     Object.assign(this, { canvas, title, series, bands, bound, log, low, shows });
   }
@@ -101,7 +101,7 @@ export class Chart {
       for (let row = first; row < store.count; row += series.dots ? 1 : step) take(this.value(store, row, series));
     }
     for (const band of this.bands) {
-      // the settled half: the start's wide band would hide all that comes after it
+      // the settled half: the wide band at the start would hide the rest
       for (let row = first + ((store.count - first) >> 1); row < store.count; row += step) {
         take(store.at(row, band.column));
         take(-store.at(row, band.column));
@@ -214,13 +214,13 @@ export class Chart {
     c.stroke();
     c.font = `700 11px ${FONT}`;
     c.textAlign = "left";
-    const below = at - box.top < 14; // no room above it
+    const below = at - box.top < 14; // no space above it
     c.textBaseline = below ? "top" : "bottom";
     c.fillText(this.bound.text, box.left + 3, at - 1);
   }
 }
 
-// Which thruster was open when: a row for each.
+// Thruster firings over time, one row per thruster.
 export class Firings {
   constructor(canvas) {
     this.canvas = canvas;
@@ -261,7 +261,7 @@ export class Firings {
   }
 }
 
-// How many cycles came how late, on scales of powers of two and ten.
+// Histogram of the lateness of cycles, on logarithmic scales.
 export class Lateness {
   constructor(canvas) {
     this.canvas = canvas;

@@ -1,9 +1,9 @@
-// Buttons, keys, jogging, fault switches: everything by which the page orders something.
+// Buttons, keys, jogging, fault injection: all requests of the page.
 
 import { Settings } from "/page/settings.js";
 
 const $ = (id) => document.getElementById(id);
-const JOG_MS = 60; // the bench stops 0.2 s after the last one
+const JOG_MS = 60; // the bench stops 0.2 s after the last message
 const ANSWER_MS = 6000;
 
 const ORDERS = [
@@ -23,7 +23,7 @@ export class Controls {
     $("settings_open").dataset.key = "p";
     for (const button of document.querySelectorAll("button[data-key]")) button.innerHTML += `<kbd>${button.dataset.key}</kbd>`;
     this.settings = new Settings(this);
-    $("take").onclick = () => this.takeOrGiveBack();
+    $("take").onclick = () => this.takeOrRelease();
     $("open").onclick = () => this.open();
     $("stop").onclick = () => this.ask({ do: "order", order: "stop" });
     $("acknowledge").onclick = () => this.ask({ do: "acknowledge" });
@@ -50,11 +50,11 @@ export class Controls {
     where.append(button);
   }
 
-  // Ask; where the console asks back, let the operator confirm it first.
+  // Send a request; if it requires confirmation, ask the operator first.
   async ask(message) {
     const answer = await this.link.ask(message);
-    if (!answer.ask) return this.say(answer.ok ? "" : answer.text);
-    this.say("");
+    if (!answer.ask) return this.notify(answer.ok ? "" : answer.text);
+    this.notify("");
     $("question").textContent = answer.ask;
     $("yes").onclick = () => {
       $("confirm").close();
@@ -63,13 +63,13 @@ export class Controls {
     if (!$("confirm").open) $("confirm").showModal();
   }
 
-  say(text) {
+  notify(text) {
     $("answer").textContent = text;
-    clearTimeout(this.silence);
-    if (text) this.silence = setTimeout(() => ($("answer").textContent = ""), ANSWER_MS);
+    clearTimeout(this.clearing);
+    if (text) this.clearing = setTimeout(() => ($("answer").textContent = ""), ANSWER_MS);
   }
 
-  takeOrGiveBack() {
+  takeOrRelease() {
     if (this.now.lease && this.now.lease.mine) this.ask({ do: "release" });
     else this.ask({ do: "take_over" });
   }
@@ -102,7 +102,7 @@ export class Controls {
     document.querySelectorAll(".axis").forEach((row, i) => row.classList.toggle("chosen", i === axis));
   }
 
-  // Press the key of one axis, or let go of it: axis null.
+  // Press the key of one axis, or release it: axis null.
   jog(axis, direction) {
     clearInterval(this.jogging);
     this.jogging = null;
@@ -114,7 +114,7 @@ export class Controls {
       const answer = await this.link.ask(message);
       if (!answer.ok) {
         this.jog(null);
-        this.say(answer.text);
+        this.notify(answer.text);
       }
     };
     this.choose(axis);
@@ -122,7 +122,7 @@ export class Controls {
     this.jogging = setInterval(() => press(false), JOG_MS);
   }
 
-  // Bring the controls up to what the console says.
+  // Update the controls from the state of the console.
   show(now, page) {
     const changed = page !== this.page;
     this.now = now;
@@ -139,7 +139,7 @@ export class Controls {
     const jogs = mine && open && ["standby", "jogging"].includes(now.mode);
     for (const button of document.querySelectorAll(".axis button, #faults button")) button.disabled = !(button.closest(".axis") ? jogs : mine && page.faults && Object.keys(page.faults.menu).length);
     if (!jogs && this.jogging) this.jog(null);
-    const text = mine ? "Give back" : now.lease.holder ? "Take over" : "Take command";
+    const text = mine ? "Release" : now.lease.holder ? "Take over" : "Take command";
     if ($("take").firstChild.textContent !== text) $("take").firstChild.textContent = text;
     if (changed) this.lists(page, open);
     this.positions(now, page);
@@ -157,7 +157,7 @@ export class Controls {
     options($("fault_device"), Object.keys(page.faults.menu));
     this.faultKinds();
     const on = Object.entries(page.faults.on).filter(([, list]) => list !== "none");
-    const none = open ? "this rig has no emulated devices" : "while an emulated bench is open";
+    const none = open ? "this rig has no emulated devices" : "available while an emulated bench is open";
     $("fault_list").textContent = Object.keys(page.faults.menu).length ? on.map(([device, list]) => `${device}: ${list}`).join("; ") : none;
     $("fault_list").classList.toggle("none", !on.length);
     if (page.bench.axes && document.querySelectorAll(".axis").length === 0) this.axes(Object.keys(page.bench.axes));
@@ -186,7 +186,7 @@ export class Controls {
     const limits = Object.values(page.bench.axes), values = [...now.rail_m, ...now.gimbal_deg];
     document.querySelectorAll(".axis .where").forEach((where, i) => {
       const [low, high] = limits[i], value = values[i];
-      const note = now.limit[i] ? " on its switch" : now.homing[i] === 2 ? "" : " not homed";
+      const note = now.limit[i] ? " on limit switch" : now.homing[i] === 2 ? "" : " not homed";
       where.firstChild.textContent = `${value === null ? "-" : value.toFixed(i < 3 ? 3 : 2)} ${i < 3 ? "m" : "\u00b0"}${note}`;
       where.classList.toggle("limit", Boolean(note));
       where.lastChild.style.left = `${Math.min(97, Math.max(0, (100 * (value - low)) / (high - low)))}%`;

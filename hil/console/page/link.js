@@ -1,17 +1,17 @@
-// The websocket: says who this page is, hands over what comes, and tells the console that somebody is here.
+// Websocket of the page: authentication, updates, requests and heartbeat.
 
-const BEAT_MS = 200, AGAIN_MS = 1000;
+const BEAT_MS = 200, RECONNECT_MS = 1000;
 
 export class Link {
-  // on: {message(header, rows, picture), opened(), refused(text), lost()}
+  // on: {message(header, rows, data), opened(), refused(text), lost()}
   constructor(on) {
     this.on = on;
     this.waiting = new Map();
     this.number = 0;
-    this.beaten_ms = 0;
-    this.got = 0; // messages of this connection: the console sends no more than can be read
-    this.came_ms = -Infinity;
-    // of this tab, also after it was loaded anew: the lease goes on
+    this.beat_ms = 0;
+    this.got = 0; // number of received messages: the console sends no more than the page can read
+    this.received_ms = -Infinity;
+    // key of this tab, also after a reload: the lease continues
     this.key = sessionStorage.getItem("hil.key") || crypto.getRandomValues(new Uint32Array(6)).join("-");
     sessionStorage.setItem("hil.key", this.key);
   }
@@ -24,18 +24,18 @@ export class Link {
       socket.send(JSON.stringify({ key: this.key, name, token }));
       this.on.opened();
     };
-    socket.onmessage = (event) => this.take(event.data);
+    socket.onmessage = (event) => this.receive(event.data);
     socket.onclose = (event) => {
       this.socket = null;
-      for (const done of this.waiting.values()) done({ ok: false, text: "the connection is lost" });
+      for (const done of this.waiting.values()) done({ ok: false, text: "connection lost" });
       this.waiting.clear();
       this.on.lost();
-      if (event.code !== 4401) setTimeout(() => this.open(name, token), AGAIN_MS);
+      if (event.code !== 4401) setTimeout(() => this.open(name, token), RECONNECT_MS);
     };
     this.socket = socket;
   }
 
-  take(data) {
+  receive(data) {
     if (typeof data === "string") {
       const message = JSON.parse(data);
       if (message.refused) this.on.refused(message.refused);
@@ -43,11 +43,11 @@ export class Link {
       return;
     }
     const now = performance.now();
-    this.came_ms = now;
+    this.received_ms = now;
     this.got++;
-    // answered here and not by a timer: timers of a page in the background hardly run
-    if (now - this.beaten_ms > BEAT_MS) {
-      this.beaten_ms = now;
+    // sent here and not by a timer: timers of a background page are throttled
+    if (now - this.beat_ms > BEAT_MS) {
+      this.beat_ms = now;
       this.send({ do: "beat", got: this.got });
     }
     const length = new DataView(data).getUint32(0, true);
@@ -67,7 +67,7 @@ export class Link {
     if (this.socket && this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
 
-  // Ask for something; the answer: {ok, text, ask}
+  // Send a request; the answer: {ok, text, ask}
   ask(message) {
     if (!this.socket || this.socket.readyState !== WebSocket.OPEN) return Promise.resolve({ ok: false, text: "no connection" });
     const id = ++this.number;

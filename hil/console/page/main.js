@@ -1,4 +1,4 @@
-// The console's page: takes messages, draws the newest state when the browser is ready to, and never falls behind.
+// Page of the console: receives messages and draws the newest state in the browser's animation frames.
 
 import { Camera } from "/page/camera.js";
 import { Controls } from "/page/controls.js";
@@ -10,7 +10,7 @@ import { Store } from "/page/store.js";
 import { View } from "/page/view.js";
 
 const $ = (id) => document.getElementById(id);
-const SLOW_EACH_MS = 500, LOST_MS = 1000, DRAW_EACH_MS = 90;
+const SLOW_PERIOD_MS = 500, LOST_MS = 1000, DRAW_PERIOD_MS = 90;
 
 const store = new Store();
 const plots = new Plots($("plots"));
@@ -22,7 +22,7 @@ const link = new Link({
   message(header, rows, data) {
     now = header.now;
     if (header.page) {
-      if (page && page.session !== header.page.session) camera.forget();
+      if (page && page.session !== header.page.session) camera.clear();
       page = header.page;
       store.name(page.columns);
       plots.describe(page.bench);
@@ -30,7 +30,7 @@ const link = new Link({
     }
     store.add(rows, header.rows, header.first);
     if (header.portions) store.addPortions(header.portions);
-    if (header.picture) camera.take(header.picture, data);
+    if (header.picture) camera.receive(header.picture, data);
   },
   refused(text) {
     $("who_text").textContent = text;
@@ -41,7 +41,7 @@ const link = new Link({
     if (camera.wanted) link.send({ do: "watch", camera: camera.wanted });
   },
   lost() {
-    link.came_ms = -Infinity;
+    link.received_ms = -Infinity;
   },
 });
 const controls = new Controls(link);
@@ -52,16 +52,16 @@ function poseNow() {
   const q = [0, 1, 2, 3].map((i) => store.last(`q_bench_${i}`));
   if (now.rail_m && (isRunning(now.mode) || !now.open) && q.every(Number.isFinite)) return { r: store.vector("bench_m"), q, rail: now.rail_m };
   if (!now.rail_m || !page.bench.axes) return null;
-  // outside the run there are no rows: the pose by the newest encoder values, yaw pitch roll
+  // outside a run there are no rows: pose from the newest encoder values, yaw pitch roll
   const [roll, pitch, yaw] = now.gimbal_deg.map((v) => (v * Math.PI) / 360);
   const s = [roll, pitch, yaw].map(Math.sin), k = [roll, pitch, yaw].map(Math.cos);
-  const turn = [
+  const q_CH = [
     s[0] * k[1] * k[2] - k[0] * s[1] * s[2],
     k[0] * s[1] * k[2] + s[0] * k[1] * s[2],
     k[0] * k[1] * s[2] - s[0] * s[1] * k[2],
     k[0] * k[1] * k[2] + s[0] * s[1] * s[2],
   ];
-  return { r: now.rail_m, q: turn, rail: now.rail_m };
+  return { r: now.rail_m, q: q_CH, rail: now.rail_m };
 }
 
 for (const event of ["keydown", "click", "pointermove"]) document.addEventListener(event, () => (drawn = -1));
@@ -71,21 +71,21 @@ let frames = 0;
 
 function draw(time_ms) {
   requestAnimationFrame(draw);
-  // also where the network has died without a word
-  document.body.classList.toggle("lost", performance.now() - link.came_ms > LOST_MS);
+  // also if the network fails silently
+  document.body.classList.toggle("lost", performance.now() - link.received_ms > LOST_MS);
   if (!now || !page) return;
   const stale = isStale(now) || document.body.classList.contains("lost");
   header(now, page, store);
   controls.show(now, page);
   view.show(now, page, store);
-  if (time_ms - slow_ms > SLOW_EACH_MS) {
+  if (time_ms - slow_ms > SLOW_PERIOD_MS) {
     slow_ms = time_ms;
-    ages(now, page, (performance.now() - link.came_ms) / 1000);
+    ages(now, page, (performance.now() - link.received_ms) / 1000);
     log(page, now.wall_s);
     plots.stale = stale;
-    drawn = -1; // what changes without new rows: sizes, ages, axes that are jogged
+    drawn = -1; // changes without new rows: sizes, ages, jogged axes
   }
-  if (drawn === store.version || time_ms - drawn_ms < DRAW_EACH_MS) return;
+  if (drawn === store.version || time_ms - drawn_ms < DRAW_PERIOD_MS) return;
   drawn = store.version;
   drawn_ms = time_ms;
   frames++;

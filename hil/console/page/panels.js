@@ -1,4 +1,4 @@
-// The values in words: header, ages, alarms, log.
+// Displayed values: header, ages, alarms, log.
 
 import { norm } from "/page/space.js";
 
@@ -25,13 +25,13 @@ export function header(now, page, store) {
   const names = page.bench.phases ? [...page.bench.phases, "brake", "retreat", "hold"] : [];
   $("phase").textContent = store.last("aborted") > 0 ? `ABORT ${names[phase] || ""}` : names[phase] || "-";
   $("share").value = now.mode === "running" && page.bench.duration_s ? now.run_s / page.bench.duration_s : now.share || 0;
-  $("holder").textContent = now.lease.mine ? "You have the command" : now.lease.holder ? `${now.lease.holder} commands` : "nobody commands";
-  $("word").textContent = words(now, page);
+  $("holder").textContent = now.lease.mine ? "You have command" : now.lease.holder ? `${now.lease.holder} has command` : "no operator has command";
+  $("word").textContent = statusText(now, page);
   recording(now.recording);
-  $("share").hidden = $("recording").hidden = !now.open; // room for how it ended
+  $("share").hidden = $("recording").hidden = !now.open; // leaves space for the result
 }
 
-// Whether the session is being recorded, how much of it there is, and what is lost.
+// State of the recording: size and losses.
 function recording(found) {
   const [state, rest] = $("recording").children;
   state.textContent = !found ? "-" : found.trouble ? "REC \u2715" : "REC \u25cf";
@@ -41,7 +41,7 @@ function recording(found) {
   $("recording").title = found ? found.trouble || found.file : "";
 }
 
-function words(now, page) {
+function statusText(now, page) {
   if (now.mode === "hold" && page.hold_reason) return page.hold_reason;
   if (page.ended && !now.open) {
     const { passed, stop } = page.ended;
@@ -50,7 +50,7 @@ function words(now, page) {
   return page.word || (page.ended ? page.ended.stop : `${page.choice.scenario} on ${page.choice.rig}, seed ${page.choice.seed}`);
 }
 
-// link_age_s: since the last message came
+// link_age_s: time since the last message
 export function ages(now, page, link_age_s) {
   const stale = page.bench.stale_s || {};
   const entries = [

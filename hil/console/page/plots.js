@@ -1,11 +1,11 @@
-// The ten plots and the stretch of time that they show.
+// The ten plots and their time window.
 
 import { Chart, Firings, Lateness } from "/page/chart.js";
 
 const GREEN = "#009e73";
 const X = "#e69f00", Y = "#56b4e9", Z = "#cc79a7", WHITE = "#f4f6f8", YELLOW = "#f0e442";
 const AXES = [["x", X], ["y", Y], ["z", Z]];
-const STRETCHES = [Infinity, 120, 30];
+const WINDOWS_S = [Infinity, 120, 30];
 
 const lines = (column, more = {}) => AXES.map(([axis, color]) => ({ name: axis, column: `${column}.${axis}`, color, ...more }));
 const quiet = (column, more) => lines(column, more).map((series) => ({ ...series, name: "" }));
@@ -13,7 +13,7 @@ const quiet = (column, more) => lines(column, more).map((series) => ({ ...series
 export class Plots {
   constructor(where) {
     this.where = where;
-    this.stretch = 0;
+    this.window = 0;
     this.axis = 0;
     this.stale = true;
     this.nis = { value: 0, text: "3 sigma" };
@@ -48,7 +48,7 @@ export class Plots {
     const canvas = document.createElement("canvas");
     canvas.id = `plot_${id}`;
     canvas.tabIndex = 0;
-    canvas.ariaLabel = `${id}: Enter makes it large`;
+    canvas.ariaLabel = `${id}: Enter enlarges it`;
     canvas.onclick = () => canvas.classList.toggle("big");
     canvas.onkeydown = (event) => {
       if (event.key === "Enter") canvas.classList.toggle("big");
@@ -58,7 +58,7 @@ export class Plots {
     return canvas;
   }
 
-  // One axis against the plan: encoders, vision unit and filter in one plot.
+  // Deviation of one axis from the plan: encoders, vision unit and filter in one plot.
   compare(axis) {
     this.axis = axis;
     const name = "xyz"[axis];
@@ -72,7 +72,7 @@ export class Plots {
     ];
   }
 
-  // Where the docking monitor has the chaser, off the plan, mm: [t, value] of each portion with a pose.
+  // Deviation of the docking monitor's position from the plan, mm: [t, value] of each batch with a pose.
   monitor(store, axis) {
     const name = `reference_m.${"xyz"[axis]}`;
     const found = [];
@@ -86,7 +86,7 @@ export class Plots {
   key(event) {
     if (/^(INPUT|SELECT)$/.test(event.target.tagName) || event.ctrlKey || event.altKey) return;
     if (event.key === "v") this.compare((this.axis + 1) % 3);
-    if (event.key === "w") this.stretch = (this.stretch + 1) % STRETCHES.length;
+    if (event.key === "w") this.window = (this.window + 1) % WINDOWS_S.length;
   }
 
   describe(bench) {
@@ -102,7 +102,7 @@ export class Plots {
   draw(store) {
     const end = store.count ? store.last("t_s") : 1;
     const first = store.count ? store.at(0, "t_s") : 0;
-    const t0 = Math.max(first, end - STRETCHES[this.stretch]);
+    const t0 = Math.max(first, end - WINDOWS_S[this.window]);
     const t1 = Math.max(end, t0 + 1);
     for (const chart of this.charts) chart.draw(store, t0, t1, this.stale);
     this.firings.draw(store, t0, t1);

@@ -1,4 +1,4 @@
-// Bench and target in three dimensions: rails, turntable, chaser, target ring, corridor, the way so far.
+// Three-dimensional view: rails, turntable, chaser, target ring, corridor and path.
 
 import { prepare } from "/page/chart.js";
 import { apply, applyBack, matrix, norm, plus } from "/page/space.js";
@@ -29,7 +29,7 @@ export class Scene {
     this.elevation = Math.min(1.5, Math.max(-0.2, this.elevation + elevation));
   }
 
-  // pose: {r, q, rail}; what is not known is left out
+  // pose: {r, q, rail}; unknown parts are omitted
   draw(bench, pose, store, stale) {
     const [c, width, height] = prepare(this.canvas);
     if (!bench || !bench.axes) return;
@@ -52,7 +52,7 @@ export class Scene {
     c.fillText("target: ring, axes x y z of H", 6, 4);
   }
 
-  // H has z downwards; the picture has it downwards too
+  // z of H points downwards, as in the view
   camera(width, height) {
     const ca = Math.cos(this.azimuth), sa = Math.sin(this.azimuth), ce = Math.cos(this.elevation), se = Math.sin(this.elevation);
     const distance = 2.6 * this.span, focal = 2.4 * Math.min(width * 0.62, height);
@@ -135,7 +135,7 @@ export class Scene {
     if (!stale) this.frame(pose.r, a, 0.16 * this.span, 2.5);
   }
 
-  // axes: rows are the unit vectors of the frame, seen in H
+  // axes: rows are the unit vectors of the frame, in H
   frame(origin, axes, length, width) {
     [X, Y, Z].forEach((color, i) => {
       const end = plus(origin, axes[i], length);
@@ -152,8 +152,8 @@ function cross(a, b) {
   return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 }
 
-// What a camera of the vision unit has in view by the pose of the bench: lamps in pixels, and the picture's size.
-export function lampsInView(bench, pose) {
+// LEDs in the image of a camera of the vision unit, in pixels, computed from the pose of the bench.
+export function ledsInView(bench, pose) {
   const { focal_px, width_px, height_px } = bench.camera;
   const a = matrix(pose.q);
   return bench.ring_m.map((p) => {

@@ -1,9 +1,9 @@
-// The settings that the scenario lets the operator change in flight: value, unit, allowed range, and a new value for each.
+// Settings adjustable during the run: present value, unit, allowed range, and an input for a new value.
 
 const $ = (id) => document.getElementById(id);
 
 export class Settings {
-  // controls: asks the console, and asks the operator back
+  // controls: sends the requests and asks for confirmations
   constructor(controls) {
     this.controls = controls;
     this.rows = new Map();
@@ -51,7 +51,7 @@ export class Settings {
     input.ariaLabel = `new value of ${key}, ${unit}, ${range.words}`;
     input.disabled = button.disabled = !this.allowed;
     const set = () => {
-      if (input.value === "") return this.controls.say(`${key}: type its new value first`);
+      if (input.value === "") return this.controls.notify(`${key}: enter a new value first`);
       this.controls.ask({ do: "adjust", key, value: Number(input.value) }).then(() => (input.value = ""));
     };
     button.onclick = set;
@@ -62,7 +62,7 @@ export class Settings {
   }
 }
 
-// As short as tells it apart: 0.0002, 8.33e-7.
+// Shortest distinct text: 0.0002, 8.33e-7.
 export function number(value) {
   return Math.abs(value) >= 1e-4 || value === 0 ? String(Number(value.toPrecision(6))) : value.toExponential().replace(/(\.\d{3})\d+/, "$1");
 }

@@ -1,4 +1,4 @@
-// Small geometry: quaternions as the bench has them (scalar last, A(q) takes components from H to c).
+// Geometry: quaternions in the convention of the bench (scalar last, A(q) transforms components from H to c).
 
 export function matrix([x, y, z, w]) {
   return [

@@ -1,4 +1,4 @@
-// The rows that came, newest last: columns by name, and the part of them that a plot looks at.
+// Received rows, newest last, with columns by name.
 
 const KEPT = 40000;
 
@@ -23,17 +23,17 @@ export class Store {
     if (columns.length === this.names.length) return;
     this.names = columns;
     this.index = Object.fromEntries(columns.map((name, i) => [name, i]));
-    this.forget();
+    this.clear();
   }
 
-  forget() {
+  clear() {
     this.count = 0;
     this.version++;
   }
 
   // rows: Float32Array of n rows; first: number of the first of them, 0 replaces all
   add(rows, n, first) {
-    if (first === 0) this.forget();
+    if (first === 0) this.clear();
     const width = this.names.length;
     if (!n || !width) return;
     if (this.count + n > KEPT) {

@@ -1,4 +1,4 @@
-// Which camera is watched, small or large, and the docking monitor's numbers beside its picture.
+// Camera view, small or large, and the numbers of the docking monitor next to its image.
 
 import { nameOf, shortNameOf } from "/page/camera.js";
 
@@ -28,7 +28,7 @@ export class View {
     this.choose(this.cameras[(this.cameras.indexOf(this.watched()) + 1) % this.cameras.length]);
   }
 
-  // Also after the link was lost: the console is told again with each choice alone, so tell it when a page comes back.
+  // Also after a reconnection: the console receives only changes of the choice, so send it again.
   choose(name) {
     this.camera.wanted = name;
     this.link.send({ do: "watch", camera: name });
@@ -43,7 +43,7 @@ export class View {
       this.cameras = now.cameras;
       $("camera_choice").replaceChildren(...this.cameras.map((name) => this.button(name)));
     }
-    if (!this.cameras.length && this.camera.picture) this.camera.forget();
+    if (!this.cameras.length && this.camera.picture) this.camera.clear();
     $("camera_next").disabled = this.cameras.length < 2;
     for (const button of $("camera_choice").children) button.ariaPressed = String(button.dataset.camera === this.watched());
     this.numbers(now, page.bench.monitor || [], store.portions.at(-1));
@@ -58,14 +58,14 @@ export class View {
     return button;
   }
 
-  // Status, time and all numbers with their sigmas; in the small view the two that matter most.
+  // Status, time and all numbers with their sigmas; in the small view the two main ones.
   numbers(now, shown, portion) {
     $("monitor").hidden = !shown.length;
     if (!shown.length) return;
     const age_s = portion ? now.run_s - portion.t_s : NaN;
     const stale = !(age_s <= OLD_S);
     $("monitor").classList.toggle("stale", stale);
-    $("monitor_status").textContent = portion ? `${portion.status.replace("_", " ")}, ${portion.frames} frames` : "docking monitor: nothing yet";
+    $("monitor_status").textContent = portion ? `${portion.status.replace("_", " ")}, ${portion.frames} frames` : "docking monitor: no result yet";
     $("monitor_status").classList.toggle("bad", Boolean(portion && portion.frames === 0));
     $("monitor_age").textContent = portion ? `at ${portion.t_s.toFixed(2)} s${stale ? `, ${age_s.toFixed(0)} s ago` : ""}` : "";
     const body = $("monitor_numbers");
