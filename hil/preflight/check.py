@@ -1,4 +1,4 @@
-"""What one check found."""
+"""Result of one check."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class PreflightCheck:
-    """One line of the table. passed: None for something worth knowing that fails nobody.
+    """One line of the table. passed: None for an informational result.
 
-    value: what was found, with its unit. advice: what to do about it, "" where nothing needs to be done.
+    value: finding with its unit. advice: remedy, "" if none is needed.
     """
 
     name: str
@@ -19,5 +19,5 @@ class PreflightCheck:
 
 
 def all_passed(checks: list[PreflightCheck]) -> bool:
-    """Return whether no check failed; notes do not count."""
+    """Return whether no check failed; informational ones do not count."""
     return all(check.passed is not False for check in checks)

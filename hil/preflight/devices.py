@@ -1,4 +1,4 @@
-"""The devices of a rig: each one opened, asked for its identity and a sample, and let go again."""
+"""Checks of a rig's devices: each is opened, identified, sampled and closed."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _POLL_S = 0.01
 
 
 def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[PreflightCheck]:
-    """Return the checks of the rig's wires and devices; an emulated rig gets its emulators for that long.
+    """Return the checks of the rig's links and devices; the emulators of an emulated rig run meanwhile.
 
-    Rails and turntable of a hardware rig are opened only with ``enable_drives``: opening enables their drives,
-    which then hold where they stand.
+    Rails and turntable of a hardware rig are opened only with ``enable_drives``: opening enables their drives, which
+    then hold their positions.
     """
     if rig.kind == "mock":
-        return [PreflightCheck("devices", None, "in memory: no wires, no devices")]
+        return [PreflightCheck("devices", None, "in memory: no links, no devices")]
     clock = WallClock()
     if rig.kind == "hardware":
         return [*port_checks(rig), *_devices(rig, scenario, clock, enable_drives)]
@@ -39,16 +39,16 @@ def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[Prefli
             wired, _ = emulated.wait_ready()
             return [*port_checks(wired), *_devices(wired, scenario, clock, enable_drives=True)]
     except DeviceError as error:
-        return [PreflightCheck("emulators", False, str(error), "hil emulate shows what the emulators themselves say")]
+        return [PreflightCheck("emulators", False, str(error), "hil emulate shows the messages of the emulators")]
 
 
 def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
-    """Return the checks of the devices, with the safety chain closed for those that are enabled."""
+    """Return the checks of the devices, with the safety chain closed for enabled ones."""
     rails, turntable, source, _ = make_drivers(rig, clock)
     if rig.io is None or not rig.has_io:
         return device_checks(rails, turntable, source, clock, enable_drives)
     if not enable_drives:
-        advice = "--devices opens it, which closes the safety chain"
+        advice = "opened with --devices, which closes the safety chain"
         skipped = PreflightCheck("device io", None, "skipped", advice)
         return [skipped, *device_checks(rails, turntable, source, clock, enable_drives)]
     rate = WallClockRate(clock, scenario.step_s)
@@ -59,7 +59,7 @@ def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool
             fine = PreflightCheck("device io", True, "identified, emergency stop released, safety chain closes")
             return [fine, *device_checks(rails, turntable, source, clock, enable_drives)]
     except BenchError as error:
-        advice = "release the emergency stop, close the interlocks, check the coupler's wire (docs/safety.md)"
+        advice = "release the emergency stop, close the interlocks, check the coupler's link (docs/safety.md)"
         return [PreflightCheck("device io", False, str(error), advice)]
     finally:
         lines.stop(clock.now_s())
@@ -75,7 +75,7 @@ def device_checks(
         if enable_drives:
             checks.append(_axes(group, unit, clock))
         else:
-            advice = "--devices opens it, which enables its drives: they hold where they stand"
+            advice = "opened with --devices, which enables its drives: they hold their positions"
             checks.append(PreflightCheck(f"device {group.name}", None, "skipped", advice))
     checks.append(_source(source, clock))
     return checks
@@ -84,16 +84,16 @@ def device_checks(
 def _axes(group: AxisGroup, unit: str, clock: WallClock) -> PreflightCheck:
     def sample() -> str:
         feedback = group.read(clock.now_s())
-        places = np.degrees(feedback.position) if unit == "deg" else feedback.position
+        values = np.degrees(feedback.position) if unit == "deg" else feedback.position
         names = [name.rpartition(".")[2] for name in group.axis_names]
-        stands = ", ".join(f"{name} {place:.3f}" for name, place in zip(names, places, strict=True))
-        return f"identified, stands at {stands} {unit}"
+        positions = ", ".join(f"{name} {value:.3f}" for name, value in zip(names, values, strict=True))
+        return f"identified, at {positions} {unit}"
 
-    def let_go() -> None:
+    def release() -> None:
         group.stop(clock.now_s())
         group.close()
 
-    return _tried(group.name, lambda: group.open(clock.now_s()), sample, let_go)
+    return _check_device(group.name, lambda: group.open(clock.now_s()), sample, release)
 
 
 def _source(source: PoseSource, clock: WallClock) -> PreflightCheck:
@@ -103,25 +103,25 @@ def _source(source: PoseSource, clock: WallClock) -> PreflightCheck:
             raise LinkTimeout(source.name, "no pose")
         return f"pose at {np.linalg.norm(frames[-1].t_v):.3f} m from the camera"
 
-    return _tried(source.name, lambda: source.open(clock.now_s()), sample, source.close)
+    return _check_device(source.name, lambda: source.open(clock.now_s()), sample, source.close)
 
 
-def _tried(
-    name: str, start: Callable[[], None], sample: Callable[[], str], let_go: Callable[[], None]
+def _check_device(
+    name: str, start: Callable[[], None], sample: Callable[[], str], release: Callable[[], None]
 ) -> PreflightCheck:
-    """Open a device, wait for its first sample, and let go of it whatever happened."""
+    """Open a device, wait for its first sample, and release it in any case."""
     try:
         start()
-        return PreflightCheck(f"device {name}", True, _first(sample))
+        return PreflightCheck(f"device {name}", True, _first_sample(sample))
     except BenchError as error:
-        advice = "is it switched on, and is this its wire (docs/rig.md)? hil emulate shows a device that answers"
+        advice = "check its power and its link (docs/rig.md); hil emulate starts a device that responds"
         return PreflightCheck(f"device {name}", False, str(error), advice)
     finally:
-        let_go()
+        release()
 
 
-def _first(sample: Callable[[], str]) -> str:
-    """Return the first sample; one that is not there yet is waited for."""
+def _first_sample(sample: Callable[[], str]) -> str:
+    """Wait for the first sample and return it."""
     deadline = time.monotonic() + _FIRST_SAMPLE_S
     while True:
         try:

@@ -1,4 +1,4 @@
-"""The host: facts read from the operating system, and what they mean for a run in real time."""
+"""Host of the loop: facts from the operating system, and checks of them for a run in real time."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.core.child_process import ChildProcess
 from hil.core.jit import kernels_are_cached
 from hil.core.messages import CYCLE
 from hil.core.realtime import FIFO_PRIORITY
+from hil.errors import DeviceError
 from hil.preflight.check import PreflightCheck
-from hil.preflight.privileges import Privileges, probe_privileges
 
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNORS = Path("/sys/devices/system/cpu")
@@ -21,14 +22,34 @@ _REALTIME = Path("/sys/kernel/realtime")
 _GOOD_CLOCK_SOURCES = ("tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter")
 _COARSEST_CLOCK_S = 1e-6
 _LEAST_FREE_BYTES = 1e9
-_RUNS_THAT_MUST_FIT = 20
+_RUNS_TO_STORE = 20
+
+
+_PROBE_TIMEOUT_S = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Privileges:
+    """Reasons of refusal as the operating system gives them; "" for a privilege that was granted."""
+
+    fifo_refused: str
+    memory_lock_refused: str
+
+
+def probe_privileges() -> Privileges:
+    """Return what a child of this process is refused."""
+    try:
+        with ChildProcess("privileges probe", "hil.processes.privileges_probe", {}) as child:
+            return Privileges(**child.receive(_PROBE_TIMEOUT_S))
+    except DeviceError as error:
+        return Privileges(*[f"could not be probed: {error}"] * 2)
 
 
 @dataclass(frozen=True, slots=True)
 class HostFacts:
-    """What there is to know; strings are "" where the system does not tell.
+    """Facts of the host; strings are "" if the system does not report them.
 
-    governors: of each processor that has one. processors: usable by this process.
+    governors: of each processor that has one. processors: number usable by this process.
     """
 
     clock_resolution_s: float
@@ -65,9 +86,9 @@ def _text(path: Path) -> str:
 
 
 def host_checks(facts: HostFacts, cycles: int, on_hardware: bool) -> list[PreflightCheck]:
-    """Return what ``facts`` mean for runs of ``cycles`` cycles.
+    """Return the checks of ``facts`` for runs of ``cycles`` cycles.
 
-    Only with hardware behind the wires a refused privilege or a sleepy processor fails; elsewhere it is a note.
+    A refused privilege or a power-saving processor fails only for a rig of hardware; else it is informational.
     """
     return [
         _clock(facts),
@@ -127,31 +148,29 @@ def _governor(facts: HostFacts, on_hardware: bool) -> PreflightCheck:
 
 def _processors(facts: HostFacts) -> PreflightCheck:
     fine = facts.processors >= 2
-    advice = "" if fine else "give it a second one: the loop needs one for itself while it waits for its deadline"
-    return PreflightCheck("processors", fine, f"{facts.processors}, wanted 2 or more", advice)
+    advice = "" if fine else "provide a second one: the loop occupies one while it waits for its deadline"
+    return PreflightCheck("processors", fine, f"{facts.processors}, required 2 or more", advice)
 
 
 def _disk(facts: HostFacts, cycles: int) -> PreflightCheck:
-    wanted = max(_LEAST_FREE_BYTES, float(_RUNS_THAT_MUST_FIT * cycles * CYCLE.itemsize))
-    fine = facts.free_bytes >= wanted
-    advice = "" if fine else "make room, or run from a folder on another disk"
-    value = f"{facts.free_bytes / 1e9:.1f} GB free, wanted {wanted / 1e9:.1f} GB ({_RUNS_THAT_MUST_FIT} runs)"
+    required = max(_LEAST_FREE_BYTES, float(_RUNS_TO_STORE * cycles * CYCLE.itemsize))
+    fine = facts.free_bytes >= required
+    advice = "" if fine else "free disk space, or run in a folder on another disk"
+    value = f"{facts.free_bytes / 1e9:.1f} GB free, required {required / 1e9:.1f} GB ({_RUNS_TO_STORE} runs)"
     return PreflightCheck("disk", fine, value, advice)
 
 
 def _kernel(facts: HostFacts) -> PreflightCheck:
     if facts.kernel_is_realtime:
         return PreflightCheck("kernel", True, f"{facts.kernel} (PREEMPT_RT)")
-    advice = "a PREEMPT_RT kernel bounds the lateness; without one, judge by what was measured"
+    advice = "a PREEMPT_RT kernel bounds the lateness; without one, rely on the measured lateness"
     return PreflightCheck("kernel", None, f"{facts.kernel} (not PREEMPT_RT)", advice)
 
 
 def _kernel_cache(facts: HostFacts) -> PreflightCheck:
     if facts.kernels_cached:
         return PreflightCheck("compiled kernels", True, "in the cache")
-    return PreflightCheck(
-        "compiled kernels", None, "not in the cache", "the first run compiles them before anything moves"
-    )
+    return PreflightCheck("compiled kernels", None, "not in the cache", "the first run compiles them before any motion")
 
 
 def _fails(on_hardware: bool) -> bool | None:

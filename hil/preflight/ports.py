@@ -1,4 +1,4 @@
-"""The wires of a rig on this computer: serial ports, CAN interfaces, hosts. Nothing is opened."""
+"""Checks of a rig's links on this computer: serial ports, CAN interfaces, hosts. Nothing is opened."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NETWORK = Path("/sys/class/net")
 
 
 def port_checks(rig: Rig) -> list[PreflightCheck]:
-    """Return what this computer says of each wire of ``rig``."""
+    """Return a check per link of ``rig``; a kind without a check is reported as not checked."""
     checks = {"serial": _serial, "tcp": _tcp, "can": _can}
     return [
         checks[wire.kind](wire.key, wire.address)
@@ -31,12 +31,12 @@ def _serial(key: str, address: str) -> PreflightCheck:
     if not Path(address).exists():
         present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
         return PreflightCheck(
-            name, False, f"{address}: no such port", f"plug it in or correct the key; here: {present}"
+            name, False, f"{address}: no such port", f"connect it or correct the key; present: {present}"
         )
     if not os.access(address, os.R_OK | os.W_OK):
         group = _group_of(address)
         advice = f"sudo usermod -aG {group} $USER, then log in again"
-        return PreflightCheck(name, False, f"{address}: this user may not read and write it", advice)
+        return PreflightCheck(name, False, f"{address}: no read and write permission for this user", advice)
     return PreflightCheck(name, True, f"{address}: readable and writable")
 
 
@@ -63,9 +63,9 @@ def _can(key: str, address: str) -> PreflightCheck:
     name = f"CAN {key}"
     state = _NETWORK / address / "operstate"
     if not state.exists():
-        advice = f"ip link add or plug in {address}; see ip -details link"
+        advice = f"connect {address} or create it with ip link add; see ip -details link"
         return PreflightCheck(name, False, f"{address}: no such interface", advice)
-    told = state.read_text(encoding="ascii").strip()
-    if told == "down":
+    operstate = state.read_text(encoding="ascii").strip()
+    if operstate == "down":
         return PreflightCheck(name, False, f"{address}: down", f"sudo ip link set {address} up type can bitrate ...")
-    return PreflightCheck(name, True, f"{address}: {told}")
+    return PreflightCheck(name, True, f"{address}: {operstate}")

@@ -1,4 +1,4 @@
-"""All checks of a preflight, in their order."""
+"""Preflight: all checks in order."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Meter = Callable[[float], Lateness]
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """What was found; ``lateness`` is None where it could not be measured."""
+    """Results of a preflight; ``lateness`` is None if it could not be measured."""
 
     checks: list[PreflightCheck]
     lateness: Lateness | None
@@ -34,7 +34,7 @@ class Preflight:
         return all_passed(self.checks)
 
     def numbers(self) -> dict[str, Any]:
-        """Return everything as it goes into JSON."""
+        """Return all results for JSON."""
         late = self.lateness
         return {
             "passed": self.passed,
@@ -54,34 +54,34 @@ def preflight(
     probe: Probe = probe_host,
     meter: Meter = measure,
 ) -> Preflight:
-    """Return what all checks found.
+    """Return the results of all checks.
 
-    folder: where runs are written. announce: told what is being looked at. probe, meter: how the host is asked
-    and its lateness measured.
+    folder: where runs are written. announce: called with each step. probe, meter: read the facts of the host and
+    measure its lateness.
     """
-    flown = scenario.value
-    announce("asking the operating system")
-    cycles = round(flown.duration_s / flown.step_s) + 1
+    run = scenario.value
+    announce("reading the operating system")
+    cycles = round(run.duration_s / run.step_s) + 1
     checks = host_checks(probe(folder), cycles, rig.value.kind == "hardware")
-    announce("following the plan of the scenario")
-    checks.append(reach_check(scenario, rig))
+    announce("checking the planned trajectory")
+    checks.append(reachability_check(scenario, rig))
     announce("opening the devices")
-    checks += rig_checks(flown, rig.value, enable_drives)
+    checks += rig_checks(run, rig.value, enable_drives)
     announce("measuring the lateness")
     try:
-        late = meter(flown.step_s)
+        late = meter(run.step_s)
     except RuntimeError as error:
-        return Preflight([*checks, PreflightCheck("lateness", False, str(error))], None, 1.0 / flown.step_s)
-    return Preflight([*checks, lateness_check(late)], late, 1.0 / flown.step_s)
+        return Preflight([*checks, PreflightCheck("lateness", False, str(error))], None, 1.0 / run.step_s)
+    return Preflight([*checks, lateness_check(late)], late, 1.0 / run.step_s)
 
 
-def reach_check(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> PreflightCheck:
-    """Return whether the rig can follow the plan of the scenario."""
+def reachability_check(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> PreflightCheck:
+    """Return the check that the rig can realise the planned trajectory of the scenario."""
     problems = truth_problems(scenario) or [*flight_problems(scenario, rig), *approach_problems(scenario)]
-    name = f"reach of {scenario.value.name}"
+    name = f"reachability of {scenario.value.name}"
     if not problems:
         return PreflightCheck(
-            name, True, "travel, speed, acceleration, gimbals and view suit the plan with its dispersion"
+            name, True, "travel, speed, acceleration, gimbals and view are sufficient for the plan with its dispersion"
         )
-    told = "; ".join(str(problem) for problem in problems)
-    return PreflightCheck(name, False, told, "change the scenario's key or the rig's limit that is named")
+    text = "; ".join(str(problem) for problem in problems)
+    return PreflightCheck(name, False, text, "change the named key of the scenario or limit of the rig")

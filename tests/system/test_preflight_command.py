@@ -40,7 +40,7 @@ def test_preflight_on_mock_prints_a_table_and_its_verdict_is_its_exit_code(
     assert code == (0 if found["passed"] else 1)
     assert found["passed"] == all(check["passed"] is not False for check in found["checks"])
     assert (found["scenario"], found["rig"], found["rate_hz"]) == ("scheme-1", "mock", 50.0)
-    assert _own(found) == {"reach of scheme-1": True, "devices": None}
+    assert _own(found) == {"reachability of scheme-1": True, "devices": None}
     assert sum(row["cycles"] for row in found["lateness_histogram"]) == 25
     for words in ("Preflight of mock for scheme-1", "what to do", "Lateness of an empty loop", "below"):
         assert words in printed
@@ -52,7 +52,9 @@ def test_preflight_on_emulated_opens_every_device(tmp_path: Path) -> None:
     assert code == (0 if found["passed"] else 1)
     own = _own(found)
     assert set(own.values()) == {True}, found
-    assert {"reach of scheme-2", "device rails", "device turntable", "device vmu", "port vmu.rs422.port"} <= set(own)
+    assert {"reachability of scheme-2", "device rails", "device turntable", "device vmu", "port vmu.rs422.port"} <= set(
+        own
+    )
     assert "host rails.modbus.x" in own
 
 
@@ -60,7 +62,7 @@ def test_plan_out_of_reach_fails_the_preflight(tmp_path: Path) -> None:
     code, found = _preflight(tmp_path, "--set", "initial.position_m=[13.0, 0.0, 0.0]")
     assert code == 1
     assert found["passed"] is False
-    assert _own(found)["reach of scheme-1"] is False
+    assert _own(found)["reachability of scheme-1"] is False
 
 
 @pytest.mark.parametrize("arguments", [("--rig", "nowhere"), ("--scenario", "scheme-9"), ("--json", "/no/such/x.json")])

@@ -1,4 +1,4 @@
-"""Preflight: what facts of a host, wires, devices and lateness mean, on facts that are handed in."""
+"""Preflight: checks of host, links, devices and lateness on given facts."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ from hil.errors import ProtocolError
 from hil.preflight import devices, ports
 from hil.preflight.check import PreflightCheck, all_passed
 from hil.preflight.devices import device_checks
-from hil.preflight.host import HostFacts, host_checks, probe_host
+from hil.preflight.host import HostFacts, Privileges, host_checks, probe_host
 from hil.preflight.lateness import Lateness, histogram_lines, lateness_check, summarise
-from hil.preflight.privileges import Privileges
-from hil.preflight.run import preflight, reach_check
+from hil.preflight.run import preflight, reachability_check
 
 GOOD = HostFacts(
     clock_resolution_s=1e-9,
@@ -44,7 +43,7 @@ def _check(facts: HostFacts, name: str, on_hardware: bool = True) -> PreflightCh
     return next(check for check in host_checks(facts, CYCLES, on_hardware) if check.name == name)
 
 
-def test_good_host_passes_in_every_point_and_is_told_nothing_to_do() -> None:
+def test_good_host_passes_in_every_point_and_gets_no_advice() -> None:
     checks = host_checks(GOOD, CYCLES, on_hardware=True)
     assert [check.passed for check in checks] == [True] * 9
     assert {check.advice for check in checks} == {""}
@@ -61,7 +60,7 @@ def test_good_host_passes_in_every_point_and_is_told_nothing_to_do() -> None:
         ("CPU governor", {"governors": ("performance", "powersave")}, False, "cpupower frequency-set"),
         ("CPU governor", {"governors": ()}, None, ""),
         ("processors", {"processors": 1}, False, "second one"),
-        ("disk", {"free_bytes": 0.9e9}, False, "make room"),
+        ("disk", {"free_bytes": 0.9e9}, False, "free disk space"),
         ("kernel", {"kernel_is_realtime": False}, None, "PREEMPT_RT"),
         ("compiled kernels", {"kernels_cached": False}, None, "first run compiles"),
     ],
@@ -168,6 +167,15 @@ def test_missing_port_and_interface_are_named_and_an_address_needs_no_name_serve
     assert port.value == f"{tmp_path / 'ttyNone'}: no such port"
 
 
+def test_link_of_a_kind_without_a_check_is_reported_as_not_checked(tmp_path: Path) -> None:
+    checks = {
+        check.name: check for check in ports.port_checks(_rig(tmp_path, interface="pcan", channel="PCAN_USBBUS1"))
+    }
+    check = checks["wire turntable.cia402.channel"]
+    assert check.passed is None
+    assert check.value == "PCAN_USBBUS1: not checked, no port of this computer"
+
+
 def test_port_without_the_right_to_it_advises_its_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = tmp_path / "ttyUSB0"
     port.touch()
@@ -189,7 +197,7 @@ def test_host_that_no_name_server_knows_is_named(tmp_path: Path, monkeypatch: py
 
 
 class Telltale(MockAxes):
-    """Axes that tell what was done to them."""
+    """Axes that record their calls."""
 
     def __init__(self, name: str, config: AxisGroupTable) -> None:
         super().__init__(name, config)
@@ -223,7 +231,7 @@ def _passed(checks: Sequence[PreflightCheck]) -> list[bool | None]:
 def test_devices_are_opened_read_stopped_and_closed(bench: tuple[Telltale, Telltale, MockVmu]) -> None:
     checks = device_checks(*bench, WallClock(), enable_drives=True)
     assert _passed(checks) == [True, True, True]
-    assert checks[0].value == "identified, stands at x 3.000, y 0.000, z 0.000 m"
+    assert checks[0].value == "identified, at x 3.000, y 0.000, z 0.000 m"
     assert checks[2].value == "pose at 2.000 m from the camera"
     assert bench[0].done == bench[1].done == ["open", "stop", "close"]
 
@@ -235,7 +243,7 @@ def test_drives_of_hardware_are_not_enabled_unasked(bench: tuple[Telltale, Tellt
     assert bench[0].done == bench[1].done == []
 
 
-def test_device_that_fails_is_named_and_the_others_are_still_looked_at(
+def test_device_that_fails_is_named_and_the_others_are_still_checked(
     bench: tuple[Telltale, Telltale, MockVmu], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(_: float) -> None:
@@ -256,12 +264,12 @@ def test_silent_device_is_given_up(bench: tuple[Telltale, Telltale, MockVmu], mo
     assert checks[2].value == "vmu: no pose"
 
 
-def test_plan_that_the_rig_cannot_follow_fails_with_the_words_of_the_refusal() -> None:
+def test_plan_that_the_rig_cannot_realise_fails_with_its_problems() -> None:
     settings = ("rig.rails.x.rate_max_mps=0.035",)
-    check = reach_check(load_scenario("scheme-1", settings), load_rig("mock", settings))
+    check = reachability_check(load_scenario("scheme-1", settings), load_rig("mock", settings))
     assert check.passed is False
     assert "rails.x would go at up to 0.0412 m/s" in check.value
-    assert reach_check(load_scenario("scheme-1"), load_rig("mock")).passed is True
+    assert reachability_check(load_scenario("scheme-1"), load_rig("mock")).passed is True
 
 
 def test_lateness_that_cannot_be_measured_fails(tmp_path: Path) -> None:
