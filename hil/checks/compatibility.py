@@ -1,4 +1,4 @@
-"""Whether a scenario and a rig suit each other: what shows only when the two meet, one problem a line."""
+"""Compatibility checks of scenario, rig and host; each returns a list of problems."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from serial.tools import list_ports
 
 from hil.bench.kinematics import axes_of_pose
-from hil.checks.reachability import reach_problems
+from hil.checks.reachability import check_reachability
 from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import BENCH_AXES, Rig
@@ -31,18 +31,18 @@ def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_
     return axes
 
 
-def flight_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
-    """Return the problems of ``reach_problems``, or one where the thrusters cannot move an axis of the chaser."""
+def check_plan(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return the problems of ``check_reachability``, or one if the thrusters cannot move an axis of the chaser."""
     try:
         gnc_params.allocation(scenario.value.chaser)
     except ValueError as error:
         key = "chaser.thrusters.position_m"
         return [Problem(scenario.where(key), key, str(error))]
-    return reach_problems(scenario, rig)
+    return check_reachability(scenario, rig)
 
 
-def approach_problems(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return a problem for each phase that closes in faster than its own supervision allows."""
+def check_approach(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return a problem for each phase with a speed above the closing-rate limit."""
     gnc = scenario.value.gnc
     problems = []
     limit = gnc.corridor.closing_rate_max_mps
@@ -57,8 +57,8 @@ def approach_problems(scenario: Loaded[Scenario]) -> list[Problem]:
     return problems
 
 
-def host_problems(rig: Loaded[Rig]) -> list[Problem]:
-    """Return a problem where the loop is to run on a CPU that this process cannot have."""
+def check_host(rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem if this process cannot use the CPU of the loop."""
     cpu, present = rig.value.host.cpu, sorted(os.sched_getaffinity(0))
     if cpu is None or cpu in present:
         return []
@@ -66,7 +66,7 @@ def host_problems(rig: Loaded[Rig]) -> list[Problem]:
     return [Problem(rig.where("host.cpu"), "rig.host.cpu", text)]
 
 
-def driver_problems(rig: Loaded[Rig]) -> list[Problem]:
+def check_drivers(rig: Loaded[Rig]) -> list[Problem]:
     """Return the problems of the files that drivers use, such as a protocol file or an EDS."""
     try:
         driver_warnings(rig.value)
@@ -81,8 +81,8 @@ def driver_warnings(rig: Rig) -> list[str]:
     return [line for table in tables for line in table.entry.check_files(table)]
 
 
-def port_problems(rig: Loaded[Rig]) -> list[Problem]:
-    """Return a problem for each serial port of a hardware rig that this computer does not have."""
+def check_ports(rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each serial port of a hardware rig that does not exist on this computer."""
     if rig.value.kind != "hardware":
         return []
     present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
@@ -93,21 +93,21 @@ def port_problems(rig: Loaded[Rig]) -> list[Problem]:
     ]
 
 
-def flight_computer_problems(rig: Loaded[Rig]) -> list[Problem]:
-    """Return what keeps a flight computer's words from being heard."""
+def check_flight_computer(rig: Loaded[Rig]) -> list[Problem]:
+    """Return the problems that prevent the reception of a flight computer's command words."""
     computer = rig.value.flight_computer
     if computer.command_words == "none":
         return []
     if rig.value.kind == "mock":
         key = "flight_computer.command_words"
-        text = f'"{computer.command_words}": a mock rig has no wall clock for a flight computer'
+        text = f'"{computer.command_words}": a mock rig does not run in real time, as a flight computer requires'
         return [Problem(rig.where(key), f"rig.{key}", text)]
     missing = [wire.key for wire in computer.wires() if wire.address is None]
-    return [Problem(rig.where(key), f"rig.{key}", "is missing: the wire of the words") for key in missing]
+    return [Problem(rig.where(key), f"rig.{key}", "is missing: the link of the command words") for key in missing]
 
 
-def monitor_problems(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return what keeps the docking monitor from looking at its scene, where the run has one."""
+def check_monitor(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return the problems of the docking monitor's scene, if the run has a monitor."""
     monitor = scenario.value.monitor
     if monitor.source == "none":
         return []
@@ -121,8 +121,8 @@ def monitor_problems(scenario: Loaded[Scenario]) -> list[Problem]:
     return []
 
 
-def line_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
-    """Return a problem where the digital lines are too few for the thrusters, or the cycle too slow for the relay."""
+def check_io(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem if there are too few digital lines for the thrusters, or the cycle is too slow for the relay."""
     io = rig.value.io
     if io is None or not rig.value.has_io:
         return []
@@ -139,8 +139,8 @@ def line_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
     return problems
 
 
-def sign_off_problems(rig: Loaded[Rig]) -> list[Problem]:
-    """Return a problem where hardware was not commissioned as it stands in its file, and nobody waived that."""
+def check_sign_off(rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem if hardware is not commissioned with its present rig file, unless that is waived."""
     found = rig.value.sign_off
     if rig.value.kind != "hardware" or (found is not None and found.waived):
         return []
@@ -150,7 +150,7 @@ def sign_off_problems(rig: Loaded[Rig]) -> list[Problem]:
 
 
 def sign_off_gap(rig: Rig) -> str:
-    """Return why the rig does not count as signed off, "" where it does. Raises BadInput for an unreadable file."""
+    """Return why the rig is not signed off, "" if it is. Raises BadInput for an unreadable file."""
     found = rig.sign_off
     if found is None:
         return "is missing"
@@ -158,7 +158,7 @@ def sign_off_gap(rig: Rig) -> str:
         digest = motion_digest(rig)
         signed = {name for name, axis in found.axes.items() if axis.digest == digest}
         left = ", ".join(name for name in BENCH_AXES if name not in signed)
-        return f"is not complete, left: {left or 'the dry run'}"
+        return f"is not complete, missing: {left or 'the dry run'}"
     if found.digest != motion_digest(rig):
-        return f"does not hold: the rig was changed after it was signed off on {found.date}"
+        return f"is invalid: the rig was changed after its sign-off on {found.date}"
     return ""

@@ -51,7 +51,7 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
     return Demands(plan, attitudes, margin, axes)
 
 
-def reach_problems(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> list[Problem]:
+def check_reachability(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> list[Problem]:
     """Return a problem for each axis, and for the cameras, that the plan with its dispersion asks too much of.
 
     The cameras are looked at only where the axes can go. Raises ValueError where the thruster layout cannot

@@ -1,4 +1,4 @@
-"""Faults of a scenario's truth that show only when its tables, or its files, meet."""
+"""Checks of a scenario's truth across its tables and files."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from hil.errors import Problem
 from hil.params import dynamics as dynamics_params
 
 
-def truth_problems(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return every such fault."""
-    return [*_orbit_problems(scenario), *_gravity_problems(scenario), *_array_problems(scenario)]
+def check_truth(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return the problems of orbit, gravity field and solar array."""
+    return [*_check_orbit(scenario), *_check_gravity(scenario), *_check_solar_array(scenario)]
 
 
-def _orbit_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+def _check_orbit(scenario: Loaded[Scenario]) -> list[Problem]:
     orbit = scenario.value.orbit
     problems = []
     axis_m = dynamics_params.semi_major_axis_m(scenario.value)
@@ -32,14 +32,12 @@ def _orbit_problems(scenario: Loaded[Scenario]) -> list[Problem]:
         problems.append(Problem(scenario.where(key), key, text))
     if scenario.value.truth.relative_motion == "hill" and orbit.eccentricity != 0.0:
         key = "truth.relative_motion"
-        text = (
-            f'"hill": needs a circular orbit, orbit.eccentricity is {orbit.eccentricity:g}; allowed here: "nonlinear"'
-        )
+        text = f'"hill": requires a circular orbit, orbit.eccentricity is {orbit.eccentricity:g}; allowed "nonlinear"'
         problems.append(Problem(scenario.where(key), key, text))
     return problems
 
 
-def _gravity_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+def _check_gravity(scenario: Loaded[Scenario]) -> list[Problem]:
     truth = scenario.value.truth
     try:
         field = gravity_file.read(dynamics_params.gravity_path(scenario.value))
@@ -54,7 +52,7 @@ def _gravity_problems(scenario: Loaded[Scenario]) -> list[Problem]:
     return [Problem(scenario.where(key), key, text)]
 
 
-def _array_problems(scenario: Loaded[Scenario]) -> list[Problem]:
+def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:
     chaser, truth = scenario.value.chaser, scenario.value.truth
     if chaser.solar_array is None:
         return [
@@ -69,7 +67,7 @@ def _array_problems(scenario: Loaded[Scenario]) -> list[Problem]:
         return []
     key = "chaser.solar_array.mode_coupling"
     text = (
-        f"{coupling.tolist()}: the array would carry more inertia than the vehicle has: inertia_kg_m2 less the square "
+        f"{coupling.tolist()}: the array would have more inertia than the vehicle: inertia_kg_m2 minus the square "
         f"of the coupling must be positive definite, its smallest moment is {smallest:.4g} kg m^2"
     )
     return [Problem(scenario.where(key), key, text)]

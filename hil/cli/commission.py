@@ -85,7 +85,7 @@ def commission(
         problems += [Problem("--set", text, f"not together with --out: {advice}") for text in changed]
     refuse(problems)
 
-    from hil.checks.compatibility import flight_problems
+    from hil.checks.compatibility import check_plan
     from hil.cli.warm_up import compile_kernels_with_notice
     from hil.commission.auto_operator import AutoOperator
     from hil.commission.prompt import OperatorPrompt, ScriptedPrompt, StepFailed
@@ -101,7 +101,7 @@ def commission(
     console = Console(stderr=True)
     with console.status("checking that the rig can follow the scenario"):
         build.check_rig(job)
-        refuse(flight_problems(loaded, loaded_rig))
+        refuse(check_plan(loaded, loaded_rig))
     compile_kernels_with_notice(job, console)
     prompt: OperatorPrompt = ScriptedPrompt(show=_show(Console())) if yes else Terminal(Console())
     before = signed_before(loaded_rig.value)

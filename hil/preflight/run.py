@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.checks.compatibility import approach_problems, flight_problems
-from hil.checks.truth import truth_problems
+from hil.checks.compatibility import check_approach, check_plan
+from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -77,7 +77,7 @@ def preflight(
 
 def reachability_check(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> PreflightCheck:
     """Return the check that the rig can realise the planned trajectory of the scenario."""
-    problems = truth_problems(scenario) or [*flight_problems(scenario, rig), *approach_problems(scenario)]
+    problems = check_truth(scenario) or [*check_plan(scenario, rig), *check_approach(scenario)]
     name = f"reachability of {scenario.value.name}"
     if not problems:
         return PreflightCheck(

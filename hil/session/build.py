@@ -7,18 +7,18 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from hil.checks.compatibility import (
-    approach_problems,
-    driver_problems,
+    check_approach,
+    check_drivers,
+    check_flight_computer,
+    check_host,
+    check_io,
+    check_monitor,
+    check_plan,
+    check_ports,
+    check_sign_off,
     driver_warnings,
-    flight_computer_problems,
-    flight_problems,
-    host_problems,
-    line_problems,
-    monitor_problems,
-    port_problems,
-    sign_off_problems,
 )
-from hil.checks.truth import truth_problems
+from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.core.camera_images import MakesPictures
@@ -45,12 +45,12 @@ TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: a reader that comes later misses rows
 def check(job: Job) -> None:
     """Raise BadInput with every problem of the scenario on this rig."""
     problems = [
-        *(truth_problems(job.scenario) or flight_problems(job.scenario, job.rig)),
-        *approach_problems(job.scenario),
-        *monitor_problems(job.scenario),
+        *(check_truth(job.scenario) or check_plan(job.scenario, job.rig)),
+        *check_approach(job.scenario),
+        *check_monitor(job.scenario),
         *_rig_problems(job),
     ]
-    if problems := problems or library_problems(job.scenario) or sign_off_problems(job.rig):
+    if problems := problems or library_problems(job.scenario) or check_sign_off(job.rig):
         raise BadInput(problems)
 
 
@@ -58,18 +58,18 @@ def check_rig(job: Job) -> None:
     """Raise BadInput with every problem that prevents any motion of the rig's axes."""
     problems = _rig_problems(job)
     if job.rig.value.kind == "mock":  # its axes start at the start pose
-        problems += flight_problems(job.scenario, job.rig)
+        problems += check_plan(job.scenario, job.rig)
     if problems:
         raise BadInput(problems)
 
 
 def _rig_problems(job: Job) -> list[Problem]:
     problems = [
-        *port_problems(job.rig),
-        *host_problems(job.rig),
-        *line_problems(job.scenario, job.rig),
-        *driver_problems(job.rig),
-        *flight_computer_problems(job.rig),
+        *check_ports(job.rig),
+        *check_host(job.rig),
+        *check_io(job.scenario, job.rig),
+        *check_drivers(job.rig),
+        *check_flight_computer(job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0 and not job.paced:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig does not run in real time: omit --speed"))

@@ -9,7 +9,7 @@ import base64
 
 import numpy as np
 
-from hil.checks.compatibility import approach_problems, flight_problems
+from hil.checks.compatibility import check_approach, check_plan
 from hil.config.load import Loaded, apply_settings, check_table
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -27,7 +27,7 @@ def with_setting(scenario: Scenario, setting: str, source: str) -> Loaded[Scenar
 
 def check_in_flight(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> None:
     """Raise BadInput if a run could not have been started with the settings of ``scenario``."""
-    if problems := [*approach_problems(scenario), *flight_problems(scenario, rig)]:
+    if problems := [*check_approach(scenario), *check_plan(scenario, rig)]:
         raise BadInput(problems)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.checks.reachability import axis_demands, reach_problems
+from hil.checks.reachability import axis_demands, check_reachability
 from hil.cli.main import execute
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
@@ -129,13 +129,13 @@ def test_refusal_names_the_files_that_disagree(tmp_path: Path, capsys: pytest.Ca
 def test_rail_without_the_oblique_retreat_is_long_enough() -> None:
     """The counterpart of the refusal by an abort alone: the same rail with the retreat along it."""
     settings = ("rig.rails.y.travel_m=[-0.5, 0.5]",)
-    assert reach_problems(load_scenario("scheme-1", settings), load_rig("mock", settings)) == []
+    assert check_reachability(load_scenario("scheme-1", settings), load_rig("mock", settings)) == []
 
 
 @pytest.mark.parametrize("rig", ["mock", "emulated"])
 @pytest.mark.parametrize("scheme", ["scheme-1", "scheme-2", "scheme-3", "scheme-1-printed"])
 def test_shipped_scenarios_suit_the_shipped_rigs(scheme: str, rig: str) -> None:
-    assert reach_problems(load_scenario(scheme), load_rig(rig)) == []
+    assert check_reachability(load_scenario(scheme), load_rig(rig)) == []
 
 
 def test_chaser_without_thrusters_for_an_axis_is_refused_by_its_layout(capsys: pytest.CaptureFixture[str]) -> None:
@@ -196,7 +196,7 @@ def _limited(rig: Rig, limits: dict[str, np.ndarray], hardest: np.ndarray) -> Ri
 def _limited_cycles_of_a_random_run(seed: int, scenario: str, duration_s: float) -> int:
     settings = _random_settings(np.random.default_rng(seed))
     flown, rig = load_scenario(scenario, settings), _barely_enough(scenario, settings)
-    assert reach_problems(flown, rig) == []
+    assert check_reachability(flown, rig) == []
     job = build.Job(flown, rig, seed, duration_s, 1.0)
     with build.runner(job) as runner:
         outcome = runner.run()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.cameras.docking import EncoderTrack, RenderedCamera, mounting, view
-from hil.checks.compatibility import axes_at, monitor_problems
+from hil.checks.compatibility import axes_at, check_monitor
 from hil.config.docking_monitor import DockingMonitor
 from hil.config.load import load_scene
 from hil.config.rig import Rig
@@ -111,7 +111,7 @@ def test_a_run_rejects_a_missing_scene(scheme_1: Scenario, tmp_path: object) -> 
     from hil.config.load import load_scenario
 
     def said(*settings: str) -> list[str]:
-        return [str(problem) for problem in monitor_problems(load_scenario("scheme-1", settings))]
+        return [str(problem) for problem in check_monitor(load_scenario("scheme-1", settings))]
 
     assert said() == []
     assert said("monitor.scene=missing") == []  # no reader

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from hil.checks.compatibility import sign_off_gap, sign_off_problems
+from hil.checks.compatibility import check_sign_off, sign_off_gap
 from hil.cli.commission import Terminal
 from hil.cli.main import execute
 from hil.commission.sign_off import as_toml, signed_before
@@ -64,17 +64,17 @@ def test_file_says_who_signed_when_and_what_was_found(lab: Path) -> None:
 
 
 def test_rig_that_is_signed_off_may_run(lab: Path) -> None:
-    assert sign_off_problems(load_rig(str(signed(lab)))) == []
+    assert check_sign_off(load_rig(str(signed(lab)))) == []
 
 
 def test_hardware_without_a_sign_off_is_refused_in_a_line(lab: Path) -> None:
-    (problem,) = sign_off_problems(load_rig(str(lab)))
+    (problem,) = check_sign_off(load_rig(str(lab)))
     assert str(problem).startswith(f"{lab}: rig.sign_off: is missing: commission it with hil commission {lab}")
     assert "rig.sign_off.waived=true" in str(problem)
 
 
 def test_waiver_is_an_override(lab: Path) -> None:
-    assert sign_off_problems(load_rig(str(lab), ["rig.sign_off.waived=true"])) == []
+    assert check_sign_off(load_rig(str(lab), ["rig.sign_off.waived=true"])) == []
 
 
 def test_run_refuses_hardware_before_anything_is_opened(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,15 +94,14 @@ def test_report_of_hardware_says_who_signed_or_that_it_was_waived(lab: Path, moc
         print_sign_off(sign_off_summary(rig), console)
     signed_line, waived_line = told.getvalue().strip().splitlines()
     assert signed_line == 'Sign-off    2026-03-01 by A. "Tech" Nician'
-    assert waived_line == "Sign-off    waived (rig.sign_off.waived); the sign-off is not complete, left: " + ", ".join(
-        NAMES
-    )
+    gap = f"is not complete, missing: {', '.join(NAMES)}"
+    assert waived_line == f"Sign-off    waived (rig.sign_off.waived); the sign-off {gap}"
     assert sign_off_summary(mock_rig) is None
 
 
 @pytest.mark.parametrize("rig", ["mock", "emulated", "emulated-rtu"])
 def test_no_other_rig_needs_one(rig: str) -> None:
-    assert sign_off_problems(load_rig(rig)) == []
+    assert check_sign_off(load_rig(rig)) == []
 
 
 @pytest.mark.parametrize(
@@ -122,7 +121,7 @@ def test_no_other_rig_needs_one(rig: str) -> None:
     ],
 )
 def test_change_of_what_decides_the_motion_ends_the_sign_off(lab: Path, change: str) -> None:
-    (problem,) = sign_off_problems(load_rig(str(signed(lab)), [change]))
+    (problem,) = check_sign_off(load_rig(str(signed(lab)), [change]))
     assert "the rig was changed after it was signed off on 2026-03-01" in str(problem)
     assert "hil commission" in str(problem)
 
@@ -131,7 +130,7 @@ def test_change_of_what_decides_the_motion_ends_the_sign_off(lab: Path, change: 
     "change", ["rig.rails.x.lead_s=-0.01", "rig.name=other", "rig.host.cpu=1", "rig.vmu.rate_hz=5.0"]
 )
 def test_change_of_anything_else_does_not(lab: Path, change: str) -> None:
-    assert sign_off_problems(load_rig(str(signed(lab)), [change])) == []
+    assert check_sign_off(load_rig(str(signed(lab)), [change])) == []
 
 
 def test_sign_off_of_a_rehearsal_does_not_hold_for_hardware(lab: Path, tmp_path: Path) -> None:
@@ -139,7 +138,7 @@ def test_sign_off_of_a_rehearsal_does_not_hold_for_hardware(lab: Path, tmp_path:
     rehearsed.write_text(f'extends = "emulated"\n{WIRES}')
     now_hardware = tmp_path / "now-hardware.toml"
     now_hardware.write_text(f'extends = "{signed(rehearsed, base="rehearsed.toml").name}"\nkind = "hardware"\n')
-    (problem,) = sign_off_problems(load_rig(str(now_hardware)))
+    (problem,) = check_sign_off(load_rig(str(now_hardware)))
     assert "changed" in str(problem)
 
 
@@ -147,12 +146,12 @@ def test_axes_may_be_signed_one_after_the_other(lab: Path) -> None:
     first = signed(lab, [0, 5], whole=False)
     rig = load_rig(str(first)).value
     assert signed_before(rig) == {"rails.x", "turntable.yaw"}
-    assert sign_off_gap(rig) == "is not complete, left: rails.y, rails.z, turntable.roll, turntable.pitch"
+    assert sign_off_gap(rig) == "is not complete, missing: rails.y, rails.z, turntable.roll, turntable.pitch"
     second = signed(first, [1, 2, 3, 4], whole=True, base=first.name)
     both = load_rig(str(second))
     assert both.value.sign_off is not None
     assert set(both.value.sign_off.axes) == set(NAMES)
-    assert sign_off_problems(both) == []
+    assert check_sign_off(both) == []
 
 
 def test_axes_signed_before_a_change_do_not_count(lab: Path) -> None:
