@@ -164,7 +164,7 @@ def test_page_is_offered_exactly_what_the_scenario_allows_with_value_unit_and_ra
         ("gnc.corridor.closing_rate_max_mps", 0.03, "0.03: must be below gnc.corridor.closing_rate_max_mps, 0.03"),
     ],
 )
-def test_change_that_cannot_be_is_refused_in_words(key: Any, value: Any, words: str) -> None:
+def test_invalid_change_is_rejected_with_its_reason(key: Any, value: Any, words: str) -> None:
     with pytest.raises((RequestRejected, BadInput)) as refused:
         Tuner(scheme()).change(key, value)
     assert words in str(refused.value)
