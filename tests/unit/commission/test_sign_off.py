@@ -84,7 +84,7 @@ def test_run_refuses_hardware_before_anything_is_opened(lab: Path, capsys: pytes
     changed = ["--set", "rig.rails.x.rate_max_mps=0.45"]
     assert execute(["run", "scheme-1", "--rig", str(signed(lab)), *changed]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert "the rig was changed after it was signed off" in line
+    assert "the rig was changed after its sign-off" in line
 
 
 def test_report_of_hardware_says_who_signed_or_that_it_was_waived(lab: Path, mock_rig: Rig) -> None:
@@ -122,7 +122,7 @@ def test_no_other_rig_needs_one(rig: str) -> None:
 )
 def test_change_of_what_decides_the_motion_ends_the_sign_off(lab: Path, change: str) -> None:
     (problem,) = check_sign_off(load_rig(str(signed(lab)), [change]))
-    assert "the rig was changed after it was signed off on 2026-03-01" in str(problem)
+    assert "the rig was changed after its sign-off on 2026-03-01" in str(problem)
     assert "hil commission" in str(problem)
 
 
@@ -157,7 +157,7 @@ def test_axes_may_be_signed_one_after_the_other(lab: Path) -> None:
 def test_axes_signed_before_a_change_do_not_count(lab: Path) -> None:
     first = load_rig(str(signed(lab, [0], whole=False)), ["rig.rails.z.rate_max_mps=0.1"]).value
     assert signed_before(first) == frozenset()
-    assert "left: rails.x, rails.y" in sign_off_gap(first)
+    assert "missing: rails.x, rails.y" in sign_off_gap(first)
 
 
 def test_digest_covers_what_stands_in_the_protocol_file_and_not_where_it_lies(tmp_path: Path) -> None:
