@@ -125,6 +125,8 @@ class RailStatusBits(ConfigModel):
     limit_high: Bit = 9
 
 
+TORQUE_OFF_CODE: Final = 7  # unless set; a list of faults without it has no such fault
+
 FAULT_TEXTS: Final = {
     "1": "following error too large",
     "2": "over-current",
@@ -154,7 +156,7 @@ class RailMap(ConfigModel):
     control_bits: ControlBits = ControlBits()
     status_bits: RailStatusBits = RailStatusBits()
     faults: Mapping[FaultCode, str] = FAULT_TEXTS
-    torque_off: Annotated[int, Field(ge=-1, le=0xFFFF_FFFF)] = 7
+    torque_off: Annotated[int, Field(ge=-1, le=0xFFFF_FFFF)] = TORQUE_OFF_CODE
 
     @property
     def homes(self) -> bool:
@@ -196,8 +198,8 @@ class RailMap(ConfigModel):
 
     @model_validator(mode="after")
     def _torque_off_is_a_fault(self) -> Self:
-        given = "torque_off" in self.model_fields_set and self.torque_off >= 0
-        if given and self.torque_off not in {int(code, 0) for code in self.faults}:
+        codes = {int(code, 0) for code in self.faults}
+        if self.torque_off not in {-1, TORQUE_OFF_CODE, *codes}:
             allowed = ", ".join([*self.faults, "-1"])
             raise ValueError(f"torque_off {self.torque_off}: no such code in faults, allowed: {allowed}")
         return self

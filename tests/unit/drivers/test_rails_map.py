@@ -136,8 +136,8 @@ def test_a_drive_without_exchange_numbers_needs_no_registers_for_them(tmp_path: 
             "'^(0x[0-9a-fA-F]{1,8}|[0-9]{1,10})$'",
         ),
         (
-            'rails.map = { torque_off = 7, faults = { 2 = "over-current", 0x5441 = "STO active" } }',
-            "lab.toml: rig.rails.map: torque_off 7: no such code in faults, allowed: 2, 0x5441, -1",
+            'rails.map = { torque_off = 8, faults = { 2 = "over-current", 0x5441 = "STO active" } }',
+            "lab.toml: rig.rails.map: torque_off 8: no such code in faults, allowed: 2, 0x5441, -1",
         ),
         (
             "rails.map.torque_off = -2",
