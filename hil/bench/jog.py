@@ -10,7 +10,7 @@ from hil.core.messages import Array
 
 DEAD_MAN_S = 0.2
 SHARE_OF_RATE = 0.1  # of an axis' greatest speed, jogged
-SHARE_OF_RATE_NOT_HOMED = 0.02  # of one that does not know where its ends are
+SHARE_OF_RATE_NOT_HOMED = 0.02  # of an axis that is not homed
 _FAR = 100.0  # m or rad: further than any axis goes
 
 
@@ -30,11 +30,11 @@ class DeadMan:
 
 
 class Jog:
-    """Where one axis is to go, and under which limits, while its key is pressed.
+    """Target and limits of one axis while its jog key is pressed.
 
     params: BENCH_PARAMS of the bench. axis: 0..2 rails, 3..5 gimbals. direction: 1 or -1. homed:
-    whether the axis knows its place; one that does not has no soft limits and creeps. position (6,):
-    where the axes stand; one that stands beyond its travel may go back, not further out.
+    an axis that is not homed has no soft limits and a lower speed. position (6,): of the axes; an axis beyond
+    its travel may only move back.
     """
 
     def __init__(self, params: np.record, axis: int, direction: int, homed: bool, position: Array) -> None:
@@ -58,7 +58,7 @@ class Jog:
         return self.key.pressed(now_s) and limit != self.direction
 
     def aim(self, motion: np.record, out: np.record) -> None:
-        """Write the wish, AXES: this axis to its end, the others where MOTION ``motion`` has them."""
+        """Write the target, AXES: this axis to its end, the others at their positions in ``motion`` (MOTION)."""
         position = motion.position.copy()
         position[self.axis] = self._target
         out.rail_m, out.gimbal_rad = position[:3], position[3:]

@@ -1,4 +1,4 @@
-"""What a plan with its dispersion asks of the six axes and of the cameras: numbers only, no opinion.
+"""Demands of a plan with its dispersion on the six axes and on the view of the cameras.
 
 Axes are numbered as in BENCH_PARAMS: rails x y z in m, gimbals roll pitch yaw in rad.
 """
@@ -74,7 +74,7 @@ def envelope(
     acceleration: Array,
     turning: Array,
 ) -> Envelope:
-    """Return what the axes are asked for.
+    """Return the demands on the axes.
 
     attitudes: n of them. r_CT_H, v_CT_H: (n, 3), m, m/s. margin_m: (n, 3), half the band of positions. In c, (3,) each:
     speed, m/s, rate, rad/s, acceleration, m/s^2, turning, rad/s^2, that may come on top of the plan.
