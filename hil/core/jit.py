@@ -126,6 +126,7 @@ class _KernelCacheLocator(_CacheLocator):
     """Place of a kernel in the cache: by its path inside the package, created when the first one is written."""
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
+        self._py_file = py_file  # named in numba's warning about a function that cannot be cached
         self._line = py_func.__code__.co_firstlineno
         self._place = Path(py_file).relative_to(_PACKAGE).parent
 
@@ -156,7 +157,7 @@ def kernel(function: _Function) -> _Function:
     large, called once per image, and would compile for minutes.
 
     Division by zero gives inf or nan as in numpy, so that a bad number is caught by the
-    supervisor's check for finite values and not by an exception in mid-cycle.
+    safety monitor's check for finite values and not by an exception in mid-cycle.
     """
     inlined = not function.__module__.startswith(_NOT_INLINED)
     return cast(_Function, njit(cache=True, error_model="numpy", nogil=True, forceinline=inlined)(function))
