@@ -98,7 +98,7 @@ def recorded_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     job = make_job(8.0, LATE, seed=3)
     folder = tmp_path_factory.mktemp("recorded")
     with recording(job, "mock", folder, lambda _: None) as taken:
-        with build.runner(job, taps=taken.taps) as runner:
+        with build.runner(job, sinks=taken.sinks) as runner:
             outcome = runner.run()
         summary, _ = summarise(outcome, job.scenario.value, job.rig.value, "mock", 3, 50.0)
         taken.finish(summary)

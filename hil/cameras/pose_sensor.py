@@ -11,7 +11,7 @@ from hil.config.load import load_geometry
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario, VisionNoise
 from hil.config.vmu_geometry import VmuGeometry
-from hil.core.camera_images import MakesPictures
+from hil.core.camera_images import ImageSink
 from hil.core.messages import Array, PoseFrame
 from hil.drivers.vmu.transport import Transport
 from hil.dynamics.vision import VISION_NOISE, measure
@@ -54,7 +54,7 @@ def transport(vmu: VisionNoise, seed: int) -> Transport:
     )
 
 
-def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: MakesPictures | None = None) -> PoseSensor:
+def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: ImageSink | None = None) -> PoseSensor:
     """Return the pose sensor for the vision unit of ``rig``, as selected by ``vmu.source``.
 
     shown: receives the rendered images, if any.

@@ -10,7 +10,7 @@ import numpy as np
 from hil.bench.kinematics import pose_of_axes
 from hil.config.scenario import RenderedImages
 from hil.config.vmu_geometry import VmuGeometry
-from hil.core.camera_images import LEFT, RIGHT, CameraImage, MakesPictures
+from hil.core.camera_images import LEFT, RIGHT, CameraImage, ImageSink
 from hil.core.messages import Array, PoseFrame
 from hil.maths import quat
 from hil.maths.random_streams import stream
@@ -40,7 +40,7 @@ class RenderedPoseSensor:
         geometry: VmuGeometry,
         pictures: RenderedImages,
         seed: int,
-        shown: MakesPictures | None = None,
+        shown: ImageSink | None = None,
     ) -> None:
         self._bench = bench
         self._mounting = mounting
@@ -73,7 +73,7 @@ class RenderedPoseSensor:
         self._exposures += 1
         return solution.frame(0, t_s)
 
-    def _show(self, shown: MakesPictures, left: np.ndarray, right: np.ndarray, solution: Solution) -> None:
+    def _show(self, shown: ImageSink, left: np.ndarray, right: np.ndarray, solution: Solution) -> None:
         """Send the pair with its overlay, if due."""
         if not shown.due(solution.t_s):
             return

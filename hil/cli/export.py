@@ -51,26 +51,26 @@ def _export_images(recording: str, folder: str, out: str | None) -> int:
         raise BadInput.single("--out", "", "goes with the numbers of a recording, not with --images")
 
     from hil.core.camera_images import LEFT, MONITOR
-    from hil.recording.export_images import FOLDERS, export_pictures
+    from hil.recording.export_images import FOLDERS, export_images
     from hil.recording.read import load
     from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
 
     recorded = load(Path(recording))
-    found = export_pictures(recorded, Path(folder))
+    found = export_images(recorded, Path(folder))
 
     def say(text: str) -> None:
         Console().print(text, highlight=False, soft_wrap=True, markup=False)
 
-    for camera, count in found.pictures.items():
+    for camera, count in found.images.items():
         if count:
             say(f"{found.folder / FOLDERS[camera]}: {count} images")
     if found.jpeg:
         say("recorded as JPEG: not identical with the images that were evaluated")
     root = found.folder
-    if found.pictures[LEFT]:
+    if found.images[LEFT]:
         rate_hz = recorded.rig.vmu.rate_hz
         say(f"hil vmu {root} --geometry {root / GEOMETRY_FILE} --rate-hz {rate_hz} --out poses.csv")
-    if found.pictures[MONITOR]:
+    if found.images[MONITOR]:
         say(f"hil monitor {root / FOLDERS[MONITOR]} --scene {root / SCENE_FILE} --out monitor.csv")
         if not found.whole:
             say("not every frame was recorded: hil monitor assumes evenly spaced frames")

@@ -80,7 +80,7 @@ def _begin(since: str | None) -> str | None:
     """Return ``since`` in the catalogue's time format."""
     if since is None:
         return None
-    from hil.recording.utc import utc_text
+    from hil.core.clock import utc_text
 
     try:
         moment = datetime.fromisoformat(since)

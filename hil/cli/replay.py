@@ -132,7 +132,7 @@ def _print(
         show(f"{recorded.path} is truncated or damaged: its intact part is replayed")
     if found.ended:
         show(found.ended)
-    for note in recorded.notes:
+    for note in recorded.log:
         if note["kind"] == "setting":
             applied = follows(recorded, scenario, note["message"])
             suffix = "" if applied else "; not in this replay, which has another value"

@@ -14,7 +14,7 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.errors import BadInput
 from hil.monitor.results import QUANTITIES
 from hil.recording.read import Recorded, load
-from hil.recording.replay_images import ImageComponent, PicturesReplayed, replay_monitor, replay_vision_unit
+from hil.recording.replay_images import ImageComponent, ImagesReplayed, replay_monitor, replay_vision_unit
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
 
 _SAME, _DIFFERS = 0, 1
@@ -26,7 +26,7 @@ def replay_images(
 ) -> int:
     """Replay the images of a recording; return the exit code. Raises BadInput if it has none."""
     recorded = load(Path(recording))
-    found: dict[str, tuple[PicturesReplayed, bool]] = {}
+    found: dict[str, tuple[ImagesReplayed, bool]] = {}
     with Console(stderr=True).status("replaying the images"):
         if vmu:
             found["vmu"] = (replay_vision_unit(recorded, _geometry(recorded, geometry)), geometry is not None)
@@ -54,7 +54,7 @@ def _scene(recorded: Recorded, name: str | None) -> Scene:
     return load_scene(name).value if name is not None else recorded.calibration(SCENE_FILE, Scene)
 
 
-def _as_json(recorded: Recorded, found: dict[str, tuple[PicturesReplayed, bool]]) -> dict[str, Any]:
+def _as_json(recorded: Recorded, found: dict[str, tuple[ImagesReplayed, bool]]) -> dict[str, Any]:
     return {
         "recording": str(recorded.path),
         "run": recorded.run["run"],
@@ -63,7 +63,7 @@ def _as_json(recorded: Recorded, found: dict[str, tuple[PicturesReplayed, bool]]
             name: {
                 "changed": changed,
                 "identical": replayed.identical,
-                "exposures": replayed.pictures,
+                "exposures": replayed.images,
                 "compared": replayed.compared,
                 "missing": replayed.missing,
                 "new": replayed.new,
@@ -79,7 +79,7 @@ def _as_json(recorded: Recorded, found: dict[str, tuple[PicturesReplayed, bool]]
     }
 
 
-def _print(recorded: Recorded, found: dict[str, tuple[PicturesReplayed, bool]], console: Console) -> None:
+def _print(recorded: Recorded, found: dict[str, tuple[ImagesReplayed, bool]], console: Console) -> None:
     def show(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True, markup=False)
 
@@ -87,7 +87,7 @@ def _print(recorded: Recorded, found: dict[str, tuple[PicturesReplayed, bool]], 
         show(f"{recorded.path} is truncated or damaged: its intact part is replayed")
     for name, (replayed, _) in found.items():
         what = "poses" if name == "vmu" else "portions"
-        of = f"{replayed.of}, {replayed.pictures} exposures, {replayed.compared} {what}"
+        of = f"{replayed.of}, {replayed.images} exposures, {replayed.compared} {what}"
         for remark in replayed.remarks:
             show(remark)
         if replayed.identical:
@@ -103,7 +103,7 @@ def _print(recorded: Recorded, found: dict[str, tuple[PicturesReplayed, bool]], 
         show(f"differs{since}: {of}")
 
 
-def _print_tables(replayed: PicturesReplayed, what: str) -> None:
+def _print_tables(replayed: ImagesReplayed, what: str) -> None:
     rows = [(before, now, str(count)) for (before, now), count in sorted(replayed.statuses.items())]
     print_columns(("status, recorded", "now", "exposures"), rows, left=(0, 1))
     if replayed.differences:

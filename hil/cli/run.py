@@ -114,10 +114,10 @@ def run_job(request: RunRequest) -> int:
             from hil.recording.session import recording  # slow imports, for recorded runs only
 
             recorder = stack.enter_context(recording(job, request.rig_name, Path(request.record), announce))
-        taps = recorder.taps if recorder else None
+        sinks = recorder.sinks if recorder else None
         with (
             ProgressBar(console, "opening the devices") as bar,
-            with_docking_monitor.runner(job, _mode_shown_on(bar), announce, taps, request.operator) as (runner, look),
+            with_docking_monitor.runner(job, _mode_shown_on(bar), announce, sinks, request.operator) as (runner, look),
         ):
             request.attach(runner)
             outcome = runner.run()

@@ -8,20 +8,20 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from hil.console.remote_operator import RemoteOperator
-from hil.core.camera_images import PICTURE, ThreadedImageSink
+from hil.core.camera_images import IMAGE, ThreadedImageSink
 from hil.core.clock import WallClock
 from hil.core.messages import CYCLE
 from hil.core.realtime import RealTime
+from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
-from hil.frmn.run_time import RunTime
 from hil.loop.rate_keeper import WallClockRate
 from hil.loop.runner import Runner
 from hil.monitor.results import PORTION
-from hil.recording.session import SLOTS, fed_by
-from hil.recording.taps import EventRecorder, RecordingSinks
+from hil.recording.session import SLOTS, required_sinks
+from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.session import build, with_docking_monitor
 
-RINGS: Final = {"pictures": PICTURE, "monitor_pictures": PICTURE, "portions": PORTION}
+RINGS: Final = {"images": IMAGE, "monitor_images": IMAGE, "portions": PORTION}
 """Rings that the console reads in addition to the cycles, by their names in ``RecordingSinks``."""
 
 
@@ -29,12 +29,12 @@ RINGS: Final = {"pictures": PICTURE, "monitor_pictures": PICTURE, "portions": PO
 class ConsoleBench:
     """Runner and its outputs. The mock rig runs in real time here, so that it can be watched.
 
-    notes: recorder of operator actions. watched: returns the results of the docking monitor after the run.
+    event_recorder: recorder of operator actions. watched: returns the results of the docking monitor after the run.
     """
 
     runner: Runner
     telemetry: Ring
-    notes: EventRecorder | None
+    event_recorder: EventRecorder | None
     watched: with_docking_monitor.MonitorResults
     addresses: dict[str, str] = field(default_factory=dict)
     rings: dict[str, Ring] = field(default_factory=dict)
@@ -46,31 +46,31 @@ def opened(
 ) -> Iterator[ConsoleBench]:
     """Yield the bench of ``job``; its processes are ended afterwards. recorder: sinks of a recording."""
     with ExitStack() as stack:
-        taps = recorder or stack.enter_context(_unrecorded_sinks(job))
-        rings = {name: ring for name in RINGS if isinstance(ring := getattr(taps, name), Ring)}
-        assert isinstance(taps.cycles, Ring)
+        sinks = recorder or stack.enter_context(_unrecorded_sinks(job))
+        rings = {name: ring for name in RINGS if isinstance(ring := getattr(sinks, name), Ring)}
+        assert isinstance(sinks.cycles, Ring)
         if job.rig.value.kind != "mock":
-            bench = stack.enter_context(build.wired_bench(job, announce, taps))
-            watched = stack.enter_context(with_docking_monitor.beside(job, bench.telemetry, announce, taps))
+            bench = stack.enter_context(build.wired_bench(job, announce, sinks))
+            watched = stack.enter_context(with_docking_monitor.beside(job, bench.telemetry, announce, sinks))
             runner = bench.runner(operator.on_progress, operator)
-            yield ConsoleBench(runner, bench.telemetry, bench.notes, watched, bench.addresses, rings)
+            yield ConsoleBench(runner, bench.telemetry, bench.event_recorder, watched, bench.addresses, rings)
             return
-        watched = stack.enter_context(with_docking_monitor.beside(job, taps.cycles, announce, taps))
+        watched = stack.enter_context(with_docking_monitor.beside(job, sinks.cycles, announce, sinks))
         host = job.rig.value.host
         realtime = stack.enter_context(RealTime(host.fifo, host.cpu))
         rate = WallClockRate(WallClock(speed=job.speed), job.scenario.value.step_s)
-        maker = taps.maker(job.rig.value) if job.scenario.value.vmu.source == "rendered" else None
+        maker = sinks.image_encoder(job.rig.value) if job.scenario.value.vmu.source == "rendered" else None
         pictures = ThreadedImageSink(maker) if maker else None
         if pictures:
             stack.callback(pictures.close)
-        runner = build.in_memory(job, rate, operator.on_progress, realtime, taps.cycles, operator, pictures)
-        yield ConsoleBench(runner, taps.cycles, taps.attach(runner), watched, {}, rings)
+        runner = build.in_memory(job, rate, operator.on_progress, realtime, sinks.cycles, operator, pictures)
+        yield ConsoleBench(runner, sinks.cycles, sinks.attach(runner), watched, {}, rings)
 
 
 @contextmanager
 def _unrecorded_sinks(job: build.Job) -> Iterator[RecordingSinks]:
     """Yield sinks of a session without a recording: only the console reads them."""
-    fed = fed_by(job)
+    fed = required_sinks(job)
     rings = {"cycles": Ring.create(CYCLE, build.TELEMETRY_ROWS)}
     rings |= {name: Ring.create(dtype, SLOTS[name], name) for name, dtype in RINGS.items() if name in fed}
     run_time = RunTime.create()

@@ -18,7 +18,7 @@ from hil.console.message import ImageMessage
 from hil.console.rows import Cursor, RowStore
 from hil.console.session_process import SessionProcess
 from hil.console.status import status_of
-from hil.core.camera_images import CAMERAS, data_of, shapes_of
+from hil.core.camera_images import CAMERAS, image_data, overlay_shapes
 from hil.core.messages import Array
 from hil.monitor.results import Portion, portion_of
 from hil.params import bench as bench_params
@@ -127,7 +127,7 @@ class LiveView:
 
 
 def picture_of(row: np.void, status: np.ndarray, now_s: float) -> ImageMessage:
-    """Return the image of ``row`` (``PICTURE``) with its age by bench time, or else by the run's time."""
+    """Return the image of ``row`` (``IMAGE``) with its age by bench time, or else by the run's time."""
     bench = status_of(status)
     late_s = float(bench.bench_s - row["bench_s"])
     if not math.isfinite(late_s):
@@ -137,8 +137,8 @@ def picture_of(row: np.void, status: np.ndarray, now_s: float) -> ImageMessage:
         float(row["t_s"]),
         int(row["width_px"]),
         int(row["height_px"]),
-        data_of(row),
-        shapes_of(row),
+        image_data(row),
+        overlay_shapes(row),
         row["encoding"].decode(errors="replace"),
         row["status"].decode(errors="replace"),
         now_s - (max(0.0, late_s) if math.isfinite(late_s) else 0.0),

@@ -27,7 +27,7 @@ from hil.errors import SafetyTrip
 from hil.frmn.mailbox import Mailbox
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.loop.runner import Runner
-from hil.recording.taps import EventRecorder
+from hil.recording.sinks import EventRecorder
 from hil.setup.live_tuning import unpacked
 
 STATUS_PERIOD_WALL_S: Final = 0.05

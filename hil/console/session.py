@@ -73,8 +73,8 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
             messages.send(word=text)
 
         with _recorded(choice, job, announce) as taken:
-            with opened(job, operator, announce, taken.taps if taken else None) as bench:
-                operator.attach(bench.runner, bench.notes, job.scenario.value.console.adjustable)
+            with opened(job, operator, announce, taken.sinks if taken else None) as bench:
+                operator.attach(bench.runner, bench.event_recorder, job.scenario.value.console.adjustable)
                 _send_hello(channel, bench, status, taken)
                 outcome = bench.runner.run()
                 operator.publish(bench.runner.now_s())

@@ -98,8 +98,8 @@ class SessionProcess:
         return self._read_ring("portions", PORTION)
 
     def read_pictures(self) -> list[np.ndarray]:
-        """Return the newest images since the last call, (n,) of ``PICTURE`` each: a pair, and one of the monitor."""
-        newest = {"pictures": 2, "monitor_pictures": 1}
+        """Return the newest images since the last call, (n,) of ``IMAGE`` each: a pair, and one of the monitor."""
+        newest = {"images": 2, "monitor_images": 1}
         return [self._readers[name].newest(n) for name, n in newest.items() if name in self._readers]
 
     def _read_ring(self, name: str, dtype: np.dtype) -> np.ndarray:
@@ -194,7 +194,7 @@ class SessionProcess:
         self._readers = {name: ring.reader() for name, ring in self._rings.items()}
         self._block = MailboxBlock(shared["status"], CELLS, "console")
         if "recording" in shared:
-            self._recording = MailboxBlock(shared["recording"], recorder.CELLS, "recorder")
+            self._recording = MailboxBlock(shared["recording"], recorder.STATE_MAILBOX, "recorder")
             self.file = hello["file"]
         self.ready = True
 

@@ -33,7 +33,7 @@ class RecordingStatus:
     def update(self, state: np.ndarray, silent_s: float) -> list[str]:
         """Update from recorder.STATE (1,) and the time since the last report; return new lines for the log."""
         row = state[0]
-        trouble = row["trouble"].decode(errors="replace")
+        trouble = row["problem"].decode(errors="replace")
         if not trouble and silent_s > SILENT_S:
             trouble = f"no report of its process for {SILENT_S:g} s"
         lines = []

@@ -1,7 +1,7 @@
-"""A camera's picture as a record: on its way through shared memory to whoever shows or records it, and how it is made.
+"""Camera images: their record in shared memory, their encoding, and the sinks that a source of images writes to.
 
-``Ring.create(PICTURE, SLOTS, "pictures")`` is the way from a process that has pictures to those that want them.
-Cameras are "vmu.left" and "vmu.right", the vision unit's pair of one exposure, and "monitor", the docking monitor's.
+A process with cameras writes rows of IMAGE into a ring; console and recorder read it. Cameras are "vmu.left" and
+"vmu.right", the vision unit's stereo pair of one exposure, and "monitor", the docking monitor's camera.
 """
 
 from __future__ import annotations
@@ -22,60 +22,60 @@ from hil.errors import BadInput
 
 Encoding = Literal["jpeg", "png"]
 Shape = dict[str, Any]
-"""What is drawn over a picture, in its pixels (pixel centres at whole numbers):
+"""Overlay shape in pixels of the image (pixel centres at integers):
 
 ``{"kind": "circle", "at": [u, v], "radius": r}``, ``{"kind": "cross", "at": [u, v]}``,
 ``{"kind": "line", "from": [u, v], "to": [u, v]}`` or ``{"kind": "text", "at": [u, v], "text": "..."}``, each with
-``"good": true`` or ``false``, and ``"part"``: what it stands for, for who gives parts colours of their own."""
+``"good": true`` or ``false``, and ``"part"``: the feature it marks, for viewers with a colour per feature."""
 
 LEFT, RIGHT, MONITOR = "vmu.left", "vmu.right", "monitor"
 CAMERAS: Final = (LEFT, RIGHT, MONITOR)
 
 SLOTS: Final = 16
-"""Of the ring: four seconds of a pair twice a second, and a burst of eight pairs."""
-PICTURE_BYTES: Final = 2 * 1024 * 1024
+"""Capacity of a ring: 4 s of two pairs per second, or a burst of eight pairs."""
+IMAGE_BYTES: Final = 2 * 1024 * 1024
 OVERLAY_BYTES: Final = 16 * 1024
 JPEG_QUALITY: Final = 90
-_LOOK_WALL_S: Final = 0.1
+_POLL_WALL_S: Final = 0.1
 
-PICTURE: Final = np.dtype(
+IMAGE: Final = np.dtype(
     [
         ("t_s", "f8"),  # exposure, time of the run; nan before the run and while it is held
-        ("bench_s", "f8"),  # exposure, bench time as its maker has it; nan where only the run's time is known
-        ("number", "i8"),  # of the exposure, counted by its maker from 0; pictures of one exposure share it
-        ("left_out", "i8"),  # pictures of this camera up to this one that their maker had to leave out
+        ("bench_s", "f8"),  # exposure, bench time of the source; nan if only the run's time is known
+        ("number", "i8"),  # of the exposure, counted by the source from 0; images of one exposure have the same
+        ("dropped", "i8"),  # images of this camera that the source has dropped so far
         ("camera", "S32"),
         ("encoding", "S8"),  # "jpeg" or "png"
-        ("status", "S24"),  # what its maker said of it: "ok", "too_few", "near", ...
+        ("status", "S24"),  # result of the source: "ok", "too_few", "near", ...
         ("width_px", "i8"),
         ("height_px", "i8"),
-        ("size", "i8"),  # how many bytes of data count; 0 for a picture that has no room
-        ("overlay_size", "i8"),  # how many bytes of overlay count
+        ("size", "i8"),  # valid bytes of data; 0 for an image that is too large
+        ("overlay_size", "i8"),  # valid bytes of overlay
         ("overlay", "u1", OVERLAY_BYTES),  # UTF-8, a JSON list of Shape
-        ("data", "u1", PICTURE_BYTES),
+        ("data", "u1", IMAGE_BYTES),
     ],
     align=True,
 )
-"""A picture with what was found in it."""
+"""An encoded image with its overlay."""
 
 
-class Takes(Protocol):
-    """Whoever is handed pictures: a ring, or a file."""
+class RowSink(Protocol):
+    """Sink of rows: a ring or a file."""
 
     def put(self, row: np.ndarray) -> None:
-        """Take a copy of ``row``, shape (1,) of PICTURE; never waits."""
+        """Copy ``row``, shape (1,) of IMAGE; never waits."""
 
 
-class RunsTime(Protocol):
-    """Whoever knows the run's time."""
+class RunClock(Protocol):
+    """Conversion of bench time to time of the run."""
 
-    def of(self, bench_s: float) -> float:
-        """Return the time of the run at ``bench_s``; nan while no run's time goes."""
+    def at(self, bench_s: float) -> float:
+        """Return the time of the run at ``bench_s``; nan while the run's time is held."""
 
 
 @dataclass(frozen=True)
 class ImagePolicy:
-    """Which pictures are taken. encoding: "none" for none. each_s: shortest time between two of a camera, 0: all."""
+    """Selection of images. encoding: "none" for no images. each_s: shortest time between two of a camera, 0: all."""
 
     encoding: Literal["none", "jpeg", "png"] = "none"
     each_s: float = 0.0
@@ -83,7 +83,7 @@ class ImagePolicy:
 
 @dataclass(frozen=True)
 class CameraImage:
-    """A picture before it is encoded. image: (h, w) or (h, w, 3), uint8, grey or BGR. Times as of PICTURE."""
+    """An image before encoding. image: (h, w) or (h, w, 3), uint8, grey or BGR. Times as in IMAGE."""
 
     camera: str
     image: np.ndarray
@@ -94,7 +94,7 @@ class CameraImage:
     shapes: Sequence[Shape] = ()
 
 
-def picture_row(
+def image_row(
     camera: str,
     t_s: float,
     data: bytes,
@@ -105,18 +105,20 @@ def picture_row(
     bench_s: float = math.nan,
     number: int = 0,
     status: str = "",
-    left_out: int = 0,
+    dropped: int = 0,
     into: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return a picture as a row, shape (1,) of PICTURE; size_px: width, height; into: a row to be written over.
+    """Return an image as a row, shape (1,) of IMAGE; size_px: width, height; into: a row to overwrite.
 
-    Shapes beyond OVERLAY_BYTES are cut, the last ones first. Raises BadInput for data beyond PICTURE_BYTES.
+    Shapes beyond OVERLAY_BYTES are dropped, the last ones first. Raises BadInput for data beyond IMAGE_BYTES.
     """
-    if len(data) > PICTURE_BYTES:
-        raise BadInput.single(camera, "", f"picture of {len(data)} bytes, at most {PICTURE_BYTES}: compress it more")
-    row = np.zeros(1, PICTURE) if into is None else into
-    overlay = packed(shapes)
-    row["t_s"], row["bench_s"], row["number"], row["left_out"] = t_s, bench_s, number, left_out
+    if len(data) > IMAGE_BYTES:
+        raise BadInput.single(
+            camera, "", f"image of {len(data)} bytes, at most {IMAGE_BYTES}: increase the compression"
+        )
+    row = np.zeros(1, IMAGE) if into is None else into
+    overlay = overlay_json(shapes)
+    row["t_s"], row["bench_s"], row["number"], row["dropped"] = t_s, bench_s, number, dropped
     row["camera"], row["encoding"], row["status"] = camera.encode(), encoding.encode(), status.encode()[:24]
     row["width_px"], row["height_px"] = size_px
     row["size"], row["overlay_size"] = len(data), len(overlay)
@@ -125,12 +127,9 @@ def picture_row(
     return row
 
 
-def packed(shapes: Sequence[Shape], room: int = OVERLAY_BYTES) -> bytes:
-    """Return as many of ``shapes``, from the first on, as a JSON list of at most ``room`` bytes holds.
-
-    One that has no place, because a number of it is nan, is left out.
-    """
-    found, left = [], room - 2
+def overlay_json(shapes: Sequence[Shape], size_max: int = OVERLAY_BYTES) -> bytes:
+    """Return the first of ``shapes`` that fit into a JSON list of ``size_max`` bytes; shapes with a nan are dropped."""
+    texts, left = [], size_max - 2
     for shape in shapes:
         try:
             text = json.dumps(shape, separators=(",", ":"), allow_nan=False).encode()
@@ -139,33 +138,33 @@ def packed(shapes: Sequence[Shape], room: int = OVERLAY_BYTES) -> bytes:
         left -= len(text) + 1
         if left < 0:
             break
-        found.append(text)
-    return b"[" + b",".join(found) + b"]"
+        texts.append(text)
+    return b"[" + b",".join(texts) + b"]"
 
 
-def shapes_of(row: np.void) -> tuple[Shape, ...]:
-    """Return what is drawn over the picture of ``row``, one of PICTURE."""
+def overlay_shapes(row: np.void) -> tuple[Shape, ...]:
+    """Return the overlay of ``row``, one of IMAGE."""
     text = row["overlay"][: int(row["overlay_size"])].tobytes()
     return tuple(json.loads(text)) if text else ()
 
 
-def data_of(row: np.void) -> bytes:
-    """Return the encoded picture of ``row``, one of PICTURE."""
+def image_data(row: np.void) -> bytes:
+    """Return the encoded image of ``row``, one of IMAGE."""
     data: bytes = row["data"][: int(row["size"])].tobytes()
     return data
 
 
 def encode(image: np.ndarray, encoding: Encoding, quality: int = JPEG_QUALITY) -> bytes:
-    """Return ``image`` (h, w) or (h, w, 3), uint8, grey or BGR, as a file; quality: of JPEG, 0 to 100.
+    """Return ``image`` (h, w) or (h, w, 3), uint8, grey or BGR, as the bytes of a file; quality: of JPEG, 0 to 100.
 
-    Raises ValueError for what is no such image.
+    Raises ValueError for any other array.
     """
     import cv2
 
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or not image.size:
-        raise ValueError(f"{image.dtype} of shape {image.shape} is no picture")
+        raise ValueError(f"{image.dtype} of shape {image.shape} is not an image")
     if encoding == "png":
-        # a camera's noise repeats nothing: searching it for repetitions costs twice the time and a third more room
+        # camera noise has no repetitions: searching for them takes twice the time and gives files a third larger
         suffix, options = ".png", [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY]
         if hasattr(cv2, "IMWRITE_PNG_FILTER"):  # OpenCV 4 has none
             options += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
@@ -173,123 +172,122 @@ def encode(image: np.ndarray, encoding: Encoding, quality: int = JPEG_QUALITY) -
         suffix, options = ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality]
     written, code = cv2.imencode(suffix, image, options)
     if not written:
-        raise ValueError(f"a picture of shape {image.shape} cannot be written as {encoding}")
+        raise ValueError(f"an image of shape {image.shape} cannot be encoded as {encoding}")
     return bytes(code.tobytes())
 
 
 class ImageEncoder:
-    """Puts a maker's pictures, encoded, where ``out`` takes them; ``wanted`` says which.
+    """Encodes the images of a source that ``policy`` selects and puts them into ``out``. Not thread-safe.
 
-    Not for two threads at once. A picture that has no room is counted, and its row has no data.
+    An image that is too large is counted as dropped, and its row has no data.
     """
 
-    def __init__(self, out: Takes, wanted: ImagePolicy, run: RunsTime | None = None) -> None:
+    def __init__(self, out: RowSink, policy: ImagePolicy, run: RunClock | None = None) -> None:
         self._out = out
-        self._wanted = wanted
+        self._policy = policy
         self._run = run
         self._last_s = -math.inf
-        self._left_out: dict[str, int] = {}
-        self._row = np.zeros(1, PICTURE)
+        self._dropped: dict[str, int] = {}
+        self._row = np.zeros(1, IMAGE)
 
     def due(self, exposed_s: float) -> bool:
-        """Return whether pictures exposed at ``exposed_s``, of whatever clock their maker has, are wanted.
+        """Return whether images exposed at ``exposed_s``, by the source's clock, are selected.
 
-        To be asked once an exposure, whichever cameras it has.
+        To be called once per exposure, whichever cameras it has.
         """
-        if self._wanted.encoding == "none":
+        if self._policy.encoding == "none":
             return False
         if exposed_s < self._last_s:  # the clock was set back
             self._last_s = -math.inf
-        if exposed_s - self._last_s < self._wanted.each_s - 1e-6:
+        if exposed_s - self._last_s < self._policy.each_s - 1e-6:
             return False
         self._last_s = exposed_s
         return True
 
-    def put(self, *views: CameraImage) -> None:
-        """Encode the ``views`` of an exposure and hand them over; a run's time that they do not have is looked up."""
-        for view in self.timed(*views):
-            self._put(view)
+    def put(self, *images: CameraImage) -> None:
+        """Encode the images of an exposure and put them into the sink, with the run's time if they lack it."""
+        for image in self.timed(*images):
+            self._put(image)
 
-    def timed(self, *views: CameraImage) -> tuple[CameraImage, ...]:
-        """Return ``views`` with the run's time as it is now, where they have none."""
+    def timed(self, *images: CameraImage) -> tuple[CameraImage, ...]:
+        """Return ``images`` with the present time of the run if they lack it."""
         run = self._run
         if run is None:
-            return views
-        return tuple(replace(view, t_s=run.of(view.bench_s)) if math.isnan(view.t_s) else view for view in views)
+            return images
+        return tuple(replace(image, t_s=run.at(image.bench_s)) if math.isnan(image.t_s) else image for image in images)
 
-    def _put(self, view: CameraImage) -> None:
-        assert self._wanted.encoding != "none"
-        data = encode(view.image, self._wanted.encoding)
-        if len(data) > PICTURE_BYTES:
-            self.leave_out(view)
+    def _put(self, image: CameraImage) -> None:
+        assert self._policy.encoding != "none"
+        data = encode(image.image, self._policy.encoding)
+        if len(data) > IMAGE_BYTES:
+            self.count_dropped(image)
             data = b""
-        height, width = view.image.shape[:2]
-        row = picture_row(
-            view.camera, view.t_s, data, self._wanted.encoding, (width, height), view.shapes,
-            bench_s=view.bench_s, number=view.number, status=view.status,
-            left_out=self._left_out.get(view.camera, 0), into=self._row,
+        height, width = image.image.shape[:2]
+        row = image_row(
+            image.camera, image.t_s, data, self._policy.encoding, (width, height), image.shapes,
+            bench_s=image.bench_s, number=image.number, status=image.status,
+            dropped=self._dropped.get(image.camera, 0), into=self._row,
         )  # fmt: skip
         self._out.put(row)
 
-    def leave_out(self, *views: CameraImage) -> None:
-        """Count ``views`` that do not come."""
-        for view in views:
-            self._left_out[view.camera] = self._left_out.get(view.camera, 0) + 1
+    def count_dropped(self, *images: CameraImage) -> None:
+        """Count ``images`` that are not put into the sink."""
+        for image in images:
+            self._dropped[image.camera] = self._dropped.get(image.camera, 0) + 1
 
 
-class MakesPictures(Protocol):
-    """What a source of pictures asks and tells; ``ImageEncoder`` does it at once, ``ThreadedImageSink`` in a thread."""
+class ImageSink(Protocol):
+    """Sink of a source of images; ``ImageEncoder`` encodes in the caller, ``ThreadedImageSink`` in a thread."""
 
     def due(self, exposed_s: float) -> bool:
-        """Return whether pictures exposed at ``exposed_s`` are wanted; to be asked once an exposure."""
+        """Return whether images exposed at ``exposed_s`` are selected; to be called once per exposure."""
 
-    def put(self, *views: CameraImage) -> None:
-        """Take the pictures of an exposure; their images are not changed any more."""
+    def put(self, *images: CameraImage) -> None:
+        """Accept the images of an exposure; their arrays must not change afterwards."""
 
 
 class ThreadedImageSink:
-    """A PictureMaker in a thread of its own, for a source that keeps time: ``put`` never waits.
+    """Encodes images in a thread of its own, for a source with deadlines: ``put`` never waits.
 
-    The thread gives way to whoever keeps time, at no real-time priority. An exposure that comes while WAITING_MOST
-    wait is counted and left out.
+    The thread has no real-time priority. An exposure that arrives while QUEUE_MAX are queued is counted as dropped.
     """
 
-    WAITING_MOST: Final = 32  # 64 MB of a pair of 1024 x 1024
+    QUEUE_MAX: Final = 32  # 64 MB of pairs of 1024 x 1024
 
-    def __init__(self, maker: ImageEncoder) -> None:
-        self._maker = maker
-        self._waiting: queue.Queue[tuple[CameraImage, ...] | None] = queue.Queue(self.WAITING_MOST)
+    def __init__(self, encoder: ImageEncoder) -> None:
+        self._encoder = encoder
+        self._queue: queue.Queue[tuple[CameraImage, ...] | None] = queue.Queue(self.QUEUE_MAX)
         self._thread: threading.Thread | None = None
 
     def due(self, exposed_s: float) -> bool:
-        """Return whether pictures exposed at ``exposed_s`` are wanted; to be asked once an exposure."""
-        return self._maker.due(exposed_s)
+        """Return whether images exposed at ``exposed_s`` are selected; to be called once per exposure."""
+        return self._encoder.due(exposed_s)
 
-    def put(self, *views: CameraImage) -> None:
-        """Take the pictures of an exposure; their images are not changed any more."""
+    def put(self, *images: CameraImage) -> None:
+        """Queue the images of an exposure; their arrays must not change afterwards."""
         if self._thread is None:
-            self._thread = threading.Thread(target=self._work, name="pictures", daemon=True)
+            self._thread = threading.Thread(target=self._work, name="images", daemon=True)
             self._thread.start()
         try:
-            self._waiting.put_nowait(self._maker.timed(*views))
+            self._queue.put_nowait(self._encoder.timed(*images))
         except queue.Full:
-            self._maker.leave_out(*views)
+            self._encoder.count_dropped(*images)
 
     def close(self) -> None:
-        """Hand over what waits, and end. Idempotent."""
+        """Encode what is queued, then end the thread. Idempotent."""
         while self._thread is not None and self._thread.is_alive():
             with contextlib.suppress(queue.Full):
-                self._waiting.put(None, timeout=_LOOK_WALL_S)
+                self._queue.put(None, timeout=_POLL_WALL_S)
                 self._thread.join()
         self._thread = None
 
     def _work(self) -> None:
         drop_priority()
-        while (views := self._waiting.get()) is not None:
-            self._maker.put(*views)
+        while (images := self._queue.get()) is not None:
+            self._encoder.put(*images)
 
 
 def drop_priority() -> None:
-    """Take this thread out of real time, whatever the thread that started it runs at; its niceness stays."""
+    """Take this thread out of real-time scheduling, which it inherits; its niceness stays."""
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Protocol
 
 
@@ -50,3 +51,14 @@ class WallClock:
         left_ns = self.wall_ns(t_s) - time.monotonic_ns()
         if left_ns > 0:
             time.sleep(left_ns * 1e-9)
+
+
+def utc_ns() -> int:
+    """Return nanoseconds since 1970, UTC."""
+    return time.time_ns()
+
+
+def utc_text(time_ns: int | None = None) -> str:
+    """Return ``2026-03-01T14:05:06.123Z`` of ``time_ns``, by default of now; the texts sort by time."""
+    when = datetime.fromtimestamp((utc_ns() if time_ns is None else time_ns) * 1e-9, UTC)
+    return when.isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -9,7 +9,7 @@ from hil.config.scenario import Scenario
 from hil.core.child_process import ChildProcess
 from hil.core.clock import WallClock
 from hil.drivers.shared_state import SharedAxisState
-from hil.frmn.image_memory import PictureMemory
+from hil.frmn.image_memory import ImageMemory
 
 _READY_WALL_S = 60.0  # the first start compiles
 
@@ -21,7 +21,7 @@ class EmulatedDevices:
     """
 
     def __init__(
-        self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int, images: PictureMemory | None = None
+        self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int, images: ImageMemory | None = None
     ) -> None:
         self.board = SharedAxisState.create()
         self._rig = rig

@@ -15,7 +15,7 @@ from hil.core.camera_images import ThreadedImageSink
 from hil.core.messages import PoseFrame
 from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.vmu.transport import Transport
-from hil.frmn.image_memory import PictureMemory
+from hil.frmn.image_memory import ImageMemory
 from hil.setup.assembly import start_axes
 
 
@@ -31,7 +31,7 @@ def emulated_vision(
     scenario: Scenario, rig: Rig, seed: int, board: SharedAxisState, image_memory: Sequence[int] | None
 ) -> EmulatedVision:
     """Return a vision unit that observes the axes of ``board``; its kernels are compiled when this returns."""
-    encoder = PictureMemory(*image_memory).maker(rig) if image_memory else None
+    encoder = ImageMemory(*image_memory).encoder(rig) if image_memory else None
     images = ThreadedImageSink(encoder) if encoder else None  # a thread: the unit keeps time
     sensor = make_pose_sensor(scenario, rig, seed, images)
     warm_up = make_pose_sensor(scenario, rig, seed)  # compiles; the noise of ``sensor`` stays untouched

@@ -1,4 +1,4 @@
-"""The catalogue of runs: one embedded database beside the recordings, safe against several writers."""
+"""Catalogue of runs: an embedded database in the folder of the recordings, safe with several writers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ VERSION: Final = 1
 RUNNING, DONE, BROKEN_OFF = "running", "done", "broken off"
 """States of an entry."""
 
-_PATIENCE_S: Final = 20.0  # for another writer to be done
+_LOCK_TIMEOUT_S: Final = 20.0  # wait for another writer
 _RETRY_S: Final = 0.02
 _TABLE: Final = """
 CREATE TABLE IF NOT EXISTS runs (
@@ -69,12 +69,12 @@ COLUMNS: Final = (
     "file",
     "hil",
 )
-"""What is told of a run."""
+"""Columns that are reported."""
 
 
 @dataclass(frozen=True)
 class RecordingFilter:
-    """Which runs are asked for. failed: verdict fail, safe-stopped or broken off; since: begin of an ISO time, UTC."""
+    """Selection of runs. failed: verdict fail, safe-stopped or broken off; since: ISO time or its start, UTC."""
 
     failed: bool = False
     passed: bool = False
@@ -83,15 +83,15 @@ class RecordingFilter:
 
 
 class Catalogue:
-    """The database in ``folder``. Raises BadInput where it cannot be used, sqlite3.Error when a write fails."""
+    """Database in ``folder``. Raises BadInput if it cannot be used, sqlite3.Error if a write fails."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / NAME
 
     @contextmanager
     def _connection(self, begin: str = "BEGIN IMMEDIATE") -> Iterator[sqlite3.Connection]:
-        """Give a connection with a transaction, by default one that no other writer shares; what raises undoes it."""
-        connection = sqlite3.connect(self.path, timeout=_PATIENCE_S, isolation_level=None)
+        """Yield a connection with a transaction, by default with an exclusive writer; an exception rolls it back."""
+        connection = sqlite3.connect(self.path, timeout=_LOCK_TIMEOUT_S, isolation_level=None)
         try:
             connection.row_factory = sqlite3.Row
             self._prepare(connection)
@@ -117,14 +117,14 @@ class Catalogue:
         if version != 0:
             text = f"a catalogue of version {version}; this program reads version {VERSION}"
             raise BadInput.single(str(self.path), "", text)
-        _use_a_log_ahead(connection)
+        _enable_write_ahead_log(connection)
         connection.execute("BEGIN IMMEDIATE")
         connection.execute(_TABLE)
         connection.execute(f"PRAGMA user_version={VERSION}")
         connection.execute("COMMIT")
 
     def begin(self, entry: dict[str, Any]) -> None:
-        """Enter a run that begins; ``entry``: run, started_utc, scenario, rig, seed, duration_s, file, hil."""
+        """Enter the start of a run; ``entry``: run, started_utc, scenario, rig, seed, duration_s, file, hil."""
         whole = entry | {"state": RUNNING, "host": socket.gethostname(), "process": process_now()}
         names, places = ", ".join(whole), ", ".join(f":{name}" for name in whole)
         with self._connection() as connection:
@@ -133,7 +133,7 @@ class Catalogue:
     def end(
         self, run: str, ended_utc: str, state: str, cycles: int | None, dropped: int, summary: dict[str, Any]
     ) -> None:
-        """Enter how ``run`` ended; summary: as of ``hil run --json``, empty where there is none."""
+        """Enter the end of ``run``; summary: as of ``hil run --json``, empty if there is none."""
         found = {
             "run": run,
             "state": state,
@@ -147,14 +147,14 @@ class Catalogue:
         with self._connection() as connection:
             connection.execute(f"UPDATE runs SET {changes} WHERE run = :run", found)
 
-    def runs(self, wanted: RecordingFilter = RecordingFilter()) -> list[dict[str, Any]]:
-        """Return the entries asked for, oldest first, by ``COLUMNS``; the file's path is as it is from here."""
+    def runs(self, selection: RecordingFilter = RecordingFilter()) -> list[dict[str, Any]]:
+        """Return the selected entries, oldest first, by ``COLUMNS``, with the path of the file."""
         if not self.path.is_file():
-            raise BadInput.single(str(self.path), "", "no such catalogue: hil run ... --record FOLDER makes one")
+            raise BadInput.single(str(self.path), "", "no such catalogue: hil run ... --record FOLDER creates one")
         with self._connection("BEGIN") as connection:
             rows = connection.execute("SELECT * FROM runs ORDER BY started_utc, run").fetchall()
         entries = [self._entry(row) for row in rows]
-        return [entry for entry in entries if _fits(entry, wanted)]
+        return [entry for entry in entries if _fits(entry, selection)]
 
     def _entry(self, row: sqlite3.Row) -> dict[str, Any]:
         entry = {name: row[name] for name in COLUMNS}
@@ -166,9 +166,9 @@ class Catalogue:
         return entry
 
 
-def _use_a_log_ahead(connection: sqlite3.Connection) -> None:
-    """Switch to write-ahead logging; two that do so at once are told "locked" without the wait that is set."""
-    give_up_s = time.monotonic() + _PATIENCE_S
+def _enable_write_ahead_log(connection: sqlite3.Connection) -> None:
+    """Switch to write-ahead logging; SQLite ignores the timeout of the connection if two processes do so at once."""
+    give_up_s = time.monotonic() + _LOCK_TIMEOUT_S
     while True:
         try:
             connection.execute("PRAGMA journal_mode=WAL")
@@ -209,7 +209,7 @@ def _fits(entry: dict[str, Any], wanted: RecordingFilter) -> bool:
 
 
 def process_now() -> str:
-    """Return what tells this process from every other one on this host: its number and when it was started."""
+    """Return the identity of this process on this host: its number and start time."""
     return f"{os.getpid()} {_started(os.getpid())}"
 
 
@@ -219,7 +219,7 @@ def _lives(process: str) -> bool:
 
 
 def _started(pid: int) -> str:
-    """Return the kernel's start time of a process with the boot it belongs to, "" for one that is gone."""
+    """Return the kernel's start time of a process and its boot, "" if it has ended."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()

@@ -1,4 +1,4 @@
-"""Takes the numbers of a recording into tables that other tools read: Parquet or CSV, one column a number."""
+"""Export of a recording's numbers to tables: Parquet or CSV, one column per number."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from hil.errors import BadInput
-from hil.recording import show
+from hil.recording import foxglove
 from hil.recording.read import Contents, contents
 
 FORMATS: Final = ("parquet", "csv")
@@ -20,10 +20,10 @@ TABLES: Final = {
     "/cycle": "cycles",
     "/vmu/frames": "frames",
     "/monitor/portions": "portions",
-    show.LOG_TOPIC: "log",
+    foxglove.LOG_TOPIC: "log",
 }
-"""Topic -> name of its table; the cycles are the file itself, the others go beside it."""
-_WHERE_ANY: Final = "/monitor/portions"  # most runs have no docking monitor
+"""Topic -> name of its table; the cycles go to the given file, the others beside it."""
+_OPTIONAL: Final = "/monitor/portions"  # most runs have no docking monitor
 
 _CSV_ROWS: Final = 1000
 
@@ -46,9 +46,8 @@ def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple[Path, int]]:
     """Write the tables of the recording at ``path``; return each file with its number of rows.
 
-    ``out`` has the cycles; frames and log go beside it, ``OUT-frames`` and ``OUT-log``, and where a docking
-    monitor watched its ``OUT-portions``. Works on recordings of any
-    version, since each tells its own layout. Raises BadInput.
+    ``out`` has the cycles; frames and log are in ``OUT-frames`` and ``OUT-log`` beside it, results of a docking
+    monitor in ``OUT-portions``. Works on recordings of any version, by the layout in their schemas. Raises BadInput.
     """
     if form == "parquet":
         _pyarrow()
@@ -72,18 +71,18 @@ def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple
 
 
 def _table(found: Contents, topic: str) -> dict[str, Any] | None:
-    if topic == _WHERE_ANY and not found.records.get(topic):
+    if topic == _OPTIONAL and not found.records.get(topic):
         return None
     if topic in found.layouts:
         return dict(columns(found.flat(topic)))
-    if topic == show.LOG_TOPIC and topic in found.lines:
+    if topic == foxglove.LOG_TOPIC and topic in found.lines:
         names = ("t_s", "bench_s", "cycle", "kind", "name", "message")
         return {name: [line.get(name) for line in found.lines[topic]] for name in names}
     return None
 
 
 def _units(found: Contents, topic: str) -> dict[str, str]:
-    """Return the unit and frame of each field, by its name, as the recording tells them."""
+    """Return the unit and frame of each field, by its name, from the recording's schema."""
     if topic not in found.schemas:
         return {"t_s": "s", "bench_s": "s"}
     fields = json.loads(found.schemas[topic])["fields"]
@@ -98,7 +97,7 @@ def _write(form: str, table: dict[str, Any], units: dict[str, str], path: Path) 
 
 
 def _write_csv(table: dict[str, Any], path: Path) -> None:
-    """Write numbers so that reading them gives the very same ones; nan stays nan."""
+    """Write the numbers with all digits; nan stays nan."""
     lists = [values.tolist() if isinstance(values, np.ndarray) else values for values in table.values()]
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
@@ -124,6 +123,6 @@ def _pyarrow() -> tuple[Any, Any]:
         import pyarrow
         from pyarrow import parquet
     except ImportError as error:
-        text = "needs pyarrow, which is not installed: pip install 'hil-bench[parquet]', or take --format csv"
+        text = "needs pyarrow, which is not installed: pip install 'hil-bench[parquet]', or use --format csv"
         raise BadInput.single("--format", "parquet", text) from error
     return pyarrow, parquet

@@ -1,4 +1,4 @@
-"""What a recording says of itself at its begin: names, versions, configuration, and what it was calibrated by."""
+"""Header of a recording: names, versions, configuration and calibration."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from hil import __version__
 from hil.cameras.pose_sensor import calibrated_geometry
 from hil.config.load import load_scene
 from hil.config.motion_digest import motion_digest
+from hil.core.clock import utc_text
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, VERSION
-from hil.recording.utc import utc_text
 from hil.recording.writer import RecordingHeader
 from hil.setup.assembly import Job
 
 
 def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> RecordingHeader:
-    """Return the header of a recording of ``job`` by the name ``run``. Raises BadInput where a file of it is none."""
+    """Return the header of the recording ``run`` of ``job``. Raises BadInput for an invalid file that it refers to."""
     scenario, rig = job.scenario.value, job.rig.value
     versions = {name: importlib.metadata.version(name) for name in ("numpy", "numba", "scipy", "mcap")}
     facts = {
@@ -49,7 +49,7 @@ def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> RecordingHe
 
 
 def _calibrations(job: Job) -> dict[str, str]:
-    """Return what vision unit and docking monitor take their cameras and targets for, where pictures are drawn."""
+    """Return the cameras and targets as assumed by vision unit and docking monitor, if their images are rendered."""
     scenario, rig = job.scenario.value, job.rig.value
     files = {}
     if scenario.vmu.source == "rendered":
@@ -60,7 +60,7 @@ def _calibrations(job: Job) -> dict[str, str]:
 
 
 def file_digests(table: dict[str, Any], prefix: str = "calibration_") -> dict[str, str]:
-    """Return a digest of each file that the configuration names by a key that ends in ``_file``; prefix: of the key."""
+    """Return a digest of each file that a key of the configuration ending in ``_file`` names; prefix: of the key."""
     found: dict[str, str] = {}
     for key, value in table.items():
         if isinstance(value, dict):

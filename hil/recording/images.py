@@ -1,4 +1,4 @@
-"""Takes the pictures out of a recording again, one after the other: a long one does not fit into memory."""
+"""Reader of the images of a recording, one at a time: a long recording exceeds the memory."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from mcap.records import Message
 
 from hil.core.camera_images import LEFT, RIGHT
 from hil.errors import BadInput
-from hil.recording import show_images
+from hil.recording import foxglove_images
 from hil.recording.read import Scan, directory
 
 
 @dataclass(frozen=True)
 class RecordedImage:
-    """A recorded picture; times, number and status as of ``hil.core.camera_images.PICTURE``."""
+    """A recorded image; times, number and status as of ``hil.core.camera_images.IMAGE``."""
 
     camera: str
     t_s: float
@@ -32,42 +32,42 @@ class RecordedImage:
     data: bytes
 
     def image(self, path: Path) -> np.ndarray:
-        """Return the picture (h, w), uint8, grey; path: of its recording. Raises BadInput."""
+        """Return the image (h, w), uint8, grey; path: of its recording. Raises BadInput."""
         try:
             found = cv2.imdecode(np.frombuffer(self.data, np.uint8), cv2.IMREAD_GRAYSCALE) if self.data else None
         except cv2.error:
             found = None
         if found is None:
-            raise BadInput.single(str(path), f"{self.camera} {self.number}", "is no picture that can be read")
+            raise BadInput.single(str(path), f"{self.camera} {self.number}", "cannot be decoded as an image")
         return np.asarray(found)
 
 
-def pictures(path: Path, *cameras: str) -> Iterator[RecordedImage]:
-    """Yield the pictures of ``cameras`` in the order of recording. Raises BadInput for a file that is no recording.
+def recorded_images(path: Path, *cameras: str) -> Iterator[RecordedImage]:
+    """Yield the images of ``cameras`` in the order of recording. Raises BadInput for a file that is not a recording.
 
-    Damaged blocks are left out, and what comes after a cut.
+    Damaged blocks and everything after a truncation are skipped.
     """
-    topics = {f"{show_images.PICTURE_TOPICS}{camera}" for camera in cameras}
+    topics = {f"{foxglove_images.PICTURE_TOPICS}{camera}" for camera in cameras}
     channels = {number: channel for number, channel in directory(path)[1].items() if channel.topic in topics}
     for record in Scan(path).records():
         if isinstance(record, Message) and record.channel_id in channels:
-            yield _picture(path, record)
+            yield _image(path, record)
 
 
-def _picture(path: Path, message: Message) -> RecordedImage:
+def _image(path: Path, message: Message) -> RecordedImage:
     try:
-        told = json.loads(message.data)
+        content = json.loads(message.data)
         return RecordedImage(
-            told["frame_id"],
-            _time(told["t_s"]),
-            _time(told["bench_s"]),
-            told["number"],
-            told["status"],
-            told["format"],
-            base64.b64decode(told["data"]),
+            content["frame_id"],
+            _time(content["t_s"]),
+            _time(content["bench_s"]),
+            content["number"],
+            content["status"],
+            content["format"],
+            base64.b64decode(content["data"]),
         )
     except (ValueError, LookupError, TypeError) as error:
-        raise BadInput.single(str(path), "", f"a picture in it cannot be read: {error}") from error
+        raise BadInput.single(str(path), "", f"an image in it cannot be read: {error}") from error
 
 
 def _time(value: float | None) -> float:
@@ -75,25 +75,25 @@ def _time(value: float | None) -> float:
 
 
 def pairs(path: Path) -> Iterator[tuple[RecordedImage, RecordedImage]]:
-    """Yield left and right picture of each exposure of the vision unit of which both were recorded."""
+    """Yield left and right image of each exposure of the vision unit of which both were recorded."""
     left: RecordedImage | None = None
-    for picture in pictures(path, LEFT, RIGHT):
-        if picture.camera == LEFT:
-            left = picture
-        elif left is not None and left.number == picture.number:
-            yield left, picture
+    for image in recorded_images(path, LEFT, RIGHT):
+        if image.camera == LEFT:
+            left = image
+        elif left is not None and left.number == image.number:
+            yield left, image
             left = None
 
 
-def no_pictures(path: Path, of: str) -> BadInput:
-    """Return what is said of a recording without pictures; of: whose."""
+def no_images(path: Path, of: str) -> BadInput:
+    """Return the error for a recording without images; of: their source."""
     text = (
-        f"holds no pictures of {of}: a run has some with {of_source(of)} = rendered "
+        f"has no images of {of}: a run has some with {source_key(of)} = rendered "
         "on a rig whose recording.images is jpeg or png"
     )
     return BadInput.single(str(path), "", text)
 
 
-def of_source(of: str) -> str:
-    """Return the key of the scenario that lets pictures be drawn."""
+def source_key(of: str) -> str:
+    """Return the key of the scenario that selects rendered images."""
     return "monitor.source" if "monitor" in of else "vmu.source"

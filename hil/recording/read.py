@@ -1,6 +1,6 @@
-"""Reads a recording back: whole ones, those that broke off, and those of another program's version as far as they tell.
+"""Reader of recordings: complete ones, those that broke off, and those of earlier versions.
 
-The file is read from front to back, so that one without its end reads as well: what is whole in it counts.
+The file is read from start to end, so that one without an end can be read, too: its intact part is used.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.fields import record_dtype
 from hil.errors import BadInput
-from hil.recording import schema, show, writer
+from hil.recording import foxglove, schema, writer
 
 _Model = TypeVar("_Model", bound=ConfigModel)
 
@@ -39,13 +39,13 @@ _BROKEN: Final = (
     MemoryError,
     OverflowError,
 )
-"""What the package raises at bytes that are no record."""
+"""Exceptions of the mcap package for invalid bytes."""
 _RECORD_BYTES_MAX: Final = 1 << 30
 
 
 @dataclass
 class Scan:
-    """Goes through a file record by record. lost_chunks: found damaged and left out; ended: the file has its end."""
+    """Sequential scan of a file's records. lost_chunks: damaged and skipped; ended: the file has its end."""
 
     path: Path
     lost_chunks: int = 0
@@ -56,7 +56,7 @@ class Scan:
         return self.ended and not self.lost_chunks
 
     def records(self) -> Iterator[McapRecord]:
-        """Yield schemas, channels, messages, attachments and metadata. Raises BadInput where the file is no MCAP."""
+        """Yield schemas, channels, messages, attachments and metadata. Raises BadInput if the file is not MCAP."""
         try:
             with self.path.open("rb") as stream:
                 yield from self._records(StreamReader(stream, emit_chunks=True, record_size_limit=_RECORD_BYTES_MAX))
@@ -71,7 +71,7 @@ class Scan:
                 record = next(found, None)
             except _BROKEN as error:
                 if not begun:
-                    text = "not a recording: it does not begin as an MCAP file does"
+                    text = "not a recording: it does not start like an MCAP file"
                     raise BadInput.single(str(self.path), "", text) from error
                 return
             begun = True
@@ -95,7 +95,7 @@ class Scan:
 
 @dataclass
 class Contents:
-    """All that stands in a recording, as it is: nothing of it has been interpreted yet.
+    """Content of a recording, not interpreted.
 
     records: topic -> its flat layout and its messages' bytes, in the order of writing. lines: topic -> JSON messages.
     """
@@ -120,18 +120,18 @@ class Contents:
 
 
 def contents(path: Path, topics: frozenset[str] | None = None) -> Contents:
-    """Return what stands in the recording at ``path``; topics: those wanted, None for all. Raises BadInput."""
+    """Return the content of the recording at ``path``; topics: the selected ones, None for all. Raises BadInput."""
     found = Contents(path)
     schemas, channels = directory(path)
     for known in channels.values():
-        _note_channel(found, known, schemas)
+        _add_channel(found, known, schemas)
     scan = Scan(path)
     for record in scan.records():
         match record:
             case Message():
                 channel = channels.get(record.channel_id)
                 if channel and (topics is None or channel.topic in topics):
-                    _note_message(found, channel, record)
+                    _add_message(found, channel, record)
             case Metadata(name=writer.RUN):
                 found.run = dict(record.metadata)
             case Metadata(name=writer.END):
@@ -141,13 +141,13 @@ def contents(path: Path, topics: frozenset[str] | None = None) -> Contents:
             case _:
                 pass
     if not found.version:
-        raise BadInput.single(str(path), "", f"no recording of hil: an MCAP file without the metadata {writer.RUN}")
+        raise BadInput.single(str(path), "", f"not a recording of hil: an MCAP file without the metadata {writer.RUN}")
     found.intact = scan.intact
     return found
 
 
 def directory(path: Path) -> tuple[dict[int, Schema], dict[int, Channel]]:
-    """Return schemas and channels by their numbers, also where the block that first told them is damaged."""
+    """Return schemas and channels by their numbers, also if the block that first defined them is damaged."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     for record in Scan(path).records():
@@ -158,7 +158,7 @@ def directory(path: Path) -> tuple[dict[int, Schema], dict[int, Channel]]:
     return schemas, channels
 
 
-def _note_channel(found: Contents, channel: Channel, schemas: dict[int, Schema]) -> None:
+def _add_channel(found: Contents, channel: Channel, schemas: dict[int, Schema]) -> None:
     if channel.message_encoding == schema.RECORD_ENCODING and channel.schema_id in schemas:
         text = schemas[channel.schema_id].data
         found.layouts[channel.topic] = schema.layout_of(text, f"{found.path}: {channel.topic}")
@@ -168,7 +168,7 @@ def _note_channel(found: Contents, channel: Channel, schemas: dict[int, Schema])
         found.lines.setdefault(channel.topic, [])
 
 
-def _note_message(found: Contents, channel: Channel, message: Message) -> None:
+def _add_message(found: Contents, channel: Channel, message: Message) -> None:
     if channel.topic in found.layouts:
         found.records[channel.topic].append(message.data)
     elif channel.message_encoding == "json":
@@ -177,11 +177,11 @@ def _note_message(found: Contents, channel: Channel, message: Message) -> None:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A run as this program understands it.
+    """A recorded run.
 
-    cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. portions: (k,) of PORTION. notes: log lines as
-    recorded. summary: as of ``hil run --json``,
-    None for a run that broke off. intact: the file has its end and no damage.
+    cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. portions: (k,) of PORTION. log: entries of the log as
+    recorded. summary: as of ``hil run --json``, None for a run that broke off. intact: the file has its end and no
+    damage.
     """
 
     path: Path
@@ -192,23 +192,23 @@ class Recorded:
     cycles: np.ndarray
     arrivals: np.ndarray
     portions: np.ndarray
-    notes: list[dict[str, Any]]
+    log: list[dict[str, Any]]
     summary: dict[str, Any] | None
     intact: bool
     files: dict[str, str]
     """Attachments: name -> text."""
 
     def calibration(self, name: str, model: type[_Model]) -> _Model:
-        """Return what vision unit or docking monitor took for true, the attachment ``name``. Raises BadInput."""
+        """Return the attachment ``name``: cameras and target as assumed in the run. Raises BadInput."""
         return _model_of(self.path, self.run, self.files, name, model)
 
 
 def load(path: Path) -> Recorded:
     """Return the run recorded at ``path``.
 
-    Raises BadInput for a file that is no recording, or one of another version of the schemas or configuration.
+    Raises BadInput for a file that is not a recording, or of another version of the schemas or configuration.
     """
-    found = contents(path, frozenset({*schema.RECORDS, show.LOG_TOPIC}))
+    found = contents(path, frozenset({*schema.RECORDS, foxglove.LOG_TOPIC}))
     _check_version(found)
     summary = found.files.get(writer.SUMMARY)
     return Recorded(
@@ -220,7 +220,7 @@ def load(path: Path) -> Recorded:
         _rows(found, "/cycle"),
         _rows(found, "/vmu/frames"),
         _rows(found, "/monitor/portions"),
-        [present_note(note) for note in found.lines.get(show.LOG_TOPIC, [])],
+        [present_note(note) for note in found.lines.get(foxglove.LOG_TOPIC, [])],
         json.loads(summary) if summary else None,
         found.intact,
         found.files,
@@ -274,5 +274,5 @@ def _model_of(path: Path, run: dict[str, str], files: dict[str, str], name: str,
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        text = f"{first['msg']}: not what this program's configuration has; read it with hil {run.get('hil')}"
+        text = f"{first['msg']}: not valid in this program's configuration; read it with hil {run.get('hil')}"
         raise BadInput.single(str(path), f"{name}: {key}", text) from error

@@ -15,78 +15,76 @@ from typing import Final
 
 import numpy as np
 
-from hil.core.camera_images import PICTURE
+from hil.core.camera_images import IMAGE
 from hil.core.child_process import Message, Parent
+from hil.core.clock import utc_text
 from hil.core.messages import ARRIVAL, CYCLE
 from hil.errors import BadInput
 from hil.frmn.mailbox import Mailbox, MailboxBlock
 from hil.frmn.ring import Reader, Ring
 from hil.monitor.results import PORTION
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
-from hil.recording.schema import NOTE
-from hil.recording.utc import utc_text
+from hil.recording.schema import LOG_ENTRY
 from hil.recording.writer import FLUSH_S, RecordingHeader, RunFile
 
 _POLL_WALL_S: Final = 0.02
-_AT_MOST: Final = 512  # rows at once, so that no look lasts long
-_PICTURES_AT_MOST: Final = 2
-_NICENESS: Final = -10  # before what is not in real time; it takes a few percent of a CPU
-KINDS: Final = {
+_ROWS_MAX: Final = 512  # rows per ring and poll
+_IMAGES_MAX: Final = 2
+_NICENESS: Final = -10  # ahead of other processes without real-time priority; it uses a few percent of a CPU
+RING_DTYPES: Final = {
     "cycles": CYCLE,
     "arrivals": ARRIVAL,
-    "notes": NOTE,
-    "pictures": PICTURE,
-    "monitor_pictures": PICTURE,
+    "log": LOG_ENTRY,
+    "images": IMAGE,
+    "monitor_images": IMAGE,
     "portions": PORTION,
 }
-"""Ring by its name in ``Taps`` -> what is in it."""
+"""Name of a ring in ``RecordingSinks`` -> its record."""
 
-STATE: Final = np.dtype([("cycles", "i8"), ("dropped", "i8"), ("size_bytes", "i8"), ("trouble", "S128")])
-"""How a recording stands, for whoever watches it: written each ``FLUSH_S`` while the recorder lives, with the time by
-``time.monotonic``. trouble: why the disk takes nothing any more."""
-CELLS: Final = {"state": STATE}
+STATE: Final = np.dtype([("cycles", "i8"), ("dropped", "i8"), ("size_bytes", "i8"), ("problem", "S128")])
+"""State of a recording, written every ``FLUSH_S`` while the recorder runs, with the time of ``time.monotonic``.
+
+problem: error after which nothing more is written to the disk."""
+STATE_MAILBOX: Final = {"state": STATE}
 
 
 class Recorder:
-    """Moves rows from the rings into the file and counts those that were overwritten before.
-
-    state: STATE, where it tells how the recording stands.
-    """
+    """Moves rows from the rings into the file and counts those that were overwritten. state: receives STATE."""
 
     def __init__(self, file: RunFile, rings: dict[str, Ring], state: Mailbox) -> None:
         self._file = file
         self._state = state
-        self._told = np.zeros(1, STATE)
+        self._row = np.zeros(1, STATE)
         self._readers: dict[str, Reader] = {name: ring.reader() for name, ring in rings.items()}
         self._flushed_s = time.monotonic()
-        self._tell()
+        self._publish_state()
 
     def poll(self) -> bool:
-        """Write what has come; return whether there may be more."""
+        """Write the available rows; return whether there may be more."""
         more = False
         for name, reader in self._readers.items():
             lost = reader.lost
-            at_most = _PICTURES_AT_MOST if KINDS[name] is PICTURE else _AT_MOST
-            rows = reader.read(at_most)
-            self._file.lost(reader.lost - lost)
+            rows_max = _IMAGES_MAX if RING_DTYPES[name] is IMAGE else _ROWS_MAX
+            rows = reader.read(rows_max)
+            self._file.count_lost(reader.lost - lost)
             if len(rows):
-                self._file.takers[name](rows)
-            more = more or len(rows) == at_most
+                self._file.writers[name](rows)
+            more = more or len(rows) == rows_max
         now_s = time.monotonic()
         if now_s - self._flushed_s >= FLUSH_S:
             self._flushed_s = now_s
             self._file.flush()
-            self._tell()
+            self._publish_state()
         return more
 
-    def _tell(self) -> None:
-        account = self._file.account()
-        trouble = self._file.trouble.encode()[: STATE["trouble"].itemsize]
-        self._told[0] = (account.cycles or 0, account.dropped, account.size_bytes, trouble)
-        self._state.write(self._told, time.monotonic())
+    def _publish_state(self) -> None:
+        stats = self._file.stats()
+        problem = self._file.disk_error.encode()[: STATE["problem"].itemsize]
+        self._row[0] = (stats.cycles or 0, stats.dropped, stats.size_bytes, problem)
+        self._state.write(self._row, time.monotonic())
 
     def drain(self) -> None:
-        """Write all that there is."""
+        """Write all rows."""
         while self.poll():
             pass
 
@@ -112,7 +110,8 @@ def run_child(parent: Parent) -> None:
     np.seterr(all="ignore")  # NaN and infinity are recorded as they are
     configuration = parent.configuration
     rings = {
-        name: Ring(descriptor, KINDS[name], slots, name) for name, (descriptor, slots) in configuration["rings"].items()
+        name: Ring(descriptor, RING_DTYPES[name], slots, name)
+        for name, (descriptor, slots) in configuration["rings"].items()
     }
     path = Path(configuration["file"])
     try:
@@ -121,7 +120,7 @@ def run_child(parent: Parent) -> None:
         parent.send(problem=error.strerror)
         return
     parent.send(problem="")
-    block = MailboxBlock(configuration["state"], CELLS, "recorder")
+    block = MailboxBlock(configuration["state"], STATE_MAILBOX, "recorder")
     recorder = Recorder(file, rings, block["state"])
     end = record_until_ended(recorder, parent)
     if end is not None:

@@ -1,4 +1,4 @@
-"""Makes a recording that broke off whole again: copies what can be read into a new file with an end and an index."""
+"""Recovery of a recording that broke off: copies its readable part into a new file with an end and an index."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from mcap.records import Attachment, Message, Metadata
 from mcap.writer import CompressionType, Writer
 
 from hil.errors import BadInput
+from hil.recording.block_file import BlockFile
 from hil.recording.read import Scan, directory
-from hil.recording.sink import Sink
 
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was found. out: the new file, None where the old one is intact. length_s: from first to last message."""
+    """Result of a recovery. out: the new file, None if the old one is intact. length_s: first to last message."""
 
     out: Path | None
     messages: int
@@ -25,10 +25,10 @@ class Recovered:
 
 
 def recover(path: Path, out: Path | None = None) -> Recovered:
-    """Write what is whole in the file at ``path`` into ``out``, by default ``NAME.recovered.mcap`` beside it.
+    """Write the intact part of the file at ``path`` to ``out``, by default ``NAME.recovered.mcap`` beside it.
 
-    The file itself stays as it is; an intact one is only counted. Raises BadInput where it is no MCAP file, or
-    ``out`` exists already or cannot be written.
+    The file itself is not changed; an intact one is only counted. Raises BadInput if it is not an MCAP file, or
+    ``out`` exists or cannot be written.
     """
     scan = Scan(path)
     counted = _count(scan)
@@ -36,13 +36,13 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
         return counted
     out = out or path.with_name(f"{path.stem}.recovered.mcap")
     try:
-        sink = Sink(out)
+        file = BlockFile(out)
     except OSError as error:
         raise BadInput.single("--out", "", f"{out}: {error.strerror}") from error
-    _copy(path, sink)
-    if sink.problem:
+    _copy(path, file)
+    if file.problem:
         out.unlink()
-        raise BadInput.single("--out", "", f"{out}: {sink.problem}")
+        raise BadInput.single("--out", "", f"{out}: {file.problem}")
     return Recovered(out, counted.messages, counted.lost_chunks, counted.length_s)
 
 
@@ -52,8 +52,8 @@ def _count(scan: Scan) -> Recovered:
     return Recovered(None, len(times), scan.lost_chunks, length_s)
 
 
-def _copy(path: Path, sink: Sink) -> None:
-    writer = Writer(cast(IO[bytes], sink), compression=CompressionType.ZSTD)
+def _copy(path: Path, file: BlockFile) -> None:
+    writer = Writer(cast(IO[bytes], file), compression=CompressionType.ZSTD)
     writer.start("hil", "hil recover")
     channels = _register(path, writer)
     for record in Scan(path).records():
@@ -68,11 +68,11 @@ def _copy(path: Path, sink: Sink) -> None:
             case _:
                 pass
     writer.finish()
-    sink.close()
+    file.close()
 
 
 def _register(path: Path, writer: Writer) -> dict[int, int]:
-    """Make schemas and channels of the old file known to ``writer``; return old -> new number of each channel."""
+    """Register schemas and channels of the old file in ``writer``; return old -> new number of each channel."""
     schemas, channels = directory(path)
     known = {0: 0}
     for number, schema in schemas.items():

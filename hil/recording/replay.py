@@ -1,6 +1,6 @@
-"""Replay: the recorded inputs once more through today's GNC, laid beside what was recorded, bit by bit.
+"""Replay: recorded inputs through today's GNC, compared with the recording bit by bit.
 
-The loop stays open: the IMU and the poses are those of the recorded flight, whatever the GNC commands now.
+The loop is open: IMU samples and poses are those of the recorded run, whatever the GNC commands now.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from hil.setup.assembly import make_backend
 from hil.setup.live_tuning import with_setting
 
 COMPARED: Final = ("navigation", "nees_position", "nees_attitude", "reference", "supervision", "command")
-"""What the GNC writes, in the order in which it does."""
+"""Records that the GNC writes, in this order."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A field that differs. cycles: in how many; first_*: of the first such cycle; sizes: largest |difference| of its
-    components, None where only one of both is a number."""
+    """A field that differs. cycles: number of cycles; first_*: of the first of them; sizes: largest |difference| of
+    its components, None if only one of both is finite."""
 
     field: str
     cycles: int
@@ -50,8 +50,8 @@ class Difference:
 
 @dataclass
 class Replayed:
-    """What came out. rows: (n,) of CYCLE, the recorded ones with what the GNC wrote now; ended: why fewer than were
-    recorded, "" where all. missing_events, new_events: (t_s, source, text) of before and of now alone."""
+    """Result of a replay. rows: (n,) of CYCLE, the recorded ones with the GNC's new results; ended: why fewer than
+    were recorded, "" if all. missing_events, new_events: (t_s, source, text) only in the recording or the replay."""
 
     rows: np.ndarray
     ended: str
@@ -65,7 +65,7 @@ class Replayed:
 
 
 class _Poses:
-    """The poses of one cycle, as they arrived."""
+    """Poses of one cycle, in order of arrival."""
 
     def __init__(self, arrivals: np.ndarray) -> None:
         self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
@@ -75,8 +75,8 @@ class _Poses:
             self._by_cycle[cycle].append(i)
         self._arrivals = arrivals["pose"]
 
-    def take(self, cycle: int) -> int:
-        """Bring those of ``cycle``; return how many."""
+    def load(self, cycle: int) -> int:
+        """Load those of ``cycle``; return how many."""
         found = self._by_cycle.get(cycle, [])[:MAX_POSES]
         for place, i in enumerate(found):
             self.poses[place] = self._arrivals[i]
@@ -85,11 +85,10 @@ class _Poses:
 
 
 def replay(recorded: Recorded, scenario: Scenario) -> Replayed:
-    """Return what the GNC of ``scenario`` makes of the recorded inputs, and where that differs from the recording.
+    """Return the results of the GNC of ``scenario`` for the recorded inputs, and their differences.
 
-    What was changed in flight is changed again at the same cycle, but for keys that ``scenario`` has otherwise than the
-    recording: these stay as ``scenario`` has them. Raises BadInput where the scenario's step is another, or nothing was
-    recorded.
+    Changes of settings during the run are repeated at the same cycle, except for keys whose value in ``scenario``
+    differs from the recording. Raises BadInput if the scenario's step differs or no cycle was recorded.
     """
     if not len(recorded.cycles):
         raise BadInput.single(str(recorded.path), "", "no cycle is recorded: there is nothing to replay")
@@ -98,19 +97,19 @@ def replay(recorded: Recorded, scenario: Scenario) -> Replayed:
     rows = recorded.cycles.copy()
     now = CycleData()
     done, ended = 0, ""
-    with _seated(gnc):
+    with _opened(gnc):
         for k, row in enumerate(recorded.cycles):
-            ended = _gap(row, k, scenario.step_s, poses.take(k))
+            ended = _gap(row, k, scenario.step_s, poses.load(k))
             if not ended:
-                _give_orders(gnc, orders.get(k, ()))
-                settings.give(gnc, k)
+                _send_orders(gnc, orders.get(k, ()))
+                settings.apply(gnc, k)
                 ended = _cycle(gnc, poses, row, now)
             if ended:
                 break
             for name in COMPARED:
                 rows[k][name] = now.row[name][0]
             done = k + 1
-        if not ended and recorded.end is not None and _went_to_its_end(recorded, scenario):
+        if not ended and recorded.end is not None and _is_complete(recorded, scenario):
             gnc.finish(float(rows["t_s"][-1]), now.supervision)
     found = Replayed(rows[:done], ended)
     found.differences = list(_differences(recorded.cycles[:done], rows[:done]))
@@ -119,7 +118,7 @@ def replay(recorded: Recorded, scenario: Scenario) -> Replayed:
 
 
 @contextmanager
-def _seated(gnc: GncBackend) -> Iterator[None]:
+def _opened(gnc: GncBackend) -> Iterator[None]:
     gnc.open(0.0)
     try:
         yield
@@ -128,7 +127,7 @@ def _seated(gnc: GncBackend) -> Iterator[None]:
 
 
 def _cycle(gnc: GncBackend, poses: _Poses, row: np.void, now: CycleData) -> str:
-    """Run the lines of ``run_cycle`` that are the GNC's, from recorded inputs; return why it cannot go on."""
+    """Run the GNC's stages of ``run_cycle`` on recorded inputs; return why the replay ends, "" if it continues."""
     now.row["truth"], now.row["imu"] = row["truth"], row["imu"]
     try:
         gnc.step(float(row["t_s"]), now, poses)
@@ -139,7 +138,7 @@ def _cycle(gnc: GncBackend, poses: _Poses, row: np.void, now: CycleData) -> str:
 
 
 def _gap(row: np.void, k: int, step_s: float, poses: int) -> str:
-    """Return why cycle ``k`` cannot be replayed, "" where it can."""
+    """Return why cycle ``k`` cannot be replayed, "" if it can."""
     found = round(float(row["t_s"]) / step_s)
     if found != k:
         return f"cycles {k} to {found - 1} are not in the recording: the replay ends there"
@@ -151,13 +150,13 @@ def _gap(row: np.void, k: int, step_s: float, poses: int) -> str:
 
 def _orders(recorded: Recorded) -> dict[int, list[str]]:
     found: dict[int, list[str]] = defaultdict(list)
-    for note in recorded.notes:
-        if note["kind"] == "order":
-            found[note["cycle"]].append(note["message"])
+    for entry in recorded.log:
+        if entry["kind"] == "order":
+            found[entry["cycle"]].append(entry["message"])
     return found
 
 
-def _give_orders(gnc: GncBackend, orders: list[str] | tuple[()]) -> None:
+def _send_orders(gnc: GncBackend, orders: list[str] | tuple[()]) -> None:
     for order in orders:
         if order == "go":
             gnc.order_go()
@@ -166,24 +165,24 @@ def _give_orders(gnc: GncBackend, orders: list[str] | tuple[()]) -> None:
 
 
 def follows(recorded: Recorded, scenario: Scenario, setting: str) -> bool:
-    """Return whether the replay with ``scenario`` does ``setting``, key=value, again: its key is as it was recorded."""
+    """Return whether the replay with ``scenario`` repeats ``setting``, key=value: its key has the recorded value."""
     key = setting.partition("=")[0]
     return value_of(recorded.scenario, key) == value_of(scenario, key)
 
 
 class _Settings:
-    """What was changed in flight, by the cycle from which it acts."""
+    """Settings changed during the run, by the cycle from which they act."""
 
     def __init__(self, recorded: Recorded, scenario: Scenario) -> None:
         self._source = str(recorded.path)
         self._scenario = scenario
         self._by_cycle: dict[int, list[str]] = defaultdict(list)
-        for note in recorded.notes:
-            if note["kind"] == "setting" and follows(recorded, scenario, note["message"]):
-                self._by_cycle[note["cycle"]].append(note["message"])
+        for entry in recorded.log:
+            if entry["kind"] == "setting" and follows(recorded, scenario, entry["message"]):
+                self._by_cycle[entry["cycle"]].append(entry["message"])
 
-    def give(self, gnc: GncBackend, cycle: int) -> None:
-        """Change in ``gnc`` what was changed before ``cycle``; one of the user's own has none of our settings."""
+    def apply(self, gnc: GncBackend, cycle: int) -> None:
+        """Apply the changes before ``cycle`` to ``gnc``; an external GNC has no such settings."""
         if not isinstance(gnc, BuiltinGnc):
             return
         for setting in self._by_cycle.get(cycle, ()):
@@ -191,7 +190,7 @@ class _Settings:
             gnc.adjust(gnc_params.gnc(self._scenario))
 
 
-def _went_to_its_end(recorded: Recorded, scenario: Scenario) -> bool:
+def _is_complete(recorded: Recorded, scenario: Scenario) -> bool:
     return len(recorded.cycles) == round(float(recorded.run["duration_s"]) / scenario.step_s) + 1
 
 
@@ -208,8 +207,8 @@ def _differences(before: np.ndarray, now: np.ndarray) -> Iterator[Difference]:
 
 def _difference(name: str, t_s: np.ndarray, before: np.ndarray, now: np.ndarray, where: np.ndarray) -> Difference:
     one_is_none = np.isnan(before[where]) != np.isnan(now[where])
-    apart = np.abs(np.nan_to_num(now[where]) - np.nan_to_num(before[where]))
-    sizes = np.where(one_is_none, math.inf, apart).reshape(len(where), -1).max(axis=1)
+    difference = np.abs(np.nan_to_num(now[where]) - np.nan_to_num(before[where]))
+    sizes = np.where(one_is_none, math.inf, difference).reshape(len(where), -1).max(axis=1)
     largest = int(np.argmax(np.where(np.isfinite(sizes), sizes, -1.0)))
     return Difference(
         name,
@@ -239,12 +238,12 @@ def _finite(value: float) -> float | None:
 def _events(
     recorded: Recorded, gnc: GncBackend, done: int
 ) -> tuple[list[tuple[float, str, str]], list[tuple[float, str, str]]]:
-    """Return the events of approach and filters that are in the recording alone, and those of now alone."""
+    """Return the events of approach and filters only in the recording, and those only in the replay."""
     last_s = float(recorded.cycles["t_s"][done - 1]) if done else 0.0
     now = Counter((event.t_s, event.source, event.text) for event in gnc.events())
     before = Counter(
-        (note["t_s"], note["name"], note["message"])
-        for note in recorded.notes
-        if note["kind"] == "event" and note["name"] != "bench" and note["t_s"] <= last_s
+        (entry["t_s"], entry["name"], entry["message"])
+        for entry in recorded.log
+        if entry["kind"] == "event" and entry["name"] != "bench" and entry["t_s"] <= last_s
     )
     return sorted((before - now).elements()), sorted((now - before).elements())

@@ -1,6 +1,6 @@
-"""Replay of pictures: the recorded ones once more through today's vision unit or docking monitor, beside the recording.
+"""Replay of images: recorded ones through today's vision unit or docking monitor, compared with the recorded results.
 
-What they found then stands in the recording; with the same pictures, geometry and settings they find the very same.
+With the same images, geometry and settings the results are identical.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from hil.vmu.unit import VisionUnit
 
 VMU, DOCKING_MONITOR = "the vision unit", "the docking monitor"
 POSE: Final = ("x", "y", "z", "rx", "ry", "rz")
-_PERIOD_SHARE: Final = 0.25  # of a frame period: as far as the time of a frame may be off that of its picture
+_PERIOD_FRACTION: Final = 0.25  # of a frame period: tolerance of a frame's time against that of its image
 
 
 @dataclass(frozen=True)
 class ImageComponent:
-    """One number of the results. count: in how many it differs; first_s: time of the run of the first such; largest:
-    of |difference|, in unit and in the recorded sigmas; None where only one of both is a number."""
+    """One number of the results. count: results in which it differs; first_s: time of the run of the first of them;
+    largest: |difference| in unit and in the recorded sigmas; None if only one of both is finite."""
 
     name: str
     unit: str
@@ -51,13 +51,13 @@ class ImageComponent:
 
 
 @dataclass
-class PicturesReplayed:
-    """What came out. pictures: exposures that were looked at; compared: results (poses or portions) that are in the
-    recording and came out again; statuses: (before, now) -> how many; missing, new: results of before and of now
-    alone; remarks: why differences are to be expected."""
+class ImagesReplayed:
+    """Result of a replay. images: exposures processed; compared: results (poses or portions) both in the recording
+    and in the replay; statuses: (recorded, replayed) -> count; missing, new: results only in the recording or only in
+    the replay; remarks: reasons why differences are expected."""
 
     of: str
-    pictures: int = 0
+    images: int = 0
     compared: int = 0
     missing: int = 0
     new: int = 0
@@ -67,20 +67,20 @@ class PicturesReplayed:
 
     @property
     def identical(self) -> bool:
-        """Whether every status and every number came out again, bit by bit."""
+        """Whether every status and every number is the same, bit by bit."""
         same = all(before == now for before, now in self.statuses)
         return same and not (self.differences or self.missing or self.new)
 
 
 class _Compared:
-    """Gathers pairs of results, each the numbers of before and of now with the sigmas of before."""
+    """Collection of result pairs: recorded and replayed numbers with the recorded sigmas."""
 
     def __init__(self, names: Sequence[tuple[str, str]]) -> None:
         self._names = names
         self._rows: list[tuple[float, np.ndarray, np.ndarray, np.ndarray]] = []
 
     def add(self, t_s: float, apart: np.ndarray, differs: np.ndarray, sigmas: np.ndarray) -> None:
-        """Take one result: what is between both numbers, whether they differ in a bit, the sigmas of before."""
+        """Add one result: differences, whether the numbers differ in a bit, recorded sigmas."""
         self._rows.append((t_s, apart, differs, sigmas))
 
     def __len__(self) -> int:
@@ -98,56 +98,56 @@ class _Compared:
             sizes = np.abs(apart[where, i])
             known = np.isfinite(sizes)
             worst = int(np.argmax(np.where(known, sizes, -1.0)))
-            shares = sizes / sigmas[where, i]
+            ratios = sizes / sigmas[where, i]
             yield ImageComponent(
                 name,
                 unit,
                 len(where),
                 _finite(t_s[where[0]]),
                 _finite(sizes[worst]),
-                _finite(np.max(shares[np.isfinite(shares)], initial=-math.inf)),
+                _finite(np.max(ratios[np.isfinite(ratios)], initial=-math.inf)),
                 _finite(t_s[where[worst]]),
             )
 
 
-class _Pictures:
-    """Counts pictures and remembers why they are not all that was seen."""
+class _ImageCounter:
+    """Count of images, and reasons why they are not all that the source exposed."""
 
     def __init__(self) -> None:
         self.count = 0
         self._encodings: set[str] = set()
         self._last = -1
-        self._left_out = 0
+        self._missing = 0
 
-    def note(self, picture: images.RecordedImage) -> None:
+    def add(self, recorded_image: images.RecordedImage) -> None:
         self.count += 1
-        self._encodings.add(picture.encoding)
-        self._left_out += max(0, picture.number - self._last - 1)
-        self._last = picture.number
+        self._encodings.add(recorded_image.encoding)
+        self._missing += max(0, recorded_image.number - self._last - 1)
+        self._last = recorded_image.number
 
     def remarks(self) -> list[str]:
         found = []
         if "jpeg" in self._encodings:
-            found.append("the pictures are JPEG and not what was looked at then: differences are expected")
-        if self._left_out:
-            of = self.count + self._left_out
-            found.append(f"{self._left_out} of {of} exposures are not recorded: differences are expected")
+            found.append("the images are JPEG, not the original ones: differences are expected")
+        if self._missing:
+            of = self.count + self._missing
+            found.append(f"{self._missing} of {of} exposures are not recorded: differences are expected")
         return found
 
 
-def replay_vision_unit(recorded: Recorded, geometry: VmuGeometry) -> PicturesReplayed:
-    """Return what the vision unit with ``geometry`` finds in the recorded pairs beside the frames that came then.
+def replay_vision_unit(recorded: Recorded, geometry: VmuGeometry) -> ImagesReplayed:
+    """Return the comparison of the recorded frames with those of a vision unit with ``geometry`` on the recorded pairs.
 
-    Frames of a rig with wires are compared as they come off the wire. A frame that was lost on its way is compared
-    by its status alone. Raises BadInput.
+    Frames of a rig with wires are compared with the resolution of the wire. Of a lost frame only the status is
+    compared. Raises BadInput.
     """
-    unit, seen = VisionUnit(geometry), _Pictures()
+    unit, counter = VisionUnit(geometry), _ImageCounter()
     frames = _Frames(recorded)
-    found = PicturesReplayed(VMU)
+    found = ImagesReplayed(VMU)
     compared = _Compared([*((name, "m") for name in POSE[:3]), *((name, "rad") for name in POSE[3:]), *_REST])
     on_wires = recorded.run["rig_kind"] != "mock"
     for left, right in images.pairs(recorded.path):
-        seen.note(left)
+        counter.add(left)
         solution = unit.solve(left.image(recorded.path), right.image(recorded.path), left.bench_s)
         found.statuses[left.status, solution.status] += 1
         before, now = frames.at(left.bench_s), solution.frame(0, left.bench_s)
@@ -155,10 +155,10 @@ def replay_vision_unit(recorded: Recorded, geometry: VmuGeometry) -> PicturesRep
             found.missing += before is not None
             found.new += now is not None and left.status != solution.status
             continue
-        compared.add(left.t_s, *_apart(before, _off_the_wire(now) if on_wires else now))
-    if not seen.count:
-        raise images.no_pictures(recorded.path, VMU)
-    found.pictures, found.compared, found.remarks = seen.count, len(compared), seen.remarks()
+        compared.add(left.t_s, *_compare_frames(before, _as_sent(now) if on_wires else now))
+    if not counter.count:
+        raise images.no_images(recorded.path, VMU)
+    found.images, found.compared, found.remarks = counter.count, len(compared), counter.remarks()
     found.differences = list(compared.components())
     return found
 
@@ -173,7 +173,7 @@ class _Frames:
         order = np.argsort(recorded.arrivals["frame"]["t_s"], kind="stable")
         self._frames = recorded.arrivals["frame"][order]
         self._t_s = self._frames["t_s"]
-        self._reach_s = _PERIOD_SHARE / recorded.rig.vmu.rate_hz
+        self._reach_s = _PERIOD_FRACTION / recorded.rig.vmu.rate_hz
 
     def at(self, bench_s: float) -> PoseFrame | None:
         if not len(self._t_s):
@@ -182,12 +182,12 @@ class _Frames:
         return PoseFrame.from_record(self._frames[i]) if abs(self._t_s[i] - bench_s) < self._reach_s else None
 
 
-def _apart(before: PoseFrame, now: PoseFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return differences, whether each is one, and sigmas, (8,): pose, covariance, LEDs."""
-    turn = -quat.to_rotation_vector(quat.multiply(now.q_vt, quat.conjugate(before.q_vt)))
+def _compare_frames(before: PoseFrame, now: PoseFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return differences, whether the bits differ, and sigmas, (8,): pose, covariance, LEDs."""
+    rotation = -quat.to_rotation_vector(quat.multiply(now.q_vt, quat.conjugate(before.q_vt)))
     leds = float((now.leds_left, now.leds_right) != (before.leds_left, before.leds_right))
     covariance = float(np.abs(now.covariance - before.covariance).max())
-    apart = np.concatenate((now.t_v - before.t_v, turn, [covariance, leds]))
+    apart = np.concatenate((now.t_v - before.t_v, rotation, [covariance, leds]))
     turned = _bits(now.q_vt) != _bits(before.q_vt)
     differs = np.concatenate(
         (
@@ -200,50 +200,47 @@ def _apart(before: PoseFrame, now: PoseFrame) -> tuple[np.ndarray, np.ndarray, n
     return apart, differs, sigmas
 
 
-def _off_the_wire(frame: PoseFrame) -> PoseFrame:
-    """Return ``frame`` with the numbers that its bytes hold."""
+def _as_sent(frame: PoseFrame) -> PoseFrame:
+    """Return ``frame`` with the resolution of its bytes on the wire."""
     (decoded,) = PoseDecoder().feed(encode(frame), 0.0)
     assert decoded.pose is not None
     return decoded.pose
 
 
-def replay_monitor(recorded: Recorded, scene: Scene) -> PicturesReplayed:
-    """Return what the docking monitor of ``scene`` finds in the recorded frames beside its portions of then.
-
-    Raises BadInput.
-    """
-    monitor, seen = Monitor(scene, settings_of(recorded.scenario)), _Pictures()
+def replay_monitor(recorded: Recorded, scene: Scene) -> ImagesReplayed:
+    """Return the comparison of recorded portions with those of the docking monitor of ``scene``. Raises BadInput."""
+    monitor, counter = Monitor(scene, settings_of(recorded.scenario)), _ImageCounter()
     portions: list[Portion] = []
-    found = PicturesReplayed(DOCKING_MONITOR)
-    for picture in images.pictures(recorded.path, MONITOR):
-        seen.note(picture)
-        portions += monitor.feed(_frame(recorded, scene, picture))
+    found = ImagesReplayed(DOCKING_MONITOR)
+    for recorded_image in images.recorded_images(recorded.path, MONITOR):
+        counter.add(recorded_image)
+        portions += monitor.feed(_frame(recorded, scene, recorded_image))
         assert monitor.last is not None
-        found.statuses[picture.status, monitor.last.status] += 1
-    if not seen.count:
-        raise images.no_pictures(recorded.path, DOCKING_MONITOR)
+        found.statuses[recorded_image.status, monitor.last.status] += 1
+    if not counter.count:
+        raise images.no_images(recorded.path, DOCKING_MONITOR)
     portions += monitor.finish()
-    found.pictures, found.remarks = seen.count, seen.remarks()
+    found.images, found.remarks = counter.count, counter.remarks()
     _compare_portions(found, recorded.portions, portions, recorded.intact)
     return found
 
 
-def _frame(recorded: Recorded, scene: Scene, picture: images.RecordedImage) -> VideoFrame:
-    image = picture.image(recorded.path)
+def _frame(recorded: Recorded, scene: Scene, recorded_image: images.RecordedImage) -> VideoFrame:
+    image = recorded_image.image(recorded.path)
     size = (scene.camera.width, scene.camera.height)
     if image.shape[::-1] != size:
         text = f"{image.shape[1]} x {image.shape[0]}: must be {size[0]} x {size[1]}, the camera of the scene"
-        raise BadInput.single(str(recorded.path), f"{MONITOR} {picture.number}", text)
-    half = exposure(scene, picture.number)[1]
+        raise BadInput.single(str(recorded.path), f"{MONITOR} {recorded_image.number}", text)
+    half = exposure(scene, recorded_image.number)[1]
     if half != WHOLE:
         image = np.ascontiguousarray(image[::2])  # each line stands in it twice
-    return VideoFrame(picture.number, picture.t_s, image, half)
+    return VideoFrame(recorded_image.number, recorded_image.t_s, image, half)
 
 
-def _compare_portions(found: PicturesReplayed, before: np.ndarray, now: Sequence[Portion], whole: bool) -> None:
-    """Lay portions that end with the same frame beside each other.
+def _compare_portions(found: ImagesReplayed, before: np.ndarray, now: Sequence[Portion], whole: bool) -> None:
+    """Compare portions that end with the same frame.
 
-    whole: the recording has its end; where it broke off, what follows its last portion is not missed in it.
+    whole: the recording has its end; if it broke off, portions after its last one do not count as new.
     """
     last_s = math.inf if whole else float(before["t_s"].max(initial=-math.inf))
     units = [name.rpartition("_")[2].replace("mps", "m/s") for name in QUANTITIES]

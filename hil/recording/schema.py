@@ -1,7 +1,7 @@
-"""What stands in a recording: its records, and the schemas by which any reader finds field, unit and frame.
+"""Records of a recording, and their schemas, from which any reader gets field, unit and frame.
 
-A record is written as its packed little-endian bytes. The schema of its channel is a JSON text that lists
-each field with name, type, shape, offset, unit, frame and meaning, so that a reader needs nothing of this program.
+A record is written as its packed little-endian bytes. The schema of its channel is a JSON text that lists each field
+with name, type, shape, offset, unit, frame and meaning, so that a reader does not depend on this program.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ RECORD_ENCODING: Final = "hil.record"
 """Message encoding of channels of packed records; their schemas have ``hil.fields`` as encoding."""
 FIELDS_ENCODING: Final = "hil.fields"
 
-NOTE: Final = np.dtype(
+LOG_ENTRY: Final = np.dtype(
     [("t_s", "f8"), ("bench_s", "f8"), ("cycle", "i8"), ("kind", "S16"), ("source", "S48"), ("text", "S888")]
 )
-"""Something worth a line. t_s: time of the run, nan before it; bench_s: bench time; cycle: the first that it acts on,
-or during which it happened, -1 before the run. kind: event, alarm, mode, order (what the GNC was told to do), setting,
-operator (who did what at the console), fault (switched on an emulator)."""
+"""Entry of the log. t_s: time of the run, nan before it; bench_s: bench time; cycle: the first on which it acts, or
+during which it happened, -1 before the run. kind: event, alarm, mode, order (command to the GNC), setting,
+operator (action at the console), fault (switched on an emulator)."""
 
 GEOMETRY_FILE, SCENE_FILE = "vmu_geometry.json", "monitor_scene.json"
-"""Attachments: what vision unit and docking monitor take their cameras and targets for."""
+"""Attachments: cameras and targets as assumed by vision unit and docking monitor."""
 
 RECORDS: Final[dict[str, tuple[str, Fields]]] = {
     "/cycle": ("hil.Cycle", CYCLE_FIELDS),

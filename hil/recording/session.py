@@ -1,4 +1,4 @@
-"""One recorded run, from the loop's side: catalogue entry, header, recorder, and how it ended."""
+"""Recording of one run, on the side of the loop: catalogue entry, header, recorder and end."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import secrets
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -15,36 +16,35 @@ import numpy as np
 from hil import __version__
 from hil.core import camera_images
 from hil.core.child_process import ChildProcess
+from hil.core.clock import utc_ns, utc_text
 from hil.errors import BadInput, DeviceError
-from hil.frmn.image_memory import wanted_pictures
+from hil.frmn.image_memory import RunTime, image_policy
 from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
-from hil.frmn.run_time import RunTime
 from hil.recording import recorder
 from hil.recording.catalogue import BROKEN_OFF, DONE, Catalogue
 from hil.recording.header import header_of
-from hil.recording.taps import RecordingSinks
-from hil.recording.utc import utc_ns, utc_text
+from hil.recording.sinks import RecordingSinks
 from hil.recording.writer import RecordingHeader, RecordingStats, RunFile
 from hil.setup.assembly import Job
 
-_RING_S: Final = 5.0  # of cycles: how long the recorder may stand still before anything is lost
+_RING_S: Final = 5.0  # of cycles: longest pause of the recorder without loss
 _ROWS_LEAST: Final = 2048
 SLOTS: Final = {
     "arrivals": 1024,
-    "notes": 256,
-    "pictures": camera_images.SLOTS,
-    "monitor_pictures": camera_images.SLOTS,
+    "log": 256,
+    "images": camera_images.SLOTS,
+    "monitor_images": camera_images.SLOTS,
     "portions": 64,
 }
-"""Rows of each ring beside the cycles'."""
+"""Rows of each ring except that of the cycles."""
 _READY_WALL_S: Final = 60.0
 _FINISH_WALL_S: Final = 30.0
 _EXIT_WALL_S: Final = 1.0
 
 
 class _Recorder(Protocol):
-    taps: RecordingSinks
+    sinks: RecordingSinks
     state: MailboxBlock | None
 
     def finish(self, end: dict[str, str], summary: str) -> RecordingStats:
@@ -52,17 +52,17 @@ class _Recorder(Protocol):
 
 
 class Recording:
-    """A run that is being recorded into ``path``. Tap the run with ``taps``; ``finish`` it with its summary.
+    """Recording of a run into ``path``. The run writes to ``sinks``; ``finish`` adds its summary.
 
-    state: ``recorder.CELLS``, how the recording stands, where a process of its own writes it; None otherwise.
+    state: ``recorder.STATE_MAILBOX`` if a process of its own writes the file; None otherwise.
     """
 
     def __init__(self, run: str, path: Path, catalogue: Catalogue, recorder: _Recorder) -> None:
         self.run = run
         self.path = path
-        self.taps = recorder.taps
+        self.sinks = recorder.sinks
         self.state = recorder.state
-        self.account: RecordingStats | None = None
+        self.stats: RecordingStats | None = None
         self._catalogue = catalogue
         self._recorder = recorder
 
@@ -71,30 +71,30 @@ class Recording:
         return self._finish(DONE, summary["stop"], summary)
 
     def break_off(self, reason: str) -> RecordingStats:
-        """Close the recording of a run that came to no verdict."""
+        """Close the recording of a run without a verdict."""
         return self._finish(BROKEN_OFF, reason, {})
 
     def _finish(self, state: str, stop: str, summary: dict[str, Any]) -> RecordingStats:
         ended = utc_text()
         end = {"stop": stop, "ended_utc": ended}
-        account = self._recorder.finish(end, json.dumps(summary, allow_nan=False) if summary else "")
+        stats = self._recorder.finish(end, json.dumps(summary, allow_nan=False) if summary else "")
         try:
-            self._catalogue.end(self.run, ended, state, account.cycles, account.dropped, summary)
+            self._catalogue.end(self.run, ended, state, stats.cycles, stats.dropped, summary)
         except (sqlite3.Error, BadInput) as error:
-            trouble = f"{self._catalogue.path}: the run's end is not entered: {error}"
-            account = RecordingStats(account.cycles, account.dropped, account.size_bytes, account.problem or trouble)
-        self.account = account
-        return account
+            problem = stats.problem or f"{self._catalogue.path}: the run's end is not entered: {error}"
+            stats = replace(stats, problem=problem)
+        self.stats = stats
+        return stats
 
 
 @contextmanager
 def recording(
     job: Job, rig_name: str, folder: Path, announce: Callable[[str], None], paced: bool = False
 ) -> Iterator[Recording]:
-    """Give a recording of ``job`` in ``folder``, which is made if need be.
+    """Yield a recording of ``job`` in ``folder``, which is created if necessary.
 
-    paced: the run keeps the time of the wall though its rig is a mock: a process of its own records it, too.
-    Whatever leaves without ``finish`` is entered as broken off. Raises BadInput where nothing can be written there.
+    paced: the run follows the wall clock although its rig is a mock: a process of its own records it, too.
+    A run that ends without ``finish`` is entered as broken off. Raises BadInput if the folder cannot be written.
     """
     started_ns = utc_ns()
     scenario = job.scenario.value
@@ -124,7 +124,7 @@ def recording(
             }
         )
     except (BadInput, sqlite3.Error) as error:
-        made.finish({"stop": "not begun", "ended_utc": utc_text()}, "")
+        made.finish({"stop": "not started", "ended_utc": utc_text()}, "")
         path.unlink(missing_ok=True)
         if isinstance(error, BadInput):
             raise
@@ -137,31 +137,31 @@ def recording(
     try:
         yield taken
     except BaseException as error:
-        if taken.account is None:
+        if taken.stats is None:
             taken.break_off(str(error) or type(error).__name__)
         raise
-    if taken.account is None:
+    if taken.stats is None:
         taken.break_off("no summary")
 
 
 def _plain(name: str) -> str:
-    """Return ``name`` as it may stand in a file's name."""
+    """Return ``name`` with the characters that are safe in a file name."""
     return "".join(c if c.isalnum() or c in "-_" else "-" for c in name)[:40] or "run"
 
 
-def fed_by(job: Job) -> set[str]:
-    """Return the names in ``RecordingSinks`` that a run of ``job`` feeds: rings of pictures are large."""
-    scenario, wanted = job.scenario.value, wanted_pictures(job.rig.value).encoding != "none"
-    fed = {"cycles", "arrivals", "notes"}
+def required_sinks(job: Job) -> set[str]:
+    """Return the names in ``RecordingSinks`` to which a run of ``job`` writes: rings of images are large."""
+    scenario, wanted = job.scenario.value, image_policy(job.rig.value).encoding != "none"
+    required = {"cycles", "arrivals", "log"}
     if scenario.vmu.source == "rendered" and wanted:
-        fed.add("pictures")
+        required.add("images")
     if scenario.monitor.source == "rendered":
-        fed |= {"portions", "monitor_pictures"} if wanted else {"portions"}
-    return fed
+        required |= {"portions", "monitor_images"} if wanted else {"portions"}
+    return required
 
 
-class _Direct:
-    """Puts rows into the file at once."""
+class _FileSink:
+    """Sink that writes rows to the file immediately."""
 
     def __init__(self, write: Callable[[np.ndarray], None]) -> None:
         self._write = write
@@ -171,14 +171,14 @@ class _Direct:
 
 
 class _InMemory:
-    """Records a run in simulated time, which waits for its recorder: nothing is lost."""
+    """Recorder of a run in simulated time, which waits for it: no row is lost."""
 
     def __init__(self, path: Path, header: RecordingHeader) -> None:
         self._file = RunFile(path, header)
         self._run_time = RunTime.create()
         self.state: MailboxBlock | None = None
-        self.taps = RecordingSinks(
-            **{name: _Direct(write) for name, write in self._file.takers.items()}, run_time=self._run_time
+        self.sinks = RecordingSinks(
+            **{name: _FileSink(write) for name, write in self._file.writers.items()}, run_time=self._run_time
         )
 
     def finish(self, end: dict[str, str], summary: str) -> RecordingStats:
@@ -193,13 +193,15 @@ class _Process:
         self._path = path
         rows = max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s))
         slots = {"cycles": rows, **SLOTS}
-        fed = fed_by(job)
+        required = required_sinks(job)
         self._rings = {
-            name: Ring.create(dtype, slots[name], name) for name, dtype in recorder.KINDS.items() if name in fed
+            name: Ring.create(dtype, slots[name], name)
+            for name, dtype in recorder.RING_DTYPES.items()
+            if name in required
         }
         self._run_time = RunTime.create()
-        self.taps = RecordingSinks(**self._rings, run_time=self._run_time)
-        self.state: MailboxBlock | None = MailboxBlock.create(recorder.CELLS, "recorder")
+        self.sinks = RecordingSinks(**self._rings, run_time=self._run_time)
+        self.state: MailboxBlock | None = MailboxBlock.create(recorder.STATE_MAILBOX, "recorder")
         configuration = {
             "file": str(path),
             "run": run,

@@ -146,7 +146,7 @@ def _events(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:
         yield html.table(("bench time, s", "alarm"), alarms, words=True)
     rows = [
         ("" if n["t_s"] is None else f"{n['t_s']:.2f}", f"{n['bench_s']:.2f}", n["kind"], n["name"], n["message"])
-        for n in recorded.notes
+        for n in recorded.log
     ]
     yield html.table(("run, s", "bench, s", "kind", "source", ""), rows, words=True)
 

@@ -21,7 +21,7 @@ from hil.checks.compatibility import (
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
-from hil.core.camera_images import MakesPictures
+from hil.core.camera_images import ImageSink
 from hil.core.clock import SimulatedClock, WallClock
 from hil.core.messages import CYCLE
 from hil.core.operator_commands import Operator
@@ -34,7 +34,7 @@ from hil.frmn.ring import Ring, Telemetry
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.rate_keeper import Rate, SimulatedRate, WallClockRate
 from hil.loop.runner import Runner
-from hil.recording.taps import EventRecorder, RecordingSinks
+from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.setup.assembly import Devices, RunContext, assemble, library_problems, mocks
 from hil.setup.assembly import Job as Job
 
@@ -82,19 +82,19 @@ def runner(
     on_progress: ProgressCallback = lambda *_: None,
     announce: Callable[[str], None] = lambda _: None,
     operator: Operator | None = None,
-    taps: RecordingSinks | None = None,
+    sinks: RecordingSinks | None = None,
 ) -> Iterator[Runner]:
     """Give a Runner for ``job``; the processes that it needs run as long as this lasts.
 
     announce: receives a line for each that is started. operator: gives the commands; None: the run goes through
-    unattended. taps: sinks of a recording. Raises DeviceError if a process does not start.
+    unattended. sinks: sinks of a recording. Raises DeviceError if a process does not start.
     """
     if job.rig.value.kind != "mock":
-        with wired_bench(job, announce, taps) as bench:
+        with wired_bench(job, announce, sinks) as bench:
             yield bench.runner(on_progress, operator)
         return
     scenario, rig = job.scenario.value, job.rig.value
-    telemetry, images = (taps.cycles, taps.maker(rig)) if taps else (None, None)
+    telemetry, images = (sinks.cycles, sinks.image_encoder(rig)) if sinks else (None, None)
     with ExitStack() as stack:
         rate: Rate = SimulatedRate(SimulatedClock(), scenario.step_s)
         scheduling = None
@@ -102,8 +102,8 @@ def runner(
             rate = WallClockRate(WallClock(speed=job.speed), scenario.step_s)
             scheduling = stack.enter_context(RealTime(rig.host.fifo, rig.host.cpu))
         made = in_memory(job, rate, on_progress, scheduling, telemetry, operator, images)
-        if taps:
-            taps.attach(made)
+        if sinks:
+            sinks.attach(made)
         yield made
 
 
@@ -122,7 +122,7 @@ class WiredBench:
     realtime: RealTime
     devices: Devices
     telemetry: Ring
-    taps: RecordingSinks | None
+    sinks: RecordingSinks | None
     pids: dict[str, int]
     addresses: dict[str, str]
     board: SharedAxisState | None
@@ -133,18 +133,18 @@ class WiredBench:
         rate = WallClockRate(self.clock, self.job.scenario.value.step_s)
         context = RunContext(operator, on_progress, self.realtime, self.telemetry, _FRAMES_TO_ARM)
         made = assemble(self.job, self.rig, rate, self.devices, context)
-        if self.taps:
-            self.notes = self.taps.attach(made)
+        if self.sinks:
+            self.event_recorder = self.sinks.attach(made)
         return made
 
 
 @contextmanager
 def wired_bench(
-    job: Job, announce: Callable[[str], None] = lambda _: None, taps: RecordingSinks | None = None
+    job: Job, announce: Callable[[str], None] = lambda _: None, sinks: RecordingSinks | None = None
 ) -> Iterator[WiredBench]:
     """Give the bench of ``job``'s rig, which is not a mock; its processes run as long as this lasts.
 
-    announce: receives a line for each that is started. taps: sinks of a recording. Raises DeviceError if a process
+    announce: receives a line for each that is started. sinks: sinks of a recording. Raises DeviceError if a process
     does not start.
     """
     rig = job.rig.value
@@ -154,9 +154,9 @@ def wired_bench(
             announce(line)
         clock = WallClock(speed=job.speed)
         with (
-            _emulators(job, clock, announce, taps) as (wired, emulated, addresses),
+            _emulators(job, clock, announce, sinks) as (wired, emulated, addresses),
             IoProcesses(wired, clock) as io,
-            telemetry_ring(taps) as telemetry,
+            telemetry_ring(sinks) as telemetry,
         ):
             io.wait_ready()
             for name, pid in io.pids.items():
@@ -164,7 +164,7 @@ def wired_bench(
             pids = {**(emulated.pids if emulated else {}), **io.pids}
             board = emulated.board if emulated else None
             devices = Devices(*io.devices())
-            yield WiredBench(job, wired, clock, realtime, devices, telemetry, taps, pids, addresses, board)
+            yield WiredBench(job, wired, clock, realtime, devices, telemetry, sinks, pids, addresses, board)
 
 
 def _require_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
@@ -183,12 +183,12 @@ def _require_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
 
 
 @contextmanager
-def telemetry_ring(taps: RecordingSinks | None) -> Iterator[Ring]:
+def telemetry_ring(sinks: RecordingSinks | None) -> Iterator[Ring]:
     """Give the ring of CYCLE that other processes read; a recording has its own."""
-    if taps:
-        if not isinstance(taps.cycles, Ring):
+    if sinks:
+        if not isinstance(sinks.cycles, Ring):
             raise TypeError("a paced run is recorded by another process, from a ring")
-        yield taps.cycles
+        yield sinks.cycles
         return
     ring = Ring.create(CYCLE, TELEMETRY_ROWS)
     try:
@@ -204,7 +204,7 @@ def in_memory(
     scheduling: SchedulingPolicy | None = None,
     telemetry: Telemetry | None = None,
     operator: Operator | None = None,
-    images: MakesPictures | None = None,
+    images: ImageSink | None = None,
 ) -> Runner:
     """Return a Runner of ``job`` on mocks of any rig's devices, timed by ``rate``.
 
@@ -216,14 +216,14 @@ def in_memory(
 
 @contextmanager
 def _emulators(
-    job: Job, clock: WallClock, announce: Callable[[str], None], taps: RecordingSinks | None
+    job: Job, clock: WallClock, announce: Callable[[str], None], sinks: RecordingSinks | None
 ) -> Iterator[tuple[Rig, EmulatedDevices | None, dict[str, str]]]:
     """Give the rig with all its wires; the emulators of an emulated rig run as long as this lasts."""
     rig = job.rig.value
     if rig.kind == "hardware":
         yield rig, None, {}
         return
-    images = taps.picture_memory() if taps else None
+    images = sinks.image_memory() if sinks else None
     with EmulatedDevices(job.truth, rig, clock, job.seed, images) as emulated:
         wired, addresses = emulated.wait_ready()
         for device, pid in emulated.pids.items():

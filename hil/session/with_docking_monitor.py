@@ -11,7 +11,7 @@ from hil.errors import DeviceError
 from hil.frmn.ring import Ring
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import Outcome, Runner
-from hil.recording.taps import RecordingSinks
+from hil.recording.sinks import RecordingSinks
 from hil.session import build
 from hil.setup.docking_monitor import MonitorOutcome, MonitorProcess, monitor_recorded
 
@@ -21,7 +21,7 @@ MonitorResults = Callable[[Outcome], MonitorOutcome | None]
 
 @contextmanager
 def beside(
-    job: build.Job, telemetry: Ring, announce: Callable[[str], None], taps: RecordingSinks | None = None
+    job: build.Job, telemetry: Ring, announce: Callable[[str], None], sinks: RecordingSinks | None = None
 ) -> Iterator[MonitorResults]:
     """Run the scenario's docking monitor, if it has one, on the cycles in ``telemetry`` in a process of its own.
 
@@ -32,7 +32,7 @@ def beside(
         yield lambda _: None
         return
     scene = load_scene(scenario.monitor.scene).value
-    with MonitorProcess(scenario, scene, job.rig.value, job.seed, telemetry, *_rings(taps)) as process:
+    with MonitorProcess(scenario, scene, job.rig.value, job.seed, telemetry, *_rings(sinks)) as process:
         announce("starting the docking monitor; its first start compiles its kernels")
         process.wait_ready()
         announce(f"docking monitor process {process.pid}")
@@ -44,7 +44,7 @@ def runner(
     job: build.Job,
     on_progress: ProgressCallback = lambda *_: None,
     announce: Callable[[str], None] = lambda _: None,
-    taps: RecordingSinks | None = None,
+    sinks: RecordingSinks | None = None,
     operator: Operator | None = None,
 ) -> Iterator[tuple[Runner, MonitorResults]]:
     """Give a Runner for ``job`` as ``build.runner`` does, and the source of the monitor's results.
@@ -53,27 +53,27 @@ def runner(
     """
     scenario, rig, seed = job.scenario.value, job.rig.value, job.seed
     if scenario.monitor.source == "none":
-        with build.runner(job, on_progress, announce, operator, taps) as plain:
+        with build.runner(job, on_progress, announce, operator, sinks) as plain:
             yield plain, lambda _: None
         return
     if rig.kind == "mock":
         scene = load_scene(scenario.monitor.scene).value
-        with build.runner(job, on_progress, announce, operator, taps) as in_memory:
-            sinks = (taps.monitor_maker(rig), taps.portions) if taps else ()
-            yield in_memory, lambda outcome: monitor_recorded(scenario, scene, rig, seed, outcome.history, *sinks)
+        with build.runner(job, on_progress, announce, operator, sinks) as in_memory:
+            outlets = (sinks.monitor_image_encoder(rig), sinks.portions) if sinks else ()
+            yield in_memory, lambda outcome: monitor_recorded(scenario, scene, rig, seed, outcome.history, *outlets)
         return
     with (
-        build.wired_bench(job, announce, taps) as bench,
-        beside(job, bench.telemetry, announce, taps) as results,
+        build.wired_bench(job, announce, sinks) as bench,
+        beside(job, bench.telemetry, announce, sinks) as results,
     ):
         yield bench.runner(on_progress, operator), results
 
 
-def _rings(taps: RecordingSinks | None) -> tuple[Ring | None, Ring | None]:
+def _rings(sinks: RecordingSinks | None) -> tuple[Ring | None, Ring | None]:
     """Return the rings of the monitor's images and portions, if a recorder reads them."""
-    if taps is None:
+    if sinks is None:
         return None, None
-    images, portions = (sink if isinstance(sink, Ring) else None for sink in (taps.monitor_pictures, taps.portions))
+    images, portions = (sink if isinstance(sink, Ring) else None for sink in (sinks.monitor_images, sinks.portions))
     return images, portions
 
 

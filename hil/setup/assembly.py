@@ -14,7 +14,7 @@ from hil.checks.compatibility import axes_at
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable
 from hil.config.scenario import Scenario
-from hil.core.camera_images import MakesPictures
+from hil.core.camera_images import ImageSink
 from hil.core.messages import AXES, CYCLE, PoseFrame, new
 from hil.core.operator_commands import Operator
 from hil.core.realtime import DefaultScheduling, SchedulingPolicy
@@ -241,7 +241,7 @@ def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> No
     imu.bias_C = np.array(scenario.imu.accelerometer_bias_mps2) + bias_sigma * draws[3:]
 
 
-def mocks(scenario: Scenario, rig: Rig, seed: int, images: MakesPictures | None = None) -> Devices:
+def mocks(scenario: Scenario, rig: Rig, seed: int, images: ImageSink | None = None) -> Devices:
     """Return mock devices whose axes are at the start pose. images: sink of a rendered vision unit's images."""
     from hil.drivers.io.mock import MockIo
     from hil.drivers.mock_axes import MockAxes

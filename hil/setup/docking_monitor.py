@@ -17,10 +17,10 @@ from hil.cameras.docking import RenderedCamera
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
-from hil.core.camera_images import MONITOR, PICTURE, CameraImage, ImageEncoder, MakesPictures
+from hil.core.camera_images import IMAGE, MONITOR, CameraImage, ImageEncoder, ImageSink
 from hil.core.child_process import ChildProcess, Message, Parent
 from hil.core.messages import CYCLE
-from hil.frmn.image_memory import wanted_pictures
+from hil.frmn.image_memory import image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.monitor.monitor import Monitor
 from hil.monitor.results import PORTION, Portion, portion_row
@@ -62,7 +62,7 @@ class CameraMonitor:
         scene: Scene,
         rig: Rig,
         seed: int,
-        images: MakesPictures | None = None,
+        images: ImageSink | None = None,
         portions: Telemetry | None = None,
     ) -> None:
         config = scenario.monitor
@@ -132,7 +132,7 @@ def monitor_recorded(
     rig: Rig,
     seed: int,
     history: np.ndarray,
-    images: MakesPictures | None = None,
+    images: ImageSink | None = None,
     portions: Telemetry | None = None,
 ) -> MonitorOutcome:
     """Return the monitor's results for the rows ``history`` (n,) of CYCLE of a run that has ended."""
@@ -147,7 +147,7 @@ def monitor_recorded(
 class MonitorProcess:
     """The docking monitor in a child process; start it from a thread that lives as long as the bench.
 
-    telemetry: ring of CYCLE that it reads. images, portions: rings of ``PICTURE`` and ``PORTION`` that it fills.
+    telemetry: ring of CYCLE that it reads. images, portions: rings of ``IMAGE`` and ``PORTION`` that it fills.
     """
 
     def __init__(
@@ -214,10 +214,10 @@ def run_child(parent: Parent) -> None:
     _warm_up(scenario, scene, rig)
     os.nice(_NICE)  # nothing moves before this
     reader = Ring(rings["telemetry"][0], CYCLE, rings["telemetry"][1]).reader()
-    policy = wanted_pictures(rig)
+    policy = image_policy(rig)
     images, portions = None, None
     if "images" in rings and policy.encoding != "none":
-        images = ImageEncoder(Ring(rings["images"][0], PICTURE, rings["images"][1], "pictures"), policy)
+        images = ImageEncoder(Ring(rings["images"][0], IMAGE, rings["images"][1], "pictures"), policy)
     if "portions" in rings:
         portions = Ring(rings["portions"][0], PORTION, rings["portions"][1], "portions")
     monitor = CameraMonitor(scenario, scene, rig, configuration["seed"], images, portions)

@@ -13,7 +13,7 @@ import pytest
 from hil.config.load import load_rig, load_scenario, load_scene
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.core.camera_images import PICTURE, shapes_of
+from hil.core.camera_images import IMAGE, overlay_shapes
 from hil.core.messages import CYCLE
 from hil.errors import LinkLost
 from hil.frmn.ring import Ring
@@ -55,7 +55,7 @@ def recorded(scenario: Scenario, rig: Rig, history: np.ndarray) -> MonitorOutcom
 def test_the_process_sees_what_a_watch_of_the_recording_sees(
     scenario: Scenario, rig: Rig, history: np.ndarray, recorded: MonitorOutcome
 ) -> None:
-    ring, pictures, portions = Ring.create(CYCLE, 2048), Ring.create(PICTURE, 16), Ring.create(PORTION, 16)
+    ring, pictures, portions = Ring.create(CYCLE, 2048), Ring.create(IMAGE, 16), Ring.create(PORTION, 16)
     try:
         with MonitorProcess(scenario, load_scene("atv").value, rig, 0, ring, pictures, portions) as process:
             process.wait_ready()
@@ -68,7 +68,7 @@ def test_the_process_sees_what_a_watch_of_the_recording_sees(
             each.close()
     assert [row["number"] for row in shown] == list(range(0, 76, 7))  # 12.5 a second, two wanted
     assert {(row["camera"], row["encoding"], row["status"]) for row in shown} == {(b"monitor", b"jpeg", b"near")}
-    assert all(len(shapes_of(row)) > 50 for row in shown)
+    assert all(len(overlay_shapes(row)) > 50 for row in shown)
     assert [row["range_m"] for row in told] == [portion.value("range_m") for portion in live.portions]
     assert live.missed_rows == 0
     assert (live.frames, len(live.portions)) == (recorded.frames, len(recorded.portions)) == (76, 8)

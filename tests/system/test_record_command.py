@@ -85,7 +85,7 @@ def test_a_recording_holds_configuration_versions_and_the_run_s_numbers(folder: 
     assert recorded.run["calibration_motion"].startswith("sha256:")
     assert recorded.summary is not None
     assert recorded.summary["timing"]["cycles"] == len(recorded.cycles) == 201
-    kinds = {note["kind"] for note in recorded.notes}
+    kinds = {note["kind"] for note in recorded.log}
     assert {"mode", "event"} <= kinds
     assert len(recorded.arrivals) > 0
     assert np.all(np.diff(recorded.arrivals["frame"]["counter"]) == 1)
@@ -195,7 +195,7 @@ def test_a_run_on_wires_is_recorded_whole_and_replays_bit_by_bit(tmp_path: Path)
     assert len(recorded.cycles) == 301
     assert replay(recorded, recorded.scenario).identical
     assert (recorded.arrivals["cycle"] == -1).any()  # those that came while the bench was armed
-    assert [n["message"] for n in recorded.notes if n["kind"] == "mode"][:3] == ["off", "standby", "placing"]
+    assert [n["message"] for n in recorded.log if n["kind"] == "mode"][:3] == ["off", "standby", "placing"]
 
 
 @pytest.mark.slow

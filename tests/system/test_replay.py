@@ -26,7 +26,7 @@ def record(folder: Path, scenario: str, duration_s: float, *settings: str) -> Re
     """Return a recorded run on the mock rig."""
     job = make_job(duration_s, settings, scenario=scenario, seed=1)
     with recording(job, "mock", folder, lambda _: None) as taken:
-        with build.runner(job, taps=taken.taps) as runner:
+        with build.runner(job, sinks=taken.sinks) as runner:
             outcome = runner.run()
         taken.finish(summarise(outcome, job.scenario.value, job.rig.value, "mock", 1, 50.0)[0])
     recorded = load(taken.path)
@@ -58,7 +58,7 @@ def test_late_double_and_lost_poses_are_replayed_as_they_came(recorded_run: Path
 
 def test_orders_are_given_again_in_their_cycles(tmp_path: Path) -> None:
     recorded = record(tmp_path, "scheme-1", 6.0, "gnc.abort.at_s=2.0", "gnc.shadow.enabled=true")
-    assert any("abort" in note["message"] for note in recorded.notes)
+    assert any("abort" in note["message"] for note in recorded.log)
     assert replay(recorded, recorded.scenario).identical
 
 
@@ -66,7 +66,7 @@ def record_operated(folder: Path, operator: Operator, watch: Callable[[Mode, flo
     """Return 4 s of scheme-1, recorded, with somebody who gives orders while being told how far the run is."""
     job = make_job(4.0, seed=1)
     with recording(job, "mock", folder, lambda _: None) as taken:
-        with build.runner(job, watch, lambda _: None, operator, taken.taps) as runner:
+        with build.runner(job, watch, lambda _: None, operator, taken.sinks) as runner:
             assert runner.run().stop == "completed"
         taken.break_off("test")
     return load(taken.path)
@@ -77,7 +77,7 @@ def test_an_abort_by_the_operator_is_replayed(tmp_path: Path) -> None:
     recorded = record_operated(
         tmp_path, operator, lambda _, share: operator.submit(OperatorCommand.ABORT) if 0.4 < share < 0.6 else None
     )
-    assert [(n["cycle"], n["message"]) for n in recorded.notes if n["kind"] == "order"] == [(101, "abort")]
+    assert [(n["cycle"], n["message"]) for n in recorded.log if n["kind"] == "order"] == [(101, "abort")]
     assert recorded.cycles["supervision"]["aborted"][-1] != 0
     assert replay(recorded, recorded.scenario).identical
 
@@ -92,7 +92,7 @@ def test_a_hold_is_replayed_without_the_frames_that_came_in_it(tmp_path: Path) -
             operator.submit(OperatorCommand.RESUME)
 
     recorded = record_operated(tmp_path, operator, watch)
-    assert [n["message"] for n in recorded.notes if n["kind"] == "mode"][-4:] == [
+    assert [n["message"] for n in recorded.log if n["kind"] == "mode"][-4:] == [
         "running",
         "hold",
         "running",

@@ -13,7 +13,7 @@ from hil.console.live_view import Client, LiveView, picture_of
 from hil.console.message import ImageMessage, pack, unpack
 from hil.console.session_process import SessionProcess
 from hil.console.status import empty_status
-from hil.core.camera_images import PICTURE, picture_row
+from hil.core.camera_images import IMAGE, Exposure, image_row
 from hil.core.messages import CYCLE
 from hil.frmn.ring import Ring
 from hil.maths import euler
@@ -64,8 +64,8 @@ def page(**more: Any) -> Client:
 
 
 def test_each_page_gets_the_newest_picture_of_its_camera_once(live_view: LiveView) -> None:
-    pair = [picture_row(camera, 1.5, b"l" + camera.encode(), "png", (8, 6)) for camera in ("vmu.left", "vmu.right")]
-    take(live_view, pictures=[np.concatenate(pair), picture_row("monitor", 1.0, b"tv")])
+    pair = [image_row(camera, 1.5, b"l" + camera.encode(), "png", (8, 6)) for camera in ("vmu.left", "vmu.right")]
+    take(live_view, pictures=[np.concatenate(pair), image_row("monitor", 1.0, b"tv")])
     anyone, watcher, lost = page(), page(camera="monitor"), page(camera="no such camera")
     assert live_view.cameras == ["vmu.left", "vmu.right", "monitor"]
     for client, name in ((anyone, "vmu.left"), (watcher, "monitor"), (lost, "vmu.left")):
@@ -77,7 +77,7 @@ def test_each_page_gets_the_newest_picture_of_its_camera_once(live_view: LiveVie
     found = live_view.picture_for(watcher)
     assert found is not None
     assert (found.name, found.data, found.encoding, found.width_px) == ("vmu.right", b"lvmu.right", "png", 8)
-    take(live_view, pictures=[picture_row("monitor", 1.4, b"newer")])
+    take(live_view, pictures=[image_row("monitor", 1.4, b"newer")])
     assert live_view.picture_for(watcher) is None  # of another camera
     live_view.begin(JOB)
     assert live_view.cameras == []
@@ -89,7 +89,7 @@ def test_each_page_gets_the_newest_picture_of_its_camera_once(live_view: LiveVie
     [(1.5, 11.25, 0.75), (1.5, math.nan, 0.5), (math.nan, 11.0, 1.0), (math.nan, math.nan, 0.0), (3.0, math.nan, 0.0)],
 )
 def test_age_of_a_picture_counts_from_its_exposure(t_s: float, bench_s: float, age_s: float) -> None:
-    (row,) = picture_row("vmu.left", t_s, b"x", bench_s=bench_s)
+    (row,) = image_row("vmu.left", t_s, b"x", exposure=Exposure(bench_s))
     picture = picture_of(row, status(12.0, 2.0), 100.0)
     header = unpack(pack({"wall_s": 100.5}, None, np.empty((0, 1)), 0, picture))[0]["picture"]
     assert header["age_s"] == pytest.approx(age_s + 0.5)
@@ -132,17 +132,17 @@ def test_chaser_is_where_its_docking_camera_s_view_has_it(rng: np.random.Generat
 
 
 def test_reader_that_wants_the_newest_passes_over_the_rest_and_counts_none_of_it_as_lost() -> None:
-    ring = Ring.create(PICTURE, 4, "pictures")
+    ring = Ring.create(IMAGE, 4, "pictures")
     reader = ring.reader()
     assert len(reader.newest(2)) == 0
     for number in range(7):
-        ring.put(picture_row("monitor", float(number), b"x"))
+        ring.put(image_row("monitor", float(number), b"x"))
     assert reader.newest(2)["t_s"].tolist() == [5.0, 6.0]
     assert len(reader.newest(2)) == 0
-    ring.put(picture_row("monitor", 7.0, b"x"))
+    ring.put(image_row("monitor", 7.0, b"x"))
     assert reader.newest(9)["t_s"].tolist() == [7.0]
     for number in range(20):
-        ring.put(picture_row("monitor", float(number), b"x"))
+        ring.put(image_row("monitor", float(number), b"x"))
     assert reader.newest(9)["t_s"].tolist() == [17.0, 18.0, 19.0]
     assert reader.lost == 0
     ring.close()

@@ -14,26 +14,25 @@ import pytest
 from hil.config.load import load_rig
 from hil.config.rig import Rig
 from hil.core.camera_images import (
+    IMAGE,
     LEFT,
     MONITOR,
     OVERLAY_BYTES,
-    PICTURE,
     RIGHT,
     SLOTS,
     CameraImage,
     ImageEncoder,
     ImagePolicy,
     ThreadedImageSink,
-    data_of,
     encode,
-    packed,
-    picture_row,
-    shapes_of,
+    image_data,
+    image_row,
+    overlay_json,
+    overlay_shapes,
 )
 from hil.core.messages import CYCLE, PoseFrame
-from hil.frmn.image_memory import PictureMemory
+from hil.frmn.image_memory import ImageMemory, RunTime
 from hil.frmn.ring import Ring
-from hil.frmn.run_time import RunTime
 from hil.loop.stages import VisionStage
 from hil.params import vision as vision_params
 from hil.recording.read import contents
@@ -58,27 +57,27 @@ def noise(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 
 def test_a_row_gives_back_what_was_put_in() -> None:
-    row = picture_row(LEFT, 1.25, b"data", "png", (640, 480), [CROSS], bench_s=7.5, number=3, status="ok", left_out=2)
+    row = image_row(LEFT, 1.25, b"data", "png", (640, 480), [CROSS], bench_s=7.5, number=3, status="ok", dropped=2)
     (found,) = row
-    assert (found["t_s"], found["bench_s"], found["number"], found["left_out"]) == (1.25, 7.5, 3, 2)
+    assert (found["t_s"], found["bench_s"], found["number"], found["dropped"]) == (1.25, 7.5, 3, 2)
     assert (found["camera"], found["encoding"], found["status"]) == (b"vmu.left", b"png", b"ok")
     assert (found["width_px"], found["height_px"]) == (640, 480)
-    assert data_of(found) == b"data"
-    assert shapes_of(found) == (CROSS,)
-    (again,) = picture_row(LEFT, 1.25, b"da", into=row)
-    assert data_of(again) == b"da"
-    assert shapes_of(again) == ()
+    assert image_data(found) == b"data"
+    assert overlay_shapes(found) == (CROSS,)
+    (again,) = image_row(LEFT, 1.25, b"da", into=row)
+    assert image_data(again) == b"da"
+    assert overlay_shapes(again) == ()
 
 
 def test_shapes_beyond_their_room_are_cut_from_the_end() -> None:
     many = [{**CROSS, "at": [k, k]} for k in range(1000)]
-    kept = shapes_of(picture_row(LEFT, 0.0, b"", shapes=many)[0])
+    kept = overlay_shapes(image_row(LEFT, 0.0, b"", shapes=many)[0])
     assert kept == tuple(many[: len(kept)])
-    assert OVERLAY_BYTES - 100 < len(packed(many)) <= OVERLAY_BYTES
+    assert OVERLAY_BYTES - 100 < len(overlay_json(many)) <= OVERLAY_BYTES
 
 
 def test_a_shape_without_a_place_is_left_out() -> None:
-    assert packed([{**CROSS, "at": [math.nan, 0.0]}, CROSS]) == packed([CROSS])
+    assert overlay_json([{**CROSS, "at": [math.nan, 0.0]}, CROSS]) == overlay_json([CROSS])
 
 
 def test_png_is_lossless_and_jpeg_nearly(rng: np.random.Generator) -> None:
@@ -94,7 +93,7 @@ def test_png_is_lossless_and_jpeg_nearly(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("image", [np.zeros((4, 4)), np.zeros(4, np.uint8), np.zeros((0, 4), np.uint8)])
 def test_what_is_no_image_is_refused(image: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="no picture"):
+    with pytest.raises(ValueError, match="not an image"):
         encode(image, "png")
 
 
@@ -116,20 +115,20 @@ def test_a_picture_too_large_is_counted_and_comes_without_data(rng: np.random.Ge
     maker = ImageEncoder(kept, PNG)
     maker.put(CameraImage(MONITOR, noise(rng, 1100, 700, 3), shapes=[CROSS]), CameraImage(LEFT, noise(rng, 8, 8)))
     maker.put(CameraImage(MONITOR, noise(rng, 8, 8), number=1))
-    assert [(row[0]["camera"], row[0]["left_out"]) for row in kept.rows] == [
+    assert [(row[0]["camera"], row[0]["dropped"]) for row in kept.rows] == [
         (b"monitor", 1),
         (b"vmu.left", 0),
         (b"monitor", 1),
     ]
     assert [row[0]["size"] > 0 for row in kept.rows] == [False, True, True]
-    assert shapes_of(kept.rows[0][0]) == (CROSS,)
+    assert overlay_shapes(kept.rows[0][0]) == (CROSS,)
     path = tmp_path / "run.mcap"
     file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 0))
     for row in kept.rows:
-        file.pictures(row)
+        file.write_images(row)
     account = file.finish({})
     assert account.dropped == 1
-    assert "pictures too large" in account.problem
+    assert "too large" in account.problem
     assert [line["number"] for line in contents(path).lines["/pictures/monitor"]] == [1]
 
 
@@ -139,7 +138,7 @@ def test_a_picture_has_the_run_s_time_of_when_it_was_taken_though_it_waits() -> 
 
         zero_s = 1.0
 
-        def of(self, bench_s: float) -> float:
+        def at(self, bench_s: float) -> float:
             return bench_s - self.zero_s
 
     class Slow(Kept):
@@ -171,7 +170,7 @@ def test_a_maker_whose_outlet_fails_can_be_closed(monkeypatch: pytest.MonkeyPatc
     told = threading.Event()
     monkeypatch.setattr(threading, "excepthook", lambda _: told.set())
     beside = ThreadedImageSink(ImageEncoder(Broken(), PNG))
-    for number in range(ThreadedImageSink.WAITING_MOST + 5):
+    for number in range(ThreadedImageSink.QUEUE_MAX + 5):
         beside.put(CameraImage(LEFT, np.zeros((4, 4), np.uint8), number=number))
     assert told.wait(30.0)
     beside.close()
@@ -195,24 +194,24 @@ def test_a_maker_beside_never_waits_and_counts_what_it_leaves_out() -> None:
     image = np.zeros((4, 4), np.uint8)
     beside.put(CameraImage(LEFT, image), CameraImage(RIGHT, image))
     assert slow.begun.wait(30.0)
-    for number in range(1, ThreadedImageSink.WAITING_MOST + 4):  # three more than there is room for
+    for number in range(1, ThreadedImageSink.QUEUE_MAX + 4):  # three more than there is room for
         beside.put(CameraImage(LEFT, image, number=number), CameraImage(RIGHT, image, number=number))
     slow.go.set()
     beside.close()
     beside.close()
-    assert len(slow.rows) == 2 * (ThreadedImageSink.WAITING_MOST + 1)
-    assert [row[0]["number"] for row in slow.rows[::2]] == list(range(ThreadedImageSink.WAITING_MOST + 1))
-    assert [int(row[0]["left_out"]) for row in slow.rows[-2:]] == [3, 3]
+    assert len(slow.rows) == 2 * (ThreadedImageSink.QUEUE_MAX + 1)
+    assert [row[0]["number"] for row in slow.rows[::2]] == list(range(ThreadedImageSink.QUEUE_MAX + 1))
+    assert [int(row[0]["dropped"]) for row in slow.rows[-2:]] == [3, 3]
 
 
 def test_the_run_s_time_is_known_where_the_cell_is_shared() -> None:
     here = RunTime.create()
     there = RunTime(here.descriptor)
-    assert math.isnan(there.of(3.0))
+    assert math.isnan(there.at(3.0))
     here.set_zero(2.5)
-    assert there.of(3.0) == 0.5
+    assert there.at(3.0) == 0.5
     here.set_zero(math.nan)
-    assert math.isnan(there.of(3.0))
+    assert math.isnan(there.at(3.0))
     here.close()
 
 
@@ -241,10 +240,10 @@ def png_rig() -> Rig:
 
 
 def test_another_process_gets_ring_and_time_by_their_descriptors(png_rig: Rig) -> None:
-    ring, run = Ring.create(PICTURE, SLOTS, "pictures"), RunTime.create()
+    ring, run = Ring.create(IMAGE, SLOTS, "pictures"), RunTime.create()
     run.set_zero(10.0)
-    memory = PictureMemory(ring.descriptor, ring.slots, run.descriptor)
-    maker = PictureMemory(*memory).maker(png_rig)
+    memory = ImageMemory(ring.descriptor, ring.slots, run.descriptor)
+    maker = ImageMemory(*memory).encoder(png_rig)
     assert maker is not None
     assert maker.due(12.5)
     maker.put(CameraImage(RIGHT, np.zeros((4, 6), np.uint8), bench_s=12.5, number=7, shapes=[CROSS]))
@@ -252,16 +251,16 @@ def test_another_process_gets_ring_and_time_by_their_descriptors(png_rig: Rig) -
     assert (row["t_s"], row["bench_s"], row["number"]) == (2.5, 12.5, 7)
     assert (row["width_px"], row["height_px"]) == (6, 4)
     none = load_rig("mock", ("rig.recording.images=none",)).value
-    assert PictureMemory(*memory).maker(none) is None
+    assert ImageMemory(*memory).encoder(none) is None
     ring.close()
     run.close()
 
 
-def test_what_makers_left_out_is_counted_as_dropped(tmp_path: Path) -> None:
+def test_images_dropped_by_their_source_are_counted_as_dropped(tmp_path: Path) -> None:
     file = RunFile(tmp_path / "run.mcap", RecordingHeader({"schema_version": "1"}, {}, 0))
     for left_out in (1, 1, 4):
-        file.pictures(picture_row(LEFT, 0.0, b"x", left_out=left_out))
-    file.pictures(picture_row(RIGHT, 0.0, b"x", left_out=2))
+        file.write_images(image_row(LEFT, 0.0, b"x", dropped=left_out))
+    file.write_images(image_row(RIGHT, 0.0, b"x", dropped=2))
     account = file.finish({})
     assert account.dropped == 6
     assert "6 messages" in account.problem
@@ -270,11 +269,11 @@ def test_what_makers_left_out_is_counted_as_dropped(tmp_path: Path) -> None:
 def test_a_picture_outside_the_run_s_time_stands_where_the_run_does(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 1_000_000_000))
-    file.pictures(picture_row(LEFT, math.nan, b"x", bench_s=3.5))
+    file.write_images(image_row(LEFT, math.nan, b"x", bench_s=3.5))
     rows = np.zeros(1, CYCLE)
     rows["t_s"] = 4.0
-    file.cycles(rows)
-    file.pictures(picture_row(LEFT, math.nan, b"x", bench_s=9.5))
+    file.write_cycles(rows)
+    file.write_images(image_row(LEFT, math.nan, b"x", bench_s=9.5))
     file.finish({})
     found = contents(path).lines["/pictures/vmu.left"]
     assert [(line["timestamp"]["sec"], line["t_s"], line["bench_s"]) for line in found] == [
@@ -292,7 +291,7 @@ def test_shapes_are_recorded_as_foxglove_draws_them(tmp_path: Path) -> None:
         {"kind": "text", "at": [7.0, 8.0], "text": "ok", "good": True},
     ]
     file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 0))
-    file.pictures(picture_row(LEFT, 2.0, b"x", shapes=shapes))
+    file.write_images(image_row(LEFT, 2.0, b"x", shapes=shapes))
     file.finish({})
     (found,) = contents(path).lines["/pictures/vmu.left/annotations"]
     (circle,), (lines,), (text,) = found["circles"], found["points"], found["texts"]
@@ -313,10 +312,10 @@ def test_shapes_are_recorded_as_foxglove_draws_them(tmp_path: Path) -> None:
 def test_pictures_without_cycles_reach_the_disk_by_and_by(tmp_path: Path, rng: np.random.Generator) -> None:
     path = tmp_path / "run.mcap"
     file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 0))
-    row = picture_row(MONITOR, 1.0, noise(rng, 1_000_000).tobytes())
+    row = image_row(MONITOR, 1.0, noise(rng, 1_000_000).tobytes())
     sizes = []
     for _ in range(20):
-        file.pictures(row)
+        file.write_images(row)
         sizes.append(path.stat().st_size)
     assert sizes[-1] > 5_000_000
     assert len(contents(path).lines["/pictures/monitor"]) >= 8  # as the file is, without an end
@@ -324,10 +323,10 @@ def test_pictures_without_cycles_reach_the_disk_by_and_by(tmp_path: Path, rng: n
 
 
 def test_a_ring_that_forgot_pictures_says_so() -> None:
-    ring = Ring.create(PICTURE, 4, "pictures")
+    ring = Ring.create(IMAGE, 4, "pictures")
     reader = ring.reader()
     for number in range(6):
-        ring.put(picture_row(LEFT, float(number), b"x", number=number))
+        ring.put(image_row(LEFT, float(number), b"x", number=number))
     found = reader.read()
     assert [int(row["number"]) for row in found] == [3, 4, 5]
     assert reader.lost == 3

@@ -14,7 +14,7 @@ from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
 from hil.recording.header import file_digests
 from hil.recording.read import contents
-from hil.recording.recorder import CELLS, Recorder, record_until_ended
+from hil.recording.recorder import STATE_MAILBOX, Recorder, record_until_ended
 from hil.recording.writer import RecordingHeader, RunFile
 
 
@@ -23,7 +23,7 @@ def recorder_of(path: Path, slots: int, rows: int) -> Iterator[tuple[RunFile, Re
     """Give a recorder whose ring of ``slots`` has seen ``rows`` cycles, of which it has fetched none yet."""
     ring = Ring.create(CYCLE, slots, "cycles")
     file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 0))
-    block = MailboxBlock.create(CELLS, "recorder")
+    block = MailboxBlock.create(STATE_MAILBOX, "recorder")
     recorder = Recorder(file, {"cycles": ring}, block["state"])
     row = np.zeros(1, CYCLE)
     for k in range(rows):
@@ -63,7 +63,7 @@ def test_what_was_overwritten_before_it_was_fetched_is_counted(tmp_path: Path) -
         account = file.finish({})
     assert account.cycles == 99
     assert account.dropped == 151
-    assert "151 messages came too fast" in account.problem
+    assert "151 messages arrived too fast" in account.problem
     end = contents(path).end
     assert end is not None
     assert end["dropped"] == "151"

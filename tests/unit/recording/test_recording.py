@@ -15,7 +15,7 @@ from mcap.writer import Writer
 
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.core.camera_images import PICTURE_BYTES, picture_row
+from hil.core.camera_images import IMAGE_BYTES, image_row
 from hil.core.fields import record_dtype
 from hil.core.messages import CYCLE, CYCLE_FIELDS, POSE_FIELDS
 from hil.errors import BadInput
@@ -23,7 +23,7 @@ from hil.recording import schema
 from hil.recording.export import export
 from hil.recording.read import contents, load
 from hil.recording.recover import recover
-from hil.recording.schema import NOTE
+from hil.recording.schema import LOG_ENTRY
 from hil.recording.writer import RecordingHeader, RunFile
 
 STEP_S = 0.02
@@ -58,7 +58,7 @@ def test_rows_come_back_bit_by_bit_and_plain_mcap_reads_them(tmp_path: Path, rng
     path = tmp_path / "run.mcap"
     rows = rows_of(60, rng)
     file = run_file(path)
-    file.cycles(rows)
+    file.write_cycles(rows)
     account = file.finish({"stop": "completed"}, "{}")
     assert (account.cycles, account.dropped, account.problem) == (60, 0, "")
     found = contents(path)
@@ -81,7 +81,7 @@ def test_what_came_0_1_s_ago_stands_in_the_file_while_the_run_goes_on(tmp_path: 
     file = run_file(path)
     rows = rows_of(120, rng)
     for k in range(120):
-        file.cycles(rows[k : k + 1])
+        file.write_cycles(rows[k : k + 1])
         if k % 7 == 0:
             assert k + 1 - cycles_in(path) <= 5
     file.finish({})
@@ -90,7 +90,7 @@ def test_what_came_0_1_s_ago_stands_in_the_file_while_the_run_goes_on(tmp_path: 
 def test_a_file_cut_anywhere_gives_what_was_whole_and_recovers(tmp_path: Path, rng: np.random.Generator) -> None:
     path = tmp_path / "run.mcap"
     file = run_file(path)
-    file.cycles(rows_of(50, rng))
+    file.write_cycles(rows_of(50, rng))
     file.finish({})
     whole = path.read_bytes()
     before = 0
@@ -111,7 +111,7 @@ def test_a_file_cut_anywhere_gives_what_was_whole_and_recovers(tmp_path: Path, r
 def test_a_damaged_block_is_left_out_and_the_rest_stands(tmp_path: Path, rng: np.random.Generator) -> None:
     path = tmp_path / "run.mcap"
     file = run_file(path)
-    file.cycles(rows_of(50, rng))
+    file.write_cycles(rows_of(50, rng))
     file.finish({})
     whole = bytearray(path.read_bytes())
     whole[len(whole) // 2] ^= 0xFF
@@ -126,7 +126,7 @@ def test_damage_to_the_block_that_names_the_channels_costs_that_block_alone(
 ) -> None:
     path = tmp_path / "run.mcap"
     file = run_file(path)
-    file.cycles(rows_of(50, rng))
+    file.write_cycles(rows_of(50, rng))
     file.finish({})
     whole = bytearray(path.read_bytes())
     whole[whole.index(b"zstd") + 100] ^= 0xFF
@@ -140,7 +140,7 @@ def test_damage_to_the_block_that_names_the_channels_costs_that_block_alone(
 def test_damage_of_any_kind_ends_in_rows_or_in_one_clear_line(tmp_path: Path, rng: np.random.Generator) -> None:
     path = tmp_path / "run.mcap"
     file = run_file(path)
-    file.cycles(rows_of(20, rng))
+    file.write_cycles(rows_of(20, rng))
     file.finish({})
     whole = path.read_bytes()
     for _ in range(150):
@@ -179,7 +179,7 @@ def test_an_mcap_file_of_another_program_is_refused(tmp_path: Path) -> None:
         writer = Writer(stream)
         writer.start()
         writer.finish()
-    with pytest.raises(BadInput, match="no recording of hil"):
+    with pytest.raises(BadInput, match="not a recording of hil"):
         load(path)
 
 
@@ -188,7 +188,7 @@ def test_an_older_version_is_named_with_the_program_that_reads_it_and_exports(
 ) -> None:
     path = tmp_path / "old.mcap"
     file = run_file(path, version="0")
-    file.cycles(rows_of(3, rng))
+    file.write_cycles(rows_of(3, rng))
     file.finish({})
     with pytest.raises(BadInput, match=r"schema version 0, written by hil 0\.0\.7.*hil export"):
         load(path)
@@ -206,7 +206,7 @@ def test_a_recording_of_version_1_is_loaded_with_zeros_for_later_fields(
     path = tmp_path / "old.mcap"
     files = {"scenario.json": scheme_1.model_dump_json(), "rig.json": mock_rig.model_dump_json()}
     file = run_file(path, "1", files)
-    file.cycles(rows)
+    file.write_cycles(rows)
     file.finish({})
     monkeypatch.undo()
     cycles = load(path).cycles
@@ -224,7 +224,7 @@ def test_a_full_disk_keeps_what_was_written_and_counts_the_rest(
     path = tmp_path / "run.mcap"
     file = run_file(path)
     rows = rows_of(100, rng)
-    file.cycles(rows[:50])
+    file.write_cycles(rows[:50])
     file.flush()
     size = path.stat().st_size
     write, room = os.write, [1000]
@@ -237,7 +237,7 @@ def test_a_full_disk_keeps_what_was_written_and_counts_the_rest(
         return taken
 
     monkeypatch.setattr(os, "write", full)
-    file.cycles(rows[50:])
+    file.write_cycles(rows[50:])
     account = file.finish({"stop": "completed"}, "{}")
     monkeypatch.undo()
     assert path.stat().st_size == size
@@ -251,10 +251,10 @@ def test_a_full_disk_keeps_what_was_written_and_counts_the_rest(
 def test_notes_and_pictures_open_with_the_names_that_foxglove_knows(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     file = run_file(path)
-    note = np.zeros(1, NOTE)
+    note = np.zeros(1, LOG_ENTRY)
     note[0] = (np.nan, 3.5, -1, b"alarm", b"rails.x", "zu heiß".encode())
-    file.notes(note)
-    file.pictures(picture_row("left", 2.5, b"\xff\xd8jpeg\x00\xff\xd9"))
+    file.write_log(note)
+    file.write_images(image_row("left", 2.5, b"\xff\xd8jpeg\x00\xff\xd9"))
     file.finish({})
     found = contents(path)
     assert found.lines["/log"][0]["message"] == "zu heiß"
@@ -268,7 +268,7 @@ def test_notes_and_pictures_open_with_the_names_that_foxglove_knows(tmp_path: Pa
 
 def test_a_picture_beyond_its_room_is_refused() -> None:
     with pytest.raises(BadInput, match="left"):
-        picture_row("left", 0.0, bytes(PICTURE_BYTES + 1))
+        image_row("left", 0.0, bytes(IMAGE_BYTES + 1))
 
 
 def test_csv_gives_back_the_very_numbers(recorded_run: Path, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from hil.params import gnc as gnc_params
 from hil.recording.read import Recorded, load
 from hil.recording.replay import replay
 from hil.recording.session import recording
-from hil.recording.taps import EventRecorder
+from hil.recording.sinks import EventRecorder
 from hil.report.summary import summarise
 from hil.session import build
 from hil.setup.live_tuning import packed, unpacked, with_setting
@@ -44,13 +44,13 @@ class Changes(Operator):
         self._scenario = job.scenario.value
         self._changes = dict(changes)
         self.runner: Runner
-        self.notes: EventRecorder
+        self.event_recorder: EventRecorder
 
     def poll(self, now_s: float) -> None:
         gnc = self.runner.loop.gnc
         if (text := self._changes.pop(gnc.cycle, None)) is not None:
             self._scenario = with_setting(self._scenario, text, "test").value
-            self.notes.setting(gnc.adjust(gnc_params.gnc(self._scenario)), "ann", text)
+            self.event_recorder.setting(gnc.adjust(gnc_params.gnc(self._scenario)), "ann", text)
 
 
 def fly(folder: Path, job: build.Job, changes: dict[int, str]) -> Recorded:
@@ -58,8 +58,8 @@ def fly(folder: Path, job: build.Job, changes: dict[int, str]) -> Recorded:
     operator = Changes(job, changes)
     with recording(job, "mock", folder, lambda _: None) as taken:
         rate = build.SimulatedRate(build.SimulatedClock(), job.scenario.value.step_s)
-        operator.runner = build.in_memory(job, rate, telemetry=taken.taps.cycles, operator=operator)
-        operator.notes = taken.taps.attach(operator.runner)
+        operator.runner = build.in_memory(job, rate, telemetry=taken.sinks.cycles, operator=operator)
+        operator.event_recorder = taken.sinks.attach(operator.runner)
         outcome = operator.runner.run()
         summary, _ = summarise(outcome, job.scenario.value, job.rig.value, "mock", job.seed, 50.0)
         taken.finish(summary)
@@ -86,10 +86,10 @@ def test_change_in_flight_acts_from_its_cycle_on_and_the_replay_makes_it_again(
     changed = fly(tmp_path, job, changes)
     assert first_difference(plain.cycles, changed.cycles, "navigation") == 120
     np.testing.assert_array_equal(plain.cycles[:120]["command"], changed.cycles[:120]["command"])
-    assert [(n["cycle"], n["name"], n["message"]) for n in changed.notes if n["kind"] == "setting"] == [
+    assert [(n["cycle"], n["name"], n["message"]) for n in changed.log if n["kind"] == "setting"] == [
         (cycle + 1, "ann", text) for cycle, text in changes.items()
     ]
-    assert not [note for note in changed.notes if note["name"] == "shadow"]  # it took the new noise over as well
+    assert not [note for note in changed.log if note["name"] == "shadow"]  # it took the new noise over as well
     found = replay(changed, changed.scenario)
     assert found.identical, found.differences[:3]
 
@@ -99,7 +99,7 @@ def test_replay_leaves_out_changes_of_what_it_has_otherwise(tmp_path: Path) -> N
     nearly = with_other_gnc(changed.scenario, "test", None, [f"{NOISE}=0.00011"]).value
     found = replay(changed, nearly)
     assert min(d.first_cycle for d in found.differences) < 10
-    without = replay(dataclasses.replace(changed, notes=[]), nearly)
+    without = replay(dataclasses.replace(changed, log=[]), nearly)
     assert found.rows["navigation"].tobytes() == without.rows["navigation"].tobytes()
 
 

@@ -1,4 +1,4 @@
-"""The part of a recording that Foxglove shows by itself: JSON messages, a few each second, with JSON schemas."""
+"""JSON messages of a recording with JSON schemas, several per second, for Foxglove."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ SCHEMAS: Final[dict[str, dict[str, Any]]] = {
             "corridor_margin_m": number("m, of the estimate, negative outside"),
             "closing_margin_mps": number("m/s, allowed minus actual closing rate"),
             "phase": number("number of the phase"),
-            "thrusters_on": number("how many thrusters are commanded"),
+            "thrusters_on": number("number of thrusters commanded"),
             "rail_m": _three("m, encoders of the rails, in L"),
             "gimbal_deg": _three("deg, encoders of the turntable: roll, pitch, yaw"),
-            "lateness_us": number("us, how late the cycle woke up"),
+            "lateness_us": number("us, lateness of the cycle's wake-up"),
         },
     ),
     TRANSFORM_TOPIC: table(
@@ -74,14 +74,17 @@ SCHEMAS: Final[dict[str, dict[str, Any]]] = {
             "kind": {"type": "string", "description": "event, alarm, mode, order, setting, operator or fault"},
             "t_s": number("s, time of the run, null before it"),
             "bench_s": number("s, bench time"),
-            "cycle": {"type": "integer", "description": "cycle that it acts on or fell into, -1 before the run"},
+            "cycle": {
+                "type": "integer",
+                "description": "cycle that it concerns, -1 before the run",
+            },
         },
     ),
 }
 
 
 def state(row: np.void) -> dict[str, Any]:
-    """Return what ``row`` (CYCLE) shows of itself."""
+    """Return the state in ``row`` (CYCLE)."""
     truth, estimate, found = row["truth"], row["navigation"], row["supervision"]
     return {
         "t_s": finite(row["t_s"]),
@@ -103,7 +106,7 @@ def state(row: np.void) -> dict[str, Any]:
 
 
 def transform(row: np.void, time_ns: int) -> dict[str, Any]:
-    """Return where the chaser truly is in H. The rotation takes c to H, as Foxglove's child to parent."""
+    """Return the chaser's true pose in H. The rotation takes c to H, as Foxglove's child to parent."""
     r, q = row["truth"]["r_CT_H"], row["truth"]["q_CH"]
     return {
         "timestamp": time_of(time_ns),
@@ -114,20 +117,20 @@ def transform(row: np.void, time_ns: int) -> dict[str, Any]:
     }
 
 
-def log(note: np.void, time_ns: int) -> dict[str, Any]:
-    """Return ``note`` (NOTE) as a line of a log."""
-    kind = word(note["kind"])
+def log(entry: np.void, time_ns: int) -> dict[str, Any]:
+    """Return ``entry`` (LOG_ENTRY) as a message of a log."""
+    kind = text_of(entry["kind"])
     return {
         "timestamp": time_of(time_ns),
         "level": _LEVELS.get(kind, _INFO),
-        "message": word(note["text"]),
-        "name": word(note["source"]),
+        "message": text_of(entry["text"]),
+        "name": text_of(entry["source"]),
         "file": "",
         "line": 0,
         "kind": kind,
-        "t_s": finite(note["t_s"]),
-        "bench_s": finite(note["bench_s"]),
-        "cycle": int(note["cycle"]),
+        "t_s": finite(entry["t_s"]),
+        "bench_s": finite(entry["bench_s"]),
+        "cycle": int(entry["cycle"]),
     }
 
 
@@ -144,7 +147,7 @@ def _list(values: Any) -> list[float | None]:
     return [finite(value) for value in values]
 
 
-def word(text: bytes) -> str:
+def text_of(text: bytes) -> str:
     return text.decode(errors="replace")
 
 

@@ -16,7 +16,7 @@ from hil.cli.main import execute
 from hil.config.load import load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
-from hil.recording.images import pairs, pictures
+from hil.recording.images import pairs, recorded_images
 from hil.recording.read import Recorded, load
 from hil.recording.replay import replay
 from hil.recording.replay_images import replay_monitor, replay_vision_unit
@@ -81,19 +81,19 @@ def test_pictures_and_what_was_found_are_in_the_recording(path: Path) -> None:
     assert [picture.bench_s for picture in left] == [k / 6.25 for k in range(13)]
     assert [picture.t_s for picture in left] == [k / 6.25 for k in range(13)]  # bench and run begin together here
     assert left[0].image(path).shape == (1024, 1024)
-    assert {picture.status for picture in pictures(path, "monitor")} == {"near"}
+    assert {picture.status for picture in recorded_images(path, "monitor")} == {"near"}
 
 
 def test_the_same_pictures_give_the_very_same_poses(recorded: Recorded) -> None:
     found = replay_vision_unit(recorded, geometry_of(recorded))
     assert found.identical, (found.statuses, found.differences)
-    assert (found.pictures, found.compared, found.remarks) == (13, 13, [])
+    assert (found.images, found.compared, found.remarks) == (13, 13, [])
 
 
 def test_the_same_frames_give_the_very_same_portions(recorded: Recorded) -> None:
     found = replay_monitor(recorded, recorded.calibration(SCENE_FILE, Scene))
     assert found.identical, (found.statuses, found.differences)
-    assert (found.pictures, found.compared, len(recorded.portions)) == (26, len(recorded.portions), 3)
+    assert (found.images, found.compared, len(recorded.portions)) == (26, len(recorded.portions), 3)
 
 
 def test_the_gnc_of_a_run_on_pictures_replays_bit_by_bit(recorded: Recorded) -> None:
@@ -181,7 +181,7 @@ def test_half_frames_are_woven_into_pictures_again(tmp_path: Path) -> None:
     found = replay_monitor(recorded, recorded.calibration(SCENE_FILE, Scene))
     assert found.identical
     scene = load_scene("bright-cross").value
-    half_frames = list(pictures(path, "monitor"))
+    half_frames = list(recorded_images(path, "monitor"))
     assert [picture.number for picture in half_frames] == list(range(len(half_frames)))
     folder = tmp_path / "pictures"
     assert execute(["export", str(path), "--pictures", str(folder)]) == 0
@@ -200,7 +200,7 @@ def test_jpeg_now_and_then_replays_with_a_word_on_it(tmp_path: Path, capsys: pyt
     capsys.readouterr()
     assert execute(["replay", str(path), "--vmu"]) == 1
     said = capsys.readouterr().out.splitlines()
-    assert said[0] == "the pictures are JPEG and not what was looked at then: differences are expected"
+    assert said[0] == "the images are JPEG, not the original ones: differences are expected"
     assert said[1] == "9 of 13 exposures are not recorded: differences are expected"
     assert said[-1].startswith("differs from 0.00 s on: the vision unit, 4 exposures")
 
@@ -208,15 +208,15 @@ def test_jpeg_now_and_then_replays_with_a_word_on_it(tmp_path: Path, capsys: pyt
 def test_none_are_kept_where_none_are_wanted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = record(tmp_path / "run", 0.4, "vmu.source=rendered", "rig.recording.images=none")
     line = refused(capsys, "replay", str(path), "--vmu")
-    assert "holds no pictures of the vision unit" in line
+    assert "has no images of the vision unit" in line
     assert "recording.images" in line
 
 
 def test_a_recording_without_pictures_is_one_line(recorded_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, said in (
-        (["replay", str(recorded_run), "--vmu"], "holds no pictures of the vision unit"),
-        (["replay", str(recorded_run), "--monitor"], "holds no pictures of a docking monitor"),
-        (["export", str(recorded_run), "--pictures", f"{recorded_run}.pictures"], "holds no pictures"),
+        (["replay", str(recorded_run), "--vmu"], "has no images of the vision unit"),
+        (["replay", str(recorded_run), "--monitor"], "has no images of a docking monitor"),
+        (["export", str(recorded_run), "--pictures", f"{recorded_run}.pictures"], "has no images"),
     ):
         assert said in refused(capsys, *arguments)
     assert not Path(f"{recorded_run}.pictures").exists()
@@ -234,7 +234,7 @@ def test_a_truncated_recording_gives_the_pictures_that_are_whole(
     assert first.endswith("broke off or is damaged: what is whole in it is replayed")
     assert last.startswith("identical, bit by bit: the vision unit, ")
     cut.write_bytes(whole[:30_000])
-    assert "holds no pictures" in refused(capsys, "replay", str(cut), "--vmu")
+    assert "has no images" in refused(capsys, "replay", str(cut), "--vmu")
     cut.write_bytes(b"no recording")
     assert "not a recording" in refused(capsys, "export", str(cut), "--pictures", str(tmp_path / "out"))
 
@@ -249,7 +249,7 @@ def test_options_that_do_not_go_together_are_named(
         (["replay", str(path), "--vmu", "--set", "gnc.control.lead_s=1.0"], "--set: goes with a replay of the GNC"),
         (["replay", str(path), "--vmu", "--geometry", "g.toml"], "g.toml"),
         (["export", str(path), "--pictures", str(tmp_path), "--out", "x.csv"], "--out: goes with the numbers"),
-        (["export", str(path), "--pictures", str(tmp_path)], "is there already"),
+        (["export", str(path), "--pictures", str(tmp_path)], "exists"),
     ):
         assert said in refused(capsys, *arguments)
 

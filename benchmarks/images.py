@@ -1,6 +1,6 @@
 """Cost of images: time and size of one, disk space of a run, and the lateness of the loop.
 
-python benchmarks/pictures.py [--seconds 20] [--loop]
+python benchmarks/images.py [--seconds 20] [--loop]
 
 Runs are scheme 1 with rendered vision unit (6.25 pairs of 1024 x 1024 per second) and docking monitor (12.5
 frames of 768 x 576 per second). --loop: also on the emulated rig in real time, with and without images, for the
@@ -20,9 +20,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hil.core.camera_images import PICTURE, SLOTS, Encoding, encode, picture_row
+from hil.core.camera_images import IMAGE, SLOTS, Encoding, encode, image_row
 from hil.frmn.ring import Ring
-from hil.recording.images import pictures
+from hil.recording.images import recorded_images
 from hil.recording.writer import RecordingHeader, RunFile
 
 RENDERED = ("vmu.source=rendered", "monitor.source=rendered")
@@ -60,18 +60,18 @@ def median_ms(action) -> float:
 
 def one_picture(path: Path, camera: str) -> None:
     """Print the cost of an image of ``camera`` in the recording at ``path`` in each encoding."""
-    image = next(iter(pictures(path, camera))).image(path)
-    ring = Ring.create(PICTURE, SLOTS, "pictures")
+    image = next(iter(recorded_images(path, camera))).image(path)
+    ring = Ring.create(IMAGE, SLOTS, "pictures")
     for encoding in ENCODINGS:
         data = encode(image, encoding)
-        row = picture_row(camera, 0.0, data, encoding, image.shape[::-1])
+        row = image_row(camera, 0.0, data, encoding, image.shape[::-1])
         encoding_ms = median_ms(lambda e=encoding: encode(image, e))
         putting_ms = median_ms(lambda r=row: ring.put(r))
         with tempfile.TemporaryDirectory() as folder:
             file = RunFile(Path(folder) / "run.mcap", RecordingHeader({"schema_version": "1"}, {}, 0))
             start = time.perf_counter()
             for _ in range(REPEATS):
-                file.pictures(row)
+                file.write_images(row)
             file.finish({})
             writing_ms = 1e3 * (time.perf_counter() - start) / REPEATS
         print(

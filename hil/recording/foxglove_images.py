@@ -1,4 +1,4 @@
-"""Pictures of a recording, and what is drawn over them, as JSON messages that Foxglove shows by itself."""
+"""Images of a recording and their overlays as JSON messages for Foxglove."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.core.camera_images import Shape, data_of
-from hil.recording.show import TEXT, TIME, encoded, finite, number, table, time_of, word
+from hil.core.camera_images import Shape, image_data
+from hil.recording.foxglove import TEXT, TIME, encoded, finite, number, table, text_of, time_of
 
 PICTURE_TOPICS: Final = "/pictures/"
 ANNOTATIONS: Final = "/annotations"
-"""Ends the topic of what is drawn over a camera's pictures."""
+"""End of the topic of the overlays of a camera."""
 
 PICTURE_SCHEMA: Final = table(
     "foxglove.CompressedImage",
@@ -23,10 +23,10 @@ PICTURE_SCHEMA: Final = table(
         "data": {"type": "string", "contentEncoding": "base64"},
         "format": {"type": "string", "description": "jpeg or png"},
         "t_s": number("s, exposure, time of the run; null before it and while it is held"),
-        "bench_s": number("s, exposure, bench time; null where only the run's time is known"),
-        "number": {"type": "integer", "description": "of the exposure; pictures of one exposure share it"},
-        "left_out": {"type": "integer", "description": "pictures of this camera so far that its maker left out"},
-        "status": {"type": "string", "description": "what the unit or monitor said of it"},
+        "bench_s": number("s, exposure, bench time; null if only the run's time is known"),
+        "number": {"type": "integer", "description": "of the exposure; images of one exposure have the same"},
+        "left_out": {"type": "integer", "description": "images of this camera that its source has dropped so far"},
+        "status": {"type": "string", "description": "result of the vision unit or docking monitor"},
         "width_px": {"type": "integer"},
         "height_px": {"type": "integer"},
     },
@@ -91,26 +91,26 @@ _GOOD, _BAD, _CLEAR = (
 )  # the first two as on the console's page
 
 
-def picture(row: np.void, time_ns: int) -> bytes:
-    """Return the picture of ``row`` (PICTURE) as JSON for ``PICTURE_TOPICS + camera``."""
-    told = {
+def image(row: np.void, time_ns: int) -> bytes:
+    """Return the image of ``row`` (IMAGE) as JSON for ``PICTURE_TOPICS + camera``."""
+    content = {
         "timestamp": time_of(time_ns),
-        "frame_id": word(row["camera"]),
-        "format": word(row["encoding"]),
+        "frame_id": text_of(row["camera"]),
+        "format": text_of(row["encoding"]),
         "t_s": finite(row["t_s"]),
         "bench_s": finite(row["bench_s"]),
         "number": int(row["number"]),
-        "left_out": int(row["left_out"]),
-        "status": word(row["status"]),
+        "left_out": int(row["dropped"]),
+        "status": text_of(row["status"]),
         "width_px": int(row["width_px"]),
         "height_px": int(row["height_px"]),
     }
-    # put in as it is: a search for characters to escape would take longer than all the rest
-    return b"".join((encoded(told)[:-1], b',"data":"', base64.b64encode(data_of(row)), b'"}'))
+    # inserted without the search for characters to escape, which would take longer than all the rest
+    return b"".join((encoded(content)[:-1], b',"data":"', base64.b64encode(image_data(row)), b'"}'))
 
 
-def drawn(shapes: Sequence[Shape], time_ns: int) -> dict[str, Any]:
-    """Return what is drawn over a picture for ``PICTURE_TOPICS + camera + ANNOTATIONS``."""
+def overlay(shapes: Sequence[Shape], time_ns: int) -> dict[str, Any]:
+    """Return the overlay of an image for ``PICTURE_TOPICS + camera + ANNOTATIONS``."""
     when = time_of(time_ns)
     circles: list[dict[str, Any]] = []
     texts: list[dict[str, Any]] = []

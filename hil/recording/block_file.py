@@ -1,4 +1,4 @@
-"""The file that a recording goes into: blocks are written whole or not at all, and brought to the disk each second."""
+"""File of a recording: blocks are written completely or not at all, and synchronised to the disk each second."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Final
 _SYNC_EVERY_S: Final = 1.0
 
 
-class Sink:
-    """What the MCAP writer takes for a stream. Bytes wait here until ``flush``.
+class BlockFile:
+    """Stream for the MCAP writer, which buffers all bytes until ``flush``.
 
-    A block that the disk does not take is cut off again: what was written before it stays readable. From then on
-    nothing is written, and ``problem`` says why. Raises OSError where the file cannot be made or exists already.
+    If a block cannot be written, the file is truncated to the blocks before it, which stay readable. From then on
+    nothing is written, and ``problem`` gives the reason. Raises OSError if the file cannot be created or exists.
     """
 
     def __init__(self, path: Path) -> None:
         self.problem = ""
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-        self._waiting: list[bytes] = []
+        self._buffer: list[bytes] = []
         self._position = 0
-        self._whole = 0
+        self._size = 0
         self._dirty = False
         self._ended = threading.Event()
         self._syncing = threading.Thread(target=self._sync_each_second, name="recording", daemon=True)
@@ -30,28 +30,28 @@ class Sink:
 
     @property
     def size(self) -> int:
-        """Bytes that stand in the file."""
-        return self._whole
+        """Bytes in the file."""
+        return self._size
 
     @property
-    def waiting(self) -> int:
-        """Bytes that the next flush brings into the file."""
-        return sum(map(len, self._waiting))
+    def buffered(self) -> int:
+        """Bytes that the next flush writes."""
+        return sum(map(len, self._buffer))
 
     def write(self, data: bytes | bytearray | memoryview) -> int:
-        """Keep ``data`` for the next flush."""
-        self._waiting.append(bytes(data))
+        """Buffer ``data`` for the next flush."""
+        self._buffer.append(bytes(data))
         self._position += len(data)
         return len(data)
 
     def tell(self) -> int:
-        """Return where the next byte will stand."""
+        """Return the position of the next byte."""
         return self._position
 
     def flush(self) -> None:
-        """Write what waits: all of it, or none, and then ``problem`` is set."""
-        block = memoryview(b"".join(self._waiting))
-        self._waiting.clear()
+        """Write the buffered bytes: all of them, or none, and then ``problem`` is set."""
+        block = memoryview(b"".join(self._buffer))
+        self._buffer.clear()
         if self.problem or not block:
             return
         try:
@@ -60,13 +60,13 @@ class Sink:
                 written += os.write(self._descriptor, block[written:])
         except OSError as error:
             self.problem = str(error.strerror or error)
-            os.ftruncate(self._descriptor, self._whole)
+            os.ftruncate(self._descriptor, self._size)
             return
-        self._whole += len(block)
+        self._size += len(block)
         self._dirty = True
 
     def close(self) -> None:
-        """Flush, bring all to the disk and let go of the file. Idempotent."""
+        """Flush, synchronise to the disk and close the file. Idempotent."""
         if self._ended.is_set():
             return
         self.flush()
@@ -85,5 +85,5 @@ class Sink:
         self._dirty = False
         try:
             os.fdatasync(self._descriptor)
-        except OSError as error:  # a disk that takes blocks late may find out here that it is full
+        except OSError as error:  # a disk with delayed allocation can report here that it is full
             self.problem = self.problem or str(error.strerror or error)

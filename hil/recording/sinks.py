@@ -1,0 +1,116 @@
+"""Sinks of a recording: rows, frames, log entries and images of a run go to its recorder."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hil.config.rig import Rig
+from hil.core.camera_images import ImageEncoder
+from hil.core.messages import Event
+from hil.core.modes import Mode
+from hil.frmn.image_memory import ImageMemory, RunTime, image_policy
+from hil.frmn.ring import NoTelemetry, Ring, Telemetry
+from hil.loop.runner import Runner
+from hil.recording.schema import LOG_ENTRY
+from hil.safety.alarms import Alarm
+
+
+class EventRecorder:
+    """Log of a recording: events, alarms, modes, orders and settings with the cycle to which they belong.
+
+    ``log_event`` must be called from the loop's thread only. Texts are truncated to the size of LOG_ENTRY.
+    """
+
+    def __init__(self, out: Telemetry, runner: Runner) -> None:
+        self._out = out
+        self._runner = runner
+        self._row = np.zeros(1, LOG_ENTRY)
+
+    def log_event(self, kind: str, source: str, text: str, t_s: float | None = None, cycle: int | None = None) -> None:
+        """Write one entry; t_s: time of the run, cycle: its number; by default those of the last cycle."""
+        done = self._runner.loop.gnc.cycle
+        last_s = float(self._runner.loop.now.t_s[0]) if done >= 0 else math.nan
+        self._row[0] = (
+            last_s if t_s is None else t_s,
+            self._runner.now_s(),
+            done if cycle is None else cycle,
+            kind.encode(),
+            source.encode()[: LOG_ENTRY["source"].itemsize],
+            text.encode()[: LOG_ENTRY["text"].itemsize],
+        )
+        self._out.put(self._row)
+
+    def event(self, event: Event) -> None:
+        """Log an event of the run."""
+        self.log_event("event", event.source, event.text, event.t_s)
+
+    def alarm(self, alarm: Alarm) -> None:
+        """Log an alarm."""
+        self.log_event("alarm", alarm.device, alarm.text)
+
+    def mode(self, mode: Mode) -> None:
+        """Log a change of mode."""
+        self.log_event("mode", "bench", mode.value)
+
+    def order(self, cycle: int, text: str) -> None:
+        """Log an order that acts from ``cycle`` on; the replay repeats it there."""
+        self.log_event("order", "operator", text, cycle=cycle)
+
+    def setting(self, cycle: int, who: str, text: str) -> None:
+        """Log ``key=value``, changed by ``who`` from ``cycle`` on; the replay repeats it there."""
+        self.log_event("setting", who, text, cycle=cycle)
+
+
+@dataclass
+class RecordingSinks:
+    """Sinks of CYCLE, ARRIVAL, LOG_ENTRY, IMAGE and PORTION rows, each with one writer.
+
+    images: of the vision unit; monitor_images, portions: of the docking monitor. run_time: receives the relation of
+    the run's time to bench time, for sources that have bench time only.
+    """
+
+    cycles: Telemetry = field(default_factory=NoTelemetry)
+    arrivals: Telemetry = field(default_factory=NoTelemetry)
+    log: Telemetry = field(default_factory=NoTelemetry)
+    images: Telemetry = field(default_factory=NoTelemetry)
+    monitor_images: Telemetry = field(default_factory=NoTelemetry)
+    portions: Telemetry = field(default_factory=NoTelemetry)
+    run_time: RunTime | None = None
+
+    def attach(self, runner: Runner) -> EventRecorder:
+        """Attach to ``runner`` before it starts: to everything but its cycles, which its loop's telemetry receives."""
+        recorder = EventRecorder(self.log, runner)
+        loop = runner.loop
+        loop.vision.frame_sink = self.arrivals
+        if self.run_time is not None:
+            loop.vision.on_run_zero = self.run_time.set_zero
+        for events in (*loop.gnc.event_logs, runner.events):
+            events.subscribe(recorder.event)
+        loop.gnc.orders.subscribe(lambda order: recorder.order(*order))
+        runner.safety.alarms.raised.subscribe(recorder.alarm)
+        runner.safety.modes.history.subscribe(recorder.mode)
+        return recorder
+
+    def image_encoder(self, rig: Rig) -> ImageEncoder | None:
+        """Return the encoder for a vision unit in this process, as ``rig`` selects its images; None for no images."""
+        return _encoder(self.images, rig, self.run_time)
+
+    def monitor_image_encoder(self, rig: Rig) -> ImageEncoder | None:
+        """Return the encoder for a docking monitor in this process; None for no images."""
+        return _encoder(self.monitor_images, rig, None)
+
+    def image_memory(self) -> ImageMemory | None:
+        """Return the shared memory for the images of a vision unit in another process; None without a ring."""
+        if not isinstance(self.images, Ring) or self.run_time is None:
+            return None
+        return ImageMemory(self.images.descriptor, self.images.slots, self.run_time.descriptor)
+
+
+def _encoder(out: Telemetry, rig: Rig, run_time: RunTime | None) -> ImageEncoder | None:
+    policy = image_policy(rig)
+    if policy.encoding == "none" or isinstance(out, NoTelemetry):
+        return None
+    return ImageEncoder(out, policy, run_time)
