@@ -94,6 +94,16 @@ class CameraImage:
     shapes: Sequence[Shape] = ()
 
 
+@dataclass(frozen=True)
+class Exposure:
+    """Exposure of an image; fields as in IMAGE."""
+
+    bench_s: float = math.nan
+    number: int = 0
+    status: str = ""
+    dropped: int = 0
+
+
 def image_row(
     camera: str,
     t_s: float,
@@ -101,11 +111,7 @@ def image_row(
     encoding: Encoding = "jpeg",
     size_px: tuple[int, int] = (0, 0),
     shapes: Sequence[Shape] = (),
-    *,
-    bench_s: float = math.nan,
-    number: int = 0,
-    status: str = "",
-    dropped: int = 0,
+    exposure: Exposure = Exposure(),
     into: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return an image as a row, shape (1,) of IMAGE; size_px: width, height; into: a row to overwrite.
@@ -118,8 +124,8 @@ def image_row(
         )
     row = np.zeros(1, IMAGE) if into is None else into
     overlay = overlay_json(shapes)
-    row["t_s"], row["bench_s"], row["number"], row["dropped"] = t_s, bench_s, number, dropped
-    row["camera"], row["encoding"], row["status"] = camera.encode(), encoding.encode(), status.encode()[:24]
+    row["t_s"], row["bench_s"], row["number"], row["dropped"] = t_s, exposure.bench_s, exposure.number, exposure.dropped
+    row["camera"], row["encoding"], row["status"] = camera.encode(), encoding.encode(), exposure.status.encode()[:24]
     row["width_px"], row["height_px"] = size_px
     row["size"], row["overlay_size"] = len(data), len(overlay)
     row["overlay"][0, : len(overlay)] = np.frombuffer(overlay, np.uint8)
@@ -223,11 +229,11 @@ class ImageEncoder:
             self.count_dropped(image)
             data = b""
         height, width = image.image.shape[:2]
+        exposure = Exposure(image.bench_s, image.number, image.status, self._dropped.get(image.camera, 0))
+        size_px = (width, height)
         row = image_row(
-            image.camera, image.t_s, data, self._policy.encoding, (width, height), image.shapes,
-            bench_s=image.bench_s, number=image.number, status=image.status,
-            dropped=self._dropped.get(image.camera, 0), into=self._row,
-        )  # fmt: skip
+            image.camera, image.t_s, data, self._policy.encoding, size_px, image.shapes, exposure, self._row
+        )
         self._out.put(row)
 
     def count_dropped(self, *images: CameraImage) -> None:

@@ -21,6 +21,7 @@ from hil.core.camera_images import (
     RIGHT,
     SLOTS,
     CameraImage,
+    Exposure,
     ImageEncoder,
     ImagePolicy,
     ThreadedImageSink,
@@ -57,7 +58,7 @@ def noise(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 
 def test_a_row_gives_back_what_was_put_in() -> None:
-    row = image_row(LEFT, 1.25, b"data", "png", (640, 480), [CROSS], bench_s=7.5, number=3, status="ok", dropped=2)
+    row = image_row(LEFT, 1.25, b"data", "png", (640, 480), [CROSS], Exposure(7.5, 3, "ok", 2))
     (found,) = row
     assert (found["t_s"], found["bench_s"], found["number"], found["dropped"]) == (1.25, 7.5, 3, 2)
     assert (found["camera"], found["encoding"], found["status"]) == (b"vmu.left", b"png", b"ok")
@@ -259,8 +260,8 @@ def test_another_process_gets_ring_and_time_by_their_descriptors(png_rig: Rig) -
 def test_images_dropped_by_their_source_are_counted_as_dropped(tmp_path: Path) -> None:
     file = RunFile(tmp_path / "run.mcap", RecordingHeader({"schema_version": "1"}, {}, 0))
     for left_out in (1, 1, 4):
-        file.write_images(image_row(LEFT, 0.0, b"x", dropped=left_out))
-    file.write_images(image_row(RIGHT, 0.0, b"x", dropped=2))
+        file.write_images(image_row(LEFT, 0.0, b"x", exposure=Exposure(dropped=left_out)))
+    file.write_images(image_row(RIGHT, 0.0, b"x", exposure=Exposure(dropped=2)))
     account = file.finish({})
     assert account.dropped == 6
     assert "6 messages" in account.problem
@@ -269,11 +270,11 @@ def test_images_dropped_by_their_source_are_counted_as_dropped(tmp_path: Path) -
 def test_a_picture_outside_the_run_s_time_stands_where_the_run_does(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 1_000_000_000))
-    file.write_images(image_row(LEFT, math.nan, b"x", bench_s=3.5))
+    file.write_images(image_row(LEFT, math.nan, b"x", exposure=Exposure(3.5)))
     rows = np.zeros(1, CYCLE)
     rows["t_s"] = 4.0
     file.write_cycles(rows)
-    file.write_images(image_row(LEFT, math.nan, b"x", bench_s=9.5))
+    file.write_images(image_row(LEFT, math.nan, b"x", exposure=Exposure(9.5)))
     file.finish({})
     found = contents(path).lines["/pictures/vmu.left"]
     assert [(line["timestamp"]["sec"], line["t_s"], line["bench_s"]) for line in found] == [
@@ -326,7 +327,7 @@ def test_a_ring_that_forgot_pictures_says_so() -> None:
     ring = Ring.create(IMAGE, 4, "pictures")
     reader = ring.reader()
     for number in range(6):
-        ring.put(image_row(LEFT, float(number), b"x", number=number))
+        ring.put(image_row(LEFT, float(number), b"x", exposure=Exposure(number=number)))
     found = reader.read()
     assert [int(row["number"]) for row in found] == [3, 4, 5]
     assert reader.lost == 3
