@@ -1,4 +1,4 @@
-"""What the bench may be doing, and which changes are allowed (drawn in docs/safety.md)."""
+"""Modes of the bench and the allowed transitions between them (diagram in docs/safety.md)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ from hil.errors import BenchError
 
 
 class Mode(Enum):
-    """What the bench is doing.
+    """Mode of the bench.
 
-    OFF: nothing is open. STANDBY: devices open, standing. HOMING: axes look for their home switches.
-    JOGGING: one axis creeps while a key is held. PLACING: moving to the start pose. ARMED: at the
-    start pose, poses come in. RUNNING: the loop is closed. PARKING: on the way to the place where the
-    bench is left. HOLD: brought to a stand in the middle of
-    PLACING or RUNNING, the run's time stands. SAFE_STOP: stopped by a fault or by the operator; only
-    OFF leads out.
+    OFF: no device is open. STANDBY: devices open, axes at rest. HOMING: axes move to their home switches.
+    JOGGING: one axis moves slowly while a key is held. PLACING: moving to the start pose. ARMED: at the
+    start pose, poses are received. RUNNING: the loop is closed. PARKING: moving to the park position.
+    HOLD: axes brought to rest during PLACING or RUNNING, the run's time is held. SAFE_STOP: stopped by a fault
+    or by the operator; leads to OFF only.
     """
 
     OFF = "off"
@@ -49,9 +48,9 @@ ALLOWED: dict[Mode, frozenset[Mode]] = {
 
 
 class ModeMachine:
-    """Holds the mode and refuses moves that are not in the table.
+    """Present mode; rejects transitions that are not in the table.
 
-    A hold leads back only to the mode that it interrupted: it is no way round arming.
+    A hold leads back only to the mode that it interrupted: it cannot bypass arming.
     """
 
     def __init__(self) -> None:
@@ -61,7 +60,7 @@ class ModeMachine:
         self.held_from: Mode | None = None
 
     def go(self, to: Mode) -> None:
-        """Change to ``to``; raise BenchError where the table does not allow it."""
+        """Change to ``to``; raise BenchError if the table does not allow it."""
         past_arming = self.mode is Mode.HOLD and to in (Mode.PLACING, Mode.RUNNING) and to is not self.held_from
         if to not in ALLOWED[self.mode] or past_arming:
             raise BenchError(f"bench: cannot go from {self.mode.value} to {to.value}")
