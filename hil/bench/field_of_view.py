@@ -15,7 +15,7 @@ from hil.models.mounting import camera_pose
 
 @kernel
 def view_margins(params, mounting, camera, leds, rail_m, gimbal_rad, out):
-    """Write for each row of ``rail_m`` and ``gimbal_rad`` (n, 3) the least distance of a lamp from an image's edge, px.
+    """Write for each row of ``rail_m`` and ``gimbal_rad`` (n, 3) the least distance of an LED from an image's edge, px.
 
     params: BENCH_PARAMS. mounting: MOUNTING. camera: CAMERA. leds: (m, 3), m, in t. out: (n,).
     """

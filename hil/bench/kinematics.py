@@ -104,7 +104,7 @@ def _limit_axis(params, axis, position, rate, wanted, wanted_rate):
 
 @kernel
 def ahead(position, rate, lead):
-    """Return where an axis that goes on at ``rate`` is after ``lead``, s; without a lead ``position`` to the last bit.
+    """Return the position of an axis that moves at ``rate`` for ``lead`` s; without a lead ``position``, bit-exact.
 
     An axis that follows its setpoint ``lead`` late is then where it should be, but for half its
     acceleration times ``lead`` squared.
@@ -130,7 +130,7 @@ def limit_setpoint(params, motion, wanted, out):
         target = ahead(wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i], feedforward, params.lead[axis])
         rate, reached = _limit_axis(params, axis, motion.position[axis], motion.rate[axis], target, feedforward)
         if not (math.isfinite(target) and math.isfinite(feedforward)):
-            # left as it is: whoever drives the axis refuses it, and the run stops
+            # passed on: the driver of the axis rejects it, and the run stops
             position = target
         elif reached:
             position = target

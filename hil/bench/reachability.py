@@ -20,6 +20,16 @@ _AT_REST = np.zeros(3)
 
 
 @dataclass(frozen=True, slots=True)
+class ControlBounds:
+    """Bounds of the motion that control may add to the plan, each (3,), in c: m/s, rad/s, m/s^2, rad/s^2."""
+
+    speed: Array
+    rate: Array
+    acceleration: Array
+    slewing: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Attitude:
     """The bench at one attitude and at the corners of its band, the chaser's reference point in the origin of L.
 
@@ -34,8 +44,8 @@ class Attitude:
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """What each axis is asked for at each of n moments, (n, 6): position, its band with the room to brake, and largest
-    speed and acceleration."""
+    """Demands on each axis at each of n times, (n, 6): position, its band with the braking distance, and largest speed
+    and acceleration."""
 
     planned: Array
     low: Array
@@ -69,15 +79,12 @@ def envelope(
     r_CT_H: Array,
     v_CT_H: Array,
     margin_m: Array,
-    speed: Array,
-    rate: Array,
-    acceleration: Array,
-    turning: Array,
+    control: ControlBounds,
 ) -> Envelope:
     """Return the demands on the axes.
 
-    attitudes: n of them. r_CT_H, v_CT_H: (n, 3), m, m/s. margin_m: (n, 3), half the band of positions. In c, (3,) each:
-    speed, m/s, rate, rad/s, acceleration, m/s^2, turning, rad/s^2, that may come on top of the plan.
+    attitudes: n of them. r_CT_H, v_CT_H: (n, 3), m, m/s. margin_m: (n, 3), half the band of positions.
+    control: motion that may come on top of the plan.
     """
     n = len(attitudes)
     at = np.hstack([r_CT_H, np.zeros((n, 3))])
@@ -85,12 +92,13 @@ def envelope(
     corners = np.array([a.corners for a in attitudes])
     turned = np.abs([a.turned for a in attitudes])
     to_h = np.abs([a.a_CH.T for a in attitudes])
-    own_rate = turned @ rate
+    own_rate = turned @ control.rate
     planned_rate = np.hstack([np.abs(v_CT_H), np.zeros((n, 3))])
     fastest = planned_rate + own_rate
-    fastest[:, :3] += to_h @ speed
-    hardest = turned @ turning
-    hardest[:, :3] += to_h @ acceleration + np.linalg.norm(params.lever_arm) * float(rate @ rate)
+    fastest[:, :3] += to_h @ control.speed
+    hardest = turned @ control.slewing
+    centripetal = np.linalg.norm(params.lever_arm) * float(control.rate @ control.rate)
+    hardest[:, :3] += to_h @ control.acceleration + centripetal
     hardest[:, 3:] += own_rate[:, 3:] ** 2
     room = fastest**2 / (2.0 * params.acceleration_max)
     return Envelope(
@@ -112,7 +120,7 @@ def view(
     r_CT_H: Array,
     margin_m: Array,
 ) -> tuple[Array, Array]:
-    """Return the least distance of a lamp from an image's edge, px, (n,): as planned, and in the whole band.
+    """Return the least distance of an LED from an image's edge, px, (n,): as planned, and in the whole band.
 
     attitudes: n of them. r_CT_H: (n, 3), m. margin_m: (n, 3), m, half the band of positions.
     """

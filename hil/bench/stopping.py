@@ -42,7 +42,7 @@ def brake_step(params, motion, out):
 
 @kernel
 def stopping_distance(rate, acceleration, dt):
-    """Return the way, as a length, that ``brake_step`` goes on from ``rate``: at most ``rate^2 / (2 acceleration)``."""
+    """Return the length of path that ``brake_step`` needs from ``rate``: at most ``rate^2 / (2 acceleration)``."""
     distance = 0.0
     left = slower(abs(rate), acceleration * dt)
     while left > 0.0:

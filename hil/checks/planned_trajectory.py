@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.bench.reachability import ControlBounds
 from hil.config.scenario import Scenario
 from hil.core.messages import REFERENCE, Array, new
 from hil.gnc import guidance
@@ -41,16 +42,6 @@ class PlanSample:
     point_key: str
     speed_key: str
     rotation_key: str = "initial.attitude_deg"
-
-
-@dataclass(frozen=True, slots=True)
-class ControlBounds:
-    """Bounds of the motion that control may add to the plan, each (3,), in c: m/s, rad/s, m/s^2, rad/s^2."""
-
-    speed: Array
-    rate: Array
-    acceleration: Array
-    slewing: Array
 
 
 def control_bounds(scenario: Scenario) -> ControlBounds:

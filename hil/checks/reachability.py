@@ -47,7 +47,7 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
     attitudes = [known[tuple(m.rotation)] for m in plan]
     r, v = np.array([m.r_CT_H for m in plan]), np.array([m.v_CT_H for m in plan])
     margin = _position_margin(scenario, np.array([m.far_m for m in plan]))
-    axes = reachability.envelope(bench, attitudes, r, v, margin, free.speed, free.rate, free.acceleration, free.slewing)
+    axes = reachability.envelope(bench, attitudes, r, v, margin, free)
     return Demands(plan, attitudes, margin, axes)
 
 
@@ -69,7 +69,7 @@ def check_reachability(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -
 
 
 def _position_margin(scenario: Scenario, far_m: Array) -> Array:
-    """Return half the band of positions (n, 3), m: Table III at the ready point, and a share of the cone beyond."""
+    """Return half the band of positions (n, 3), m: Table III at the ready point, and a fraction of the cone beyond."""
     wanted, guidance, corridor = scenario.requirements, scenario.gnc.guidance, scenario.gnc.corridor
     at_ready = np.array([wanted.axial_tolerance_m, wanted.radial_distance_m, wanted.radial_distance_m])
     slope = scenario.reachability.corridor_fraction * math.tan(math.radians(corridor.half_angle_deg))
@@ -146,7 +146,7 @@ class _Findings:
             )
 
     def view(self) -> None:
-        """One problem where a lamp leaves an image."""
+        """Add one problem if an LED leaves an image."""
         camera, leds = vision_params.camera(self._rig)
         asked, mounting = self._asked, vision_params.mounting(self._rig)
         r = np.array([m.r_CT_H for m in self._plan])
@@ -155,7 +155,7 @@ class _Findings:
         if least[k] < 0.0:
             self._say(
                 self._view_key(k),
-                f"vmu: a lamp of the ring would be {_pixels(least[k])} (planned: {_pixels(planned[k])}) "
+                f"vmu: an LED of the ring would be {_pixels(least[k])} (planned: {_pixels(planned[k])}) "
                 f"{self._when(k)}, allowed 0 px or more inside both images of "
                 f"{self._rig.vmu.camera.width_px} x {self._rig.vmu.camera.height_px} px",
             )
@@ -183,7 +183,7 @@ class _Findings:
         return moment.rotation_key if moment.rotation.any() else "reachability.attitude_margin_deg"
 
     def _view_key(self, k: int) -> str:
-        """Return the key of what turns the ring out of view: the attitude, or the place beside the docking axis."""
+        """Return the key of what moves the ring out of view: the attitude, or the distance from the docking axis."""
         moment = self._plan[k]
         axial = float(moment.r_CT_H @ np.array(self._scenario.value.gnc.corridor.axis))
         beside = math.acos(min(1.0, abs(axial) / max(float(np.linalg.norm(moment.r_CT_H)), 1e-9)))

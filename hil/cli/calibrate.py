@@ -31,7 +31,7 @@ _PARTS: Final = ("left", "right", "stereo", "mounting", "leds")
 
 
 @dataclass(frozen=True)
-class StartOptions:
+class InitialGuessOptions:
     """Options of target and initial values."""
 
     board: str | None = None
@@ -127,7 +127,7 @@ class DriftOptions:
 
 
 _START, _RESULT, _SIGMAS, _LIMITS, _DRIFT = (
-    StartOptions(),
+    InitialGuessOptions(),
     ResultOptions(),
     BenchSigmas(),
     LimitOptions(),
@@ -139,7 +139,7 @@ def calibrate(
     views: str,
     /,
     *,
-    start: Group[StartOptions] = _START,
+    start: Group[InitialGuessOptions] = _START,
     result: Group[ResultOptions] = _RESULT,
     sigmas: Group[BenchSigmas] = _SIGMAS,
     limits: Group[LimitOptions] = _LIMITS,
@@ -169,7 +169,7 @@ def calibrate(
 
 def _calibrate(
     views: str,
-    start: StartOptions,
+    start: InitialGuessOptions,
     result: ResultOptions,
     sigmas: BenchSigmas,
     limits: LimitOptions,
@@ -219,7 +219,12 @@ def _calibrate(
 
 
 def _check(
-    views: str, known_path: str, start: StartOptions, json_path: str | None, limits: LimitOptions, drift: DriftOptions
+    views: str,
+    known_path: str,
+    start: InitialGuessOptions,
+    json_path: str | None,
+    limits: LimitOptions,
+    drift: DriftOptions,
 ) -> int:
     from hil.cli.calibrate_tables import print_check
     from hil.config.load import load_geometry
@@ -253,7 +258,7 @@ def _not_positive(group: Any) -> list[Problem]:
     return found
 
 
-def _board(start: StartOptions) -> Board | None:
+def _board(start: InitialGuessOptions) -> Board | None:
     from hil.vmu.calibration.board import Board
 
     if start.board is None or start.square_mm is None:

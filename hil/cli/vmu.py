@@ -34,7 +34,7 @@ _START_SIGMA_M, _START_SIGMA_DEG = 0.1, 5.0
 
 
 @dataclass(frozen=True)
-class StartOptions:
+class TrackStartOptions:
     """Options of the first frame."""
 
     start_frame: OptionalInteger = None
@@ -64,7 +64,7 @@ class SenderOptions:
     """Send each pose as soon as it is solved."""
 
 
-_START_DEFAULTS, _SENDER_DEFAULTS = StartOptions(), SenderOptions()
+_START_DEFAULTS, _SENDER_DEFAULTS = TrackStartOptions(), SenderOptions()
 
 
 def vmu(
@@ -75,7 +75,7 @@ def vmu(
     out: str,
     rate_hz: float = 6.25,
     overlay: Output = None,
-    start: Group[StartOptions] = _START_DEFAULTS,
+    start: Group[TrackStartOptions] = _START_DEFAULTS,
     sender: Group[SenderOptions] = _SENDER_DEFAULTS,
     json: Output = None,
 ) -> int:

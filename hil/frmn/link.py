@@ -29,7 +29,7 @@ _REPORTED_MAX: Final = 64  # texts of causes; further ones are only counted
 _REFUSE_EVERY_S: Final = 0.5  # to one address: limits amplification of a flood
 _REFUSED_ADDRESSES: Final = 256
 PORT_CLOSED: Final = "its port is closed"
-"""Reason for a side whose program has ended without a goodbye."""
+"""Reason for a side whose program has ended without a ``goodbye``."""
 _NAMES: Final = {Role.DSS: "dss", Role.GNC: "gnc"}
 
 
@@ -51,7 +51,7 @@ class Peer:
     last_rx_s: float
     hello: wire.Hello | None = None
     gone: str | None = None
-    """Text of its goodbye."""
+    """Text of its ``goodbye``."""
 
 
 class Link:
@@ -122,7 +122,7 @@ class Link:
                 arrivals.append(arrival)
         closed = self._socket.closed_ports()
         if self.peer is not None and self.peer.gone is None and self.peer.address in closed:
-            self.peer.gone = PORT_CLOSED  # without a goodbye
+            self.peer.gone = PORT_CLOSED  # without a `goodbye`
         return arrivals
 
     def wait(self, timeout_s: float) -> bool:
@@ -156,7 +156,7 @@ class Link:
         self.peer = None
 
     def close(self, text: str = "") -> None:
-        """Send goodbye and close the socket; idempotent."""
+        """Send ``goodbye`` and close the socket; idempotent."""
         if self.peer is not None and self.peer.gone is None:
             for _ in range(2):  # it is not acknowledged
                 self._send(DatagramKind.GOODBYE, wire.text_payload(0, text))

@@ -6,7 +6,7 @@ Every datagram is a header of 32 bytes and a payload, little-endian, and fits in
          0  4s    magic     "FRMN"
          4  u4    crc       CRC-32 (zlib's) of all bytes from offset 8 to the end
          8  u1    version   of the protocol, 1
-         9  u1    kind      1 hello, 2 cell, 3 heartbeat, 4 goodbye, 5 refused
+         9  u1    kind      1 hello, 2 cell, 3 heartbeat, 4 ``goodbye``, 5 refused
         10  u2    cell      number of the mailbox; 0 in other kinds
         12  u2    size      of the payload, bytes
         14  u2    layout    digest of the mailbox's layout; 0: not given
@@ -82,7 +82,7 @@ HEARTBEAT: Final = np.dtype([("peer_time_s", "<f8"), ("peer_received_s", "<f8")]
 With the header's ``time_s`` and the time of arrival these are NTP's four stamps."""
 
 TEXT: Final = np.dtype([("code", "<i4"), ("text", "S124")])
-"""Payload of GOODBYE and REFUSED. code: Refusal, 0 in GOODBYE."""
+"""Payload of ``GOODBYE`` and ``REFUSED``. code: Refusal, 0 in ``GOODBYE``."""
 
 
 class Refusal(IntEnum):
@@ -205,14 +205,14 @@ def read_hello(payload: bytes) -> Hello | str:
 
 
 def text_payload(code: int, text: str) -> bytes:
-    """Return the payload of GOODBYE or REFUSED; the text is truncated to 124 bytes."""
+    """Return the payload of ``GOODBYE`` or ``REFUSED``; the text is truncated to 124 bytes."""
     record = np.zeros(1, TEXT)
     record["code"], record["text"] = code, text.encode()[:124]
     return record.tobytes()
 
 
 def read_text(payload: bytes) -> tuple[int, str]:
-    """Return code and text of GOODBYE or REFUSED."""
+    """Return code and text of ``GOODBYE`` or ``REFUSED``."""
     record = np.frombuffer(payload, TEXT)[0]
     return int(record["code"]), _text(record["text"])
 

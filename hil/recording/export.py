@@ -22,7 +22,7 @@ TABLES: Final = {
     "/monitor/portions": "portions",
     foxglove.LOG_TOPIC: "log",
 }
-"""Topic -> name of its table; the cycles go to the given file, the others beside it."""
+"""Topic -> name of its table; the cycles go to the given file, the others next to it."""
 _OPTIONAL: Final = "/monitor/portions"  # most runs have no docking monitor
 
 _CSV_ROWS: Final = 1000
@@ -46,7 +46,7 @@ def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple[Path, int]]:
     """Write the tables of the recording at ``path``; return each file with its number of rows.
 
-    ``out`` has the cycles; frames and log are in ``OUT-frames`` and ``OUT-log`` beside it, results of a docking
+    ``out`` has the cycles; frames and log are in ``OUT-frames`` and ``OUT-log`` next to it, results of a docking
     monitor in ``OUT-portions``. Works on recordings of any version, by the layout in their schemas. Raises BadInput.
     """
     if form == "parquet":

@@ -40,7 +40,7 @@ def export_images(recorded: Recorded, folder: Path) -> Exported:
 
     The vision unit's are numbered by their exposure, k at ``k / rate_hz`` of bench time; the docking monitor's by
     their frame, k at ``k / fps`` of the run, woven from both half frames if it has such. Geometry and scene are
-    written beside them. Raises BadInput if there is nothing to write, or images exist already.
+    written next to them. Raises BadInput if there is nothing to write, or images exist already.
     """
     taken = [folder / name for name in FOLDERS.values() if (folder / name).exists()]
     if taken:

@@ -25,7 +25,7 @@ class Recovered:
 
 
 def recover(path: Path, out: Path | None = None) -> Recovered:
-    """Write the intact part of the file at ``path`` to ``out``, by default ``NAME.recovered.mcap`` beside it.
+    """Write the intact part of the file at ``path`` to ``out``, by default ``NAME.recovered.mcap`` next to it.
 
     The file itself is not changed; an intact one is only counted. Raises BadInput if it is not an MCAP file, or
     ``out`` exists or cannot be written.

@@ -106,7 +106,7 @@ def recording(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         in_memory = job.rig.value.kind == "mock" and not paced
-        made: _Recorder = _InMemory(path, header) if in_memory else _Process(job, path, run, header)
+        made: _Recorder = _InMemory(path, header) if in_memory else _RecorderProcess(job, path, run, header)
     except OSError as error:
         text = f"{folder}: cannot record there: {error.strerror or error}"
         raise BadInput.single("--record", "", text) from error
@@ -132,7 +132,7 @@ def recording(
         raise BadInput.single("--record", "", text) from error
     taken = Recording(run, path, catalogue, made)
     announce(f"recording to {path}")
-    if isinstance(made, _Process):
+    if isinstance(made, _RecorderProcess):
         announce(f"recorder process {made.pid}")
     try:
         yield taken
@@ -186,7 +186,7 @@ class _InMemory:
         return self._file.finish(end, summary)
 
 
-class _Process:
+class _RecorderProcess:
     """The recorder process and its rings; start it from a thread that lives as long as the run."""
 
     def __init__(self, job: Job, path: Path, run: str, header: RecordingHeader) -> None:

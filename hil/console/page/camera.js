@@ -67,7 +67,8 @@ export class Camera {
       this.overlay(c, put, shapes, height);
       c.filter = "none";
       const at = picture.t_s === null ? "before the run" : `at ${picture.t_s.toFixed(2)} s`;
-      this.caption(`${nameOf(picture.name)} ${at}, ${age_s.toFixed(1)} s old${stale ? ": STALE" : ""}${picture.status ? ` \u00b7 ${picture.status}` : ""}`, stale);
+      const status = picture.status ? ` \u00b7 ${picture.status}` : "";
+      this.caption(`${nameOf(picture.name)} ${at}, ${age_s.toFixed(1)} s old${stale ? ": STALE" : ""}${status}`, stale);
       return;
     }
     if (!bench || !bench.camera || !pose) return this.caption("no image", false);

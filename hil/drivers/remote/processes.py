@@ -17,7 +17,7 @@ _READY_WALL_S: Final = 60.0
 _MODULES: Final = {IO: "hil.processes.io_server", WATCHDOG: "hil.processes.watchdog"}
 
 
-class _Process:
+class _ChildLink:
     """One of the processes, its requests and its link."""
 
     def __init__(self, name: str, rig: Rig, clock: WallClock, memory: IoSharedMemory) -> None:
@@ -44,10 +44,10 @@ class IoProcesses:
     def __init__(self, rig: Rig, clock: WallClock) -> None:
         self._rig = rig
         self._memory = IoSharedMemory.create()
-        self._processes: dict[str, _Process] = {}
+        self._processes: dict[str, _ChildLink] = {}
         try:
             for name in (IO, *((WATCHDOG,) if rig.has_io else ())):
-                self._processes[name] = _Process(name, rig, clock, self._memory)
+                self._processes[name] = _ChildLink(name, rig, clock, self._memory)
         except BaseException:
             self.close()
             raise

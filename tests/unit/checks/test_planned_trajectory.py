@@ -68,15 +68,15 @@ def test_wait_for_an_order_is_taken_to_end_at_once() -> None:
 def test_attitude_error_goes_at_the_slew_rate() -> None:
     plan = _approach(_plan("initial.attitude_deg=[4.0, 0.0, 0.0]", "gnc.control.slew_rate_degps=0.5"))
     for moment in plan:
-        np.testing.assert_allclose(np.degrees(moment.turn), [max(0.0, 4.0 - 0.5 * moment.t_s), 0.0, 0.0], atol=1e-9)
-    assert sum(moment.turn.any() for moment in plan) >= 8
+        np.testing.assert_allclose(np.degrees(moment.rotation), [max(0.0, 4.0 - 0.5 * moment.t_s), 0.0, 0.0], atol=1e-9)
+    assert sum(moment.rotation.any() for moment in plan) >= 8
 
 
 def test_start_in_motion_drifts_until_it_is_stopped() -> None:
     moved = _plan("initial.velocity_mps=[0.0, 0.02, 0.0]", "initial.rate_degps=[0.0, 0.0, -0.3]")[1]
     # lead 5 s and 10 N on 1000 kg
     np.testing.assert_allclose(moved.r_CT_H, [5.0, -0.3 + 0.02 * 5.0 + 0.02**2 / 0.02, 0.3], atol=1e-9)
-    assert math.degrees(moved.turn[2]) < -3.0 - 0.3 * 1.5
+    assert math.degrees(moved.rotation[2]) < -3.0 - 0.3 * 1.5
     assert (moved.point_key, moved.rotation_key) == ("initial.velocity_mps", "initial.rate_degps")
 
 
@@ -139,7 +139,9 @@ def test_travel_includes_the_room_to_brake(mock_rig: Rig) -> None:
     params = bench_params.bench(mock_rig, 0.02)
     level = reachability.attitude(params, np.zeros(3), 0.0)
     at, fast = np.array([[1.0, 0.0, 0.35]]), np.array([[0.3, 0.0, 0.0]])
-    asked = reachability.envelope(params, [level], at, fast, np.array([[0.1, 0.0, 0.0]]), *[np.zeros(3)] * 4)
+    asked = reachability.envelope(
+        params, [level], at, fast, np.array([[0.1, 0.0, 0.0]]), reachability.ControlBounds(*[np.zeros(3)] * 4)
+    )
     room = 0.3**2 / (2.0 * 0.6)
     np.testing.assert_allclose(asked.high[0, :3], [1.0 + 0.1 + room, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(asked.low[0, :3], [1.0 - 0.1 - room, 0.0, 0.0], atol=1e-12)
