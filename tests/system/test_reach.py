@@ -77,12 +77,12 @@ REFUSALS = {
     ),
     "field of view, by the place": (
         ("gnc.guidance.ready_point_m=[0.2, 0.0, 0.0]",),
-        "gnc.guidance.ready_point_m: vmu: a lamp of the ring would be 25 px outside an image (planned: 32 px inside "
+        "gnc.guidance.ready_point_m: vmu: an LED of the ring would be 25 px outside an image (planned: 32 px inside "
         "an image) at 165.0 s, allowed 0 px or more inside both images of 1024 x 1024 px",
     ),
     "field of view, by the attitude": (
         ("initial.attitude_deg=[0.0, 25.0, 0.0]",),
-        "initial.attitude_deg: vmu: a lamp of the ring would be 150 px outside an image (planned: 88 px outside "
+        "initial.attitude_deg: vmu: an LED of the ring would be 150 px outside an image (planned: 88 px outside "
         "an image) at 0.0 s, allowed 0 px or more inside both images of 1024 x 1024 px",
     ),
     "a start that carries the chaser off": (
