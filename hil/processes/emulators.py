@@ -65,7 +65,7 @@ def make_emulator(configuration: Message) -> Emulator:
     if device == "io":
         emulator = table.make_emulator(clock, board.write_chain, seed=seed)
     elif device == "vmu":
-        from hil.processes.emulated_vision_unit import emulated_vision  # its imports take a second
+        from hil.setup.emulated_vision import emulated_vision  # its imports take a second
 
         vision = emulated_vision(scenario, rig, seed, board, configuration["images"])
         emulator = table.make_emulator(clock, vision.pose_at, vision.transport, seed=seed, at_end=vision.at_end)

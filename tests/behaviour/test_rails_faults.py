@@ -80,7 +80,8 @@ class Bench:
 
     def treat(self, deed: Callable[[bytes], Answers]) -> None:
         """Let ``deed`` have the next answer with a state in it, and then no more."""
-        wire, passed = self.emulator._wire, self.emulator._wire.passed
+        wire = self.emulator._ports[0]._wire if self.tcp else self.emulator._channel._wire
+        passed = wire.passed
         size = (9 if self.tcp else 5) + 2 * self.map.state.count
 
         def once(packet: bytes) -> Answers:

@@ -147,7 +147,7 @@ def test_a_flat_ring_needs_a_start(folder: Path) -> None:
         (lambda f: (f / "vmu.json").unlink(), "cannot be read"),
         (lambda f: [p.unlink() for p in f.glob("*/*.png")], "contains no images"),
         (lambda f: [cv2.imwrite(str(p), np.zeros((9, 99), np.uint8)) for p in f.glob("*/*.png")], "frame 0 is 99 x 9"),
-        (lambda f: [p.write_bytes(b"no image") for p in f.glob("*/*.png")], "no image of the folder can be read"),
+        (lambda f: [p.write_bytes(b"no image") for p in f.glob("*/*.png")], "no image can be read in the folder"),
         (lambda f: (f / "left" / "00000.png").write_bytes(b"x"), "keep one"),
     ],
 )

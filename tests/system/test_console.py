@@ -58,7 +58,7 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recor
         assert np.isfinite(ann.column("estimate_m.x")[-1])
 
         answer = bob.ask("order", order="hold")
-        assert answer["text"] == "ann has the command: take it before you order anything"
+        assert answer["text"] == "ann has the command: take it before sending orders"
         assert "watch, or take it over" in bob.ask("take")["text"]
         assert ann.ask("order", order="abort")["ask"].startswith("Abort: the chaser brakes and retreats")
 
@@ -87,10 +87,10 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recor
     assert recorded.summary is not None
     assert len(recorded.cycles) == ended["cycles"]
     assert replay(recorded, recorded.scenario).identical
-    did = [(note["name"], note["message"]) for note in recorded.notes if note["kind"] == "operator"]
+    did = [(entry["name"], entry["message"]) for entry in recorded.log if entry["kind"] == "operator"]
     assert did[:3] == [("ann", "ann has the command"), ("ann", "arm"), ("ann", "start")]
     assert did[-3:] == [("nobody", "nobody has the command"), ("bob", "bob has the command"), ("bob", "stop")]
-    modes = [note["message"] for note in recorded.notes if note["kind"] == "mode"]
+    modes = [entry["message"] for entry in recorded.log if entry["kind"] == "mode"]
     assert modes[-5:] == ["running", "hold", "running", "hold", "safe-stop"]
     (entry,) = Catalogue(tmp_path).runs()
     assert (entry["stop"], entry["cycles"]) == ("stopped by the operator", ended["cycles"])
@@ -160,7 +160,7 @@ def test_takeover_is_asked_back_and_logged(idle: Console) -> None:
     assert bob.ask("take_over", confirmed=True)["ok"]
     bob.until(lambda: bob.now["lease"]["mine"], "the lease")
     assert "bob took the command over from ann" in bob.log()
-    assert ann.ask("open")["text"] == "bob has the command: take it before you order anything"
+    assert ann.ask("open")["text"] == "bob has the command: take it before sending orders"
 
 
 def test_wrong_token_and_other_sites_are_turned_away_in_clear_words(tmp_path: Path) -> None:
@@ -168,7 +168,7 @@ def test_wrong_token_and_other_sites_are_turned_away_in_clear_words(tmp_path: Pa
     path.write_text(TOKEN + "\n")
     path.chmod(0o600)
     with console("--rig", "mock", "--token-file", str(path)) as c:
-        for token, words in (("0123456789abcdef-wrong", "wrong token"), ("", "this console wants a token")):
+        for token, words in (("0123456789abcdef-wrong", "wrong token"), ("", "this console requires a token")):
             assert c.page("eve", token).take() == {"refused": words}
         page = c.page("ann", TOKEN)
         page.until(lambda: True, "the state")
@@ -196,13 +196,13 @@ def test_page_needs_nothing_from_outside(idle: Console) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--host", "0.0.0.0"), "--host: 0.0.0.0: other computers can reach it: give --token-file"),
+        (("--host", "0.0.0.0"), "--host: 0.0.0.0: reachable from other computers: give --token-file"),
         (("--port", "70000"), "--port: 70000: allowed 0 to 65535"),
         (("--rig", "no-such"), "no-such: unknown rig"),
         (("--seed", "-1"), "--seed: -1: must not be negative"),
         (("--token-file", "/does/not/exist"), "--token-file: /does/not/exist: cannot be read"),
-        (("--host", "not.an.address.invalid", "--token-file", "TOKEN"), "cannot listen there"),
-        (("--token-file", "OPEN"), "others may read it, mode 644: chmod 600"),
+        (("--host", "not.an.address.invalid", "--token-file", "TOKEN"), "cannot listen"),
+        (("--token-file", "OPEN"), "readable by other users, mode 644: chmod 600"),
         (("--token-file", "SHORT"), "5 characters, at least 16"),
     ],
 )

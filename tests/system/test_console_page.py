@@ -239,9 +239,9 @@ def test_setting_is_changed_from_the_page_seen_in_the_log_and_recorded(
         ended = screen.page.evaluate("window.hil.page.ended")
         assert screen.errors == []
     recorded = load(Path(ended["recording"]["file"]))
-    (note,) = [note for note in recorded.notes if note["kind"] == "setting"]
-    assert (note["name"], note["message"]) == ("ann", "gnc.control.deadband_m=0.0005")
-    assert 0 < note["cycle"] < len(recorded.cycles)
+    (entry,) = [entry for entry in recorded.log if entry["kind"] == "setting"]
+    assert (entry["name"], entry["message"]) == ("ann", "gnc.control.deadband_m=0.0005")
+    assert 0 < entry["cycle"] < len(recorded.cycles)
     assert replay(recorded, recorded.scenario).identical
 
 

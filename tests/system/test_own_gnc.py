@@ -148,8 +148,8 @@ class _Holding(Operator):
         super().__init__(attended=True)
         self._cycles = -1
 
-    def next(self, mode: Mode) -> OperatorCommand | None:
-        order = super().next(mode)
+    def next_command(self, mode: Mode) -> OperatorCommand | None:
+        order = super().next_command(mode)
         self._cycles = 0 if order is OperatorCommand.START else self._cycles
         return order
 

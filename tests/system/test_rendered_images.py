@@ -214,8 +214,8 @@ def test_none_are_kept_where_none_are_wanted(tmp_path: Path, capsys: pytest.Capt
 
 def test_a_recording_without_pictures_is_one_line(recorded_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, said in (
-        (["replay", str(recorded_run), "--vmu"], "has no images of the vision unit"),
-        (["replay", str(recorded_run), "--monitor"], "has no images of a docking monitor"),
+        (["replay", str(recorded_run), "--vmu"], "holds no images of the vision unit"),
+        (["replay", str(recorded_run), "--monitor"], "holds no images of a docking monitor"),
         (["export", str(recorded_run), "--pictures", f"{recorded_run}.pictures"], "has no images"),
     ):
         assert said in refused(capsys, *arguments)
@@ -231,7 +231,7 @@ def test_a_truncated_recording_gives_the_pictures_that_are_whole(
     capsys.readouterr()
     assert execute(["replay", str(cut), "--vmu"]) == 0
     first, last = capsys.readouterr().out.splitlines()
-    assert first.endswith("broke off or is damaged: what is whole in it is replayed")
+    assert first.endswith("is truncated or damaged: its intact part is replayed")
     assert last.startswith("identical, bit by bit: the vision unit, ")
     cut.write_bytes(whole[:30_000])
     assert "has no images" in refused(capsys, "replay", str(cut), "--vmu")

@@ -8,7 +8,7 @@ import serial
 from acme_rails import codec
 from acme_rails.codec import Response, Status
 from hil.config.rig import Rails
-from hil.core.clock import Clock
+from hil.core.clock import WallClock
 from hil.core.messages import HOMED, Array, AxisFeedback
 from hil.drivers.cyclic_exchange import CyclicAxisGroup
 from hil.errors import DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError
@@ -23,7 +23,7 @@ class AcmeLink:
     has_profiles = False
     jogging = False
 
-    def __init__(self, config: Rails, clock: Clock, name: str) -> None:
+    def __init__(self, config: Rails, clock: WallClock, name: str) -> None:
         self._name = name
         self._settings = config.settings
         self._timeout_s = config.timeout_s
@@ -131,5 +131,5 @@ class AcmeLink:
 class AcmeRails(CyclicAxisGroup):
     """AxisGroup of the rails on the port of ``[rails.acme]``."""
 
-    def __init__(self, config: Rails, clock: Clock, name: str = "rails") -> None:
+    def __init__(self, config: Rails, clock: WallClock, name: str = "rails") -> None:
         super().__init__(config, clock, AcmeLink(config, clock, name), name)

@@ -207,7 +207,7 @@ def test_longer_silence_stops_or_holds_as_configured(scheme_1: Scenario) -> None
 
 def test_wire_is_asked_for_and_a_mock_rig_has_no_flight_computer() -> None:
     (problem,) = check_flight_computer(load_rig("mock", ["rig.flight_computer.command_words=serial"]))
-    assert "a mock rig has no wall clock" in str(problem)
+    assert "a mock rig does not run in real time" in str(problem)
     (problem,) = check_flight_computer(load_rig("emulated", ["rig.flight_computer.command_words=can"]))
     assert "rig.flight_computer.can.channel: is missing" in str(problem)
     with pytest.raises(BadInput, match=r"lost_s = 0.01: must not be below timeout_s"):
