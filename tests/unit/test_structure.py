@@ -1,0 +1,68 @@
+"""Structure of the package: what lies where, unique names, short signatures."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import hil
+
+PACKAGE = Path(hil.__file__).parent
+ROOT = PACKAGE.parent
+LOOSE = {"__init__.py", "__main__.py", "errors.py"}
+LAYERS_MOST = 12
+PARAMETERS_MOST = 8
+
+
+def layers() -> list[set[str]]:
+    """Return the packages of each layer of the import contract, from the top."""
+    (contract,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    assert contract["exhaustive"]
+    return [set(re.split(r"\s*[|:]\s*", layer)) for layer in contract["layers"]]
+
+
+@pytest.fixture(scope="module")
+def trees() -> dict[str, ast.Module]:
+    """Return the syntax trees of the package's modules."""
+    return {str(path.relative_to(PACKAGE)): ast.parse(path.read_text()) for path in PACKAGE.rglob("*.py")}
+
+
+def functions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    """Yield the functions and methods of a module that are not kernels."""
+    for node in ast.walk(tree):
+        is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        if is_function and "kernel" not in [ast.unparse(decorator) for decorator in node.decorator_list]:
+            yield node
+
+
+def test_only_three_modules_are_loose() -> None:
+    assert {path.name for path in PACKAGE.glob("*.py")} == LOOSE
+
+
+def test_architecture_page_has_the_layers_of_the_import_contract() -> None:
+    table = (ROOT / "docs" / "architecture.md").read_text().split("## Packages")[0]
+    rows = re.findall(r"^\| [^|`]+ \| (`[^|]+) \|$", table, re.MULTILINE)
+    assert [set(re.findall(r"`(\w+)`", row)) for row in rows] == layers()
+    assert len(layers()) <= LAYERS_MOST
+
+
+def test_class_names_are_unique(trees: dict[str, ast.Module]) -> None:
+    names = Counter(node.name for tree in trees.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_long_parameter_lists_are_records(trees: dict[str, ast.Module]) -> None:
+    counts = {
+        f"{module}: {function.name}": sum(
+            len(kind) for kind in (function.args.posonlyargs, function.args.args, function.args.kwonlyargs)
+        )
+        for module, tree in trees.items()
+        for function in functions(tree)
+    }
+    assert {name: count for name, count in counts.items() if count > PARAMETERS_MOST} == {}
