@@ -225,7 +225,7 @@ def test_setting_is_changed_from_the_page_seen_in_the_log_and_recorded(
         screen.page.type("#settinglist tr:nth-child(1) input", "0.0005\n")
         screen.page.wait_for_selector("#confirm[open]")
         question = screen.page.inner_text("#question")
-        assert question == "gnc.control.deadband_m: from 0.0002 to 0.0005 m, from the next cycle on?"
+        assert question == "gnc.control.deadband_m: from 0.0002 to 0.0005 m, from the next cycle?"
         screen.picture("settings")
         screen.page.keyboard.press("y")
         screen.until(
