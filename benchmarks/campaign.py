@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.campaign.batch import Spec, run_batch
-from hil.campaign.case_runner import CaseRunner
-from hil.campaign.engines import LocalEngine
 from hil.config.load import load_rig, load_scenario
+from hil.monte_carlo.batch import Spec, run_batch
+from hil.monte_carlo.case_runner import CaseRunner
+from hil.monte_carlo.engines import LocalEngine
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 GOAL, LEAST = 10_000.0, 2_000.0

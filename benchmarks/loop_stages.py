@@ -15,15 +15,15 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.bench import guard as guards
-from hil.campaign import loop_kernel as loop
-from hil.campaign.case_runner import CaseRunner
-from hil.campaign.run_stats import count_cycle
 from hil.config.load import load_rig, load_scenario
 from hil.core.jit import kernel
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.gnc import navigation, step
 from hil.maths import stack
+from hil.monte_carlo import loop_kernel as loop
+from hil.monte_carlo.case_runner import CaseRunner
+from hil.monte_carlo.run_stats import count_cycle
 from hil.params import dynamics as dynamics_params
 
 REPEATS, TIMES, FLIGHTS = 100, 1_000, 30  # short ones: some are undisturbed

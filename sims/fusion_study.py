@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from hil.campaign.fusion import TABLE_II_SD, run_fusion
+from hil.monte_carlo.fusion import TABLE_II_SD, run_fusion
 
 if __name__ == "__main__":
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 100

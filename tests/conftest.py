@@ -23,7 +23,7 @@ from tests.support.run_settings import make_job
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
 settings.load_profile("hil")
 
-_ONE_WORKER = {"vmu": "vision unit", "monitor": "docking monitor", "campaign": "campaign"}
+_ONE_WORKER = {"vmu": "vision unit", "monitor": "docking monitor", "monte_carlo": "campaign"}
 """Packages whose unit tests share fixtures or kernels that are expensive to make, and the name of their group."""
 
 

@@ -18,9 +18,9 @@ from hil.cli.progress import ProgressBar
 from hil.errors import Problem
 
 if TYPE_CHECKING:
-    from hil.campaign.campaign import Campaign, Progress, Sweep
-    from hil.campaign.engines import DaskEngine, Engine, LocalEngine
-    from hil.campaign.store import Store
+    from hil.monte_carlo.campaign import Campaign, Progress, Sweep
+    from hil.monte_carlo.engines import DaskEngine, Engine, LocalEngine
+    from hil.monte_carlo.store import Store
 
 _DONE = 0
 _UNITS = {"position_m": "m", "velocity_mps": "m/s", "attitude_deg": "deg", "rate_degps": "deg/s"}
@@ -44,7 +44,7 @@ class EngineOptions:
 
     def engine(self) -> DaskEngine | LocalEngine:
         """Return the engine that runs the cases."""
-        from hil.campaign.engines import DaskEngine, LocalEngine
+        from hil.monte_carlo.engines import DaskEngine, LocalEngine
 
         if self.scheduler:
             return DaskEngine(self.scheduler)
@@ -117,8 +117,8 @@ def campaign(
     assert out is not None
     refuse(cases.problems() + workers.problems() + variation.problems() + check_json_path("--json", json))
 
-    from hil.campaign.campaign import Sweep, campaigns_of
-    from hil.campaign.store import parquet
+    from hil.monte_carlo.campaign import Sweep, campaigns_of
+    from hil.monte_carlo.store import parquet
 
     parquet()
     sweep = None if variation.sweep is None else Sweep.parse(variation.sweep)
@@ -153,7 +153,7 @@ def _run_all(
     campaigns: Sequence[Campaign], stores: Sequence[Store], runs: int, engine: Engine, console: Console
 ) -> list[dict[str, Any]]:
     """Run the campaigns one after the other; return their summaries."""
-    from hil.campaign.figure import draw_percentiles
+    from hil.monte_carlo.figure import draw_percentiles
 
     summaries = []
     with ProgressBar(console, "campaign") as bar:
@@ -171,8 +171,8 @@ def _run_all(
 def _sweep_results(
     sweep: Sweep, stores: Sequence[Store], summaries: Sequence[dict[str, Any]], runs: int, out: Path
 ) -> dict[str, Any]:
-    from hil.campaign.campaign import sweep_summary, write_summary
-    from hil.campaign.figure import draw_sweep
+    from hil.monte_carlo.campaign import sweep_summary, write_summary
+    from hil.monte_carlo.figure import draw_sweep
 
     found = sweep_summary(sweep, stores)
     draw_sweep(found, out / "sweep.png")
@@ -183,7 +183,7 @@ def _sweep_results(
 def _comparison(
     names: tuple[str, str], stores: Sequence[Store], summaries: Sequence[dict[str, Any]], out: Path
 ) -> dict[str, Any]:
-    from hil.campaign.campaign import compare_stores, write_summary
+    from hil.monte_carlo.campaign import compare_stores, write_summary
 
     found = compare_stores((names[0], stores[0]), (names[1], stores[1]))
     write_summary(out / "comparison.json", found)

@@ -51,7 +51,7 @@ def fusion(
 
     load_scenario("scheme-2", settings)  # report errors of the settings before the start
     load_rig("mock", settings)
-    from hil.campaign.fusion import Study, run_fusion
+    from hil.monte_carlo.fusion import Study, run_fusion
 
     console = Console(stderr=True)
     with console.status("compiling the kernels that are not cached"):
@@ -70,7 +70,7 @@ def fusion(
     if json is not None:
         write_json(found, json)
     if figure is not None:
-        from hil.campaign.fusion import draw
+        from hil.monte_carlo.fusion import draw
 
         draw(vmu_noise, seed, settings, figure)
     passed = _passed(found)
@@ -86,7 +86,7 @@ def _passed(found: dict[str, Any]) -> bool:
 
 
 def _render(found: dict[str, Any], passed: bool, console: Console) -> None:
-    from hil.campaign.fusion import TABLE_II_SD
+    from hil.monte_carlo.fusion import TABLE_II_SD
 
     rows = Table(title=f"Fusion errors over {found['runs']} runs, t >= 100 s, vision noise as {found['vmu_noise']}")
     for name in ("", "axis", "rmse", "bound", "ratio", "largest", "Table II SD"):

@@ -146,7 +146,7 @@ def run_job(request: RunRequest) -> int:
 
 def _dispersed(job: Job, case: int) -> Job:
     """Return the job of a campaign's case: its true scenario, that of the GNC, and its own seed."""
-    from hil.campaign.dispersions import Design, case_seed
+    from hil.monte_carlo.dispersions import Design, case_seed
 
     design = Design(job.scenario, job.seed)
     truth, known = design.apply(design.values(case))

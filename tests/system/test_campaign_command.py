@@ -14,11 +14,11 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from hil.campaign import batch, engines
-from hil.campaign.campaign import Campaign
-from hil.campaign.engines import LocalEngine
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
+from hil.monte_carlo import batch, engines
+from hil.monte_carlo.campaign import Campaign
+from hil.monte_carlo.engines import LocalEngine
 
 pytestmark = pytest.mark.xdist_group("campaign")
 

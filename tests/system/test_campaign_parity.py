@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.campaign.case_runner import CaseRunner
-from hil.campaign.dispersions import Design, case_seed
-from hil.campaign.outcome import row_of
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
 from hil.loop.runner import COMPLETED, Outcome
+from hil.monte_carlo.case_runner import CaseRunner
+from hil.monte_carlo.dispersions import Design, case_seed
+from hil.monte_carlo.outcome import row_of
 from hil.report.summary import summarise
 from hil.session import build
 

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.campaign.case_runner import CaseRunner
-from hil.campaign.outcome import row_of
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.core.gnc_records import GncState
@@ -19,6 +17,8 @@ from hil.core.messages import CYCLE
 from hil.core.modes import Mode
 from hil.core.operator_commands import Operator, OperatorCommand
 from hil.loop.runner import COMPLETED, Outcome
+from hil.monte_carlo.case_runner import CaseRunner
+from hil.monte_carlo.outcome import row_of
 from hil.recording.read import load
 from hil.recording.replay import replay
 from hil.session import build

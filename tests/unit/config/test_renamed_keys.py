@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.campaign.store import BATCH, Store
 from hil.cli.main import execute
 from hil.config.gnc_override import with_other_gnc
 from hil.config.load import Loaded, load_geometry, load_protocol, load_rig, load_scenario, load_scene, shipped
@@ -25,6 +24,7 @@ from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
 from hil.console.tuner import Tuner
 from hil.errors import BadInput, RenamedKey
+from hil.monte_carlo.store import BATCH, Store
 from hil.recording import read
 from hil.setup.assembly import Job
 from hil.setup.live_tuning import with_setting

@@ -11,12 +11,12 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import chi2
 
-from hil.campaign.fusion_kernel import SNAPSHOTS_S, STUDY_PARAMS, STUDY_RESULT, run_study
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
 from hil.gnc.fusion import FUSION_STATE, MEMORY, STEP
 from hil.gnc.guidance import GUIDANCE_STATE
+from hil.monte_carlo.fusion_kernel import SNAPSHOTS_S, STUDY_PARAMS, STUDY_RESULT, run_study
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 

@@ -18,11 +18,11 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.process import BaseProcess
 from typing import Any, Final, Protocol, Self
 
-from hil.campaign.batch import Case, Rows, Spec, run_batch
-from hil.campaign.dispersions import case_seed
-from hil.campaign.outcome import failed_row
 from hil.core.child_process import die_with_parent
 from hil.errors import BadInput, CampaignStopped
+from hil.monte_carlo.batch import Case, Rows, Spec, run_batch
+from hil.monte_carlo.dispersions import case_seed
+from hil.monte_carlo.outcome import failed_row
 
 Batch = tuple[int, int]
 """First case, and how many."""
@@ -147,7 +147,7 @@ def _pool(workers: int) -> ProcessPoolExecutor:
     for library in ("OPENBLAS", "OMP", "MKL"):  # one core per worker; libraries already loaded are not affected
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     context = get_context("forkserver")
-    context.set_forkserver_preload(["hil.campaign.batch"])
+    context.set_forkserver_preload(["hil.monte_carlo.batch"])
     return ProcessPoolExecutor(workers, mp_context=context, initializer=_init_worker)
 
 

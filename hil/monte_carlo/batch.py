@@ -7,13 +7,13 @@ import threading
 from dataclasses import dataclass
 from typing import Any
 
-from hil.campaign.case_runner import CaseRunner
-from hil.campaign.dispersions import Design, case_seed
-from hil.campaign.outcome import failed_row, row_of
 from hil.config.load import Loaded, check_table
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.errors import BadInput
+from hil.monte_carlo.case_runner import CaseRunner
+from hil.monte_carlo.dispersions import Design, case_seed
+from hil.monte_carlo.outcome import failed_row, row_of
 
 Rows = list[dict[str, Any]]
 _here = threading.local()

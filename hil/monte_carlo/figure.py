@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.campaign.store import Store, atomic_write
 from hil.config.scenario import Scenario
+from hil.monte_carlo.store import Store, atomic_write
 from hil.report.verdict import ROW_NAMES, TABLE_V, tolerances
 
 _MOST_POINTS = 2000  # of a curve

@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import binomtest, rankdata, t
 
-from hil.campaign.outcome import FLAGS
-from hil.campaign.store import Store
 from hil.core.messages import Array
 from hil.loop.runner import COMPLETED
+from hil.monte_carlo.outcome import FLAGS
+from hil.monte_carlo.store import Store
 from hil.report.verdict import ROW_NAMES, TABLE_V
 
 CONFIDENCE: Final = 0.95

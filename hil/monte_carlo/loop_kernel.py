@@ -13,8 +13,6 @@ from hil.bench import guard as guards
 from hil.bench import kinematics
 from hil.bench.guard import BREACH, GUARD
 from hil.bench.kinematics import BENCH_PARAMS, MOTION
-from hil.campaign.library_kernel import LIBRARY, library_step
-from hil.campaign.run_stats import count_cycle, count_exposure
 from hil.core.jit import kernel
 from hil.core.messages import AXES, CYCLE, MAX_POSES
 from hil.dynamics import imu as imu_kernels
@@ -34,6 +32,8 @@ from hil.models.camera import CAMERA
 from hil.models.camera_timing import TIME_SLACK_S, TRAVEL, delays, exposure_time, first_exposure
 from hil.models.mounting import MOUNTING, chaser_pose
 from hil.models.servo import servo_step, servo_step_of_two
+from hil.monte_carlo.library_kernel import LIBRARY, library_step
+from hil.monte_carlo.run_stats import count_cycle, count_exposure
 
 COMPLETED, FOLLOWING, TRAVEL_LEFT, VISION_SILENT, NOT_FINITE, GNC_FAILED, GNC_HOLDS = range(7)
 """Reasons for the end of a run; the second and third have their numbers in ``hil.bench.guard``."""

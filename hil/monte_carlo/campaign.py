@@ -14,12 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.campaign.batch import Spec
-from hil.campaign.case_runner import CaseRunner
-from hil.campaign.dispersions import Design
-from hil.campaign.engines import Engine
-from hil.campaign.statistics import compare, mean_interval, summarise, wilson
-from hil.campaign.store import Store, atomic_write
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.renamed_keys import first_names_json
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
@@ -27,6 +21,12 @@ from hil.config.scenario import Scenario
 from hil.core.jit import kernels_digest
 from hil.errors import BadInput, Problem
 from hil.gnc_backends.shared_library import digest_of
+from hil.monte_carlo.batch import Spec
+from hil.monte_carlo.case_runner import CaseRunner
+from hil.monte_carlo.dispersions import Design
+from hil.monte_carlo.engines import Engine
+from hil.monte_carlo.statistics import compare, mean_interval, summarise, wilson
+from hil.monte_carlo.store import Store, atomic_write
 from hil.session import build
 from hil.setup.assembly import Job
 

@@ -11,9 +11,6 @@ import numpy as np
 
 from hil.bench import guard as guards
 from hil.bench.kinematics import write_axes
-from hil.campaign import loop_kernel
-from hil.campaign.loop_kernel import LOOP_PARAMS, LOOP_STATE, SERVO, run_loop
-from hil.campaign.run_stats import RUN_STATS, start_run_stats
 from hil.config.rig import BENCH_AXES, Rails, Rig, Turntable
 from hil.config.scenario import Scenario
 from hil.core.messages import AXES, CYCLE, MAX_POSES, POSE, VMU_FRAME, Array, new
@@ -28,6 +25,9 @@ from hil.gnc_backends.shared_library import Library, gnc_name, step_failed
 from hil.loop.runner import COMPLETED
 from hil.maths.random_streams import stream
 from hil.models.camera_timing import TRAVEL_DRAWS
+from hil.monte_carlo import loop_kernel
+from hil.monte_carlo.loop_kernel import LOOP_PARAMS, LOOP_STATE, SERVO, run_loop
+from hil.monte_carlo.run_stats import RUN_STATS, start_run_stats
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.campaign.outcome import failed_row
-from hil.campaign.store import BATCH, Store
 from hil.errors import BadInput, CampaignStopped
+from hil.monte_carlo.outcome import failed_row
+from hil.monte_carlo.store import BATCH, Store
 
 IDENTITY = {"scenario": "scheme-1", "seed": 0}
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from hil.campaign.dispersions import Design, case_seed
 from hil.config.load import load_scenario
 from hil.errors import BadInput
+from hil.monte_carlo.dispersions import Design, case_seed
 
 PLAIN = "dispersions.sampling=random"
 

@@ -16,9 +16,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Self
 
-from hil.campaign.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
 from hil.config.renamed_keys import present_key
 from hil.errors import BadInput, CampaignStopped
+from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
 
 BATCH: Final = 50
 """Cases per batch: on fixed borders, so that the files do not depend on the engine."""
