@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
-from hil.monitor.monitor import Monitor
+from hil.monitor.monitor import DockingMonitor
 from hil.monitor.render import Conditions, TargetRenderer, film
 from hil.monitor.sources import VideoFrame
 
@@ -46,7 +46,7 @@ def main() -> None:
     print(f"{'range, m':>8s} {'status':>10s} {'followed, ms':>20s} {'frames/s':>9s} {'found, ms':>20s}")
     for d3 in RANGES_M:
         frames = frames_at(scene, d3, given.frames)
-        monitor = Monitor(scene)
+        monitor = DockingMonitor(scene)
         monitor.feed(frames[0])
         followed = []
         for frame in frames[1:]:
@@ -55,7 +55,7 @@ def main() -> None:
             followed.append(time.perf_counter() - start)
         found = []
         for frame in frames[:20]:
-            fresh = Monitor(scene)
+            fresh = DockingMonitor(scene)
             start = time.perf_counter()
             fresh.feed(frame)
             found.append(time.perf_counter() - start)

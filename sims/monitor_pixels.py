@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
-from hil.monitor.monitor import Monitor
+from hil.monitor.monitor import DockingMonitor
 from hil.monitor.render import Conditions, TargetRenderer
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame
@@ -104,7 +104,7 @@ def study(scene: Scene, d3: float, noise: float, pictures: int) -> dict[str, Flo
         axis = np.array([scene.camera.cx, scene.camera.cy])
         turn = np.array([[c, -s], [s, c]])
         true[:2], true[3:] = axis + turn @ (true[:2] - axis), axis + turn @ (true[3:] - axis)
-        monitor = Monitor(scene, MonitorSettings(calculation="paper"))
+        monitor = DockingMonitor(scene, MonitorSettings(calculation="paper"))
         monitor.feed(VideoFrame(0, 0.0, image))
         look = monitor.last
         if (

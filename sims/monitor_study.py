@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
 from hil.monitor.kernels.quantities import quantities
-from hil.monitor.monitor import Monitor
+from hil.monitor.monitor import DockingMonitor
 from hil.monitor.render import Conditions, TargetRenderer, film
 from hil.monitor.results import QUANTITIES, Result
 from hil.monitor.settings import MonitorSettings
@@ -79,7 +79,7 @@ def one_portion(scene: Scene, rng: np.random.Generator, settings: MonitorSetting
     """Return a flight and the result of a new monitor after its first portion."""
     flight = draw_flight(rng, settings)
     renderer = TargetRenderer(scene, conditions=draw_conditions(rng))
-    monitor = Monitor(scene, settings)
+    monitor = DockingMonitor(scene, settings)
     pictures = settings.portion_frames if scene.fields == "whole" else settings.portion_frames // 2
     for frame in film(renderer, flight, pictures, rng):
         for portion in monitor.feed(frame):
@@ -156,7 +156,7 @@ def continuous(scene: Scene, portions: int, seed: int) -> Coverage:
     for number in range(-(-portions // length)):
         rng = np.random.default_rng([seed, 7, number])
         flight = Sway(draw_flight(rng, settings, (1.6, 36.0)), rng, settings)
-        monitor = Monitor(scene, settings)
+        monitor = DockingMonitor(scene, settings)
         renderer = TargetRenderer(scene, conditions=draw_conditions(rng))
         pictures = length * settings.portion_frames // (1 if scene.fields == "whole" else 2)
         for frame in film(renderer, flight, pictures, rng):

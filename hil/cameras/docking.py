@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
-from hil.config.docking_monitor import DockingMonitor
+from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.rig import BenchGeometry, Rig
 from hil.config.scene import Scene
 from hil.core.messages import POSE, Array, new
@@ -22,7 +22,7 @@ from hil.params import bench as bench_params
 _KEPT_S = 2.0  # s of samples kept before the last requested time: largest delay of an encoder
 
 
-def mounting(config: DockingMonitor) -> np.record:
+def mounting(config: DockingMonitorConfig) -> np.record:
     """Return MOUNTING of the television camera and the docking target; their axes are those of v and t."""
     params, axes = new(MOUNTING), BenchGeometry(lever_arm_m=(0.0, 0.0, 0.0))
     params.camera_position = config.camera_position_m
@@ -93,7 +93,7 @@ class EncoderTrack:
 class RenderedCamera:
     """Renders the docking target along an EncoderTrack, at the scene's rate from t = 0 of the run on."""
 
-    def __init__(self, scene: Scene, config: DockingMonitor, rig: Rig, step_s: float, seed: int) -> None:
+    def __init__(self, scene: Scene, config: DockingMonitorConfig, rig: Rig, step_s: float, seed: int) -> None:
         self.track = EncoderTrack(bench_params.bench(rig, step_s), mounting(config))
         self._renderer = TargetRenderer(scene, scene.chosen(config.target), Conditions(blur_px=config.blur_px))
         self._rng = stream(seed, "monitor")

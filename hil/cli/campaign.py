@@ -18,7 +18,7 @@ from hil.cli.progress import ProgressBar
 from hil.errors import Problem
 
 if TYPE_CHECKING:
-    from hil.monte_carlo.campaign import Campaign, Progress, Sweep
+    from hil.monte_carlo.campaign import CampaignJob, Progress, Sweep
     from hil.monte_carlo.engines import DaskEngine, Engine, LocalEngine
     from hil.monte_carlo.store import Store
 
@@ -124,7 +124,7 @@ def campaign(
     sweep = None if variation.sweep is None else Sweep.parse(variation.sweep)
     console = Console(stderr=True)
     with console.status("checking the scenario"):
-        campaigns: list[Campaign] = campaigns_of(scenario, cases.settings, cases.seed, cases.duration, sweep)
+        campaigns: list[CampaignJob] = campaigns_of(scenario, cases.settings, cases.seed, cases.duration, sweep)
         if variation.against is not None:
             campaigns += campaigns_of(variation.against, cases.settings, cases.seed, cases.duration, None)
     folders = variation.folders(Path(out), len(campaigns))
@@ -150,7 +150,7 @@ def campaign(
 
 
 def _run_all(
-    campaigns: Sequence[Campaign], stores: Sequence[Store], runs: int, engine: Engine, console: Console
+    campaigns: Sequence[CampaignJob], stores: Sequence[Store], runs: int, engine: Engine, console: Console
 ) -> list[dict[str, Any]]:
     """Run the campaigns one after the other; return their summaries."""
     from hil.monte_carlo.figure import draw_percentiles

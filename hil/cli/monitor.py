@@ -87,7 +87,7 @@ def monitor(
     refuse(problems)
 
     from hil.config.load import load_scene
-    from hil.monitor.monitor import Monitor, process_frames
+    from hil.monitor.monitor import DockingMonitor, process_frames
     from hil.monitor.settings import MonitorSettings
     from hil.monitor.sources import open_source
 
@@ -111,7 +111,7 @@ def monitor(
         each = stack.enter_context(_CsvFile(frames, _FRAME_COLUMNS)) if frames is not None else None
         painter = stack.enter_context(_painter(screen, loaded.value, source.name)) if screen is not None else None
         bar = stack.enter_context(ProgressBar(console, "compiling the kernels that are not cached"))
-        for frame, look, done in process_frames(Monitor(loaded.value, settings), source):
+        for frame, look, done in process_frames(DockingMonitor(loaded.value, settings), source):
             looks.append(look)
             if each is not None:
                 each.write(_frame_row(look))

@@ -9,7 +9,7 @@ from pydantic import Field
 from hil.config.model import ConfigModel, Triple
 
 
-class DockingMonitor(ConfigModel):
+class DockingMonitorConfig(ConfigModel):
     """source: "rendered" renders the docking target from the bench's encoders. scene: shipped, or a scene file's path.
 
     The camera's axes are the vision unit's, x1 = -y_c, x2 = z_c, x3 = -x_c; the target's C are y1 = -y_H, y2 = -z_H,

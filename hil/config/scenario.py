@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from hil.config.dispersions import Dispersions
-from hil.config.docking_monitor import DockingMonitor
+from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.live_tunable import LiveTuning
 from hil.config.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
 from hil.config.truth import Orbit, SolarArray, Truth
@@ -302,6 +302,6 @@ class Scenario(ConfigModel):
     gnc: GncConfig
     requirements: Requirements
     reachability: Reachability = Reachability()
-    monitor: DockingMonitor = DockingMonitor()
+    monitor: DockingMonitorConfig = DockingMonitorConfig()
     dispersions: Dispersions = Dispersions()
     console: LiveTuning = LiveTuning()

@@ -25,7 +25,7 @@ from hil.console.status import CELLS
 from hil.errors import BadInput, BenchError
 from hil.frmn.mailbox import MailboxBlock
 from hil.loop.runner import Outcome
-from hil.recording.session import Recording, recording
+from hil.recording.session import RunRecorder, recording
 from hil.report.docking_monitor import judge_monitor
 from hil.report.summary import summarise
 from hil.session import build
@@ -104,7 +104,7 @@ def _check_and_compile(job: build.Job, messages: OutgoingMessages) -> None:
 
 
 @contextmanager
-def _recorded(choice: Choice, job: build.Job, announce: Callable[[str], None]) -> Iterator[Recording | None]:
+def _recorded(choice: Choice, job: build.Job, announce: Callable[[str], None]) -> Iterator[RunRecorder | None]:
     """Yield the recording of ``job``, None without one."""
     if choice.record is None:
         yield None
@@ -113,7 +113,7 @@ def _recorded(choice: Choice, job: build.Job, announce: Callable[[str], None]) -
         yield taken
 
 
-def _send_hello(channel: socket.socket, bench: ConsoleBench, status: MailboxBlock, taken: Recording | None) -> None:
+def _send_hello(channel: socket.socket, bench: ConsoleBench, status: MailboxBlock, taken: RunRecorder | None) -> None:
     """Report the bench as ready to the console, with the descriptors of the shared memory in the order of names."""
     rings = {"telemetry": bench.telemetry, **bench.rings}
     shared = {"status": status.descriptor, **{name: ring.descriptor for name, ring in rings.items()}}
@@ -130,7 +130,7 @@ def _send_hello(channel: socket.socket, bench: ConsoleBench, status: MailboxBloc
 
 
 def _result(
-    choice: Choice, job: build.Job, outcome: Outcome, watched: MonitorOutcome | None, taken: Recording | None
+    choice: Choice, job: build.Job, outcome: Outcome, watched: MonitorOutcome | None, taken: RunRecorder | None
 ) -> dict[str, Any]:
     """Return the result for the console, and close the recording."""
     rate_hz = 1.0 / job.scenario.value.step_s

@@ -23,7 +23,7 @@ from hil.monitor.sources import VideoFrame
 _NAN: Final = np.full(len(QUANTITIES), np.nan)
 
 
-class Monitor:
+class DockingMonitor:
     """Measures the approach to one target with one camera.
 
     ``feed`` processes the next frame and returns the portions that it completes; ``last`` is the result of that frame.
@@ -115,7 +115,7 @@ def _result(frames: list[FrameResult], fit: MotionSolution, status: str) -> Resu
 
 
 def process_frames(
-    monitor: Monitor, frames: Iterable[VideoFrame]
+    monitor: DockingMonitor, frames: Iterable[VideoFrame]
 ) -> Iterator[tuple[VideoFrame, FrameResult, list[Result]]]:
     """Yield each frame with its result and the portions it completes; the truncated last one with the last frame."""
     before: tuple[VideoFrame, FrameResult, list[Result]] | None = None

@@ -46,7 +46,7 @@ class Progress:
 Watch = Callable[[Progress], None]
 
 
-class Campaign:
+class CampaignJob:
     """One scenario with its dispersions, checked. Raises BadInput with one problem per error."""
 
     def __init__(
@@ -151,7 +151,7 @@ class Sweep:
 
 def campaigns_of(
     name: str, settings: Sequence[str], seed: int, duration_s: float | None, sweep: Sweep | None
-) -> list[Campaign]:
+) -> list[CampaignJob]:
     """Return the campaign of the scenario ``name``, or one for each value of ``sweep``."""
     overrides = [()] if sweep is None else [(f"{sweep.key}={value!r}",) for value in sweep.values]
     try:
@@ -168,10 +168,10 @@ def campaigns_of(
 
 def _campaigns(
     name: str, settings: Sequence[str], overrides: Sequence[tuple[str, ...]], seed: int, duration_s: float | None
-) -> list[Campaign]:
+) -> list[CampaignJob]:
     """Return a campaign for each of the ``overrides`` of the settings."""
     return [
-        Campaign(
+        CampaignJob(
             load_scenario(name, (*settings, *more)), load_rig(RIG, (*settings, *more)), seed, duration_s
         )
         for more in overrides

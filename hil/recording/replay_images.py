@@ -20,7 +20,7 @@ from hil.core.messages import PoseFrame
 from hil.drivers.vmu.codec import PoseDecoder, encode
 from hil.errors import BadInput
 from hil.maths import quat
-from hil.monitor.monitor import Monitor
+from hil.monitor.monitor import DockingMonitor
 from hil.monitor.results import PORTION, QUANTITIES, Portion, portion_of, portion_row
 from hil.monitor.sources import WHOLE, VideoFrame, exposure
 from hil.recording import images
@@ -209,7 +209,7 @@ def _as_sent(frame: PoseFrame) -> PoseFrame:
 
 def replay_monitor(recorded: Recorded, scene: Scene) -> ImagesReplayed:
     """Return the comparison of recorded portions with those of the docking monitor of ``scene``. Raises BadInput."""
-    monitor, counter = Monitor(scene, settings_of(recorded.scenario)), _ImageCounter()
+    monitor, counter = DockingMonitor(scene, settings_of(recorded.scenario)), _ImageCounter()
     portions: list[Portion] = []
     found = ImagesReplayed(DOCKING_MONITOR)
     for recorded_image in images.recorded_images(recorded.path, MONITOR):

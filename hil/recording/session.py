@@ -51,7 +51,7 @@ class _Recorder(Protocol):
         """Close the file."""
 
 
-class Recording:
+class RunRecorder:
     """Recording of a run into ``path``. The run writes to ``sinks``; ``finish`` adds its summary.
 
     state: ``recorder.STATE_MAILBOX`` if a process of its own writes the file; None otherwise.
@@ -90,7 +90,7 @@ class Recording:
 @contextmanager
 def recording(
     job: Job, rig_name: str, folder: Path, announce: Callable[[str], None], paced: bool = False
-) -> Iterator[Recording]:
+) -> Iterator[RunRecorder]:
     """Yield a recording of ``job`` in ``folder``, which is created if necessary.
 
     paced: the run follows the wall clock although its rig is a mock: a process of its own records it, too.
@@ -130,7 +130,7 @@ def recording(
             raise
         text = f"{catalogue.path}: the run cannot be entered: {error}"
         raise BadInput.single("--record", "", text) from error
-    taken = Recording(run, path, catalogue, made)
+    taken = RunRecorder(run, path, catalogue, made)
     announce(f"recording to {path}")
     if isinstance(made, _RecorderProcess):
         announce(f"recorder process {made.pid}")

@@ -22,7 +22,7 @@ from hil.core.child_process import ChildProcess, Message, Parent
 from hil.core.messages import CYCLE
 from hil.frmn.image_memory import image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
-from hil.monitor.monitor import Monitor
+from hil.monitor.monitor import DockingMonitor
 from hil.monitor.results import PORTION, Portion, portion_row
 from hil.monitor.screen.overlay import annotated_shapes
 from hil.monitor.settings import MonitorSettings
@@ -68,7 +68,7 @@ class CameraMonitor:
         config = scenario.monitor
         self.outcome = MonitorOutcome(config.scene)
         self._camera = RenderedCamera(scene, config, rig, scenario.step_s, seed)
-        self._monitor = Monitor(scene, settings_of(scenario))
+        self._monitor = DockingMonitor(scene, settings_of(scenario))
         self._images = images
         self._portions = portions or NoTelemetry()
         self._spent_s = 0.0

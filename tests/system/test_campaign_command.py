@@ -17,7 +17,7 @@ import pytest
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.monte_carlo import batch, engines
-from hil.monte_carlo.campaign import Campaign
+from hil.monte_carlo.campaign import CampaignJob
 from hil.monte_carlo.engines import LocalEngine
 
 pytestmark = pytest.mark.xdist_group("campaign")
@@ -85,7 +85,7 @@ def _children(pid: int) -> list[int]:
 
 
 def test_worker_killed_in_the_middle_changes_nothing(alone: Path, tmp_path: Path) -> None:
-    campaign = Campaign(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0)
+    campaign = CampaignJob(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0)
     store = campaign.store(tmp_path / "c")
     campaign.run(store, 120, Deadly(2), lambda _: None)
     assert_same(alone, tmp_path / "c")
@@ -229,7 +229,7 @@ def test_dask_cluster_gives_the_same_cases_also_when_a_worker_is_killed(alone: P
     with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         fly(tmp_path / "calm", "--scheduler", cluster.scheduler_address)
         assert_same(alone, tmp_path / "calm")
-        campaign = Campaign(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0)
+        campaign = CampaignJob(load_scenario("scheme-1"), load_rig("mock"), 0, 1.0)
         store = campaign.store(tmp_path / "killed")
         engine = engines.DaskEngine(cluster.scheduler_address)
         seen = []

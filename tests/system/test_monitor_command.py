@@ -13,7 +13,7 @@ import pytest
 from hil.cli.main import execute
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise
-from hil.monitor.monitor import Monitor
+from hil.monitor.monitor import DockingMonitor
 from hil.monitor.render import Conditions, TargetRenderer, film
 from hil.monitor.results import QUANTITIES
 
@@ -33,7 +33,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[np.n
     size = (scene.camera.width, scene.camera.height)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), scene.fps, size, isColor=False)
     renderer = TargetRenderer(scene, conditions=Conditions(noise=PixelNoise(read=3.0)))
-    monitor, rows = Monitor(scene), []
+    monitor, rows = DockingMonitor(scene), []
     rng = np.random.default_rng(4)
     for frame in film(renderer, lambda t: (np.array([0.1, -0.1, 8.0 - 0.1 * t]), np.array([0.0, 0.0, 0.02])), 14, rng):
         writer.write(frame.image)

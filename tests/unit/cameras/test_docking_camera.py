@@ -7,7 +7,7 @@ import pytest
 
 from hil.cameras.docking import EncoderTrack, RenderedCamera, mounting, view
 from hil.checks.compatibility import axes_at, check_monitor
-from hil.config.docking_monitor import DockingMonitor
+from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.load import load_scene
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -16,7 +16,7 @@ from hil.maths import euler
 from hil.params import bench as bench_params
 
 STEP_S = 0.02
-PLACED = DockingMonitor(camera_position_m=(0.8, 0.1, -0.5), target_position_m=(-0.3, 0.05, -0.45))
+PLACED = DockingMonitorConfig(camera_position_m=(0.8, 0.1, -0.5), target_position_m=(-0.3, 0.05, -0.45))
 STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
@@ -44,10 +44,10 @@ def test_rotations_of_the_chaser_are_rotations_of_the_camera_about_its_axes() ->
     # S: x1 = -y_c, x2 = z_c, x3 = -x_c
     for angles, expected in (([0.0, 0.0, 0.01], [0.0, 0.01, 0.0]), ([0.0, 0.02, 0.0], [-0.02, 0.0, 0.0])):
         q = euler.to_quaternion(np.array(angles), euler.YAW_PITCH_ROLL)
-        _, phi = view(mounting(DockingMonitor()), np.array([5.0, 0.0, 0.0]), q)
+        _, phi = view(mounting(DockingMonitorConfig()), np.array([5.0, 0.0, 0.0]), q)
         np.testing.assert_allclose(phi, expected, atol=1e-12)
     q = euler.to_quaternion(np.array([0.03, 0.0, 0.0]), euler.YAW_PITCH_ROLL)
-    _, phi = view(mounting(DockingMonitor()), np.array([5.0, 0.0, 0.0]), q)
+    _, phi = view(mounting(DockingMonitorConfig()), np.array([5.0, 0.0, 0.0]), q)
     np.testing.assert_allclose(phi, [0.0, 0.0, -0.03], atol=1e-12)
 
 
@@ -93,7 +93,7 @@ def test_a_sample_that_is_read_twice_or_overtaken_counts_once(mock_rig: Rig) -> 
 
 def test_frames_come_as_soon_as_the_encoders_cover_their_time_and_once(mock_rig: Rig) -> None:
     scene = load_scene("bright-cross").value
-    camera = RenderedCamera(scene, DockingMonitor(scene="bright-cross"), mock_rig, STEP_S, seed=3)
+    camera = RenderedCamera(scene, DockingMonitorConfig(scene="bright-cross"), mock_rig, STEP_S, seed=3)
     t = np.arange(0.0, 0.2, STEP_S)
     rows = rows_at(t, np.tile([5.0, 0.0, 0.0], (len(t), 1)))
     got = []

@@ -12,7 +12,7 @@ import pytest
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
 from hil.monitor.kernels.quantities import quantities
-from hil.monitor.monitor import Monitor
+from hil.monitor.monitor import DockingMonitor
 from hil.monitor.preprocess import bimodal_threshold
 from hil.monitor.render import Conditions, Glare, Part, TargetRenderer, film, rectangle
 from hil.monitor.results import FAR_QUANTITIES, QUANTITIES, Result
@@ -55,9 +55,9 @@ def truth_of(w: np.ndarray, t_s: float) -> np.ndarray:
 
 def watched(
     scene: Scene, w: np.ndarray, conditions: Conditions, frames: int = 10, seed: int = 1
-) -> tuple[list[Result], Monitor]:
+) -> tuple[list[Result], DockingMonitor]:
     """Return the portions of a flight and the monitor that watched it."""
-    monitor, done = Monitor(scene), []
+    monitor, done = DockingMonitor(scene), []
     for frame in film(TargetRenderer(scene, conditions=conditions), flight_of(w), frames, np.random.default_rng(seed)):
         done += monitor.feed(frame)
     return done + monitor.finish(), monitor
@@ -152,7 +152,7 @@ def test_something_else_gives_never_numbers(atv: Scene, bright: Scene) -> None:
         at = motion_at(d3)
         pictures[f"other ship at {d3} m"] = TargetRenderer(ship, conditions=PLAIN).image(at[0:6:2], at[6::2], 0.0, rng)
     for name, picture in pictures.items():
-        monitor = Monitor(atv)
+        monitor = DockingMonitor(atv)
         for number in range(2):
             monitor.feed(VideoFrame(number, 0.08 * number, picture))
             assert monitor.last is not None
@@ -168,7 +168,7 @@ def test_a_cross_off_its_position_in_the_scene_raises_sigma_squared(atv: Scene) 
     """Inconsistent geometry is reported, and inflates the sigmas until they cover it."""
     wrong = atv.target.cross.model_copy(update={"offset_m": 0.36})  # type: ignore[union-attr]
     w = motion_at(6.0)
-    monitor, done = Monitor(atv), []
+    monitor, done = DockingMonitor(atv), []
     renderer = TargetRenderer(atv, atv.target.model_copy(update={"cross": wrong}), PLAIN)
     for frame in film(renderer, flight_of(w), 10, np.random.default_rng(1)):
         done += monitor.feed(frame)
@@ -198,7 +198,7 @@ def test_the_paper_form_gives_the_same_motion_within_the_papers_own_error(atv: S
     """Its relations are of first order in small angles and neglect the growth of edges: some hundredths of a degree."""
     w = np.zeros(12)
     w[0], w[2], w[4], w[5] = 0.1, -0.1, 6.0, -0.05
-    monitor, done = Monitor(atv, MonitorSettings(calculation="paper")), []
+    monitor, done = DockingMonitor(atv, MonitorSettings(calculation="paper")), []
     for frame in film(TargetRenderer(atv, conditions=PLAIN), flight_of(w), 10, np.random.default_rng(1)):
         done += monitor.feed(frame)
     error = done[0].values - truth_of(w, done[0].t_s)
@@ -232,7 +232,7 @@ def test_two_sigmas_cover_as_often_as_they_should(atv: Scene) -> None:
             return at[:3], at[3:]
 
         conditions = replace(PLAIN, noise=PixelNoise(read=float(rng.uniform(1.0, 8.0))))
-        monitor, done = Monitor(atv), []
+        monitor, done = DockingMonitor(atv), []
         for frame in film(TargetRenderer(atv, conditions=conditions), flight, 10, rng):
             done += monitor.feed(frame)
         assert done[0].frames > 0
