@@ -3,7 +3,7 @@
     python sims/fault_matrix.py [running|standby|armed|hold ...] [KEY=VALUE ...]
 
 Each case runs a session on the emulated bench up to a mode, switches one fault on, and reports the time of detection,
-the reached mode, the text of the alarm and the time until the axes are at rest. docs/safety.md lists the protections.
+the reached mode, the text of the alarm and the time until the axes are at rest (docs/explanation/safety.md).
 Exit code 1 if a reaction is not as expected.
 """
 

@@ -4,7 +4,7 @@
  *     hil dss scheme-1 --lock-step &          # on the computer of the bench
  *     ./gnc_udp 127.0.0.1 24500               # on this one: address and port of hil dss
  *
- * The datagrams are those of docs/protocols.md: a header of 32 bytes, and a struct of hil_gnc.h. This program sends
+ * The datagrams are those of docs/reference/wire-formats.md: a header of 32 bytes, and a struct of hil_gnc.h. This program sends
  * hello until the bench replies, then replies to each setup and each input with one output.
  */
 #define _POSIX_C_SOURCE 200809L

@@ -151,7 +151,7 @@ def calibrate(
     Parameters
     ----------
     views
-        Folder with views.csv and the images (docs/calibration.md), or the path of such a CSV file.
+        Folder with views.csv and the images (docs/how-to/calibrate-cameras.md), or the path of such a CSV file.
     """
     problems = [problem for group in (start, sigmas, limits, drift) for problem in _not_positive(group)]
     problems += start.problems()

@@ -86,7 +86,7 @@ def vmu(
     folder
         Folder with the folders left and right; or two videos, left.mkv,right.mkv; or two cameras, camera:0,1.
     geometry
-        File of LED layout and cameras, JSON or TOML (docs/vmu.md).
+        File of LED layout and cameras, JSON or TOML (docs/explanation/vision-unit.md).
     out
         CSV file to write.
     rate_hz

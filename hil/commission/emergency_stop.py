@@ -91,7 +91,9 @@ class EmergencyStopTest:
         start_s = now_s = self._rate.now_s()
         while not occurred(self._poll(lines, now_s)):
             if now_s - start_s > limit_s:
-                raise StepFailed(_WHAT, expected, f"{found} after {limit_s:g} s", f"check {advice} (docs/rig.md)")
+                raise StepFailed(
+                    _WHAT, expected, f"{found} after {limit_s:g} s", f"check {advice} (docs/how-to/set-up-a-rig.md)"
+                )
             now_s = self._rate.wait().now_s
 
     def _require_open_chain(self, lines: SafetyIoStage) -> None:

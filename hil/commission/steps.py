@@ -138,7 +138,8 @@ class Commissioning:
             f"following error {size(axis, float(there.error_max[axis]))}"
         )
         moved = "carriage" if axis < 3 else "turntable"
-        question = f"Has the {moved} moved along {name} by {shown(axis, distance)} (measure it; signs: docs/frames.md)?"
+        distance_text = f"{shown(axis, distance)} (measure it; signs: docs/explanation/frames.md)"
+        question = f"Has the {moved} moved along {name} by {distance_text}?"
         self._require_yes(mover, name, "sign and scale", question, "sign and scale of drive and rig file")
         back = mover.crawl(axis, start)
         return AxisFindings(axis, name, error, float(max(there.error_max[axis], back.error_max[axis])))

@@ -54,7 +54,7 @@ Table = dict[str, Any]
 
 
 class Dispersions(ConfigModel):
-    """Spreads under the names of the scenario's tables; each leaf is a ``Spread`` (docs/campaign.md).
+    """Spreads under the names of the scenario's tables; each leaf is a ``Spread`` (docs/how-to/run-a-campaign.md).
 
     Keys under ``gnc`` change the parameters of the GNC; all others change the truth only.
     """

@@ -97,7 +97,7 @@ class DriverEntry:
     """One driver of one device.
 
     driver, emulator: import paths, ``module:factory``. Factories of axis groups: ``driver(table, clock, name)`` and
-    ``emulator(table, clock, shared_state, seed=, name=)``; docs/driver.md has those of the other devices.
+    ``emulator(table, clock, shared_state, seed=, name=)``; docs/how-to/write-a-driver.md lists the other devices'.
     settings: model of the table ``[DEVICE.NAME]``, None if the device's table has the keys itself.
     wires: keys of the addresses that the driver opens.
     check: raises ValueError if the keys of the table contradict each other.

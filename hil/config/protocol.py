@@ -1,4 +1,4 @@
-"""Protocol files: command set of a turntable controller on a serial line (docs/protocols.md)."""
+"""Protocol files: command set of a turntable controller on a serial line (docs/reference/wire-formats.md)."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 
 
 class BenchGeometry(ConfigModel):
-    """Mounting of the bench (frames: docs/frames.md)."""
+    """Mounting of the bench (frames: docs/explanation/frames.md)."""
 
     lever_arm_m: Triple  # in c: turntable's rotation centre to the chaser's reference point
     gimbal_order: Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"] = "zyx"  # outer to inner

@@ -280,7 +280,7 @@ class Requirements(ConfigModel):
 
 
 class Reachability(ConfigModel):
-    """Margins about the plan for the reachability check (docs/reach.md)."""
+    """Margins about the plan for the reachability check (docs/explanation/reachability.md)."""
 
     corridor_fraction: NotNegative = 0.5  # of the corridor's half angle, in addition to Table III
     attitude_margin_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 1.0

@@ -17,7 +17,7 @@ class Field:
     """One field of a record.
 
     type: type code as in numpy, or the table of a nested record. shape: () for a scalar. unit: "1" for a number
-    without unit, "" for text. frame: "" for none (``docs/frames.md``).
+    without unit, "" for text. frame: "" for none (``docs/explanation/frames.md``).
     """
 
     name: str

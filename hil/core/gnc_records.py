@@ -3,7 +3,8 @@
 The same bytes travel as mailboxes of the reflective memory and as the structs of a shared library (``hil_gnc.h``):
 little-endian, aligned as a C compiler for x86-64 or ARM64 aligns them. H is Hill's (LVLH) frame of the target, c the
 chaser's body frame; quaternions have the scalar last and ``q_CH`` takes components in H to components in c
-(``docs/frames.md``). The bench sends ``GNC_SETUP`` once and ``GNC_INPUT`` each cycle, and receives ``GNC_OUTPUT``.
+(``docs/explanation/frames.md``). The bench sends ``GNC_SETUP`` once and ``GNC_INPUT`` each cycle, and receives
+``GNC_OUTPUT``.
 """
 
 from __future__ import annotations

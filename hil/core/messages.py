@@ -1,10 +1,10 @@
 """Records and values that pass between the stages of a cycle.
 
 Each message is a flat numpy record, so that compiled kernels, recording and console read the same bytes. Its table
-gives type, shape, unit, frame and meaning of each field (frames: ``docs/frames.md``); ``_H``, ``_c``, ``_v``, ``_t``
-name the frame of a vector, ``q_CH`` takes components in H to components in c, quaternions have the scalar last. Axis
-triples are x, y, z; angles by axis are theta1 (roll), theta2 (pitch), theta3 (yaw). Arrays of thrusters have
-MAX_THRUSTERS places; unused ones stay zero. Recorded fields are appended, never renamed or reordered.
+gives type, shape, unit, frame and meaning of each field (frames: ``docs/explanation/frames.md``); ``_H``, ``_c``,
+``_v``, ``_t`` name the frame of a vector, ``q_CH`` takes components in H to components in c, quaternions have the
+scalar last. Axis triples are x, y, z; angles by axis are theta1 (roll), theta2 (pitch), theta3 (yaw). Arrays of
+thrusters have MAX_THRUSTERS places; unused ones stay zero. Recorded fields are appended, never renamed or reordered.
 """
 
 from __future__ import annotations

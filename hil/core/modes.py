@@ -1,4 +1,4 @@
-"""Modes of the bench and the allowed transitions between them (diagram in docs/safety.md)."""
+"""Modes of the bench and the allowed transitions between them (diagram in docs/explanation/safety.md)."""
 
 from __future__ import annotations
 

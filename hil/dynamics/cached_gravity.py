@@ -1,7 +1,7 @@
 """Cached gravity over a step of the truth (multi-rate): evaluated before the Runge-Kutta stages that use it.
 
 The point mass is evaluated three times per step, the harmonics at four places once per CACHE_SPAN_S
-(docs/decisions/0120-gravity-beforehand.md).
+(docs/explanation/truth.md).
 """
 
 from __future__ import annotations

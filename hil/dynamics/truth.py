@@ -7,7 +7,7 @@ the attitude during the step is that of c against F. H is the instantaneous fram
 position and velocity; the relative state is transformed back into it at the end of each step.
 
 Thrust is constant over the step; everything else is integrated with the classical fourth-order
-Runge-Kutta method, gravity evaluated beforehand (docs/decisions/0120-gravity-beforehand.md).
+Runge-Kutta method, gravity evaluated beforehand (docs/explanation/truth.md).
 Effects are switched in the parameters; each has its file.
 """
 

@@ -6,7 +6,7 @@ returned to that slot meanwhile, the copy is intact. The writer never waits, and
 record, the complete ones before it remain.
 
 That a reader sees the record before the count depends on the order in which x86-64 makes stores visible;
-docs/decisions/0030-hand-over.md gives the requirements of other processors.
+docs/decisions/0007-exchange-records-through-lock-free-shared-memory.md gives the requirements of other processors.
 """
 
 from __future__ import annotations

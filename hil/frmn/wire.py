@@ -1,4 +1,4 @@
-"""Codec of the reflective memory's datagrams between hosts, without I/O (docs/protocols.md).
+"""Codec of the reflective memory's datagrams between hosts, without I/O (docs/reference/wire-formats.md).
 
 Every datagram is a header of 32 bytes and a payload, little-endian, and fits into one Ethernet frame:
 

@@ -3,7 +3,7 @@
 Inputs and replies are mailboxes of the link (``hil/frmn/link.py``). In lock-step each cycle waits for its reply;
 running free it uses the newest one, which belongs to the cycle before. Without a reply the last command is kept for a
 cycle or so, then all thrusters are closed; after a few cycles the GNC counts as lost, and the bench is held or stopped
-(docs/two-computers.md). Setpoints follow the truth: late replies cause no jumps.
+(docs/how-to/two-computers.md). Setpoints follow the truth: late replies cause no jumps.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ class LibraryUnderTest:
 
 
 class ProgramUnderTest:
-    """A program that exchanges datagrams, see docs/protocols.md. It receives each mode, and a setup per case."""
+    """A program that exchanges datagrams (docs/reference/wire-formats.md); receives each mode, and a setup per case."""
 
     modes: tuple[GncMode, ...] = (GncMode.STANDBY, GncMode.ARMED)
 

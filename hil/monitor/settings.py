@@ -17,10 +17,10 @@ class MonitorSettings:
 
     region: initial search region, px; the whole image if that fails. target: one of the scene's two. calculation:
     "exact" (finite angles, all features at once) or "paper" (monitor paper 3.1). motion: "corrected" or "printed"
-    (3.2 as printed, see docs/monitor.md). q, q_attitude: weight of the previous portion. acceleration_mps2,
-    angular_acceleration_radps2: 1 sigma of the deviation from uniform motion within a portion. portion_frames,
-    portion_s: a portion ends after this number of frames, or after this time. lost_s: time without a result after
-    which the track is lost.
+    (3.2 as printed, see docs/explanation/docking-monitor.md). q, q_attitude: weight of the previous portion.
+    acceleration_mps2, angular_acceleration_radps2: 1 sigma of the deviation from uniform motion within a portion.
+    portion_frames, portion_s: a portion ends after this number of frames, or after this time. lost_s: time without a
+    result after which the track is lost.
     """
 
     region: Region | None = None

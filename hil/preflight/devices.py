@@ -59,7 +59,9 @@ def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool
             fine = PreflightCheck("device io", True, "identified, emergency stop released, safety chain closes")
             return [fine, *device_checks(rails, turntable, source, clock, enable_drives)]
     except BenchError as error:
-        advice = "release the emergency stop, close the interlocks, check the coupler's link (docs/safety.md)"
+        advice = (
+            "release the emergency stop, close the interlocks, check the coupler's link (docs/explanation/safety.md)"
+        )
         return [PreflightCheck("device io", False, str(error), advice)]
     finally:
         lines.stop(clock.now_s())
@@ -114,7 +116,7 @@ def _check_device(
         start()
         return PreflightCheck(f"device {name}", True, _first_sample(sample))
     except BenchError as error:
-        advice = "check its power and its link (docs/rig.md); hil emulate starts a device that responds"
+        advice = "check its power and its link (docs/how-to/set-up-a-rig.md); hil emulate starts a device that responds"
         return PreflightCheck(f"device {name}", False, str(error), advice)
     finally:
         release()

@@ -2,8 +2,8 @@
 
 The ready phase begins when every row of Table III has held for ``dwell_s`` without interruption, and lasts to the
 end; the run passes if every row, each axis on its own, holds throughout. ``held_since_s`` is the start of that first
-uninterrupted dwell. (docs/decisions gives the reason why the dwell counts as approach: by continuity, the last
-quantity to enter its tolerance is at the tolerance when it does.)
+uninterrupted dwell. (By continuity, the last quantity to enter its tolerance is at the tolerance when it does:
+docs/explanation/papers.md.)
 """
 
 from __future__ import annotations

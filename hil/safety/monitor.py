@@ -1,7 +1,7 @@
 """Safety monitor of the bench. Checks in each cycle whether the bench may continue, and returns the alarm if not.
 
 It owns mode, emergency stop, alarms and packet-loss monitors, but no device. The table ``CHECKS`` lists the checks of
-each mode; docs/safety.md lists all alarms.
+each mode; docs/explanation/safety.md lists all alarms.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ def test_monitor_vision_unit_and_truth_agree_in_their_sigmas(
             assert figures["monitor_minus_vmu"]["most_sigmas"] < 4.5, name
     assert found["quantities"]["range_rate_mps"]["vmu"] is None
     assert found["quantities"]["range_m"]["truth"]["rms"] < 2e-3
-    # a thruster that fires within a portion changes the rate by more than its sigma; see docs/monitor.md
+    # a thruster that fires within a portion changes the rate by more than its sigma; see docs/how-to/docking-monitor.md
     assert found["quantities"]["range_rate_mps"]["truth"]["rms"] < 2e-3
     assert monitor_lines(found)[0].startswith("Monitor     atv: 76 frames")
 

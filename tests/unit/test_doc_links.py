@@ -48,6 +48,6 @@ def test_files_named_in_sources_exist(folder: str) -> None:
 
 
 def test_architecture_page_names_every_package() -> None:
-    page = (ROOT / "docs" / "architecture.md").read_text()
+    page = (ROOT / "docs" / "explanation" / "architecture.md").read_text()
     packages = {path.name for path in (ROOT / "hil").iterdir() if (path / "__init__.py").exists()}
     assert packages == set(re.findall(r"^\| `hil/(\w+)` \|", page, re.MULTILINE))

@@ -1,7 +1,8 @@
 """The paper's measurements of a frame: cross centre by two orthogonal lines, circle by Gauss-Newton (section 3).
 
 Image axes as in 3.1: X = u - cx to the right, Y = cy - v up. In them the bar across has the slope a = -phi3; the
-second residual is ``U + a V - c2`` and the centre ``((a c1 + c2), (a c2 - c1)) / (1 + a^2)`` (decision 93).
+second residual is ``U + a V - c2`` and the centre ``((a c1 + c2), (a c2 - c1)) / (1 + a^2)``
+(docs/explanation/papers.md).
 """
 
 from __future__ import annotations

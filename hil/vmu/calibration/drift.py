@@ -2,7 +2,7 @@
 
 Today's pixels minus those predicted by the calibration are linear in the possible changes. Their covariance is that
 of the spots, of the encoders and of the calibration itself; with it every explanation has a chi-square: the reduction
-of today's square sum (docs/decisions/0080).
+of today's square sum (docs/explanation/calibration.md).
 """
 
 from __future__ import annotations

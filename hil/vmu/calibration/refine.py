@@ -2,7 +2,7 @@
 
 Every view has six own unknowns, the errors of the axes' encoders, constrained by the encoders'
 sigmas. They affect no other view, so they are eliminated view by view (Schur complement), and the remaining system
-has only the shared unknowns, however many views there are (docs/decisions/0078).
+has only the shared unknowns, however many views there are (docs/explanation/calibration.md).
 """
 
 from __future__ import annotations

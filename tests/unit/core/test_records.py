@@ -55,7 +55,7 @@ def test_every_field_has_a_meaning_and_a_unit(name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name in LAYOUTS if not name.startswith("GNC")] + ["PORTION"])
 def test_page_shows_the_layout_of_a_record(name: str) -> None:
-    page = (ROOT / "docs" / "records.md").read_text()
+    page = (ROOT / "docs" / "reference" / "records.md").read_text()
     table = markdown_table(getattr(results if name == "PORTION" else messages, f"{name}_FIELDS"))
     assert table in page, "write the text of hil.core.fields.markdown_table() to it"
 

@@ -22,7 +22,7 @@ def test_shipped_header_is_the_one_of_the_records() -> None:
 
 @pytest.mark.parametrize("record", RECORDS)
 def test_page_shows_the_layout_of_the_records(record: str) -> None:
-    page = (ROOT / "docs" / "your-own-gnc.md").read_text()
+    page = (ROOT / "docs" / "reference" / "gnc-records.md").read_text()
     assert markdown_table(RECORDS[record]) in page, "write the text of hil.core.fields.markdown_table() to it"
 
 
