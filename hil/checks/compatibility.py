@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from serial.tools import list_ports
 
 from hil.bench.kinematics import axes_of_pose
 from hil.checks.reachability import check_reachability
@@ -85,6 +84,8 @@ def check_ports(rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem for each serial port of a hardware rig that does not exist on this computer."""
     if rig.value.kind != "hardware":
         return []
+    from serial.tools import list_ports
+
     present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
     return [
         Problem(rig.where(wire.key), wire.key, f"{wire.address}: no such port, this computer has {present}")

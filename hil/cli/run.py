@@ -97,7 +97,6 @@ class RunRequest:
 
 def run_job(request: RunRequest) -> int:
     """Run a checked job and print its verdict; return the exit code."""
-    from hil.report.docking_monitor import judge_monitor, monitor_lines
     from hil.report.summary import summarise
     from hil.report.table import render
     from hil.session import with_docking_monitor
@@ -125,6 +124,8 @@ def run_job(request: RunRequest) -> int:
         summary, verdict = summarise(outcome, scenario, rig, request.rig_name, job.seed, 1.0 / scenario.step_s)
         summary |= request.more | request.link_stats()
         if watched is not None:
+            from hil.report.docking_monitor import judge_monitor, monitor_lines
+
             summary["monitor"] = judge_monitor(watched, outcome.history, scenario, rig)
         if recorder:
             kept = recorder.finish(summary)

@@ -6,10 +6,10 @@ import math
 from collections import deque
 
 import numpy as np
-from scipy.special import gammainccinv, gammaincinv
 
 from hil.core.messages import Event
 from hil.core.observable import ObservableList
+from hil.maths import chi_square
 
 WINDOWS = (64, 512)  # updates per mean: a fast and a sensitive one
 _TAIL = 1e-6  # false-alarm probability of a mean, on either side
@@ -18,10 +18,8 @@ _CLEAR_TAIL = 0.1  # an alarm clears well inside the band: hysteresis against ch
 
 def nis_band(updates: int, tail: float) -> tuple[float, float]:
     """Return the band of the mean of ``updates`` three-component NIS, ``tail`` outside on each side."""
-    return (
-        float(2.0 * gammaincinv(1.5 * updates, tail)) / updates,  # chi-square with 3 degrees of freedom per value
-        float(2.0 * gammainccinv(1.5 * updates, tail)) / updates,
-    )
+    dof = 3 * updates
+    return chi_square.lower_quantile(tail, dof) / updates, chi_square.upper_quantile(tail, dof) / updates
 
 
 class NisMonitor:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import euler, stack
+from hil.maths import euler, quat, stack
 from hil.maths.limits import has_held
 
 DEVIATIONS = 12  # position, m, velocity, m/s, 3-2-1 angles, deg, and their axes' rates, deg/s, three each
@@ -80,7 +80,14 @@ def update_all(params, state, t_s, deviation):
 
 
 @kernel
-def all_deviations(params, r_CT_H, v_CT_H, q_CH, w_CH_C, out):
-    """``deviations`` of each row of the four arrays into those of ``out`` (n, 12)."""
+def all_deviations(params, r_CT_H, v_CT_H, q_CH, w_CI_C, w_HI_H, out):
+    """``deviations`` of each row of the arrays (n, 3), q_CH (n, 4), into those of ``out`` (n, 12).
+
+    w_CI_C, w_HI_H: rad/s, of c and H against inertial space.
+    """
+    w_CH_C = stack.vector(3)
     for k in range(out.shape[0]):
-        deviations(params, r_CT_H[k], v_CT_H[k], q_CH[k], w_CH_C[k], out[k])
+        quat.transform_into(q_CH[k], w_HI_H[k], w_CH_C)
+        for i in range(3):
+            w_CH_C[i] = w_CI_C[k, i] - w_CH_C[i]
+        deviations(params, r_CT_H[k], v_CT_H[k], q_CH[k], w_CH_C, out[k])

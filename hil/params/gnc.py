@@ -6,7 +6,6 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import gammainccinv, ndtr
 
 from hil.config.scenario import Chaser, Scenario, Thrusters
 from hil.core.messages import MAX_THRUSTERS, Array, new
@@ -18,7 +17,7 @@ from hil.gnc.fusion import AS_PRINTED, MULTIPLICATIVE
 from hil.gnc.guidance import APPROACH, FINAL, GUIDANCE_PARAMS, HOLD, RETREAT, WAIT
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.gnc.step import GNC_PARAMS
-from hil.maths import euler, quat
+from hil.maths import chi_square, euler, quat
 from hil.params.dynamics import orbit_rate
 
 
@@ -80,7 +79,7 @@ def navigation(scenario: Scenario) -> np.record:
 
 def _gate(sigma: float) -> float:
     """Return the NIS of three components with the tail probability of ``sigma`` standard deviations of one."""
-    return float(2.0 * gammainccinv(1.5, 2.0 * ndtr(-sigma)))  # chi-square of 3; scipy.stats is slow to import
+    return chi_square.upper_quantile(chi_square.two_sided_tail(sigma), 3)
 
 
 PHASE_KINDS = {"approach": APPROACH, "hold": HOLD, "wait": WAIT, "final": FINAL, "retreat": RETREAT}

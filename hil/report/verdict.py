@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hil.config.model import Triple
 from hil.config.scenario import Requirements
@@ -45,12 +44,9 @@ class Verdict:
 def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
     """Return the deviations of the truth in ``history`` (n,) of CYCLE."""
     truth = history["truth"]
-    q = truth["q_CH"]
-    # scipy's rotation of the same quaternion takes c to H: w_CH = w_CI - A(q_CH) w_HI
-    rate = truth["w_CI_C"] - Rotation.from_quat(q).apply(truth["w_HI_H"], inverse=True) if len(q) else np.empty((0, 3))
     found = np.empty((len(history), ready_phase.DEVIATIONS))
-    r, v, q, rate = (np.ascontiguousarray(values) for values in (truth["r_CT_H"], truth["v_CT_H"], q, rate))
-    ready_phase.all_deviations(ready_params(requirements), r, v, q, rate, found)
+    r, v, q, w_c, w_h = (np.ascontiguousarray(truth[name]) for name in ("r_CT_H", "v_CT_H", "q_CH", "w_CI_C", "w_HI_H"))
+    ready_phase.all_deviations(ready_params(requirements), r, v, q, w_c, w_h, found)
     return Deviations(history["t_s"], found[:, 0:3], found[:, 3:6], found[:, 6:9], found[:, 9:12])
 
 

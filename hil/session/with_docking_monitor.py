@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from hil.config.load import load_scene
 from hil.core.operator_commands import Operator
@@ -13,9 +14,11 @@ from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import Outcome, Runner
 from hil.recording.sinks import RecordingSinks
 from hil.session import build
-from hil.setup.docking_monitor import MonitorOutcome, MonitorProcess, monitor_recorded
 
-MonitorResults = Callable[[Outcome], MonitorOutcome | None]
+if TYPE_CHECKING:
+    from hil.setup.docking_monitor import MonitorOutcome, MonitorProcess  # imports OpenCV
+
+MonitorResults = Callable[[Outcome], "MonitorOutcome | None"]
 """Returns the monitor's results for the run that has ended; None if the scenario has no monitor."""
 
 
@@ -31,6 +34,8 @@ def beside(
     if scenario.monitor.source == "none":
         yield lambda _: None
         return
+    from hil.setup.docking_monitor import MonitorProcess
+
     scene = load_scene(scenario.monitor.scene).value
     with MonitorProcess(scenario, scene, job.rig.value, job.seed, telemetry, *_rings(sinks)) as process:
         announce("starting the docking monitor; its first start compiles its kernels")
@@ -57,6 +62,8 @@ def runner(
             yield plain, lambda _: None
         return
     if rig.kind == "mock":
+        from hil.setup.docking_monitor import monitor_recorded
+
         scene = load_scene(scenario.monitor.scene).value
         with build.runner(job, on_progress, announce, operator, sinks) as in_memory:
             outlets = (sinks.monitor_image_encoder(rig), sinks.portions) if sinks else ()
@@ -79,6 +86,8 @@ def _rings(sinks: RecordingSinks | None) -> tuple[Ring | None, Ring | None]:
 
 def _results(process: MonitorProcess, scene: str) -> MonitorOutcome:
     """Return the monitor's results, or its failure: a monitor that fails does not end the run."""
+    from hil.setup.docking_monitor import MonitorOutcome
+
     try:
         return process.finish()
     except DeviceError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hil.config.rig import Rig
 from hil.config.vmu_geometry import VmuCamera, VmuGeometry
@@ -24,6 +23,8 @@ def lenses(*cameras: VmuCamera) -> np.ndarray:
 
 def camera_pair(geometry: VmuGeometry) -> CameraPair:
     """Return the two cameras of ``geometry``."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     lens = lenses(geometry.left, geometry.right)
     rotation = np.empty((2, 3, 3))
     rotation[0] = np.eye(3)

@@ -12,7 +12,6 @@ import serial
 from hil.config.flight_computer import FlightComputer
 from hil.drivers.command_words.codec import CommandWordDecoder, Word, decode_can
 from hil.drivers.latest import Latest
-from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.errors import LinkLost
 
 NAME: Final = "flight computer"
@@ -62,6 +61,8 @@ class CanWords:
     """Words on a CAN bus."""
 
     def __init__(self, config: FlightComputer) -> None:
+        from hil.drivers.turntable.cia402.can_port import CanPort  # python-can is slow to import
+
         self._identifier = config.can.identifier
         self._port = CanPort(NAME, config.can)
         self._refused = 0

@@ -1,0 +1,78 @@
+"""Quantiles of the chi-square distribution.
+
+scipy.special has them too, but its import takes longer than a run; a test compares the two.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+_STEPS = 100
+_PRECISION = 1e-13  # of a step: the next one would be rounding
+
+
+@cache
+def lower_quantile(probability: float, dof: int) -> float:
+    """Return the value that chi-square with ``dof`` degrees of freedom falls below with ``probability``, 0..1."""
+    return _solve(probability, dof, lower=True)
+
+
+@cache
+def upper_quantile(probability: float, dof: int) -> float:
+    """Return the value that chi-square with ``dof`` degrees of freedom exceeds with ``probability``, 0..1."""
+    return _solve(probability, dof, lower=False)
+
+
+def two_sided_tail(sigma: float) -> float:
+    """Return the probability that a normal variable is more than ``sigma`` standard deviations from its mean."""
+    return math.erfc(sigma * math.sqrt(0.5))
+
+
+def _solve(probability: float, dof: int, lower: bool) -> float:
+    """Newton's method on the logarithm of the smaller tail, which is concave: one step overshoots at most."""
+    if probability > 0.5:
+        probability, lower = 1.0 - probability, not lower
+    if probability <= 0.0:
+        return 0.0 if lower else math.inf
+    tail, direction = (_lower_tail, 1.0) if lower else (_upper_tail, -1.0)
+    a = 0.5 * dof
+    half = before = a
+    for _ in range(_STEPS):
+        found = tail(half, dof)
+        if found == 0.0:  # overshot to where numbers underflow
+            half = 0.5 * (half + before)
+            continue
+        step = direction * math.log(found / probability) * found * half / (a * _power_term(half, a))
+        before, half = half, max(half - step, 0.5 * half)
+        if abs(step) <= _PRECISION * half:
+            break
+    return 2.0 * half
+
+
+def _power_term(half: float, a: float) -> float:
+    """Return half^a exp(-half) / Gamma(a + 1)."""
+    return math.exp(a * math.log(half) - half - math.lgamma(a + 1.0))
+
+
+def _lower_tail(half: float, dof: int) -> float:
+    """Return P(dof / 2, half) by its power series (DLMF 8.11.4)."""
+    a = 0.5 * dof
+    term = total = _power_term(half, a)
+    while term > 1e-17 * total:
+        a += 1.0
+        term *= half / a
+        total += term
+    return total
+
+
+def _upper_tail(half: float, dof: int) -> float:
+    """Return Q(dof / 2, half) by recurrence from Q(1, half) or Q(1/2, half) (DLMF 8.8.6, 8.4)."""
+    least, total = (1.0, math.exp(-half)) if dof % 2 == 0 else (0.5, math.erfc(math.sqrt(half)))
+    a = 0.5 * dof - 1.0
+    term = _power_term(half, a)
+    while a >= least and term > 1e-17 * total:
+        total += term
+        term *= a / half
+        a -= 1.0
+    return total
