@@ -19,7 +19,7 @@ from typing import Any, Final
 import cyclopts
 from cyclopts import App
 
-from hil import __version__
+from hil.core.build_info import VERSION
 from hil.errors import BadInput, BenchError, CampaignStopped, RenamedKey
 
 PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
@@ -61,7 +61,7 @@ _EARLIER_NAMES: Final = {
 app = App(
     name="hil",
     help="Hardware-in-the-loop bench controller for spacecraft rendezvous and docking.",
-    version=__version__,
+    version=VERSION,
     suppress_keyboard_interrupt=False,  # Ctrl-C has the exit code of a safe stop
 )
 for _name, _summary in COMMANDS.items():

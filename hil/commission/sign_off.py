@@ -6,10 +6,10 @@ import json
 import math
 from collections.abc import Sequence
 
-from hil import __version__
 from hil.commission.steps import AxisFindings, Findings
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
+from hil.core.build_info import VERSION
 
 
 def signed_before(rig: Rig) -> frozenset[str]:
@@ -30,7 +30,7 @@ def as_toml(findings: Findings, rig: Rig, base: str, by: str, date: str) -> str:
     lines += ["", f"extends = {json.dumps(base)}"]
     if findings.dry_run is not None:
         lines += ["", "[sign_off]", f"date = {json.dumps(date)}", f"by = {json.dumps(by)}"]
-        lines += [f"hil = {json.dumps(__version__)}", f"digest = {json.dumps(digest)}"]
+        lines += [f"hil = {json.dumps(VERSION)}", f"digest = {json.dumps(digest)}"]
     for axis in findings.axes:
         lines += ["", f'[sign_off.axes."{axis.name}"]', *_axis(axis, by, date, digest)]
     return "\n".join(lines) + "\n"

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from hil.config.scenario import Scenario
 from hil.monte_carlo.store import Store, atomic_write
+from hil.report.figures import RunFigure
 from hil.report.verdict import ROW_NAMES, TABLE_V, tolerances
 
 _MOST_POINTS = 2000  # of a curve
@@ -21,30 +24,37 @@ _PANELS = (
 )
 
 
+Column = Callable[[str], Any]
+"""Returns a column of the cases by its name, (n,)."""
+
+
 def draw_percentiles(store: Store, scenario: Scenario, path: Path) -> None:
-    """Draw the distributions over the cases of ``scenario`` into ``path``.
+    """Draw ``percentiles_figure`` of the cases in ``store`` into ``path``."""
+    with atomic_write(path) as partial:
+        percentiles_figure(store.column, scenario).savefig(partial, dpi=110, format="png")
+
+
+def percentiles_figure(column: Column, scenario: Scenario) -> Figure:
+    """Return the distributions over the cases of ``scenario``.
 
     The percentage of cases below each value, with the 5th, 50th and 95th percentile; and the deviations of the ready
     phase relative to Table III, with the worst of the paper's Table V if it has the scenario.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 6.5), layout="constrained")
+    figure = RunFigure(figsize=(11.0, 6.5), layout="constrained")
     axes = figure.subplots(2, 3).ravel()
     for place, (name, label) in zip(axes, _PANELS, strict=False):
-        _curve(place, _finite(store, name), label)
-    _deviations(axes[5], store, scenario)
-    figure.suptitle(f"{scenario.name}, {len(store.column('case'))} cases")
-    with atomic_write(path) as partial:
-        figure.savefig(partial, dpi=110, format="png")
+        _curve(place, _finite(column, name), label)
+    _deviations(axes[5], column, scenario)
+    figure.suptitle(f"{scenario.name}, {len(column('case'))} cases")
+    return figure
 
 
-def _finite(store: Store, name: str) -> Any:
-    values = np.asarray(store.column(name), dtype=float)
+def _finite(column: Column, name: str) -> Any:
+    values = np.asarray(column(name), dtype=float)
     return values[np.isfinite(values)]
 
 
-def _deviations(place: Any, store: Store, scenario: Scenario) -> None:
+def _deviations(place: Any, column: Column, scenario: Scenario) -> None:
     """Draw worst and median deviation of each cell of Table III, in percent of its tolerance."""
     cells = [(row, i) for row in ROW_NAMES for i in range(3)]
     allowed = tolerances(scenario.requirements)
@@ -53,7 +63,7 @@ def _deviations(place: Any, store: Store, scenario: Scenario) -> None:
     worst, median, published = np.full((3, len(cells)), np.nan)
     for k, (row, i) in enumerate(cells):
         unit = 100.0 / allowed[row][i]
-        values = _finite(store, f"{row}_{'xyz'[i]}")
+        values = _finite(column, f"{row}_{'xyz'[i]}")
         if len(values):
             worst[k], median[k] = unit * values.max(), unit * float(np.median(values))
         if paper is not None:
@@ -85,8 +95,6 @@ def _curve(place: Any, values: Any, label: str) -> None:
 
 def draw_sweep(found: dict[str, Any], path: Path) -> None:
     """Draw pass rate and propellant along the sweep, with their intervals, into ``path``."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(8.0, 5.5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
     points = found["points"]

@@ -163,6 +163,10 @@ class Store:
                     with atomic_write(path) as partial:
                         self._pq.write_table(table.slice(first, BATCH), partial)
 
+    def table(self) -> Any:
+        """Return the finished table, one row per case."""
+        return self._pq.read_table(self.table_path)
+
     def column(self, name: str) -> Any:
         """Return one column of the finished table as a numpy array; null numbers are nan."""
         return self._pq.read_table(self.table_path, columns=[name]).column(name).to_numpy()

@@ -11,8 +11,10 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from hil.core.fields import leaf_fields
+from hil.core.messages import CYCLE, CYCLE_FIELDS
 from hil.errors import BadInput
-from hil.recording import foxglove
+from hil.recording import foxglove, schema
 from hil.recording.read import Contents, contents
 
 FORMATS: Final = ("parquet", "csv")
@@ -59,15 +61,27 @@ def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple
             continue
         target = out if name == "cycles" else out.with_name(f"{out.stem}-{name}{out.suffix}")
         units = _units(found, topic)
-        part = target.with_name(f"{target.name}.part")
-        try:
-            _write(form, table, units, part)
-            os.replace(part, target)
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            raise BadInput.single("--out", "", f"{target}: {error.strerror or error}") from error
+        _write_file(form, table, units, target)
         written.append((target, len(next(iter(table.values())))))
     return written
+
+
+def write_cycles(history: np.ndarray, out: Path) -> None:
+    """Write ``history``, (n,) of CYCLE, as Parquet to ``out``: the table of cycles of ``export``. Raises BadInput."""
+    table = dict(columns(history.view(schema.flat_dtype(CYCLE))))
+    units = {f.name: " in ".join(word for word in (f.unit, f.frame) if word) for f in leaf_fields(CYCLE_FIELDS)}
+    _write_file("parquet", table, units, out)
+
+
+def _write_file(form: str, table: dict[str, Any], units: dict[str, str], target: Path) -> None:
+    """Write a table to ``target``, completely or not at all. Raises BadInput."""
+    part = target.with_name(f"{target.name}.part")
+    try:
+        _write(form, table, units, part)
+        os.replace(part, target)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise BadInput.single("--out", "", f"{target}: {error.strerror or error}") from error
 
 
 def _table(found: Contents, topic: str) -> dict[str, Any] | None:

@@ -8,10 +8,10 @@ import platform
 from pathlib import Path
 from typing import Any
 
-from hil import __version__
 from hil.cameras.pose_sensor import calibrated_geometry
 from hil.config.load import load_scene
 from hil.config.motion_digest import motion_digest
+from hil.core.build_info import build_info
 from hil.core.clock import utc_text
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, VERSION
 from hil.recording.writer import RecordingHeader
@@ -35,7 +35,8 @@ def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> RecordingHe
         "step_s": repr(scenario.step_s),
         "speed": repr(job.speed),
         "started_utc": utc_text(started_ns),
-        "hil": __version__,
+        "hil": build_info().version,
+        "hil_commit": build_info().commit,
         "python": platform.python_version(),
         "system": platform.platform(),
         "host": platform.node(),

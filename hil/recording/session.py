@@ -13,8 +13,8 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from hil import __version__
 from hil.core import camera_images
+from hil.core.build_info import VERSION
 from hil.core.child_process import ChildProcess
 from hil.core.clock import utc_ns, utc_text
 from hil.errors import BadInput, DeviceError
@@ -120,7 +120,7 @@ def recording(
                 "seed": job.seed,
                 "duration_s": job.duration_s,
                 "file": path.name,
-                "hil": __version__,
+                "hil": VERSION,
             }
         )
     except (BadInput, sqlite3.Error) as error:

@@ -10,6 +10,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.figure import Figure
 
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -19,9 +20,6 @@ from hil.loop.overrun_monitor import lateness_histogram
 from hil.report.bench_error import pose_errors
 from hil.report.summary import attitude_error
 from hil.report.verdict import Verdict, deviations, tolerances
-
-mpl.use("Agg")
-mpl.rcParams["svg.hashsalt"] = "hil"  # the same run draws the same bytes
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable for the colour-blind
 _POINTS = 1500  # per line: more are not visible
@@ -33,6 +31,15 @@ _ROWS = (
     ("attitude_deg", "angle, deg", ("theta1", "theta2", "theta3")),
     ("rate_degps", "angular rate, deg/s", ("omega1", "omega2", "omega3")),
 )
+
+
+class RunFigure(Figure):
+    """Figure that a notebook displays without pyplot and its choice of a window system."""
+
+    def _repr_png_(self) -> bytes:
+        file = io.BytesIO()
+        self.savefig(file, format="png")
+        return file.getvalue()
 
 
 def thin(t_s: Array, values: Array) -> tuple[Array, Array]:
@@ -51,44 +58,40 @@ def thin(t_s: Array, values: Array) -> tuple[Array, Array]:
 
 def figures(history: np.ndarray, scenario: Scenario, rig: Rig, verdict: Verdict) -> Iterator[tuple[str, str]]:
     """Yield title and image (a ``data:`` address) of each figure for which the run has data."""
-    yield "Truth against the ready state (bench paper figures 6 and 7)", _drawn(_motion(history, scenario, verdict))
+    yield "Truth against the ready state (bench paper figures 6 and 7)", svg_address(motion(history, scenario, verdict))
     known = history[history["navigation"]["valid"] == 1]
     if len(known):
-        yield "Estimation error and 3 sigma (bench paper figure 5)", _drawn(_estimate(known))
+        yield "Estimation error and 3 sigma (bench paper figure 5)", svg_address(_estimate(known))
     updates = known[np.isfinite(known["navigation"]["nis_position"])]
     if len(updates) > WINDOWS[0]:
-        yield "Normalised innovations squared and the band of their mean", _drawn(_nis(updates))
-    yield "Thruster firings (bench paper figure 8)", _drawn(_firings(history, scenario))
-    yield "Security: margins of the estimate", _drawn(_security(history))
+        yield "Normalised innovations squared and the band of their mean", svg_address(_nis(updates))
+    yield "Thruster firings (bench paper figure 8)", svg_address(_firings(history, scenario))
+    yield "Security: margins of the estimate", svg_address(_security(history))
     rows, distance, angle = pose_errors(history, rig, scenario.step_s)
     if len(rows):
-        yield "Bench: camera against the truth, by the encoders", _drawn(_bench(rows["t_s"], distance, angle))
-    yield "Lateness of the cycles", _drawn(_lateness(history["lateness_s"]))
+        yield "Bench: camera against the truth, by the encoders", svg_address(_bench(rows["t_s"], distance, angle))
+    yield "Lateness of the cycles", svg_address(_lateness(history["lateness_s"]))
 
 
-def _drawn(figure: Any) -> str:
-    """Return ``figure`` as a ``data:`` address."""
-    from matplotlib import pyplot as plt
-
+def svg_address(figure: Figure) -> str:
+    """Return ``figure`` as a ``data:`` address; the same run gives the same bytes."""
     file = io.BytesIO()
-    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    plt.close(figure)
+    with mpl.rc_context({"svg.hashsalt": "hil"}):
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
-def _axes(rows: int, columns: int, height_in: float, **keywords: Any) -> tuple[Any, Any]:
-    from matplotlib import pyplot as plt
-
-    return plt.subplots(
-        rows, columns, figsize=(_WIDTH_IN, height_in), constrained_layout=True, squeeze=False, **keywords
-    )
+def _axes(rows: int, columns: int, height_in: float, **keywords: Any) -> tuple[Figure, Any]:
+    figure = RunFigure(figsize=(_WIDTH_IN, height_in), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **keywords)
 
 
 def _line(plot: Any, t_s: Array, values: Array, **keywords: Any) -> None:
     plot.plot(*thin(t_s, values), linewidth=0.9, **keywords)
 
 
-def _motion(history: np.ndarray, scenario: Scenario, verdict: Verdict) -> Any:
+def motion(history: np.ndarray, scenario: Scenario, verdict: Verdict) -> Figure:
+    """Return the truth against the ready state (bench paper figures 6 and 7) of ``history``, (n,) of CYCLE, n > 0."""
     wanted = scenario.requirements
     found, allowed = deviations(history, wanted), tolerances(wanted)
     figure, axes = _axes(4, 2, 9.5, width_ratios=(2, 1))

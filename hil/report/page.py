@@ -7,17 +7,26 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from hil.loop.runner import Outcome
 from hil.recording.read import Recorded
 from hil.report import html
 from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_flight
 from hil.report.figures import figures
-from hil.report.summary import summarise
+from hil.report.summary import BROKE_OFF, summary_of
 from hil.report.table import ROW_LABELS, verdict_lines
 from hil.report.verdict import ROW_NAMES, TABLE_V, Verdict, deviations, judge, tolerances
 
-BROKE_OFF: Final = "the recording broke off"
-_VERSIONS: Final = ("hil", "schema_version", "python", "numpy", "numba", "scipy", "mcap", "system", "host")
+_VERSIONS: Final = (
+    "hil",
+    "hil_commit",
+    "schema_version",
+    "python",
+    "numpy",
+    "numba",
+    "scipy",
+    "mcap",
+    "system",
+    "host",
+)
 _CALIBRATION: Final = ("calibration_motion", "calibration_sign_off", "scenario_file", "rig_file", "rig_kind")
 
 
@@ -38,13 +47,8 @@ class Judged:
 def judged(recorded: Recorded) -> Judged:
     """Return the run's numbers as recorded; of a run that broke off, those of its cycles."""
     scenario, history = recorded.scenario, recorded.cycles
-    summary = recorded.summary
-    if summary is None:
-        stop = (recorded.end or {}).get("stop", BROKE_OFF)
-        outcome = Outcome(history, stop, faults=[stop])
-        run = recorded.run
-        summary, _ = summarise(outcome, scenario, recorded.rig, run["rig"], int(run["seed"]), 1.0 / scenario.step_s)
-    return Judged(recorded, summary, judge(deviations(history, scenario.requirements), scenario.requirements))
+    verdict = judge(deviations(history, scenario.requirements), scenario.requirements)
+    return Judged(recorded, summary_of(recorded), verdict)
 
 
 def report(runs: Sequence[Recorded]) -> str:
@@ -145,7 +149,7 @@ def _events(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:
         alarms = [(f"{a['t_s']:.2f}", a["text"]) for a in summary["alarms"]]
         yield html.table(("bench time, s", "alarm"), alarms, words=True)
     rows = [
-        ("" if n["t_s"] is None else f"{n['t_s']:.2f}", f"{n['bench_s']:.2f}", n["kind"], n["name"], n["message"])
+        (*("" if n[key] is None else f"{n[key]:.2f}" for key in ("t_s", "bench_s")), n["kind"], n["name"], n["message"])
         for n in recorded.log
     ]
     yield html.table(("run, s", "bench, s", "kind", "source", ""), rows, words=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from hil.checks.compatibility import sign_off_gap
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.sign_off import SignOff
+from hil.core.build_info import build_info
 from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc_backends.shared_library import digest_of
@@ -21,6 +22,10 @@ from hil.report.latency import measure_latency
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
 from hil.report.verdict_parts import judge_energy, judge_field_of_view, judge_security
 
+if TYPE_CHECKING:
+    from hil.recording.read import Recorded
+
+BROKE_OFF: Final = "the recording broke off"
 SETTLED_S = 100.0  # navigation errors count from here on, as in the paper's numerical simulation
 _TORQUE_WINDOW_S = (360.0, 400.0)  # bench paper Fig. 8
 
@@ -44,6 +49,7 @@ def summarise(
     }
     summary = {
         "scenario": scenario.name,
+        "build": build_info()._asdict(),
         "seed": seed,
         "rig": rig_name,
         "passed": passed,
@@ -66,6 +72,16 @@ def summarise(
         "alarms": [alarm.as_json() for alarm in outcome.alarms],
     }
     return summary, verdict
+
+
+def summary_of(recorded: Recorded) -> dict[str, Any]:
+    """Return the numbers of a recorded run; of one that broke off, those of its cycles."""
+    if recorded.summary is not None:
+        return recorded.summary
+    stop = (recorded.end or {}).get("stop", BROKE_OFF)
+    run, step_s = recorded.run, recorded.scenario.step_s
+    outcome = Outcome(recorded.cycles, stop, faults=[stop])
+    return summarise(outcome, recorded.scenario, recorded.rig, run["rig"], int(run["seed"]), 1.0 / step_s)[0]
 
 
 def gnc_summary(scenario: Scenario) -> dict[str, Any]:
