@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hil.config.load import Loaded, load_scene
 from hil.config.scene import Scene
 from hil.monitor.frame_tracker import FrameTracker
 from hil.monitor.kernels.quantities import derive
@@ -18,7 +21,7 @@ from hil.monitor.motion import MotionFit, MotionSolution
 from hil.monitor.paper.motion import PaperMotionFit
 from hil.monitor.results import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, QUANTITIES, FrameResult, Result
 from hil.monitor.settings import MonitorSettings
-from hil.monitor.sources import VideoFrame
+from hil.monitor.sources import VideoFrame, exposures_of
 
 _NAN: Final = np.full(len(QUANTITIES), np.nan)
 
@@ -27,21 +30,35 @@ class DockingMonitor:
     """Measures the approach to one target with one camera.
 
     ``feed`` processes the next frame and returns the portions that it completes; ``last`` is the result of that frame.
-    ``finish`` closes the portion that the end of a recording truncates.
+    ``finish`` closes the portion that the end of a recording truncates. scene: camera and target, or the name of a
+    shipped scene (``atv``, ``bright-cross``) or the path of its file; raises BadInput for an invalid one.
     """
 
-    def __init__(self, scene: Scene, settings: MonitorSettings | None = None) -> None:
-        self.scene = scene
+    def __init__(self, scene: Scene | str | Path, settings: MonitorSettings | None = None) -> None:
+        self.scene = scene if isinstance(scene, Scene) else load_scene(str(scene)).value
         self.settings = settings or MonitorSettings()
-        self._tracker = FrameTracker(scene, self.settings)
+        self._tracker = FrameTracker(self.scene, self.settings)
         self._motion = MotionFit(self.settings)
-        self._paper = _paper_fit(scene, self.settings)
+        self._paper = _paper_fit(self.scene, self.settings)
         self._frames: list[FrameResult] = []
         self._used_s = -np.inf
+        self._images = 0
         self.last: FrameResult | None = None
 
-    def feed(self, frame: VideoFrame) -> list[Result]:
-        """Process the next frame; return the portions completed so far."""
+    def feed(self, frame: VideoFrame | NDArray[np.uint8]) -> list[Result]:
+        """Process the next frame; return the portions that it completes.
+
+        frame: an exposure with its time; or an image, grey or BGR, (h, w) or (h, w, 3), uint8, of the size of the
+        scene's camera, which is taken one period of the scene's ``fps`` after the one before. Of an interlaced camera
+        an image has both fields. Raises BadInput for an image of another size.
+        """
+        if isinstance(frame, VideoFrame):
+            return self._process(frame)
+        exposures = exposures_of(frame, self._images, Loaded(self.scene, "scene", {}))
+        self._images += 1
+        return [portion for each in exposures for portion in self._process(each)]
+
+    def _process(self, frame: VideoFrame) -> list[Result]:
         done: list[Result] = []
         if self._frames and frame.t_s - self._frames[0].detection.t_s >= self.settings.portion_s - 1e-9:
             done.append(self._close())

@@ -10,7 +10,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -87,17 +87,29 @@ class Source:
             raise ValueError(f"{self.name}: a source can be read only once")
         first, self._first = self._first, None
         for number, frame in enumerate(self._frames(first)):
-            yield VideoFrame(number, *frame)
+            yield replace(frame, number=number)
 
-    def _frames(self, first: NumberedImage) -> Iterator[tuple[float, Image, int]]:
-        halves = 1 if self._scene.fields == "whole" else 2
+    def _frames(self, first: NumberedImage) -> Iterator[VideoFrame]:
         numbered: NumberedImage | None = first
         while numbered is not None:
-            slot, image = numbered
-            for half in range(halves):
-                t_s, field = exposure(self._scene, halves * slot + half)
-                yield t_s, image if field == WHOLE else np.ascontiguousarray(image[lines_of(field)]), field
+            yield from _exposures(*numbered, self._scene)
             numbered = next(self._pictures, None)
+
+
+def _exposures(slot: int, image: Image, scene: Scene) -> Iterator[VideoFrame]:
+    """Yield the exposures of image number ``slot``: one, or its two fields."""
+    halves = 1 if scene.fields == "whole" else 2
+    for number in range(halves * slot, halves * (slot + 1)):
+        t_s, field = exposure(scene, number)
+        yield VideoFrame(number, t_s, image if field == WHOLE else np.ascontiguousarray(image[lines_of(field)]), field)
+
+
+def exposures_of(image: Image, slot: int, scene: Loaded[Scene]) -> Iterator[VideoFrame]:
+    """Yield the exposures of ``image``, grey or BGR, number ``slot`` from 0. Raises BadInput for another size."""
+    if image.dtype != np.uint8 or image.ndim not in (2, 3):
+        text = f"{image.dtype} of shape {image.shape}: must be (h, w) or (h, w, 3) of uint8"
+        raise BadInput.single("image", "", text)
+    return _exposures(slot, _checked(image, "image", scene), scene.value)
 
 
 def open_source(name: str, scene: Loaded[Scene], clock: Callable[[], float] = time.monotonic) -> Source:

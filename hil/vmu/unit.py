@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from hil.config.load import load_geometry
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array, PoseFrame
 from hil.maths import quat
@@ -64,6 +66,27 @@ class Solution:
     full_frame: bool = True
 
     @property
+    def t(self) -> Array:
+        """Position of the target's frame t in the left camera's frame v, (3,), m; nan without a pose."""
+        return np.full(3, np.nan) if self.pose is None else self.pose.t_v
+
+    @property
+    def R(self) -> Array:
+        """Rotation matrix, (3, 3), t to v: ``p_v = R p_t + t``; nan without a pose."""
+        if self.pose is None:
+            return np.full((3, 3), np.nan)
+        found: Array = quat.to_matrix(self.pose.q_vt)
+        return found
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance, (6, 6), of t and of the small rotation e about v's axes, ``R_est = exp([e]x) R_true``.
+
+        m^2, m rad, rad^2; nan without a pose.
+        """
+        return np.full((6, 6), np.nan) if self.pose is None else self.pose.covariance
+
+    @property
     def n_leds(self) -> int:
         """Return the number of LEDs used from at least one camera."""
         return sum(1 for pair in zip(*self.leds, strict=True) if max(pair) >= 0)
@@ -82,12 +105,19 @@ class Solution:
 
 
 class VisionUnit:
-    """Solves stereo pairs one after the other, with a track between them. Not thread-safe."""
+    """Solves stereo pairs one after the other, with a track between them. Not thread-safe.
+
+    geometry: cameras and LEDs, or the path of their file, TOML or JSON; raises BadInput for an invalid file.
+    """
 
     def __init__(
-        self, geometry: VmuGeometry, settings: SolverSettings | None = None, track: TrackSettings | None = None
+        self,
+        geometry: VmuGeometry | str | Path,
+        settings: SolverSettings | None = None,
+        track: TrackSettings | None = None,
     ) -> None:
-        self.geometry = geometry
+        self.geometry = geometry if isinstance(geometry, VmuGeometry) else load_geometry(str(geometry)).value
+        geometry = self.geometry
         self.solver = Solver(geometry, settings or SolverSettings())
         self.track = Track(track or TrackSettings())
         self._identifier = Identifier(self.solver, geometry.marked_led)
