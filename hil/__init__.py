@@ -1,3 +1,84 @@
-"""Hardware-in-the-loop bench controller for spacecraft rendezvous and docking."""
+"""Hardware-in-the-loop bench controller for spacecraft rendezvous and docking.
 
-__version__ = "0.1.0"
+    import hil
+
+    run = hil.run("scheme-1", seed=7, overrides={"gnc.control.deadband_m": 0.004})
+    run.passed, run.ready_time_s, run.truth.r_CT_H
+
+Each name below is imported from its module when it is first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from hil import errors
+from hil.core.build_info import VERSION
+
+if TYPE_CHECKING:
+    from hil.api.bench import Bench
+    from hil.api.campaigns import Campaign, campaign
+    from hil.api.jobs import load_rig, load_scenario
+    from hil.api.recordings import Recording, Replay
+    from hil.api.recordings import open_recording as open
+    from hil.api.results import RecordGroup, Run
+    from hil.api.runs import run
+    from hil.config.rig import Rig
+    from hil.config.scenario import Scenario
+    from hil.monitor.monitor import DockingMonitor
+    from hil.vmu.unit import VisionUnit
+
+__version__ = VERSION
+
+__all__ = [
+    "Bench",
+    "Campaign",
+    "DockingMonitor",
+    "RecordGroup",
+    "Recording",
+    "Replay",
+    "Rig",
+    "Run",
+    "Scenario",
+    "VisionUnit",
+    "__version__",
+    "campaign",
+    "errors",
+    "load_rig",
+    "load_scenario",
+    "open",
+    "run",
+]
+
+_MODULES = {
+    "Bench": "hil.api.bench",
+    "Campaign": "hil.api.campaigns",
+    "DockingMonitor": "hil.monitor.monitor",
+    "RecordGroup": "hil.api.results",
+    "Recording": "hil.api.recordings",
+    "Replay": "hil.api.recordings",
+    "Rig": "hil.config.rig",
+    "Run": "hil.api.results",
+    "Scenario": "hil.config.scenario",
+    "VisionUnit": "hil.vmu.unit",
+    "campaign": "hil.api.campaigns",
+    "load_rig": "hil.api.jobs",
+    "load_scenario": "hil.api.jobs",
+    "open": "hil.api.recordings:open_recording",
+    "run": "hil.api.runs",
+}
+"""Name -> module, and the name there if it is another one."""
+
+
+def __getattr__(name: str) -> Any:
+    """Return a public name from its module (PEP 562)."""
+    if name not in _MODULES:
+        raise AttributeError(f"module 'hil' has no attribute {name!r}")
+    module, _, other = _MODULES[name].partition(":")
+    value = globals()[name] = getattr(import_module(module), other or name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -12,9 +12,6 @@ from hil.cli.output import check_json_path
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
-    from hil.config.load import Loaded
-    from hil.config.rig import Rig
-    from hil.config.scenario import Scenario
     from hil.frmn.udp import Address
     from hil.loop.runner import Runner
 
@@ -65,17 +62,18 @@ def dss(
     refuse(options.problems() + wait_problems(wait_s) + check_json_path("--json", json))
     bind, peer = link_addresses("--listen", link_options.listen, "--gnc", link_options.gnc)
 
-    from hil.config.load import load_rig, load_scenario
+    from hil.api.jobs import loaded_rig, loaded_scenario, make_job, other_gnc_problems
 
-    loaded, loaded_rig = load_scenario(scenario, options.settings), load_rig(rig, options.settings)
-    _check_gnc_is_remote(loaded, loaded_rig)
-    is_mock = loaded_rig.value.kind == "mock"
+    loaded, bench = loaded_scenario(scenario, options.settings), loaded_rig(rig, options.settings)
+    refuse(other_gnc_problems(loaded, bench))
+    is_mock = bench.value.kind == "mock"
     if is_mock and lock_step and options.speed != 1.0:
         text = f"{options.speed:g}: in lock-step a mock rig does not run in real time: omit --speed"
         raise BadInput.single("--speed", "", text)
     console = Console(stderr=True)
 
-    from hil.cli.run import RunRequest, run_job
+    from hil.api.runs import RunRequest
+    from hil.cli.run import run_and_print
     from hil.cli.warm_up import compile_kernels_with_notice
     from hil.core.operator_commands import AutoResumeOperator
     from hil.frmn.udp import shown
@@ -83,20 +81,19 @@ def dss(
     from hil.session import build
     from hil.setup.gnc_setup import make_udp_gnc, mirror_of
 
-    length_s = loaded.value.duration_s if options.duration is None else options.duration
     paced = is_mock and not lock_step
-    job = build.Job(loaded, loaded_rig, options.seed, length_s, options.speed, paced=paced)
+    job = replace(make_job(loaded, bench, options.seed, options.duration, options.speed), paced=paced)
     link = gnc_link(f"hil dss {loaded.value.name}", bind, peer)
     try:
         with console.status("checking that the rig can follow the scenario"):
             build.check(job)
         compile_kernels_with_notice(job, console)
         period_s = loaded.value.step_s / options.speed if paced or not is_mock else None
-        backend = make_udp_gnc(loaded.value, link, loaded_rig.value.gnc_link, lock_step, period_s)
+        backend = make_udp_gnc(loaded.value, link, bench.value.gnc_link, lock_step, period_s)
         where = f"the GNC at {shown(peer)}" if peer else f"a GNC on {shown(link.address)}"
         console.print(f"waiting for {where}", style="dim", highlight=False, soft_wrap=True)
         console.print(f"flown by {backend.connect(wait_s)}", style="dim", highlight=False, soft_wrap=True, markup=False)
-        operator = AutoResumeOperator() if loaded_rig.value.gnc_link.on_loss == "hold" else None
+        operator = AutoResumeOperator() if bench.value.gnc_link.on_loss == "hold" else None
 
         def attach(runner: Runner) -> None:
             runner.loop.telemetry = mirror_of(runner, link)
@@ -107,20 +104,10 @@ def dss(
             return {"gnc_link": backend.stats.as_json()}
 
         job = replace(job, make_backend=lambda _: backend)
-        return run_job(RunRequest(job, rig, console, json, record, {}, operator, attach, link_stats))
+        request = RunRequest(job, rig, record, operator=operator, attach=attach, link_stats=link_stats)
+        return run_and_print(request, console, json)
     finally:
         link.close("the bench has ended")
-
-
-def _check_gnc_is_remote(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> None:
-    """Raise BadInput if scenario or rig name another GNC than that of the link."""
-    if scenario.value.gnc.library is not None:
-        text = "the GNC is at the other end of the UDP link; use hil run with a shared library"
-        raise BadInput.single(scenario.where("gnc.library"), "gnc.library", text)
-    if (wire := rig.value.flight_computer.command_words) != "none":
-        key = "flight_computer.command_words"
-        text = f'"{wire}": the GNC is at the other end of the UDP link; use hil run with a flight computer'
-        raise BadInput.single(rig.where(key), f"rig.{key}", text)
 
 
 def link_addresses(

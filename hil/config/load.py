@@ -75,12 +75,16 @@ def load_rig(name: str, settings: Iterable[str] = ()) -> Loaded[Rig]:
     """Return the rig ``name`` (shipped, or a path) with the ``rig.``-settings applied; raise BadInput."""
     chosen = [text for text in settings if text.startswith("rig.")]
     loaded = _load(name, "rigs", Rig, chosen, prefix="rig.")
-    if loaded.value.kind == "hardware":
-        missing = loaded.value.missing_wires()
-        if missing:
-            text = "is missing: the wire to the device"
-            raise BadInput([Problem(loaded.where(key), f"rig.{key}", text) for key in missing])
+    check_wires(loaded)
     return loaded
+
+
+def check_wires(rig: Loaded[Rig]) -> None:
+    """Raise BadInput if a device of a hardware rig has no wire."""
+    missing = rig.value.missing_wires() if rig.value.kind == "hardware" else []
+    if missing:
+        text = "is missing: the wire to the device"
+        raise BadInput([Problem(rig.where(key), f"rig.{key}", text) for key in missing])
 
 
 def load_protocol(name: str) -> Loaded[Protocol]:

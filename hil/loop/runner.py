@@ -115,10 +115,14 @@ class Runner:
         end = Mode.SAFE_STOP if self._faults else Mode.STANDBY
         if self._modes.mode is not end:
             self._modes.go(end)
+        return self.outcome(stop)
+
+    def outcome(self, stop: str) -> Outcome:
+        """Return the results so far; stop: why the run ends or is held. Only while the loop's thread does not run."""
         return Outcome(
             history=self.loop.history[: self._done],
             stop=stop,
-            faults=self._faults,
+            faults=list(self._faults),
             mode=self._modes.mode,
             overruns=self.rate.overruns,
             skipped_periods=self.rate.skipped_periods,

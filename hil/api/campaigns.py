@@ -1,0 +1,146 @@
+"""Campaigns: ``hil.campaign``, its results, and the job of one of its cases."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.api.jobs import (
+    Overrides,
+    loaded_rig,
+    loaded_scenario,
+    make_job,
+    named_as_argument,
+    settings_of,
+)
+from hil.api.results import Run
+from hil.api.runs import RunRequest, log, run_job
+from hil.config.scenario import Scenario
+from hil.errors import BadInput
+from hil.monte_carlo.campaign import RIG, CampaignJob
+from hil.monte_carlo.dispersions import Design, case_seed
+from hil.monte_carlo.engines import LocalEngine
+from hil.session.warm_up import compile_kernels
+from hil.setup.assembly import Job
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from matplotlib.figure import Figure
+
+
+def campaign(
+    scenario: str | Path | Scenario,
+    runs: int,
+    out: str | Path | None = None,
+    seed: int = 0,
+    duration_s: float | None = None,
+    overrides: Overrides | None = None,
+    workers: int = 0,
+) -> Campaign:
+    """Run many cases of a scenario with its dispersions on the mock rig, in the compiled loop.
+
+    Parameters
+    ----------
+    scenario
+        ``scheme-1``, ``scheme-2``, ``scheme-3``, the path of a TOML file, or a Scenario; ``[dispersions]`` in it sets
+        what varies.
+    runs
+        Number of cases, numbered from 0. A case depends on its number and the seed only.
+    out
+        Folder for the results, in which a partial campaign is resumed; None for a temporary one.
+    seed
+        Seed of the whole campaign.
+    duration_s
+        Time of each run, s; None for the scenario's.
+    overrides
+        Dotted keys or nested tables to values, as for ``hil.run``.
+    workers
+        Number of processes; 0: one per core.
+
+    Raises BadInput for invalid arguments, and CampaignStopped if the disk is full: completed cases are kept.
+    """
+    for name, value, least in (("runs", runs, 1), ("workers", workers, 0)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise BadInput.single(name, "", f"{value!r:.60}: must be an integer, at least {least}")
+    with named_as_argument():
+        settings = settings_of(overrides)
+        job = make_job(loaded_scenario(scenario, settings), loaded_rig(RIG, settings), seed, duration_s)
+        checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s)
+    temporary = tempfile.TemporaryDirectory(prefix="hil-campaign-") if out is None else None
+    folder = Path(temporary.name if temporary else str(out))
+    engine = LocalEngine(workers or len(os.sched_getaffinity(0)))
+    try:
+        with checked.store(folder) as store:
+            checked.warm_up()
+            summary = checked.run(store, runs, engine, lambda _: None)
+            return Campaign(job, summary, store.table())
+    finally:
+        engine.close()
+        if temporary:
+            temporary.cleanup()
+
+
+class Campaign:
+    """Results of a campaign.
+
+    summary: the numbers of ``hil campaign --json``, by its keys: pass rates, worst cases, percentiles, sensitivities.
+    cases: pyarrow table with one row per case: number, seed, sampled dispersions, verdict and outcomes, SI
+    (``cases.to_pandas()`` if pandas is installed). job: the nominal run.
+    """
+
+    def __init__(self, job: Job, summary: dict[str, Any], cases: pa.Table) -> None:
+        self.job = job
+        self.summary = summary
+        self.cases = cases
+
+    @property
+    def pass_rate(self) -> dict[str, float | int]:
+        """Fraction of the cases that pass Table III.
+
+        rate: the fraction; low, high: Wilson's 95 % interval; passed, runs: the numbers.
+        """
+        found: dict[str, float | int] = self.summary["pass_rate"]["passed"]
+        return found
+
+    def column(self, name: str) -> Any:
+        """Return one column of the cases as a numpy array, (n,); missing numbers are nan. Raises BadInput."""
+        if name not in self.cases.column_names:
+            known = ", ".join(self.cases.column_names)
+            raise BadInput.single("campaign", name, f"no such column: give one of {known}")
+        return self.cases.column(name).to_numpy()
+
+    def run_case(self, case: int) -> Run:
+        """Return case number ``case``, run again in full detail. Raises BadInput for a number that has no case."""
+        if case not in range(len(self.cases)):
+            raise BadInput.single("case", "", f"{case!r:.60}: must be 0 to {len(self.cases) - 1}")
+        job = job_of_case(self.job, case)
+        compile_kernels(job, log.warning)
+        return run_job(RunRequest(job, RIG, more={"campaign_seed": self.job.seed, "case": case}))
+
+    def figure(self) -> Figure:
+        """Return the distributions of the outcomes and the deviations against Table III."""
+        from hil.monte_carlo.figure import percentiles_figure  # slow import
+
+        return percentiles_figure(self.column, self.job.scenario.value)
+
+    def __repr__(self) -> str:
+        rate = self.pass_rate
+        interval = f"{100.0 * rate['low']:.2f} .. {100.0 * rate['high']:.2f} %"
+        return f"<Campaign {self.summary['scenario']}: {rate['passed']} of {rate['runs']} passed, {interval}>"
+
+    def _repr_html_(self) -> str:
+        """Return pass rate and figure for a notebook."""
+        from hil.report import html
+        from hil.report.figures import svg_address
+
+        return html.paragraph(repr(self)[1:-1]) + html.image("outcomes of the cases", svg_address(self.figure()))
+
+
+def job_of_case(job: Job, case: int) -> Job:
+    """Return the job of a campaign's case: its true scenario, that of the GNC, and its own seed."""
+    design = Design(job.scenario, job.seed)
+    truth, known = design.apply(design.values(case))
+    return replace(job, scenario=replace(job.scenario, value=known), seed=case_seed(job.seed, case), dispersed=truth)

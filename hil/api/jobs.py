@@ -1,0 +1,185 @@
+"""Inputs of the API: scenarios, rigs and overrides as given by the caller, checked and joined to a job."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from hil.config import load
+from hil.config.load import Loaded
+from hil.config.model import ConfigModel
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.errors import BadInput, Problem
+from hil.gnc_backends.python_object import PythonGnc, PythonObjectGnc, class_name
+from hil.setup.assembly import Job
+from hil.setup.gnc_setup import backend_setup
+
+Overrides = Mapping[str, Any]
+Settings = Sequence[str]
+_Model = TypeVar("_Model", bound=ConfigModel)
+
+_OPTION, _ARGUMENT = "--set", "overrides"
+
+
+def load_scenario(name: str | Path | Scenario, overrides: Overrides | None = None) -> Scenario:
+    """Return a checked scenario.
+
+    name: shipped (``scheme-1``, ``scheme-2``, ``scheme-3``), the path of a TOML file, or a scenario to be overridden.
+    overrides: dotted keys or nested tables to values, as ``{"gnc.control.deadband_m": 0.004}``; the rules are those of
+    ``hil run --set``. Raises BadInput with one line per error: file or argument, key, value and what is allowed.
+    """
+    with named_as_argument():
+        return loaded_scenario(name, settings_of(overrides)).value
+
+
+def load_rig(name: str | Path | Rig, overrides: Overrides | None = None) -> Rig:
+    """Return a checked rig.
+
+    name: shipped (``mock``, ``emulated``), the path of a TOML file, or a rig to be overridden. overrides: as for
+    ``load_scenario``; the keys begin with ``rig.``. Raises BadInput.
+    """
+    with named_as_argument():
+        return loaded_rig(name, settings_of(overrides)).value
+
+
+def loaded_scenario(scenario: str | Path | Scenario, settings: Settings) -> Loaded[Scenario]:
+    """Return the scenario with its ``key=value`` settings, and where each key was set. Raises BadInput."""
+    if isinstance(scenario, Scenario):
+        own = [text for text in settings if not text.startswith("rig.")]
+        return _overridden(scenario, own, "")
+    return load.load_scenario(_path("scenario", scenario), settings)
+
+
+def loaded_rig(rig: str | Path | Rig, settings: Settings) -> Loaded[Rig]:
+    """Return the rig with its ``rig.key=value`` settings, and where each key was set. Raises BadInput."""
+    if isinstance(rig, Rig):
+        found = _overridden(rig, [text for text in settings if text.startswith("rig.")], "rig.")
+        load.check_wires(found)
+        return found
+    return load.load_rig(_path("rig", rig), settings)
+
+
+def _overridden(model: _Model, settings: Settings, prefix: str) -> Loaded[_Model]:
+    """Return ``model`` with settings, checked again: copies of a model are not."""
+    table = model.model_dump(mode="json", exclude_none=True)
+    origin: dict[str, str] = {}
+    load.apply_settings(table, settings, type(model), origin, prefix)
+    return load.check_table(table, type(model), f"{type(model).__name__} object", origin, prefix)
+
+
+def _path(argument: str, value: object) -> str:
+    if not isinstance(value, str | os.PathLike):
+        raise BadInput.single(argument, "", f"{value!r:.60}: must be a name, a path or a {argument.title()} object")
+    return os.fspath(value)
+
+
+def rig_name(rig: str | Path | Rig) -> str:
+    """Return the name of a rig in reports: as given, or that of the object."""
+    return rig.name if isinstance(rig, Rig) else str(rig)
+
+
+def make_job(
+    scenario: Loaded[Scenario],
+    rig: Loaded[Rig],
+    seed: int = 0,
+    duration_s: float | None = None,
+    speed: float = 1.0,
+    gnc: PythonGnc | None = None,
+) -> Job:
+    """Return the job of a run. duration_s: None for the scenario's. gnc: replaces the scenario's. Raises BadInput."""
+    problems = []
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        problems.append(Problem("seed", "", f"{seed!r:.60}: must be an integer, not negative"))
+    for name, value in (("duration_s", duration_s), ("speed", speed)):
+        if value is not None and not is_positive(value):
+            problems.append(Problem(name, "", f"{value!r:.60}: must be a number above 0"))
+    if gnc is not None:
+        problems += _gnc_problems(gnc, scenario, rig)
+    if problems:
+        raise BadInput(problems)
+    length_s = scenario.value.duration_s if duration_s is None else float(duration_s)
+    job = Job(scenario, rig, int(seed), length_s, float(speed))
+    return job if gnc is None else replace(job, make_backend=_backend(gnc))
+
+
+def _backend(gnc: PythonGnc) -> Callable[[Scenario], PythonObjectGnc]:
+    return lambda scenario: PythonObjectGnc(gnc, backend_setup(scenario))
+
+
+def _gnc_problems(gnc: object, scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    if not callable(getattr(gnc, "step", None)):
+        return [Problem("gnc", "", f"{class_name(gnc)}: must be an object with a method step(input)")]
+    return [Problem("gnc", "", str(problem)) for problem in other_gnc_problems(scenario, rig)]
+
+
+def other_gnc_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each key of scenario and rig that names a GNC other than that of the caller."""
+    found = []
+    if (library := scenario.value.gnc.library) is not None:
+        found.append(Problem(scenario.where("gnc.library"), "gnc.library", f'"{library}": another GNC is given'))
+    key = "flight_computer.command_words"
+    if (wire := rig.value.flight_computer.command_words) != "none":
+        found.append(Problem(rig.where(key), f"rig.{key}", f'"{wire}": another GNC is given'))
+    return found
+
+
+def is_positive(value: object) -> bool:
+    """Return whether ``value`` is a finite number above zero."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return is_number and math.isfinite(value) and value > 0.0  # type: ignore[arg-type, operator]
+
+
+@contextmanager
+def named_as_argument() -> Iterator[None]:
+    """Name the argument ``overrides`` in errors, not the option of the command line."""
+    try:
+        yield
+    except BadInput as error:
+        problems = [replace(p, source=_ARGUMENT) if p.source == _OPTION else p for p in error.problems]
+        raise BadInput(problems) from error.__cause__
+
+
+def settings_of(overrides: Overrides | None) -> tuple[str, ...]:
+    """Return overrides as ``key=value`` texts, values in TOML. Raises BadInput for a value that TOML does not have."""
+    if overrides is None:
+        return ()
+    if not isinstance(overrides, Mapping):
+        raise BadInput.single(_ARGUMENT, "", f"{overrides!r:.60}: must be a dict of dotted keys")
+    return tuple(f"{key}={_toml(value, key)}" for key, value in _flat(overrides, ""))
+
+
+def _flat(table: Overrides, prefix: str) -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if not isinstance(key, str) or not key.strip() or "=" in key:
+            raise BadInput.single(_ARGUMENT, f"{prefix}{key}", "keys must be dotted names")
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _toml(value: Any, key: str) -> str:
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, os.PathLike):
+        value = os.fspath(value)
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(item, key) for item in value)}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{json.dumps(name)} = {_toml(item, key)}' for name, item in value.items())}}}"
+    raise BadInput.single(_ARGUMENT, key, f"{value!r:.60}: must be a number, text, bool, list or dict")

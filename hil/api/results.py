@@ -1,0 +1,285 @@
+"""Results of a run: verdict, numbers and records, as a notebook needs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.core.clock import utc_ns
+from hil.core.messages import ARRIVAL, CYCLE, Array, Event
+from hil.errors import BadInput
+from hil.loop.runner import Outcome
+from hil.monitor.results import PORTION, portion_row
+from hil.report.verdict import Verdict, deviations, judge
+from hil.safety.alarms import Alarm
+from hil.setup.assembly import Job
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hil.recording.read import Recorded
+    from hil.setup.docking_monitor import MonitorOutcome
+
+_GROUPS: Final = tuple(name for name in CYCLE.names or () if CYCLE[name].names)
+
+
+class RecordGroup:
+    """Records of one kind, one row per cycle, pose or portion.
+
+    Each field is an attribute, an array whose first axis is the row: ``truth.r_CT_H`` (n, 3), ``navigation.valid``
+    (n,). SI units; the unit is in the name or in the table of records of the reference, frames in its page on frames.
+    ``t_s``: time of the run of each row, (n,), s. ``records``: all fields as a structured array, (n,).
+    """
+
+    def __init__(self, records: np.ndarray, t_s: Array) -> None:
+        self.records = records
+        self.t_s = t_s
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the fields."""
+        return self.records.dtype.names or ()
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        if name == "records" or name not in self.fields:
+            raise AttributeError(f"no field {name!r}; this group has {', '.join(self.fields)}")
+        found: np.ndarray = self.records[name]
+        return found
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self.fields})
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} records: {', '.join(self.fields)}>"
+
+
+@dataclass(frozen=True)
+class RunData:
+    """Content of a run. history: (n,) of CYCLE. portions: (k,) of PORTION."""
+
+    scenario: Scenario
+    rig: Rig
+    history: np.ndarray
+    summary: dict[str, Any]
+    events: list[Event]
+    alarms: list[Alarm]
+    portions: np.ndarray
+
+
+class Run:
+    """A run that has ended, or the part of it up to a hold.
+
+    scenario, rig: as run. summary: the numbers of ``hil run --json``, by its keys. history: (n,) of CYCLE, all records
+    of the GNC's cycles. events: what happened, by the time of the run. alarms: trips, by bench time.
+    """
+
+    def __init__(self, data: RunData, as_recorded: Callable[[], Recorded]) -> None:
+        self.scenario = data.scenario
+        self.rig = data.rig
+        self.history = data.history
+        self.summary = data.summary
+        self.events = data.events
+        self.alarms = data.alarms
+        self._portions = data.portions
+        self.as_recorded = as_recorded
+        """Returns the run in the form of a recording that was read."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether Table III holds in the whole ready phase of a complete run without abort."""
+        return bool(self.summary["passed"])
+
+    @property
+    def ready_time_s(self) -> float | None:
+        """Time of the run at which the ready phase begins, s; None if never."""
+        found: float | None = self.summary["ready_time_s"]
+        return found
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Ready phase and largest deviations of the truth in it, (3,) per row of Table III: m, m/s, deg, deg/s."""
+        wanted = self.scenario.requirements
+        return judge(deviations(self.history, wanted), wanted)
+
+    @property
+    def stop(self) -> str:
+        """``completed``, or why the run ended earlier."""
+        return str(self.summary["stop"])
+
+    @property
+    def t_s(self) -> Array:
+        """Time of the run at each cycle of the GNC, (n,), s."""
+        found: Array = self.history["t_s"]
+        return found
+
+    @property
+    def truth(self) -> RecordGroup:
+        """Simulated chaser, target and orbit, per cycle."""
+        return self._group("truth")
+
+    @property
+    def imu(self) -> RecordGroup:
+        """Samples of the virtual IMU, per cycle."""
+        return self._group("imu")
+
+    @property
+    def pose(self) -> RecordGroup:
+        """Poses that navigation received: the newest of each cycle in which any arrived; ``t_s``: exposure."""
+        poses = self.history["pose"][self.history["pose"]["fresh"] > 0]
+        return RecordGroup(poses, poses["t_s"])
+
+    @property
+    def navigation(self) -> RecordGroup:
+        """Estimate with its standard deviations, per cycle."""
+        return self._group("navigation")
+
+    @property
+    def reference(self) -> RecordGroup:
+        """Reference of the guidance, per cycle."""
+        return self._group("reference")
+
+    @property
+    def supervision(self) -> RecordGroup:
+        """Margins and aborts of the approach monitor, per cycle."""
+        return self._group("supervision")
+
+    @property
+    def command(self) -> RecordGroup:
+        """Demands and thrusters, per cycle."""
+        return self._group("command")
+
+    @property
+    def setpoint(self) -> RecordGroup:
+        """Setpoints sent to rails and turntable, per cycle."""
+        return self._group("setpoint")
+
+    @property
+    def feedback(self) -> RecordGroup:
+        """Encoders of rails and turntable, per cycle."""
+        return self._group("feedback")
+
+    @property
+    def cycles(self) -> RecordGroup:
+        """Fields of the cycle itself: times on the wires, lateness, NEES."""
+        own = [name for name in CYCLE.names or () if name not in _GROUPS]
+        return RecordGroup(self.history[own], self.t_s)
+
+    @property
+    def portions(self) -> RecordGroup:
+        """Results of the docking monitor, one row per portion; empty without one."""
+        return RecordGroup(self._portions, self._portions["t_s"])
+
+    def plot(self) -> Figure:
+        """Return a figure of the truth against the ready state (bench paper figures 6 and 7). Raises BadInput."""
+        from hil.report.figures import motion  # slow import
+
+        self._require_cycles()
+        return motion(self.history, self.scenario, self.verdict)
+
+    def report(self, path: str | Path) -> None:
+        """Write a self-contained HTML page with verdict, figures and numbers to ``path``. Raises BadInput."""
+        write_report([self], path)
+
+    def to_parquet(self, path: str | Path) -> None:
+        """Write all cycles to ``path``, one column per number (``truth.r_CT_H[0]``). Raises BadInput."""
+        from hil.recording.export import write_cycles  # slow import
+
+        write_cycles(self.history, Path(path))
+
+    def _group(self, name: str) -> RecordGroup:
+        return RecordGroup(self.history[name], self.t_s)
+
+    def _require_cycles(self) -> None:
+        if not len(self.history):
+            raise BadInput.single(str(self), "", "has no cycle")
+
+    def __repr__(self) -> str:
+        ready = "never ready" if self.ready_time_s is None else f"ready at {self.ready_time_s:.2f} s"
+        verdict = "passed" if self.passed else "failed"
+        name = f"{self.summary['scenario']} on {self.summary['rig']}, seed {self.summary['seed']}"
+        return f"<{type(self).__name__} {name}: {verdict}, {ready}, {self.stop}>"
+
+    def _repr_html_(self) -> str:
+        """Return verdict and figure for a notebook."""
+        from hil.report import html
+        from hil.report.figures import svg_address
+
+        word = "PASS" if self.passed else "FAIL"
+        text = f"<p><b>{word}</b> {escape(repr(self)[1:-1])}</p>"
+        return text + html.image("truth against the ready state", svg_address(self.plot())) if len(self.t_s) else text
+
+
+def run_of(job: Job, rig: str, outcome: Outcome, summary: dict[str, Any], watched: MonitorOutcome | None = None) -> Run:
+    """Return the results of a run of this process. rig: its name. watched: results of the docking monitor."""
+    rows = [portion_row(portion) for portion in watched.portions] if watched else []
+    data = RunData(
+        job.scenario.value,
+        job.rig.value,
+        outcome.history,
+        summary,
+        outcome.events,
+        outcome.alarms,
+        np.concatenate([np.zeros(0, PORTION), *rows]),
+    )
+    ended_ns = utc_ns()
+    return Run(data, lambda: _recorded(job, rig, data, ended_ns))
+
+
+def _recorded(job: Job, rig: str, data: RunData, ended_ns: int) -> Recorded:
+    from hil.recording.header import header_of  # slow imports
+    from hil.recording.read import Recorded
+
+    header = header_of(job, rig, f"{data.scenario.name}, not recorded", ended_ns)
+    log = [_log_entry("event", e.t_s, None, e.source, e.text) for e in data.events]
+    log += [_log_entry("alarm", None, a.t_s, a.device, a.text) for a in data.alarms]
+    return Recorded(
+        path=Path(header.run["run"]),
+        run=dict(header.run),
+        end={},
+        scenario=data.scenario,
+        rig=data.rig,
+        cycles=data.history,
+        arrivals=np.zeros(0, ARRIVAL),
+        portions=data.portions,
+        log=log,
+        summary=data.summary,
+        intact=True,
+        files=dict(header.files),
+    )
+
+
+def _log_entry(kind: str, t_s: float | None, bench_s: float | None, name: str, message: str) -> dict[str, Any]:
+    return {"kind": kind, "t_s": t_s, "bench_s": bench_s, "cycle": -1, "name": name, "message": message}
+
+
+def write_report(runs: Sequence[Run], path: str | Path) -> None:
+    """Write the report of one run, or a comparison of several, to ``path``: completely or not at all.
+
+    Raises BadInput if the path does not end in .html or cannot be written, or for a run without a cycle.
+    """
+    from hil.report import page  # slow import of matplotlib
+
+    target = Path(path)
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise BadInput.single("report", str(path), "must end in .html")
+    for run in runs:
+        run._require_cycles()
+    text = page.report([run.as_recorded() for run in runs])
+    partial = target.with_name(f"{target.name}.part")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(target)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise BadInput.single("report", str(path), str(error.strerror)) from error

@@ -1,0 +1,151 @@
+"""Closed-loop runs: ``hil.run``, and the run of a checked job with recording and verdict that it shares with the
+command line."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.api.jobs import (
+    Overrides,
+    loaded_rig,
+    loaded_scenario,
+    make_job,
+    named_as_argument,
+    rig_name,
+    settings_of,
+)
+from hil.api.results import Run, run_of
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.core.operator_commands import Operator
+from hil.errors import BadInput
+from hil.gnc_backends.python_object import PythonGnc, class_name
+from hil.loop.motion_sequences import ProgressCallback
+from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
+from hil.report.summary import summarise
+from hil.session import build, with_docking_monitor
+from hil.session.warm_up import compile_kernels
+from hil.setup.assembly import Job
+
+if TYPE_CHECKING:
+    from hil.setup.docking_monitor import MonitorOutcome
+
+log = logging.getLogger("hil")
+"""Logger of the API: start of processes (INFO), compilation (WARNING)."""
+
+
+def run(
+    scenario: str | Path | Scenario,
+    rig: str | Path | Rig = "mock",
+    seed: int = 0,
+    duration_s: float | None = None,
+    overrides: Overrides | None = None,
+    faults: Sequence[Any] | None = None,
+    gnc: PythonGnc | None = None,
+    record: str | Path | None = None,
+) -> Run:
+    """Run one closed loop to its end and return its results.
+
+    Parameters
+    ----------
+    scenario
+        ``scheme-1``, ``scheme-2``, ``scheme-3``, the path of a TOML file, or a Scenario.
+    rig
+        ``mock`` (in memory, faster than real time), ``emulated`` (devices in other processes, real time), the path of
+        a rig file, or a Rig.
+    seed
+        Seed of all random numbers: the same seed gives the same run on the mock rig.
+    duration_s
+        Time of the run, s; None for the scenario's.
+    overrides
+        Dotted keys or nested tables to values: ``{"gnc.control.deadband_m": 0.004, "rig.vmu.timeout_s": 0.5}``.
+    faults
+        Faults to inject: none can be given yet.
+    gnc
+        Object with ``step(input)`` that replaces the GNC of the scenario, see ``hil.gnc_backends.python_object``.
+    record
+        Folder for a recording of the run and its catalogue.
+
+    Raises BadInput for invalid arguments, with one line per error, and DeviceError if a device of the rig does not
+    start. A fault during the run does not raise: the bench stops, ``passed`` is False and ``stop`` is the fault.
+    Ctrl-C stops the bench and raises KeyboardInterrupt.
+    """
+    if faults:
+        raise BadInput.single("faults", "", "cannot be injected by this version: omit it")
+    with named_as_argument():
+        settings = settings_of(overrides)
+        loaded = loaded_scenario(scenario, settings), loaded_rig(rig, settings)
+        job = make_job(*loaded, seed, duration_s, gnc=gnc)
+        build.check(job)
+    compile_kernels(job, log.warning)
+    found = run_job(RunRequest(job, rig_name(rig), record, gnc_summary(gnc), announce=log.info))
+    if STOPPED_BY_OPERATOR in found.summary["faults"]:
+        raise KeyboardInterrupt(STOPPED_BY_OPERATOR)
+    return found
+
+
+def gnc_summary(gnc: PythonGnc | None) -> dict[str, Any]:
+    """Return the part of the summary that names a Python GNC; empty without one."""
+    return {} if gnc is None else {"gnc": {"library": None, "sha256": None, "python": class_name(gnc)}}
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """A checked job and its connections.
+
+    record: folder of the recording. more: added to the summary, as is the result of ``link_stats`` after the run.
+    attach: receives the runner before it starts.
+    """
+
+    job: Job
+    rig_name: str
+    record: str | Path | None = None
+    more: dict[str, Any] = field(default_factory=dict)
+    announce: Callable[[str], None] = lambda _: None
+    on_progress: ProgressCallback = lambda *_: None
+    operator: Operator | None = None
+    attach: Callable[[Runner], None] = lambda _: None
+    link_stats: Callable[[], dict[str, Any]] = dict
+
+
+def run_job(request: RunRequest) -> Run:
+    """Run a checked job and return its results. Raises DeviceError if a device does not start."""
+    job = request.job
+    with ExitStack() as stack:
+        recorder = None
+        if request.record is not None:
+            from hil.recording.session import recording  # slow imports, for recorded runs only
+
+            recorder = stack.enter_context(recording(job, request.rig_name, Path(request.record), request.announce))
+        sinks = recorder.sinks if recorder else None
+        with with_docking_monitor.runner(job, request.on_progress, request.announce, sinks, request.operator) as (
+            runner,
+            look,
+        ):
+            request.attach(runner)
+            outcome = runner.run()
+            watched = look(outcome)
+        found = judged_run(job, request.rig_name, outcome, watched)
+        found.summary.update(request.more | request.link_stats())
+        if recorder:
+            kept = recorder.finish(found.summary)
+            found.summary["recording"] = {"file": str(recorder.path), "dropped": kept.dropped, "problem": kept.problem}
+    return found
+
+
+def judged_run(job: Job, rig: str, outcome: Outcome, watched: MonitorOutcome | None = None) -> Run:
+    """Return the results of ``outcome``. watched: results of the docking monitor."""
+    scenario = job.scenario.value
+    summary, verdict = summarise(outcome, scenario, job.rig.value, rig, job.seed, 1.0 / scenario.step_s)
+    if watched is not None:
+        from hil.report.docking_monitor import judge_monitor  # slow imports
+
+        summary["monitor"] = judge_monitor(watched, outcome.history, scenario, job.rig.value)
+    found = run_of(job, rig, outcome, summary, watched)
+    found.verdict = verdict
+    return found
