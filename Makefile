@@ -25,7 +25,7 @@ test: .venv/ready
 	command -v cc > /dev/null || $(CC_MISSING)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/python -m hil.cli.warm_up & kernels=$$!; $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
+	$(BIN)/hil warm-up & kernels=$$!; $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
 	$(BIN)/pytest -m "not slow" -n $(WORKERS) --dist loadgroup
 
 slow: .venv/ready

@@ -43,9 +43,10 @@ COMMANDS: Final = {
     "replay": "Replay the recorded inputs of a run through the present GNC and compare bit by bit.",
     "recover": "Restore a truncated recording in a new file; the file itself stays unchanged.",
     "export": "Write the numbers of a recording as Parquet or CSV, or its camera images.",
+    "warm-up": "Compile all kernels for this computer, and print the time that each group of them takes.",
     "report": "Write a self-contained HTML report of a run, or a comparison of several.",
 }
-"""Command -> summary: the function of that name in the module of that name."""
+"""Command -> summary: the function of that name, with _ for -, in the module of that name."""
 GROUPS: Final = {
     "gnc": "Run the GNC of a scenario for a bench in another process or on another computer, until the bench "
     "disconnects.",
@@ -65,7 +66,8 @@ app = App(
     suppress_keyboard_interrupt=False,  # Ctrl-C has the exit code of a safe stop
 )
 for _name, _summary in COMMANDS.items():
-    app.command(f"hil.cli.{_name}:{_name}", name=_name, help=_summary)
+    _module = _name.replace("-", "_")
+    app.command(f"hil.cli.{_module}:{_module}", name=_name, help=_summary)
 for _name, _summary in GROUPS.items():
     app.command(f"hil.cli.{_name}:app", name=_name, help=_summary)
 for _name, _path in _EARLIER_NAMES.items():

@@ -1,4 +1,4 @@
-"""Compilation of the kernels with a notice on the terminal. ``python -m hil.cli.warm_up`` does nothing else."""
+"""``hil warm-up``, and the compilation of the kernels that other commands start with."""
 
 from __future__ import annotations
 
@@ -6,27 +6,64 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
 
 from rich.console import Console
 
-from hil.config.load import load_rig, load_scenario
-from hil.core.jit import kernels_are_cached
-from hil.session.build import Job
-from hil.session.warm_up import compile_kernels, warm_up
+if TYPE_CHECKING:
+    from hil.session.build import Job
 
-_SAFE_STOPPED = 3
+_PASSED, _SAFE_STOPPED = 0, 3
+_GROUP_WALL_S: Final = 1800.0
+_WIDTH: Final = 24  # of the column of names
+
+
+def warm_up() -> int:
+    """Compile all kernels for this computer, and print the time that each group of them takes.
+
+    Other commands compile the kernels that they need when they are first started; those of this computer, of these
+    sources, are kept in the kernel cache.
+    """
+    from hil.core.jit import mark_kernels_cached, prepare_kernel_cache
+    from hil.processes.precompile import GROUPS
+
+    prepare_kernel_cache()
+    groups = list(GROUPS)
+    started_s = time.perf_counter()
+    with exit_on_ctrl_c():
+        _compile_groups(groups[:2])
+        mark_kernels_cached()
+        _compile_groups(groups[2:])
+    print(f"{'all kernels':{_WIDTH}}{time.perf_counter() - started_s:7.1f} s")  # noqa: T201
+    return _PASSED
+
+
+def _compile_groups(groups: Sequence[str]) -> None:
+    """Compile groups of kernels, one process per processor; print the time of each when it ends."""
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        running = {pool.submit(_compile_group, group): group for group in groups}
+        for done in as_completed(running):
+            print(f"{running[done]:{_WIDTH}}{done.result():7.1f} s", flush=True)  # noqa: T201
+
+
+def _compile_group(group: str) -> float:
+    """Compile a group of kernels in a child process; return the time that it took, s. Raises LinkLost if it fails."""
+    from hil.core.child_process import ChildProcess
+
+    with ChildProcess(f"precompile process, {group}", "hil.processes.precompile", {"group": group}) as child:
+        return float(child.wait_ready(_GROUP_WALL_S)["seconds"])
 
 
 def compile_kernels_with_notice(job: Job, console: Console) -> None:
-    """Call every kernel of the loop once; the first time after a change of the sources that compiles them."""
-    with exit_on_ctrl_c():
-        if kernels_are_cached():
-            warm_up(job)
-            return
-        with console.status("compiling"):
-            compile_kernels(job, lambda text: console.print(text, soft_wrap=True, highlight=False))
+    """Compile every kernel of the loop that is not in the cache, with a notice on the terminal."""
+    from hil.session.warm_up import compile_kernels
+
+    with exit_on_ctrl_c(), console.status("compiling"):
+        compile_kernels(job, lambda text: console.print(text, soft_wrap=True, highlight=False))
 
 
 @contextmanager
@@ -49,8 +86,3 @@ def exit_on_ctrl_c() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-if __name__ == "__main__":
-    loaded = load_scenario("scheme-1")
-    compile_kernels_with_notice(Job(loaded, load_rig("mock"), 0, 1.0, 1.0), Console(stderr=True))

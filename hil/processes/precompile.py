@@ -1,18 +1,20 @@
-"""Compiler of the GNC's kernels into the kernel cache: the half of the work that a second core can do.
+"""Compiler of one group of kernels into the kernel cache, in a process of its own.
 
-``python -m hil.processes.precompile`` runs in parallel with the first start of a program with an empty cache.
+``hil warm-up`` starts one per processor; a program that starts with an empty cache starts one for the GNC.
 """
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Mapping
+from typing import Final
+
 import numpy as np
 
-from hil.config.load import load_scenario
+from hil.config.load import load_rig, load_scenario
 from hil.core.child_process import Parent
 from hil.core.messages import IMU, MAX_POSES, POSE, TRUTH, new
-from hil.gnc import navigation
-from hil.loop.cycle import CycleData
-from hil.setup.assembly import make_gnc
+from hil.setup.assembly import Job, make_gnc
 
 
 class _NoPoses:
@@ -20,17 +22,95 @@ class _NoPoses:
     arrived = 0
 
 
-def compile_gnc() -> None:
-    """Call the kernels of the GNC once, with the types that the loop calls them with."""
+def _job(*settings: str) -> Job:
+    """Return a short run of scheme 1 on the mock rig."""
+    return Job(load_scenario("scheme-1", settings), load_rig("mock", settings), 0, 0.2, 1.0)
+
+
+def _compile_stages() -> None:
+    from hil.session.warm_up import warm_up_all_but_gnc
+
+    warm_up_all_but_gnc(_job())
+
+
+def _compile_gnc() -> None:
+    from hil.gnc import navigation
+    from hil.loop.cycle import CycleData
+
     gnc = make_gnc(load_scenario("scheme-1").value)
     gnc.step(0.0, CycleData(), _NoPoses())
     navigation.normalised_errors(gnc.state.navigation.fusion.filters, new(TRUTH), new(IMU), np.empty(2))
 
 
+def _compile_loop() -> None:
+    from hil.monte_carlo.case_runner import CaseRunner
+
+    job = _job()
+    CaseRunner(job.scenario.value, job.rig.value, job.duration_s).run(job.scenario.value, 0)
+
+
+def _compile_checks() -> None:
+    from hil.core.clock import SimulatedClock
+    from hil.loop.rate_keeper import SimulatedRate
+    from hil.report.summary import summarise
+    from hil.session import build
+
+    job = _job()
+    scenario, rig = job.scenario.value, job.rig.value
+    build.check(job)
+    outcome = build.in_memory(job, SimulatedRate(SimulatedClock(), scenario.step_s)).run()
+    summarise(outcome, scenario, rig, rig.name, job.seed, 1.0 / scenario.step_s)
+
+
+def _compile_study() -> None:
+    from hil.monte_carlo.fusion import Study
+
+    Study((), "swapped", 0).bound()
+
+
+def _compile_vision_unit() -> None:
+    from hil.cameras.pose_sensor import make_pose_sensor
+    from hil.setup.assembly import start_axes
+    from hil.vmu.geometry import geometry_of_rig
+    from hil.vmu.unit import VisionUnit
+
+    job = _job("vmu.source=rendered")
+    scenario, rig = job.scenario.value, job.rig.value
+    VisionUnit(geometry_of_rig(rig)).warm_up()
+    sensor, start = make_pose_sensor(scenario, rig, 0), start_axes(scenario, rig)
+    for k in range(3):
+        sensor.measure(start.rail_m, start.gimbal_rad, k / rig.vmu.rate_hz)
+
+
+def _compile_docking_monitor() -> None:
+    from hil.config.load import load_scene
+    from hil.setup.docking_monitor import warm_up
+
+    job = _job("monitor.source=rendered")
+    warm_up(job.scenario.value, load_scene(job.scenario.value.monitor.scene).value, job.rig.value)
+
+
+GROUPS: Final[Mapping[str, Callable[[], None]]] = {
+    "stages of the cycle": _compile_stages,
+    "gnc": _compile_gnc,
+    "checks and verdict": _compile_checks,
+    "compiled loop": _compile_loop,
+    "fusion study": _compile_study,
+    "vision unit": _compile_vision_unit,
+    "docking monitor": _compile_docking_monitor,
+}
+"""Group of kernels -> function that calls each of them once, with the types that programs call them with.
+
+The first two are independent of each other. All others use kernels of these, which they take from the cache.
+"""
+
+
 def main() -> None:
-    """Compile; the parent's end ends this process."""
-    Parent()
-    compile_gnc()
+    """Compile the group that the parent names; send how long it took. The parent's end ends this process."""
+    parent = Parent()
+    started_s = time.perf_counter()
+    GROUPS[parent.configuration["group"]]()
+    parent.send(seconds=time.perf_counter() - started_s)
 
 
 if __name__ == "__main__":

@@ -26,19 +26,24 @@ _CHILD_WALL_S = 120.0
 
 
 def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
-    """Call every kernel of the loop once, so that nothing compiles once the bench is powered.
+    """Compile every kernel of the loop that is not in the cache.
 
+    Unless the run is in simulated time, each is also called once: nothing is loaded once the bench is powered.
     announce: receives FIRST_START if the kernels are not in the cache yet, and then the time that they took.
     """
-    if kernels_are_cached():
+    if not kernels_are_cached():
+        _compile(job, announce)
+    if job.paced or job.rig.value.kind != "mock":
         warm_up(job)
-        return
+
+
+def _compile(job: Job, announce: Callable[[str], None]) -> None:
     prepare_kernel_cache()
     announce(FIRST_START)
     started_s = time.perf_counter()
-    with ChildProcess("precompile process", "hil.processes.precompile", {}) as child:
+    with ChildProcess("precompile process", "hil.processes.precompile", {"group": "gnc"}) as child:
         try:
-            _warm_up_all_but_gnc(job)
+            warm_up_all_but_gnc(job)
             child.wait_end(_CHILD_WALL_S)
         finally:
             child.kill()  # what it has not compiled is compiled here
@@ -55,7 +60,7 @@ def warm_up(job: Job) -> None:
     _short_run(job).run()
 
 
-def _warm_up_all_but_gnc(job: Job) -> None:
+def warm_up_all_but_gnc(job: Job) -> None:
     """Call the kernels of every stage but the GNC's once."""
     loop = _short_run(job).loop
     loop.safety_io.open(SimulatedRate(SimulatedClock(), job.scenario.value.step_s))

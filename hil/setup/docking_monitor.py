@@ -211,7 +211,7 @@ def run_child(parent: Parent) -> None:
     scene = Scene.model_validate(configuration["scene"], strict=False)
     rig = Rig.model_validate(configuration["rig"], strict=False)
     rings: dict[str, tuple[int, int]] = configuration["rings"]
-    _warm_up(scenario, scene, rig)
+    warm_up(scenario, scene, rig)
     os.nice(_NICE)  # nothing moves before this
     reader = Ring(rings["telemetry"][0], CYCLE, rings["telemetry"][1]).reader()
     policy = image_policy(rig)
@@ -245,7 +245,7 @@ def _as_json(outcome: MonitorOutcome) -> Message:
     return {**vars(outcome), "portions": rows}
 
 
-def _warm_up(scenario: Scenario, scene: Scene, rig: Rig) -> None:
+def warm_up(scenario: Scenario, scene: Scene, rig: Rig) -> None:
     """Monitor a bench at rest for a second, so that every kernel is compiled."""
     rows = np.zeros(3, CYCLE)
     rows["t_s"] = rows["sampled_s"][:, 0] = rows["sampled_s"][:, 1] = (0.0, 0.6, 1.2)

@@ -15,9 +15,14 @@ from hil.cli.main import _EARLIER_NAMES, COMMANDS, GROUPS, execute
 HEAVY = ("numba", "numpy", "pydantic", "hil.config", "hil.core")
 
 
+def module_of(name: str) -> str:
+    """Return the name of a command's module and function."""
+    return name.replace("-", "_")
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_summary_of_each_command_is_that_of_its_function(name: str) -> None:
-    function = getattr(importlib.import_module(f"hil.cli.{name}"), name)
+    function = getattr(importlib.import_module(f"hil.cli.{module_of(name)}"), module_of(name))
     text = inspect.getdoc(function)
     assert text is not None
     assert " ".join(text.split("\n\n")[0].split()) == COMMANDS[name]
@@ -63,7 +68,7 @@ def test_gnc_of_a_scenario_is_beside_the_commands_of_its_name(capsys: pytest.Cap
 def test_no_function_of_the_command_line_has_nine_parameters() -> None:
     names = [*COMMANDS, *GROUPS, "gnc_check", "output", "options", "replay_images", "calibrate_tables"]
     for name in names:
-        module = importlib.import_module(f"hil.cli.{name}")
+        module = importlib.import_module(f"hil.cli.{module_of(name)}")
         for found in vars(module).values():
             if inspect.isfunction(found) and found.__module__ == module.__name__:
                 assert len(inspect.signature(found).parameters) < 9, found
