@@ -151,7 +151,7 @@ def _times(begin: float, end: float, last: bool, moves: bool, slew: _Slew) -> li
     slewing = np.linspace(0.0, slew.ends_s, _SAMPLES_OF_THE_SLEW)
     chosen = slewing[(slewing >= begin) & ((slewing <= end) | last)]
     even = np.linspace(begin, end, _SAMPLES_OF_A_LINE if moves else 2)
-    return [float(t) for t in np.unique(np.concatenate([even, chosen]))]
+    return sorted({*even.tolist(), *chosen.tolist()})
 
 
 def _abort(params: np.record, start: PlanSample, slew: _Slew) -> list[PlanSample]:

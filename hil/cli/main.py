@@ -6,6 +6,7 @@ Each command is declared in the file of its name; its module is imported only wh
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -22,6 +23,7 @@ from cyclopts import App
 from hil.core.build_info import VERSION
 from hil.errors import BadInput, BenchError, CampaignStopped, RenamedKey
 
+_GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
 PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
 
 COMMANDS: Final = {
@@ -76,6 +78,7 @@ for _name, _path in _EARLIER_NAMES.items():
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
+    gc.set_threshold(_GARBAGE_THRESHOLD)
     # even if the shell ignores Ctrl-C for this process: a bench must always be stoppable
     signal.signal(signal.SIGINT, _as_ctrl_c)
     signal.signal(signal.SIGTERM, _as_ctrl_c)
