@@ -1,0 +1,78 @@
+"""The wheel, installed outside the checkout: it has its files, names its build and runs a scheme."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import hil
+from hil.core.build_info import VERSION, build_info
+
+ROOT = Path(hil.__file__).parents[1]
+PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check")
+
+
+def run(*command: str | Path, **options: object) -> str:
+    """Return the output of a command that must succeed; this checkout is not on its path."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | options.pop("env", {})  # type: ignore[operator]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, **options)  # type: ignore[call-overload]
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the wheel, built from this checkout without network."""
+    folder = tmp_path_factory.mktemp("wheel")
+    build = ("wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder, ROOT)
+    run(*PIP, *build, env={"PYTHONPATH": os.environ.get("PYTHONPATH", "")})
+    (found,) = folder.glob("*.whl")
+    return found
+
+
+@pytest.fixture(scope="module")
+def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the programs of a virtual environment with the wheel and the dependencies of this one."""
+    folder = tmp_path_factory.mktemp("bare")
+    run(sys.executable, "-m", "venv", "--without-pip", folder)
+    run(*PIP, "--python", folder / "bin" / "python", "install", "--quiet", "--no-deps", "--no-index", wheel)
+    (packages,) = folder.glob("lib/python*/site-packages")
+    paths = {sysconfig.get_paths()[name] for name in ("purelib", "platlib")}
+    (packages / "dependencies.pth").write_text("\n".join(paths))
+    return folder / "bin"
+
+
+def test_wheel_has_configs_page_header_and_types(wheel: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    sources = {p.relative_to(ROOT).as_posix() for p in (ROOT / "hil").rglob("*") if p.is_file()}
+    sources = {name for name in sources if "__pycache__" not in name}
+    assert sources <= names
+    assert {f"hil/{p.relative_to(ROOT).as_posix()}" for p in (ROOT / "configs").rglob("*.toml")} <= names
+    assert {"hil/py.typed", "hil/core/commit.txt"} <= names
+    assert any(name.startswith("hil/console/page/") for name in names)
+
+
+def test_installed_package_runs_scheme_1_and_names_its_build(bare: Path, tmp_path: Path) -> None:
+    code = "import hil, pathlib; print(pathlib.Path(hil.__file__).parents[1])"
+    assert run(bare / "python", "-c", code, cwd=tmp_path).strip() == str(bare.parent / next_packages(bare))
+    found = json.loads(run(bare / "hil", "run", "scheme-1", "--json", "-", "--record", "runs", cwd=tmp_path))
+    assert found["passed"]
+    assert found["build"] == {"version": VERSION, "commit": build_info().commit}
+    code = "import hil, sys; print(hil.open(sys.argv[1]).recorded.run['hil_commit'])"
+    file = found["recording"]["file"]
+    assert run(bare / "python", "-c", code, file, cwd=tmp_path).strip() == build_info().commit
+    run(bare / "hil", "report", file, "-o", "report.html", cwd=tmp_path)
+    assert build_info().commit in (tmp_path / "report.html").read_text()
+
+
+def next_packages(bare: Path) -> str:
+    """Return the path of the environment's packages in it."""
+    (found,) = bare.parent.glob("lib/python*/site-packages")
+    return found.relative_to(bare.parent).as_posix()
