@@ -4,6 +4,7 @@
 # make oracle compares the truth with Basilisk, in a separate environment
 # make bench  measures the cost of a cycle, and of filterpy and Basilisk, in one run
 # make lateness measures the lateness of the loop and of cyclictest, in about 10 minutes
+# make docs   builds the documentation site in build/docs; "make docs-links" also follows its links to other sites
 # make tidy   formats the sources
 
 PYTHON ?= python3
@@ -15,7 +16,7 @@ WORKERS := 3
 # the C example is built in the tests
 CC_MISSING := { apt-get update --quiet && apt-get install --quiet --yes gcc libc6-dev; }
 
-.PHONY: demo test slow oracle bench lateness tidy
+.PHONY: demo test slow oracle bench lateness docs docs-links tidy
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -42,6 +43,13 @@ bench: .venv-oracle/ready
 lateness: .venv/ready
 	$(BIN)/python benchmarks/lateness.py
 
+# warnings are errors: dead links, unknown references, failing cells of notebooks
+docs: .venv/docs
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --nitpicky docs build/docs
+
+docs-links: .venv/docs
+	$(BIN)/sphinx-build --quiet --builder linkcheck docs build/docs-links
+
 tidy: .venv/ready
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
@@ -50,6 +58,10 @@ tidy: .venv/ready
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+.venv/docs: .venv/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
 	touch $@
 
 # Basilisk needs an older matplotlib than constraints.txt pins

@@ -1,15 +1,15 @@
-"""Error tree of the package.
+"""Error tree of the package::
 
-HilError
-├── BadInput            invalid user input: exit code 2, one line per problem
-├── CampaignStopped     a campaign cannot continue; completed cases are kept: exit code 3
-└── BenchError          fault of the bench: the run ends with a safe stop, exit code 3
-    ├── DeviceError     fault of a device, which it names
-    │   ├── LinkLost        the link is lost (closed port, reset connection)
-    │   ├── LinkTimeout     nothing, or nothing new, received in time
-    │   ├── ProtocolError   received bytes violate the protocol
-    │   └── DriveFault      the device itself reports a fault
-    └── SafetyTrip      a limit of the controller was exceeded (device, value, limit)
+    HilError
+    ├── BadInput            invalid user input: exit code 2, one line per problem
+    ├── CampaignStopped     a campaign cannot continue; completed cases are kept: exit code 3
+    └── BenchError          fault of the bench: the run ends with a safe stop, exit code 3
+        ├── DeviceError     fault of a device, which it names
+        │   ├── LinkLost        the link is lost (closed port, reset connection)
+        │   ├── LinkTimeout     nothing, or nothing new, received in time
+        │   ├── ProtocolError   received bytes violate the protocol
+        │   └── DriveFault      the device itself reports a fault
+        └── SafetyTrip      a limit of the controller was exceeded (device, value, limit)
 
 Any other exception that reaches the command line is an internal error: exit code 4.
 """

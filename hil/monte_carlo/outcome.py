@@ -1,4 +1,4 @@
-"""A case's outcome as a row of numbers, under the names that docs/how-to/run-a-campaign.md lists."""
+"""A case's outcome as a row of numbers, under the names that docs/reference/columns.md lists."""
 
 from __future__ import annotations
 

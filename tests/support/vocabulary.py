@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 
-ALL = ("README.md", "CHANGELOG.md", "docs", "benchmarks", "configs", "examples", "hil", "sims")
+ALL = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs", "benchmarks", "configs", "examples", "hil", "sims")
 
 # name of the word -> pattern; the field's term or plain English replaces it ("if" for "where", "per" for "a")
 WORDS = {

@@ -1,15 +1,23 @@
-"""Relative links of the documentation lead to files and headings that exist."""
+"""Links and names in the documentation lead to files, headings and packages that exist, and every page is reachable."""
 
 import re
 from pathlib import Path
 
 import pytest
 
+from docs import diagrams, generate
+
 ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
 NAMED_FILE = re.compile(
-    r"(?<![\w/.-])((?:hil|docs|tests|benchmarks|sims|examples|configs)/[\w./-]+\.(?:py|toml|c|h|md|png))(?![\w.]*\w)"
+    r"(?<![\w/.-])((?:hil|docs|tests|benchmarks|sims|examples|configs)/[\w./-]+\.(?:py|toml|c|h|md|png|svg))(?![\w.]*\w)"
 )
-PAGES = sorted([ROOT / "README.md", ROOT / "benchmarks" / "README.md", *(ROOT / "docs").rglob("*.md")])
+BUILT = ("generated", "notebooks")
+PAGES = sorted(
+    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "benchmarks" / "README.md"]
+    + [page for page in DOCS.rglob("*.md") if not set(BUILT) & set(page.parts)]
+)
+MADE = {DOCS / name for name in generate.pages()}
 
 
 def anchors(page: Path) -> set[str]:
@@ -18,26 +26,38 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
+def links(page: Path) -> list[str]:
+    """Return the relative links of ``page``, without those in code."""
+    text = re.sub(r"```.*?```|(`+)[^`]*\1", "", page.read_text(), flags=re.DOTALL)
+    return re.findall(r"\]\((?!https?:)([^)]+)\)", text)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_relative_links_exist(page: Path) -> None:
-    text = re.sub(r"```.*?```|(`+)[^`]*\1", "", page.read_text(), flags=re.DOTALL)
-    for link in re.findall(r"\]\((?!https?:)([^)]+)\)", text):
+    for link in links(page):
         path, _, anchor = link.partition("#")
         target = (page.parent / path).resolve() if path else page
-        assert target.exists(), link
+        assert target in MADE or target.exists(), link
         assert not anchor or anchor in anchors(target), link
 
 
-def test_index_lists_every_page() -> None:
-    index = (ROOT / "docs" / "index.md").read_text()
-    pages = {page.relative_to(ROOT / "docs").as_posix() for page in PAGES if ROOT / "docs" in page.parents}
-    assert pages - {"index.md"} == {link.partition("#")[0] for link in re.findall(r"\]\(([^)]+)\)", index)}
+def test_every_page_is_reachable_from_the_index() -> None:
+    found: set[Path] = set()
+    ahead = [DOCS / "index.md"]
+    while ahead:
+        page = ahead.pop()
+        if page not in found:
+            found.add(page)
+            targets = [(page.parent / link.partition("#")[0]).resolve() for link in links(page)]
+            ahead += [target for target in targets if target.suffix == ".md" and target.exists()]
+            found |= MADE & set(targets)
+    assert {page for page in PAGES if DOCS in page.parents} | MADE <= found
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_named_files_of_the_repository_exist(page: Path) -> None:
     for name in NAMED_FILE.findall(page.read_text()):
-        assert (ROOT / name).exists(), name
+        assert ROOT / name in MADE or (ROOT / name).exists(), name
 
 
 @pytest.mark.parametrize("folder", ["hil", "configs", "sims", "benchmarks", "examples", "tests"])
@@ -48,6 +68,13 @@ def test_files_named_in_sources_exist(folder: str) -> None:
 
 
 def test_architecture_page_names_every_package() -> None:
-    page = (ROOT / "docs" / "explanation" / "architecture.md").read_text()
+    page = (DOCS / "explanation" / "architecture.md").read_text()
     packages = {path.name for path in (ROOT / "hil").iterdir() if (path / "__init__.py").exists()}
     assert packages == set(re.findall(r"^\| `hil/(\w+)` \|", page, re.MULTILINE))
+
+
+@pytest.mark.parametrize("name", diagrams.DIAGRAMS)
+def test_diagram_is_that_of_the_code(name: str) -> None:
+    drawn = diagrams.DIAGRAMS[name]()
+    assert (diagrams.FOLDER / name).read_text() == drawn, "run python docs/diagrams.py"
+    assert all((ROOT / file).exists() for file in NAMED_FILE.findall(drawn))

@@ -1,0 +1,310 @@
+"""Reference pages that are made from the code when the documentation is built.
+
+``pages()`` has the text of each page by its path below ``docs/``: the command line from its declarations, the keys of
+configuration files from the models that validate them. The meaning of a key is the docstring under its field.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import re
+import textwrap
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from hil.cli.main import app
+from hil.config.dispersions import Spread
+from hil.config.driver_registry import DeviceTable
+from hil.config.protocol import Protocol
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.config.scene import Scene
+from hil.config.vmu_geometry import VmuGeometry
+
+FOLDER: Final = "reference/generated"
+
+UNITS: Final = {
+    "m": "m",
+    "mm": "mm",
+    "m2": "m²",
+    "mps": "m/s",
+    "mps2": "m/s²",
+    "mps3": "m/s³",
+    "deg": "deg",
+    "degps": "deg/s",
+    "degps2": "deg/s²",
+    "rad": "rad",
+    "s": "s",
+    "us": "us",
+    "hz": "Hz",
+    "kg": "kg",
+    "kg_m2": "kg m²",
+    "n": "N",
+    "px": "px",
+    "levels": "grey levels",
+    "per_s": "1/s",
+    "per_level": "1/grey level",
+    "cycles": "cycles",
+    "bytes": "bytes",
+}
+"""Last words of a key -> unit."""
+NO_UNIT: Final = re.compile(
+    r"(^|_)(sigmas?|scale|factor|fraction|probability|confidence|eccentricity|relative|damping|coupling|specular|diffuse"
+    r"|direction|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean)$"
+)
+"""Numbers without unit. New keys need a unit in their name, or one of these words."""
+NOTATION: Final = dict.fromkeys(("fx", "fy", "cx", "cy", "f", "width", "height"), "px") | {
+    "fps": "1/s",
+    "level": "grey levels",
+    "sky": "grey levels",
+    "read": "grey levels",
+}
+"""Keys of cameras and scenes in the notation of their field -> unit."""
+
+
+class Key(NamedTuple):
+    """One key of a configuration table, as its row in the reference shows it."""
+
+    name: str
+    type: str
+    unit: str
+    allowed: str
+    default: str
+    meaning: str
+
+
+class Table(NamedTuple):
+    """One table of a configuration file: the places at which it occurs, its model, and its own keys."""
+
+    places: list[str]
+    model: type[BaseModel]
+    inherits: str
+    keys: list[Key]
+
+
+def pages() -> dict[str, str]:
+    """Return the text of each generated page by its path below ``docs/``."""
+    return {f"{FOLDER}/{name}.md": make() for name, make in PAGES.items()}
+
+
+def write(docs: Path) -> None:
+    """Write the pages that are missing or differ."""
+    for name, text in pages().items():
+        path = docs / name
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+
+
+def command_line() -> str:
+    """Return the page of all commands, as ``--help`` shows them."""
+    text = app.generate_docs(heading_level=1, max_heading_level=3)
+    start = text.index("## hil run")
+    body = re.sub(r" \*\[default: \(\)\]\*", "", text[start:])
+    intro = """# Command line
+
+`hil COMMAND --help` shows the same. Every command ends with one of these exit codes:
+
+| exit code | meaning |
+|---|---|
+| 0 | completed; verdict pass |
+| 1 | completed; verdict fail |
+| 2 | invalid input: one line per error, with file, key, value and allowed values |
+| 3 | safe stop: device fault, limit, or Ctrl-C; a campaign that cannot continue |
+| 4 | internal error |
+
+`--set a.b=v` overrides a key of the [scenario](scenario.md), `--set rig.a.b=v` a key of the [rig](rig.md). Texts may be
+given without quotes. Keys and commands under earlier names are accepted, keys with a line that names the new one.
+"""
+    return f"{intro}\n{body}\n"
+
+
+def scenario_keys() -> str:
+    """Return the page of the keys of a scenario file."""
+    intro = """# Scenario keys
+
+A scenario is a TOML file; keys that it omits are taken from the scenario named by `extends` (a shipped name, or a path
+relative to the file). `configs/scenarios/scheme-1.toml` sets every key. Frames: [Frames and
+signs](../../explanation/frames.md).
+
+`[dispersions]` repeats the tables of the scenario; each of their decimal numbers may have a distribution:
+"""
+    spread = _rows(Table([], Spread, "", _own_keys(Spread)))
+    return f"{intro}\n{spread}\n{_sections(Scenario)}"
+
+
+def rig_keys() -> str:
+    """Return the page of the keys of a rig file."""
+    intro = """# Rig keys
+
+A rig is a TOML file; keys that it omits are taken from the rig named by `extends` (`mock`, `emulated`, `emulated-rtu`,
+or a path relative to the file). Paths in it are relative to it. A driver of another package has the keys that its own
+documentation gives, in a table of its name.
+"""
+    return f"{intro}\n{_sections(Rig)}"
+
+
+def other_files() -> str:
+    """Return the page of the keys of the other configuration files."""
+    parts = {
+        "Geometry file of the vision unit": VmuGeometry,
+        "Scene file of the docking monitor": Scene,
+        "Protocol file of a serial turntable": Protocol,
+    }
+    text = "# Keys of geometry, scene and protocol files\n\nJSON or TOML; protocol files are TOML.\n"
+    return text + "".join(f"\n## {title}\n\n{_sections(model, level=3)}" for title, model in parts.items())
+
+
+PAGES: Final[dict[str, Callable[[], str]]] = {
+    "command-line": command_line,
+    "scenario": scenario_keys,
+    "rig": rig_keys,
+    "files": other_files,
+}
+
+
+def tables(root: type[BaseModel]) -> list[Table]:
+    """Return the tables of a file in the order of its model; a model that occurs at several places is one table."""
+    found: dict[type[BaseModel], Table] = {}
+    _visit(root, "", found)
+    return list(found.values())
+
+
+def _visit(model: type[BaseModel], place: str, found: dict[type[BaseModel], Table]) -> None:
+    base = next((base for base in model.__mro__[1:] if base in found), None)
+    inherited = set(base.model_fields) if base else set()
+    if model in found:
+        found[model].places.append(place)
+    else:
+        keys = [key for key in _own_keys(model) if key.name not in inherited]
+        found[model] = Table([place], model, f"`[{found[base].places[0]}]`" if base else "", keys)
+    for name, field in model.model_fields.items():
+        if name not in inherited:
+            for inner, suffix in _inner_models(field.annotation):
+                _visit(inner, f"{place}.{name}{suffix}".lstrip("."), found)
+
+
+def _inner_models(annotation: Any, suffix: str = "") -> Iterator[tuple[type[BaseModel], str]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation, suffix
+        return
+    origin = get_origin(annotation)
+    for argument in get_args(annotation):
+        yield from _inner_models(argument, ".NAME" if origin is dict else "[]" if origin is tuple else suffix)
+
+
+def _own_keys(model: type[BaseModel]) -> list[Key]:
+    schema = model.model_json_schema()
+    return [
+        _key(model, name, field, schema["properties"][name])
+        for name, field in model.model_fields.items()
+        if name in meanings(model) or not list(_inner_models(field.annotation))
+    ]
+
+
+def _key(model: type[BaseModel], name: str, field: FieldInfo, schema: dict[str, Any]) -> Key:
+    default = "required" if field.is_required() else _shown(schema.get("default"))
+    if list(_inner_models(field.annotation)):
+        return Key(name, "table", "", "", default, meanings(model)[name])
+    options = [option for option in schema.get("anyOf", [schema]) if option.get("type") != "null"]
+    option = options[0]
+    kind = " or ".join(dict.fromkeys(_type(each) for each in options))
+    return Key(name, kind, unit_of(name, kind), _allowed(option), default, meanings(model).get(name, ""))
+
+
+def unit_of(name: str, kind: str) -> str:
+    """Return the unit of a key, "" for a number without one or another type; ValueError for a number without either."""
+    if name in NOTATION:
+        return NOTATION[name]
+    if "number" not in kind:
+        return ""
+    words = name.split("_")
+    for start in range(len(words)):
+        if start > 0 and (unit := UNITS.get("_".join(words[start:]))):
+            return unit
+    if NO_UNIT.search(name):
+        return ""
+    raise ValueError(f"{name}: a key with a number needs a unit at the end of its name")
+
+
+def _type(schema: dict[str, Any]) -> str:
+    if "prefixItems" in schema:
+        return f"{_type(schema['prefixItems'][0])}[{len(schema['prefixItems'])}]"
+    if schema.get("type") == "array":
+        return f"{_type(schema.get('items', {}))}[]"
+    if schema.get("type") == "object":
+        return "table"
+    names = {"number": "number", "integer": "integer", "string": "text", "boolean": "boolean"}
+    return names.get(str(schema.get("type")), "text" if "enum" in schema else "integer" if "const" in schema else "any")
+
+
+def _allowed(schema: dict[str, Any]) -> str:
+    if "enum" in schema:
+        return ", ".join(_shown(value) for value in schema["enum"])
+    inner = schema.get("prefixItems", [schema.get("items", {})])[0] if schema.get("type") == "array" else schema
+    if inner is not schema:
+        return _allowed(inner)
+    low = _bound("above", schema.get("exclusiveMinimum")) or _bound("from", schema.get("minimum"))
+    high = _bound("below", schema.get("exclusiveMaximum")) or _bound("to", schema.get("maximum"))
+    return f"{low} {high}".strip()
+
+
+def _bound(word: str, value: float | None) -> str:
+    return "" if value is None else f"{word} {value if isinstance(value, int) else f'{value:g}'}"
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "not set"
+    text = json.dumps(value, ensure_ascii=False)
+    return f"`{text}`" if len(text) <= 60 else "see `configs/`"
+
+
+@cache
+def meanings(model: type[BaseModel]) -> dict[str, str]:
+    """Return the docstrings under the fields of a model, inherited ones included, as one line each."""
+    found: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if not (issubclass(base, BaseModel) and base.__module__.startswith("hil.")):
+            continue
+        (node,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
+        assert isinstance(node, ast.ClassDef)
+        for field, text in zip(node.body, node.body[1:], strict=False):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
+                assert isinstance(text.value, ast.Constant)
+                found[field.target.id] = " ".join(str(text.value.value).split())
+    return found
+
+
+def _sections(root: type[BaseModel], level: int = 2) -> str:
+    sections = []
+    for table in tables(root):
+        first, *others = [f"`[{place}]`" for place in table.places if place] or ["Top level"]
+        text = [f"{'#' * level} {first}", f"Also {', '.join(others)}." if others else "", _prose(table.model)]
+        if table.inherits:
+            text.append(f"The keys of {table.inherits}, and:" if table.keys else f"The keys of {table.inherits}.")
+        if table.keys:
+            text.append(_rows(table))
+        sections.append("\n\n".join(filter(None, text)))
+    return "\n\n".join(sections) + "\n"
+
+
+def _prose(model: type[BaseModel]) -> str:
+    """Return the docstring of a model, double backticks as in Markdown."""
+    own = model.__dict__.get("__doc__") or ""
+    return "" if model is DeviceTable else inspect.cleandoc(own).replace("``", "`")
+
+
+def _rows(table: Table) -> str:
+    rows = ["| key | type | unit | allowed | default | meaning |", "|---|---|---|---|---|---|"]
+    for key in table.keys:
+        meaning = key.meaning.replace("``", "`").replace("|", "\\|")
+        rows.append(f"| `{key.name}` | {key.type} | {key.unit} | {key.allowed} | {key.default} | {meaning} |")
+    return "\n".join(rows)
