@@ -18,7 +18,7 @@ project = "hil-bench"
 version = release = __version__
 language = "en"
 
-extensions = ["myst_nb", "sphinx.ext.autodoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 
 # pages are read on the site and in the repository: links are relative paths with GitHub's anchors
 myst_heading_anchors = 4
@@ -29,12 +29,22 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 
+napoleon_google_docstring = False  # only sections with an underlined title
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 
-# types of other packages have no pages here
-nitpick_ignore_regex = [("py:.*", r"(collections|enum|matplotlib|numpy|pathlib|pyarrow|pydantic|typing)\..*")]
+# types without a page here: of other packages, and of this one where a caller needs only the documented fields
+nitpick_ignore_regex = [
+    ("py:.*", r"(collections|enum|matplotlib|numpy|pa|pathlib|pyarrow|pydantic|typing)\..*"),
+    ("py:class", r"Figure|Job|Recorded|RunData"),
+    ("py:class", r"hil\.(recording\.read\.Recorded|recording\.replay\.\w+|report\.verdict\.Verdict)"),
+    ("py:class", r"hil\.(config\.vmu_geometry\.VmuGeometry|config\.scene\.Scene|vmu\.track\.TrackSettings)"),
+    (
+        "py:class",
+        r"hil\.(vmu\.pose\.\w+|vmu\.unit\.Pose|monitor\.(sources\.VideoFrame|preprocess\.Region)|core\.modes\.Mode)",
+    ),
+]
 
 html_theme = "furo"
 html_title = f"hil-bench {release}"
@@ -53,6 +63,13 @@ def prepare(_app: Any) -> None:
             shutil.copyfile(notebook, target)
 
 
+def keep_sentence(_app: Any, what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
+    """Keep napoleon from taking the words before the first colon of a property for its type."""
+    if what in ("attribute", "property"):
+        lines.insert(0, "")
+
+
 def setup(app: Any) -> None:
-    """Connect the preparation to the start of a build."""
+    """Connect the steps of a build."""
     app.connect("builder-inited", prepare)
+    app.connect("autodoc-process-docstring", keep_sentence, priority=400)

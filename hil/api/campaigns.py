@@ -60,7 +60,12 @@ def campaign(
     workers
         Number of processes; 0: one per core.
 
-    Raises BadInput for invalid arguments, and CampaignStopped if the disk is full: completed cases are kept.
+    Raises
+    ------
+    BadInput
+        Invalid arguments, with one line per error.
+    CampaignStopped
+        The disk is full: completed cases are kept.
     """
     for name, value, least in (("runs", runs, 1), ("workers", workers, 0)):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:

@@ -71,9 +71,15 @@ def run(
     record
         Folder for a recording of the run and its catalogue.
 
-    Raises BadInput for invalid arguments, with one line per error, and DeviceError if a device of the rig does not
-    start. A fault during the run does not raise: the bench stops, ``passed`` is False and ``stop`` is the fault.
-    Ctrl-C stops the bench and raises KeyboardInterrupt.
+    Raises
+    ------
+    BadInput
+        Invalid arguments, with one line per error.
+    DeviceError
+        A device of the rig does not start. A fault during the run does not raise: the bench stops, ``passed`` is False
+        and ``stop`` is the fault.
+    KeyboardInterrupt
+        Ctrl-C, after the bench has stopped.
     """
     if faults:
         raise BadInput.single("faults", "", "cannot be injected by this version: omit it")
