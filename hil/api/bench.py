@@ -13,6 +13,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Literal, Self, cast
 
+import numpy as np
+
 from hil.api.jobs import (
     Overrides,
     is_positive,
@@ -230,6 +232,14 @@ class Bench:
         """Present mode of the bench."""
         runner = self._operator.runner
         return runner.safety.modes.mode if runner is not None and self._thread.is_alive() else Mode.OFF
+
+    def feedback(self) -> np.record:
+        """Return the newest encoder samples: ``rail_m``, ``rail_mps``, ``gimbal_rad``, ``gimbal_radps``, (3,) each."""
+        runner = self._operator.runner
+        if runner is None:
+            raise self._ended_error("read the encoders")
+        found: np.record = runner.loop.now.feedback.copy()
+        return found
 
     def home(self, timeout_s: float = 180.0) -> None:
         """Home the axes that need it."""

@@ -109,7 +109,7 @@ class PythonObjectGnc(ExternalGnc):
 
 def class_name(gnc: object) -> str:
     """Return the name of an object's class, as it appears in events, errors and the report."""
-    return type(gnc).__qualname__
+    return type(gnc).__name__
 
 
 def _shown(shape: tuple[int, ...]) -> str:
