@@ -1,4 +1,4 @@
-"""Cost of each stage of the campaign's compiled loop, in nanoseconds of processor time per cycle.
+"""Cost of each stage of the compiled loop, in nanoseconds of processor time per cycle.
 
     python benchmarks/loop_stages.py [--scheme scheme-1]
 
@@ -17,13 +17,14 @@ import numpy as np
 from hil.bench import guard as guards
 from hil.config.load import load_rig, load_scenario
 from hil.core.jit import kernel
+from hil.core.messages import ARRIVAL
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.gnc import navigation, step
+from hil.loop.compiled import loop_kernel as loop
+from hil.loop.compiled.run_stats import count_cycle
 from hil.maths import stack
-from hil.monte_carlo import loop_kernel as loop
 from hil.monte_carlo.case_runner import CaseRunner
-from hil.monte_carlo.run_stats import count_cycle
 from hil.params import dynamics as dynamics_params
 
 REPEATS, TIMES, FLIGHTS = 100, 1_000, 30  # short ones: some are undisturbed
@@ -45,18 +46,18 @@ def supervise_bench(params, state, n):
 @kernel
 def expose(params, state, vision_noise, travel_draws, leds, frames, stats, n):
     for _ in range(n):
-        state.in_transit, state.first_exposure = 0, state.next_exposure
+        state.in_transit, first = 0, state.next_exposure
         until_s = (state.next_exposure + 0.5) / params.vmu_rate_hz
         state.rails.t_s = state.turntable.t_s = until_s  # the axes move in a separate stage
-        loop._expose(params, state, until_s, vision_noise, travel_draws, leds, frames, stats)
+        loop._expose(params, state, until_s, first, vision_noise, travel_draws, leds, frames, stats)
 
 
 @kernel
-def receive_poses(params, state, frames, poses, n):
+def receive_poses(params, state, frames, poses, arrivals, n):
     for _ in range(n):
         state.in_transit = 1
         frames[0].received_s = 0.0
-        loop._receive_poses(params, state, 0.01, frames, poses)
+        loop._receive_poses(params, state, 0.01, frames, poses, arrivals)
         loop._record_pose(state, poses, 1)
 
 
@@ -110,9 +111,9 @@ def sample_imu(params, state, noise, n):
 
 
 @kernel
-def follow(params, state, n):
+def follow(params, state, stats, n):
     for _ in range(n):
-        loop._send_setpoints(params, state, state.rails.t_s)
+        loop._send_setpoints(params, state, stats, state.rails.t_s)
 
 
 def best_ns(flight: CaseRunner, work: Callable[[int], object]) -> float:
@@ -143,7 +144,7 @@ def main() -> None:
     flight = CaseRunner(scenario, load_rig("mock").value, 0.5 * scenario.duration_s)
     flight.run(scenario, 0)
     p, s, memory, poses = flight._params, flight._state, flight._memory, flight._poses
-    frames, stats = flight._frames, flight._stats
+    frames, stats, arrivals = flight._frames, flight._stats, np.zeros(0, ARRIVAL)
     field, leds = dynamics_params.field(scenario), flight._leds
     imu_noise, vision_noise, draws = flight._imu_noise, flight._vision_noise, flight._travel_draws
     a_pose = 1.0 / (p.vmu_rate_hz * p.step_s)  # cycles
@@ -152,7 +153,7 @@ def main() -> None:
         "axes of the mock rig, encoders": best_ns(flight, lambda n: read_axes(p, s, n)),
         "supervision of the bench": best_ns(flight, lambda n: supervise_bench(p, s, n)),
         "vision unit": best_ns(flight, lambda n: expose(p, s, vision_noise, draws, leds, frames, stats, n)) / a_pose
-        + best_ns(flight, lambda n: receive_poses(p, s, frames, poses, n)) / a_pose,
+        + best_ns(flight, lambda n: receive_poses(p, s, frames, poses, arrivals, n)) / a_pose,
         "filters, prediction": (alone := best_ns(flight, lambda n: predict(p, s, memory, poses, n))),
         "filters, poses": (best_ns(flight, lambda n: fuse(p, s, memory, poses, n)) - alone) / a_pose,
         "consistency of the filters": best_ns(flight, lambda n: errors(s, n)) / a_pose,
@@ -160,7 +161,7 @@ def main() -> None:
         "stats": best_ns(flight, lambda n: cycle_stats(p, s, stats, n)),
         "truth": best_ns(flight, lambda n: move_truth(p, field, s, n)),
         "virtual IMU": best_ns(flight, lambda n: sample_imu(p, s, imu_noise, n)),
-        "setpoints": best_ns(flight, lambda n: follow(p, s, n)),
+        "setpoints": best_ns(flight, lambda n: follow(p, s, stats, n)),
     }
     cycle_ns = min(took) / whole.cycles * 1e9
     for name, ns in found.items():

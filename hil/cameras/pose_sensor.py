@@ -14,7 +14,7 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import ImageSink
 from hil.core.messages import Array, PoseFrame
 from hil.drivers.vmu.transport import Transport
-from hil.dynamics.vision import VISION_NOISE, measure
+from hil.dynamics.vision import ALL_LEDS, VISION_NOISE, measure
 from hil.maths.random_streams import NormalRows, stream
 from hil.params import bench as bench_params
 from hil.params import vision as vision_params
@@ -35,7 +35,8 @@ class PoseModel:
         self._bench = bench
         self._mounting = mounting
         self._vision = vision
-        self._noise = NormalRows(stream(seed, "vision"), VISION_NOISE)
+        self.noise = NormalRows(stream(seed, "vision"), VISION_NOISE)
+        """One row per exposure."""
         self._r = np.empty(3)
         self._q = np.empty(4)
 
@@ -43,8 +44,8 @@ class PoseModel:
         """Return the measured pose of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``."""
         t_v, q_vt, covariance = np.empty(3), np.empty(4), np.empty((6, 6))
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
-        measure(self._vision, self._mounting, self._r, self._q, self._noise.next_row(), t_v, q_vt, covariance)
-        return PoseFrame(0, t_s, t_s, t_v, q_vt, covariance, leds_left=0x3F, leds_right=0x3F)
+        measure(self._vision, self._mounting, self._r, self._q, self.noise.next_row(), t_v, q_vt, covariance)
+        return PoseFrame(0, t_s, t_s, t_v, q_vt, covariance, leds_left=ALL_LEDS, leds_right=ALL_LEDS)
 
 
 def transport(vmu: VisionNoise, seed: int) -> Transport:

@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from hil.config.rig import AxisGroupTable
-from hil.core.messages import Array
-from hil.models.servo import servo_step
+from hil.core.messages import new
+from hil.models.servo import SERVO, servo_step
+
+_FROM_CONFIG: Final = ("low", "high", "rate_max", "acceleration_max", "position")
 
 
 class ServoAxes:
     """Three axes that follow setpoints, in SI units: m and m/s, or rad and rad/s.
 
     position, rate, setpoint, feedforward, low, high, kp (1/s), tau (s): arrays of shape (3,), rails x y z or gimbals
-    roll pitch yaw. The axes start at their park position, at rest.
+    roll pitch yaw; views of ``record`` (SERVO). The axes start at their park position, at rest.
     """
 
     def __init__(self, config: AxisGroupTable) -> None:
         table = np.array([axis.limits for axis in config.axes]) * config.si_per_unit
+        self.record: np.record = new(SERVO)
+        for name, column in zip(_FROM_CONFIG, table.T, strict=True):
+            self.record[name] = column
+        self.record.rate_min = -self.record.rate_max
+        self.record.setpoint = self.record.position
+        self.record.kp, self.record.tau = config.servo.gain_per_s, config.servo.lag_s
         self.low, self.high, self.rate_max, self.acceleration_max, self.position = (
-            np.ascontiguousarray(column) for column in table.T
+            np.asarray(self.record[name]) for name in _FROM_CONFIG
         )
-        self.rate: Array = np.zeros(3)
-        self.setpoint: Array = self.position.copy()
-        self.feedforward: Array = np.zeros(3)
-        self.kp = np.full(3, config.servo.gain_per_s)
-        self.tau = np.full(3, config.servo.lag_s)
+        self.rate, self.setpoint, self.feedforward, self.kp, self.tau = (
+            np.asarray(self.record[name]) for name in ("rate", "setpoint", "feedforward", "kp", "tau")
+        )
 
     def hold(self) -> None:
         """Make the present position the setpoint."""

@@ -52,6 +52,12 @@ class Latest(Generic[Sample]):
                 raise LinkTimeout(self.device, f"no answer for {age:.3f} s, allowed {max_age_s:g} s")
             return self._sample
 
+    @property
+    def t_s(self) -> float:
+        """Time of the newest sample."""
+        with self._lock:
+            return self._t_s
+
     def peek(self) -> Sample | None:
         """Return the newest sample of any age, or None."""
         with self._lock:

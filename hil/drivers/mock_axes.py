@@ -103,6 +103,16 @@ class MockAxes:
         self._homing = HOMED
         self._set_homing({i: Homing.NEEDED for i, lost in enumerate(self._incremental) if lost})
 
+    def servo(self) -> np.record:
+        """Return SERVO of the axes, with which a compiled loop moves them instead of ``send`` and ``read``."""
+        self._axes.record.t_s = self._t_s
+        return self._axes.record
+
+    def set_servo(self, servo: np.record) -> None:
+        """Take over SERVO of axes that a compiled loop has moved."""
+        np.asarray(self._axes.record)[...] = servo
+        self._t_s = float(servo.t_s)
+
     def set_limit_switch(self, axis: int, switch: int) -> None:
         """Put ``axis`` on its low (-1), its high (1) or no (0) limit switch."""
         limit = [*self._limit]

@@ -15,6 +15,7 @@ from hil.maths.arrays import copy_into, fill_matrix
 from hil.models.mounting import camera_pose
 
 VISION_NOISE = 6  # standard normals per frame: position in v, small rotation about v's axes
+ALL_LEDS = 0x3F  # mask of the six LEDs of the ring
 
 VISION_PARAMS = np.dtype(
     [

@@ -86,13 +86,17 @@ class FilterMonitor:
     def update(self, cycle: int, imu: np.record, poses: np.ndarray, estimate: np.record, memory: np.ndarray) -> None:
         """Check the filters after ``cycle``. poses: of POSE, the new ones only. estimate: NAVIGATION."""
         if len(poses):
-            for monitors, nis in ((self._position, estimate.nis_position), (self._attitude, estimate.nis_attitude)):
-                for monitor in monitors if math.isfinite(nis) else ():
-                    text = monitor.add(nis)
-                    if text:
-                        self.events.append(Event(float(round(cycle * self._dt, 6)), monitor.name, text))
+            self.add_innovations(cycle, estimate.nis_position, estimate.nis_attitude)
         if self._shadow is not None:
             self._compare(cycle, imu, poses, memory)
+
+    def add_innovations(self, cycle: int, nis_position: float, nis_attitude: float) -> None:
+        """Check the NIS of the update in ``cycle``; nan for a filter without one."""
+        for monitors, nis in ((self._position, nis_position), (self._attitude, nis_attitude)):
+            for monitor in monitors if math.isfinite(nis) else ():
+                text = monitor.add(nis)
+                if text:
+                    self.events.append(Event(float(round(cycle * self._dt, 6)), monitor.name, text))
 
     def _compare(self, cycle: int, imu: np.record, poses: np.ndarray, memory: np.ndarray) -> None:
         assert self._shadow is not None

@@ -86,6 +86,24 @@ def gnc_step(params, state, memory, t_s, imu, poses, n_poses, estimate, referenc
 
 
 @kernel
+def copy_progress(progress, out):
+    """Copy a record of APPROACH_PROGRESS."""
+    out.phase, out.go, out.docking_go = progress.phase, progress.go, progress.docking_go
+    out.ready_since_s, out.ready, out.aborted = progress.ready_since_s, progress.ready, progress.aborted
+
+
+@kernel
+def has_event(before, after):
+    """Return whether the approach has made progress that is an event. before, after: APPROACH_PROGRESS."""
+    return (
+        before.phase != after.phase
+        or before.go != after.go
+        or before.ready != after.ready
+        or before.aborted != after.aborted
+    )
+
+
+@kernel
 def navigate(params, state, memory, imu, poses, n_poses, estimate):
     """Stage 4: both filters, or vision only. Arguments as of ``gnc_step``."""
     navigation.navigate(params.navigation, state.navigation, memory, imu, poses, n_poses, estimate)

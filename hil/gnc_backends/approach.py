@@ -26,7 +26,8 @@ class Approach:
 
     def __init__(self, params: np.record, state: np.record, event_log: ApproachEventLog) -> None:
         self._approach_params = params
-        self._approach = state
+        self.approach_state = state
+        """APPROACH_STATE."""
         self._progress = np.asarray(state["progress"])
         self.event_log = event_log
         guidance.start(params.guidance, state.guidance)
@@ -62,14 +63,14 @@ class Approach:
 
     def order_abort(self) -> None:
         """Order an abort, from the next cycle on."""
-        self._approach["abort_ordered"] = 1
+        self.approach_state["abort_ordered"] = 1
         self.orders.append((self.cycle + 1, "abort"))
 
     def guide(self, t_s: float, supervision: np.record, reference: np.record) -> None:
         """Start the next phase when its time or its order has come; write REFERENCE for ``t_s`` of the run."""
         before = self._progress.tobytes()
-        step.guide(self._approach_params, self._approach, t_s, supervision, reference)
-        self._log_progress(t_s, before, supervision)
+        step.guide(self._approach_params, self.approach_state, t_s, supervision, reference)
+        self.log_progress(t_s, before, supervision)
 
     def watch_approach(self, t_s: float, estimate: np.record, reference: np.record, supervision: np.record) -> None:
         """Check corridor, closing rate and ready state; start an abort if one is due. Writes SUPERVISION."""
@@ -85,15 +86,15 @@ class Approach:
     ) -> None:
         before = self._progress.tobytes()
         step.watch_approach(
-            self._approach_params, self._approach, t_s, estimate, reference, supervision, abort_without_estimate
+            self._approach_params, self.approach_state, t_s, estimate, reference, supervision, abort_without_estimate
         )
-        self._log_progress(t_s, before, supervision)
+        self.log_progress(t_s, before, supervision)
 
-    def _log_progress(self, t_s: float, before: bytes, supervision: np.record) -> None:
-        """Log the differences to the progress ``before``; most cycles have none."""
+    def log_progress(self, t_s: float, before: bytes, supervision: np.record) -> None:
+        """Log the differences to the progress ``before`` (bytes of APPROACH_PROGRESS); most cycles have none."""
         if self._progress.tobytes() != before:
             self.event_log.update(
-                t_s, np.frombuffer(before, APPROACH_PROGRESS)[0], self._approach["progress"], supervision
+                t_s, np.frombuffer(before, APPROACH_PROGRESS)[0], self.approach_state["progress"], supervision
             )
 
     def events(self) -> list[Event]:
@@ -102,4 +103,4 @@ class Approach:
 
     def finish(self, t_s: float, supervision: np.record) -> None:
         """Log the docking decision at the end of the run unless one was logged before."""
-        self.event_log.finish(t_s, self._approach["progress"], supervision)
+        self.event_log.finish(t_s, self.approach_state["progress"], supervision)

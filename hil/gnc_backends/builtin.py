@@ -21,13 +21,14 @@ class BuiltinGnc(Approach):
     """The compiled GNC. params: GNC_PARAMS. filter_monitor: reads the same record of parameters."""
 
     def __init__(self, params: np.record, event_log: ApproachEventLog, filter_monitor: FilterMonitor) -> None:
-        self._params = params
+        self.params = params
         self.state = new(GNC_STATE)
         super().__init__(params.approach, self.state.approach, event_log)
         self.filter_monitor = filter_monitor
-        self._memory = np.zeros(MEMORY, STEP)
+        self.memory = np.zeros(MEMORY, STEP)
+        """Of the filters, (MEMORY,) of STEP."""
         self._nees = np.empty(2)
-        self._fuses = bool(params.navigation.sensors == navigation.VISION_AND_IMU)
+        self.fuses = bool(params.navigation.sensors == navigation.VISION_AND_IMU)
         self.fused_now = False
         """Whether the filters took a pose in the last cycle."""
 
@@ -40,9 +41,9 @@ class BuiltinGnc(Approach):
         """Run stages 4 to 7 of the cycle."""
         before = self._progress.tobytes()
         step.gnc_step(
-            self._params,
+            self.params,
             self.state,
-            self._memory,
+            self.memory,
             t_s,
             now.imu,
             vision.poses,
@@ -53,22 +54,22 @@ class BuiltinGnc(Approach):
             now.command,
         )
         self._monitor_filters(now.imu, vision, now.navigation)
-        self._log_progress(t_s, before, now.supervision)
+        self.log_progress(t_s, before, now.supervision)
 
     def navigate(self, imu: np.record, vision: Poses, estimate: np.record) -> None:
         """Run stage 4 alone, for a GNC whose guidance runs on the bench: write NAVIGATION."""
-        step.navigate(self._params, self.state, self._memory, imu, vision.poses, vision.arrived, estimate)
+        step.navigate(self.params, self.state, self.memory, imu, vision.poses, vision.arrived, estimate)
         self._monitor_filters(imu, vision, estimate)
 
     def actuate(self, estimate: np.record, reference: np.record, command: np.record) -> None:
         """Run stage 7 alone: write the demands and the thrusters of COMMAND."""
-        step.actuate(self._params, estimate, reference, command)
+        step.actuate(self.params, estimate, reference, command)
 
     def _monitor_filters(self, imu: np.record, vision: Poses, estimate: np.record) -> None:
         self.cycle += 1
-        self.fused_now = self._fuses and vision.arrived > 0
-        if self.fused_now or (self._fuses and self.filter_monitor.needs_every_cycle):
-            self.filter_monitor.update(self.cycle, imu, vision.poses[: vision.arrived], estimate, self._memory)
+        self.fused_now = self.fuses and vision.arrived > 0
+        if self.fused_now or (self.fuses and self.filter_monitor.needs_every_cycle):
+            self.filter_monitor.update(self.cycle, imu, vision.poses[: vision.arrived], estimate, self.memory)
 
     def adjust(self, params: np.record) -> int:
         """Take over other parameters between two cycles; return the number of the cycle from which on they act.
@@ -77,8 +78,8 @@ class BuiltinGnc(Approach):
         in place: the shadow filter, which reads the same one, takes the new values as well.
         """
         for name in _LIVE:
-            self._params[name] = params[name]
-        self._params["approach"]["monitor"] = params["approach"]["monitor"]
+            self.params[name] = params[name]
+        self.params["approach"]["monitor"] = params["approach"]["monitor"]
         return self.cycle + 1
 
     def consistency(self, truth: np.record, imu: np.record) -> Array:

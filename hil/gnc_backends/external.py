@@ -46,7 +46,8 @@ class ExternalGnc(Approach):
         self.input, self.output = new(GNC_INPUT), new(GNC_OUTPUT)
         self.messages: ObservableList[Event] = ObservableList()
         """Texts that the GNC has sent for the operator."""
-        self._params = setup.params
+        self.params = setup.params
+        """GNC_PARAMS."""
         self._n = int(setup.params.n_thrusters)
         self._last_text = b""
         self._nees = np.full(2, np.nan)
@@ -69,7 +70,7 @@ class ExternalGnc(Approach):
     def step(self, t_s: float, now: Records, vision: Poses) -> None:
         """Write the reference, exchange input and output, and check the estimate."""
         self.cycle += 1
-        orders = GncOrder.ABORT if self._approach["abort_began"] else GncOrder.NONE
+        orders = GncOrder.ABORT if self.approach_state["abort_began"] else GncOrder.NONE
         ordered, phase = self._progress["go"], int(self._progress["phase"])
         self.guide(t_s, now.supervision, now.reference)
         if ordered and self._progress["phase"] != phase:
@@ -87,14 +88,18 @@ class ExternalGnc(Approach):
         fault, index = external_records.fault_of(out, cycle, self._n)
         if fault != external_records.FINE:
             raise ProtocolError(self.name, fault_text(out, fault, index, cycle, self._n))
-        text = out.text
+        self.log_text(t_s)
+        if out.state >= external_records.ASKS_FOR_HOLD:
+            self.on_state(out)
+        external_records.read_output(out, self.params, now.reference.boost, now.navigation, now.command)
+
+    def log_text(self, t_s: float) -> None:
+        """Log the text of ``output`` if it is a new one."""
+        text = self.output.text
         if text != self._last_text:
             self._last_text = text
             if text and len(self.messages) < _MESSAGES_MAX:
                 self.messages.append(Event(t_s, self.name, printable(text)))
-        if out.state >= external_records.ASKS_FOR_HOLD:
-            self._on_state(out)
-        external_records.read_output(out, self._params, now.reference.boost, now.navigation, now.command)
 
     def watch_approach(self, t_s: float, estimate: np.record, reference: np.record, supervision: np.record) -> None:
         """Check the estimate; an ordered abort begins without one as well. Writes SUPERVISION."""
@@ -111,7 +116,8 @@ class ExternalGnc(Approach):
             self.cycle, t_s, int(mode), int(orders), now.imu, now.reference, poses, arrived, self.input
         )
 
-    def _on_state(self, out: np.record) -> None:
+    def on_state(self, out: np.record) -> None:
+        """Request the hold for which ``out`` (GNC_OUTPUT) asks, or raise the fault that it reports."""
         if out.state == GncState.FAULT:
             raise reported_fault(self.name, out)
         self.request_hold(hold_reason(self.name, out))
@@ -124,7 +130,7 @@ class ExternalGnc(Approach):
         )  # fmt: skip
         external_records.clear_output(output, 0)
         external_records.fault_of(output, 0, self._n)
-        external_records.read_output(output, self._params, reference.boost, navigation, command)
+        external_records.read_output(output, self.params, reference.boost, navigation, command)
         external_records.mark_invalid(navigation)
         external_records.close_thrusters(command)
         state, supervision = new(APPROACH_STATE), new(SUPERVISION)

@@ -110,15 +110,14 @@ class SharedLibraryGnc(ExternalGnc):
 
     def __init__(self, library: Library, setup: BackendSetup) -> None:
         super().__init__(gnc_name(library), setup)
-        self._library = library
+        self.library = library
         self._instance: Instance | None = None
-        self._address = library.step_address
         external_records.compile_call(self.input, self.output)
 
     def open(self, bench_s: float) -> None:
         """Open an instance. Raises BadInput if the library refuses."""
         if self._instance is None:
-            self._instance = self._library.open(self.setup)
+            self._instance = self.library.open(self.setup)
 
     def close(self) -> None:
         """Close the instance."""
@@ -133,12 +132,17 @@ class SharedLibraryGnc(ExternalGnc):
         self.input.mode, self.input.orders, self.input.n_poses = int(mode), 0, 0
         self.exchange()
         if self.output.state == GncState.FAULT:
-            self._on_state(self.output)
+            self.on_state(self.output)
+
+    @property
+    def instance_address(self) -> int:
+        """Address of the open instance."""
+        assert self._instance is not None
+        return self._instance.address
 
     def exchange(self) -> bool:
         """Call the library. Raises DeviceError if its step fails."""
-        assert self._instance is not None
-        code = external_records.call_library(self._address, self._instance.address, self.input, self.output)
+        code = external_records.call_library(self.library.step_address, self.instance_address, self.input, self.output)
         if code != 0:
             raise step_failed(self.name, code, self.output)
         return True

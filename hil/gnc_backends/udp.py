@@ -141,12 +141,12 @@ class UdpGnc(ExternalGnc):
         """Write the reference, exchange input and output, and check the estimate."""
         self._reference, self._held_since_s = now.reference, None
         super().step(t_s, now, vision)
-        if self._approach["abort_began"] and self._lock_step and self._missed == 0 and self._buffers.has_flight:
+        if self.approach_state["abort_began"] and self._lock_step and self._missed == 0 and self._buffers.has_flight:
             self._control_again(t_s, now)
 
     def _control_again(self, t_s: float, now: Records) -> None:
         """Let a GNC server repeat its control with the reference of an abort that has just begun."""
-        self._approach["abort_began"] = 0
+        self.approach_state["abort_began"] = 0
         self._write_input(t_s, GncMode.RUNNING, GncOrder.ABORT, now, None)
         self._replies.used -= 1
         if self.exchange(now.reference):

@@ -41,8 +41,10 @@ class BenchStage:
         self.feedback: tuple[AxisFeedback, AxisFeedback]
         """Of rails and turntable, from the last ``read``."""
         self._target = new(AXES)
-        self._accepted = new(AXES)
-        self._commanded_s = math.nan
+        self.accepted = new(AXES)
+        """Last setpoint that the devices have accepted (AXES)."""
+        self.commanded_s = math.nan
+        """Bench time at which it was sent; nan if none was sent since ``seed``."""
         self._next = new(AXES)
         self._next_arrays = tuple(self._next[name] for name in ("rail_m", "rail_mps", "gimbal_rad", "gimbal_radps"))
         self.limited_cycles = 0
@@ -85,7 +87,7 @@ class BenchStage:
 
     def check(self, now_s: float, feedback: np.record) -> None:
         """Run the safety checks on the last ``read``; raise SafetyTrip if one fails."""
-        alarm = self.safety.check(now_s, *self.feedback, self._commanded_s, self._accepted, feedback)
+        alarm = self.safety.check(now_s, *self.feedback, self.commanded_s, self.accepted, feedback)
         if alarm is not None:
             raise alarm.trip()
 
@@ -98,9 +100,9 @@ class BenchStage:
         if alarm is not None:
             raise alarm.trip()
         rest = np.zeros(3)
-        kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, self._accepted)
+        kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, self.accepted)
         kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, self.motion)
-        self._commanded_s = math.nan
+        self.commanded_s = math.nan
 
     def seed_for_run(self, now_s: float, feedback: np.record) -> None:
         """``seed`` if all axes are homed, within their travel and off their limit switches; SafetyTrip otherwise."""
@@ -128,6 +130,11 @@ class BenchStage:
             self.limited_cycles += 1
         self._send(now_s, setpoint)
 
+    def send(self, setpoint: np.record, now_s: float, accepted: np.record) -> None:
+        """Send ``setpoint`` (AXES), which is within the limits; write the accepted one into ``accepted``."""
+        np.asarray(self._next)[...] = setpoint
+        self._send(now_s, accepted)
+
     def brake(self, now_s: float, setpoint: np.record, params: np.record | None = None) -> bool:
         """Send the next setpoint of a braking ramp; return whether a setpoint still moves."""
         moving = stopping.brake_step(self.params if params is None else params, self.motion, self._next)
@@ -139,8 +146,8 @@ class BenchStage:
         rail_accepted = self.rails.send(rail_m, rail_mps, now_s)
         gimbal_accepted = self.turntable.send(gimbal_rad, gimbal_radps, now_s)
         kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, setpoint)
-        kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, self._accepted)
-        self._commanded_s = now_s
+        kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, self.accepted)
+        self.commanded_s = now_s
 
     def at_rest(self, now_s: float, feedback: np.record) -> bool:
         """Return whether all axes are at rest according to their encoders."""

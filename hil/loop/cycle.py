@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from hil.core.messages import CYCLE
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc_backends.base import GncBackend
 from hil.loop.bench_stage import BenchStage
+from hil.loop.rate_keeper import Tick
 from hil.loop.safety_io_stage import NoSafetyIo, SafetyIo
 from hil.loop.stages import DssStage, VisionStage
 from hil.loop.target_stage import FixedTarget, TargetStage
@@ -64,6 +66,8 @@ class Loop:
     safety_io: SafetyIo = field(default_factory=NoSafetyIo)
     target: TargetStage = field(default_factory=FixedTarget)
     now: CycleData = field(default_factory=CycleData)
+    done: int = 0
+    """Completed cycles of the run."""
     _row: memoryview = field(init=False)
     _history_bytes: memoryview = field(init=False)
 
@@ -100,3 +104,30 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.dss.sample_imu(now.truth, now.imu)  # 10 virtual IMU over this step
     w_CH_C = loop.dss.rate_against_hill(now.truth)
     loop.bench.follow(now.truth, w_CH_C, bench_s, now.setpoint)  # 11 setpoints for rails and turntable
+
+
+class Cycles(Protocol):
+    """Runs the cycles of a closed loop: one at a time in Python, or blocks of compiled ones."""
+
+    def advance(self, held_s: float) -> Tick:
+        """Run the next cycle of the run, or several; return the last one's tick. Raises BenchError.
+
+        held_s: time by which holds have delayed the run. Counts the cycles in ``Loop.done``.
+        """
+
+
+class PythonCycles:
+    """Runs one cycle of ``loop`` at a time. wait: waits for the start of a cycle."""
+
+    def __init__(self, loop: Loop, wait: Callable[[], Tick], step_s: float) -> None:
+        self._loop = loop
+        self._wait = wait
+        self._step_s = step_s
+
+    def advance(self, held_s: float) -> Tick:
+        """Run the next cycle."""
+        tick = self._wait()
+        k = self._loop.done
+        run_cycle(self._loop, k, k * self._step_s, tick.now_s, tick.run_zero_s + held_s, tick.lateness_s)
+        self._loop.done = k + 1
+        return tick

@@ -65,6 +65,10 @@ class SimulatedRate:
         self._zero_s = self._clock.now_s()
         self.executed = 0
 
+    def seek(self, cycle: int) -> None:
+        """Make ``cycle``, counted from the restart, the next one."""
+        self.executed = cycle
+
     def wait(self) -> Tick:
         self._clock.t_s = self._zero_s + self.executed * self._step_s
         self.executed += 1

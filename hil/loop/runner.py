@@ -19,7 +19,7 @@ from hil.core.operator_commands import Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError
-from hil.loop.cycle import Loop, run_cycle
+from hil.loop.cycle import Cycles, Loop, PythonCycles
 from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer, ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
@@ -93,7 +93,8 @@ class Runner:
         self._faults: list[str] = []
         self.events: ObservableList[Event] = ObservableList()
         """Events of the bench: holds, changed settings."""
-        self._done = 0
+        self.cycles: Cycles = PythonCycles(loop, lambda: self.overrun_monitor.wait(rate), plan.step_s)
+        """Runs the cycles of the closed loop."""
         self._parked = False
 
     @property
@@ -120,7 +121,7 @@ class Runner:
     def outcome(self, stop: str) -> Outcome:
         """Return the results so far; stop: why the run ends or is held. Only while the loop's thread does not run."""
         return Outcome(
-            history=self.loop.history[: self._done],
+            history=self.loop.history[: self.loop.done],
             stop=stop,
             faults=list(self._faults),
             mode=self._modes.mode,
@@ -164,7 +165,7 @@ class Runner:
             with self._scheduling.realtime_priority():  # after the drivers have started their threads
                 while (command := self._next_command()) is not None:
                     self._execute(command)
-                if self._plan.park_after_run and self._done == self._plan.cycles:
+                if self._plan.park_after_run and self.loop.done == self._plan.cycles:
                     self._sequencer.brake()
                     self._modes.go(Mode.STANDBY)
                     self._park()
@@ -184,7 +185,7 @@ class Runner:
 
     def _next_command(self) -> OperatorCommand | None:
         """Return the next command; None if the run is over, the bench is parked, or no operator can issue one."""
-        while not (self._done or self._parked):
+        while not (self.loop.done or self._parked):
             command = self.operator.next_command(self._modes.mode)
             if command is not None or not self.operator.attended:
                 return command
@@ -239,17 +240,16 @@ class Runner:
         self.rate.restart()
         step_s, cycles = self._plan.step_s, self._plan.cycles
         held_s = 0.0
-        for k in range(cycles):
-            tick = self.overrun_monitor.wait(self.rate)
-            run_cycle(self.loop, k, k * step_s, tick.now_s, tick.run_zero_s + held_s, tick.lateness_s)
-            self._done = k + 1
-            if k % PROGRESS_CYCLES == 0:
-                self._on_progress(Mode.RUNNING, k / cycles)
-            if k % self._sequencer.link_check_cycles == 0:
+        while (first := self.loop.done) < cycles:
+            tick = self.cycles.advance(held_s)
+            last = self.loop.done - 1
+            if _has_multiple(first, last, PROGRESS_CYCLES):
+                self._on_progress(Mode.RUNNING, last / cycles)
+            if _has_multiple(first, last, self._sequencer.link_check_cycles):
                 self._sequencer.check_links(tick.now_s)
             self.operator.poll(tick.now_s)
             if self.operator.pending or self.safety.hold_reason:
-                held_s += self._execute_while_running(k * step_s)
+                held_s += self._execute_while_running(last * step_s)
         self.loop.gnc.finish((cycles - 1) * step_s, self.loop.now.supervision)
         self._on_progress(Mode.RUNNING, 1.0)
 
@@ -294,7 +294,7 @@ class Runner:
 
         The devices are reopened afterwards, disarmed, in standby.
         """
-        if self._done:
+        if self.loop.done:
             return False
         while True:
             tick = self.rate.wait()
@@ -327,6 +327,11 @@ class Runner:
             self.loop.safety_io.stop(self.rate.now_s())
             self.loop.safety_io.close()
             self.loop.gnc.close()
+
+
+def _has_multiple(first: int, last: int, n: int) -> bool:
+    """Return whether one of the numbers ``first`` to ``last`` is a multiple of ``n``."""
+    return last // n > (first - 1) // n
 
 
 @contextmanager

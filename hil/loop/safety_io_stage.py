@@ -109,6 +109,16 @@ class SafetyIoStage:
             self._mirrored = self._on.tobytes()
             self.io.write(IoOutputs(True, self._lines()), now_s)
 
+    @property
+    def thruster_lines(self) -> int:
+        """Number of thrusters that are mirrored."""
+        return len(self._on)
+
+    def set_mirrored(self) -> IoOutputs:
+        """Take the present thruster commands as mirrored, as a compiled loop has done; return the outputs."""
+        self._mirrored = self._on.tobytes()
+        return IoOutputs(True, self._lines())
+
     def stop(self, now_s: float) -> None:
         """Switch all lines off."""
         self.io.stop(now_s)

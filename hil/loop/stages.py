@@ -27,19 +27,21 @@ class DssStage:
 
     def __init__(self, params: np.record, field: Array, imu_params: np.record, imu_noise: NormalRows) -> None:
         self.params = params
-        self._field = field
-        self._harmonics = new(CACHED_GRAVITY)
+        self.field = field
+        self.harmonics = new(CACHED_GRAVITY)
+        """Cached values of the gravity field."""
         self._imu_params = imu_params
-        self._noise = imu_noise
+        self.noise = imu_noise
+        """One row per step."""
         self._rate = np.empty(3)
 
     def sample_imu(self, truth: np.record, imu: np.record) -> None:
         """Write the IMU sample of the step that ended at ``truth``."""
-        imu_kernels.sample(self._imu_params, truth, self._noise.next_row(), imu)
+        imu_kernels.sample(self._imu_params, truth, self.noise.next_row(), imu)
 
     def step(self, truth: np.record, command: np.record) -> None:
         """Propagate ``truth`` by one step with the thrusters that ``command`` opens."""
-        truth_kernels.step(self.params, self._field, self._harmonics, truth, command.on)
+        truth_kernels.step(self.params, self.field, self.harmonics, truth, command.on)
 
     def rate_against_hill(self, truth: np.record) -> Array:
         """Return the chaser's rate relative to H, in c, (3,), rad/s; valid until the next call."""
@@ -67,17 +69,17 @@ class VisionStage:
         self.on_frame_used: Callable[[PoseFrame, float], None] | None = None
         """Called with each used frame and its time of exposure in the run's time."""
         self._row = np.zeros(1, ARRIVAL)
-        self._cycle = -1
+        self.cycle = -1
+        """Number of the last cycle, -1 before the first."""
 
     def receive(self, bench_s: float, run_zero_s: float, row: np.ndarray) -> None:
         """Write the frames received since the last cycle into ``poses``, the newest also into ``row["pose"]``.
 
         run_zero_s: bench time of the run's time zero.
         """
-        if run_zero_s != self._run_zero_s:
-            self._set_run_zero(run_zero_s)
+        self.set_run_zero(run_zero_s)
         received = frames = self.source.poll(bench_s)
-        self._cycle += 1
+        self.cycle += 1
         if frames:
             frames = [frame for frame in frames if frame.t_s >= self.not_before_s]
         self.dropped += max(0, len(frames) - MAX_POSES)
@@ -95,21 +97,23 @@ class VisionStage:
             if self.on_frame_used is not None:
                 self.on_frame_used(frame, pose.t_s)
             if self.frame_sink is not None:
-                self._record(frame, self._cycle, pose)
+                self._record(frame, self.cycle, pose)
         newest = self.poses[: self.arrived]["t_s"].argmax()
         row["pose"] = self.poses[newest]
         row["pose"]["fresh"] = self.arrived
         row["received_s"] = frames[newest].received_s - run_zero_s
 
-    def _set_run_zero(self, run_zero_s: float | None) -> None:
+    def set_run_zero(self, run_zero_s: float | None) -> None:
+        """Report a changed bench time of the run's time zero to ``on_run_zero``; None: the run's time stops."""
+        if run_zero_s == self._run_zero_s:
+            return
         self._run_zero_s = run_zero_s
         if self.on_run_zero is not None:
             self.on_run_zero(math.nan if run_zero_s is None else run_zero_s)
 
     def discard_pending(self, bench_s: float) -> int:
         """Discard the frames received since the last cycle; return their number."""
-        if self._run_zero_s is not None:
-            self._set_run_zero(None)
+        self.set_run_zero(None)
         frames = self.source.poll(bench_s)
         if self.frame_sink is not None:
             self._record_unused(frames)

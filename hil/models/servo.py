@@ -8,11 +8,32 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+
 from hil.core.jit import kernel
 from hil.maths import stack
 
 _LANES: Final = 6
 _ROWS: Final = 10
+
+SERVO = np.dtype(
+    [
+        ("t_s", "f8"),  # time of position and rate
+        ("position", "f8", 3),
+        ("rate", "f8", 3),
+        ("setpoint", "f8", 3),
+        ("feedforward", "f8", 3),
+        ("kp", "f8", 3),
+        ("tau", "f8", 3),
+        ("rate_max", "f8", 3),
+        ("rate_min", "f8", 3),
+        ("acceleration_max", "f8", 3),
+        ("low", "f8", 3),
+        ("high", "f8", 3),
+    ],
+    align=True,
+)
+"""Three axes of a device, arguments of ``servo_step``."""
 
 
 @kernel

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
 
 import numpy as np
 
 from hil.bench import guard as guards
 from hil.bench.kinematics import write_axes
-from hil.config.rig import BENCH_AXES, Rails, Rig, Turntable
+from hil.config.rig import BENCH_AXES, Rig
 from hil.config.scenario import Scenario
-from hil.core.messages import AXES, CYCLE, MAX_POSES, POSE, VMU_FRAME, Array, new
+from hil.core.messages import ARRIVAL, AXES, CYCLE, MAX_POSES, POSE, new
 from hil.drivers.axes import ServoAxes
 from hil.dynamics.imu import IMU_NOISE
 from hil.dynamics.vision import VISION_NOISE
@@ -22,12 +21,14 @@ from hil.gnc.fusion import MEMORY, STEP
 from hil.gnc_backends import external_records
 from hil.gnc_backends.external import fault_text, hold_reason, reported_fault
 from hil.gnc_backends.shared_library import Library, gnc_name, step_failed
+from hil.loop.compiled import loop_kernel
+from hil.loop.compiled.library_kernel import output_of
+from hil.loop.compiled.loop_kernel import LOOP_STATE, run_loop
+from hil.loop.compiled.params import frames_in_transit, loop_params, set_truth
+from hil.loop.compiled.run_stats import RUN_STATS, start_run_stats
 from hil.loop.runner import COMPLETED
 from hil.maths.random_streams import stream
 from hil.models.camera_timing import TRAVEL_DRAWS
-from hil.monte_carlo import loop_kernel
-from hil.monte_carlo.loop_kernel import LOOP_PARAMS, LOOP_STATE, SERVO, run_loop
-from hil.monte_carlo.run_stats import RUN_STATS, start_run_stats
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
@@ -37,8 +38,6 @@ from hil.report.verdict import ready_params
 from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_limits
 from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built
 from hil.setup.gnc_setup import gnc_setup
-
-_SPARE_FRAMES: Final = 4
 
 
 class CaseRunner:
@@ -59,28 +58,23 @@ class CaseRunner:
         self._state, self._stats = self._state_block[0], self._stats_block[0]
         self._memory = np.zeros(MEMORY, STEP)
         self._poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
-        # each exposure may be in transit twice, for two seconds at most
-        self._frames = np.zeros(2 * math.ceil(2.0 * rig.vmu.rate_hz) + _SPARE_FRAMES, VMU_FRAME).view(np.recarray)
+        self._frames = frames_in_transit(rig, scenario.step_s)
         self._imu_noise = np.empty((self.cycles, IMU_NOISE))
         self._vision_noise = np.empty((exposures, VISION_NOISE))
         self._travel_draws = np.empty((exposures, TRAVEL_DRAWS))
+        self._arrivals = np.zeros(0, ARRIVAL).view(np.recarray)
         self._leds = vision_params.camera(rig)[1]
         self._library = Library(scenario.gnc.library, "campaign") if scenario.gnc.library is not None else None
 
     def _fixed_params(self) -> np.record:
         """Return LOOP_PARAMS with all parameters of the GNC and the rig."""
-        params = new(LOOP_PARAMS)
         scenario, rig = self.scenario, self.rig
-        params.cycles = self.cycles
-        params.step_s = scenario.step_s
-        params.vmu_rate_hz, params.vmu_timeout_s = rig.vmu.rate_hz, rig.vmu.timeout_s
+        bench = bench_params.bench(rig, scenario.step_s)
+        self._limits: SafetyLimits = safety_limits(rig, bench)
+        params = loop_params(scenario, rig, gnc_params.gnc(scenario), bench, self._limits.guard)
+        params.counts = 1
         params.steady_state_after_s = SETTLED_S if (self.cycles - 1) * scenario.step_s >= SETTLED_S else 0.0
-        params.mounting = vision_params.mounting(rig)
         params.camera = vision_params.camera(rig)[0]
-        params.bench = bench_params.bench(rig, scenario.step_s)
-        self._limits: SafetyLimits = safety_limits(rig, params.bench)
-        params.guard = self._limits.guard
-        params.gnc = gnc_params.gnc(scenario)
         params.verdict = params.gnc.approach.monitor
         params.ready = ready_params(scenario.requirements)
         return params
@@ -133,20 +127,18 @@ class CaseRunner:
             self._frames,
             stats,
             np.zeros(0, CYCLE) if history is None else history,
+            self._arrivals,
         )
         return code
 
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
-        params.dss = dss_as_built(truth, seed)
-        params.imu = dynamics_params.imu(truth)
-        params.vision = vision_params.vision(truth)
-        vmu = truth.vmu
-        params.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability)
+        set_truth(params, truth, dss_as_built(truth, seed))
+        state.end = self.cycles
         state.now.truth = dynamics_params.initial_truth(truth)
         draw_initial_imu_errors(truth, seed, state.now.imu)
         rails, turntable = axes_at_start(truth, self.rig)
-        state.rails, state.turntable = _servo(rails), _servo(turntable)
+        state.rails, state.turntable = ServoAxes(rails).record, ServoAxes(turntable).record
 
     def _interlock(self) -> str:
         """Return why the bench could not be armed at the start pose, "" if it could."""
@@ -169,7 +161,7 @@ class CaseRunner:
             return str(self._gnc_fault())
         if code == loop_kernel.GNC_HOLDS:
             assert self._library is not None
-            reason = hold_reason(gnc_name(self._library), state.library.output)
+            reason = hold_reason(gnc_name(self._library), output_of(state.library))
             return str(hold_trip(reason))
         if code == loop_kernel.NOT_FINITE:
             wanted = [*state.next.rail_m, *state.next.gimbal_rad]
@@ -180,18 +172,9 @@ class CaseRunner:
     def _gnc_fault(self) -> BenchError:
         assert self._library is not None
         gnc, name, n = self._state.library, gnc_name(self._library), int(self._params.gnc.n_thrusters)
+        output = output_of(gnc)
         if gnc.code != 0:
-            return step_failed(name, gnc.code, gnc.output)
+            return step_failed(name, gnc.code, output)
         if gnc.fault != external_records.FINE:
-            return ProtocolError(name, fault_text(gnc.output, gnc.fault, gnc.place, gnc.input.cycle, n))
-        return reported_fault(name, gnc.output)
-
-
-def _servo(config: Rails | Turntable) -> np.record:
-    """Return SERVO of mock axes at rest at their parking position."""
-    axes, servo = ServoAxes(config), new(SERVO)
-    for name in ("position", "setpoint", "kp", "tau", "rate_max", "acceleration_max", "low", "high"):
-        values: Array = getattr(axes, name)
-        servo[name] = values
-    servo.rate_min = -axes.rate_max
-    return servo
+            return ProtocolError(name, fault_text(output, gnc.fault, gnc.place, gnc.input.cycle, n))
+        return reported_fault(name, output)

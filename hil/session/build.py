@@ -37,6 +37,8 @@ from hil.loop.runner import Runner
 from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.setup.assembly import Devices, RunContext, assemble, library_problems, mocks
 from hil.setup.assembly import Job as Job
+from hil.setup.compiled import compiled_cycles, loop_is_compiled
+from hil.setup.compiled import runs_compiled as runs_compiled
 
 _FRAMES_TO_ARM = 2
 TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: a reader that comes later misses rows
@@ -208,10 +210,16 @@ def in_memory(
 ) -> Runner:
     """Return a Runner of ``job`` on mocks of any rig's devices, timed by ``rate``.
 
+    In simulated time and without an operator its closed loop is the compiled one, if that has all parts of the job
+    and is in the kernel cache.
     images: sink of a rendered vision unit's images; with a paced ``rate`` it must not wait.
     """
-    devices = mocks(job.truth, job.rig.value, job.seed, images)
-    return assemble(job, job.rig.value, rate, devices, RunContext(operator, on_progress, scheduling, telemetry))
+    made_of = mocks(job.truth, job.rig.value, job.seed, images)
+    context = RunContext(operator, on_progress, scheduling, telemetry)
+    runner = assemble(job, job.rig.value, rate, made_of.devices, context)
+    if operator is None and isinstance(rate, SimulatedRate) and runs_compiled(job) and loop_is_compiled():
+        runner.cycles = compiled_cycles(job, runner, rate, made_of)
+    return runner
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.cameras.pose_sensor import make_pose_sensor, transport
+from hil.cameras.pose_sensor import PoseSensor, make_pose_sensor, transport
 from hil.checks.compatibility import axes_at
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable
@@ -21,6 +21,7 @@ from hil.core.realtime import DefaultScheduling, SchedulingPolicy
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
 from hil.drivers.command_words.poses import PoseForwarder
 from hil.drivers.command_words.receiver import CommandWordReceiver
+from hil.drivers.vmu.transport import Transport
 from hil.dynamics.imu import IMU_NOISE
 from hil.errors import BadInput, Problem
 from hil.frmn.ring import NoTelemetry, Telemetry
@@ -81,7 +82,8 @@ class Job:
     """A run to do.
 
     dispersed: the true scenario, if it differs from the nominal one that guidance, navigation and control are designed
-    for. make_backend: makes the GNC backend instead of the scenario's. paced: a mock rig runs in real time.
+    for. make_backend: makes the GNC backend instead of the scenario's. paced: a mock rig runs in real time. compiled:
+    False for the cycle in Python, also where the compiled loop can run the job.
     """
 
     scenario: Loaded[Scenario]
@@ -92,6 +94,7 @@ class Job:
     dispersed: Scenario | None = None
     make_backend: Callable[[Scenario], GncBackend] | None = None
     paced: bool = False
+    compiled: bool = True
 
     @property
     def truth(self) -> Scenario:
@@ -241,7 +244,15 @@ def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> No
     imu.bias_C = np.array(scenario.imu.accelerometer_bias_mps2) + bias_sigma * draws[3:]
 
 
-def mocks(scenario: Scenario, rig: Rig, seed: int, images: ImageSink | None = None) -> Devices:
+class Mocks(NamedTuple):
+    """Mock devices; pose sensor of the vision unit and transport of its frames."""
+
+    devices: Devices
+    sensor: PoseSensor
+    transport: Transport
+
+
+def mocks(scenario: Scenario, rig: Rig, seed: int, images: ImageSink | None = None) -> Mocks:
     """Return mock devices whose axes are at the start pose. images: sink of a rendered vision unit's images."""
     from hil.drivers.io.mock import MockIo
     from hil.drivers.mock_axes import MockAxes
@@ -257,7 +268,8 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, images: ImageSink | None = No
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
     target = MockAxes("target", rig.moved_target) if rig.moved_target else None
-    return Devices(rails, turntable, MockVmu(rig.vmu, pose_at, transport(scenario.vmu, seed)), io, target)
+    frames = transport(scenario.vmu, seed)
+    return Mocks(Devices(rails, turntable, MockVmu(rig.vmu, pose_at, frames), io, target), sensor, frames)
 
 
 def axes_at_start(scenario: Scenario, rig: Rig) -> tuple[Rails, Turntable]:

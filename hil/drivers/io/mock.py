@@ -49,6 +49,11 @@ class MockIo:
         self.outputs = outputs
         self._advance(now_s)
 
+    def set_outputs(self, outputs: IoOutputs, thrusters_s: float) -> None:
+        """Take over ``outputs`` of a compiled loop, whose thruster lines have changed at ``thrusters_s``."""
+        self.outputs = outputs
+        self._thrusters_s = thrusters_s
+
     def read(self, now_s: float) -> IoInputs:
         """Return the inputs at ``now_s``."""
         self._check()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from hil.config.rig import Vmu
 from hil.core.messages import PoseFrame
@@ -13,6 +13,17 @@ from hil.drivers.vmu import COUNTERS, NAME
 from hil.drivers.vmu.transport import Transport
 from hil.errors import DeviceError, LinkLost
 from hil.models.camera_timing import TIME_SLACK_S, exposure_time, first_exposure
+
+
+@dataclass(slots=True)
+class MockVmuState:
+    """State of a mock that exposes. next_exposure, first_exposure: numbers of exposures. received: frames so far."""
+
+    next_exposure: int
+    first_exposure: int
+    received: int
+    last_rx_s: float
+    in_transit: list[PoseFrame]
 
 
 class MockVmu:
@@ -37,8 +48,7 @@ class MockVmu:
         self._received: Latest[bool] = Latest(self.name)
         self._in_transit: list[tuple[float, int, PoseFrame | None]] = []  # a heap by time of arrival
         self._sent = 0
-        self._next = int(first_exposure(now_s, self._rate_hz))  # number of the next exposure
-        self._counter = 0
+        self._first = self._next = int(first_exposure(now_s, self._rate_hz))  # numbers of exposures
         self._counts = dict.fromkeys(COUNTERS, 0)
 
     def open(self, now_s: float) -> None:
@@ -67,6 +77,21 @@ class MockVmu:
         """Return the counters since ``open``, named as in ``hil.drivers.vmu.COUNTERS``."""
         return dict(self._counts)
 
+    def state(self) -> MockVmuState:
+        """Return the state, with which a compiled loop continues instead of ``poll``; each exposure has a pose."""
+        frames = [frame for _, _, frame in self._in_transit if frame is not None]
+        return MockVmuState(self._next, self._first, self._counts["frames"], self._received.t_s, frames)
+
+    def set_state(self, state: MockVmuState) -> None:
+        """Take over the state of a compiled loop."""
+        self._next = state.next_exposure
+        self._counts["frames"] = state.received
+        self._received.put(True, state.last_rx_s)
+        order = sorted(state.in_transit, key=lambda frame: frame.counter)
+        self._in_transit = [(frame.received_s, self._sent + i, frame) for i, frame in enumerate(order)]
+        heapq.heapify(self._in_transit)
+        self._sent += len(order)
+
     def fail(self, error: DeviceError) -> None:
         """Make later ``poll`` raise ``error``."""
         self._received.fail(error)
@@ -80,8 +105,9 @@ class MockVmu:
             pose = self._pose_at(t_s)
             for delay_s in self._transport.delays() if self._transport else (0.0,):
                 received_s = t_s + delay_s
-                frame = pose and replace(pose, counter=self._counter, t_s=t_s, received_s=received_s)
+                frame = pose and replace(
+                    pose, counter=(self._next - self._first) & 0xFFFF_FFFF, t_s=t_s, received_s=received_s
+                )
                 heapq.heappush(self._in_transit, (received_s, self._sent, frame))
                 self._sent += 1
-            self._counter = (self._counter + 1) & 0xFFFF_FFFF
             self._next += 1

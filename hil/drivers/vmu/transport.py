@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.messages import new
+from hil.maths.random_streams import UniformRows
 from hil.models.camera_timing import TRAVEL, TRAVEL_DRAWS, delays
 
 
@@ -23,7 +24,8 @@ class Transport:
         duplicate_probability: float = 0.0,
         loss_probability: float = 0.0,
     ) -> None:
-        self._generator = generator
+        self.draws = UniformRows(generator, TRAVEL_DRAWS)
+        """One row per exposure."""
         self._travel = new(TRAVEL)
         self._travel.latency_s, self._travel.jitter_s = latency_s, jitter_s
         self._travel.duplicate_probability, self._travel.loss_probability = duplicate_probability, loss_probability
@@ -36,5 +38,5 @@ class Transport:
 
     def delays(self) -> tuple[float, ...]:
         """Return the delays of the next frame, s: one, two for a repeated frame, none for a lost one."""
-        count = delays(self._travel, self._generator.random(TRAVEL_DRAWS), self._delays)
+        count = delays(self._travel, self.draws.next_row(), self._delays)
         return tuple(float(delay) for delay in self._delays[:count])

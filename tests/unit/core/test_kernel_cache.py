@@ -71,7 +71,7 @@ def test_second_checkout_of_the_same_sources_compiles_nothing(copy: Path, tmp_pa
 
 
 def test_import_writes_nothing(tmp_path: Path) -> None:
-    done = run_with_cache("import hil.maths.quat, hil.monte_carlo.loop_kernel", tmp_path / "cache", PACKAGE.parent)
+    done = run_with_cache("import hil.maths.quat, hil.loop.compiled.loop_kernel", tmp_path / "cache", PACKAGE.parent)
     assert done.returncode == 0, done.stderr
     assert not (tmp_path / "cache").exists()
 

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from hil.core.messages import new
-from hil.models.servo import servo_step, servo_step_of_two
-from hil.monte_carlo.loop_kernel import SERVO
+from hil.models.servo import SERVO, servo_step, servo_step_of_two
 
 KP, TAU = 25.0, 0.008
 

@@ -1,8 +1,9 @@
 """Closed loop as one compiled function, made of the kernels that the cycle calls (hil/loop/cycle.py).
 
 Stage by stage and in the same order: the mock rig's axes, safety monitor, vision unit, GNC, truth, virtual IMU,
-setpoints. Random numbers are those of the cycle's streams, drawn beforehand. A run here and one of ``hil run`` on the
-mock rig are bit-equal, which a test checks. The result of a run is RUN_STATS; no memory grows with its length.
+setpoints. Random numbers are those of the cycle's streams, drawn beforehand. Both have the same bits, which a test
+checks. A campaign runs whole cases and reads RUN_STATS; no memory grows with their length. A session runs blocks of
+cycles and reads rows, frames and state (``cycles.py``).
 """
 
 from __future__ import annotations
@@ -14,54 +15,38 @@ from hil.bench import kinematics
 from hil.bench.guard import BREACH, GUARD
 from hil.bench.kinematics import BENCH_PARAMS, MOTION
 from hil.core.jit import kernel
-from hil.core.messages import AXES, CYCLE, MAX_POSES
+from hil.core.messages import AXES, CYCLE, MAX_POSES, MAX_THRUSTERS
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.truth import DSS_PARAMS
-from hil.dynamics.vision import VISION_PARAMS, measure
+from hil.dynamics.vision import ALL_LEDS, VISION_PARAMS, measure
 from hil.gnc import guidance, navigation
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
 from hil.gnc.ready_phase import READY_PARAMS
-from hil.gnc.step import GNC_PARAMS, GNC_STATE, gnc_step
+from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE, copy_progress, gnc_step, has_event
+from hil.loop.compiled.library_kernel import LIBRARY, has_new_text, library_step
+from hil.loop.compiled.run_stats import count_cycle, count_exposure
 from hil.maths import stack
 from hil.maths.arrays import copy_into, copy_matrix, fill
 from hil.maths.limits import cut_to_range
 from hil.models.camera import CAMERA
 from hil.models.camera_timing import TIME_SLACK_S, TRAVEL, delays, exposure_time, first_exposure
 from hil.models.mounting import MOUNTING, chaser_pose
-from hil.models.servo import servo_step, servo_step_of_two
-from hil.monte_carlo.library_kernel import LIBRARY, library_step
-from hil.monte_carlo.run_stats import count_cycle, count_exposure
+from hil.models.servo import SERVO, servo_step, servo_step_of_two
 
-COMPLETED, FOLLOWING, TRAVEL_LEFT, VISION_SILENT, NOT_FINITE, GNC_FAILED, GNC_HOLDS = range(7)
-"""Reasons for the end of a run; the second and third have their numbers in ``hil.bench.guard``."""
-
-SERVO = np.dtype(
-    [
-        ("t_s", "f8"),  # time of position and rate
-        ("position", "f8", 3),
-        ("rate", "f8", 3),
-        ("setpoint", "f8", 3),
-        ("feedforward", "f8", 3),
-        ("kp", "f8", 3),
-        ("tau", "f8", 3),
-        ("rate_max", "f8", 3),
-        ("rate_min", "f8", 3),
-        ("acceleration_max", "f8", 3),
-        ("low", "f8", 3),
-        ("high", "f8", 3),
-    ],
-    align=True,
-)
+COMPLETED, FOLLOWING, TRAVEL_LEFT, VISION_SILENT, NOT_FINITE, GNC_FAILED, GNC_HOLDS, EVENT = range(8)
+"""Reasons for a return of ``run_loop``; the second and third have their numbers in ``hil.bench.guard``."""
 
 LOOP_PARAMS = np.dtype(
     [
-        ("cycles", "i8"),
         ("step_s", "f8"),
         ("vmu_rate_hz", "f8"),
         ("vmu_timeout_s", "f8"),
+        ("thruster_lines", "i8"),  # thrusters mirrored to digital lines
+        ("counts", "i8"),  # 1: RUN_STATS are counted
+        ("reports", "i8"),  # 1: returns after a cycle with an event
         ("steady_state_after_s", "f8"),  # navigation errors are counted from here on
         ("dss", DSS_PARAMS),
         ("imu", IMU_PARAMS),
@@ -80,6 +65,10 @@ LOOP_PARAMS = np.dtype(
 
 LOOP_STATE = np.dtype(
     [
+        ("opened", "i8"),  # 1: the bench is open; 0: ``run_loop`` opens it
+        ("cycle", "i8"),  # number of the next cycle
+        ("end", "i8"),  # number of the cycle before which ``run_loop`` returns
+        ("zero_s", "f8"),  # bench time of the run's time zero
         ("now", CYCLE),
         ("harmonics", CACHED_GRAVITY),
         ("rails", SERVO),
@@ -90,11 +79,18 @@ LOOP_STATE = np.dtype(
         ("before", AXES),  # the setpoint of the cycle before
         ("breach", BREACH),
         ("gnc", GNC_STATE),
+        ("progress_before", APPROACH_PROGRESS),  # at the start of the last cycle; copied if ``reports``
+        ("library", LIBRARY),
         ("next_exposure", "i8"),
         ("first_exposure", "i8"),
         ("in_transit", "i8"),  # frames exposed and not received yet
-        ("last_rx_s", "f8"),  # when the last frame was received
-        ("library", LIBRARY),
+        ("last_rx_s", "f8"),  # when the last frame was received, bench time
+        ("arrived_s", "f8", MAX_POSES),  # when the poses of this cycle were received, bench time
+        ("received", "i8"),  # frames so far
+        ("dropped", "i8"),  # of them beyond MAX_POSES in one cycle
+        ("logged", "i8"),  # rows of ARRIVAL written
+        ("lines", "i8", MAX_THRUSTERS),  # as mirrored
+        ("lines_changed_s", "f8"),  # bench time, nan without lines
     ],
     align=True,
 )
@@ -141,34 +137,39 @@ def _send(axes, position, rate, now_s, accepted):
 
 
 @kernel
-def _expose(params, state, until_s, vision_noise, travel_draws, leds, frames, stats):
-    """Write the frames that the vision unit exposes up to ``until_s`` into ``frames``, in transit."""
+def _expose(params, state, until_s, first, vision_noise, travel_draws, leds, frames, stats):
+    """Write the frames that the vision unit exposes up to ``until_s`` into ``frames``, in transit.
+
+    first: number of the exposure of the first row of noise and draws.
+    """
     late = stack.vector(2)
     r, q = stack.vector(3), stack.vector(4)
     while True:
         t_s = exposure_time(state.next_exposure, params.vmu_rate_hz)
         if t_s > until_s:
             return
-        row = state.next_exposure - state.first_exposure
+        row = state.next_exposure - first
         _move_all(state, t_s)
         kinematics.pose_of_axes(params.bench, state.rails.position, state.turntable.position, r, q)
         frame = frames[state.in_transit]
         measure(params.vision, params.mounting, r, q, vision_noise[row], frame.t_v, frame.q_vt, frame.covariance)
-        count_exposure(params.camera, params.mounting, leds, r, q, stats)
+        frame.leds_left = frame.leds_right = ALL_LEDS
+        if params.counts != 0:
+            count_exposure(params.camera, params.mounting, leds, r, q, stats)
         for copy in range(delays(params.travel, travel_draws[row], late)):
             sent = frames[state.in_transit]
             if copy > 0:
                 frames[state.in_transit] = frames[state.in_transit - 1]
             sent.t_s = t_s
             sent.received_s = t_s + late[copy]
-            sent.counter = 2 * row + copy
+            sent.counter = state.next_exposure - state.first_exposure
             state.in_transit += 1
         state.next_exposure += 1
 
 
 @kernel
 def _next_arrival(state, frames):
-    """Return the index of the frame that arrives first, of equals the one sent first; -1 if there is none."""
+    """Return the index of the frame that arrives first, of equals the one exposed first; -1 if there is none."""
     found = -1
     for i in range(state.in_transit):
         if (
@@ -181,30 +182,66 @@ def _next_arrival(state, frames):
 
 
 @kernel
-def _receive_poses(params, state, now_s, frames, poses):
+def _copy_frame(frame, out):
+    """Copy a record of VMU_FRAME, field by field: as a whole it compiles into a copy of single bytes."""
+    out.counter, out.t_s, out.received_s = frame.counter, frame.t_s, frame.received_s
+    copy_into(out.t_v, frame.t_v)
+    copy_into(out.q_vt, frame.q_vt)
+    copy_matrix(out.covariance, frame.covariance)
+    out.leds_left, out.leds_right, out.status = frame.leds_left, frame.leds_right, frame.status
+
+
+@kernel
+def _copy_pose(pose, out):
+    """Copy a record of POSE without ``fresh``."""
+    copy_into(out.z_TC_C, pose.z_TC_C)
+    copy_into(out.q_CH, pose.q_CH)
+    copy_matrix(out.covariance_position, pose.covariance_position)
+    copy_matrix(out.covariance_attitude, pose.covariance_attitude)
+    copy_matrix(out.covariance_cross, pose.covariance_cross)
+    out.status, out.t_s = pose.status, pose.t_s
+
+
+@kernel
+def _receive_poses(params, state, now_s, frames, poses, arrivals):
     """Write the poses that have arrived by ``now_s`` into ``poses`` (MAX_POSES,); return their number, -1 on timeout.
 
-    Of more than MAX_POSES the last ones are kept.
+    Of more than MAX_POSES the last ones are kept. arrivals: of ARRIVAL, receives every frame; (0,) for none.
     """
     arrived = 0
+    logged = state.logged
     while True:
         i = _next_arrival(state, frames)
         if i < 0 or frames[i].received_s > now_s + TIME_SLACK_S:
             break
         state.last_rx_s = frames[i].received_s
+        state.received += 1
         if arrived == MAX_POSES:
             for j in range(MAX_POSES - 1):
                 poses[j] = poses[j + 1]
+                state.arrived_s[j] = state.arrived_s[j + 1]
             arrived -= 1
+            state.dropped += 1
         chaser_pose(params.mounting, frames[i].t_v, frames[i].q_vt, frames[i].covariance, poses[arrived])
-        poses[arrived].t_s = frames[i].t_s
+        poses[arrived].t_s = frames[i].t_s - state.zero_s
         poses[arrived].status = frames[i].status
+        state.arrived_s[arrived] = frames[i].received_s
         arrived += 1
+        if state.logged < arrivals.shape[0]:
+            arrivals[state.logged].cycle = -1
+            _copy_frame(frames[i], arrivals[state.logged].frame)
+            state.logged += 1
         state.in_transit -= 1
         if i < state.in_transit:
             frames[i] = frames[state.in_transit]
     if now_s - state.last_rx_s > params.vmu_timeout_s:
+        state.logged = logged
         return -1
+    if state.logged > logged:
+        for j in range(arrived):
+            used = state.logged - arrived + j
+            arrivals[used].cycle = state.cycle
+            _copy_pose(poses[j], arrivals[used].pose)
     return arrived
 
 
@@ -219,14 +256,8 @@ def _record_pose(state, poses, arrived):
     for i in range(1, arrived):
         if poses[i].t_s > poses[newest].t_s:
             newest = i
-    pose = poses[newest]
-    copy_into(now.pose.z_TC_C, pose.z_TC_C)
-    copy_into(now.pose.q_CH, pose.q_CH)
-    copy_matrix(now.pose.covariance_position, pose.covariance_position)
-    copy_matrix(now.pose.covariance_attitude, pose.covariance_attitude)
-    copy_matrix(now.pose.covariance_cross, pose.covariance_cross)
-    now.pose.status = pose.status
-    now.pose.t_s = pose.t_s
+    _copy_pose(poses[newest], now.pose)
+    now.received_s = state.arrived_s[newest] - state.zero_s
 
 
 @kernel
@@ -235,6 +266,19 @@ def _read_axes(state, now_s):
     _move_all(state, now_s)
     rails, turntable = state.rails, state.turntable
     kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, state.now.feedback)
+
+
+@kernel
+def _mirror_thrusters(params, state, now_s):
+    """Write the digital lines if a thruster has changed; the relay stays closed, as its pump is pulsed each cycle."""
+    state.now.on_wire_s = state.lines_changed_s - state.zero_s  # as the coupler was read, at the start of the cycle
+    changed = False
+    for i in range(params.thruster_lines):
+        if state.now.command.on[i] != state.lines[i]:
+            state.lines[i] = state.now.command.on[i]
+            changed = True
+    if changed:
+        state.lines_changed_s = now_s
 
 
 @kernel
@@ -249,28 +293,29 @@ def _check_consistency(state):
 
 
 @kernel
-def _send_setpoints(params, state, now_s):
-    """Stage 11: setpoints for the truth's pose. Return how many were limited, -1 if one is not finite."""
+def _send_setpoints(params, state, stats, now_s):
+    """Stage 11: setpoints for the truth's pose. Return False if one is not finite."""
     now = state.now
     rate = stack.vector(3)
     truth_kernels.rate_against_hill(now.truth, rate)
     truth = now.truth
     kinematics.axes_of_pose(params.bench, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, state.desired)
     out = state.next
-    limited = kinematics.limit_setpoint(params.bench, state.motion, state.desired, out)
+    if kinematics.limit_setpoint(params.bench, state.motion, state.desired, out) != 0:
+        stats.limited_cycles += 1
     rails, gimbals = stack.vector(3), stack.vector(3)
     accepted = _send(state.rails, out.rail_m, out.rail_mps, now_s, rails) and _send(
         state.turntable, out.gimbal_rad, out.gimbal_radps, now_s, gimbals
     )
     if not accepted:
-        return -1
+        return False
     kinematics.write_axes(rails, out.rail_mps, gimbals, out.gimbal_radps, now.setpoint)
     kinematics.write_axes(rails, out.rail_mps, gimbals, out.gimbal_radps, state.before)
-    return limited
+    return True
 
 
 @kernel
-def _start(params, state):
+def _open(params, state):
     """Initialise ``state``, whose truth, IMU errors and axes are those at the start, for the first cycle."""
     guidance.start(params.gnc.approach.guidance, state.gnc.approach.guidance)
     _read_axes(state, 0.0)
@@ -281,33 +326,55 @@ def _start(params, state):
     kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, state.motion)
     state.next_exposure = state.first_exposure = first_exposure(0.0, params.vmu_rate_hz)
     state.last_rx_s = params.travel.latency_s + params.travel.jitter_s
+    state.lines_changed_s = np.nan
+    state.opened = 1
 
 
 @kernel
-def run_loop(params, field, leds, imu_noise, vision_noise, travel_draws, state, memory, poses, frames, stats, history):
-    """Run the loop; return why it ended. ``stats`` (RUN_STATS) accumulates its statistics.
+def _has_event(state):
+    """Return whether the last cycle has an event: of the approach, or a new text of the library."""
+    if has_event(state.progress_before, state.gnc.approach.progress):
+        return True
+    return state.library.step_address != 0 and has_new_text(state.library)
 
-    params: LOOP_PARAMS. field: harmonics, measure
-    ``moon_gravity.field_table``. leds: (n, 3), m, in t. imu_noise: (cycles, IMU_NOISE), vision_noise: (exposures,
-    VISION_NOISE), standard normals; travel_draws: (exposures, TRAVEL_DRAWS), uniform. state: LOOP_STATE; zeroed but
-    for ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, and the address and instance of a library.
-    memory: (fusion.MEMORY,) of STEP, zeroed.
-    poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on their way at once and two more, zeroed.
-    history: (n,) of CYCLE, filled for the first n cycles.
+
+@kernel
+def run_loop(
+    params, field, leds, imu_noise, vision_noise, travel_draws, state, memory, poses, frames, stats, history, arrivals
+):
+    """Run the cycles from ``state.cycle`` to ``state.end``; return why it ended.
+
+    COMPLETED, GNC_HOLDS and EVENT leave ``state.cycle`` at the next cycle. After any other reason it is the number of
+    the cycle that was not completed: FOLLOWING, TRAVEL_LEFT and VISION_SILENT end it before the GNC, GNC_FAILED in it,
+    NOT_FINITE when the setpoints are to be sent, after its row was written.
+
+    params: LOOP_PARAMS. field: harmonics, measure ``moon_gravity.field_table``. leds: (n, 3), m, in t. imu_noise: (n,
+    IMU_NOISE), one row per cycle, vision_noise: (n, VISION_NOISE), one row per exposure, standard normals;
+    travel_draws: (n, TRAVEL_DRAWS), uniform, one row per exposure. state: LOOP_STATE; if not ``opened``, zeroed but for
+    ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, ``end``, and the address and instance of a library.
+    memory: (fusion.MEMORY,) of STEP, zeroed. poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on
+    their way at once and two more. stats: RUN_STATS. history: (n,) of CYCLE, filled for the first n cycles of the run.
+    arrivals: of ARRIVAL, filled from ``state.logged`` on.
     """
     now = state.now
-    _start(params, state)
-    for k in range(params.cycles):
+    if state.opened == 0:
+        _open(params, state)
+    first_cycle, first = state.cycle, state.next_exposure
+    while state.cycle < state.end:
+        k = state.cycle
         t_s = k * params.step_s
-        _read_axes(state, t_s)
+        now_s = state.zero_s + t_s
+        _read_axes(state, now_s)
         broken = guards.first_breach(params.guard, state.before, now.feedback, state.breach)
         if broken != guards.NOTHING:
             return broken
-        _expose(params, state, t_s + TIME_SLACK_S, vision_noise, travel_draws, leds, frames, stats)
-        arrived = _receive_poses(params, state, t_s, frames, poses)
+        _expose(params, state, now_s + TIME_SLACK_S, first, vision_noise, travel_draws, leds, frames, stats)
+        arrived = _receive_poses(params, state, now_s, frames, poses, arrivals)
         if arrived < 0:
             return VISION_SILENT
         _record_pose(state, poses, arrived)
+        if params.reports != 0:
+            copy_progress(state.gnc.approach.progress, state.progress_before)
         if state.library.step_address == 0:
             gnc_step(
                 params.gnc, state.gnc, memory, t_s, now.imu, poses, arrived,
@@ -315,18 +382,21 @@ def run_loop(params, field, leds, imu_noise, vision_noise, travel_draws, state, 
             )  # fmt: skip
         elif not library_step(params.gnc, state, poses, arrived, k, t_s):
             return GNC_FAILED
+        _mirror_thrusters(params, state, now_s)
         _check_consistency(state)
         now.t_s = t_s
-        count_cycle(params, state, stats)
+        now.commanded_s = now.sampled_s[0] = now.sampled_s[1] = now_s - state.zero_s
+        if params.counts != 0:
+            count_cycle(params, state, stats)
         if k < history.shape[0]:
             history[k] = now
         truth_kernels.step(params.dss, field, state.harmonics, now.truth, now.command.on)
-        imu_kernels.sample(params.imu, now.truth, imu_noise[k], now.imu)
-        limited = _send_setpoints(params, state, t_s)
-        if limited < 0:
+        imu_kernels.sample(params.imu, now.truth, imu_noise[k - first_cycle], now.imu)
+        if not _send_setpoints(params, state, stats, now_s):
             return NOT_FINITE
-        if limited > 0:
-            stats.limited_cycles += 1
+        state.cycle = k + 1
         if state.library.asks_for_hold != 0:
             return GNC_HOLDS
+        if params.reports != 0 and _has_event(state):
+            return EVENT
     return COMPLETED

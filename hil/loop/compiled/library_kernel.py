@@ -1,4 +1,4 @@
-"""Stages 4 to 7 of the compiled loop with a GNC in a shared library: what ``ExternalGnc.step`` does, call for call."""
+"""Stages 4 to 7 of the compiled loop with a GNC in a shared library, in the order of ``ExternalGnc.step``."""
 
 from __future__ import annotations
 
@@ -6,16 +6,27 @@ import numpy as np
 
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode, GncOrder
 from hil.core.jit import kernel
-from hil.gnc.step import guide, watch_approach
+from hil.core.messages import new
+from hil.gnc.step import APPROACH_PROGRESS, copy_progress, guide, watch_approach
 from hil.gnc_backends import external_records
+
+_TEXT_BYTES = GNC_OUTPUT["text"].itemsize
+_OUTPUT = np.dtype(
+    [(name, ("u1", _TEXT_BYTES)) if name == "text" else (name, GNC_OUTPUT[name]) for name in GNC_OUTPUT.names or ()],
+    align=True,
+)
+"""GNC_OUTPUT with its text as bytes, which kernels can compare."""
+assert _OUTPUT.itemsize == GNC_OUTPUT.itemsize
 
 LIBRARY = np.dtype(
     [
         ("step_address", "i8"),  # of hil_gnc_step; 0: the built-in GNC is used
         ("instance", "i8"),  # what hil_gnc_open gave
         ("input", GNC_INPUT),
-        ("output", GNC_OUTPUT),
+        ("output", _OUTPUT),
         ("asks_for_hold", "i8"),
+        ("last_text", "u1", _TEXT_BYTES),  # the one logged last
+        ("guided", APPROACH_PROGRESS),  # progress of the approach after guidance
         # what was wrong with the output
         ("code", "i8"),  # what the step returned
         ("fault", "i8"),  # of external_records.fault_of
@@ -28,6 +39,15 @@ _RUNNING, _ABORT = GncMode.RUNNING.value, GncOrder.ABORT.value
 
 
 @kernel
+def has_new_text(library):
+    """Return whether the text of the output is another one than ``last_text``."""
+    differences = 0
+    for i in range(_TEXT_BYTES):
+        differences += 1 if library.output.text[i] != library.last_text[i] else 0
+    return differences > 0
+
+
+@kernel
 def library_step(params, state, poses, n_poses, cycle, t_s):
     """Call the library between guidance and approach monitor; return False if its output is a fault.
 
@@ -36,6 +56,7 @@ def library_step(params, state, poses, n_poses, cycle, t_s):
     now, library, approach = state.now, state.library, state.gnc.approach
     orders = _ABORT if approach.abort_began != 0 else 0
     guide(params.approach, approach, t_s, now.supervision, now.reference)
+    copy_progress(approach.progress, library.guided)
     external_records.write_input(
         cycle, t_s, _RUNNING, orders, now.imu, now.reference, poses, n_poses, library.input
     )  # fmt: skip
@@ -51,3 +72,16 @@ def library_step(params, state, poses, n_poses, cycle, t_s):
     external_records.read_output(library.output, params, now.reference.boost, now.navigation, now.command)
     watch_approach(params.approach, approach, t_s, now.navigation, now.reference, now.supervision, True)
     return True
+
+
+def output_of(library: np.record) -> np.record:
+    """Return a copy of the output of ``library`` (LIBRARY) as GNC_OUTPUT."""
+    output = new(GNC_OUTPUT)
+    np.asarray(output)[...] = np.frombuffer(library.output.tobytes(), GNC_OUTPUT)[0]
+    return output
+
+
+def set_output(library: np.record, output: np.record) -> None:
+    """Write ``output`` (GNC_OUTPUT) to ``library`` (LIBRARY), its text as logged."""
+    library["output"] = np.frombuffer(output.tobytes(), _OUTPUT)[0]
+    library["last_text"] = library["output"]["text"]

@@ -1,0 +1,254 @@
+"""Compiled cycles of a session on the mock rig: blocks of ``run_loop`` on the state of the stages in Python.
+
+Each block begins with the state that the stages have and leaves them with its own, so that compiled cycles and cycles
+in Python can follow each other in any order. Rows, frames and events of a block are handed over cycle by cycle, as if
+each had just happened. A cycle that the compiled loop does not complete is run in Python, which raises its error.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NoReturn
+
+import numpy as np
+
+from hil.core.messages import ARRIVAL, AxisFeedback, PoseFrame, new
+from hil.drivers.io.mock import MockIo
+from hil.drivers.mock_axes import MockAxes
+from hil.drivers.vmu.mock import MockVmu, MockVmuState
+from hil.frmn.ring import NoTelemetry
+from hil.loop.compiled import loop_kernel
+from hil.loop.compiled.backends import CompiledBackend
+from hil.loop.compiled.loop_kernel import LOOP_STATE, run_loop
+from hil.loop.compiled.run_stats import RUN_STATS
+from hil.loop.cycle import Cycles, Loop
+from hil.loop.rate_keeper import SimulatedRate, Tick
+from hil.loop.safety_io_stage import SafetyIoStage
+from hil.maths.random_streams import RandomRows
+
+_BLOCK_S: Final = 20.0  # of the run's time: a few milliseconds, after which Ctrl-C and progress have their turn
+_NO_LEDS: Final = np.zeros((0, 3))
+_NO_ARRIVALS: Final = np.zeros(0, ARRIVAL).view(np.recarray)
+
+
+@dataclass(frozen=True)
+class MockSession:
+    """Mocks and memory of a compiled session. frames: see ``params.frames_in_transit``.
+
+    vision_noise, travel_draws: random numbers of the vision unit, one row per exposure.
+    """
+
+    rails: MockAxes
+    turntable: MockAxes
+    source: MockVmu
+    io: MockIo | None
+    vision_noise: RandomRows
+    travel_draws: RandomRows
+    frames: np.ndarray
+
+
+class CompiledCycles:
+    """Runs blocks of cycles of ``loop`` on ``mocks``, in simulated time.
+
+    params: LOOP_PARAMS. python: runs the cycles that the compiled loop cannot run or complete.
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        rate: SimulatedRate,
+        mocks: MockSession,
+        params: np.record,
+        backend: CompiledBackend,
+        python: Cycles,
+    ) -> None:
+        self._loop = loop
+        self._rate = rate
+        self._mocks = mocks
+        self._params = params
+        self._python = python
+        self._backend = backend
+        self._state = new(LOOP_STATE)
+        self._state.opened = 1
+        self._stats = new(RUN_STATS)
+        self._arrivals = _NO_ARRIVALS
+        self._last_arrivals: dict[int, int] = {}
+        self._sent_arrivals = 0
+        self._tick: Tick
+        self._block = max(1, round(_BLOCK_S / float(params.step_s)))
+        params.reports = 1
+        if isinstance(loop.safety_io, SafetyIoStage):
+            params.thruster_lines = loop.safety_io.thruster_lines
+
+    def advance(self, held_s: float) -> Tick:
+        """Run a block of cycles, up to an event at most."""
+        if held_s:  # cycles are no longer at multiples of the period
+            return self._python.advance(held_s)
+        loop, rate, state = self._loop, self._rate, self._state
+        first = loop.done
+        end = min(first + self._block, len(loop.history))
+        rate.seek(first)
+        tick = rate.wait()
+        if self._is_behind(tick.now_s):
+            rate.seek(first)
+            return self._python.advance(held_s)
+        self._load(first, end, tick)
+        code = self._run(first, end)
+        self._store(first, code)
+        last = int(state.cycle)
+        self._hand_over(first, last, code)
+        match code:
+            case loop_kernel.COMPLETED | loop_kernel.EVENT:
+                return self._tick
+            case loop_kernel.GNC_HOLDS:
+                self._backend.request_hold()
+                return self._tick
+            case loop_kernel.GNC_FAILED:
+                self._fail_in_gnc(last)
+            case loop_kernel.NOT_FINITE:
+                self._fail_in_setpoint(last)
+        rate.seek(last)
+        return self._python.advance(held_s)
+
+    def _is_behind(self, now_s: float) -> bool:
+        """Return whether more frames are due in the first cycle than in a period, as after a wait."""
+        rate_hz, step_s = float(self._params.vmu_rate_hz), float(self._params.step_s)
+        return now_s * rate_hz - self._mocks.source.state().next_exposure > rate_hz * step_s
+
+    def _load(self, first: int, end: int, tick: Tick) -> None:
+        """Write the state of the stages to LOOP_STATE for the cycles ``first`` to ``end`` - 1."""
+        loop, mocks, state = self._loop, self._mocks, self._state
+        state.cycle, state.end, state.zero_s = first, end, tick.run_zero_s
+        loop.vision.set_run_zero(tick.run_zero_s)
+        loop.safety_io.check(tick.now_s)
+        state.lines, state.lines_changed_s = loop.now.command.on, loop.safety_io.thrusters_s
+        state.now = loop.now.row[0]
+        state.harmonics = loop.dss.harmonics
+        state.rails, state.turntable = mocks.rails.servo(), mocks.turntable.servo()
+        state.motion, state.before = loop.bench.motion, loop.bench.accepted
+        source = mocks.source.state()
+        state.next_exposure, state.first_exposure = source.next_exposure, source.first_exposure
+        state.received, state.last_rx_s, state.in_transit = source.received, source.last_rx_s, len(source.in_transit)
+        for i, frame in enumerate(source.in_transit):
+            frame.write_to(mocks.frames[i : i + 1])
+        state.logged = state.dropped = 0
+        self._stats.limited_cycles = 0
+        self._backend.load(state)
+
+    def _run(self, first: int, end: int) -> int:
+        """Run the cycles ``first`` to ``end`` - 1; return the code of ``run_loop``."""
+        loop, mocks, state, params = self._loop, self._mocks, self._state, self._params
+        end_s = state.zero_s + end * params.step_s
+        next_exposure = int(state.next_exposure)
+        exposures = max(0, math.ceil(end_s * params.vmu_rate_hz) - next_exposure + 1)
+        self._arrivals = _NO_ARRIVALS
+        if loop.vision.frame_sink is not None:
+            self._arrivals = np.zeros(2 * exposures + int(state.in_transit), ARRIVAL).view(np.recarray)
+        code: int = run_loop(
+            params,
+            loop.dss.field,
+            _NO_LEDS,
+            loop.dss.noise.peek(end - first),
+            mocks.vision_noise.peek(exposures),
+            mocks.travel_draws.peek(exposures),
+            state,
+            self._backend.memory,
+            loop.vision.poses,
+            mocks.frames,
+            self._stats,
+            loop.history,
+            self._arrivals,
+        )
+        used_in = self._arrivals["cycle"][: state.logged]
+        self._last_arrivals = {int(cycle): i + 1 for i, cycle in enumerate(used_in) if cycle >= 0}
+        self._sent_arrivals = 0
+        loop.dss.noise.skip(int(state.cycle) - first + (code == loop_kernel.NOT_FINITE))
+        for rows in (mocks.vision_noise, mocks.travel_draws):
+            rows.skip(int(state.next_exposure) - next_exposure)
+        return code
+
+    def _store(self, first: int, code: int) -> None:
+        """Write LOOP_STATE to the stages, after a block from cycle ``first`` on that ended with ``code``."""
+        loop, mocks, state = self._loop, self._mocks, self._state
+        loop.now.row[0] = state.now
+        np.asarray(loop.dss.harmonics)[...] = state.harmonics
+        mocks.rails.set_servo(state.rails)
+        mocks.turntable.set_servo(state.turntable)
+        self._store_bench(first)
+        frames = [PoseFrame.from_record(mocks.frames[i]) for i in range(state.in_transit)]
+        mocks.source.set_state(
+            MockVmuState(
+                int(state.next_exposure), int(state.first_exposure), int(state.received), float(state.last_rx_s), frames
+            )
+        )
+        loop.vision.arrived = int(state.now.pose.fresh)
+        loop.vision.dropped += int(state.dropped)
+        # the cycle of a failed GNC or setpoint has received its poses
+        loop.vision.cycle = int(state.cycle) - (code not in (loop_kernel.GNC_FAILED, loop_kernel.NOT_FINITE))
+        self._backend.store(state)
+        if mocks.io is not None and isinstance(loop.safety_io, SafetyIoStage):
+            mocks.io.set_outputs(loop.safety_io.set_mirrored(), float(state.lines_changed_s))
+
+    def _store_bench(self, first: int) -> None:
+        """Write feedback and setpoints to the bench stage."""
+        bench, state = self._loop.bench, self._state
+        np.asarray(bench.motion)[...] = state.motion
+        np.asarray(bench.accepted)[...] = state.before
+        bench.limited_cycles += int(self._stats.limited_cycles)
+        feedback, last = state.now.feedback, int(state.cycle) - 1
+        if last >= first:
+            bench.commanded_s = float(state.zero_s + last * self._params.step_s)
+            bench.feedback = (
+                AxisFeedback(bench.commanded_s, feedback.rail_m.copy(), feedback.rail_mps.copy()),
+                AxisFeedback(bench.commanded_s, feedback.gimbal_rad.copy(), feedback.gimbal_radps.copy()),
+            )
+
+    def _hand_over(self, first: int, end: int, code: int) -> None:
+        """Send rows, frames and events of the cycles ``first`` to ``end`` - 1 to their sinks.
+
+        code: of ``run_loop``. The state is that of the last of these cycles unless a later one has failed.
+        """
+        loop = self._loop
+        is_last = code in (loop_kernel.COMPLETED, loop_kernel.EVENT, loop_kernel.GNC_HOLDS)
+        rows = loop.history[first:end]
+        has_poses = rows["pose"]["fresh"] > 0
+        due = has_poses.copy()
+        if loop.vision.frame_sink is not None or not isinstance(loop.telemetry, NoTelemetry):
+            due[:] = True
+        due[-1:] = True
+        nis_position, nis_attitude = rows["navigation"]["nis_position"], rows["navigation"]["nis_attitude"]
+        for i in np.flatnonzero(due):
+            k = first + int(i)
+            self._begin(k)
+            if has_poses[i]:
+                self._backend.add_innovations(k, float(nis_position[i]), float(nis_attitude[i]))
+            if is_last and k == end - 1:
+                self._backend.log_events(float(rows["t_s"][i]), self._state)
+            loop.telemetry.put(loop.history[k : k + 1])
+            loop.done = k + 1
+
+    def _begin(self, cycle: int) -> None:
+        """Set the clock to ``cycle`` and send its frames."""
+        self._rate.seek(cycle)
+        self._tick = self._rate.wait()
+        self._loop.gnc.cycle = cycle
+        sink = self._loop.vision.frame_sink
+        if sink is None:
+            return
+        for i in range(self._sent_arrivals, self._last_arrivals.get(cycle, 0)):
+            sink.put(self._arrivals[i : i + 1])
+            self._sent_arrivals = i + 1
+
+    def _fail_in_gnc(self, cycle: int) -> NoReturn:
+        """Hand over ``cycle``, in which the GNC has failed, up to there; raise the failure."""
+        self._begin(cycle)
+        self._backend.fail(cycle * float(self._params.step_s), self._state, self._loop.now)
+
+    def _fail_in_setpoint(self, cycle: int) -> NoReturn:
+        """Hand over ``cycle``, whose setpoint is not finite, up to there; send it, which raises the error."""
+        loop = self._loop
+        self._hand_over(cycle, cycle + 1, loop_kernel.COMPLETED)
+        loop.done = cycle
+        loop.bench.send(self._state.next, self._tick.now_s, loop.now.setpoint)
+        raise AssertionError("a setpoint that is not finite is rejected")

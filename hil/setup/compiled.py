@@ -1,0 +1,67 @@
+"""Compiled loop of a session: which jobs it can run, and its assembly from the stages of the cycle in Python."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hil.cameras.pose_sensor import PoseModel
+from hil.drivers.io.mock import MockIo
+from hil.drivers.mock_axes import MockAxes
+from hil.drivers.vmu.mock import MockVmu
+from hil.loop.compiled.backends import compiled_backend
+from hil.loop.compiled.cycles import CompiledCycles, MockSession
+from hil.loop.compiled.loop_kernel import run_loop
+from hil.loop.compiled.params import frames_in_transit, loop_params, set_truth
+from hil.loop.rate_keeper import SimulatedRate
+from hil.loop.runner import Runner
+from hil.setup.assembly import Job, Mocks
+
+
+def python_only(job: Job) -> str:
+    """Return the part of ``job`` that only the cycle in Python has, "" if the compiled loop has all of them.
+
+    An operator needs the cycle in Python as well.
+    """
+    scenario, rig = job.scenario.value, job.rig.value
+    reasons = {
+        "the cycle in Python is selected": not job.compiled,
+        "devices on wires": rig.kind != "mock",
+        "real time": job.paced,
+        "a GNC backend of the caller": job.make_backend is not None,
+        "command words of a flight computer": rig.flight_computer.command_words != "none",
+        "rendered images": job.truth.vmu.source != "model",
+        "shadow filter": scenario.gnc.shadow.enabled,
+        "a target on axes": rig.moved_target is not None,
+        # each cycle could end with an alarm
+        "setpoints that expire within two cycles": rig.safety.command_age_max_s < 2.0 * scenario.step_s,
+    }
+    return next((reason for reason, applies in reasons.items() if applies), "")
+
+
+def runs_compiled(job: Job) -> bool:
+    """Return whether the compiled loop runs ``job`` if no operator gives commands."""
+    return not python_only(job)
+
+
+def loop_is_compiled() -> bool:
+    """Return whether the compiled loop is in the kernel cache or in this process; to compile it takes minutes."""
+    loop: Any = run_loop
+    return bool(loop.signatures) or Path(loop._cache._cache_file._index_path).exists()
+
+
+def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks) -> CompiledCycles:
+    """Return the compiled cycles of ``runner``, made of ``mocks`` for ``job``."""
+    scenario, rig, loop = job.scenario.value, job.rig.value, runner.loop
+    rails, turntable, source, io, _ = mocks.devices
+    assert isinstance(rails, MockAxes)
+    assert isinstance(turntable, MockAxes)
+    assert isinstance(source, MockVmu)
+    assert io is None or isinstance(io, MockIo)
+    assert isinstance(mocks.sensor, PoseModel)
+    backend = compiled_backend(loop.gnc)
+    params = loop_params(scenario, rig, backend.params, loop.bench.params, loop.bench.safety.limits.guard)
+    set_truth(params, job.truth, loop.dss.params)
+    frames = frames_in_transit(rig, scenario.step_s)
+    session = MockSession(rails, turntable, source, io, mocks.sensor.noise, mocks.transport.draws, frames)
+    return CompiledCycles(loop, rate, session, params, backend, runner.cycles)
