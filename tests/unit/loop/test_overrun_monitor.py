@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -79,7 +81,7 @@ def test_hardware_stops_unless_told_otherwise(kind: str, action: str) -> None:
 
 
 def test_run_that_loses_too_many_periods_ends_as_a_safe_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    job = make_job(2.0)
+    job = replace(make_job(2.0), compiled=False)
     with build.runner(job) as runner:
         runner.overrun_monitor = OverrunMonitor("safe_stop", 5, 1.0)
         rate = runner.rate
