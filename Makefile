@@ -5,6 +5,7 @@
 # make bench  measures the cost of a cycle, and of filterpy and Basilisk, in one run
 # make lateness measures the lateness of the loop and of cyclictest, in about 10 minutes
 # make docs   builds the documentation site in build/docs; "make docs-links" also follows its links to other sites
+# make wheel builds a wheel in dist/ that holds the compiled kernels, for the Python and numba of .venv
 # make tidy   formats the sources
 
 PYTHON ?= python3
@@ -16,7 +17,7 @@ WORKERS := 3
 # the C example is built in the tests
 CC_MISSING := { apt-get update --quiet && apt-get install --quiet --yes gcc libc6-dev; }
 
-.PHONY: demo test slow oracle bench lateness docs docs-links tidy
+.PHONY: demo test slow oracle bench lateness docs docs-links wheel tidy
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -49,6 +50,11 @@ docs: .venv/docs
 
 docs-links: .venv/docs
 	$(BIN)/sphinx-build --quiet --builder linkcheck docs build/docs-links
+
+wheel: .venv/ready
+	rm -rf hil/kernels
+	HIL_CACHE_DIR=hil $(BIN)/hil warm-up
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 
 tidy: .venv/ready
 	$(BIN)/ruff format .

@@ -8,27 +8,37 @@ where the package is installed: two checkouts of the same sources share them.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
+import platform
 import re
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import llvmlite.binding
 import numba
 from numba import njit
 from numba.core.caching import CacheImpl, _CacheLocator
 
 from hil.errors import BadInput
 
+_numba_config: Any = numba.config
 _PACKAGE = Path(__file__).parent.parent
-_COMPILED = re.compile(rb"^@(kernel|intrinsic)\b", re.MULTILINE)
+_COMPILED = (b"\n@kernel", b"\n@intrinsic")
 _IMPORT = re.compile(rb"^\s*from (hil[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+CYCLE, COMPILED_LOOP = "complete", "complete compiled loop"
+"""Groups of kernels: of the cycle in Python, and the loop that is one kernel."""
+
 _NOT_INLINED = ("hil.vmu.", "hil.monitor.", "hil.console.")
 _KEPT_CACHES = 6
+_BASELINES = {"x86_64": ("x86-64-v3", ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"))}
+"""Architecture -> name of its baseline and the features that this requires, in the names of LLVM."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -39,8 +49,8 @@ def kernel_sources(package: Path = _PACKAGE) -> dict[str, bytes]:
     These are all files that define a kernel, wherever they are, and all modules of the package that those import:
     numba compiles the constants and record layouts of a module into the kernels that use them.
     """
-    sources = {path.relative_to(package).as_posix(): path.read_bytes() for path in sorted(package.rglob("*.py"))}
-    pending = [name for name, text in sources.items() if _COMPILED.search(text)]
+    sources = _python_files(package)
+    pending = [name for name, text in sources.items() if any(decorator in text for decorator in _COMPILED)]
     found: set[str] = set()
     while pending:
         name = pending.pop()
@@ -48,6 +58,16 @@ def kernel_sources(package: Path = _PACKAGE) -> dict[str, bytes]:
             found.add(name)
             pending += _imports(sources[name])
     return {name: sources[name] for name in sorted(found)}
+
+
+def _python_files(package: Path) -> dict[str, bytes]:
+    """Return the contents of all modules of ``package``, by their path inside it."""
+    found, start = {}, len(str(package)) + 1
+    for folder, _, names in os.walk(package):
+        for path in (f"{folder}{os.sep}{name}" for name in names if name.endswith(".py")):
+            with open(path, "rb", buffering=0) as file:
+                found[path[start:]] = file.read()
+    return found
 
 
 def _imports(text: bytes) -> list[str]:
@@ -84,6 +104,10 @@ def _cache_root() -> Path:
 
 
 def _cache_folder() -> Path:
+    """Return the folder of these sources' kernels: that of the wheel, if it has one and no other is asked for."""
+    shipped = _PACKAGE / "kernels" / kernels_digest()
+    if "HIL_CACHE_DIR" not in os.environ and os.access(shipped, os.W_OK):
+        return shipped
     return _cache_root() / "kernels" / kernels_digest()
 
 
@@ -111,15 +135,29 @@ def _make_writable(folder: Path) -> None:
         ) from error
 
 
-def kernels_are_cached() -> bool:
-    """Return whether an earlier start left compiled kernels for these very sources."""
-    return (_cache_folder() / "complete").exists()
+def kernels_are_cached(group: str = CYCLE) -> bool:
+    """Return whether an earlier start left the kernels of ``group``, compiled for these very sources and processor."""
+    marker = _cache_folder() / group
+    return marker.exists() and marker.read_text() == _processor()
 
 
-def mark_kernels_cached() -> None:
-    """Record that every kernel has been compiled once for these sources."""
+def mark_kernels_cached(group: str = CYCLE) -> None:
+    """Record that every kernel of ``group`` has been compiled once for these sources."""
     prepare_kernel_cache()
-    (_cache_folder() / "complete").touch()
+    (_cache_folder() / group).write_text(_processor())
+
+
+@contextmanager
+def only_one_process(group: str) -> Iterator[bool]:
+    """Give whether this process is the only one that compiles ``group``, as long as this lasts."""
+    prepare_kernel_cache()
+    with (_cache_folder() / f"{group} lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+        else:
+            yield True
 
 
 class _KernelCacheLocator(_CacheLocator):
@@ -160,4 +198,26 @@ def kernel(function: _Function) -> _Function:
     safety monitor's check for finite values and not by an exception in mid-cycle.
     """
     inlined = not function.__module__.startswith(_NOT_INLINED)
-    return cast(_Function, njit(cache=True, error_model="numpy", nogil=True, forceinline=inlined)(function))
+    options: dict[str, Any] = {"forceinline": inlined, "no_cfunc_wrapper": True}
+    return cast(_Function, njit(cache=True, error_model="numpy", nogil=True, **options)(function))
+
+
+def _processor() -> str:
+    """Return the name of the processor that kernels are compiled for."""
+    return str(_numba_config.CPU_NAME or llvmlite.binding.get_host_cpu_name())
+
+
+def _compile_for_baseline() -> None:
+    """Let this process compile for the baseline of its architecture, if this computer has all features of that.
+
+    Such kernels run on any computer with that baseline, so that a wheel can hold them. A loop that is compiled for one
+    processor is not faster, and its results have the same bits.
+    """
+    config = _numba_config
+    name, features = _BASELINES.get(platform.machine(), ("", ()))
+    present = llvmlite.binding.get_host_cpu_features()
+    if config.CPU_NAME is None and name and all(present.get(feature, False) for feature in features):
+        config.CPU_NAME, config.CPU_FEATURES = name, ""
+
+
+_compile_for_baseline()

@@ -1,10 +1,13 @@
 """Compiler of one group of kernels into the kernel cache, in a process of its own.
 
-``hil warm-up`` starts one per processor; a program that starts with an empty cache starts one for the GNC.
+``hil warm-up`` starts one per processor. A program that starts with an empty cache starts one for the GNC, and one of
+lowest priority, which may outlive the program, for the compiled loop.
 """
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 from collections.abc import Callable, Mapping
 from typing import Final
@@ -13,8 +16,11 @@ import numpy as np
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.child_process import Parent
+from hil.core.jit import COMPILED_LOOP, mark_kernels_cached, only_one_process
 from hil.core.messages import IMU, MAX_POSES, POSE, TRUTH, new
 from hil.setup.assembly import Job, make_gnc
+
+_LOWEST_PRIORITY: Final = 19
 
 
 class _NoPoses:
@@ -47,6 +53,7 @@ def _compile_loop() -> None:
 
     job = _job()
     CaseRunner(job.scenario.value, job.rig.value, job.duration_s).run(job.scenario.value, 0)
+    mark_kernels_cached(COMPILED_LOOP)
 
 
 def _compile_checks() -> None:
@@ -106,7 +113,23 @@ The first two are independent of each other. All others use kernels of these, wh
 
 
 def main() -> None:
-    """Compile the group that the parent names; send how long it took. The parent's end ends this process."""
+    """Compile the group on the command line, or that of the parent; the parent's end ends this process."""
+    if len(sys.argv) > 2:
+        _compile_in_background(sys.argv[2])
+    else:
+        _compile_for_parent()
+
+
+def _compile_in_background(group: str) -> None:
+    """Compile ``group`` unless another process does so."""
+    os.nice(_LOWEST_PRIORITY)
+    with only_one_process(group) as alone:
+        if alone:
+            GROUPS[group]()
+
+
+def _compile_for_parent() -> None:
+    """Compile the group that the parent names; send how long it took, s."""
     parent = Parent()
     started_s = time.perf_counter()
     GROUPS[parent.configuration["group"]]()

@@ -31,8 +31,14 @@ def copy(tmp_path: Path) -> Path:
 
 def run_with_cache(code: str, folder: Path, checkout: Path) -> subprocess.CompletedProcess[str]:
     """Run ``code`` against the package in ``checkout`` with its kernels cached in ``folder``."""
-    environment = os.environ | {"HIL_CACHE_DIR": str(folder), "PYTHONPATH": str(checkout)}
-    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    return run_in(checkout, code, os.environ | {"HIL_CACHE_DIR": str(folder)})
+
+
+def run_in(checkout: Path, code: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    """Run ``code`` against the package in ``checkout``."""
+    environment = environment | {"PYTHONPATH": str(checkout)}
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, env=environment, cwd=checkout, capture_output=True, text=True, check=False)
 
 
 def test_digest_is_the_same_for_a_copy_of_the_sources(copy: Path) -> None:
@@ -74,6 +80,30 @@ def test_import_writes_nothing(tmp_path: Path) -> None:
     done = run_with_cache("import hil.maths.quat, hil.loop.compiled.loop_kernel", tmp_path / "cache", PACKAGE.parent)
     assert done.returncode == 0, done.stderr
     assert not (tmp_path / "cache").exists()
+
+
+def test_kernels_in_a_wheel_are_used_where_they_are(copy: Path, tmp_path: Path) -> None:
+    run_with_cache(CALL_ONE_KERNEL, copy, copy.parent)
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    environment.pop("HIL_CACHE_DIR", None)
+    done = run_in(copy.parent, CALL_ONE_KERNEL, environment)
+    assert done.stdout == "1\n", done.stderr
+    assert not (tmp_path / "cache").exists()
+
+
+def test_kernels_of_another_processor_do_not_count_as_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mark = "from hil.core.jit import mark_kernels_cached as mark, kernels_are_cached as cached; mark(); print(cached())"
+    look = "from hil.core.jit import kernels_are_cached as cached; print(cached())"
+    with monkeypatch.context() as other:
+        other.setenv("NUMBA_CPU_NAME", "generic")
+        assert run_with_cache(mark, tmp_path, PACKAGE.parent).stdout == "True\n"
+    assert run_with_cache(look, tmp_path, PACKAGE.parent).stdout == "False\n"
+
+
+def test_second_process_leaves_a_group_to_the_first(tmp_path: Path) -> None:
+    code = "from hil.core.jit import only_one_process as one\nwith one('loop') as alone: print(alone)"
+    nested = f"import subprocess, sys\n{code}; sys.stdout.flush(); subprocess.run([sys.executable, '-c', {code!r}])"
+    assert run_with_cache(nested, tmp_path, PACKAGE.parent).stdout == "True\nFalse\n"
 
 
 def test_cache_that_cannot_be_written_is_one_clear_line() -> None:
