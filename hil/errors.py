@@ -19,6 +19,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import Final
+
+_LONGEST_LINE: Final = 2000
+
+
+def one_line(text: str, longest: int = _LONGEST_LINE) -> str:
+    """Return ``text`` as one line of printable characters, escaped where it has others, cut after ``longest``.
+
+    Texts of files, clients and devices may contain anything: the result neither commands a terminal nor fails in an
+    encoding.
+    """
+    shown = text[:longest].replace("\n", " ")
+    plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in shown)
+    return plain if len(text) <= longest else f"{plain}..."
 
 
 class HilError(Exception):
@@ -35,7 +49,7 @@ class Problem:
 
     def __str__(self) -> str:
         where = f"{self.source}: {self.key}" if self.key else self.source
-        return f"{where}: {self.message}"
+        return one_line(f"{where}: {self.message}")
 
 
 class BadInput(HilError):

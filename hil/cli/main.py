@@ -21,6 +21,7 @@ import cyclopts
 from cyclopts import App
 
 from hil.core.build_info import VERSION
+from hil.core.files import PIXELS_MAX
 from hil.errors import BadInput, BenchError, CampaignStopped, RenamedKey
 
 _GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
@@ -91,6 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def execute(arguments: Sequence[str]) -> int:
     """Run one command; return its exit code. Errors are printed to standard error, one line each."""
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(PIXELS_MAX))
     try:
         with _renamed_keys_on_stderr():
             result = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")

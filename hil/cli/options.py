@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, TypeVar
@@ -29,6 +28,9 @@ Flag = Annotated[bool, Parameter(negative=())]
 Names = Annotated[tuple[str, ...], Parameter(negative=())]
 Output = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
 
+SEED_MAX = 2**63 - 1
+_LONGEST_S = 1e6
+
 _T = TypeVar("_T")
 Group = Annotated[_T, Parameter(name="*")]
 """A dataclass of options, each of which stands for itself on the command line."""
@@ -49,26 +51,26 @@ class RunOptions:
     def problems(self) -> list[Problem]:
         """Return a problem for each option that is out of range."""
         found = []
-        if self.seed < 0:
-            found.append(Problem("--seed", "", f"{self.seed}: must not be negative"))
+        if not 0 <= self.seed <= SEED_MAX:
+            found.append(Problem("--seed", "", f"{self.seed}: must not be negative, at most {SEED_MAX}"))
         return found + duration_problems(self.duration) + above_zero("--speed", self.speed)
 
 
-def above_zero(option: str, value: float | None, what: str = "above 0") -> list[Problem]:
-    """Return a problem if ``value`` is not a finite number above zero; None is one."""
-    if value is None or (math.isfinite(value) and value > 0.0):
+def above_zero(option: str, value: float | None, what: str = "above 0", at_most: float = 1e6) -> list[Problem]:
+    """Return a problem if ``value`` is not a number above zero and ``at_most``; None is one."""
+    if value is None or 0.0 < value <= at_most:
         return []
-    return [Problem(option, "", f"{value:g}: must be {what}")]
+    return [Problem(option, "", f"{value:g}: must be {what}, at most {at_most:g}")]
 
 
 def duration_problems(duration_s: float | None) -> list[Problem]:
     """Return a problem if ``--duration`` is out of range."""
-    return above_zero("--duration", duration_s, "a time above 0 s")
+    return above_zero("--duration", duration_s, "a time above 0 s", _LONGEST_S)
 
 
 def wait_problems(wait_s: float) -> list[Problem]:
     """Return a problem if ``--wait`` is out of range."""
-    return above_zero("--wait", wait_s, "a time above 0 s")
+    return above_zero("--wait", wait_s, "a time above 0 s", _LONGEST_S)
 
 
 def at_least(**options: tuple[int, int]) -> list[Problem]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,6 +22,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
+from hil.core.files import CONFIG_BYTES, parse_json, parse_toml, read_text
 from hil.errors import BadInput, Problem
 
 Model = TypeVar("Model", bound=ConfigModel)
@@ -34,6 +36,8 @@ _FILES_OF_KEYS = {
     "library": (".so",),
 }  # values that are names, or paths with these endings
 _NEVER = ("\0",)
+
+_PROBLEMS_MAX = 20
 
 _UNIT = re.compile(r"_(m|mm|cm|km|s|ms|us|kg|g|n|deg|rad|hz|mps|mmps|degps|radps|mps2|degps2|mps3|kg_m2)$")
 
@@ -126,11 +130,11 @@ def check_table(
 
 def _find(name: str, kind: str) -> Path:
     shipped_path = configs_folder() / kind / f"{name}.toml"
-    if shipped_path.is_file():
+    if os.path.isfile(shipped_path):  # unlike Path.is_file, also takes a name that is no path
         return shipped_path
     path = Path(name)
     suffixes = _SUFFIXES.get(kind, (".toml",))
-    if path.suffix in suffixes and path.is_file():
+    if path.suffix in suffixes and os.path.isfile(path):
         return path
     what = _WORDS.get(kind, kind.removesuffix("s"))
     reason = "no such file" if path.suffix in suffixes else f"unknown {what}"
@@ -152,7 +156,7 @@ def read_with_bases(
             raise BadInput.single(str(path), "extends", f"{base_name!r}: must be a name or a path in quotes")
         beside = path.parent / base_name
         try:
-            base_path = beside if beside.suffix == ".toml" and beside.is_file() else _find(base_name, kind)
+            base_path = beside if beside.suffix == ".toml" and os.path.isfile(beside) else _find(base_name, kind)
         except BadInput as error:
             text = f"{base_name!r}: {error.problems[0].message}"
             raise BadInput.single(str(path), "extends", text) from error
@@ -164,15 +168,11 @@ def read_with_bases(
 
 
 def _read_table(path: Path) -> Table:
+    text, is_json = read_text(path, CONFIG_BYTES), path.suffix == ".json"
     try:
-        text = path.read_text(encoding="utf-8")
-        table = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput.single(str(path), "", f"not TOML: {error}") from error
-    except json.JSONDecodeError as error:
-        raise BadInput.single(str(path), "", f"not JSON: {error}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInput.single(str(path), "", f"cannot be read: {error}") from error
+        table = parse_json(text) if is_json else parse_toml(text)
+    except ValueError as error:
+        raise BadInput.single(str(path), "", f"not {'JSON' if is_json else 'TOML'}: {error}") from error
     if not isinstance(table, dict):
         raise BadInput.single(str(path), "", "must be a table of keys and values")
     return table
@@ -195,9 +195,10 @@ def merge_tables(base: Table, table: Table, source: str, origin: dict[str, str],
             origin[dotted] = source  # contradictions within a table are attributed to the last file that changed it
             merge_tables(base[key], value, source, origin, f"{dotted}.")
         else:
+            if isinstance(base.get(key), dict):
+                for stale in [known for known in origin if known.startswith(f"{dotted}.")]:
+                    del origin[stale]
             base[key] = value
-            for stale in [known for known in origin if known.startswith(f"{dotted}.")]:
-                del origin[stale]
             _note_origin(value, dotted, source, origin)
 
 
@@ -244,9 +245,11 @@ def _parse_setting(text: str, prefix: str) -> tuple[list[str], Any]:
     if not equals or not key:
         raise BadInput.single("--set", text, "must look like gnc.control.deadband_m=0.004 or rig.vmu.timeout_s=0.5")
     try:
-        value = tomllib.loads(f"value = {value_text}")["value"]
+        value = parse_toml(f"value = {value_text}")["value"]
     except tomllib.TOMLDecodeError:
         value = value_text.strip()  # a bare word: the shell has removed its quotes
+    except ValueError as error:
+        raise BadInput.single("--set", text, str(error)) from error
     return key.removeprefix(prefix).split("."), value
 
 
@@ -254,8 +257,9 @@ def _problems(
     error: ValidationError, model: type[BaseModel], table: Table, source: str, origin: Mapping[str, str], prefix: str
 ) -> list[Problem]:
     problems = []
-    for fault in [*error.errors(), *_unknown_in_devices(error, model, table)]:
-        location = [part for part in fault["loc"] if not (isinstance(part, str) and "[" in part)]
+    faults = [*error.errors(), *_unknown_in_devices(error, model, table)]
+    for fault in faults[:_PROBLEMS_MAX]:
+        location = _keys_of(fault["loc"], table)
         dotted = ".".join(part for part in location if isinstance(part, str))
         indices = "".join(f"[{part}]" for part in location if isinstance(part, int))
         known = dotted
@@ -264,7 +268,25 @@ def _problems(
         where = origin.get(known, source)
         message = _message(fault, model, [part for part in location if isinstance(part, str)], table)
         problems.append(Problem(where, f"{prefix}{dotted}{indices}" if dotted else "", message))
+    if len(faults) > _PROBLEMS_MAX:
+        problems.append(Problem(source, "", f"{len(faults) - _PROBLEMS_MAX} more errors"))
     return problems
+
+
+def _keys_of(location: Sequence[str | int], table: Table) -> list[str | int]:
+    """Return the keys and indices in pydantic's ``location``, which also names alternatives: ``tuple[...]``."""
+    keys: list[str | int] = []
+    place: Any = table
+    for part in location:
+        is_key = isinstance(place, dict) and part in place
+        if not is_key and isinstance(part, str) and "[" in part:
+            continue
+        keys.append(part)
+        if is_key or (isinstance(part, int) and isinstance(place, list) and part < len(place)):
+            place = place[part]
+        else:
+            place = None
+    return keys
 
 
 def _unknown_in_devices(error: ValidationError, model: type[BaseModel], table: Table) -> list[dict[str, Any]]:

@@ -6,12 +6,26 @@ errors. Angles are in degrees; ``hil.params`` converts them to radians.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, Final
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, field_validator
+
+SMALLEST: Final = 1e-50
+LARGEST: Final = 1e9
+"""Range of the magnitude of each number that is not 0, in its unit: beyond it, squares and quotients of the models
+leave the range of a double. Most keys have a narrower range of their own."""
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError(f"{text!r}: must consist of printable characters")
+    return text
+
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
+Name = Annotated[str, StringConstraints(max_length=100), AfterValidator(_printable)]
+"""Text for a page, a terminal and the name of a file."""
 Triple = tuple[float, float, float]
 Matrix3 = tuple[Triple, Triple, Triple]
 
@@ -20,3 +34,18 @@ class ConfigModel(BaseModel):
     """Base of all tables of configuration files."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+    @field_validator("*")
+    @classmethod
+    def _numbers_are_in_range(cls, value: Any) -> Any:
+        _check_magnitudes(value)
+        return value
+
+
+def _check_magnitudes(value: Any) -> None:
+    if isinstance(value, float):
+        if value and not SMALLEST <= abs(value) <= LARGEST:
+            raise ValueError(f"{value:g}: must be 0, or {SMALLEST:g} to {LARGEST:g} in magnitude")
+    elif isinstance(value, tuple):
+        for inner in value:
+            _check_magnitudes(inner)

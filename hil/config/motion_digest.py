@@ -10,6 +10,7 @@ from typing import Any, Final
 from hil.config.load import load_protocol
 from hil.config.renamed_keys import with_first_names
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.core.files import sha256_of
 
 _TABLES: Final = ("kind", "bench", "rails", "turntable", "io", "safety", "target_manipulator")
 
@@ -43,4 +44,4 @@ def _put_files_for_paths(table: dict[str, Any]) -> None:
             _put_files_for_paths(value)
         elif isinstance(value, str) and key.endswith("_file"):
             path = Path(value)
-            table[key] = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "missing"
+            table[key] = sha256_of(path) if path.is_file() else "missing"

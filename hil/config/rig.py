@@ -13,7 +13,7 @@ from hil.config.flight_computer import FlightComputer
 from hil.config.gnc_link import GncLink
 from hil.config.host import HostConfig, OnOverrun
 from hil.config.io import Io
-from hil.config.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
+from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.rail_map import RailMap
 from hil.config.rail_wires import ModbusRtu
 from hil.config.recording import RecordingTable
@@ -325,7 +325,7 @@ class Safety(ConfigModel):
 class Rig(ConfigModel):
     """One bench."""
 
-    name: str
+    name: Name
     kind: Literal["mock", "emulated", "hardware"]
     bench: BenchGeometry
     rails: Rails

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.live_tunable import LiveTuning
-from hil.config.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
+from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.truth import Orbit, SolarArray, Truth
 from hil.core.messages import MAX_PHASES, MAX_THRUSTERS
 
@@ -22,6 +22,9 @@ AngleTriple = tuple[
 ]
 
 
+DURATION_MAX_S = 1e6
+CYCLES_MAX = 5_000_000  # of a run, 28 h at 50 Hz: each leaves a record of 2 kB
+Duration = Annotated[float, Field(gt=0.0, le=DURATION_MAX_S)]
 Delay = Annotated[float, Field(ge=0.0, le=1.0)]
 Probability = Annotated[float, Field(ge=0.0, lt=1.0)]
 
@@ -290,9 +293,9 @@ class Reachability(ConfigModel):
 class Scenario(ConfigModel):
     """One closed-loop run, independent of the rig."""
 
-    name: str
-    duration_s: Positive
-    step_s: Positive
+    name: Name
+    duration_s: Duration
+    step_s: Annotated[float, Field(ge=1e-4, le=1.0)]
     orbit: Orbit
     truth: Truth = Truth()
     chaser: Chaser

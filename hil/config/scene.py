@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import ConfigModel, Positive
+from hil.config.model import ConfigModel, Name, Positive
 
 LONGEST_M: Final = 100.0  # a longer part was probably given in millimetres
 LABELS_AT_MOST: Final = 16
@@ -202,7 +202,7 @@ class Scene(ConfigModel):
     fields, the upper one (lines 0, 2, 4 ...) or the lower one first, the second half a frame period later.
     """
 
-    name: str = ""
+    name: Name = ""
     camera: SceneCamera
     fps: Annotated[float, Field(gt=0.0, le=1000.0)]
     fields: Literal["whole", "upper_first", "lower_first"] = "whole"

@@ -12,8 +12,10 @@ from typing import Final
 
 from hil.config.load import shipped
 from hil.console.session import Choice
+from hil.core.files import KIB, read_text
 from hil.errors import BadInput, Problem
 
+_TOKEN_BYTES: Final = 4 * KIB
 _SHORTEST_TOKEN: Final = 16
 _LOOPBACK_NAMES: Final = ("localhost", "127.0.0.1", "::1")
 
@@ -22,10 +24,10 @@ def read_token(path: str) -> str:
     """Return the token in the file at ``path``; raises BadInput if it is invalid or readable by other users."""
     option = "--token-file"
     try:
+        token = read_text(Path(path), _TOKEN_BYTES).strip()
         mode = Path(path).stat().st_mode
-        token = Path(path).read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInput.single(option, "", f"{path}: cannot be read: {error}") from error
+    except (BadInput, OSError) as error:
+        raise BadInput.single(option, "", str(error)) from error
     if stat.S_IMODE(mode) & 0o077:
         raise BadInput.single(
             option, "", f"{path}: readable by other users, mode {stat.S_IMODE(mode):o}: chmod 600 {path}"

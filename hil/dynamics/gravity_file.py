@@ -14,11 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core.files import MIB, read_text
 from hil.core.messages import Array
+from hil.errors import BadInput
 
 SHIPPED = Path(__file__).resolve().parent / "data" / "lp165p_8.tab"
 MOON_GM_M3PS2 = 4902.801056e9  # LP165P, Konopliv et al. 2001 (Icarus 150)
 MOON_RADIUS_M = 1738.0e3  # reference radius of LP165P
+_BYTES_MAX = 128 * MIB  # a field of degree 1200 has 80 MiB
+_DEGREE_MAX = 2000
 _GM_TOLERANCE = 0.01  # published lunar fields differ by 1e-6
 _KINDS = "a GMAT .cof or a PDS SHADR .tab or .sha file of the Moon"
 
@@ -72,11 +76,9 @@ def read(path: Path) -> GravityField:
 @lru_cache(maxsize=4)
 def _read(path: Path, _changed_ns: int, _size: int) -> GravityField:
     try:
-        text = path.read_text(encoding="ascii")
-    except OSError as error:
-        raise GravityFileError(f"cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise GravityFileError(f"is not a text file: give {_KINDS}") from error
+        text = read_text(path, _BYTES_MAX, "ascii")
+    except BadInput as error:
+        raise GravityFileError(f"{error.problems[0].message}: give {_KINDS}") from error
     field = _READERS[path.suffix.lower()](text)
     if abs(field.gm / MOON_GM_M3PS2 - 1.0) > _GM_TOLERANCE or not 1.7e6 < field.radius < 1.8e6:
         found = f"GM {field.gm / 1e9:g} km^3/s^2, radius {field.radius / 1e3:g} km"
@@ -179,8 +181,8 @@ def _numbers(line: str, number: int) -> list[float]:
 
 
 def _whole(value: float, number: int) -> int:
-    if not 0 <= value <= 10_000 or value != int(value):
-        raise GravityFileError(f"line {number}: {value:g} is not a degree or order")
+    if not 0 <= value <= _DEGREE_MAX or value != int(value):
+        raise GravityFileError(f"line {number}: {value:g} is not a degree or order, allowed 0 to {_DEGREE_MAX}")
     return int(value)
 
 

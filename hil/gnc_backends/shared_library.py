@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import hashlib
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -91,8 +90,8 @@ class Instance:
 def digest_of(path: str) -> str:
     """Return the SHA-256 of a library's file, "" if there is none."""
     try:
-        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    except OSError:
+        return sha256_of(Path(path))
+    except BadInput:
         return ""
 
 

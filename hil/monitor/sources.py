@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 from hil.config.load import Loaded
 from hil.config.scene import Scene
+from hil.core.files import check_regular, read_bytes
+from hil.core.image_files import IMAGE_BYTES, VIDEO_BYTES, decode_grey
 from hil.errors import BadInput
 
 Image = NDArray[np.uint8]
@@ -145,6 +147,7 @@ def _checked(image: Any, name: str, scene: Loaded[Scene]) -> Image:
 
 
 def _video(path: Path, scene: Loaded[Scene]) -> Source:
+    check_regular(path, VIDEO_BYTES)
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise BadInput.single(str(path), "", "not a readable video, or truncated")
@@ -206,7 +209,7 @@ def _slots(files: list[Path]) -> list[int]:
 
 def _folder_images(files: list[tuple[int, Path]], scene: Loaded[Scene]) -> Iterator[NumberedImage]:
     for slot, file in files:
-        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        image = decode_grey(read_bytes(file, IMAGE_BYTES))
         if image is None:
             raise BadInput.single(str(file), "", "not a readable image")
         yield slot, _checked(image, str(file), scene)

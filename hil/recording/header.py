@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
 import platform
 from pathlib import Path
@@ -13,6 +12,7 @@ from hil.config.load import load_scene
 from hil.config.motion_digest import motion_digest
 from hil.core.build_info import build_info
 from hil.core.clock import utc_text
+from hil.core.files import sha256_of
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, VERSION
 from hil.recording.writer import RecordingHeader
 from hil.setup.assembly import Job
@@ -68,6 +68,6 @@ def file_digests(table: dict[str, Any], prefix: str = "calibration_") -> dict[st
             found |= file_digests(value, f"{prefix}{key}.")
         elif key.endswith("_file") and isinstance(value, str):
             path = Path(value)
-            digest = f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}" if path.is_file() else "missing"
+            digest = f"sha256:{sha256_of(path)}" if path.is_file() else "missing"
             found[f"{prefix}{key}"] = f"{path.name} {digest}"
     return found

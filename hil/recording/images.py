@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import base64
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from mcap.records import Message
 
 from hil.core.camera_images import LEFT, RIGHT
+from hil.core.files import parse_json
+from hil.core.image_files import decode_grey
 from hil.errors import BadInput
 from hil.recording import foxglove_images
 from hil.recording.read import Scan, directory
@@ -33,13 +33,10 @@ class RecordedImage:
 
     def image(self, path: Path) -> np.ndarray:
         """Return the image (h, w), uint8, grey; path: of its recording. Raises BadInput."""
-        try:
-            found = cv2.imdecode(np.frombuffer(self.data, np.uint8), cv2.IMREAD_GRAYSCALE) if self.data else None
-        except cv2.error:
-            found = None
+        found = decode_grey(self.data)
         if found is None:
             raise BadInput.single(str(path), f"{self.camera} {self.number}", "cannot be decoded as an image")
-        return np.asarray(found)
+        return found
 
 
 def recorded_images(path: Path, *cameras: str) -> Iterator[RecordedImage]:
@@ -56,7 +53,7 @@ def recorded_images(path: Path, *cameras: str) -> Iterator[RecordedImage]:
 
 def _image(path: Path, message: Message) -> RecordedImage:
     try:
-        content = json.loads(message.data)
+        content = parse_json(message.data)
         return RecordedImage(
             content["frame_id"],
             _time(content["t_s"]),

@@ -8,8 +8,9 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import NoneType
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -24,6 +25,7 @@ from hil.config.renamed_keys import present_setting, with_present_names
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.fields import record_dtype
+from hil.core.files import MIB, check_regular, parse_json
 from hil.errors import BadInput
 from hil.recording import foxglove, schema, writer
 
@@ -40,7 +42,13 @@ _BROKEN: Final = (
     OverflowError,
 )
 """Exceptions of the mcap package for invalid bytes."""
-_RECORD_BYTES_MAX: Final = 1 << 30
+_FILE_BYTES_MAX: Final = 1 << 40
+_RECORD_BYTES_MAX: Final = 64 * MIB
+_CHUNK_BYTES_MAX: Final = 8 * MIB  # unpacked; a block is closed after 1 MiB, images make it longer
+_UNPACKED_FREE: Final = 8 * MIB
+_UNPACKED_RATIO: Final = 50  # of a file's blocks together, beyond _UNPACKED_FREE; recorded cycles have 3 to 10
+_NOTE_TEXTS: Final = ("message", "name", "kind")
+_NOTE_NUMBERS: Final = ("t_s", "bench_s", "cycle")
 
 
 @dataclass
@@ -50,6 +58,7 @@ class Scan:
     path: Path
     lost_chunks: int = 0
     ended: bool = False
+    _unpacked: int = 0
 
     @property
     def intact(self) -> bool:
@@ -57,6 +66,8 @@ class Scan:
 
     def records(self) -> Iterator[McapRecord]:
         """Yield schemas, channels, messages, attachments and metadata. Raises BadInput if the file is not MCAP."""
+        check_regular(self.path, _FILE_BYTES_MAX)
+        self._unpacked = 0
         try:
             with self.path.open("rb") as stream:
                 yield from self._records(StreamReader(stream, emit_chunks=True, record_size_limit=_RECORD_BYTES_MAX))
@@ -87,10 +98,27 @@ class Scan:
 
     def _messages(self, chunk: Chunk) -> list[McapRecord]:
         try:
-            return breakup_chunk(chunk, validate_crc=True)
+            return breakup_chunk(self._unpack(chunk), validate_crc=True)
         except _BROKEN:
             self.lost_chunks += 1
             return []
+
+    def _unpack(self, chunk: Chunk) -> Chunk:
+        """Return ``chunk`` without compression; raise ValueError if it, or the file, unpacks to too much."""
+        if chunk.compression not in ("", "zstd"):
+            raise ValueError(f"compression {chunk.compression!r}")
+        self._unpacked += chunk.uncompressed_size
+        too_much = self._unpacked > _UNPACKED_FREE + _UNPACKED_RATIO * self.path.stat().st_size
+        if too_much or chunk.uncompressed_size > _CHUNK_BYTES_MAX:
+            raise ValueError(f"{chunk.uncompressed_size} bytes unpacked")
+        if chunk.compression == "":
+            return chunk
+        stated = zstandard.frame_content_size(chunk.data)  # allocated at once, whatever the limit is
+        if stated not in (-1, chunk.uncompressed_size):
+            raise ValueError(f"{stated} bytes, the block has {chunk.uncompressed_size}")
+        unpacker = zstandard.ZstdDecompressor(max_window_size=_CHUNK_BYTES_MAX)
+        data = unpacker.decompress(chunk.data, max_output_size=max(1, chunk.uncompressed_size))
+        return replace(chunk, compression="", data=data)
 
 
 @dataclass
@@ -170,9 +198,24 @@ def _add_channel(found: Contents, channel: Channel, schemas: dict[int, Schema]) 
 
 def _add_message(found: Contents, channel: Channel, message: Message) -> None:
     if channel.topic in found.layouts:
+        size = found.layouts[channel.topic].itemsize
+        if len(message.data) != size:
+            text = f"a record of {channel.topic} has {len(message.data)} bytes, its schema {size}"
+            raise BadInput.single(str(found.path), "", text)
         found.records[channel.topic].append(message.data)
     elif channel.message_encoding == "json":
-        found.lines[channel.topic].append(json.loads(message.data))
+        found.lines[channel.topic].append(_table(found.path, channel.topic, message.data))
+
+
+def _table(path: Path, what: str, text: str | bytes) -> dict[str, Any]:
+    """Return the JSON table in ``text``; raise BadInput."""
+    try:
+        found = parse_json(text)
+    except ValueError as error:
+        raise BadInput.single(str(path), what, f"not JSON: {error}") from error
+    if not isinstance(found, dict):
+        raise BadInput.single(str(path), what, "must be a table of keys and values")
+    return found
 
 
 @dataclass(frozen=True)
@@ -220,8 +263,8 @@ def load(path: Path) -> Recorded:
         _rows(found, "/cycle"),
         _rows(found, "/vmu/frames"),
         _rows(found, "/monitor/portions"),
-        [present_note(note) for note in found.lines.get(foxglove.LOG_TOPIC, [])],
-        json.loads(summary) if summary else None,
+        [_note(path, note) for note in found.lines.get(foxglove.LOG_TOPIC, [])],
+        _table(path, writer.SUMMARY, summary) if summary else None,
         found.intact,
         found.files,
     )
@@ -256,6 +299,14 @@ def _rows(found: Contents, topic: str) -> np.ndarray:
     return rows
 
 
+def _note(path: Path, note: dict[str, Any]) -> dict[str, Any]:
+    """Return a log line with the present name of the key that it sets; raise BadInput if it is not of the log."""
+    texts = all(isinstance(note.get(key), str) for key in _NOTE_TEXTS)
+    if not texts or not all(isinstance(note.get(key), (int, float, NoneType)) for key in _NOTE_NUMBERS):
+        raise BadInput.single(str(path), foxglove.LOG_TOPIC, "a line of the log does not have its keys")
+    return present_note(note)
+
+
 def present_note(note: dict[str, Any]) -> dict[str, Any]:
     """Return a log line with the present name of the key that it sets, if it sets one."""
     return note | {"message": present_setting("Scenario", note["message"])} if note.get("kind") == "setting" else note
@@ -269,7 +320,8 @@ def _model_of(path: Path, run: dict[str, str], files: dict[str, str], name: str,
     if name not in files:
         raise BadInput.single(str(path), name, "is missing in this recording")
     try:
-        table = with_present_names(model.__name__, json.loads(files[name]), f"{path}: {name}", named_at_most=1)
+        content = _table(path, name, files[name])
+        table = with_present_names(model.__name__, content, f"{path}: {name}", named_at_most=1)
         return model.model_validate_json(json.dumps(table))
     except ValidationError as error:
         first = error.errors()[0]

@@ -7,12 +7,14 @@ with name, type, shape, offset, unit, frame and meaning, so that a reader does n
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
 
 from hil.core.fields import Fields, leaf_fields, record_dtype
+from hil.core.files import parse_json
 from hil.core.messages import ARRIVAL_FIELDS, CYCLE_FIELDS
 from hil.errors import BadInput
 from hil.monitor.results import PORTION_FIELDS
@@ -25,6 +27,9 @@ READABLE: Final = ("1", "2")
 RECORD_ENCODING: Final = "hil.record"
 """Message encoding of channels of packed records; their schemas have ``hil.fields`` as encoding."""
 FIELDS_ENCODING: Final = "hil.fields"
+
+_TYPE: Final = re.compile(r"[fiu][1248]|b1|S[1-9]\d{0,3}")
+_SIZE_MAX: Final = 1 << 20
 
 LOG_ENTRY: Final = np.dtype(
     [("t_s", "f8"), ("bench_s", "f8"), ("cycle", "i8"), ("kind", "S16"), ("source", "S48"), ("text", "S888")]
@@ -73,9 +78,12 @@ def describe(name: str, fields: Fields) -> bytes:
 def layout_of(schema: bytes, source: str) -> np.dtype:
     """Return the flat dtype, dotted names, that a schema describes. Raises BadInput if it describes none."""
     try:
-        table = json.loads(schema)
+        table = parse_json(schema)
+        unknown = [field["type"] for field in table["fields"] if not _TYPE.fullmatch(field["type"])]
+        if unknown or not 0 < table["size"] <= _SIZE_MAX:
+            raise ValueError(f"type {unknown[0]!r}" if unknown else f"size {table['size']}")
         return _flat(table["fields"], table["size"])
-    except (ValueError, LookupError, TypeError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput.single(source, "", f"its schema cannot be read: {error}") from error
 
 

@@ -13,7 +13,7 @@ from hil.cameras.pose_sensor import PoseSensor, make_pose_sensor, transport
 from hil.checks.compatibility import axes_at
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable
-from hil.config.scenario import Scenario
+from hil.config.scenario import CYCLES_MAX, Scenario
 from hil.core.camera_images import ImageSink
 from hil.core.messages import AXES, CYCLE, PoseFrame, new
 from hil.core.operator_commands import Operator
@@ -95,6 +95,12 @@ class Job:
     make_backend: Callable[[Scenario], GncBackend] | None = None
     paced: bool = False
     compiled: bool = True
+
+    def __post_init__(self) -> None:
+        """Raise BadInput if the run has more cycles than its records have room."""
+        if self.cycles > CYCLES_MAX:
+            text = f"{self.duration_s:g}: has {self.cycles} cycles of step_s, at most {CYCLES_MAX} are allowed"
+            raise BadInput.single(self.scenario.where("duration_s"), "duration_s", text)
 
     @property
     def truth(self) -> Scenario:

@@ -11,6 +11,8 @@ from typing import Final
 import cv2
 import numpy as np
 
+from hil.core.files import check_regular, read_bytes
+from hil.core.image_files import IMAGE_BYTES, VIDEO_BYTES, decode_grey
 from hil.errors import BadInput
 
 UNREADABLE: Final = "rejected_image"
@@ -71,21 +73,12 @@ class ImageFolder:
 
 
 def read_grey(path: Path) -> np.ndarray | None:
-    """Return the image at ``path`` as (h, w), uint8; None if it is truncated or no image.
-
-    Other depths are converted to 8 bit, colours to grey.
-    """
+    """Return the image at ``path`` as (h, w), uint8; None if it is truncated, too large or no image."""
     try:
-        data = path.read_bytes()
-    except OSError:
+        data = read_bytes(path, IMAGE_BYTES)
+    except BadInput:
         return None
-    if not _is_whole(path.suffix.lower(), data):
-        return None
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
-    except cv2.error:
-        return None
-    return None if image is None or image.ndim != 2 else np.asarray(image)
+    return decode_grey(data) if _is_whole(path.suffix.lower(), data) else None
 
 
 def _is_whole(suffix: str, data: bytes) -> bool:
@@ -149,6 +142,7 @@ class StreamPairs:
         if not self.live:
             if not Path(name).is_file():
                 raise BadInput.single("SOURCE", "", f"{name}: no such file (of {source})")
+            check_regular(Path(name), VIDEO_BYTES)
             stream = cv2.VideoCapture(name)
         elif name.isdecimal():
             stream = cv2.VideoCapture(int(name))

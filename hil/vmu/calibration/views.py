@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 
+from hil.core.files import MIB, read_bytes, read_text
+from hil.core.image_files import IMAGE_BYTES, decode_grey
 from hil.core.messages import Array
 from hil.errors import BadInput, Problem
 
 COLUMNS: Final = ("view", "rail_x_m", "rail_y_m", "rail_z_m", "roll_deg", "pitch_deg", "yaw_deg")
+_TABLE_BYTES: Final = 4 * MIB
 IMAGE_COLUMNS: Final = ("left", "right")
 
 
@@ -34,11 +37,10 @@ def read_views(place: Path) -> Views:
     """
     table = place / "views.csv" if place.is_dir() else place
     try:
-        with table.open(encoding="utf-8", newline="") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            rows = list(reader)
-            header = [name.strip() for name in reader.fieldnames or ()]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reader = csv.DictReader(io.StringIO(read_text(table, _TABLE_BYTES)), skipinitialspace=True)
+        rows = list(reader)
+        header = [name.strip() for name in reader.fieldnames or ()]
+    except csv.Error as error:
         raise BadInput.single(str(table), "", f"cannot be read: {error}") from error
     missing = [name for name in COLUMNS if name not in header]
     unknown = [name for name in header if name not in (*COLUMNS, *IMAGE_COLUMNS)]
@@ -84,10 +86,10 @@ def _number(table: Path, line: int, column: str, text: str | None, problems: lis
 
 def read_image(path: Path) -> np.ndarray:
     """Return the image at ``path`` in 8-bit grey levels, (h, w); raise BadInput."""
-    with_name = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if with_name is None:
+    image = decode_grey(read_bytes(path, IMAGE_BYTES))
+    if image is None:
         raise BadInput.single(str(path), "", "not a readable image (PNG, TIFF, BMP, ...)")
-    return np.asarray(with_name, dtype=np.uint8)
+    return image
 
 
 def read_pair(views: Views, index: int, sizes: Array | None = None) -> tuple[np.ndarray, np.ndarray]:

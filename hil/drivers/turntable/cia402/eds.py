@@ -13,10 +13,12 @@ from canopen.objectdictionary import ODVariable, datatypes
 from canopen.objectdictionary.eds import import_eds
 
 from hil.config.rig import Cia402
+from hil.core.files import MIB, read_text
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.codec import Pdo
 from hil.errors import BadInput, Problem
 
+_BYTES_MAX: Final = 4 * MIB
 SHIPPED: Final = Path(__file__).parent / "data" / "emulated-drive.eds"
 
 _I8, _I16, _I32 = datatypes.INTEGER8, datatypes.INTEGER16, datatypes.INTEGER32
@@ -135,10 +137,7 @@ class Eds:
 
 
 def _read(path: Path) -> canopen.ObjectDictionary:
-    try:
-        text = path.read_text(encoding="latin-1")  # encodings of vendors differ
-    except OSError as error:
-        raise BadInput.single(str(path), "", f"cannot be read: {error}") from error
+    text = read_text(path, _BYTES_MAX, "latin-1")  # encodings of vendors differ
     if "[DeviceInfo]" not in text:
         raise BadInput.single(str(path), "", "not an EDS file: section [DeviceInfo] is missing")
     try:
