@@ -8,6 +8,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
+from hil.core.files import sha256_of
 from hil.core.gnc_records import PROTOCOL, REASON_BYTES, GncMode, GncState
 from hil.errors import BadInput, DeviceError
 from hil.gnc_backends import external_records
