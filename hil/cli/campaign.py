@@ -131,7 +131,12 @@ def campaign(
     engine = workers.engine()
     with ExitStack() as held:
         held.callback(engine.close)
-        stores = [held.enter_context(each.store(folder)) for each, folder in zip(campaigns, folders, strict=True)]
+
+        def warn(line: str) -> None:
+            console.print(line, style="yellow", highlight=False, soft_wrap=True, markup=False)
+
+        pairs = zip(campaigns, folders, strict=True)
+        stores = [held.enter_context(each.store(folder, warn)) for each, folder in pairs]
         with console.status("compiling the loop if it is not cached, up to two minutes"):
             campaigns[0].warm_up()
         summaries = _run_all(campaigns, stores, cases.runs, engine, console)

@@ -79,8 +79,11 @@ class CampaignJob:
         if problems:
             raise BadInput(problems)
 
-    def store(self, folder: Path) -> Store:
-        """Return the folder's store; raise BadInput if it holds another campaign."""
+    def store(self, folder: Path, warn: Callable[[str], None] = lambda _: None) -> Store:
+        """Return the folder's store; raise BadInput if it holds another campaign.
+
+        warn: called with a line for each file of an earlier start that cannot be used.
+        """
         library = self.scenario.value.gnc.library
         gnc_digest = digest_of(library) if library is not None else ""
         texts = (first_names_json(self.scenario.value), first_names_json(self._rig.value), gnc_digest)
@@ -92,7 +95,7 @@ class CampaignJob:
             "duration_s": self.duration_s,
             "kernels": kernels_digest(),
         }
-        return Store(folder, identity, self.design.names)
+        return Store(folder, identity, self.design.names, warn)
 
     def warm_up(self) -> None:
         """Compile the loop unless it is in the kernel cache."""

@@ -1,23 +1,26 @@
 """Folder of a campaign: its identity, the completed batches, and finally all cases in one Parquet file.
 
 A batch is written to a temporary file that is renamed when it is complete, so a process killed at any moment neither
-loses nor duplicates a case.
+loses nor duplicates a case. Each batch carries its identity (campaign, first case, count) and a checksum of its rows:
+one that is damaged, of another campaign or in the place of another one is run again.
 """
 
 from __future__ import annotations
 
 import errno
 import fcntl
+import hashlib
 import json
 import os
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Self
 
 from hil.config.renamed_keys import present_key
-from hil.errors import BadInput, CampaignStopped
+from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text
+from hil.errors import BadInput, CampaignStopped, one_line
 from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
 
 BATCH: Final = 50
@@ -26,6 +29,11 @@ _GROUP: Final = 100 * BATCH  # cases per row group of the finished table
 _MANIFEST: Final = "campaign.json"
 _TABLE: Final = "cases.parquet"
 _LOCK: Final = "campaign.lock"
+_IDENTITY: Final = b"hil.campaign"
+"""Key of the metadata of a part (campaign, first case, count, checksum of the rows) and of the table (campaign)."""
+_PART_BYTES: Final = 16 * MIB
+_TABLE_BYTES: Final = 1 << 40
+_REASON: Final = 200  # characters of the library's reason in a line
 _DISK_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 
 
@@ -43,12 +51,20 @@ def parquet() -> tuple[Any, Any]:
 class Store:
     """Results of one campaign in ``folder``. identity: must be the same for a folder to be resumed.
 
-    names: of the dispersions. The folder is locked until the store is closed or its process ends. Raises BadInput for a
+    names: of the dispersions. warn: called with a line for each file that cannot be used. The folder is locked until the store is closed or its process ends. Raises BadInput for a
     folder with other results, or if another campaign is running in it.
     """
 
-    def __init__(self, folder: Path, identity: dict[str, Any], names: list[str]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        identity: dict[str, Any],
+        names: list[str],
+        warn: Callable[[str], None] = lambda _: None,
+    ) -> None:
         self._pa, self._pq = parquet()
+        self._warn = warn
+        self._digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
         self.folder = folder
         self._parts = folder / "parts"
         self.schema = self._pa.schema(
@@ -96,8 +112,8 @@ class Store:
 
     def _check(self, manifest: Path, identity: dict[str, Any]) -> None:
         try:
-            found = json.loads(manifest.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            found = parse_json(read_text(manifest, CONFIG_BYTES))
+        except (BadInput, ValueError) as error:
             raise BadInput.single("--out", "", f"{manifest}: cannot be read: {error}") from error
         if found != identity:
             different = [key for key in identity if not isinstance(found, dict) or found.get(key) != identity[key]]
@@ -110,42 +126,72 @@ class Store:
         """Return the batches, first case and count, that are missing for a campaign of ``runs`` cases."""
         self._restore_parts()
         batches = [(first, min(BATCH, runs - first)) for first in range(0, runs, BATCH)]
-        return [batch for batch in batches if self._rows_of(batch[0]) < batch[1]]
+        return [batch for batch in batches if not self._is_complete(*batch)]
 
-    def _rows_of(self, first: int) -> int:
+    def _is_complete(self, first: int, count: int) -> bool:
+        """Return whether the part of case ``first`` holds ``count`` cases or more; remove one that cannot be used."""
         path = self._part(first)
         if not path.is_file():
-            return 0
+            return False
         try:
-            return int(self._pq.read_metadata(path).num_rows)
-        except (OSError, self._pa.ArrowException):
-            return 0  # truncated by a crash of the computer: run again
+            return len(self._read_part(first)) >= count
+        except (OSError, BadInput, ValueError, LookupError, self._pa.ArrowException) as error:
+            self._warn(f"{path}: run again: {one_line(str(error), _REASON)}")
+            path.unlink()
+            return False
 
     def _part(self, first: int) -> Path:
         return self._parts / f"{first:010d}.parquet"
 
     def _read_part(self, first: int) -> Any:
-        """Return a batch; its columns may have names of renamed keys."""
-        table = self._pq.read_table(self._part(first))
-        return table.rename_columns([present_key("Scenario", name) for name in table.column_names]).cast(self.schema)
+        """Return a batch; its columns may have names of renamed keys. Raises ValueError for any other rows."""
+        path = self._part(first)
+        check_regular(path, _PART_BYTES)
+        table = self._pq.read_table(path, use_threads=False)
+        carried = (table.schema.metadata or {}).get(_IDENTITY)
+        if carried is None:
+            raise ValueError("carries no identity")
+        table = table.rename_columns([present_key("Scenario", name) for name in table.column_names])
+        table = table.select(self.schema.names).cast(self.schema)
+        if carried != self._identity_of(table, first):
+            raise ValueError("its rows are not those of this campaign and place, or are damaged")
+        return table
+
+    def _identity_of(self, table: Any, first: int) -> bytes:
+        """Return what a part with the rows of ``table`` carries."""
+        cases = table.column("case").to_pylist()
+        if cases != list(range(first, first + len(table))):
+            raise ValueError(f"its cases are not {first} and following")
+        values = [column.to_pylist() for column in table.columns]
+        identity = (self._digest, first, len(table), hashlib.sha256(repr(values).encode()).hexdigest())
+        return json.dumps(identity).encode()
 
     def put(self, first: int, rows: list[dict[str, Any]]) -> None:
         """Save a batch. Raises CampaignStopped if the disk is full."""
         columns = {field.name: [row[field.name] for row in rows] for field in self.schema}
-        table = self._pa.table(columns, schema=self.schema)
+        self._write_part(first, self._pa.table(columns, schema=self.schema))
+
+    def _write_part(self, first: int, table: Any) -> None:
         with atomic_write(self._part(first)) as partial:
-            self._pq.write_table(table, partial)
+            carrying = table.replace_schema_metadata({_IDENTITY: self._identity_of(table, first)})
+            self._pq.write_table(carrying, partial)
 
     def finish(self, runs: int) -> Path:
         """Write all ``runs`` cases into one file, in their order; return its path."""
-        with (
-            atomic_write(self.table_path) as partial,
-            self._pq.ParquetWriter(partial, self.schema) as writer,
-        ):
-            for group in range(0, runs, _GROUP):
-                end = min(runs, group + _GROUP)
-                parts = [self._read_part(first).slice(0, end - first) for first in range(group, end, BATCH)]
-                writer.write_table(self._pa.concat_tables(parts), row_group_size=_GROUP)
+        schema = self.schema.with_metadata({_IDENTITY: self._digest.encode()})
+        try:
+            with (
+                atomic_write(self.table_path) as partial,
+                self._pq.ParquetWriter(partial, schema, write_page_checksum=True) as writer,
+            ):
+                for group in range(0, runs, _GROUP):
+                    end = min(runs, group + _GROUP)
+                    parts = [self._read_part(first).slice(0, end - first) for first in range(group, end, BATCH)]
+                    table = self._pa.concat_tables(parts).replace_schema_metadata(schema.metadata)
+                    writer.write_table(table, row_group_size=_GROUP)
+        except (BadInput, ValueError, LookupError, self._pa.ArrowException) as error:
+            text = f"a part was changed while the campaign ran: run it again: {one_line(str(error), _REASON)}"
+            raise CampaignStopped(f"{self.folder}: {text}") from error
         for path in self._parts.glob("*.parquet"):
             path.unlink()
         return self.table_path
@@ -154,14 +200,18 @@ class Store:
         """Split a finished table into batches again: the number of cases may have changed."""
         if not self.table_path.is_file():
             return
-        file = self._pq.ParquetFile(self.table_path)
-        for group in range(file.num_row_groups):
-            table = file.read_row_group(group)
-            for first in range(0, len(table), BATCH):
-                path = self._part(group * _GROUP + first)
-                if not path.is_file():
-                    with atomic_write(path) as partial:
-                        self._pq.write_table(table.slice(first, BATCH), partial)
+        try:
+            check_regular(self.table_path, _TABLE_BYTES)
+            file = self._pq.ParquetFile(self.table_path, page_checksum_verification=True)
+            if (file.schema_arrow.metadata or {}).get(_IDENTITY) != self._digest.encode():
+                raise ValueError("does not carry the identity of this campaign")
+            for group in range(file.num_row_groups):
+                table = file.read_row_group(group).select(self.schema.names).cast(self.schema)
+                for first in range(0, len(table), BATCH):
+                    if not self._part(group * _GROUP + first).is_file():
+                        self._write_part(group * _GROUP + first, table.slice(first, BATCH))
+        except (OSError, BadInput, ValueError, LookupError, self._pa.ArrowException) as error:
+            self._warn(f"{self.table_path}: cases are run again: {one_line(str(error), _REASON)}")
 
     def table(self) -> Any:
         """Return the finished table, one row per case."""

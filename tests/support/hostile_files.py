@@ -1,4 +1,4 @@
-"""Files that no reader of the product may trust: wrong, endless, deep, huge, damaged; and the commands that read them."""
+"""Files that no reader may trust: wrong, endless, deep, huge, damaged; and the commands that read them."""
 
 from __future__ import annotations
 
@@ -114,6 +114,7 @@ def hostile(folder: Path) -> Iterator[Hostile]:
 def _settings() -> Iterator[Hostile]:
     """Yield each number of the shipped scenario and rig with values that are no values for it."""
     rig, scenario = load_rig("mock").value.model_dump(mode="json"), load_scenario("scheme-1").value.model_dump()
+    del scenario["dispersions"]  # of campaigns
     keys = [*_numbers(scenario, ""), *(f"rig.{key}" for key in _numbers(rig, ""))]
     for number, key in enumerate(keys):
         value = NUMBERS[number % len(NUMBERS)]

@@ -299,7 +299,7 @@ def test_campaign_folder_with_columns_of_earlier_names_is_resumed(tmp_path: Path
     (part,) = (tmp_path / "out" / "parts").glob("*.parquet")
     table = pq.read_table(part)
     earlier = [name.replace("loss_probability", "loss_share") for name in table.column_names]
-    pq.write_table(table.rename_columns(earlier), part)
+    pq.write_table(table.rename_columns(earlier).replace_schema_metadata(table.schema.metadata), part)
     with Store(tmp_path / "out", {"scenario": "a"}, names) as store:
         assert store.missing(BATCH) == []
         store.finish(BATCH)

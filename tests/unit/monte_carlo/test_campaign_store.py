@@ -100,3 +100,87 @@ def test_disk_that_is_full_from_the_start_stops_cleanly(tmp_path: Path, monkeypa
         full.setattr(Path, "mkdir", no_room)
         with pytest.raises(CampaignStopped, match="No space left on device"):
             Store(tmp_path / "c", IDENTITY, ["a"])
+
+
+def whole(folder: Path, identity: dict[str, object] = IDENTITY, runs: int = 150) -> list[Path]:
+    """Return the parts of a campaign whose batches are all done."""
+    with Store(folder, dict(identity), ["a"]) as store:
+        for first, count in store.missing(runs):
+            put(store, first, count)
+    return sorted((folder / "parts").glob("*.parquet"))
+
+
+def missing(folder: Path, runs: int = 150) -> tuple[list[tuple[int, int]], list[str]]:
+    """Return the batches that a new start runs again, and its warnings."""
+    lines: list[str] = []
+    with Store(folder, IDENTITY, ["a"], lines.append) as store:
+        return store.missing(runs), lines
+
+
+def test_part_with_any_flipped_bit_is_run_again_with_a_line_or_holds_the_same_rows(tmp_path: Path) -> None:
+    part = whole(tmp_path / "c")[1]
+    sound = part.read_bytes()
+    with Store(tmp_path / "c", IDENTITY, ["a"]) as store:
+        rows = store._read_part(50)
+    again = 0
+    for at in range(0, len(sound), 97):
+        part.write_bytes(sound[:at] + bytes([sound[at] ^ 1 << at % 8]) + sound[at + 1 :])
+        found, lines = missing(tmp_path / "c")
+        if found:
+            again += 1
+            assert found == [(50, BATCH)]
+            assert len(lines) == 1
+            assert "0000000050.parquet: run again: " in lines[0]
+        else:
+            with Store(tmp_path / "c", IDENTITY, ["a"]) as store:
+                assert store._read_part(50) == rows  # the bit carries nothing
+        part.write_bytes(sound)
+    assert again > len(sound) / 97 * 0.5
+
+
+def test_part_in_the_place_of_another_is_run_again(tmp_path: Path) -> None:
+    first, second, _ = whole(tmp_path / "c")
+    second.write_bytes(first.read_bytes())
+    found, lines = missing(tmp_path / "c")
+    assert found == [(50, BATCH)]
+    assert len(lines) == 1
+
+
+def test_part_of_another_campaign_is_run_again(tmp_path: Path) -> None:
+    foreign = whole(tmp_path / "other", IDENTITY | {"seed": 1})[1]
+    own = whole(tmp_path / "c")[1]
+    own.write_bytes(foreign.read_bytes())
+    assert missing(tmp_path / "c")[0] == [(50, BATCH)]
+
+
+def test_part_without_identity_or_with_too_few_cases_is_run_again(tmp_path: Path) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    first, second, third = whole(tmp_path / "c")
+    table = pq.read_table(first)
+    pq.write_table(table.replace_schema_metadata(None), first)
+    pq.write_table(pq.read_table(second).slice(0, 10), second)
+    third.unlink()
+    third.mkdir()
+    found, lines = missing(tmp_path / "c")
+    assert found == [(0, BATCH), (50, BATCH), (100, BATCH)]
+    assert len(lines) == 2
+
+
+def test_damaged_or_foreign_table_is_run_again(tmp_path: Path) -> None:
+    for folder, identity in (("c", IDENTITY), ("other", IDENTITY | {"seed": 1})):
+        with Store(tmp_path / folder, identity, ["a"]) as store:
+            for first, count in store.missing(150):
+                put(store, first, count)
+            store.finish(150)
+    table, foreign = (tmp_path / name / "cases.parquet" for name in ("c", "other"))
+    sound = table.read_bytes()
+    every = [(0, BATCH), (50, BATCH), (100, BATCH)]
+    for at in (100, len(sound) // 2, len(sound) - 20):
+        table.write_bytes(sound[:at] + bytes([sound[at] ^ 1]) + sound[at + 1 :])
+        found, lines = missing(tmp_path / "c")
+        assert (found == every and len(lines) == 1) or not found
+        for part in (tmp_path / "c" / "parts").glob("*.parquet"):
+            part.unlink()
+    table.write_bytes(foreign.read_bytes())
+    line = f"{table}: cases are run again: does not carry the identity of this campaign"
+    assert missing(tmp_path / "c") == (every, [line])
