@@ -146,11 +146,11 @@ def campaign(
             found = _comparison((scenario, variation.against), stores, summaries, Path(out))
         else:
             found = dict(summaries[0])
-    if json is not None:
-        write_json(found, json)
     if json != "-":
         _render(found, Console())
         Console().print(f"results in {out}", highlight=False, soft_wrap=True)
+    if json is not None:
+        write_json(found, json)
     return _DONE
 
 

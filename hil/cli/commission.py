@@ -7,14 +7,13 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 from rich.console import Console
 
 from hil.cli.options import Flag, Group, Names, Output, Settings, above_zero, refuse
-from hil.cli.output import axis_problems, base_of, check_rig_path, chosen_axes
+from hil.cli.output import axis_problems, base_of, check_rig_path, chosen_axes, write_text
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
@@ -129,7 +128,7 @@ def commission(
         return _SIGNED
     day = sign_off.date or datetime.datetime.now().astimezone().date().isoformat()
     text = as_toml(findings, loaded_rig.value, base_of(rig, sign_off.out), who, day)
-    Path(sign_off.out).write_text(text, encoding="utf-8")
+    write_text(text, sign_off.out)
     left = [name for k, name in enumerate(BENCH_AXES) if k not in chosen and k not in others]
     prompt.show(
         f"{sign_off.out}: {len(chosen)} axes signed, left: {', '.join(left)}"

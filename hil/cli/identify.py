@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -12,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.cli.options import Flag, Names, Output, Settings, above_zero, refuse
-from hil.cli.output import axis_problems, base_of, check_json_path, check_rig_path, chosen_axes, write_json
+from hil.cli.output import axis_problems, base_of, check_json_path, check_rig_path, chosen_axes, write_json, write_text
 from hil.cli.progress import ProgressBar
 from hil.errors import BadInput
 
@@ -82,7 +81,7 @@ def identify(
     if json is not None:
         write_json(as_json(results, rig, loaded.value.step_s), json)
     if out is not None:
-        Path(out).write_text(as_toml(results, rig, out, settings), encoding="utf-8")
+        write_text(as_toml(results, rig, out, settings), out)
     if json != "-":
         _print(results, loaded_rig.value.name, Console())
     return _PASSED if all(result.passed for result in results) else _FAILED

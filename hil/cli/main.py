@@ -12,10 +12,10 @@ import signal
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, Final
+from typing import Any, Final, TextIO, cast
 
 import cyclopts
 from cyclopts import App
@@ -83,11 +83,55 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # even if the shell ignores Ctrl-C for this process: a bench must always be stoppable
     signal.signal(signal.SIGINT, _as_ctrl_c)
     signal.signal(signal.SIGTERM, _as_ctrl_c)
+    out, err = (_Output(sys.stdout), _Output(sys.stderr))
+    sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
     code = execute(sys.argv[1:] if arguments is None else arguments)
-    sys.stdout.flush()
-    sys.stderr.flush()
+    out.flush()
+    if out.problem and code in (PASSED, FAILED):  # a reader of the exit code alone would take the results as delivered
+        code = _fail(f"standard output: cannot be written: {out.problem}", BAD_INPUT)
+    err.flush()
     # everything is closed; the interpreter's own exit takes longer than stopping the bench
     os._exit(code)
+
+
+class _Output:
+    """Stream whose reader may be gone: what cannot be written is dropped, and the run goes on to its end.
+
+    problem: the first reason, "" if there is none. A stream that was closed from the start takes everything.
+    """
+
+    def __init__(self, stream: TextIO | None) -> None:
+        self._stream = stream if stream is not None else open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+        self.problem = ""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write ``text``; return its length. Characters that the stream cannot encode are escaped."""
+        try:
+            self._stream.write(text)
+        except UnicodeEncodeError as error:
+            self._stream.write(text.encode(error.encoding, "backslashreplace").decode(error.encoding))
+        except OSError as error:
+            self._fail(error)
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write each of ``lines``."""
+        for line in lines:
+            self.write(line)
+
+    def flush(self) -> None:
+        """Flush the stream."""
+        try:
+            self._stream.flush()
+        except OSError as error:
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        self.problem = self.problem or error.strerror or str(error)
+        self._stream = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
 
 def execute(arguments: Sequence[str]) -> int:
@@ -104,7 +148,9 @@ def execute(arguments: Sequence[str]) -> int:
         return _fail(str(error), SAFE_STOPPED)
     except KeyboardInterrupt:
         return _fail("stopped by the operator", SAFE_STOPPED)
-    except Exception:
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:  # a file or folder of the user
+            return _fail(str(BadInput.single(str(error.filename), "", error.strerror or str(error))), BAD_INPUT)
         traceback.print_exc()
         return _fail("internal error: please report it with the traceback above", DEFECT)
     return result if isinstance(result, int) else PASSED

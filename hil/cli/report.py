@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,7 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from hil.cli.options import refuse
-from hil.cli.output import check_json_path
+from hil.cli.output import check_json_path, write_text
 from hil.errors import BadInput, Problem
 
 
@@ -43,12 +42,6 @@ def report(
     from hil.report import page  # slow import of matplotlib
 
     text = page.report(runs)
-    partial = Path(f"{out}.part")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, out)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise BadInput.single("--out", "", f"{out}: {error.strerror}") from error
+    write_text(text, out)
     Console().print(f"{out}: {len(runs)} runs" if len(runs) > 1 else out, highlight=False, soft_wrap=True, markup=False)
     return 0

@@ -13,7 +13,7 @@ from rich.console import Console
 from hil.cli.options import Group, OptionalInteger, Output, RunOptions, refuse
 from hil.cli.output import check_json_path, write_json
 from hil.cli.progress import ProgressBar
-from hil.errors import Problem
+from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
     from hil.api.runs import RunRequest
@@ -87,8 +87,6 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
     summary = found.summary
     if problem := summary.get("recording", {}).get("problem"):
         console.print(f"recording: {problem}", style="yellow", highlight=False, soft_wrap=True, markup=False)
-    if json is not None:
-        write_json(summary, json)
     if json != "-":
         render(summary, found.verdict, found.scenario.requirements, Console())
         if "monitor" in summary:
@@ -97,6 +95,14 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
             print("\n".join(monitor_lines(summary["monitor"])))  # noqa: T201
     if summary["faults"]:
         print(f"safe stop: {found.stop}", file=sys.stderr)  # noqa: T201
+    if json is not None:
+        try:
+            write_json(summary, json)
+        except BadInput as error:
+            if not summary["faults"]:
+                raise
+            print(error, file=sys.stderr)  # noqa: T201
+    if summary["faults"]:
         return _SAFE_STOPPED
     return _PASSED if found.passed else _FAILED
 

@@ -51,8 +51,9 @@ def parquet() -> tuple[Any, Any]:
 class Store:
     """Results of one campaign in ``folder``. identity: must be the same for a folder to be resumed.
 
-    names: of the dispersions. warn: called with a line for each file that cannot be used. The folder is locked until the store is closed or its process ends. Raises BadInput for a
-    folder with other results, or if another campaign is running in it.
+    names: of the dispersions. warn: called with a line for each file that cannot be used. The folder is locked until
+    the store is closed or its process ends. Raises BadInput for a folder with other results, or if another campaign is
+    running in it.
     """
 
     def __init__(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import socket
 import sqlite3
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +23,7 @@ RUNNING, DONE, BROKEN_OFF = "running", "done", "broken off"
 """States of an entry."""
 
 _LOCK_TIMEOUT_S: Final = 20.0  # wait for another writer
+_COPIES: Final = Path("/dev/shm")
 _RETRY_S: Final = 0.02
 _TABLE: Final = """
 CREATE TABLE IF NOT EXISTS runs (
@@ -151,10 +154,25 @@ class Catalogue:
         """Return the selected entries, oldest first, by ``COLUMNS``, with the path of the file."""
         if not self.path.is_file():
             raise BadInput.single(str(self.path), "", "no such catalogue: hil run ... --record FOLDER creates one")
-        with self._connection("BEGIN") as connection:
-            rows = connection.execute("SELECT * FROM runs ORDER BY started_utc, run").fetchall()
+        try:
+            rows = self._rows()
+        except sqlite3.OperationalError:
+            rows = self._rows_of_copy()
         entries = [self._entry(row) for row in rows]
         return [entry for entry in entries if _fits(entry, selection)]
+
+    def _rows(self) -> list[sqlite3.Row]:
+        with self._connection("BEGIN") as connection:
+            return connection.execute("SELECT * FROM runs ORDER BY started_utc, run").fetchall()
+
+    def _rows_of_copy(self) -> list[sqlite3.Row]:
+        """Return the rows from a copy elsewhere: SQLite reads none on a disk that is full or read-only."""
+        with tempfile.TemporaryDirectory(prefix="hil-catalogue-", dir=_COPIES if _COPIES.is_dir() else None) as folder:
+            for suffix in ("", "-wal"):  # the newest rows may be in the second one only
+                source = self.path.with_name(f"{NAME}{suffix}")
+                if source.is_file():
+                    shutil.copyfile(source, Path(folder) / source.name)
+            return Catalogue(Path(folder))._rows()
 
     def _entry(self, row: sqlite3.Row) -> dict[str, Any]:
         entry = {name: row[name] for name in COLUMNS}
@@ -215,7 +233,7 @@ def process_now() -> str:
 
 def _lives(process: str) -> bool:
     number, _, started = process.partition(" ")
-    return _started(int(number)) == started
+    return number.isdecimal() and _started(int(number)) == started
 
 
 def _started(pid: int) -> str:
