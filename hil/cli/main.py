@@ -21,11 +21,13 @@ import cyclopts
 from cyclopts import App
 
 from hil.core.build_info import VERSION
-from hil.core.files import PIXELS_MAX
 from hil.errors import BadInput, BenchError, CampaignStopped, RenamedKey
 
 _GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
 PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
+
+_PIXELS_MAX: Final = 1 << 27
+"""Pixels of an image at most, for OpenCV, which reads this once, from its environment."""
 
 COMMANDS: Final = {
     "run": "Run one closed loop and print its verdict.",
@@ -95,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 class _Output:
-    """Stream whose reader may be gone: what cannot be written is dropped, and the run goes on to its end.
+    """Stream whose reader may be gone: what cannot be written is dropped, and the run continues.
 
     problem: the first reason, "" if there is none. A stream that was closed from the start takes everything.
     """
@@ -136,7 +138,7 @@ class _Output:
 
 def execute(arguments: Sequence[str]) -> int:
     """Run one command; return its exit code. Errors are printed to standard error, one line each."""
-    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(PIXELS_MAX))
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_PIXELS_MAX))
     try:
         with _renamed_keys_on_stderr():
             result = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")

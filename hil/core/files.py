@@ -1,6 +1,6 @@
 """Input files: regular files of bounded size, and the tables in them, of bounded depth.
 
-A file that a user names may be a device without end, a pipe without a writer, or not at all what its name says. Every
+A file that a user names may be a device without end, a pipe without a writer, or of another kind than its name. Every
 reader takes its bytes from here, so that each of them ends in one line, in bounded time and memory.
 """
 
@@ -21,8 +21,6 @@ KIB: Final = 1 << 10
 MIB: Final = 1 << 20
 CONFIG_BYTES: Final = MIB
 """Size of a configuration file at most."""
-PIXELS_MAX: Final = 1 << 27
-"""Pixels of an image at most; the command line passes this to OpenCV, which reads it once, from its environment."""
 _DIGESTED_BYTES: Final = 256 * MIB
 _DEPTH_MAX: Final = 32
 _INTEGER_MAX: Final = 1 << 63

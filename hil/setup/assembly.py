@@ -97,7 +97,7 @@ class Job:
     compiled: bool = True
 
     def __post_init__(self) -> None:
-        """Raise BadInput if the run has more cycles than its records have room."""
+        """Raise BadInput if the run has more cycles than can be recorded."""
         if self.cycles > CYCLES_MAX:
             text = f"{self.duration_s:g}: has {self.cycles} cycles of step_s, at most {CYCLES_MAX} are allowed"
             raise BadInput.single(self.scenario.where("duration_s"), "duration_s", text)
