@@ -66,7 +66,7 @@ def prepare(_app: Any) -> None:
 def keep_sentence(_app: Any, what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
     """Keep napoleon from taking the words before the first colon of a property for its type."""
     if what in ("attribute", "property"):
-        lines.insert(0, "")
+        lines[:0] = ["..", ""]  # an empty comment, which is not shown
 
 
 def setup(app: Any) -> None:
