@@ -14,5 +14,7 @@ OnLoss = Literal["hold", "continue", "stop"]
 class ConsoleTable(ConfigModel):
     """Supervision of the operator's page."""
 
-    on_loss: OnLoss = "hold"  # of page, network or console, while the bench moves
-    lease_s: Annotated[float, Field(ge=0.5, le=60.0)] = 2.0  # silence after which the operator counts as lost
+    on_loss: OnLoss = "hold"
+    """Reaction of a moving bench to the loss of page, network or console; homing and parking complete unless "stop"."""
+    lease_s: Annotated[float, Field(ge=0.5, le=60.0)] = 2.0
+    """Silence after which the operator counts as lost."""

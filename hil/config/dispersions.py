@@ -19,11 +19,17 @@ class Spread(ConfigModel):
     """
 
     kind: Literal["normal", "uniform"]
+    """Normal, truncated at `low` and `high` if given, or uniform from `low` to `high`."""
     sigma: Number | None = None
+    """Standard deviation of a normal distribution, not negative."""
     mean: Number | None = None
+    """Mean of a normal distribution; unless set, the scenario's value."""
     low: Number | None = None
+    """Lower bound."""
     high: Number | None = None
+    """Upper bound."""
     relative: bool = False
+    """Whether the other numbers are factors of the scenario's value."""
 
     @model_validator(mode="after")
     def _numbers_suit_the_kind(self) -> Self:
@@ -60,14 +66,24 @@ class Dispersions(ConfigModel):
     """
 
     sampling: Literal["random", "latin_hypercube", "sobol"] = "random"
+    """Independent random numbers, blocks of Latin hypercubes, or a scrambled Sobol sequence (best with a power of two).
+    """
     cases_per_hypercube: Annotated[int, Field(ge=2, le=100_000)] = 100
+    """Cases per block of a Latin hypercube."""
     orbit: Table = Field(default_factory=dict)
+    """Distributions of keys in `[orbit]`."""
     truth: Table = Field(default_factory=dict)
+    """Distributions of keys in `[truth]`."""
     initial: Table = Field(default_factory=dict)
+    """Distributions of keys in `[initial]`."""
     chaser: Table = Field(default_factory=dict)
+    """Distributions of keys in `[chaser]`."""
     imu: Table = Field(default_factory=dict)
+    """Distributions of keys in `[imu]`."""
     vmu: Table = Field(default_factory=dict)
+    """Distributions of keys in `[vmu]`."""
     gnc: Table = Field(default_factory=dict)
+    """Distributions of keys in `[gnc]`: of the parameters of the GNC itself, and of injected events."""
 
 
 TABLES = ("orbit", "truth", "initial", "chaser", "imu", "vmu", "gnc")

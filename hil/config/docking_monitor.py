@@ -10,15 +10,21 @@ from hil.config.model import ConfigModel, Triple
 
 
 class DockingMonitorConfig(ConfigModel):
-    """source: "rendered" renders the docking target from the bench's encoders. scene: shipped, or a scene file's path.
+    """Docking monitor in parallel with a run.
 
     The camera's axes are the vision unit's, x1 = -y_c, x2 = z_c, x3 = -x_c; the target's C are y1 = -y_H, y2 = -z_H,
-    y3 = x_H. blur_px: 1 sigma of the point spread of lens and tube.
+    y3 = x_H.
     """
 
     source: Literal["none", "rendered"] = "none"
+    """"rendered": images of a television camera, rendered at the encoder positions."""
     scene: str = "atv"
+    """Shipped scene (`atv`, `bright-cross`) or path of a scene file."""
     target: Literal["basic", "backup"] = "basic"
-    camera_position_m: Triple = (0.8, 0.0, -0.5)  # in c: chaser's reference point to the camera
-    target_position_m: Triple = (-0.3, 0.0, -0.5)  # in H: target's reference point to the centre of the target's disc
+    """Target of the scene that is measured."""
+    camera_position_m: Triple = (0.8, 0.0, -0.5)
+    """In c: chaser's reference point to the camera."""
+    target_position_m: Triple = (-0.3, 0.0, -0.5)
+    """In H: target's reference point to the centre of the docking target's disc."""
     blur_px: Annotated[float, Field(ge=0.0, le=5.0)] = 0.8
+    """Point spread of lens and tube, 1 sigma."""

@@ -173,6 +173,7 @@ class DeviceTable(ConfigModel):
     without_wires: ClassVar[tuple[str, ...]] = ("mock",)
 
     driver: str
+    """Name of the driver, shipped or of an installed package."""
 
     @property
     def has_wires(self) -> bool:

@@ -13,33 +13,44 @@ from hil.config.model import ConfigModel, Positive
 class WordsCan(ConfigModel):
     """The CAN bus of the command words."""
 
-    interface: str = "socketcan"  # a python-can interface
+    interface: str = "socketcan"
+    """Interface of python-can."""
     channel: str | None = None
-    baud: Annotated[int, Field(gt=0)] = 115_200  # of a serial port, where the interface is one
+    """Channel of that interface."""
+    baud: Annotated[int, Field(gt=0)] = 115_200
+    """Baud rate of a serial adapter."""
     bitrate: Annotated[int, Field(gt=0)] = 500_000
+    """Bit rate of the bus, bit/s."""
     identifier: Annotated[int, Field(ge=1, le=0x7FF)] = 0x120
+    """11-bit identifier of the command words."""
 
 
 class WordsLine(ConfigModel):
     """A serial port."""
 
     port: str | None = None
+    """Serial port."""
     baud: Annotated[int, Field(gt=0)] = 115_200
+    """Baud rate."""
 
 
 class FlightComputer(ConfigModel):
-    """Flight computer in the loop. command_words: its link to the bench; "none": the GNC of the scenario flies.
-
-    timeout_s: age from which a command word opens no thruster. lost_s: time without one after which ``on_loss`` acts.
-    """
+    """Flight computer in the loop."""
 
     command_words: Literal["none", "serial", "can"] = "none"
+    """Link of the flight computer; "none": the GNC of the scenario is used."""
     timeout_s: Positive = 0.1
+    """Age from which a command word opens no thruster."""
     lost_s: Positive = 0.5
+    """Time without a command word after which `on_loss` applies."""
     on_loss: Literal["hold", "stop"] = "stop"
+    """Hold or safe stop."""
     serial: WordsLine = WordsLine()
+    """Serial port of the command words."""
     can: WordsCan = WordsCan()
-    poses: WordsLine = WordsLine(baud=460_800)  # RS-422 output of the vision unit's frames, if it has a port
+    """CAN bus of the command words."""
+    poses: WordsLine = WordsLine(baud=460_800)
+    """Serial output of the vision unit's frames, if it has a port."""
 
     @model_validator(mode="after")
     def _lost_is_later_than_silent(self) -> Self:

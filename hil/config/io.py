@@ -18,23 +18,31 @@ class IoCoils(ConfigModel):
     """Addresses of the outputs; the thrusters' lines are consecutive."""
 
     charge_pump: BitAddress = 0
+    """Output that toggles while the monitoring processes are alive."""
     enable: BitAddress = 1
+    """Output whose edge requests the safety relay to close."""
     thrusters_first: BitAddress = 2
+    """First of the outputs that show the thrusters."""
 
 
 class InputLines(ConfigModel):
     """Addresses of the inputs, each 1 while its contact is closed."""
 
     estop_closed: BitAddress = 0
+    """Input that is 1 while the emergency stop is released."""
     chain_closed: BitAddress = 1
+    """Input that is 1 while the relay enables torque."""
 
 
 class IoIdentity(ConfigModel):
     """Expected Modbus device identification of the coupler; omitted keys are not checked."""
 
     vendor: str | None = None
+    """Vendor name."""
     product: str | None = None
+    """Product code."""
     revision: str | None = None
+    """Revision."""
 
 
 class Io(DeviceTable):
@@ -44,16 +52,27 @@ class Io(DeviceTable):
     without_wires: ClassVar = ("mock", "none")
 
     timeout_s: Positive = 0.4
+    """Longest silence of the coupler."""
     host: str = "127.0.0.1"
+    """Address of the coupler."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    """TCP port of the coupler."""
     device_id: Annotated[int, Field(ge=1, le=247)] = 1
+    """Modbus device id."""
     coils: IoCoils = IoCoils()
+    """Addresses of outputs."""
     inputs: InputLines = InputLines()
-    interlocks: dict[str, BitAddress] = Field(default_factory=dict)  # name -> input, 1 while closed
-    thruster_lines: Annotated[int, Field(ge=0, le=MAX_THRUSTER_LINES)] = MAX_THRUSTER_LINES  # 0: not mirrored
-    pump_period_s: Positive = 0.01  # shortest time between two edges of the charge pump
-    pump_timeout_s: Positive = 0.05  # without an edge for longer than this the relay opens
+    """Addresses of inputs."""
+    interlocks: dict[str, BitAddress] = Field(default_factory=dict)
+    """Further contacts of the chain: name = input, 1 while closed. An open one ends the run and is named."""
+    thruster_lines: Annotated[int, Field(ge=0, le=MAX_THRUSTER_LINES)] = MAX_THRUSTER_LINES
+    """Outputs that show the thrusters, at least as many as the scenario has, or 0."""
+    pump_period_s: Positive = 0.01
+    """Shortest time between two edges of the charge pump, at most half of `pump_timeout_s`."""
+    pump_timeout_s: Positive = 0.05
+    """Time-out of the safety relay for an edge of the charge pump."""
     identity: IoIdentity = IoIdentity()
+    """Expected identification of the coupler."""
 
     @model_validator(mode="after")
     def _addresses_are_used_once(self) -> Self:

@@ -51,6 +51,7 @@ class LiveTuning(ConfigModel):
     """Table ``[console]`` of a scenario: settings that the operator may change during a run."""
 
     adjustable: tuple[str, ...] = ()
+    """Dotted keys that the operator may change during a run."""
 
     @field_validator("adjustable")
     @classmethod

@@ -37,50 +37,69 @@ class LineFraming(ConfigModel):
     """Start and end of a line. Requests go to the controller, replies come from it."""
 
     request_start: Printable = ""
+    """Characters before a request."""
     request_end: Annotated[str, Field(min_length=1)] = "\r\n"
+    """Characters after it."""
     reply_start: Printable = ""
+    """Characters before a reply."""
     reply_end: Annotated[str, Field(min_length=1)] = "\r\n"
+    """Characters after it."""
     longest_bytes: Annotated[int, Field(ge=16, le=4096)] = 256
+    """Longest line."""
 
 
 class SequenceNumber(ConfigModel):
     """Hexadecimal number before the body, repeated in the reply."""
 
     digits: Annotated[int, Field(ge=1, le=4)] = 2
+    """Hexadecimal digits."""
     separator: Printable = " "
+    """Characters between number and body."""
 
 
 class Checksum(ConfigModel):
     """Hexadecimal, after the body; covers sequence number and body, and start and separator if set."""
 
     kind: Literal["none", "sum8", "xor8", "crc16-ccitt"] = "none"
+    """Algorithm."""
     separator: Printable = "*"
+    """Characters before its hexadecimal digits."""
     covers_start: bool = False
+    """Also covers the start characters."""
     covers_separator: bool = False
+    """Also covers the separator."""
 
 
 class Angle(ConfigModel):
     """Format of a position."""
 
     unit: Literal["deg", "mdeg", "arcsec", "counts"]
+    """Unit."""
     decimals: Annotated[int, Field(ge=0, le=9)] = 0
+    """Decimals in requests."""
 
 
 class AngularRate(ConfigModel):
     """Format of a rate."""
 
     unit: Literal["degps", "mdegps", "arcsecps", "countsps"]
+    """Unit."""
     decimals: Annotated[int, Field(ge=0, le=9)] = 0
+    """Decimals in requests."""
 
 
 class NonNegativeInt(ConfigModel):
     """Format of an integer. digits: fixed number with leading zeros; None: as many as needed."""
 
     base: Literal[10, 16] = 10
+    """Decimal or hexadecimal."""
     digits: Digits | None = None
+    """Fixed number of digits; unless set, as many as needed."""
 
 
 class Fields(ConfigModel):
+    """Formats of the numbers in a line."""
+
     position: Angle
     rate: AngularRate
     status: NonNegativeInt = NonNegativeInt()
@@ -92,8 +111,11 @@ class Step(ConfigModel):
     """One request and its reply. each_axis: once per axis, ``{axis}`` is its name on the wire."""
 
     send: str
+    """Template of the request."""
     reply: str
+    """Name of the reply in `[replies]`."""
     each_axis: bool = False
+    """Send once per axis."""
 
     @field_validator("send")
     @classmethod
@@ -110,73 +132,107 @@ class RequestSteps(ConfigModel):
     """Requests of each action, sent in this order."""
 
     identify: Steps = ()
-    enable: SomeSteps  # setpoint := position of the axes
-    set: SomeSteps  # positions and rates
+    """Read the identity."""
+    enable: SomeSteps
+    """Enable at the present position."""
+    set: SomeSteps
+    """Send positions and rates."""
     hold: Steps = ()
+    """Hold the position."""
     quick_stop: SomeSteps
+    """Stop the axes."""
     clear_faults: Steps = ()
+    """Clear faults."""
     status: SomeSteps
+    """Read positions and status."""
     home: Steps = ()
+    """Start homing."""
 
 
 class ErrorReply(ConfigModel):
     """Error reply of the controller; ``{error}`` is the number that ``names`` explain."""
 
     reply: str
+    """Template of an error reply, with `{error}`."""
     names: Names = Field(default_factory=dict)
+    """Names of error numbers."""
 
 
 class AxisStatusBits(ConfigModel):
     """Meaning of the status bits of an axis. Bits that the controller does not have are omitted."""
 
     enabled: Bit
+    """Enabled."""
     fault: Bit
+    """Fault."""
     quick_stopped: Bit | None = None
+    """Quick stop active."""
     moving: Bit | None = None
+    """In motion."""
     homed: Bit | None = None
+    """Position reference valid."""
     not_homed: Bit | None = None
+    """Position reference missing."""
     homing: Bit | None = None
+    """Homing in progress."""
     homing_failed: Bit | None = None
+    """Homing failed."""
     limit_low: Bit | None = None
+    """Lower limit switch."""
     limit_high: Bit | None = None
+    """Upper limit switch."""
 
 
 class FaultNames(ConfigModel):
-    """Meaning of the fault number of an axis. flags: each bit is a fault; code: the number is one.
-
-    torque_off: number in ``names`` of safe torque off; None: the controller has no such fault.
-    """
+    """Meaning of the fault number of an axis."""
 
     kind: Literal["flags", "code"] = "code"
+    """Each bit is a fault, or the number is one."""
     torque_off: Annotated[int, Field(ge=1, le=0xFFFF_FFFF)] | None = None
+    """Number of safe torque off: the bench then waits for the cause, such as the emergency stop. Unless set, the
+    controller has no such fault."""
     names: Names = Field(default_factory=dict)
+    """Names of the numbers, free text."""
 
 
 class EmulatorWords(ConfigModel):
     """Texts and numbers of the emulated controller."""
 
     model: str = "EMULATED-3AX"
+    """Reported model."""
     serial: str = "0001"
+    """Reported serial number."""
     firmware: str = "1.0"
-    command_timeout: int = 1  # fault numbers
-    drive_fault: int = 4  # of a fault that is injected without a number
-    unknown: int = 1  # error numbers
+    """Reported firmware."""
+    command_timeout: int = 1
+    """Fault number of a command time-out."""
+    drive_fault: int = 4
+    """Fault number of an injected fault without a number."""
+    unknown: int = 1
+    """Error number of an unknown command."""
     arguments: int = 2
+    """Error number of wrong arguments."""
     refused: int = 3
+    """Error number of a rejected command."""
 
 
 class Protocol(ConfigModel):
     """One command set."""
 
     name: str
-    axes: tuple[str, str, str] = ("1", "2", "3")  # names of roll, pitch, yaw for {axis}
+    """Name of the command set."""
+    axes: tuple[str, str, str] = ("1", "2", "3")
+    """Names of roll, pitch, yaw for `{axis}`."""
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] | None = None
+    """Counts per revolution, if a unit is counts."""
     line: LineFraming = LineFraming()
     sequence: SequenceNumber | None = None
     checksum: Checksum = Checksum()
     fields: Fields
     requests: RequestSteps
     replies: Names
+    """Template of each reply by name. Those to `status` must contain position and status of each axis; a missing rate
+    is computed from positions. If those to `set` contain the same, `status` is not requested in each cycle."""
     errors: ErrorReply | None = None
     status: AxisStatusBits
     faults: FaultNames = FaultNames()

@@ -30,31 +30,42 @@ class WordRegister(ConfigModel):
     """A word of bits, a code or a counter."""
 
     address: Address
+    """Holding register, counted from 0 (40001 in many manuals is 0)."""
     type: Literal["u16", "u32"] = "u16"
+    """Type of the number."""
 
 
 class CounterRegister(WordRegister):
     """One register that counts to 65535 and starts again at 0."""
 
     type: Literal["u16"] = "u16"
+    """Type of the number."""
 
 
 class PositionRegister(ConfigModel):
     """A length: ``scale`` units to one count."""
 
     address: Address
+    """Holding register, counted from 0."""
     type: NumberType = "i32"
+    """Type of the number; the high word first unless `word_order` is "little"."""
     unit: Literal["m", "mm", "um"] = "um"
+    """Unit of a position."""
     scale: Positive = 1.0
+    """Units per count."""
 
 
 class RateRegister(ConfigModel):
     """A speed: ``scale`` units to one count."""
 
     address: Address
+    """Holding register, counted from 0."""
     type: NumberType = "i32"
+    """Type of the number."""
     unit: Literal["m/s", "mm/s", "um/s"] = "um/s"
+    """Unit of a speed."""
     scale: Positive = 1.0
+    """Units per count."""
 
 
 AnyRegister = WordRegister | PositionRegister | RateRegister
@@ -79,50 +90,75 @@ class CommandBlock(_Block):
     """What is written in every exchange; its registers follow one another without a gap."""
 
     control: WordRegister = WordRegister(address=0)
+    """Word of the control bits."""
     number: CounterRegister = CounterRegister(address=1)
+    """Number of the exchange, which the drive echoes."""
     position: PositionRegister = PositionRegister(address=2)
+    """Setpoint."""
     rate: RateRegister = RateRegister(address=4)
+    """Velocity feed-forward."""
 
 
 class StateBlock(_Block):
     """What is read in every exchange; registers between its numbers are read and ignored."""
 
     status: WordRegister = WordRegister(address=16)
+    """Word of the status bits."""
     fault: WordRegister = WordRegister(address=17)
+    """Fault code."""
     echo: CounterRegister = CounterRegister(address=18)
+    """Number of the last accepted exchange."""
     position: PositionRegister = PositionRegister(address=19)
+    """Measured position."""
     rate: RateRegister = RateRegister(address=21)
+    """Measured rate."""
 
 
 class IdentityBlock(_Block):
     """What is read when the drive is opened; version: major * 256 + minor."""
 
     vendor: WordRegister = WordRegister(address=32, type="u32")
+    """Identity of the vendor."""
     version: WordRegister = WordRegister(address=34)
+    """Firmware, major * 256 + minor."""
 
 
 class ControlBits(ConfigModel):
     """Bits of the control word."""
 
     enable: Bit = 0
+    """Bit that enables the drive."""
     quick_stop: Bit = 1
+    """Bit that stops it."""
     home: Bit = 2
+    """Bit that starts homing; -1 if the drive has none."""
     fault_reset: Bit = 7
+    """Bit that clears faults; -1 if the drive has none."""
 
 
 class RailStatusBits(ConfigModel):
     """Bits of the status word."""
 
     ready: Bit = 0
+    """Ready."""
     enabled: Bit = 1
+    """Enabled."""
     moving: Bit = 2
+    """In motion; while homing: searching."""
     fault: Bit = 3
+    """Fault."""
     quick_stop: Bit = 4
+    """Quick stop active."""
     limit: Bit = 5
+    """Limit switch, the nearer one if the drive does not report which."""
     homed: Bit = 6
+    """Position reference valid."""
     homing_failed: Bit = 7
+    """Homing failed."""
     limit_low: Bit = 8
+    """Lower limit switch."""
     limit_high: Bit = 9
+    """Upper limit switch."""
 
 
 TORQUE_OFF_CODE: Final = 7  # unless set; a list of faults without it has no such fault
@@ -139,24 +175,31 @@ FAULT_TEXTS: Final = {
 
 
 class RailMap(ConfigModel):
-    """Where a rail drive keeps its numbers, and which drive it is.
-
-    word_order: of a number in several registers, "big" has the high word first. numbered: whether the drive
-    echoes the number of each exchange (``command.number``, ``state.echo``). torque_off: the code in ``faults`` of
-    a drive without torque because the safety chain is open, -1 where the drive has none.
-    """
+    """Where a rail drive keeps its numbers, and which drive it is."""
 
     word_order: Literal["big", "little"] = "big"
+    """Order of the words of a number in several registers: high or low word first."""
     numbered: bool = True
+    """Whether the drive echoes the number of each exchange. If not, a serial line has no retry after a time-out."""
     vendor: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = 0x48494C52
+    """Expected vendor."""
     firmware_min: tuple[Annotated[int, Field(ge=0, le=255)], Annotated[int, Field(ge=0, le=255)]] = (1, 0)
+    """Oldest accepted firmware, major and minor; another major number is rejected."""
     command: CommandBlock = CommandBlock()
+    """Numbers written in each exchange."""
     state: StateBlock = StateBlock()
+    """Numbers read in each exchange."""
     identity: IdentityBlock = IdentityBlock()
+    """Numbers read when the bench is opened."""
     control_bits: ControlBits = ControlBits()
+    """Bits of the control word."""
     status_bits: RailStatusBits = RailStatusBits()
+    """Bits of the status word."""
     faults: Mapping[FaultCode, str] = FAULT_TEXTS
+    """Fault codes, decimal or 0x hexadecimal, and their names (free text)."""
     torque_off: Annotated[int, Field(ge=-1, le=0xFFFF_FFFF)] = TORQUE_OFF_CODE
+    """Code of safe torque off; -1 if the drive has none. After it the bench waits for the cause, such as the emergency
+    stop, and reports that first."""
 
     @property
     def homes(self) -> bool:

@@ -18,10 +18,15 @@ class ModbusRtu(ConfigModel):
     """Three drives on one serial line, addressed one after the other."""
 
     port: str | None = None
+    """Serial port."""
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = 115_200
+    """Baud rate."""
     parity: Literal["none", "even", "odd"] = "even"
+    """Parity."""
     stopbits: Literal[1, 2] = 1
-    device_ids: tuple[DeviceId, DeviceId, DeviceId] = (1, 2, 3)  # x, y, z
+    """Stop bits."""
+    device_ids: tuple[DeviceId, DeviceId, DeviceId] = (1, 2, 3)
+    """Modbus device ids of x, y, z."""
 
     @property
     def bits_per_byte(self) -> int:

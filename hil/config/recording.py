@@ -10,9 +10,9 @@ from hil.config.model import ConfigModel
 
 
 class RecordingTable(ConfigModel):
-    """images: encoding of rendered images; their replay is bit-exact with png and image_interval_s = 0 only."""
+    """Images of a recording; their replay is bit-exact with png and image_interval_s = 0 only."""
 
     images: Literal["none", "jpeg", "png"] = "jpeg"
-    image_interval_s: Annotated[float, Field(ge=0.0, le=3600.0)] = (
-        0.5  # between two images of a camera; 0: every exposure
-    )
+    """Encoding of rendered images; "none" records none, "png" is lossless."""
+    image_interval_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.5
+    """Shortest time between two images of a camera; 0: every exposure."""

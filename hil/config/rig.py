@@ -34,13 +34,20 @@ Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 class BenchGeometry(ConfigModel):
     """Mounting of the bench (frames: docs/explanation/frames.md)."""
 
-    lever_arm_m: Triple  # in c: turntable's rotation centre to the chaser's reference point
-    gimbal_order: Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"] = "zyx"  # outer to inner
-    camera_position_m: Triple = (0.6, 0.0, 0.0)  # in c: chaser's reference point to the left camera
-    camera_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))  # rows: v axes in c
-    led_ring_position_m: Triple = (0.0, 0.0, 0.0)  # in H: target's reference point to the ring centre
-    park_after_run: bool = False  # at the end of a run all axes go to their park_m and park_deg
-    led_ring_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))  # rows: t axes in H
+    lever_arm_m: Triple
+    """In c: turntable's centre of rotation to the point that represents the chaser's reference point."""
+    gimbal_order: Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"] = "zyx"
+    """Gimbals from outer to inner; "zyx" is yaw, pitch, roll."""
+    camera_position_m: Triple = (0.6, 0.0, 0.0)
+    """In c: chaser's reference point to the left camera."""
+    camera_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))
+    """Rows: axes of the left camera in c."""
+    led_ring_position_m: Triple = (0.0, 0.0, 0.0)
+    """In H: target's reference point to the centre of the LED ring."""
+    park_after_run: bool = False
+    """Move all axes to `park_m` and `park_deg` at the end of a complete run."""
+    led_ring_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))
+    """Rows: axes of the LED ring in H."""
 
     @model_validator(mode="after")
     def _axes_are_right_handed(self) -> Self:
@@ -61,20 +68,30 @@ class Servo(ConfigModel):
     """Dynamics of an axis of mock and emulator."""
 
     gain_per_s: Positive
+    """Gain of the position loop."""
     lag_s: Positive
+    """Time constant of the drive."""
 
 
 class RailAxis(ConfigModel):
     """One rail. An axis with an incremental encoder must be homed after power-up."""
 
     travel_m: tuple[float, float]
+    """Low and high end, inside the limit switches."""
     rate_max_mps: Positive
+    """Speed limit."""
     acceleration_max_mps2: Positive
+    """Acceleration limit."""
     park_m: float = 0.0
+    """Park position."""
     encoder: Encoder = "absolute"
-    home_m: float = 0.0  # position of the home switch
+    """"incremental": must be homed after power-up of its drive."""
+    home_m: float = 0.0
+    """Position of the home switch."""
     homing_rate_mps: Positive = 0.05
-    lead_s: Lead = 0.0  # lead of the setpoints; measured by hil identify
+    """Speed of the search for it."""
+    lead_s: Lead = 0.0
+    """Time by which setpoints are advanced, measured by `hil identify`; negative for an axis that leads."""
 
     @property
     def limits(self) -> tuple[float, float, float, float, float]:
@@ -99,13 +116,21 @@ class GimbalAxis(ConfigModel):
     """One axis of the turntable. An axis with an incremental encoder must be homed after power-up."""
 
     travel_deg: tuple[float, float]
+    """Low and high end, inside the limit switches."""
     rate_max_degps: Positive
+    """Rate limit."""
     acceleration_max_degps2: Positive
+    """Acceleration limit."""
     park_deg: float = 0.0
+    """Park position."""
     encoder: Encoder = "absolute"
-    home_deg: float = 0.0  # position of the home switch
+    """"incremental": must be homed after power-up of its drive."""
+    home_deg: float = 0.0
+    """Position of the home switch."""
     homing_rate_degps: Positive = 5.0
-    lead_s: Lead = 0.0  # lead of the setpoints; measured by hil identify
+    """Rate of the search for it."""
+    lead_s: Lead = 0.0
+    """Time by which setpoints are advanced, measured by `hil identify`; negative for an axis that leads."""
 
     @property
     def limits(self) -> tuple[float, float, float, float, float]:
@@ -137,8 +162,11 @@ class ModbusAxis(ConfigModel):
     """Address of the drive of one rail."""
 
     host: str = "127.0.0.1"
+    """Address of the drive, or of the gateway that several drives share."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    """TCP port."""
     device_id: Annotated[int, Field(ge=1, le=247)] = 1
+    """Modbus device id."""
 
 
 class Modbus(ConfigModel):
@@ -152,19 +180,32 @@ class Modbus(ConfigModel):
 class Cia402(ConfigModel):
     """Three CiA 402 drives on one CAN bus, roll, pitch, yaw."""
 
-    interface: str = "serial"  # a python-can interface
+    interface: str = "serial"
+    """Interface of python-can."""
     channel: str | None = None
+    """Channel of that interface."""
     bitrate: Annotated[int, Field(gt=0)] = 1_000_000
-    baud: Annotated[int, Field(gt=0)] = 1_000_000  # of a serial adapter
+    """Bit rate of the bus, bit/s."""
+    baud: Annotated[int, Field(gt=0)] = 1_000_000
+    """Baud rate of a serial adapter."""
     node_ids: tuple[NodeId, NodeId, NodeId] = (1, 2, 3)
+    """Node ids of roll, pitch, yaw."""
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000
-    eds_file: str | None = None  # of the drives; the emulated drive's, shipped with the driver, when not given
-    heartbeat_s: Annotated[float, Field(ge=0.01, le=60.0)] = 0.05  # heartbeat period of the drives
-    homing_method: Annotated[int, Field(ge=-128, le=37)] = 24  # object 0x6098; 24: home switch, positive start
-    vendor_id: Unsigned32 | None = None  # object 0x1018, what the drives must be; not given: any
+    """Encoder counts per revolution of the axis."""
+    eds_file: str | None = None
+    """EDS of the drives; unless set, that of the emulated drive."""
+    heartbeat_s: Annotated[float, Field(ge=0.01, le=60.0)] = 0.05
+    """Heartbeat period of a drive."""
+    homing_method: Annotated[int, Field(ge=-128, le=37)] = 24
+    """Object 0x6098; 24: home switch, positive start."""
+    vendor_id: Unsigned32 | None = None
+    """Expected object 0x1018:1; any unless set."""
     product_code: Unsigned32 | None = None
+    """Expected object 0x1018:2."""
     revision_min: Unsigned32 | None = None
-    firmware: str | None = None  # object 0x100A
+    """Oldest accepted object 0x1018:3."""
+    firmware: str | None = None
+    """Expected object 0x100A."""
 
     @model_validator(mode="after")
     def _nodes_differ(self) -> Self:
@@ -177,14 +218,18 @@ class SerialLine(ConfigModel):
     """A serial port."""
 
     port: str | None = None
+    """Serial port."""
     baud: Annotated[int, Field(gt=0)] = 460_800
+    """Baud rate."""
 
 
 class AsciiTurntableLine(SerialLine):
     """Serial port and command set of the turntable controller."""
 
-    protocol: str = "hil-ascii"  # a shipped protocol file by its name, or the path of one
-    identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)  # expected identification
+    protocol: str = "hil-ascii"
+    """Command set: `hil-ascii`, `acu` or the path of a protocol file."""
+    identity: dict[Literal["model", "serial", "firmware"], str] = Field(default_factory=dict)
+    """Expected model, serial and firmware of the controller; omitted ones are not checked."""
 
 
 class AxisGroupTable(DeviceTable):
@@ -194,7 +239,9 @@ class AxisGroupTable(DeviceTable):
     si_per_unit: ClassVar[float]  # of positions in the file: 1 for m, rad per degree
 
     timeout_s: Positive = 0.4
+    """Longest silence of the device, and oldest accepted feedback."""
     servo: Servo
+    """Dynamics of mock and emulated axes."""
 
     @property
     def axes(self) -> tuple[RailAxis | GimbalAxis, ...]:
@@ -214,11 +261,16 @@ class Rails(AxisGroupTable):
     axis_names: ClassVar = RAIL_NAMES
     si_per_unit: ClassVar = 1.0
 
-    following_error_max_m: Positive = 0.05  # at rest
-    following_error_per_speed_s: NotNegative = 0.0  # m more for each m/s of commanded speed
+    following_error_max_m: Positive = 0.05
+    """Largest following error at rest."""
+    following_error_per_speed_s: NotNegative = 0.0
+    """Its increase per commanded speed."""
     lost_packets_max: Positive = 5.0
-    lost_packets_window_s: Positive = 1.0  # drain time of the leaky bucket per lost packet
-    encoder_sigma_m: NotNegative = 0.0  # noise of the emulated encoders
+    """Level of the leaky bucket of lost packets that trips."""
+    lost_packets_window_s: Positive = 1.0
+    """Time in which the bucket drains by one packet."""
+    encoder_sigma_m: NotNegative = 0.0
+    """Noise of the emulated encoders."""
     x: RailAxis
     y: RailAxis
     z: RailAxis
@@ -237,7 +289,9 @@ class TargetManipulator(Rails):
     without_wires: ClassVar = ("mock", "none")
 
     place_m: Triple = (0.0, 0.0, 0.0)
+    """Position of the target, reached before the run is armed, at half of the limits."""
     held_within_m: Positive = 0.005
+    """Allowed deviation from it, per axis, while armed and running."""
 
     @model_validator(mode="after")
     def _the_place_can_be_reached(self) -> Self:
@@ -255,11 +309,16 @@ class Turntable(AxisGroupTable):
     axis_names: ClassVar = GIMBAL_NAMES
     si_per_unit: ClassVar = math.pi / 180.0
 
-    following_error_max_deg: Positive = 2.0  # at rest
-    following_error_per_speed_s: NotNegative = 0.0  # deg more for each deg/s of commanded speed
+    following_error_max_deg: Positive = 2.0
+    """Largest following error at rest."""
+    following_error_per_speed_s: NotNegative = 0.0
+    """Its increase per commanded rate."""
     lost_packets_max: Positive = 5.0
-    lost_packets_window_s: Positive = 1.0  # drain time of the leaky bucket per lost packet
-    encoder_sigma_deg: NotNegative = 0.0  # noise of the emulated encoders
+    """Level of the leaky bucket of lost packets that trips."""
+    lost_packets_window_s: Positive = 1.0
+    """Time in which the bucket drains by one packet."""
+    encoder_sigma_deg: NotNegative = 0.0
+    """Noise of the emulated encoders."""
     roll: GimbalAxis
     pitch: GimbalAxis
     yaw: GimbalAxis
@@ -275,9 +334,13 @@ class RigCamera(ConfigModel):
     """Both cameras of the vision unit."""
 
     focal_px: Positive = 1200.0
+    """Focal length."""
     width_px: Annotated[int, Field(gt=0)] = 1024
+    """Image width."""
     height_px: Annotated[int, Field(gt=0)] = 1024
-    baseline_m: Positive = 0.20  # from the left camera to the right one, along x_v
+    """Image height."""
+    baseline_m: Positive = 0.20
+    """Left to right camera, along x_v."""
 
 
 def _ring(radius_m: float, raised_m: float) -> tuple[Triple, ...]:
@@ -291,8 +354,11 @@ class VmuIdentity(ConfigModel):
     """Expected identification of the unit; omitted keys are not checked."""
 
     vendor: str | None = None
+    """Vendor."""
     serial: str | None = None
-    firmware: str | None = None  # "1.4"
+    """Serial number."""
+    firmware: str | None = None
+    """Firmware, such as "1.4"."""
 
 
 class Vmu(DeviceTable):
@@ -301,32 +367,48 @@ class Vmu(DeviceTable):
     device: ClassVar = "vmu"
 
     timeout_s: Positive = 0.4
+    """Longest time without a new frame."""
     rate_hz: Positive = 6.25
+    """Frames per second."""
     lost_packets_max: Positive = 10.0
-    lost_packets_window_s: Positive | None = None  # default: two frame periods
-    processing_s: NotNegative = 0.0  # from exposure to the first byte
-    clock: Literal["shared", "own"] = "shared"  # time stamps are bench time, or of a clock in the unit
+    """Level of the leaky bucket of lost frames that trips."""
+    lost_packets_window_s: Positive | None = None
+    """Time in which the bucket drains by one frame; unless set, two frame periods."""
+    processing_s: NotNegative = 0.0
+    """Emulated unit: from exposure to the first byte."""
+    clock: Literal["shared", "own"] = "shared"
+    """Clock of the unit's time stamps: bench time, or its own."""
     camera: RigCamera = RigCamera()
-    leds_m: Annotated[tuple[Triple, ...], Field(min_length=1)] = _ring(0.12, 0.06)  # in t
-    geometry_file: str | None = None  # calibrated cameras and LEDs of the unit; default: camera and leds_m
-    bench_sigma_m: NotNegative = 0.0  # error of bench and calibration added to the reported sigma, per axis
+    """Cameras of mock and emulated unit."""
+    leds_m: Annotated[tuple[Triple, ...], Field(min_length=1)] = _ring(0.12, 0.06)
+    """LEDs in t, of mock and emulated unit."""
+    geometry_file: str | None = None
+    """Calibrated cameras and LEDs of the unit; unless set, `camera` and `leds_m`."""
+    bench_sigma_m: NotNegative = 0.0
+    """Error of axes and calibration, 1 sigma per axis, added to the covariance of each pose."""
     bench_sigma_deg: NotNegative = 0.0
+    """The same for the attitude."""
     identity: VmuIdentity = VmuIdentity()
+    """Expected identity of the unit."""
     rs422: SerialLine | None = None
 
 
 class Safety(ConfigModel):
     """Limits of the safety monitor, in addition to those of each device."""
 
-    command_age_max_s: Positive = 0.5  # since the last setpoint, while axes are under command
-    homing_timeout_s: Positive = 120.0  # for all axes together
+    command_age_max_s: Positive = 0.5
+    """Longest time between setpoints; at most the time-out of the drives' watchdogs."""
+    homing_timeout_s: Positive = 120.0
+    """For all axes together."""
 
 
 class Rig(ConfigModel):
     """One bench."""
 
     name: Name
+    """Name in reports."""
     kind: Literal["mock", "emulated", "hardware"]
+    """Mock: in memory, simulated time. Emulated: device emulators on real wires. Hardware: the devices of a lab."""
     bench: BenchGeometry
     rails: Rails
     turntable: Turntable

@@ -33,10 +33,15 @@ class Thrusters(ConfigModel):
     """On/off thrusters, in c; positions from the reference point, directions of the force on the vehicle."""
 
     force_n: Positive
+    """Nominal force of each thruster."""
     minimum_on_s: NotNegative
+    """Shortest burn."""
     specific_impulse_s: Positive
+    """Specific impulse."""
     position_m: Annotated[tuple[Triple, ...], Field(min_length=1, max_length=MAX_THRUSTERS)]
+    """Positions in c, from the reference point."""
     direction: tuple[Triple, ...]
+    """Unit vectors in c of the force on the vehicle."""
 
     @model_validator(mode="after")
     def _one_direction_each(self) -> Self:
@@ -49,8 +54,12 @@ class Thrusters(ConfigModel):
 
 
 class Chaser(ConfigModel):
+    """Mass properties of the chaser."""
+
     mass_kg: Positive
+    """Nominal mass at the start."""
     inertia_kg_m2: Matrix3
+    """Nominal inertia in c about the reference point."""
     thrusters: Thrusters
 
     solar_array: SolarArray | None = None
@@ -76,104 +85,160 @@ class Initial(ConfigModel):
     """Initial state of the chaser relative to the target: 3-2-1 angles theta1 (roll), theta2, theta3."""
 
     position_m: Triple
+    """Chaser relative to target in H."""
     attitude_deg: AngleTriple
+    """3-2-1 angles theta1 (roll), theta2 (pitch), theta3 (yaw) from H to c."""
     velocity_mps: Triple = (0.0, 0.0, 0.0)
+    """In H."""
     rate_degps: Triple = (0.0, 0.0, 0.0)
+    """Rate of c relative to H, in c."""
 
 
 class Imu(ConfigModel):
     """Sensor grade of the virtual IMU (bench paper Table I); *_initial_sigma_*: dispersion of the true values."""
 
     gyro_drift_degps: Triple
+    """Mean initial drift of the gyros."""
     gyro_drift_initial_sigma_degps: NotNegative
+    """Dispersion of the initial drift, drawn once per run."""
     gyro_drift_noise_degps2: NotNegative
+    """Random walk of the drift."""
     gyro_noise_degps: NotNegative
+    """Noise of a sample."""
     accelerometer_bias_mps2: Triple
+    """Mean initial bias of the accelerometers."""
     accelerometer_bias_initial_sigma_mps2: NotNegative
+    """Dispersion of the initial bias, drawn once per run."""
     accelerometer_bias_noise_mps3: NotNegative
+    """Random walk of the bias."""
     accelerometer_noise_mps2: NotNegative
+    """Noise of a sample."""
 
 
 class RenderedImages(ConfigModel):
     """Rendered cameras, and lights other than the LEDs."""
 
     psf_sigma_px: Positive = 1.0
+    """Point spread of the lens, 1 sigma."""
     led_diameter_m: Positive = 0.005
-    led_flux_1m_levels: Positive = 25_000.0  # sum of grey levels of an LED's spot at 1 m
+    """Diameter of an LED."""
+    led_flux_1m_levels: Positive = 25_000.0
+    """Sum of grey levels of an LED's spot at 1 m."""
     background_levels: NotNegative = 12.0
+    """Background."""
     electrons_per_level: Positive = 100.0
+    """Electrons per grey level: shot noise."""
     read_noise_levels: NotNegative = 0.8
-    decoy_lights: Annotated[int, Field(ge=0, le=20)] = 0  # other lights on the target
+    """Read noise, 1 sigma."""
+    decoy_lights: Annotated[int, Field(ge=0, le=20)] = 0
+    """Other lights on the target."""
 
 
 class VisionNoise(ConfigModel):
     """Noise of the vision unit, Table I up to ``reference_range_m`` and proportional to range beyond, and the
     transport of its poses, which are time-stamped at exposure."""
 
-    source: Literal["model", "rendered"] = "model"  # rendered: poses from images, rendered from the axis positions
+    source: Literal["model", "rendered"] = "model"
+    """Poses with the noise below, or computed from images that are rendered at the axis positions."""
     sigma_position_m: Positive
+    """Noise of the position, per axis, up to the reference range."""
     sigma_angle_deg: Positive
+    """Noise of the attitude, per axis, up to the reference range."""
     reference_range_m: Positive
-    reported_sigma_scale: Positive = 1.0  # reported sigma over true sigma
+    """Range beyond which the noise is proportional to range."""
+    reported_sigma_scale: Positive = 1.0
+    """Reported over true sigma; 1 is a consistent unit."""
     latency_s: Delay = 0.0
+    """From exposure to arrival, in addition to that of the rig's wires."""
     latency_jitter_s: Delay = 0.0
+    """Largest random addition to it."""
     duplicate_probability: Probability = 0.0
+    """Of a pose to arrive twice."""
     loss_probability: Probability = 0.0
+    """Of a pose to be lost."""
     images: RenderedImages = RenderedImages()
 
 
 class Navigation(ConfigModel):
+    """Sensors that navigation uses, and the gate of their innovations."""
+
     sensors: Literal["vision_imu", "vision"]
-    gate_sigma: Positive  # innovations beyond this many sigma are rejected
+    """Fusion of poses and IMU, or vision alone."""
+    gate_sigma: Positive
+    """Poses with a larger innovation are rejected and counted."""
 
 
 class AttitudeFilter(ConfigModel):
     """Gyro model and attitude error definition of the AKF."""
 
     form: Literal["multiplicative", "as_printed"]
+    """Six-component multiplicative error state, or the seven additive states of the paper."""
     gyro_noise_degps: Positive
+    """Noise of a gyro sample."""
     gyro_drift_noise_degps2: NotNegative
+    """Random walk of the drift."""
     gyro_drift_degps: Triple
+    """Initial estimate of the drift."""
     initial_drift_sigma_degps: Positive
+    """Its standard deviation."""
 
 
 class PositionFilter(ConfigModel):
     """Accelerometer model and initial covariance of the PKF."""
 
     accelerometer_noise_mps2: Positive
+    """Noise of an accelerometer sample."""
     accelerometer_bias_noise_mps3: NotNegative
+    """Random walk of the bias."""
     accelerometer_bias_mps2: Triple
+    """Initial estimate of the bias."""
     initial_bias_sigma_mps2: Positive
+    """Its standard deviation."""
     initial_velocity_sigma_mps: Positive
+    """Standard deviation of the initial velocity."""
 
 
 class VisionOnly(ConfigModel):
     """Time constants of the low-passes of vision-only navigation."""
 
     position_lag_s: NotNegative
+    """Of the position."""
     velocity_lag_s: NotNegative
+    """Of the velocity."""
     attitude_lag_s: NotNegative
+    """Of the attitude."""
     rate_lag_s: NotNegative
+    """Of the rate."""
 
 
 class Shadow(ConfigModel):
     """filterpy's filters in parallel with the compiled ones; an alarm when they diverge."""
 
     enabled: bool
+    """Run the shadow filter."""
     position_limit_m: Positive
+    """Difference from which it raises an alarm."""
     attitude_limit_deg: Positive
+    """The same for the attitude."""
 
 
 class Phase(ConfigModel):
     """One phase of the approach; defaults come from the guidance table."""
 
     kind: Literal["approach", "hold", "wait", "final", "retreat"]
-    point_m: Triple | None = None  # of a moving phase; default: the ready point
+    """See [the approach](../../explanation/approach.md)."""
+    point_m: Triple | None = None
+    """End point in H of a moving phase; unless set, the ready point."""
     speed_mps: Positive | None = None
+    """Largest speed; unless set, `approach_speed_mps`."""
     acceleration_mps2: Positive | None = None
+    """Unless set, that of `[gnc.guidance]`."""
     deceleration_mps2: Positive | None = None
-    duration_s: NotNegative | None = None  # of a hold
-    end_time_s: NotNegative | None = None  # of a wait; default: waits for the operator
+    """Unless set, that of `[gnc.guidance]`."""
+    duration_s: NotNegative | None = None
+    """Of a hold."""
+    end_time_s: NotNegative | None = None
+    """Of a wait, time of the run; unless set, it waits for the operator's go."""
 
     @model_validator(mode="after")
     def _keys_suit_the_kind(self) -> Self:
@@ -194,12 +259,19 @@ class Guidance(ConfigModel):
     """Phases of the approach in their order."""
 
     ready_point_m: Triple
+    """In H; end of moving phases without a point."""
     approach_speed_mps: Positive
+    """Largest speed of phases without one."""
     acceleration_mps2: Positive
+    """Acceleration of phases without one."""
     deceleration_mps2: Positive
+    """Deceleration of phases without one."""
     slew_s: Positive = 10.0
+    """Time in which the initial attitude error is removed: determines the minimum propellant of the slew."""
     sequence: Annotated[tuple[str, ...], Field(min_length=1, max_length=MAX_PHASES)]
+    """Names of phases in order; the last one never ends."""
     phases: dict[str, Phase]
+    """Phases by name."""
 
     @model_validator(mode="after")
     def _sequence_names_phases(self) -> Self:
@@ -213,13 +285,21 @@ class Corridor(ConfigModel):
     """Approach corridor about the line of the phase, and limit of the closing rate."""
 
     axis: Triple = (1.0, 0.0, 0.0)
+    """In H, from the target outwards: docking axis, along which an abort retreats."""
     half_angle_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
+    """Radius of the corridor over range."""
     minimum_radius_m: Positive
+    """Its smallest radius."""
     closing_rate_mps: Positive
+    """Largest closing rate up to the range of the ready point."""
     closing_rate_slope_per_s: NotNegative
+    """Its increase with range."""
     closing_rate_max_mps: Positive
+    """Its maximum."""
     confidence: NotNegative = 3.0
+    """A limit is violated if exceeded by this many standard deviations of the estimate ..."""
     persistence_s: NotNegative
+    """... for this time."""
 
     @model_validator(mode="after")
     def _axis_is_a_unit_vector(self) -> Self:
@@ -229,34 +309,50 @@ class Corridor(ConfigModel):
 
 
 class Abort(ConfigModel):
-    """Brake, retreat along the corridor's axis, hold; ``at_s``: time of a rehearsal."""
+    """Brake, retreat along the corridor's axis, hold."""
 
     brake_mps2: Positive
+    """Deceleration of the reference; thrusters that oppose the motion must provide it."""
     hold_distance_m: Positive
+    """End of the retreat, from the target; at most the start distance."""
     speed_mps: Positive
+    """Of the retreat."""
     acceleration_mps2: Positive
+    """Of the retreat."""
     at_s: NotNegative | None = None
+    """Time of a simulated abort."""
 
 
 class Control(ConfigModel):
     """Phase planes of position and attitude; each axis is updated once per period."""
 
     deadband_m: Positive
+    """Dead band of the switching function, before `deadband_sigmas`."""
     lead_s: Positive
+    """Weight of the rate relative to the position."""
     period_s: Positive
+    """An axis decides once per period."""
     deadband_sigmas: NotNegative = 0.0
+    """Standard deviations of the switching function added to the dead band."""
     correction_rate_mps: Positive = 0.05
+    """Largest rate at which a position error is corrected; plus the approach speed, below the largest closing rate."""
     deadband_deg: Positive
+    """Dead band of the attitude."""
     attitude_lead_s: Positive
+    """Weight of the angular rate."""
     attitude_period_s: Positive
+    """Decision period of an attitude axis."""
     attitude_deadband_sigmas: NotNegative = 0.0
+    """Standard deviations added to the dead band."""
     slew_rate_degps: Positive = 0.6
+    """Largest rate at which an attitude error is corrected."""
 
 
 class GncConfig(ConfigModel):
-    """GNC of the chaser. library: shared library that replaces the built-in navigation, guidance and control."""
+    """GNC of the chaser."""
 
     library: str | None = None
+    """Shared library that replaces the built-in navigation and control."""
     navigation: Navigation
     akf: AttitudeFilter
     pkf: PositionFilter
@@ -272,30 +368,46 @@ class Requirements(ConfigModel):
     """Requirements of the ready phase (bench paper Table III), per axis, and the propellant budget."""
 
     axial_distance_m: Positive
+    """Distance along x that is required."""
     axial_tolerance_m: Positive
+    """Tolerance of x."""
     axial_rate_mps: Positive
+    """Largest speed along x."""
     radial_distance_m: Positive
+    """Largest deviation along y and z."""
     radial_rate_mps: Positive
+    """Largest speed along y and z."""
     angle_deg: Positive
+    """Largest attitude angle, per axis."""
     angular_rate_degps: Positive
+    """Largest angular rate, per axis."""
     dwell_s: Positive
-    propellant_factor: Positive = 3.0  # propellant of the run over the impulsive minimum of reference and slews
+    """Time for which every row must hold before the ready phase starts."""
+
+    propellant_factor: Positive = 3.0
+    """Allowed propellant over the impulsive minimum of reference and slews."""
 
 
 class Reachability(ConfigModel):
     """Margins about the plan for the reachability check (docs/explanation/reachability.md)."""
 
-    corridor_fraction: NotNegative = 0.5  # of the corridor's half angle, in addition to Table III
+    corridor_fraction: NotNegative = 0.5
+    """Fraction of the corridor's half angle by which Table III is widened."""
     attitude_margin_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 1.0
+    """About each body axis."""
     startup_lag_s: NotNegative = 0.2
+    """Time in which the axes, at rest at the start pose, must catch up with a start in motion."""
 
 
 class Scenario(ConfigModel):
     """One closed-loop run, independent of the rig."""
 
     name: Name
+    """Name in reports and recordings."""
     duration_s: Duration
+    """Length of the run."""
     step_s: Annotated[float, Field(ge=1e-4, le=1.0)]
+    """Period of the cycle."""
     orbit: Orbit
     truth: Truth = Truth()
     chaser: Chaser

@@ -29,18 +29,26 @@ class PixelNoise(ConfigModel):
     """Noise of a pixel of ``level`` grey values: its variance is ``read**2 + k * level``."""
 
     read: Annotated[float, Field(ge=0.0, le=64.0)] = 2.0
+    """Read noise, 1 sigma."""
     k: Annotated[float, Field(ge=0.0, le=16.0)] = 0.0
+    """Variance per grey level."""
 
 
 class SceneCamera(ConfigModel):
     """A pinhole: ``u = cx + f x1/x3``, ``v = cy - f x2/x3``, px; pixel centres at whole numbers."""
 
     f: Positive
+    """Focal length."""
     cx: float
+    """Principal point."""
     cy: float
+    """Principal point."""
     width: Size
+    """Image width."""
     height: Size
+    """Image height."""
     sky: Level = 12.0
+    """Grey value behind everything, for rendering."""
     noise: PixelNoise = PixelNoise()
 
     @model_validator(mode="after")
@@ -61,24 +69,33 @@ class Disc(ConfigModel):
     """The target's circle, centred at the origin, in the plane y3 = 0."""
 
     radius_m: Length
+    """Radius."""
     level: Level = 205.0
+    """Grey value in rendered images."""
 
 
 class Plate(ConfigModel):
     """The rectangle behind the disc, centred at the origin."""
 
     width_m: Length
+    """Width."""
     height_m: Length
+    """Height."""
     level: Level = 70.0
+    """Grey value in rendered images."""
 
 
 class Cross(ConfigModel):
     """Two bars along y1 and y2, ``offset_m`` in front of the disc; ``arm_length_m`` counts from the centre."""
 
     offset_m: Length
+    """In front of the disc."""
     arm_length_m: Length
+    """From the centre."""
     arm_width_m: Length
+    """Full width of a bar."""
     level: Level = 25.0
+    """Grey value in rendered images."""
 
     @model_validator(mode="after")
     def _bars_are_longer_than_wide(self) -> Self:
@@ -93,8 +110,11 @@ class Labels(ConfigModel):
     """Round dots on the disc."""
 
     radius_m: Length
+    """Radius of a dot."""
     centers_m: Annotated[tuple[Point, ...], Field(min_length=1, max_length=LABELS_AT_MOST)]
+    """Centres."""
     level: Level = 40.0
+    """Grey value in rendered images."""
 
     @model_validator(mode="after")
     def _stand_apart(self) -> Self:
@@ -111,11 +131,17 @@ class Box(ConfigModel):
     """A rectangle next to the target, parallel to the disc, ``offset_m`` along y3 from it."""
 
     x_m: Place
+    """Centre along y1."""
     y_m: Place
+    """Centre along y2."""
     width_m: Length
+    """Width."""
     height_m: Length
+    """Height."""
     offset_m: Place = 0.0
+    """Along y3 from the disc."""
     level: Level = 225.0
+    """Grey value in rendered images."""
 
     @property
     def clearance_m(self) -> float:
@@ -129,9 +155,13 @@ class Outline(ConfigModel):
     """Circular silhouette of the ship against the sky; ``offset_m`` along y3, negative behind the disc."""
 
     radius_m: Length
+    """Radius."""
     center_m: Point = (0.0, 0.0)
+    """Centre."""
     offset_m: Annotated[float, Field(ge=-LONGEST_M, le=0.0)] = 0.0
+    """Along y3; negative behind the disc."""
     level: Level = 120.0
+    """Grey value in rendered images."""
 
 
 class Target(ConfigModel):
@@ -196,18 +226,19 @@ class Target(ConfigModel):
 
 
 class Scene(ConfigModel):
-    """One camera, one ship.
-
-    fps: frames per second. fields: "whole" if all lines of a frame are exposed together; otherwise a frame has two
-    fields, the upper one (lines 0, 2, 4 ...) or the lower one first, the second half a frame period later.
-    """
+    """One camera, one ship. The upper field of a half frame has the lines 0, 2, 4 ..."""
 
     name: Name = ""
+    """Name in reports."""
     camera: SceneCamera
     fps: Annotated[float, Field(gt=0.0, le=1000.0)]
+    """Images per second; determines all times."""
     fields: Literal["whole", "upper_first", "lower_first"] = "whole"
+    """Whole frames, or half frames: which field is exposed first, the other half a period later."""
     target: Target
+    """The target; disc and cross (near), the outline (far), or all three."""
     backup: Target | None = None
+    """Second target, in its own frame C."""
 
     def chosen(self, which: Literal["basic", "backup"]) -> Target:
         """Return the basic or the backup target; ValueError if the scene has no backup target."""

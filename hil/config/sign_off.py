@@ -17,19 +17,31 @@ class AxisSignOff(ConfigModel):
     """One axis that passed commissioning."""
 
     date: Day
+    """Date."""
     by: str
-    digest: Digest  # of the rig with which it passed
-    scale_error: float  # of the encoder, against the command
-    following_error_max_m: NotNegative | None = None  # rails, at low speed
-    following_error_max_deg: NotNegative | None = None  # turntable, at low speed
+    """Operator."""
+    digest: Digest
+    """Digest of the configuration with which the axis passed."""
+    scale_error: float
+    """Of the encoder relative to the command."""
+    following_error_max_m: NotNegative | None = None
+    """Rails: largest following error at low speed."""
+    following_error_max_deg: NotNegative | None = None
+    """Turntable: the same."""
 
 
 class SignOff(ConfigModel):
     """Written by ``hil commission``; ``digest`` is set when all axes and the dry run have passed."""
 
-    waived: bool = False  # hardware runs without a valid sign-off; each report states it
+    waived: bool = False
+    """Permits hardware without a valid sign-off; each report states it."""
     date: Day | None = None
+    """Date."""
     by: str | None = None
-    hil: str | None = None  # version of this program
+    """Operator."""
+    hil: str | None = None
+    """Version of this program."""
     digest: Digest | None = None
+    """Digest of the whole configuration; present once all axes and the dry run have passed."""
     axes: dict[AxisName, AxisSignOff] = Field(default_factory=dict)
+    """Sign-off of each axis."""

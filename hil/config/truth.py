@@ -21,29 +21,43 @@ def _check_direction(name: str, vector: Triple) -> None:
 
 
 class Orbit(ConfigModel):
-    """The target's orbit about the Moon, inertial axes along the Moon's equator; ``altitude_m``: mean, that of the
-    semi-major axis above 1738 km."""
+    """The target's orbit about the Moon, inertial axes along the Moon's equator."""
 
     altitude_m: Positive
+    """Of the semi-major axis above 1738 km."""
     eccentricity: Annotated[float, Field(ge=0.0, lt=0.1)] = 0.0
+    """Eccentricity."""
     inclination_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 0.0
+    """Against the Moon's equator."""
     raan_deg: Degrees = 0.0
+    """Right ascension of the ascending node."""
     argument_of_periapsis_deg: Degrees = 0.0
+    """Argument of periapsis."""
     true_anomaly_deg: Degrees = 0.0
+    """True anomaly at the start."""
     moon_rotation_deg: Degrees = 0.0
+    """From inertial x to the prime meridian at the start."""
 
 
 class SolarArray(ConfigModel):
     """Flat plate fixed to the hub, in c, with one bending mode coupled to the rotation of the hub."""
 
     area_m2: Positive
+    """Area."""
     normal: Triple
+    """Unit vector normal to the plate."""
     centre_m: Triple
+    """Centre, from the reference point."""
     specular: Fraction
+    """Fraction of the light that is reflected specularly."""
     diffuse: Fraction
+    """Fraction that is scattered; the rest is absorbed."""
     mode_frequency_hz: Positive
+    """Frequency of the bending mode on a hub without rotation."""
     mode_damping: Annotated[float, Field(ge=0.0, lt=1.0)]
+    """Damping ratio of the mode."""
     mode_coupling: Triple
+    """Coupling to the hub's rotation, kg^1/2 m."""
 
     @model_validator(mode="after")
     def _plate_is_possible(self) -> Self:
@@ -57,16 +71,27 @@ class Truth(ConfigModel):
     """Model of relative motion, and a switch or magnitude for each effect."""
 
     relative_motion: Literal["hill", "nonlinear"] = "nonlinear"
+    """Exact differential gravity, or the linear motion of a circular orbit."""
     gravity_degree: Annotated[int, Field(ge=0, le=HIGHEST_DEGREE)] = 8
+    """Highest degree of the lunar field; 0: point mass."""
     gravity_file: str | None = None
+    """Field to use instead of LP165P to degree 8: GMAT .cof or PDS SHADR .tab."""
     gravity_gradient: bool = True
+    """Torque of the gravity gradient."""
     solar_pressure: bool = False
+    """Force and torque of sunlight on the solar array."""
     sun_direction: Triple = (1.0, 0.0, 0.0)
+    """Inertial unit vector to the Sun."""
     flexible_array: bool = False
+    """Bending mode of the solar array."""
     mass_loss: bool = True
+    """Mass decreases by the propellant used."""
     misalignment_sigma_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
+    """Of each thruster about each of two axes, drawn once per run."""
     force_scatter_sigma: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
+    """Of each thruster's force, relative, drawn once per run."""
     centre_of_mass_offset_m: Triple = (0.0, 0.0, 0.0)
+    """True centre of mass from the reference point, in c."""
 
     @model_validator(mode="after")
     def _sun_is_a_direction(self) -> Self:

@@ -17,36 +17,45 @@ class VmuCamera(ConfigModel):
     """One camera: pinhole and Brown-Conrady distortion; pixel centres at whole numbers."""
 
     fx: Positive
-    """px, as fy, cx and cy"""
+    """Focal length along u."""
     fy: Positive
+    """Focal length along v."""
     cx: float
+    """Principal point."""
     cy: float
+    """Principal point."""
     width: Pixels
+    """Image width."""
     height: Pixels
+    """Image height."""
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """k1 k2 p1 p2 k3, in OpenCV's order"""
+    """k1 k2 p1 p2 k3, in OpenCV's order."""
 
 
 class Sensor(ConfigModel):
     """Noise of the camera sensors; by default the detector estimates it from the image."""
 
     electrons_per_level: Positive
+    """Electrons per grey level."""
     read_noise_levels: NotNegative
+    """Read noise, 1 sigma."""
 
 
 class VmuGeometry(ConfigModel):
     """Target and cameras of a vision unit."""
 
     leds_m: Annotated[tuple[Triple, ...], Field(min_length=3, max_length=8)]
-    """positions in the target's frame t"""
+    """LEDs in the frame of the ring, t."""
     left: VmuCamera
+    """Left camera."""
     right: VmuCamera
+    """Right camera."""
     baseline_m: Triple
-    """position of the right camera in the left camera's frame"""
+    """Right camera in the left one's frame."""
     right_rotation_rad: Triple = (0.0, 0.0, 0.0)
-    """rotation vector of the right camera's axes in the left one's: ``p_v = R p_right + baseline_m``"""
+    """Rotation vector of the right camera's axes in the left one's: ``p_v = R p_right + baseline_m``."""
     marked_led: Annotated[int, Field(ge=0)] | None = None
-    """index of the LED that is brighter than the others, if any"""
+    """Index of an LED that is brighter by a factor of at least 1.3."""
     sensor: Sensor | None = None
     calibration: Calibration | None = None
-    """record of ``hil calibrate``"""
+    """Record of ``hil calibrate``."""

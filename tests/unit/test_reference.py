@@ -1,0 +1,58 @@
+"""The reference is complete: every key of configuration files, every command, and every column has a description."""
+
+import re
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from docs import generate
+from hil.cli.main import COMMANDS, GROUPS
+from hil.config.model import ConfigModel
+from hil.config.protocol import Protocol
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.config.scene import Scene
+from hil.config.vmu_geometry import VmuGeometry
+from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
+
+ROOT = Path(__file__).resolve().parents[2]
+MODELS = (Scenario, Rig, VmuGeometry, Scene, Protocol)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
+def test_every_key_has_a_meaning_and_every_table_a_description(model: type[BaseModel]) -> None:
+    tables = generate.tables(model)
+    assert [f"{table.model.__name__}.{key.name}" for table in tables for key in table.keys if not key.meaning] == []
+    assert [table.model.__name__ for table in tables if not table.model.__doc__] == []
+
+
+def test_a_number_needs_a_unit_in_its_name() -> None:
+    class Table(ConfigModel):
+        """A table."""
+
+        speed: float
+
+    with pytest.raises(ValueError, match="speed: a key with a number needs a unit"):
+        generate.tables(Table)
+
+
+def test_a_key_shows_type_unit_range_and_default() -> None:
+    rows = {key.name: key for table in generate.tables(Rig) for key in table.keys}
+    assert rows["lead_s"][1:5] == ("number", "s", "from -0.2 to 0.2", "`0.0`")
+    assert rows["gimbal_order"].allowed.startswith('`"zyx"`, `"zxy"`')
+    assert rows["travel_m"][1:3] == ("number[2]", "m")
+
+
+def test_page_of_the_command_line_has_every_command() -> None:
+    page = generate.command_line()
+    headings = re.findall(r"^#+ hil (.*)$", page, re.MULTILINE)
+    assert set(COMMANDS) | set(GROUPS) <= set(headings)
+    assert {"gnc check", "gnc header", "recordings list"} <= set(headings)
+
+
+def test_columns_of_a_campaign_are_described() -> None:
+    page = (ROOT / "docs" / "reference" / "columns.md").read_text().split("## Campaigns")[1]
+    described = set(re.findall(r"`(\w+)`", page))
+    names = {re.sub(r"_[xyz]$", "", name) for name in (*FLAGS, *COUNTS, *TEXTS, *NUMBERS)}
+    assert names <= {re.sub(r"_[xyz]$", "", name) for name in described}
