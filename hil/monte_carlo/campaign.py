@@ -18,7 +18,7 @@ from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.renamed_keys import first_names_json
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
-from hil.core.jit import kernels_digest
+from hil.core.jit import COMPILED_LOOP, kernels_digest, mark_kernels_cached
 from hil.errors import BadInput, Problem
 from hil.gnc_backends.shared_library import digest_of
 from hil.monte_carlo.batch import Spec
@@ -101,6 +101,7 @@ class CampaignJob:
         """Compile the loop unless it is in the kernel cache."""
         value = self.scenario.value
         CaseRunner(value, self._rig.value, 2.0 * value.step_s).run(value, 0)
+        mark_kernels_cached(COMPILED_LOOP)
 
     def run(self, store: Store, runs: int, engine: Engine, watch: Watch) -> dict[str, Any]:
         """Run the missing ones of ``runs`` cases; return the summary, which is also written to the folder."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from hil.bench.kinematics import MOTION
 from hil.bench.stopping import brake_step
-from hil.core.child_process import ChildProcess
+from hil.core.child_process import ChildProcess, start_in_background
 from hil.core.clock import SimulatedClock
 from hil.core.jit import kernels_are_cached, mark_kernels_cached, prepare_kernel_cache
 from hil.core.messages import AXES, new
@@ -17,8 +17,9 @@ from hil.loop.bench_stage import Move
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import Runner
 from hil.params import bench as bench_params
-from hil.session.build import in_memory
+from hil.session.build import in_memory, runs_compiled
 from hil.setup.assembly import Job, start_axes
+from hil.setup.compiled import loop_is_compiled
 
 FIRST_START = "first start: compiling the kernels for this computer, once, about a minute"
 _CYCLES = 10
@@ -26,14 +27,20 @@ _CHILD_WALL_S = 120.0
 
 
 def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
-    """Compile every kernel of the loop that is not in the cache.
+    """Compile the kernels that ``job`` needs and that are not in the cache.
 
-    Unless the run is in simulated time, each is also called once: nothing is loaded once the bench is powered.
+    In simulated time the compiled loop needs no others. Without it, this run is one of the cycle in Python, with equal
+    results, and the loop is compiled in the background for the runs to come. In real time every kernel of the cycle is
+    also called once: nothing is loaded once the bench is powered.
     announce: receives FIRST_START if the kernels are not in the cache yet, and then the time that they took.
     """
+    if runs_compiled(job) and loop_is_compiled():
+        return
     if not kernels_are_cached():
         _compile(job, announce)
-    if job.paced or job.rig.value.kind != "mock":
+    if runs_compiled(job):
+        start_in_background("precompile process", "hil.processes.precompile", "compiled loop")
+    elif job.paced or job.rig.value.kind != "mock":
         warm_up(job)
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from hil.cameras.pose_sensor import PoseModel
+from hil.core.jit import COMPILED_LOOP, kernels_are_cached
 from hil.drivers.io.mock import MockIo
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.vmu.mock import MockVmu
@@ -47,7 +47,7 @@ def runs_compiled(job: Job) -> bool:
 def loop_is_compiled() -> bool:
     """Return whether the compiled loop is in the kernel cache or in this process; to compile it takes minutes."""
     loop: Any = run_loop
-    return bool(loop.signatures) or Path(loop._cache._cache_file._index_path).exists()
+    return bool(loop.signatures) or kernels_are_cached(COMPILED_LOOP)
 
 
 def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks) -> CompiledCycles:
