@@ -7,13 +7,13 @@ state and more than once, never raises), ``close`` (the same). Time is bench tim
 
 from __future__ import annotations
 
+import math
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from hil.core.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 from hil.errors import SafetyTrip
-from hil.maths.limits import cut_to_range
 
 
 @runtime_checkable
@@ -144,8 +144,8 @@ def accepted_setpoint(
     axis_names: tuple[str, str, str], values: Array, low: Array, high: Array, quantity: str = "setpoint"
 ) -> Array:
     """Return ``values`` (3,) limited to [low, high]; raise SafetyTrip with ``quantity`` if one is not finite."""
-    accepted = np.empty(3)
-    bad = cut_to_range(values, low, high, accepted)
-    if bad >= 0:
-        raise SafetyTrip(axis_names[bad], quantity, str(values[bad]), "a finite number")
+    for name, value in zip(axis_names, values.tolist(), strict=True):
+        if not math.isfinite(value):
+            raise SafetyTrip(name, quantity, str(value), "a finite number")
+    accepted: Array = np.minimum(high, np.maximum(low, values))
     return accepted
