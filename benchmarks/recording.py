@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+import hil
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import ARRIVAL, CYCLE
 from hil.frmn.ring import Ring, Telemetry
@@ -29,9 +30,7 @@ RATES_HZ = (50.0, 1000.0)
 
 def flown() -> np.ndarray:
     """Return rows of a run on the mock rig, with realistic compressibility."""
-    job = build.Job(load_scenario("scheme-1"), load_rig("mock"), 0, 20.0, 1.0)
-    with build.runner(job) as runner:
-        return runner.run().history
+    return hil.run("scheme-1", duration_s=20.0).history
 
 
 def paced(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import tomllib
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import Any
@@ -14,27 +15,20 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from hil.config.load import load_rig, load_scenario
-from hil.report.summary import summarise
+import hil
 from hil.report.verdict import ROW_NAMES, TABLE_V
-from hil.session import build
 
 
-def fly(scheme: str, seed: int, settings: tuple[str, ...]) -> dict[str, Any]:
+def run(scheme: str, seed: int, overrides: dict[str, Any]) -> dict[str, Any]:
     """Return the numbers of one run."""
-    scenario = load_scenario(scheme, settings)
-    job = build.Job(scenario, load_rig("mock", settings), seed, scenario.value.duration_s, 1.0)
-    with build.runner(job) as runner:
-        outcome = runner.run()
-    return summarise(
-        outcome, scenario.value, load_rig("mock", settings).value, "mock", seed, 1.0 / scenario.value.step_s
-    )[0]
+    return hil.run(scheme, seed=seed, overrides=overrides).summary
 
 
 def main(scheme: str, seeds: int, settings: tuple[str, ...]) -> None:
+    overrides = {key: tomllib.loads(f"value = {text}")["value"] for key, text in (s.split("=", 1) for s in settings)}
     workers = len(os.sched_getaffinity(0))
     with ProcessPoolExecutor(workers, mp_context=get_context("forkserver")) as pool:
-        waiting = [pool.submit(fly, scheme, seed, settings) for seed in range(seeds)]
+        waiting = [pool.submit(run, scheme, seed, overrides) for seed in range(seeds)]
         runs = [future.result() for future in track(waiting, scheme)]
     passed = [run for run in runs if run["passed"]]
     ready = [run["ready_time_s"] for run in runs if run["ready_time_s"] is not None]

@@ -11,10 +11,8 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from hil.config.load import load_rig, load_scenario
-from hil.report.summary import summarise
-from hil.report.verdict import ROW_NAMES, TABLE_V, deviations
-from hil.session import build
+import hil
+from hil.report.verdict import ROW_NAMES, TABLE_V
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -23,16 +21,11 @@ SCHEMES = ("scheme-1", "scheme-2", "scheme-3")
 COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable with colour blindness
 
 
-def fly(name: str, seed: int, settings: list[str]) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+def run(name: str, seed: int, latency_s: float) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     """Return the run's numbers, and y and its rate, mm and mm/s, of the truth in the ready phase."""
-    scenario, rig = load_scenario(name, settings), load_rig("mock", settings)
-    job = build.Job(scenario, rig, seed, scenario.value.duration_s, 1.0)
-    with build.runner(job, lambda *_: None, print) as runner:
-        outcome = runner.run()
-    numbers, verdict = summarise(outcome, scenario.value, rig.value, "mock", seed, 50.0)
-    found = deviations(outcome.history, scenario.value.requirements)
-    late = found.t_s >= (verdict.ready_time_s if verdict.ready_time_s is not None else found.t_s[-1])
-    return numbers, 1e3 * found.position_m[late, 1], 1e3 * found.velocity_mps[late, 1]
+    found = hil.run(name, seed=seed, overrides={"vmu.latency_s": latency_s})
+    late = found.t_s >= (found.ready_time_s if found.ready_time_s is not None else found.t_s[-1])
+    return found.summary, 1e3 * found.truth.r_CT_H[late, 1], 1e3 * found.truth.v_CT_H[late, 1]
 
 
 def row(name: str, runs: list[dict[str, Any]]) -> str:
@@ -69,7 +62,6 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--latency", type=float, default=0.1, help="of a pose, s")
     given = parser.parse_args()
-    settings = [f"vmu.latency_s={given.latency}"]
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), constrained_layout=True)
     print(
         "| scheme | pass Table III | pass all parts | propellant, kg: median (max) | allowed, kg | firings | "
@@ -77,7 +69,7 @@ def main() -> None:
     )
     print("|---" * 10 + "|")
     for name, colour in zip(SCHEMES, COLOURS, strict=True):
-        flown = [fly(name, seed, settings) for seed in range(given.seeds)]
+        flown = [run(name, seed, given.latency) for seed in range(given.seeds)]
         print(row(name, [run for run, _, _ in flown]), flush=True)
         spent = sorted(run["thrusters"]["propellant_kg"] for run, _, _ in flown)
         axes[0].step(spent, (np.arange(len(spent)) + 1) / len(spent), where="post", color=colour, label=name)

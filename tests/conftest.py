@@ -11,13 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+import hil
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.recording.session import recording
-from hil.report.summary import summarise
-from hil.session import build
-from tests.support.run_settings import make_job
 
 # examples drawn from a fixed seed; no deadline, because a first call may compile a kernel
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
@@ -95,14 +92,11 @@ LATE = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_probabi
 @pytest.fixture(scope="session")
 def recorded_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the recording of 8 s of scheme-1 on the mock rig whose poses come as in LATE; do not change it."""
-    job = make_job(8.0, LATE, seed=3)
+    settings = dict(setting.split("=") for setting in LATE)
+    overrides = {key: float(value) for key, value in settings.items()}
     folder = tmp_path_factory.mktemp("recorded")
-    with recording(job, "mock", folder, lambda _: None) as taken:
-        with build.runner(job, sinks=taken.sinks) as runner:
-            outcome = runner.run()
-        summary, _ = summarise(outcome, job.scenario.value, job.rig.value, "mock", 3, 50.0)
-        taken.finish(summary)
-    return taken.path
+    found = hil.run("scheme-1", seed=3, duration_s=8.0, overrides=overrides, record=folder)
+    return Path(found.summary["recording"]["file"])
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from pathlib import Path
 
-from hil.api.jobs import Overrides, named_as_argument, settings_of
+from hil.api.jobs import Overrides, Settings, named_as_argument, settings_of
 from hil.api.results import Run, RunData
 from hil.config.gnc_override import with_other_gnc
 from hil.config.scenario import Scenario
@@ -64,8 +64,10 @@ class Recording(Run):
         ``[gnc...]`` tables, or a scenario whose GNC is used. Raises BadInput.
         """
         with named_as_argument():
-            settings = settings_of(overrides)
-            return Replay(self, *replayed(self.recorded, None if gnc is None else str(gnc), settings))
+            return replay_with(self, None if gnc is None else str(gnc), settings_of(overrides))
+
+    def _source(self) -> str:
+        return str(self.path)
 
 
 class Replay:
@@ -73,7 +75,8 @@ class Replay:
 
     differences: one entry per field of the GNC's records that differs, bit by bit, from the recording; identical: none
     differs, and the events are the same. navigation: errors of the estimate, by the keys of the summary, under
-    ``recorded`` and ``replayed``. run: the recorded run with the GNC's new records.
+    ``recorded`` and ``replayed``. run: the recorded run with the GNC's new records. changed: whether the GNC is another
+    one than the recorded; result: cycles, differences and events of the replay.
     """
 
     def __init__(self, recording: Recording, scenario: Scenario, changed: bool, found: Replayed) -> None:
@@ -107,13 +110,14 @@ class Replay:
         return f"<Replay {len(self.differences)} fields differ, {len(self.result.rows)} cycles>"
 
 
-def replayed(recorded: Recorded, gnc: str | None, settings: tuple[str, ...]) -> tuple[Scenario, bool, Replayed]:
-    """Return the scenario of the replay, whether it was changed, and the results. Raises BadInput."""
+def replay_with(recording: Recording, gnc: str | None, settings: Settings) -> Replay:
+    """Return the replay with the GNC of the file or scenario ``gnc`` and ``key=value`` settings. Raises BadInput."""
+    recorded = recording.recorded
     changed = gnc is not None or bool(settings)
     scenario = recorded.scenario
     if changed:
         scenario = with_other_gnc(scenario, str(recorded.path), gnc, settings).value
-    return scenario, changed, replay(recorded, scenario)
+    return Replay(recording, scenario, changed, replay(recorded, scenario))
 
 
 def _alarms(recorded: Recorded) -> list[Alarm]:

@@ -15,6 +15,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.clock import utc_ns
 from hil.core.messages import ARRIVAL, CYCLE, Array, Event
+from hil.core.text_files import write_text
 from hil.errors import BadInput
 from hil.loop.runner import Outcome
 from hil.monitor.results import PORTION, portion_row
@@ -200,9 +201,12 @@ class Run:
     def _group(self, name: str) -> RecordGroup:
         return RecordGroup(self.history[name], self.t_s)
 
+    def _source(self) -> str:
+        return str(self)
+
     def _require_cycles(self) -> None:
         if not len(self.history):
-            raise BadInput.single(str(self), "", "has no cycle")
+            raise BadInput.single(self._source(), "", "no cycle is recorded")
 
     def __repr__(self) -> str:
         ready = "never ready" if self.ready_time_s is None else f"ready at {self.ready_time_s:.2f} s"
@@ -272,14 +276,7 @@ def write_report(runs: Sequence[Run], path: str | Path) -> None:
 
     target = Path(path)
     if target.suffix.lower() not in (".html", ".htm"):
-        raise BadInput.single("report", str(path), "must end in .html")
+        raise BadInput.single(str(path), "", "must end in .html")
     for run in runs:
         run._require_cycles()
-    text = page.report([run.as_recorded() for run in runs])
-    partial = target.with_name(f"{target.name}.part")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(target)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise BadInput.single("report", str(path), str(error.strerror)) from error
+    write_text(page.report([run.as_recorded() for run in runs]), target)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,8 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from hil.errors import BadInput, Problem
+from hil.core.text_files import write_text
+from hil.errors import Problem
 
 _WIDEST = 1000  # characters of a table
 _FIGURES = (".png", ".pdf", ".svg")
@@ -45,22 +44,6 @@ def write_json(content: dict[str, Any], path: str) -> None:
         sys.stdout.write(text)
         return
     write_text(text, path)
-
-
-def write_text(text: str, path: str) -> None:
-    """Write ``text`` to ``path``, completely or not at all; raise BadInput if it cannot be written."""
-    out = Path(path)
-    partial = Path(f"{path}.part")
-    try:
-        if out.exists() and not out.is_file():  # a device or a pipe: never replaced
-            out.write_text(text, encoding="utf-8")
-            return
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, out)
-    except OSError as error:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise BadInput.single(path, "", f"cannot be written: {error.strerror or error}") from error
 
 
 def print_columns(head: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -77,19 +76,11 @@ def replay(
 
 
 def _replay_gnc(recording: str, gnc: str | None, settings: Sequence[str], json_path: str | None) -> int:
-    from hil.config.gnc_override import with_other_gnc
-    from hil.recording.read import load
-    from hil.recording.replay import replay
-    from hil.report.summary import navigation_errors
+    from hil.api.recordings import open_recording, replay_with
 
-    recorded = load(Path(recording))
-    changed = gnc is not None or bool(settings)
-    scenario = with_other_gnc(recorded.scenario, recording, gnc, settings).value if changed else recorded.scenario
-    found = replay(recorded, scenario)
-    errors = {
-        "recorded": navigation_errors(recorded.cycles[: len(found.rows)]),
-        "replayed": navigation_errors(found.rows),
-    }
+    replay = replay_with(open_recording(recording), gnc, settings)
+    recorded, scenario, found = replay.recording.recorded, replay.scenario, replay.result
+    changed, errors = replay.changed, replay.navigation
     if json_path is not None:
         write_json(_as_json(recorded, found, changed, errors), json_path)
     if json_path != "-":

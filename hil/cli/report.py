@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 from rich.console import Console
 
 from hil.cli.options import refuse
-from hil.cli.output import check_json_path, write_text
-from hil.errors import BadInput, Problem
+from hil.cli.output import check_json_path
 
 
 def report(
@@ -28,20 +26,12 @@ def report(
     out
         File to write, *.html.
     """
-    problems = check_json_path("--out", out)
-    if Path(out).suffix.lower() not in (".html", ".htm"):
-        problems.append(Problem("--out", "", f"{out}: must end in .html"))
-    refuse(problems)
+    refuse(check_json_path("--out", out))
 
-    from hil.recording.read import load
+    from hil.api.recordings import open_recording
+    from hil.api.results import write_report
 
-    runs = [load(Path(name)) for name in recordings]
-    if empty := [Problem(str(run.path), "", "no cycle is recorded") for run in runs if not len(run.cycles)]:
-        raise BadInput(empty)
-
-    from hil.report import page  # slow import of matplotlib
-
-    text = page.report(runs)
-    write_text(text, out)
+    runs = [open_recording(name) for name in recordings]
+    write_report(runs, out)
     Console().print(f"{out}: {len(runs)} runs" if len(runs) > 1 else out, highlight=False, soft_wrap=True, markup=False)
     return 0

@@ -1,0 +1,25 @@
+"""Text files that are written completely or not at all."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+from hil.errors import BadInput
+
+
+def write_text(text: str, path: str | Path) -> None:
+    """Write ``text`` to ``path``, completely or not at all; raise BadInput if it cannot be written."""
+    out = Path(path)
+    partial = Path(f"{path}.part")
+    try:
+        if out.exists() and not out.is_file():  # a device or a pipe: never replaced
+            out.write_text(text, encoding="utf-8")
+            return
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, out)
+    except OSError as error:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise BadInput.single(str(path), "", f"cannot be written: {error.strerror or error}") from error
