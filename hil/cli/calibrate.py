@@ -18,9 +18,9 @@ from hil.cli.output import (
     check_json_path,
     check_rig_path,
     write_json,
-    write_text,
 )
 from hil.cli.progress import ProgressBar
+from hil.core.text_files import write_text
 from hil.errors import Problem
 
 if TYPE_CHECKING:

@@ -13,7 +13,8 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from hil.cli.options import Flag, Group, Names, Output, Settings, above_zero, refuse
-from hil.cli.output import axis_problems, base_of, check_rig_path, chosen_axes, write_text
+from hil.cli.output import axis_problems, base_of, check_rig_path, chosen_axes
+from hil.core.text_files import write_text
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:

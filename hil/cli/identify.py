@@ -11,8 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.cli.options import Flag, Names, Output, Settings, above_zero, refuse
-from hil.cli.output import axis_problems, base_of, check_json_path, check_rig_path, chosen_axes, write_json, write_text
+from hil.cli.output import axis_problems, base_of, check_json_path, check_rig_path, chosen_axes, write_json
 from hil.cli.progress import ProgressBar
+from hil.core.text_files import write_text
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
