@@ -46,7 +46,7 @@ lateness: .venv/ready
 
 # warnings are errors: dead links, unknown references, failing cells of notebooks
 docs: .venv/docs
-	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --nitpicky docs build/docs
+	$(BIN)/sphinx-build --quiet --fail-on-warning --nitpicky docs build/docs
 
 docs-links: .venv/docs
 	$(BIN)/sphinx-build --quiet --builder linkcheck docs build/docs-links

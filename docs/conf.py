@@ -27,7 +27,7 @@ myst_enable_extensions = ["colon_fence"]
 # notebooks are executed at each build; an error in a cell is an error of the build
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 300
+nb_execution_timeout = 900  # the first one compiles the kernels
 
 napoleon_google_docstring = False  # only sections with an underlined title
 autodoc_member_order = "bysource"

@@ -47,17 +47,17 @@ def layers() -> str:
     for number, (packages, name) in enumerate(rows):
         y = 10 + 44 * number
         parts.append(_text(10, y + 22, name, size=13))
-        x = 330.0
+        x = 360.0
         for package in re.split(r"\s*[|:]\s*", packages):
             width = 20 + 8.2 * len(package)
             parts.append(_box(Box(x, y, width, 34, (package,), BLUE if number % 2 else GREEN)))
             x += width + 10
     bottom = 10 + 44 * len(rows)
-    parts.append(_arrow([(315, 12), (315, bottom - 14)]))
+    parts.append(_arrow([(345, 12), (345, bottom - 14)]))
     parts.append(
         _text(10, bottom + 14, "Imports run downwards only; packages of one layer do not import each other.", size=12)
     )
-    return _svg(800, bottom + 28, parts)
+    return _svg(830, bottom + 28, parts)
 
 
 def processes() -> str:
