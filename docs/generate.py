@@ -297,9 +297,10 @@ def _sections(root: type[BaseModel], level: int = 2) -> str:
 
 
 def _prose(model: type[BaseModel]) -> str:
-    """Return the docstring of a model, double backticks as in Markdown."""
+    """Return the docstring of a model as Markdown, pages that it names as links."""
     own = model.__dict__.get("__doc__") or ""
-    return "" if model is DeviceTable else inspect.cleandoc(own).replace("``", "`")
+    text = "" if model is DeviceTable else inspect.cleandoc(own).replace("``", "`")
+    return re.sub(r"docs/([\w/-]+)/([\w-]+)\.md", r"[\2](../../\1/\2.md)", text)
 
 
 def _rows(table: Table) -> str:
