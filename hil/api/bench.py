@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Literal, Self, cast
@@ -193,7 +193,7 @@ class Bench:
         with named_as_argument():
             settings = settings_of(overrides)
             loaded = loaded_scenario(scenario, settings), loaded_rig(rig, settings)
-            self._job = make_job(*loaded, seed, speed=speed, gnc=gnc)
+            self._job = replace(make_job(*loaded, seed, speed=speed, gnc=gnc), compiled=False)
             build.check(self._job)
         self._operator = ProcedureOperator()
         self._request = RunRequest(

@@ -9,15 +9,16 @@ import cv2
 import numpy as np
 import pytest
 
-from hil.config.load import load_scene
+from hil.config.load import Loaded, load_scene
 from hil.config.scene import PixelNoise, Scene
+from hil.errors import BadInput
 from hil.monitor.kernels.quantities import quantities
 from hil.monitor.monitor import DockingMonitor
 from hil.monitor.preprocess import bimodal_threshold
 from hil.monitor.render import Conditions, Glare, Part, TargetRenderer, film, rectangle
 from hil.monitor.results import FAR_QUANTITIES, QUANTITIES, Result
 from hil.monitor.settings import MonitorSettings
-from hil.monitor.sources import VideoFrame
+from hil.monitor.sources import VideoFrame, exposure, exposures_of
 
 PLAIN = Conditions(noise=PixelNoise(read=3.0, k=0.02))
 
@@ -240,3 +241,25 @@ def test_two_sigmas_cover_as_often_as_they_should(atv: Scene) -> None:
     for name, column in zip(QUANTITIES, np.array(rows).T, strict=True):
         seen = column[np.isfinite(column)]
         assert 0.93 <= np.mean(np.abs(seen) < 2.0) <= 0.985, name
+
+
+@pytest.mark.parametrize("name", ["atv", "bright-cross"])
+def test_plain_images_are_frames_at_the_rate_of_the_scene(name: str) -> None:
+    scene = load_scene(name).value
+    renderer, rng = TargetRenderer(scene, conditions=PLAIN), np.random.default_rng(1)
+    at = motion_at(5.0)
+    images = [renderer.image(at[0:6:2], at[6::2], 0.0, rng) for _ in range(3)]
+    by_image, by_frame = DockingMonitor(name), DockingMonitor(scene)
+    for slot, image in enumerate(images):
+        by_image.feed(image)
+        for frame in exposures_of(image, slot, Loaded(scene, name, {})):
+            assert frame.t_s == pytest.approx(exposure(scene, frame.number)[0])
+            by_frame.feed(frame)
+        assert by_image.last is not None
+        assert by_frame.last is not None
+        np.testing.assert_array_equal(by_image.last.pose, by_frame.last.pose)
+    assert by_image.finish()[0].t_s == by_frame.finish()[0].t_s > 1.5 / scene.fps
+    with pytest.raises(BadInput, match="image: image size: 32 x 32: must be "):
+        by_image.feed(np.zeros((32, 32), np.uint8))
+    with pytest.raises(BadInput, match=r"image: float64 of shape \(32, 32\): must be "):
+        by_image.feed(np.zeros((32, 32)))  # type: ignore[arg-type]

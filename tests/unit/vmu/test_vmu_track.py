@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hil.vmu.unit import VisionUnit
 from tests.support.vmu_scene import Truth, ring, spots_of
@@ -112,3 +115,19 @@ def test_a_flat_ring_keeps_its_identity_while_its_tilt_is_open(rng: np.random.Ge
             assert truth.nees(solution.pose) < 40.0
     assert set(said[:10]) == {"ambiguous"}
     assert set(said[-5:]) == {"ok"}
+
+
+def test_solution_has_translation_rotation_and_covariance_or_nan(rng: np.random.Generator, tmp_path: Path) -> None:
+    (tmp_path / "vmu.json").write_text(ring().model_dump_json(exclude_none=True))
+    unit = VisionUnit(tmp_path / "vmu.json")
+    assert unit.geometry == ring()
+    truth = flight(0)
+    found = unit.solve_spots(*spots_of(unit.geometry, truth, rng), 0.0)
+    assert found.status == "ok"
+    sigma = np.sqrt(np.diag(found.covariance))
+    assert (np.abs(found.t - truth.t) < 4.0 * sigma[:3]).all()
+    error = Rotation.from_matrix(found.R) * Rotation.from_rotvec(truth.turn).inv()
+    assert (np.abs(error.as_rotvec()) < 4.0 * sigma[3:]).all()
+    none = VisionUnit(ring()).solve(None, None, 0.0)
+    assert [np.isnan(part).all() for part in (none.t, none.R, none.covariance)] == [True] * 3
+    assert [part.shape for part in (none.t, none.R, none.covariance)] == [(3,), (3, 3), (6, 6)]
