@@ -10,10 +10,13 @@ from hil.api.results import Run, RunData
 from hil.config.gnc_override import with_other_gnc
 from hil.config.scenario import Scenario
 from hil.core.messages import Event
+from hil.errors import BadInput
+from hil.gnc_backends.python_object import PythonGnc, PythonObjectGnc
 from hil.recording.read import Recorded, load
 from hil.recording.replay import Difference, Replayed, replay
 from hil.report.summary import navigation_errors, summary_of
 from hil.safety.alarms import Alarm
+from hil.setup.gnc_setup import backend_setup
 
 _ALARM_FIELDS = {field.name for field in fields(Alarm)}
 
@@ -57,14 +60,14 @@ class Recording(Run):
         """Whether the file has its end and no damage."""
         return self.recorded.intact
 
-    def replay(self, overrides: Overrides | None = None, gnc: str | Path | None = None) -> Replay:
+    def replay(self, overrides: Overrides | None = None, gnc: str | Path | PythonGnc | None = None) -> Replay:
         """Return the results of the present GNC for the recorded IMU samples and poses: an open loop.
 
         overrides: keys of ``gnc`` and ``requirements`` to values, as for ``hil.run``. gnc: TOML file with other
-        ``[gnc...]`` tables, or a scenario whose GNC is used. Raises BadInput.
+        ``[gnc...]`` tables, a scenario whose GNC is used, or an object with ``step(input)``. Raises BadInput.
         """
         with named_as_argument():
-            return replay_with(self, None if gnc is None else str(gnc), settings_of(overrides))
+            return replay_with(self, gnc, settings_of(overrides))
 
     def _source(self) -> str:
         return str(self.path)
@@ -110,14 +113,23 @@ class Replay:
         return f"<Replay {len(self.differences)} fields differ, {len(self.result.rows)} cycles>"
 
 
-def replay_with(recording: Recording, gnc: str | None, settings: Settings) -> Replay:
-    """Return the replay with the GNC of the file or scenario ``gnc`` and ``key=value`` settings. Raises BadInput."""
-    recorded = recording.recorded
-    changed = gnc is not None or bool(settings)
-    scenario = recorded.scenario
+def replay_with(recording: Recording, gnc: str | Path | PythonGnc | None, settings: Settings) -> Replay:
+    """Return the replay with another GNC and ``key=value`` settings. Raises BadInput.
+
+    gnc: a file or scenario; or an object, which a run of such an object needs.
+    """
+    recorded, scenario = recording.recorded, recording.recorded.scenario
+    name = recording.summary.get("gnc", {}).get("python")
+    changed, backend = gnc is not None or bool(settings), None
+    if isinstance(gnc, PythonGnc):
+        changed, backend = bool(settings), PythonObjectGnc(gnc, backend_setup(scenario))
+    elif name is not None and not changed:
+        text = f"its GNC was the Python object {name}: give one, hil.open(...).replay(gnc=...), or other settings"
+        raise BadInput.single(str(recorded.path), "gnc", text)
     if changed:
-        scenario = with_other_gnc(scenario, str(recorded.path), gnc, settings).value
-    return Replay(recording, scenario, changed, replay(recorded, scenario))
+        file = str(gnc) if isinstance(gnc, str | Path) else None
+        scenario = with_other_gnc(scenario, str(recorded.path), file, settings).value
+    return Replay(recording, scenario, changed, replay(recorded, scenario, backend))
 
 
 def _alarms(recorded: Recorded) -> list[Alarm]:

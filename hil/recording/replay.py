@@ -84,15 +84,15 @@ class _Poses:
         return self.arrived
 
 
-def replay(recorded: Recorded, scenario: Scenario) -> Replayed:
-    """Return the results of the GNC of ``scenario`` for the recorded inputs, and their differences.
+def replay(recorded: Recorded, scenario: Scenario, backend: GncBackend | None = None) -> Replayed:
+    """Return the results of ``backend``, or of the GNC of ``scenario``, for the recorded inputs; and their differences.
 
     Changes of settings during the run are repeated at the same cycle, except for keys whose value in ``scenario``
     differs from the recording. Raises BadInput if the scenario's step differs or no cycle was recorded.
     """
     if not len(recorded.cycles):
         raise BadInput.single(str(recorded.path), "", "no cycle is recorded: there is nothing to replay")
-    gnc, poses, orders = make_backend(scenario), _Poses(recorded.arrivals), _orders(recorded)
+    gnc, poses, orders = backend or make_backend(scenario), _Poses(recorded.arrivals), _orders(recorded)
     settings = _Settings(recorded, scenario)
     rows = recorded.cycles.copy()
     now = CycleData()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -88,6 +89,24 @@ def test_recording_has_the_interface_of_a_run_and_is_replayed(tmp_path: Path) ->
     assert (replay.run.navigation.sigma_r_m[-1] > run.navigation.sigma_r_m[-1]).all()
     with pytest.raises(hil.errors.BadInput, match=r"overrides: vmu\.latency_s=0\.2: cannot be changed in a replay"):
         recording.replay(overrides={"vmu.latency_s": 0.2})
+
+
+def test_run_of_a_python_gnc_is_replayed_with_the_object(tmp_path: Path) -> None:
+    class Fires:
+        def __init__(self, from_s: float) -> None:
+            self.from_s = from_s
+
+        def step(self, data: Any) -> dict[str, Any]:
+            return {"force": [int(data.t_s >= self.from_s), 0, 0]}
+
+    run = hil.run("scheme-1", duration_s=2.0, gnc=Fires(1.0), record=tmp_path)
+    recording = hil.open(run.summary["recording"]["file"])
+    assert recording.replay(gnc=Fires(1.0)).identical
+    differs = {difference.field: difference for difference in recording.replay(gnc=Fires(0.5)).differences}
+    assert differs["command.force"].first_s == 0.5
+    assert execute(["replay", str(recording.path)]) == 2
+    with pytest.raises(hil.errors.BadInput, match="gnc: its GNC was the Python object Fires: give one"):
+        recording.replay()
 
 
 def test_campaign_has_cases_that_can_be_run_again(tmp_path: Path) -> None:

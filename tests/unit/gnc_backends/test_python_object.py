@@ -74,6 +74,11 @@ def test_a_sequence_opens_thrusters(answer: Any) -> None:
     assert found.command.on[:, 1:].sum() == 0
 
 
+def test_thrusters_close_when_they_are_no_longer_commanded() -> None:
+    found, _ = run(lambda data: {"on": [1] * N, "text": "on"} if data.cycle == 10 else None)
+    assert np.flatnonzero(found.command.on.any(axis=1)).tolist() == [10]
+
+
 def test_demands_are_allocated_and_an_estimate_is_recorded() -> None:
     estimate = {"r_CT_H_m": [1, 2, 3], "v_CT_H_mps": [0, 0, 0], "q_CH": [0, 0, 0, 1], "w_CH_C_radps": (0, 0, 0)}
     found, _ = run(lambda data: {"force": [-1, 0, 0], "torque": np.array([0, 1, 0]), "text": "here", **estimate})
