@@ -98,18 +98,21 @@ def _compile_docking_monitor() -> None:
 
 
 GROUPS: Final[Mapping[str, Callable[[], None]]] = {
-    "stages of the cycle": _compile_stages,
+    "stages": _compile_stages,
     "gnc": _compile_gnc,
-    "checks and verdict": _compile_checks,
-    "compiled loop": _compile_loop,
-    "fusion study": _compile_study,
-    "vision unit": _compile_vision_unit,
-    "docking monitor": _compile_docking_monitor,
+    "loop": _compile_loop,
+    "verdict": _compile_checks,
+    "fusion": _compile_study,
+    "vmu": _compile_vision_unit,
+    "monitor": _compile_docking_monitor,
 }
 """Group of kernels -> function that calls each of them once, with the types that programs call them with.
 
-The first two are independent of each other. All others use kernels of these, which they take from the cache.
+``stages`` of the cycle and ``gnc`` are independent of each other. All others use kernels of these, which they take from
+the cache: the compiled ``loop``, the checks before a run and its ``verdict``, the ``fusion`` study, the vision unit
+(``vmu``) and the docking ``monitor``.
 """
+CYCLE_GROUPS: Final = ("stages", "gnc")
 
 
 def main() -> None:

@@ -39,7 +39,7 @@ def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
     if not kernels_are_cached():
         _compile(job, announce)
     if runs_compiled(job):
-        start_in_background("precompile process", "hil.processes.precompile", "compiled loop")
+        start_in_background("precompile process", "hil.processes.precompile", "loop")
     elif job.paced or job.rig.value.kind != "mock":
         warm_up(job)
 

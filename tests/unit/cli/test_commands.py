@@ -74,3 +74,9 @@ def test_no_function_of_the_command_line_has_nine_parameters() -> None:
                 assert len(inspect.signature(found).parameters) < 9, found
             if dataclasses.is_dataclass(found) and found.__module__ == module.__name__:
                 assert len(dataclasses.fields(found)) < 10, found
+
+
+def test_unknown_group_of_kernels_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["warm-up", "loop", "laop"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "laop: unknown group, allowed stages, gnc, loop" in line
