@@ -12,7 +12,7 @@ import pytest
 
 from hil.cli.main import _EARLIER_NAMES, COMMANDS, GROUPS, execute
 
-HEAVY = ("numba", "numpy", "pydantic", "hil.config", "hil.core")
+HEAVY = ("numba", "numpy", "pydantic", "hil.config", "hil.core.messages")
 
 
 def module_of(name: str) -> str:
