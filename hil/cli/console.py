@@ -20,11 +20,26 @@ class ServerOptions:
     """Options of the web server."""
 
     host: str = "127.0.0.1"
-    """Address to listen on. Any but this computer's own requires a token."""
+    """Address to listen on. Any but this computer's own requires a token and a certificate."""
     port: Integer = 8765
     """Port; 0 takes any free one."""
     token_file: str | None = None
     """File with the token that a page must send, readable by its owner only."""
+    certificate: str | None = None
+    """File of the server's certificate (PEM): pages use https. Required to listen on other addresses."""
+    key: str | None = None
+    """File of the certificate's private key."""
+    behind_tunnel: Flag = False
+    """Listen on other addresses without a certificate: a tunnel (ssh -L, WireGuard) encrypts all connections."""
+
+    @property
+    def tls(self) -> tuple[str, str] | None:
+        """Certificate and key. Raises BadInput if only one of them is given."""
+        if self.certificate is not None and self.key is not None:
+            return self.certificate, self.key
+        if self.certificate is not None or self.key is not None:
+            raise BadInput.single("--key" if self.key is None else "--certificate", "", "is missing: give both")
+        return None
 
 
 _SERVER_DEFAULTS, _RUN_DEFAULTS = ServerOptions(), RunOptions()
@@ -61,7 +76,7 @@ def console(
         raise BadInput.single("hil console", "", f"{', '.join(missing)} missing: pip install 'hil-bench[console]'")
     refuse(options.problems())
 
-    from hil.console.serve import listen, read_token, serve
+    from hil.console.serve import Tls, listen, read_token, serve
     from hil.console.session import Choice
 
     choice = Choice(
@@ -77,11 +92,14 @@ def console(
     choice.job()
     host, token_file = server.host, server.token_file
     token = None if token_file is None else read_token(token_file)
-    with listen(host, server.port, token) as listener:
+    tls = None if server.tls is None else Tls(*server.tls)
+    if tls is not None:
+        tls.check()
+    with listen(host, server.port, token, tls is not None or server.behind_tunnel) as listener:
         shown = f"[{host}]" if ":" in host else host
-        _say(f"console on http://{shown}:{listener.getsockname()[1]}/")
+        _say(f"console on {'https' if tls else 'http'}://{shown}:{listener.getsockname()[1]}/")
         try:
-            serve(choice, listener, host, token, _log)
+            serve(choice, listener, host, token, _log, tls)
         except KeyboardInterrupt:
             _say("console closed")
     return 0

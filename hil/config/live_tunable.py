@@ -10,40 +10,37 @@ from pydantic import BaseModel, field_validator
 
 from hil.config.model import ConfigModel
 
-_CONTROL: Final = (
-    "deadband_m",
-    "lead_s",
-    "period_s",
-    "deadband_sigmas",
-    "correction_rate_mps",
-    "deadband_deg",
-    "attitude_lead_s",
-    "attitude_period_s",
-    "attitude_deadband_sigmas",
-    "slew_rate_degps",
-)
-_CORRIDOR: Final = (
-    "half_angle_deg",
-    "minimum_radius_m",
-    "closing_rate_mps",
-    "closing_rate_slope_per_s",
-    "closing_rate_max_mps",
-    "confidence",
-    "persistence_s",
-)
-_VISION_ONLY: Final = ("position_lag_s", "velocity_lag_s", "attitude_lag_s", "rate_lag_s")
+LIVE_TUNABLE: Final = {
+    "gnc.control.deadband_m": (1e-4, 0.2),
+    "gnc.control.lead_s": (0.01, 100.0),
+    "gnc.control.period_s": (0.01, 60.0),
+    "gnc.control.deadband_sigmas": (0.0, 10.0),
+    "gnc.control.correction_rate_mps": (1e-4, 0.5),
+    "gnc.control.deadband_deg": (1e-3, 5.0),
+    "gnc.control.attitude_lead_s": (0.01, 100.0),
+    "gnc.control.attitude_period_s": (0.01, 60.0),
+    "gnc.control.attitude_deadband_sigmas": (0.0, 10.0),
+    "gnc.control.slew_rate_degps": (0.01, 5.0),
+    "gnc.corridor.half_angle_deg": (0.5, 30.0),
+    "gnc.corridor.minimum_radius_m": (0.01, 1.0),
+    "gnc.corridor.closing_rate_mps": (1e-3, 0.5),
+    "gnc.corridor.closing_rate_slope_per_s": (0.0, 1.0),
+    "gnc.corridor.closing_rate_max_mps": (1e-2, 0.5),
+    "gnc.corridor.confidence": (0.0, 10.0),
+    "gnc.corridor.persistence_s": (0.0, 5.0),
+    "gnc.navigation.gate_sigma": (2.0, 10.0),
+    "gnc.akf.gyro_noise_degps": (1e-6, 1.0),
+    "gnc.akf.gyro_drift_noise_degps2": (0.0, 0.1),
+    "gnc.pkf.accelerometer_noise_mps2": (1e-8, 0.1),
+    "gnc.pkf.accelerometer_bias_noise_mps3": (0.0, 0.01),
+    "gnc.vision_only.position_lag_s": (0.0, 10.0),
+    "gnc.vision_only.velocity_lag_s": (0.0, 10.0),
+    "gnc.vision_only.attitude_lag_s": (0.0, 10.0),
+    "gnc.vision_only.rate_lag_s": (0.0, 10.0),
+}
+"""Key -> range during a run: neither gate nor supervision can be switched off by a number.
 
-LIVE_TUNABLE: Final = (
-    *(f"gnc.control.{name}" for name in _CONTROL),
-    *(f"gnc.corridor.{name}" for name in _CORRIDOR),
-    "gnc.navigation.gate_sigma",
-    "gnc.akf.gyro_noise_degps",
-    "gnc.akf.gyro_drift_noise_degps2",
-    "gnc.pkf.accelerometer_noise_mps2",
-    "gnc.pkf.accelerometer_bias_noise_mps3",
-    *(f"gnc.vision_only.{name}" for name in _VISION_ONLY),
-)
-"""Keys that each cycle reads again. All others determine the initial state (vehicle, step, geometry, plan, filters) or
+Each cycle reads these keys again. All others determine the initial state (vehicle, step, geometry, plan, filters) or
 the verdict (requirements): they are fixed for the whole run."""
 
 
@@ -68,10 +65,11 @@ class LiveTuning(ConfigModel):
 
 
 def range_of(model: type[BaseModel], key: str) -> dict[str, Any]:
-    """Return the limits of the number at the dotted ``key`` of ``model``.
+    """Return the limits of the number at the dotted ``key`` of ``model``; those of a run, if it is in LIVE_TUNABLE.
 
     low, high: None if unlimited. low_open, high_open: the limit itself is excluded. words: the range as text.
     """
+    whole = key
     *tables, last = key.split(".")
     for table in tables:
         inner = model.model_fields[table].annotation
@@ -81,6 +79,11 @@ def range_of(model: type[BaseModel], key: str) -> dict[str, Any]:
     schema = model.model_json_schema()["properties"][last]
     low, low_open = schema.get("exclusiveMinimum", schema.get("minimum")), "exclusiveMinimum" in schema
     high, high_open = schema.get("exclusiveMaximum", schema.get("maximum")), "exclusiveMaximum" in schema
+    if (live := LIVE_TUNABLE.get(whole)) is not None:
+        if low is None or live[0] > low:
+            low, low_open = live[0], False
+        if high is None or live[1] < high:
+            high, high_open = live[1], False
     if low is not None and high is not None:
         words = f"{'above ' if low_open else ''}{low:g} to {'below ' if high_open else ''}{high:g}"
     elif low is not None:
@@ -90,6 +93,14 @@ def range_of(model: type[BaseModel], key: str) -> dict[str, Any]:
     else:
         words = "any number"
     return {"low": low, "high": high, "low_open": low_open, "high_open": high_open, "words": words}
+
+
+def within(allowed: dict[str, Any], value: float) -> bool:
+    """Return whether ``value`` is in a range of ``range_of``."""
+    low, high = allowed["low"], allowed["high"]
+    too_low = low is not None and (value < low or (value == low and allowed["low_open"]))
+    too_high = high is not None and (value > high or (value == high and allowed["high_open"]))
+    return not (too_low or too_high)
 
 
 def value_of(table: BaseModel, key: str) -> float:

@@ -20,6 +20,7 @@ from starlette.requests import HTTPConnection
 from hil.console.live_view import Client
 from hil.console.message import pack
 from hil.console.service import ConsoleService
+from hil.core.files import parse_json
 
 PAGE: Final = Path(__file__).parent / "page"
 TICK_S: Final = 0.05
@@ -27,6 +28,10 @@ _HELLO_TIMEOUT_WALL_S: Final = 5.0
 _WRONG_TOKEN_DELAY_WALL_S: Final = 0.5
 _REFUSED: Final = 4401
 _LONGEST_TEXT: Final = 4096
+_LONGEST_NAME: Final = 24
+_LONGEST_KEY: Final = 256
+_CLIENTS_MAX: Final = 32
+_STRANGERS_MAX: Final = 16  # sockets without a valid first message, at a time
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:; style-src 'self'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
@@ -98,7 +103,14 @@ async def _serve_client(
 ) -> None:
     """Authenticate one client; then send updates and execute its requests until it disconnects."""
     await socket.accept()
-    client = await _authenticate(socket, token, hosts)
+    if service.strangers >= _STRANGERS_MAX or len(service.clients) >= _CLIENTS_MAX:
+        await _reject(socket, "too many clients: try again")
+        return
+    service.strangers += 1
+    try:
+        client = await _authenticate(socket, token, hosts)
+    finally:
+        service.strangers -= 1
     if client is None:
         return
     service.clients.append(client)
@@ -126,19 +138,43 @@ async def _authenticate(socket: WebSocket, token: str | None, hosts: frozenset[s
         await _reject(socket, "this console rejects pages of other sites")
         return None
     try:
-        hello = json.loads(await asyncio.wait_for(socket.receive_text(), _HELLO_TIMEOUT_WALL_S))
+        hello = _table(await asyncio.wait_for(_receive_text(socket), _HELLO_TIMEOUT_WALL_S))
+        if hello is None:
+            raise ValueError
         key, name, given = (str(hello.get(field, "")) for field in ("key", "name", "token"))
-    except (TimeoutError, ValueError, AttributeError, KeyError, WebSocketDisconnect):
+    except (TimeoutError, ValueError, WebSocketDisconnect):
         await _reject(socket, 'the first message must be {"key": ..., "name": ..., "token": ...}')
         return None
-    if token is not None and not hmac.compare_digest(given.encode(), token.encode()):
+    if token is not None and not hmac.compare_digest(given.encode(errors="replace"), token.encode()):
         await asyncio.sleep(_WRONG_TOKEN_DELAY_WALL_S)
         await _reject(socket, "wrong token" if given else "this console requires a token")
         return None
-    if len(key) < 16:
+    if not 16 <= len(key) <= _LONGEST_KEY:
         await _reject(socket, "key: at least 16 random characters")
         return None
-    return Client(key, name.strip()[:24] or "unnamed")
+    return Client(key, plain_name(name) or "unnamed")
+
+
+def plain_name(name: str) -> str:
+    """Return ``name`` for terminals, recordings and pages: printable characters of a valid encoding, 24 at most."""
+    return "".join(c for c in name if c.isprintable()).strip()[:_LONGEST_NAME]
+
+
+async def _receive_text(socket: WebSocket) -> str:
+    """Return the next message, "" for one that is not text."""
+    message = await socket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1000))
+    return message.get("text") or ""
+
+
+def _table(text: str) -> dict[str, Any] | None:
+    """Return the JSON object in ``text``; None for anything else, for one that is too long or nested too deeply."""
+    try:
+        message = parse_json(text) if len(text) <= _LONGEST_TEXT else None
+    except ValueError:
+        return None
+    return message if isinstance(message, dict) else None
 
 
 async def _reject(socket: WebSocket, reason: str) -> None:
@@ -159,12 +195,8 @@ async def _send_updates(socket: WebSocket, service: ConsoleService, client: Clie
 
 async def _receive(socket: WebSocket, service: ConsoleService, client: Client) -> None:
     while True:
-        text = await socket.receive_text()
-        try:
-            message = json.loads(text) if len(text) <= _LONGEST_TEXT else None
-        except ValueError:
-            message = None
-        if not isinstance(message, dict):
+        message = _table(await _receive_text(socket))
+        if message is None:
             await socket.send_text(json.dumps({"answer": None, "ok": False, "text": "not a JSON object, or too long"}))
             continue
         service.refresh(client, message.get("got"))

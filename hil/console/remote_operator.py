@@ -20,6 +20,7 @@ from typing import Any, Final
 
 from hil.config.console import OnLoss
 from hil.console.status import StatusWriter
+from hil.core.files import parse_json
 from hil.core.messages import Event
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
@@ -152,7 +153,10 @@ class RemoteOperator(Operator):
                 self._disconnected = True
                 return
             self._last_rx_s = self._wall_s()
-            self._handle(json.loads(packet))
+            try:
+                self._handle(parse_json(packet))
+            except (ValueError, LookupError, TypeError, AttributeError) as error:  # of the console: no end of the loop
+                self._messages.send(word=f"bench: a message of the console cannot be read: {error!r}")
 
     def _handle(self, message: dict[str, Any]) -> None:
         if "present" in message:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import ipaddress
 import socket
+import ssl
 import stat
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from hil.config.load import shipped
 from hil.console.session import Choice
-from hil.core.files import KIB, read_text
+from hil.core.files import KIB, MIB, check_regular, read_text
 from hil.errors import BadInput, Problem
 
+_CERTIFICATE_BYTES: Final = MIB
+_CONNECTIONS_MAX: Final = 128
 _TOKEN_BYTES: Final = 4 * KIB
 _SHORTEST_TOKEN: Final = 16
 _LOOPBACK_NAMES: Final = ("localhost", "127.0.0.1", "::1")
@@ -48,13 +52,37 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def listen(host: str, port: int, token: str | None) -> socket.socket:
-    """Return a listening socket; raises BadInput on failure, or for a remotely reachable address without a token."""
+@dataclass(frozen=True)
+class Tls:
+    """Files of the server's certificate (PEM, with its chain) and of its private key."""
+
+    certificate: str
+    key: str
+
+    def check(self) -> None:
+        """Raise BadInput if the files are not a certificate and its key."""
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        for path in (self.certificate, self.key):
+            check_regular(Path(path), _CERTIFICATE_BYTES)
+        try:
+            context.load_cert_chain(self.certificate, self.key, password="")
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "reason", None) or str(error)
+            text = f"{self.certificate}, {self.key}: not a certificate and its private key: {reason}"
+            raise BadInput.single("--certificate", "", text) from error
+
+
+def listen(host: str, port: int, token: str | None, is_encrypted: bool) -> socket.socket:
+    """Return a listening socket; raises BadInput on failure, or for an address that is reachable from other computers
+    without a token, or without encryption. is_encrypted: by TLS, or by a tunnel in front of the server."""
     problems = []
     if not 0 <= port <= 65535:
         problems.append(Problem("--port", "", f"{port}: allowed 0 to 65535, 0 for any free port"))
-    if not is_loopback(host) and token is None:
-        text = f"{host}: reachable from other computers: give --token-file, or use 127.0.0.1"
+    missing = [] if token is not None else ["--token-file"]
+    if not is_encrypted:
+        missing.append("--certificate and --key (--behind-tunnel if a tunnel encrypts all connections)")
+    if not is_loopback(host) and missing:
+        text = f"{host}: reachable from other computers: give {', '.join(missing)}, or use 127.0.0.1"
         problems.append(Problem("--host", "", text))
     if problems:
         raise BadInput(problems)
@@ -65,7 +93,14 @@ def listen(host: str, port: int, token: str | None) -> socket.socket:
         raise BadInput.single("--port", "", f"{host}:{port}: cannot listen: {error.strerror or error}") from error
 
 
-def serve(choice: Choice, listener: socket.socket, host: str, token: str | None, log: Callable[[str], None]) -> None:
+def serve(
+    choice: Choice,
+    listener: socket.socket,
+    host: str,
+    token: str | None,
+    log: Callable[[str], None],
+    tls: Tls | None = None,
+) -> None:
     """Serve the page until Ctrl-C (KeyboardInterrupt); an open session is stopped first."""
     import uvicorn
 
@@ -87,5 +122,8 @@ def serve(choice: Choice, listener: socket.socket, host: str, token: str | None,
         ws_ping_interval=5.0,
         ws_ping_timeout=10.0,
         timeout_graceful_shutdown=1,
+        ssl_certfile=tls.certificate if tls else None,
+        ssl_keyfile=tls.key if tls else None,
+        limit_concurrency=_CONNECTIONS_MAX,
     )
     uvicorn.Server(config).run(sockets=[listener])

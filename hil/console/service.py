@@ -13,7 +13,7 @@ from hil.console.message import ImageMessage
 from hil.console.session_manager import SessionManager
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
-from hil.errors import BadInput
+from hil.errors import BadInput, one_line
 
 CONFIRMATIONS: Final = {
     OperatorCommand.HOME: "Home: axes that are not homed search for their switches. Is the bench clear of people?",
@@ -26,6 +26,13 @@ CONFIRMATIONS: Final = {
     OperatorCommand.RESET: "Reset: the devices open and the drives are powered. Is the cause gone, is the bench clear?",
 }
 """Commands that require a confirmation, and the question asked."""
+
+
+OPEN_QUESTION: Final = "Open: the devices open and the drives are powered. Is the bench clear of people?"
+WITHOUT_COMMAND: Final = (OperatorCommand.STOP.value, OperatorCommand.HOLD.value)
+"""Commands that each client may send, with the command of the bench or without it."""
+SEED_MAX: Final = 2**63 - 1
+_DEVICE_TEXT: Final = 200  # characters of a fault's line
 
 
 class ConsoleService(SessionManager):
@@ -51,9 +58,10 @@ class ConsoleService(SessionManager):
                 self._release(client)
             case "open":
                 self.lease.require(client.key)
-                await self._open(command)
+                return self._open(command)
             case "order":
-                self.lease.require(client.key)
+                if command.get("order") not in WITHOUT_COMMAND:
+                    self.lease.require(client.key)
                 return await self._order(client, str(command.get("order")), bool(command.get("confirmed")))
             case "jog":
                 self.lease.require(client.key)
@@ -68,9 +76,10 @@ class ConsoleService(SessionManager):
                 await self._acknowledge(client)
             case "fault":
                 self.lease.require(client.key)
-                await self.faults.switch(str(command.get("device")), str(command.get("line")))
-                self.log(f"{client.name} switched a fault: {command['device']} {command['line']}")
-                self.record_event("fault", client.name, f"{command['device']}: {command['line']}")
+                device, line = (one_line(str(command.get(key)), _DEVICE_TEXT) for key in ("device", "line"))
+                await self.faults.switch(device, line)
+                self.log(f"{client.name} switched a fault: {device} {line}")
+                self.record_event("fault", client.name, f"{device}: {line}")
             case other:
                 raise RequestRejected(f"{other!r}: unknown request")
         return {"ok": True, "text": ""}
@@ -91,7 +100,7 @@ class ConsoleService(SessionManager):
         self.lease.release(client.key)
         self.log(f"{client.name} released the command")
 
-    async def _open(self, command: dict[str, Any]) -> None:
+    def _open(self, command: dict[str, Any]) -> dict[str, Any]:
         if self.session is not None:
             raise RequestRejected("a session is open: stop it first")
         if self.state.unacknowledged:
@@ -101,9 +110,12 @@ class ConsoleService(SessionManager):
             if changes.get(name, allowed[0]) not in allowed:
                 raise RequestRejected(f"{name} {changes[name]!r}: allowed {', '.join(allowed)}")
         seed = changes.get("seed", 0)
-        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= SEED_MAX:
             raise RequestRejected(f"seed {seed!r}: allowed an integer of 0 or more")
+        if not command.get("confirmed"):
+            return {"ok": False, "ask": OPEN_QUESTION}
         self.start_session(self.choice.model_copy(update=changes))
+        return {"ok": True, "text": ""}
 
     async def _order(self, client: Client, word: str, confirmed: bool) -> dict[str, Any]:
         if word not in [order.value for order in OperatorCommand if order is not OperatorCommand.JOG]:

@@ -23,10 +23,12 @@ from hil.console.session_state import RecordingStatus, SessionState, bench_descr
 from hil.console.tuner import Tuner
 from hil.core.messages import CYCLE
 from hil.core.modes import Mode
+from hil.errors import one_line
 from hil.params import bench as bench_params
 
 PRESENCE_PERIOD_S: Final = 0.2
 _KEPT_LOG: Final = 200
+_LONGEST_LOG_LINE: Final = 1000
 
 
 class SessionManager:
@@ -51,6 +53,8 @@ class SessionManager:
         self.view = LiveView()
         self.page_version = 0
         self.clients: list[Client] = []
+        self.strangers = 0
+        """Connected sockets whose first message has not been accepted yet."""
         self.log_lines: deque[dict[str, Any]] = deque(maxlen=_KEPT_LOG)
         self._print = log
         self.wall_s = wall_s
@@ -144,6 +148,7 @@ class SessionManager:
 
     def log(self, text: str) -> None:
         """Append a line to the console's log."""
+        text = one_line(text, _LONGEST_LOG_LINE)
         self.log_lines.append({"wall_s": self.wall_s(), "text": text})
         self._print(text)
         self.changed()

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.live_tunable import range_of, value_of
+from hil.config.live_tunable import range_of, value_of, within
 from hil.config.load import Loaded
 from hil.config.renamed_keys import present_key
 from hil.config.scenario import Scenario
@@ -88,6 +88,9 @@ class Tuner:
             )
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             raise RequestRejected(f"{key}: {value!r} is not a number")
+        allowed_range = range_of(Scenario, key)
+        if not within(allowed_range, float(value)):
+            raise RequestRejected(f"{key}: {value:g}: during a run allowed {allowed_range['words']}")
         changed = with_setting(scenario, f"{key}={float(value)!r}", self._scenario.source)
         check_in_flight(changed, self._rig)
         return Change(key, value_of(scenario, key), float(value), changed, gnc_params.gnc(changed.value))

@@ -37,9 +37,9 @@ class EventRecorder:
             last_s if t_s is None else t_s,
             self._runner.now_s(),
             done if cycle is None else cycle,
-            kind.encode(),
-            source.encode()[: LOG_ENTRY["source"].itemsize],
-            text.encode()[: LOG_ENTRY["text"].itemsize],
+            kind.encode(errors="replace"),
+            source.encode(errors="replace")[: LOG_ENTRY["source"].itemsize],
+            text.encode(errors="replace")[: LOG_ENTRY["text"].itemsize],
         )
         self._out.put(self._row)
 

@@ -42,7 +42,8 @@ def idle() -> Iterator[Console]:
 def start(page: Page) -> None:
     """Take the command, open the bench, close the loop."""
     assert page.ask("take")["ok"]
-    assert page.ask("open")["ok"]
+    assert page.ask("open")["ask"].startswith("Open: the devices open and the drives are powered")
+    assert page.ask("open", confirmed=True)["ok"]
     page.until_mode("standby")
     page.order("arm")
     page.until_mode("armed")
@@ -57,12 +58,12 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recor
         assert np.all(np.diff(ann.column("t_s")) > 0.0)
         assert np.isfinite(ann.column("estimate_m.x")[-1])
 
-        answer = bob.ask("order", order="hold")
+        answer = bob.ask("order", order="resume")
         assert answer["text"] == "ann has the command: take it before sending orders"
         assert "watch, or take it over" in bob.ask("take")["text"]
         assert ann.ask("order", order="abort")["ask"].startswith("Abort: the chaser brakes and retreats")
 
-        ann.order("hold")
+        bob.order("hold")  # without the command
         ann.until_mode("hold")
         held_s = ann.now["run_s"]
         ann.order("resume")
@@ -201,7 +202,10 @@ def test_page_needs_nothing_from_outside(idle: Console) -> None:
         (("--rig", "no-such"), "no-such: unknown rig"),
         (("--seed", "-1"), "--seed: -1: must not be negative"),
         (("--token-file", "/does/not/exist"), "--token-file: /does/not/exist: cannot be read"),
-        (("--host", "not.an.address.invalid", "--token-file", "TOKEN"), "cannot listen"),
+        (("--host", "0.0.0.0", "--token-file", "TOKEN"), "0.0.0.0: reachable from other computers: give --certificate"),
+        (("--host", "not.an.address.invalid", "--token-file", "TOKEN", "--behind-tunnel"), "cannot listen"),
+        (("--certificate", "TOKEN"), "--key: is missing: give both"),
+        (("--certificate", "TOKEN", "--key", "TOKEN"), "not a certificate and its private key"),
         (("--token-file", "OPEN"), "readable by other users, mode 644: chmod 600"),
         (("--token-file", "SHORT"), "5 characters, at least 16"),
     ],

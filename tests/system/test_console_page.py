@@ -99,7 +99,7 @@ def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(
     with console("--rig", "emulated", *typed(*NEAR), *PATIENT, record=tmp_path / "recordings") as c:
         screen = open_screen(browser, c, pictures)
         screen.press("t", "take")
-        screen.press("n", "open")
+        screen.press("n", "open", confirm=True)
         screen.until_mode("standby", 400.0)  # a first start compiles
 
         before_m = screen.page.evaluate("window.hil.now.rail_m[1]")
@@ -150,7 +150,7 @@ def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(
         screen.until("!window.hil.now.open")
         screen.picture("alarm")
         assert screen.page.is_enabled("#acknowledge")
-        screen.press("n", "open")
+        screen.press("n", "open", confirm=True)
         screen.until("document.getElementById('answer').textContent.includes('is not acknowledged')")
         screen.press("c", "acknowledge")
         screen.until("window.hil.page.alarms.every(alarm => alarm.acknowledged)")
@@ -162,7 +162,7 @@ def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(
 def start(screen: Screen) -> None:
     """Take the command, open the bench, close the loop."""
     screen.press("t", "take")
-    screen.press("n", "open")
+    screen.press("n", "open", confirm=True)
     screen.until_mode("standby", 400.0)  # a first start compiles
     screen.press("m", "order_arm", confirm=True)
     screen.until_mode("armed")
@@ -249,7 +249,7 @@ def test_reset_leads_out_of_an_alarm_before_the_run_into_standby(browser: Any, p
     with console("--rig", "emulated", *typed(*NEAR), *PATIENT) as c:
         screen = open_screen(browser, c, pictures)
         screen.press("t", "take")
-        screen.press("n", "open")
+        screen.press("n", "open", confirm=True)
         screen.until_mode("standby", 400.0)  # a first start compiles
         screen.until("Object.keys(window.hil.page.faults.menu).length == 4")
         screen.page.select_option("#fault_device", "rails")

@@ -130,10 +130,10 @@ export class Controls {
     const mine = now.lease.mine, open = now.open;
     for (const [order] of ORDERS) {
       const allowed = open ? page.obeyed_in[order].includes(now.mode) : order === "reset" && page.alarms.some((a) => a.latched);
-      $(`order_${order}`).disabled = !(mine && allowed);
+      $(`order_${order}`).disabled = !((mine || order === "hold") && allowed);
     }
     $("open").disabled = !mine || open;
-    $("stop").disabled = !mine || !open;
+    $("stop").disabled = !open;
     $("acknowledge").disabled = !mine || !page.alarms.some((alarm) => !alarm.acknowledged);
     this.settings.show(page, mine && open);
     const jogs = mine && open && ["standby", "jogging"].includes(now.mode);

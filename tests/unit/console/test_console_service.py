@@ -45,6 +45,8 @@ def ask(service: ConsoleService, **command: Any) -> str:
         ({"do": "open", "rig": ["mock"]}, "rig ['mock']: allowed mock, emulated"),
         ({"do": "open", "seed": -1}, "seed -1: allowed an integer of 0 or more"),
         ({"do": "open", "seed": 1.5}, "seed 1.5: allowed an integer of 0 or more"),
+        ({"do": "open", "seed": 2**63}, f"seed {2**63}: allowed an integer of 0 or more"),
+        ({"do": "open"}, "Open: the devices open and the drives are powered. Is the bench clear of people?"),
         ({"do": "open", "seed": True}, "seed True: allowed an integer of 0 or more"),
         ({"do": "jog", "axis": "rails.x", "direction": 1}, "bench: cannot jog, no session is open"),
         (

@@ -1,0 +1,183 @@
+"""Clients of the console: nothing that one sends ends a session, and each of them can stop the bench."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+from typing import Any, cast
+
+import pytest
+
+from hil.config.live_tunable import LIVE_TUNABLE, range_of, within
+from hil.config.load import load_rig, load_scenario
+from hil.config.scenario import Scenario
+from hil.console import app
+from hil.console.lease import RequestRejected
+from hil.console.live_view import Client
+from hil.console.service import ConsoleService
+from hil.console.session import Choice
+from hil.console.session_process import SessionProcess
+from hil.console.tuner import Tuner
+from hil.setup.assembly import Job
+
+ANN, BOB = Client("a" * 16, "ann"), Client("b" * 16, "bob")
+
+
+class OpenSession:
+    """A session that executes everything. asked: what it was asked."""
+
+    ready = True
+    pid = 1
+
+    def __init__(self) -> None:
+        self.asked: list[dict[str, Any]] = []
+
+    async def ask(self, **message: Any) -> str:
+        self.asked.append(message)
+        return ""
+
+    def send(self, **_: Any) -> bool:
+        return True
+
+
+@pytest.fixture
+def service() -> ConsoleService:
+    """Return a service with an open session, whose command ann has."""
+    made = ConsoleService(Choice(scenario="scheme-1", rig="mock"), ["scheme-1"], ["mock"], lambda: 100.0)
+    made.lease.acquire(ANN.key, ANN.name, 100.0)
+    made.session = cast(SessionProcess, OpenSession())
+    return made
+
+
+def answer(service: ConsoleService, client: Client, **command: Any) -> dict[str, Any]:
+    return asyncio.run(service.execute(client, command))
+
+
+@pytest.mark.parametrize("order", ["stop", "hold"])
+def test_client_without_the_command_can_stop_and_hold(service: ConsoleService, order: str) -> None:
+    assert answer(service, BOB, do="order", order=order)["ok"]
+    assert cast(OpenSession, service.session).asked == [{"order": order, "by": "bob"}]
+
+
+@pytest.mark.parametrize("order", ["home", "arm", "start", "resume", "abort", "go", "park", "reset", "disarm"])
+def test_client_without_the_command_can_move_nothing(service: ConsoleService, order: str) -> None:
+    text = answer(service, BOB, do="order", order=order, confirmed=True)["text"]
+    assert text == "ann has the command: take it before sending orders"
+    for request in ({"do": "open", "confirmed": True}, {"do": "jog", "axis": "rails.x", "direction": 1}):
+        assert "take it before" in answer(service, BOB, **request)["text"]
+    assert not cast(OpenSession, service.session).asked
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        ("  ann ", "ann"),
+        ("ann\x1b[2J\x07", "ann[2J"),
+        ("\ud800ann\udfff", "ann"),
+        ("a\nb\r\0c", "abc"),
+        ("\u202eevil", "evil"),
+        ("x" * 10_000, "x" * 24),
+        ("J\u00fcrgen", "J\u00fcrgen"),
+    ],
+)
+def test_names_of_clients_are_printable_and_short(given: str, name: str) -> None:
+    assert app.plain_name(given) == name
+    assert name.encode().decode() == name
+
+
+def test_log_of_the_console_is_one_printable_line_each(service: ConsoleService) -> None:
+    printed: list[str] = []
+    service._print = printed.append
+    service.log("bob\x1b[2J\nstopped \ud800" + "x" * 5000)
+    (line,) = printed
+    assert line.isprintable()
+    assert len(line) < 1100
+    line.encode()
+
+
+def test_deep_long_and_foreign_messages_are_no_requests() -> None:
+    for text in (
+        "[" * 4000,
+        '{"a":' * 800 + "1" + "}" * 800,
+        "{" * 5000,
+        "1",
+        "null",
+        "",
+        "9" * 4000,
+        '{"a": "\\ud800"}',
+    ):
+        assert app._table(text) is None
+    assert app._table('{"do": "beat"}') == {"do": "beat"}
+
+
+def test_no_setting_in_flight_switches_off_control_gate_or_supervision() -> None:
+    scenario = load_scenario("scheme-1")
+    tuner = Tuner(Job(scenario, load_rig("mock"), 0, 10.0, 1.0))
+    for key in scenario.value.console.adjustable:
+        for value in (1e300, -1e300, 1e9, -1.0, float("inf"), float("nan")):
+            with pytest.raises(RequestRejected, match=key):
+                tuner.change(key, value)
+    with pytest.raises(RequestRejected, match=r"gate_sigma: 100: during a run allowed 2 to 10"):
+        tuner.change("gnc.navigation.gate_sigma", 100.0)
+
+
+@pytest.mark.parametrize("scheme", ["scheme-1", "scheme-2", "scheme-3"])
+def test_shipped_scenarios_are_within_the_ranges_of_a_run(scheme: str) -> None:
+    table = load_scenario(scheme).value.model_dump()
+    for key in LIVE_TUNABLE:
+        value: Any = table
+        for name in key.split("."):
+            value = value[name]
+        allowed = range_of(Scenario, key)
+        assert within(allowed, value), key
+        assert allowed["low"] is not None
+        assert allowed["high"] is not None
+
+
+REQUESTS = (
+    {"do": "order", "order": "start", "confirmed": True, "id": 3},
+    {"do": "open", "scenario": "scheme-1", "rig": "mock", "seed": 1},
+    {"do": "adjust", "key": "gnc.control.deadband_m", "value": 0.004},
+    {"do": "jog", "axis": "rails.x", "direction": 1},
+    {"do": "fault", "device": "io", "line": "on drop"},
+    {"do": "watch", "camera": "left"},
+    {"do": "beat", "got": 12},
+    {"do": "take_over", "confirmed": True},
+)
+
+
+def mutated_messages(count: int) -> list[str]:
+    """Return requests with damaged bytes, foreign values, missing and additional keys."""
+    dice = random.Random(7)
+    values: tuple[Any, ...] = (None, True, -1, 1e308, 2**70, "", "\ud800", "\x1b[2J", [], {}, [[]], "x" * 3000)
+    found = []
+    for _ in range(count):
+        request: dict[str, Any] = dict(dice.choice(REQUESTS))
+        for _ in range(dice.randrange(3)):
+            request[dice.choice([*request, "do", "\x00", "id"])] = dice.choice(values)
+        text = list(json.dumps(request))
+        for _ in range(dice.choice((0, 0, 1, 3))):
+            text[dice.randrange(len(text))] = chr(dice.randrange(1, 0x2000))
+        found.append("".join(text))
+    return found
+
+
+@pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_mutated_messages_are_answered_and_change_nothing_but_what_they_may(
+    service: ConsoleService, count: int
+) -> None:
+    async def talk() -> None:
+        for text in mutated_messages(count):
+            message = app._table(text)
+            if message is not None:
+                service.refresh(BOB, message.get("got"))
+                reply = await service.execute(BOB, message)
+                json.dumps(reply)
+                assert isinstance(reply["ok"], bool)
+            if service.lease.key == BOB.key:
+                service.lease.take_over(ANN.key, ANN.name, 100.0)
+
+    asyncio.run(talk())
+    assert {message["order"] for message in cast(OpenSession, service.session).asked} <= {"stop", "hold"}
+    assert all(line["text"].isprintable() for line in service.log_lines)
