@@ -29,6 +29,7 @@ from hil.core.realtime import REAL_TIME, RealTime, SchedulingPolicy
 from hil.drivers.emulated_devices import EmulatedDevices
 from hil.drivers.remote.processes import IoProcesses
 from hil.drivers.shared_state import SharedAxisState
+from hil.drivers.wire_lock import locked_wires
 from hil.errors import BadInput, Problem
 from hil.frmn.ring import Ring, Telemetry
 from hil.loop.motion_sequences import ProgressCallback
@@ -229,7 +230,8 @@ def _emulators(
     """Give the rig with all its wires; the emulators of an emulated rig run as long as this lasts."""
     rig = job.rig.value
     if rig.kind == "hardware":
-        yield rig, None, {}
+        with locked_wires(rig):
+            yield rig, None, {}
         return
     images = sinks.image_memory() if sinks else None
     with EmulatedDevices(job.truth, rig, clock, job.seed, images) as emulated:

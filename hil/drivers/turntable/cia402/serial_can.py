@@ -65,7 +65,7 @@ class SerialCan:
     """A CAN adapter on a serial port. Raises OSError (pyserial's errors are such) when the port is gone."""
 
     def __init__(self, path: str, baud: int) -> None:
-        self._port = serial.Serial(path, baud, timeout=0.0, write_timeout=_WRITE_WALL_S)
+        self._port = serial.Serial(path, baud, timeout=0.0, write_timeout=_WRITE_WALL_S, exclusive=True)
         self._port.reset_input_buffer()
         self._cutter = SerialFrames()
         self._frames: deque[Frame] = deque()

@@ -1,0 +1,103 @@
+"""A rig is held by one controller at a time, by the wires that it uses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from hil.config.driver_registry import Wire
+from hil.config.load import load_rig
+from hil.config.rig import Rig
+from hil.drivers import wire_lock
+from hil.errors import BadInput
+
+RIG = """
+extends = "emulated"
+name = "lab"
+kind = "hardware"
+sign_off.waived = true
+[rails.modbus]
+x = {{ host = "{host}", port = 502 }}
+y = {{ host = "192.0.2.2", port = 502 }}
+z = {{ host = "192.0.2.3", port = 502 }}
+[turntable]
+driver = "ascii"
+[turntable.ascii]
+port = "{folder}/tty"
+[io]
+driver = "none"
+[vmu.rs422]
+port = "{folder}/vmu"
+"""
+HOLDER = """
+import sys, time
+from hil.config.load import load_rig
+from hil.drivers.wire_lock import locked_wires
+with locked_wires(load_rig(sys.argv[1]).value):
+    print("held", flush=True)
+    time.sleep(60.0)
+"""
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wire_lock, "_FOLDER", f"hil-wires-test-{tmp_path.name}")
+
+
+def rig_file(folder: Path, name: str, host: str = "127.0.0.1") -> Path:
+    path = folder / f"{name}.toml"
+    path.write_text(RIG.format(host=host, folder=folder))
+    return path
+
+
+def rig(folder: Path, host: str = "127.0.0.1") -> Rig:
+    return load_rig(str(rig_file(folder, "lab", host))).value
+
+
+def test_second_controller_is_refused_within_a_second_and_is_told_which_process_holds_the_wires(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(wire_lock, "_FOLDER", "hil-wires")  # of another process as well
+    command = [sys.executable, "-c", HOLDER, str(rig_file(tmp_path, "first", "192.0.2.77"))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        try:
+            assert holder.stdout is not None
+            assert holder.stdout.readline() == "held\n"
+            began_s = time.monotonic()
+            with pytest.raises(BadInput) as refused, wire_lock.locked_wires(rig(tmp_path, "192.0.2.77")):
+                pytest.fail("both hold the wires")
+            assert time.monotonic() - began_s < 1.0
+            lines = [str(problem) for problem in refused.value.problems]
+            assert f"rig.vmu.rs422.port: {tmp_path}/vmu: is in use by process {holder.pid}: -c" in lines[-1]
+            assert len(lines) == 5
+        finally:
+            holder.kill()
+    with wire_lock.locked_wires(rig(tmp_path, "192.0.2.77")):  # the lock ends with its process
+        pass
+
+
+def test_wires_are_free_again_after_use_and_also_after_a_refusal(tmp_path: Path) -> None:
+    for _ in range(2):
+        with wire_lock.locked_wires(rig(tmp_path)), pytest.raises(BadInput), wire_lock.locked_wires(rig(tmp_path)):
+            pytest.fail("both hold the wires")
+
+
+def test_other_wires_are_not_locked_and_an_emulated_rig_locks_none(tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    with wire_lock.locked_wires(load_rig("emulated").value), wire_lock.locked_wires(load_rig("emulated").value):
+        pass
+
+
+def test_address_of_a_wire_is_the_same_however_it_is_written(tmp_path: Path) -> None:
+    port, link = tmp_path / "port", tmp_path / "by-id"
+    port.touch()
+    link.symlink_to(port)
+    assert wire_lock.normalised(Wire("a", "serial", str(link))) == wire_lock.normalised(Wire("b", "serial", str(port)))
+    same = {wire_lock.normalised(Wire("a", "tcp", text)) for text in ("localhost:502", "127.0.0.1:502", "LOCALHOST:502")}
+    assert len(same) == 1
+    assert wire_lock.normalised(Wire("a", "tcp", "127.0.0.1:503")) not in same
