@@ -1,4 +1,4 @@
-"""Locks of a rig's wires: one controller at a time, whoever started it.
+"""Locks of a rig's wires: one controller at a time, of any user.
 
 Each wire has a lock file in a folder that all users share; the lock ends with the process that holds it, however that
 ends. It is taken before anything is opened, so that the second controller does not disturb the first.

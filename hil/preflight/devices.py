@@ -13,6 +13,7 @@ from hil.core.clock import WallClock
 from hil.drivers.base import AxisGroup, PoseSource
 from hil.drivers.emulated_devices import EmulatedDevices
 from hil.drivers.factory import make_drivers
+from hil.drivers.wire_lock import locked_wires
 from hil.errors import BenchError, DeviceError, LinkTimeout
 from hil.loop.rate_keeper import WallClockRate
 from hil.loop.safety_io_stage import SafetyIoStage, chain_kept_closed
@@ -33,7 +34,8 @@ def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[Prefli
         return [PreflightCheck("devices", None, "in memory: no links, no devices")]
     clock = WallClock()
     if rig.kind == "hardware":
-        return [*port_checks(rig), *_devices(rig, scenario, clock, enable_drives)]
+        with locked_wires(rig):
+            return [*port_checks(rig), *_devices(rig, scenario, clock, enable_drives)]
     try:
         with EmulatedDevices(scenario, rig, clock, seed=0) as emulated:
             wired, _ = emulated.wait_ready()

@@ -72,7 +72,8 @@ def test_second_controller_is_refused_within_a_second_and_is_told_which_process_
                 pytest.fail("both hold the wires")
             assert time.monotonic() - began_s < 1.0
             lines = [str(problem) for problem in refused.value.problems]
-            assert f"rig.vmu.rs422.port: {tmp_path}/vmu: is in use by process {holder.pid}: -c" in lines[-1]
+            words = f"rig.vmu.rs422.port: {tmp_path}/vmu: is in use by process {holder.pid}: -c"
+            assert any(words in line for line in lines)
             assert len(lines) == 5
         finally:
             holder.kill()
@@ -86,9 +87,7 @@ def test_wires_are_free_again_after_use_and_also_after_a_refusal(tmp_path: Path)
             pytest.fail("both hold the wires")
 
 
-def test_other_wires_are_not_locked_and_an_emulated_rig_locks_none(tmp_path: Path) -> None:
-    other = tmp_path / "other"
-    other.mkdir()
+def test_emulated_rig_locks_no_wires() -> None:
     with wire_lock.locked_wires(load_rig("emulated").value), wire_lock.locked_wires(load_rig("emulated").value):
         pass
 
@@ -98,6 +97,7 @@ def test_address_of_a_wire_is_the_same_however_it_is_written(tmp_path: Path) -> 
     port.touch()
     link.symlink_to(port)
     assert wire_lock.normalised(Wire("a", "serial", str(link))) == wire_lock.normalised(Wire("b", "serial", str(port)))
-    same = {wire_lock.normalised(Wire("a", "tcp", text)) for text in ("localhost:502", "127.0.0.1:502", "LOCALHOST:502")}
+    texts = ("localhost:502", "127.0.0.1:502", "LOCALHOST:502")
+    same = {wire_lock.normalised(Wire("a", "tcp", text)) for text in texts}
     assert len(same) == 1
     assert wire_lock.normalised(Wire("a", "tcp", "127.0.0.1:503")) not in same

@@ -64,7 +64,9 @@ class AsciiTransport:
         """Open the port. Raises LinkLost."""
         wall_s = 0.5 * REPLY_S / self._clock.speed
         try:
-            self._port = serial.Serial(self._path, self._baud, timeout=wall_s, write_timeout=_WRITE_WALL_S, exclusive=True)
+            self._port = serial.Serial(
+                self._path, self._baud, timeout=wall_s, write_timeout=_WRITE_WALL_S, exclusive=True
+            )
             self._port.reset_input_buffer()
         except (OSError, ValueError) as error:
             raise LinkLost(self.device, f"cannot open {self._path}: {error}") from error
