@@ -83,8 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     gc.set_threshold(_GARBAGE_THRESHOLD)
     # even if the shell ignores Ctrl-C for this process: a bench must always be stoppable
-    signal.signal(signal.SIGINT, _as_ctrl_c)
-    signal.signal(signal.SIGTERM, _as_ctrl_c)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+        signal.signal(number, _as_ctrl_c)
     out, err = (_Output(sys.stdout), _Output(sys.stderr))
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
     code = execute(sys.argv[1:] if arguments is None else arguments)

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Self
 from pydantic import Field, model_validator
 
 from hil.config.driver_registry import DeviceTable
-from hil.config.model import ConfigModel, Positive
+from hil.config.model import ConfigModel, NotNegative, Positive
 
 MAX_THRUSTER_LINES = 24
 
@@ -23,6 +23,8 @@ class IoCoils(ConfigModel):
     """Output whose edge requests the safety relay to close."""
     thrusters_first: BitAddress = 2
     """First of the outputs that show the thrusters."""
+    brakes_released: BitAddress | None = None
+    """Output that releases the holding brakes; omitted if drives and relay control them."""
 
 
 class InputLines(ConfigModel):
@@ -32,6 +34,8 @@ class InputLines(ConfigModel):
     """Input that is 1 while the emergency stop is released."""
     chain_closed: BitAddress = 1
     """Input that is 1 while the relay enables torque."""
+    brakes_closed: BitAddress | None = None
+    """Input that is 1 while all holding brakes are closed; omitted if they have no contact."""
 
 
 class IoIdentity(ConfigModel):
@@ -71,6 +75,8 @@ class Io(DeviceTable):
     """Shortest time between two edges of the charge pump, at most half of `pump_timeout_s`."""
     pump_timeout_s: Positive = 0.05
     """Time-out of the safety relay for an edge of the charge pump."""
+    torque_delay_s: NotNegative = 0.0
+    """Delayed contacts of the safety relay: the torque goes this long after brakes and chain."""
     identity: IoIdentity = IoIdentity()
     """Expected identification of the coupler."""
 
@@ -81,7 +87,11 @@ class Io(DeviceTable):
             raise ValueError(f"coils.thrusters_first {first}: the {lines} thruster lines must end at 65535")
         coils = [("coils.charge_pump", self.coils.charge_pump), ("coils.enable", self.coils.enable)]
         coils += [(f"coils.thrusters_first + {i}", first + i) for i in range(lines)]
+        if self.coils.brakes_released is not None:
+            coils.append(("coils.brakes_released", self.coils.brakes_released))
         inputs = [("inputs.estop_closed", self.inputs.estop_closed), ("inputs.chain_closed", self.inputs.chain_closed)]
+        if self.inputs.brakes_closed is not None:
+            inputs.append(("inputs.brakes_closed", self.inputs.brakes_closed))
         inputs += [(f"interlocks.{name}", address) for name, address in self.interlocks.items()]
         for lines_of_a_kind in (coils, inputs):
             taken: dict[int, str] = {}
@@ -89,6 +99,12 @@ class Io(DeviceTable):
                 if address in taken:
                     raise ValueError(f"{name} has address {address}, which is that of {taken[address]}")
                 taken[address] = name
+        return self
+
+    @model_validator(mode="after")
+    def _brakes_are_commanded_to_be_read(self) -> Self:
+        if self.inputs.brakes_closed is not None and self.coils.brakes_released is None:
+            raise ValueError("inputs.brakes_closed: needs coils.brakes_released, the output that it confirms")
         return self
 
     @model_validator(mode="after")

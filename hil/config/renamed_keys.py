@@ -69,8 +69,19 @@ _PREFIXES: Final = {"dispersions"}  # tables that repeat the scenario's own
 _PREFIX: Final = {"Rig": "rig."}  # of a model's keys in messages
 
 
+_DIGESTED: Final = object()
 _NOT_DIGESTED: Final = {("rails", "map", "torque_off"), ("target_manipulator", "map", "torque_off")}
 """Keys that have been added since digests are written, and that only classify a fault."""
+
+_NOT_DIGESTED_DEFAULTS: Final[Mapping[str, Any]] = {
+    "gravity_loaded": False,
+    "counterweight": False,
+    "brake": None,
+    "brakes_released": None,
+    "brakes_closed": None,
+    "torque_delay_s": 0.0,
+}
+"""Last names of keys that have been added since digests are written -> value with which nothing changes."""
 
 
 def with_present_names(model: str, table: Table, source: str, named_at_most: int | None = None) -> Table:
@@ -108,12 +119,13 @@ def first_names_json(model: BaseModel) -> str:
 
 
 def with_first_names(model: str, table: Table) -> Table:
-    """Return a model's whole table under the keys' first names, in the same order, without ``_NOT_DIGESTED``."""
+    """Return a model's whole table under the keys' first names, in the same order, without keys that have been
+    added since and change nothing."""
     back = {new: old for old, new in RENAMED[model].items()}
     values = {key: {new: old for old, new in names.items()} for key, names in RENAMED_VALUES.get(model, {}).items()}
     leaves: list[tuple[Path, Any]] = []
     for path, value in _leaves(table):
-        if path in _NOT_DIGESTED:
+        if path in _NOT_DIGESTED or value == _NOT_DIGESTED_DEFAULTS.get(path[-1], _DIGESTED):
             continue
         if path in _LISTS_OF_KEYS:
             value = [_renamed_key(item, back) for item in value]

@@ -73,7 +73,32 @@ class Servo(ConfigModel):
     """Time constant of the drive."""
 
 
-class RailAxis(ConfigModel):
+class Brake(ConfigModel):
+    """Holding brake: closed without current."""
+
+    close_s: Annotated[float, Field(gt=0.0, le=1.0)]
+    """Time from the command until the axis is held."""
+    open_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    """Time from the command until the axis is free."""
+
+
+class LoadedAxis(ConfigModel):
+    """Keys of an axis that gravity may move when it has no torque."""
+
+    gravity_loaded: bool = False
+    """The axis falls to the low end of its travel when it has neither torque nor a closed brake."""
+    counterweight: bool = False
+    """A counterweight holds a gravity-loaded axis."""
+    brake: Brake | None = None
+    """Holding brake; hardware rejects a gravity-loaded axis that has neither brake nor counterweight."""
+
+    @property
+    def falls(self) -> bool:
+        """Whether gravity moves the axis when it has neither torque nor a closed brake."""
+        return self.gravity_loaded and not self.counterweight
+
+
+class RailAxis(LoadedAxis):
     """One rail. An axis with an incremental encoder must be homed after power-up."""
 
     travel_m: tuple[float, float]
@@ -112,7 +137,7 @@ class RailAxis(ConfigModel):
         return self
 
 
-class GimbalAxis(ConfigModel):
+class GimbalAxis(LoadedAxis):
     """One axis of the turntable. An axis with an incremental encoder must be homed after power-up."""
 
     travel_deg: tuple[float, float]
@@ -247,6 +272,11 @@ class AxisGroupTable(DeviceTable):
     def axes(self) -> tuple[RailAxis | GimbalAxis, ...]:
         """The axes in the order of ``axis_names``."""
         return tuple(getattr(self, name) for name in self.axis_names)
+
+    @property
+    def holding_brakes(self) -> list[Brake]:
+        """Brakes of the gravity-loaded axes."""
+        return [axis.brake for axis in self.axes if axis.falls and axis.brake is not None]
 
     @property
     def encoder_sigma(self) -> float:
@@ -452,6 +482,42 @@ class Rig(ConfigModel):
             text = "[io] is missing: hardware needs emergency stop and safety relay on digital lines"
             raise ValueError(f'{text}; io.driver = "none" if the bench has none')
         return self
+
+    @model_validator(mode="after")
+    def _gravity_loaded_axes_are_held(self) -> Self:
+        """The brake of a gravity-loaded axis holds it before the relay removes the torque."""
+        for key, table in self.device_tables().items():
+            if not isinstance(table, AxisGroupTable):
+                continue
+            for name, axis in zip(table.axis_names, table.axes, strict=True):
+                if not axis.falls:
+                    continue
+                if axis.brake is None and self.kind == "hardware":
+                    raise ValueError(
+                        f"{key}.{name}.gravity_loaded: needs brake or counterweight, without torque it falls"
+                    )
+                delay_s = self.io.torque_delay_s if self.io is not None and self.has_io else math.inf
+                if axis.brake is not None and axis.brake.close_s > delay_s:
+                    raise ValueError(
+                        f"io.torque_delay_s {delay_s:g}: allowed from {key}.{name}.brake.close_s {axis.brake.close_s:g}"
+                    )
+        return self
+
+    @property
+    def holding_brakes(self) -> list[Brake]:
+        """Brakes of all gravity-loaded axes."""
+        tables = (self.rails, self.turntable, self.moved_target)
+        return [brake for table in tables if table is not None for brake in table.holding_brakes]
+
+    @property
+    def brake_close_s(self) -> float:
+        """Longest closing time of the holding brakes, s; 0 without one."""
+        return max((brake.close_s for brake in self.holding_brakes), default=0.0)
+
+    @property
+    def brake_open_s(self) -> float:
+        """Longest opening time of the holding brakes, s; 0 without one."""
+        return max((brake.open_s for brake in self.holding_brakes), default=0.0)
 
     def device_tables(self) -> dict[str, DeviceTable]:
         """Return the tables of the devices that the bench has, by their keys."""

@@ -199,6 +199,8 @@ class Parent:
         self, when_orphaned: signal.Signals | None = signal.SIGKILL, on_interrupt: Any = signal.SIG_IGN
     ) -> None:
         signal.signal(signal.SIGINT, on_interrupt)
+        for number in (signal.SIGHUP, signal.SIGQUIT):  # of a terminal that closes: the parent ends its children
+            signal.signal(number, signal.SIG_IGN)
         if when_orphaned is not None:
             die_with_parent(when_orphaned)
         self._up = os.dup(sys.stdout.fileno())

@@ -235,6 +235,7 @@ class IoInputs(NamedTuple):
     estop_closed: the emergency stop is released. chain_closed: the safety relay enables torque.
     open_interlocks: names of the interlocks whose contacts are open. thrusters_s: when the coupler
     received the thrusters' lines as they are, s of bench time; NaN before the first change.
+    brakes_closed: all holding brakes are closed; None: not read back.
     """
 
     t_s: float
@@ -242,13 +243,18 @@ class IoInputs(NamedTuple):
     chain_closed: bool
     open_interlocks: tuple[str, ...] = ()
     thrusters_s: float = math.nan
+    brakes_closed: bool | None = None
 
 
 class IoOutputs(NamedTuple):
-    """Demanded digital outputs. enable: asks the safety relay to close. thrusters: one byte per line, 0 or 1."""
+    """Demanded digital outputs. enable: asks the safety relay to close. thrusters: one byte per line, 0 or 1.
+
+    brakes_released: lets go of the axes that have holding brakes.
+    """
 
     enable: bool
     thrusters: bytes
+    brakes_released: bool = False
 
 
 @dataclass(frozen=True, slots=True)

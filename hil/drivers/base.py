@@ -1,8 +1,9 @@
 """Interfaces of the devices as the cycle uses them. ``tests/contract`` tests each backend against them.
 
 Life cycle of a device: ``open`` (connect, identify, make ready; may block), then any number of ``send``, ``read`` and
-``poll`` (never block: they exchange newest samples with the device's own thread), ``stop`` (bounded, allowed in any
-state and more than once, never raises), ``close`` (the same). Time is bench time in s, always an argument.
+``poll`` (never block: they exchange newest samples with the device's own thread), ``stop`` and ``disable`` (bounded,
+allowed in any state and more than once, never raise), ``close`` (the same). Time is bench time in s, always an
+argument.
 """
 
 from __future__ import annotations
@@ -44,6 +45,12 @@ class AxisGroup(Protocol):
 
     def stop(self, now_s: float) -> None:
         """Quick stop of all axes, which then hold. Idempotent, never raises."""
+
+    def disable(self, now_s: float) -> None:
+        """Switch the torque of all axes off until the next ``open``. Returns at once; idempotent, never raises.
+
+        Drives that control holding brakes close them first. A device without such a command only stops.
+        """
 
     def close(self) -> None:
         """Disconnect. Idempotent, never raises."""

@@ -57,6 +57,9 @@ class ExchangeLink(Protocol):
     def quick_stop(self) -> None:
         """Command a quick stop that holds until the next ``open``."""
 
+    def disable(self) -> None:
+        """Switch the torque of the drives off until the next ``open``; only after ``quick_stop``."""
+
     def close(self) -> None:
         """Close the link. Idempotent."""
 
@@ -87,6 +90,8 @@ class CyclicAxisGroup:
         self._closing = threading.Event()
         self._stopping = threading.Event()
         self._stopped = threading.Event()
+        self._disabling = threading.Event()
+        self._disabled = False
         self._homing_requested = threading.Event()
         self._jogging = False
         self._goal: tuple[Array, Array] | None = None
@@ -99,8 +104,11 @@ class CyclicAxisGroup:
         if self._thread is not None and self._thread.is_alive():
             raise LinkLost(self.name, "the previous link has not been closed yet")
         self._box = Latest(self.name)
-        for event in (self._wake, self._closing, self._stopping, self._stopped, self._homing_requested):
+        for event in (
+            self._wake, self._closing, self._stopping, self._stopped, self._disabling, self._homing_requested
+        ):  # fmt: skip
             event.clear()
+        self._disabled = False
         self._goal = self._profile = None
         self._jogging = self._link.jogging = False
         accepted_setpoint(self.axis_names, self._low, self._low, self._high)  # compiles outside the cycle
@@ -183,6 +191,12 @@ class CyclicAxisGroup:
         if self._thread is not None:
             self._stopped.wait(_STOP_WALL_S)
 
+    def disable(self, now_s: float) -> None:
+        """Switch the torque of the drives off until the next ``open``."""
+        self._stopping.set()
+        self._disabling.set()
+        self._wake.set()
+
     def close(self) -> None:
         """Quick stop unless already stopped, then close the link."""
         self._closing.set()
@@ -211,6 +225,9 @@ class CyclicAxisGroup:
             if self._stopping.is_set() and not self._stopped.is_set():
                 self._link.quick_stop()
                 self._stopped.set()
+            if self._disabling.is_set() and not self._disabled:
+                self._link.disable()
+                self._disabled = True
             homing = self._homing_requested.is_set() and not self._stopped.is_set()
             if homing:
                 self._link.jogging = False

@@ -1,4 +1,4 @@
-"""Mechanics of three emulated drives: servos, brakes, encoders, home and limit switches, and their faults."""
+"""Mechanics of three emulated drives: servos, holding brakes, encoders, home and limit switches, and their faults."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from hil.core.clock import WallClock
 from hil.core.messages import Array, Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.fault_injection import AXIS, WIRE, Faults, kinds
-from hil.drivers.shared_state import SharedAxisState
+from hil.drivers.io.relay import HoldingBrakes
+from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.maths.random_streams import stream
 
 STEP_S: Final = 0.004  # longest bench time between two updates of the axes; the shared state is due every 5 ms
@@ -22,17 +23,21 @@ WATCHDOG_S: Final = 0.5
 _SUBSTEP_S: Final = 0.002
 _STANDSTILL: Final = 2e-3  # of m/s or rad/s
 _HOMING_TIME_MAX_S: Final = 120.0
+_GRAVITY_MPS2: Final = 9.81  # of a gravity-loaded gimbal rad/s2: its load is 1 m from the axis
+_FRICTION: Final = 0.5  # deceleration of an axis without torque, in acceleration limits
+_BRAKE: Final = 4.0  # deceleration by a closed holding brake, in acceleration limits; at least twice the weight
 
-ChainClosed = Callable[[], bool]
+ReadChain = Callable[[], ChainState]
 
 
 class EmulatedAxes:
     """Axes 0, 1, 2 of ``device``; m and m/s (rails x, y, z) or rad and rad/s (turntable roll, pitch, yaw).
 
-    An axis follows setpoints, or brakes at its acceleration limit and then holds (a real one by its brake or by
-    current). ``position`` and ``rate`` are the encoder's values, which a drive reports; they differ from the true ones
-    when an encoder fails. overdue: axes that braked because setpoints ceased; cleared by the owner. chain_closed:
-    whether the drives have torque; unless given, the state in ``shared``.
+    An axis follows setpoints, or brakes at its acceleration limit and then holds. Without torque, because the safety
+    chain is open or its drive is disabled, it coasts against friction; one that is gravity-loaded falls to its low end
+    until its brake has closed. ``position`` and ``rate`` are the encoder's values, which a drive reports; they differ
+    from the true ones when an encoder fails. overdue: axes that braked because setpoints ceased; cleared by the owner.
+    chain: state of the safety chain; unless given, that in ``shared``.
     """
 
     def __init__(
@@ -42,7 +47,7 @@ class EmulatedAxes:
         clock: WallClock,
         shared: SharedAxisState,
         faults: Faults | None = None,
-        chain_closed: ChainClosed | None = None,
+        chain: ReadChain | None = None,
         seed: int = 0,
     ) -> None:
         self.device = device
@@ -54,7 +59,15 @@ class EmulatedAxes:
         self._unit = scale
         self._axes = ServoAxes(config)
         self._shared = shared
-        self._chain_closed = chain_closed or partial(shared.chain_closed, clock)
+        self._read_chain = chain or partial(shared.read_chain, clock)
+        self._chain = ChainState()
+        self._brakes = [
+            None if axis.brake is None else HoldingBrakes(axis.brake.close_s, axis.brake.open_s) for axis in axes
+        ]
+        self._falls = [axis.falls for axis in axes]
+        self._enabled = [False, False, False]
+        self._current_until_s = [-math.inf, -math.inf, -math.inf]  # of a disabled drive, until its brake has closed
+        self._runaway: list[float | None] = [None, None, None]
         self._sigma = scale * config.encoder_sigma
         self._noise = stream(seed, "encoders")
         self._absolute = [axis.encoder == "absolute" for axis in axes]
@@ -100,8 +113,9 @@ class EmulatedAxes:
 
     def follow(self, axis: int, position: float, rate: float, now_s: float, watchdog_s: float = WATCHDOG_S) -> None:
         """Set the setpoint of one axis in the encoder's zero; without another within ``watchdog_s`` the axis brakes."""
-        if self.torque_off or self.homing[axis] is Homing.UNDER_WAY:
+        if not self._chain.closed or self.homing[axis] is Homing.UNDER_WAY:
             return
+        self._enabled[axis] = True
         self._setpoint[axis] = position
         self._axes.feedforward[axis] = rate / self._gear[axis]
         self._braking[axis] = False
@@ -115,10 +129,24 @@ class EmulatedAxes:
         self._braking[axis] = True
         self._deadline_s[axis] = math.inf
 
+    def enable(self, axis: int) -> None:
+        """Switch the torque of one axis on and release its brake."""
+        self._enabled[axis] = True
+
+    def disable(self, axis: int) -> None:
+        """Switch the torque of one axis off; a drive with a holding brake waits until that has closed."""
+        if not self._enabled[axis]:
+            return
+        self.brake(axis)
+        self._enabled[axis] = False
+        brake = self._brakes[axis]
+        self._current_until_s[axis] = self._t_s + (0.0 if brake is None else brake.close_s + 2.0 * _SUBSTEP_S)
+
     def home(self, axis: int) -> None:
         """Start homing at ``homing_rate``; no effect with an absolute encoder."""
-        if self._absolute[axis] or self.torque_off:
+        if self._absolute[axis] or not self._chain.closed:
             return
+        self._enabled[axis] = True
         self.homing[axis] = Homing.UNDER_WAY
         self._braking[axis] = False
         self._deadline_s[axis] = math.inf
@@ -141,16 +169,57 @@ class EmulatedAxes:
             self._t_s += step_s
             for axis in range(3):
                 self._supervise(axis)
+            before = self._axes.position.copy(), self._axes.rate.copy()
             self._axes.step(step_s)
+            for axis in range(3):
+                self._apply_missing_torque(axis, before[0][axis], before[1][axis], step_s)
             self._hold_stuck_axes()
         self._update_encoders()
         self._publish()
 
     def _apply_safety_chain(self) -> None:
-        self.torque_off = not self._chain_closed()
-        if self.torque_off:
+        self._chain = self._read_chain()
+        self.torque_off = not self._chain.torque
+        if not self._chain.closed:
             for axis in range(3):
                 self.brake(axis)
+
+    def _apply_missing_torque(self, axis: int, position: float, rate: float, step_s: float) -> None:
+        """Replace the step of an axis without torque, or with a drive that does not obey.
+
+        position, rate: m and m/s, or rad and rad/s, before the step.
+        """
+        axes, brake = self._axes, self._brakes[axis]
+        braked = brake is not None and brake.update(self._t_s, self._chain.brakes_released and self._enabled[axis])
+        current = self._enabled[axis] or self._t_s < self._current_until_s[axis]
+        if current and self._chain.torque:
+            rate_of_runaway = self._rate_of_runaway(axis, rate)
+            if rate_of_runaway is None:
+                return
+            rate = rate_of_runaway
+        else:
+            rate = self._rate_without_torque(axis, rate, braked, step_s)
+        wanted = position + step_s * rate
+        axes.position[axis] = min(max(wanted, axes.low[axis]), axes.high[axis])
+        axes.rate[axis] = rate if axes.position[axis] == wanted else 0.0
+
+    def _rate_without_torque(self, axis: int, rate: float, braked: bool, step_s: float) -> float:
+        """Return the rate after ``step_s``, m/s or rad/s, by gravity, friction and holding brake."""
+        gravity = -_GRAVITY_MPS2 if self._falls[axis] else 0.0
+        limit = self._axes.acceleration_max[axis]
+        hold = max(_BRAKE * limit, -gravity) - gravity if braked else _FRICTION * limit
+        free = rate + step_s * gravity
+        return math.copysign(max(0.0, abs(free) - step_s * hold), free)
+
+    def _rate_of_runaway(self, axis: int, rate: float) -> float | None:
+        """Return the rate of an axis whose drive ignores all commands; None if it obeys."""
+        value = self.faults.value("runaway", self.names[axis])
+        if value is None:
+            self._runaway[axis] = None
+            return None
+        if self._runaway[axis] is None:
+            self._runaway[axis] = self._unit * value if value != 0.0 else rate
+        return self._runaway[axis]
 
     def _supervise(self, axis: int) -> None:
         if self._deadline_s[axis] <= self._t_s:

@@ -55,6 +55,12 @@ AXIS: Final = {
     "reversed": InjectableFault("the encoder counts the wrong way", of_axis=True),
     "mirrored": InjectableFault("motor and encoder are both the wrong way round", of_axis=True),
     "scaled": InjectableFault("the drive counts a multiple of the displacement", of_axis=True, value="factor"),
+    "runaway": InjectableFault(
+        "the drive ignores all commands and goes on at a speed, 0 for its present one",
+        of_axis=True,
+        value="m/s or deg/s",
+        default=0.0,
+    ),
     "drive_fault": InjectableFault("the drive reports a fault", of_axis=True, value="code", default=0.0, once=True),
 }
 

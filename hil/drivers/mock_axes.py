@@ -87,6 +87,10 @@ class MockAxes:
         self._stopped = True
         self._set_homing({i: Homing.NEEDED for i, state in enumerate(self._homing) if state == Homing.UNDER_WAY})
 
+    def disable(self, now_s: float) -> None:
+        """Stop: an axis in memory stands without torque."""
+        self.stop(now_s)
+
     def close(self) -> None:
         self._stopped = True
         self._error = LinkLost(self.name, "is closed")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -11,9 +11,21 @@ from hil.core.messages import Array
 from hil.frmn.mailbox import MailboxBlock
 
 _AXES: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3)])
-_CHAIN: Final = np.dtype([("closed", "i8")])
+_CHAIN: Final = np.dtype([("closed", "i8"), ("torque", "i8"), ("brakes_released", "i8")])
 _MAILBOXES: Final = {"rails": _AXES, "turntable": _AXES, "target": _AXES, "chain": _CHAIN}
 _CHAIN_AGE_WALL_S: Final = 0.25  # of a coupler; its outputs are off when it is older
+
+
+class ChainState(NamedTuple):
+    """State of the safety chain.
+
+    closed: the drives may move; once open they make a quick stop. torque: the relay's delayed contacts, without which
+    a drive has no torque. brakes_released: the holding brakes have current.
+    """
+
+    closed: bool = True
+    torque: bool = True
+    brakes_released: bool = True
 
 
 class SharedAxisState:
@@ -50,22 +62,25 @@ class SharedAxisState:
         rate = record["rate"][0]
         return record["position"][0] + (t_s - written_s) * rate, rate
 
-    def write_chain(self, closed: bool, t_s: float) -> None:
-        """Write whether the safety chain is closed, so that the drives have torque."""
+    def write_chain(self, chain: ChainState, t_s: float) -> None:
+        """Write the state of the safety chain."""
         record = np.empty(1, _CHAIN)
-        record["closed"] = closed
+        record[0] = chain
         self._block["chain"].write(record, t_s)
 
-    def chain_closed(self, clock: WallClock) -> bool:
-        """Return whether the chain is closed; True if its state was never written: a bench without such a device.
+    def read_chain(self, clock: WallClock) -> ChainState:
+        """Return the state of the chain; closed if it was never written: a bench without such a device.
 
-        False if the state is older than 0.25 s of wall time.
+        Open if the state is older than 0.25 s of wall time.
         """
         record = np.zeros(1, _CHAIN)
         number, written_s = self._block["chain"].read(record)
         if number == 0:
-            return True
-        return bool(record["closed"][0]) and clock.wall_s(clock.now_s() - written_s) <= _CHAIN_AGE_WALL_S
+            return ChainState()
+        if clock.wall_s(clock.now_s() - written_s) > _CHAIN_AGE_WALL_S:
+            return ChainState(False, False, False)
+        closed, torque, brakes_released = record[0].item()
+        return ChainState(bool(closed), bool(torque), bool(brakes_released))
 
     def close(self) -> None:
         """Release the memory. Idempotent."""

@@ -176,6 +176,11 @@ class BenchStage:
         self.rails.stop(now_s)
         self.turntable.stop(now_s)
 
+    def disable(self, now_s: float) -> None:
+        """Switch the torque of all axes off; never raises."""
+        self.rails.disable(now_s)
+        self.turntable.disable(now_s)
+
     def close(self) -> None:
         """Close both devices; never raises."""
         self.rails.close()

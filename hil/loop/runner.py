@@ -19,6 +19,7 @@ from hil.core.operator_commands import Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError
+from hil.loop.controlled_stop import BrakeTimes, ControlledStop
 from hil.loop.cycle import Cycles, Loop, PythonCycles
 from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer, ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
@@ -28,6 +29,8 @@ from hil.safety.alarms import Alarm, alarm_from_error
 
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
+STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals of a user, a terminal that closes, or the system, each of which stops the bench."""
 _PAUSE_S: Final = 0.001
 
 
@@ -53,7 +56,7 @@ class RunPlan:
     """Length of a run and its end points. step_s: period of the ``cycles`` cycles, s.
 
     frames_to_arm: poses required before the loop is closed. park_position: AXES, approached by PARK, and after each
-    complete run if ``park_after_run``.
+    complete run if ``park_after_run``. brakes: holding brakes of the axes.
     """
 
     step_s: float
@@ -61,6 +64,7 @@ class RunPlan:
     frames_to_arm: int
     park_position: np.record | None = None
     park_after_run: bool = False
+    brakes: BrakeTimes = field(default_factory=BrakeTimes)
 
 
 class Runner:
@@ -96,6 +100,7 @@ class Runner:
         self.cycles: Cycles = PythonCycles(loop, lambda: self.overrun_monitor.wait(rate), plan.step_s)
         """Runs the cycles of the closed loop."""
         self._parked = False
+        self._powered = False
 
     @property
     def source(self) -> PoseSource:
@@ -140,7 +145,7 @@ class Runner:
         with no_garbage_collection(freeze=self.rate.paced):
             try:
                 self.loop.safety_io.open(self.rate)
-                self.loop.bench.open(self.rate.now_s())
+                self._power_axes()
                 self.safety.restart()
                 self._modes.go(Mode.STANDBY)
                 with self._scheduling.realtime_priority():  # after the drivers have started their threads
@@ -177,11 +182,20 @@ class Runner:
     def _open(self) -> None:
         self.loop.gnc.open(self.rate.now_s())
         self.loop.safety_io.open(self.rate)
-        self.loop.bench.open(self.rate.now_s())
-        self.loop.target.open(self.rate.now_s())
+        self._power_axes()
         self.source.open(self.rate.now_s())
         self.safety.restart()
         self._modes.go(Mode.STANDBY)
+
+    def _power_axes(self) -> None:
+        """Enable the drives, which hold the axes, and release the holding brakes."""
+        self._powered = True
+        self.loop.bench.open(self.rate.now_s())
+        self.loop.target.open(self.rate.now_s())
+        released_s = self.rate.now_s()
+        self.loop.safety_io.release_brakes(True, released_s)
+        while self.rate.now_s() - released_s < self._plan.brakes.open_s:
+            self._sequencer.check(self.rate.wait().now_s)
 
     def _next_command(self) -> OperatorCommand | None:
         """Return the next command; None if the run is over, the bench is parked, or no operator can issue one."""
@@ -277,17 +291,31 @@ class Runner:
         return held_s
 
     def _safe_stop(self, fault: BenchError) -> None:
-        """Stop the bench, latch the alarms, and cancel the automatic commands."""
-        with _ctrl_c_ignored():
+        """Stop the bench, latch the alarms, cancel the automatic commands, and switch the torque off."""
+        with _signals_counted() as signals:
             now_s = self.rate.now_s()
-            self.loop.bench.stop(now_s)
-            cause = root_cause(fault, self.loop, self.rate)
+            self._modes.go(Mode.SAFE_STOP)
+            stop = self._controlled_stop(signals)
+            if self._powered:
+                stop.brake()
+            cause = root_cause(fault, self.loop, self.rate, chain_opened=stop.cut)
             self.safety.alarms.latch(alarm_from_error(cause, now_s))
             if cause is not fault:
                 self.safety.alarms.latch(alarm_from_error(fault, now_s))
             self._faults.append(str(cause))
-            self._modes.go(Mode.SAFE_STOP)
             self.operator.cancel_auto_sequence()
+            if self._powered:
+                stop.remove_torque()
+            self._powered = False
+
+    def _controlled_stop(self, signals: list[int]) -> ControlledStop:
+        """Return a stop of the bench; a later signal, or STOP, ends the watch over axes that no brake holds."""
+
+        def ended(now_s: float) -> bool:
+            self.operator.poll(now_s)
+            return bool(signals) or self.operator.pop(Mode.SAFE_STOP) is OperatorCommand.STOP
+
+        return ControlledStop(self.loop, self.rate, self._plan.brakes, ended)
 
     def _wait_for_reset(self) -> bool:
         """Wait for a reset with the cause removed, then close all devices; return False if a run has started.
@@ -318,9 +346,12 @@ class Runner:
 
     def _shut_down(self) -> None:
         """Stop the bench first, then close all devices."""
-        with _ctrl_c_ignored():
-            self.loop.bench.stop(self.rate.now_s())
-            self.loop.target.stop(self.rate.now_s())
+        with _signals_counted() as signals:
+            if self._powered:
+                stop = self._controlled_stop(signals)
+                stop.brake()
+                stop.remove_torque()
+                self._powered = False
             self.source.close()
             self.loop.bench.close()
             self.loop.target.close()
@@ -335,13 +366,15 @@ def _has_multiple(first: int, last: int, n: int) -> bool:
 
 
 @contextmanager
-def _ctrl_c_ignored() -> Iterator[None]:
-    """Ignore Ctrl-C while the bench is being stopped."""
+def _signals_counted() -> Iterator[list[int]]:
+    """Defer the signals that end the program while the bench is being stopped; yield those received."""
+    received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield received
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = {number: signal.signal(number, lambda n, _: received.append(n)) for number in STOP_SIGNALS}
     try:
-        yield
+        yield received
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

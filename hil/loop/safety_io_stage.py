@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Final, Protocol
 
 import numpy as np
 
 from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.base import DiscreteIo
-from hil.errors import SafetyTrip
+from hil.errors import DeviceError, SafetyTrip
 from hil.loop.rate_keeper import Rate
 
 CLOSING_TIME_S: Final = 1.0  # allowed from the first edge of enable until the relay closes
+SAFETY_CHAIN: Final = "safety chain"
 _EDGE_PERIOD_S: Final = 0.2  # of the edges of enable
 _PULSE_PERIOD_S: Final = 0.01
 
@@ -35,6 +36,15 @@ class SafetyIo(Protocol):
     def mirror_thrusters(self, now_s: float) -> None:
         """Write the thruster lines if they have changed."""
 
+    def release_brakes(self, released: bool, now_s: float) -> None:
+        """Release the holding brakes, or let them close. Never raises."""
+
+    def brakes_closed(self, now_s: float) -> bool | None:
+        """Return whether the holding brakes are closed; None if that is not read back."""
+
+    def keep_closed(self, now_s: float) -> None:
+        """Keep the chain closed by a pulse, without a check. Never raises."""
+
     def stop(self, now_s: float) -> None:
         """Switch all lines off, which opens the chain. Never raises."""
 
@@ -53,6 +63,13 @@ class NoSafetyIo:
 
     def mirror_thrusters(self, now_s: float) -> None: ...
 
+    def release_brakes(self, released: bool, now_s: float) -> None: ...
+
+    def brakes_closed(self, now_s: float) -> bool | None:
+        return None
+
+    def keep_closed(self, now_s: float) -> None: ...
+
     def stop(self, now_s: float) -> None: ...
 
     def close(self) -> None: ...
@@ -68,15 +85,17 @@ class SafetyIoStage:
         self.io = io
         self._on = on
         self._mirrored = on.tobytes()
+        self._brakes_released = False
         self.thrusters_s = math.nan
 
     def open(self, rate: Rate) -> None:
         """Connect, then send edges of enable until the relay closes, for at most ``CLOSING_TIME_S``."""
+        self._brakes_released = False
         self.io.open(rate.now_s())
         now_s = start_s = rate.now_s()
         while not self._send_enable(now_s, enable=(now_s - start_s) % _EDGE_PERIOD_S < 0.5 * _EDGE_PERIOD_S):
             if now_s - start_s > CLOSING_TIME_S:
-                raise SafetyTrip(self.io.name, "safety chain", f"open {CLOSING_TIME_S:g} s after enable", "closed")
+                raise SafetyTrip(self.io.name, SAFETY_CHAIN, f"open {CLOSING_TIME_S:g} s after enable", "closed")
             now_s = rate.wait().now_s
 
     def _send_enable(self, now_s: float, enable: bool) -> bool:
@@ -107,7 +126,24 @@ class SafetyIoStage:
         """Write the thruster lines if one has changed."""
         if self._on.tobytes() != self._mirrored:
             self._mirrored = self._on.tobytes()
-            self.io.write(IoOutputs(True, self._lines()), now_s)
+            self.io.write(IoOutputs(True, self._lines(), self._brakes_released), now_s)
+
+    def release_brakes(self, released: bool, now_s: float) -> None:
+        """Release the holding brakes, or let them close."""
+        self._brakes_released = released
+        with suppress(DeviceError):  # without the coupler the relay opens, and the brakes close
+            self.io.write(IoOutputs(True, self._lines(), released), now_s)
+
+    def brakes_closed(self, now_s: float) -> bool | None:
+        """Return whether the holding brakes are closed; None if that is not read back, False if it cannot be read."""
+        try:
+            return self.io.read(now_s).brakes_closed
+        except DeviceError:
+            return False
+
+    def keep_closed(self, now_s: float) -> None:
+        """Pulse the charge pump."""
+        self.io.pulse(now_s)
 
     @property
     def thruster_lines(self) -> int:
@@ -135,7 +171,7 @@ class SafetyIoStage:
             return SafetyTrip(self.io.name, "emergency stop", "pressed", "released")
         for name in inputs.open_interlocks:
             return SafetyTrip(self.io.name, f"interlock {name}", "open", "closed")
-        return SafetyTrip(self.io.name, "safety chain", "open", "closed")
+        return SafetyTrip(self.io.name, SAFETY_CHAIN, "open", "closed")
 
 
 @contextmanager

@@ -35,6 +35,9 @@ class TargetStage(Protocol):
     def stop(self, now_s: float) -> None:
         """Stop the device. Never raises."""
 
+    def disable(self, now_s: float) -> None:
+        """Switch the torque off. Never raises."""
+
     def close(self) -> None:
         """Close the link. Never raises."""
 
@@ -50,6 +53,8 @@ class FixedTarget:
 
     def stop(self, now_s: float) -> None: ...
 
+    def disable(self, now_s: float) -> None: ...
+
     def close(self) -> None: ...
 
 
@@ -62,6 +67,7 @@ class PlacedTarget:
         self._held_within_m = config.held_within_m
         limits = [(axis.rate_max_mps, axis.acceleration_max_mps2) for axis in (config.x, config.y, config.z)]
         self._speed, self._acceleration = FRACTION_OF_LIMITS * np.array(limits).T
+        self.acceleration_max = np.array(limits)[:, 1]
 
     def open(self, now_s: float) -> None:
         """Open the axes; they hold their positions."""
@@ -102,6 +108,10 @@ class PlacedTarget:
     def stop(self, now_s: float) -> None:
         """Stop the axes."""
         self.axes.stop(now_s)
+
+    def disable(self, now_s: float) -> None:
+        """Switch the torque of the axes off."""
+        self.axes.disable(now_s)
 
     def close(self) -> None:
         """Close the axes."""

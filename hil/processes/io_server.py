@@ -68,8 +68,8 @@ class IoServer(DeviceServer):
 
     def _step_axes(self, name: str, now_s: float) -> None:
         device, block = self._axes[name], self.memory.block
-        if self.stop_requested(name):
-            self.stop_in_thread(device, now_s)
+        if kind := self.stop_requested(name):
+            self.stop_in_thread(device.disable if kind == io_layout.DISABLE else device.stop, now_s)
         if name not in self.served:
             return
         try:
@@ -120,7 +120,7 @@ class IoServer(DeviceServer):
             return
         self._loop_lost = True
         for name, device in self._axes.items():
-            self.stop_in_thread(device, now_s)
+            self.stop_in_thread(device.stop, now_s)
             if name in self.served:
                 self.fail(name, LinkLost(name, f"stopped: the loop has been silent for {silent_s:.3f} s"), now_s)
 

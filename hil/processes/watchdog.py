@@ -39,11 +39,11 @@ class Watchdog(DeviceServer):
     def step(self, now_s: float) -> None:
         """Pulse while the heartbeats continue; pass on outputs and inputs."""
         if self.stop_requested(NAME):
-            self.stop_in_thread(self._lines, now_s)
+            self.stop_in_thread(self._lines.stop, now_s)
         if NAME not in self.served:
             return
         if silence := self._silence(now_s):
-            self.stop_in_thread(self._lines, now_s)
+            self.stop_in_thread(self._lines.stop, now_s)
             self.fail(NAME, LinkLost(NAME, silence), now_s)
             return
         try:

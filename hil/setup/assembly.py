@@ -32,6 +32,7 @@ from hil.gnc_backends.command_words import CommandWordGnc
 from hil.gnc_backends.shared_library import KEY as LIBRARY_KEY
 from hil.gnc_backends.shared_library import Library, SharedLibraryGnc
 from hil.loop.bench_stage import BenchStage
+from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.cycle import Loop
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
@@ -147,7 +148,14 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         rate,
         context.scheduling or DefaultScheduling(),
         overrun_monitor,
-        RunPlan(scenario.step_s, job.cycles, context.frames_to_arm, park_position(rig), rig.bench.park_after_run),
+        RunPlan(
+            scenario.step_s,
+            job.cycles,
+            context.frames_to_arm,
+            park_position(rig),
+            rig.bench.park_after_run,
+            BrakeTimes(rig.brake_close_s, rig.brake_open_s),
+        ),
         context.on_progress,
         context.operator,
     )

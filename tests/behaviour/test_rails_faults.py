@@ -20,7 +20,7 @@ from hil.drivers.emulated_axes import WATCHDOG_S
 from hil.drivers.rails.codec import Command, ControlFlags, RegisterMap, Status
 from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
-from hil.drivers.shared_state import SharedAxisState
+from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.errors import DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 
 pytestmark = pytest.mark.wires
@@ -102,7 +102,7 @@ def bench_of(rig: str, **changes: object) -> Iterator[Bench]:
     clock, board, stop, chain = WallClock(), SharedAxisState.create(), threading.Event(), [True]
     config = Rails.model_validate(load_rig(rig).value.rails.model_dump() | {"timeout_s": TIMEOUT_S} | changes)
     make = RtuRailsEmulator if rig == "emulated-rtu" else RailsEmulator
-    emulator = make(config, clock, board, chain_closed=lambda: chain[0], seed=3)
+    emulator = make(config, clock, board, chain=lambda: ChainState(*chain * 3), seed=3)
     addresses = emulator.start()
     thread = threading.Thread(target=emulator.run, args=(stop,))
     thread.start()

@@ -18,7 +18,7 @@ import pytest
 
 from hil.config.rig import AsciiTurntableLine, Cia402, GimbalAxis, Servo, Turntable
 from hil.core.clock import WallClock
-from hil.drivers.shared_state import SharedAxisState
+from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.drivers.turntable.ascii.driver import AsciiTurntable
 from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
 from hil.drivers.turntable.cia402.driver import Cia402Turntable
@@ -54,10 +54,10 @@ def turntable(driver, address=None, interface="serial", timeout_s=0.4, cia402=No
 
 
 @contextlib.contextmanager
-def emulated(driver, clock, interface="serial", channel=None, prepare=lambda emulator: None, chain=lambda: True, **rig):
+def emulated(driver, clock, interface="serial", channel=None, prepare=lambda emulator: None, chain=ChainState, **rig):
     """Yield an emulator in a thread, and its address."""
     board = SharedAxisState.create()
-    emulator = EMULATORS[driver](turntable(driver, channel, interface, **rig), clock, board, chain_closed=chain)
+    emulator = EMULATORS[driver](turntable(driver, channel, interface, **rig), clock, board, chain=chain)
     prepare(emulator)
     address = emulator.start()["turntable"]
     stop = threading.Event()

@@ -10,6 +10,7 @@ import pytest
 from hil.config.load import configs_folder
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
+from hil.drivers.shared_state import ChainState
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.errors import DriveFault, FaultKind, LinkTimeout, ProtocolError
 from tests.behaviour.test_turntable_drivers import DRIVERS, PARK_DEG, emulated, error_of, eventually, served, turntable
@@ -77,7 +78,7 @@ def test_axis_on_its_limit_switch_is_told(driver):
 
 def test_open_safety_chain_is_a_drive_fault_by_name(driver):
     closed = [True]
-    with served(driver, chain=lambda: closed[0]) as (_, device, clock):
+    with served(driver, chain=lambda: ChainState(*closed * 3)) as (_, device, clock):
         closed[0] = False
         with pytest.raises(DriveFault, match=r"turntable\.(roll|pitch|yaw): .*safe torque off") as caught:
             raise error_of(device, clock, 10.0)
@@ -91,7 +92,7 @@ def test_torque_off_is_known_by_its_code_when_it_is_called_otherwise(driver, tmp
     text = (configs_folder() / "protocols" / f"{shipped}.toml").read_text()
     file.write_text(text.replace("safe torque off", "STO active"))
     closed = [True]
-    with served(driver, chain=lambda: closed[0], protocol=str(file)) as (_, device, clock):
+    with served(driver, chain=lambda: ChainState(*closed * 3), protocol=str(file)) as (_, device, clock):
         closed[0] = False
         with pytest.raises(DriveFault, match=r"STO active") as caught:
             raise error_of(device, clock, 10.0)

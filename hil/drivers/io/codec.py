@@ -6,8 +6,10 @@ kind      address (rig file, [io])    meaning
 coil      coils.charge_pump           heartbeat: toggles while the watchdog process runs
 coil      coils.enable                1 asks the safety relay to close; an edge is needed each time
 coil      coils.thrusters_first + n   1 while thruster n is open
+coil      coils.brakes_released       1 releases the holding brakes
 input     inputs.estop_closed         1 while the emergency stop is released
 input     inputs.chain_closed         1 while the relay lets the drives have torque
+input     inputs.brakes_closed        1 while all holding brakes are closed
 input     interlocks.NAME             1 while this contact (door, fence, end switch) is closed
 ========= =========================== ==============================================================
 
@@ -47,17 +49,27 @@ class ModbusException(IntEnum):
 
 
 class LineMap:
-    """Addresses of coils and inputs. coils: charge pump, enable, thrusters, in this order."""
+    """Addresses of coils and inputs. coils: charge pump, enable, thrusters, in this order, and the brakes if commanded.
+
+    thrusters: addresses of the thrusters' coils. brakes, brakes_closed: of the brakes' coil and input; None without.
+    """
 
     def __init__(self, config: Io) -> None:
         first = config.coils.thrusters_first
-        thrusters = range(first, first + config.thruster_lines)
-        self.coils = (config.coils.charge_pump, config.coils.enable, *thrusters)
-        self.coil_names = ("charge pump", "enable", *(f"thruster {n + 1}" for n in range(config.thruster_lines)))
+        self.thrusters = range(first, first + config.thruster_lines)
+        self.brakes = config.coils.brakes_released
+        self.brakes_closed = config.inputs.brakes_closed
+        names = {config.coils.charge_pump: "charge pump", config.coils.enable: "enable"}
+        names |= {address: f"thruster {n + 1}" for n, address in enumerate(self.thrusters)}
+        if self.brakes is not None:
+            names[self.brakes] = "brakes"
+        self.coils, self.coil_names = tuple(names), tuple(names.values())
         self.estop = config.inputs.estop_closed
         self.chain = config.inputs.chain_closed
         self.interlocks = dict(config.interlocks)
-        inputs = (self.estop, self.chain, *self.interlocks.values())
+        inputs = [self.estop, self.chain, *self.interlocks.values()]
+        if self.brakes_closed is not None:
+            inputs.append(self.brakes_closed)
         self.inputs = tuple(sorted(inputs))
         self.coil_runs = runs(self.coils)
         self.input_runs = runs(self.inputs)

@@ -60,7 +60,7 @@ class ModbusIo(LoopThread):
         self._outputs = _OFF
         self._pump = self._stopped = False
         self._toggled_s = now_s - self._config.pump_period_s
-        self._thrusters, self._thrusters_s = bytes(len(self._lines.coils) - 2), math.nan
+        self._thrusters, self._thrusters_s = bytes(len(self._lines.thrusters)), math.nan
         self._is_off.clear()
         try:
             self._start(bound_s)
@@ -146,21 +146,27 @@ class ModbusIo(LoopThread):
         levels = self._levels()
         inputs = await coupler.exchange(levels)
         t_s = 0.5 * (started_s + self._clock.now_s())
-        thrusters = bytes(levels[coil] for coil in self._lines.coils[2:])
+        thrusters = bytes(levels[coil] for coil in self._lines.thrusters)
         if thrusters != self._thrusters:
             self._thrusters, self._thrusters_s = thrusters, t_s
         lines = self._lines
         open_interlocks = tuple(name for name, address in lines.interlocks.items() if not inputs[address])
-        self._box.put(IoInputs(t_s, inputs[lines.estop], inputs[lines.chain], open_interlocks, self._thrusters_s), t_s)
+        brakes_closed = None if lines.brakes_closed is None else inputs[lines.brakes_closed]
+        self._box.put(
+            IoInputs(t_s, inputs[lines.estop], inputs[lines.chain], open_interlocks, self._thrusters_s, brakes_closed),
+            t_s,
+        )
         if stopped:
             self._is_off.set()
 
     def _levels(self) -> dict[int, bool]:
         """Return the required coils by address."""
-        outputs, coils = self._outputs, self._lines.coils
-        levels = dict.fromkeys(coils, False)
+        outputs, lines = self._outputs, self._lines
+        levels = dict.fromkeys(lines.coils, False)
         if not self._stopped:
-            levels[coils[0]] = self._pump
-            levels[coils[1]] = outputs.enable
-            levels.update((coils[2 + n], bool(on)) for n, on in enumerate(outputs.thrusters[: len(coils) - 2]))
+            levels[lines.coils[0]] = self._pump
+            levels[lines.coils[1]] = outputs.enable
+            levels.update(zip(lines.thrusters, map(bool, outputs.thrusters), strict=False))
+            if lines.brakes is not None:
+                levels[lines.brakes] = outputs.brakes_released
         return levels

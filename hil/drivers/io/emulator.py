@@ -11,8 +11,9 @@ from hil.core.clock import WallClock
 from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, InjectableFault, kinds
 from hil.drivers.io import NAME
 from hil.drivers.io.codec import Image, LineMap, respond
-from hil.drivers.io.relay import SafetyRelay
+from hil.drivers.io.relay import HoldingBrakes, SafetyRelay
 from hil.drivers.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
+from hil.drivers.shared_state import ChainState
 from hil.maths.random_streams import stream
 
 STEP_S: Final = 0.004  # of bench time, between two updates of the relay
@@ -20,13 +21,14 @@ IDENTITY: Final = ("hil", "io-coupler", "1.0")
 BUTTONS: Final = {
     "estop": InjectableFault("the emergency stop is pressed"),
     "interlock": InjectableFault("an interlock's contact is open", of_axis=True),
+    "brakes_open": InjectableFault("the holding brakes do not close, nor does their contact"),
 }
 _HEADER: Final = struct.Struct(">HHHB")  # transaction, protocol 0, length with the device id, device id
 _ID_BYTES: Final = 1
 _LONGEST: Final = 254  # bytes after the length field
 
-PublishChain = Callable[[bool, float], None]
-"""Receives whether the chain is closed, and the bench time, s."""
+PublishChain = Callable[[ChainState, float], None]
+"""Receives the state of the chain, and the bench time, s."""
 
 
 class EmulatedCoupler:
@@ -40,27 +42,33 @@ class EmulatedCoupler:
         self.faults = Faults(NAME, kinds(WIRE, BUTTONS), tuple(self.map.interlocks))
         coils, inputs = dict.fromkeys(self.map.coils, False), dict.fromkeys(self.map.inputs, False)
         self.image = Image(coils, inputs, IDENTITY)
-        self.relay = SafetyRelay(pump_timeout_s)
+        self.relay = SafetyRelay(pump_timeout_s, config.torque_delay_s)
+        self._brakes = HoldingBrakes(0.5 * config.torque_delay_s)
         self.advance(0.0)
 
     @property
     def thrusters(self) -> tuple[bool, ...]:
         """The thrusters' lines."""
-        return tuple(self.image.coils[address] for address in self.map.coils[2:])
+        return tuple(self.image.coils[address] for address in self.map.thrusters)
 
-    def advance(self, now_s: float) -> bool:
-        """Update relay and inputs; return whether the chain is closed."""
+    def advance(self, now_s: float) -> ChainState:
+        """Update relay and inputs; return the state of the chain."""
         image, lines = self.image, self.map
         released = self.faults.value("estop") is None
         open_now = {name for name in lines.interlocks if self.faults.value("interlock", name) is not None}
         pump, enable = (image.coils[address] for address in lines.coils[:2])
         closed = self.relay.update(now_s, pump, enable, released and not open_now)
+        released_brakes = closed and (lines.brakes is None or image.coils[lines.brakes])
+        released_brakes = released_brakes or self.faults.value("brakes_open") is not None
+        brakes_closed = self._brakes.update(now_s, released_brakes)
         if self.faults.value("freeze") is None:
+            if lines.brakes_closed is not None:
+                image.inputs[lines.brakes_closed] = brakes_closed
             image.inputs[lines.estop] = released
             image.inputs[lines.chain] = closed
             for name, address in lines.interlocks.items():
                 image.inputs[address] = name not in open_now
-        return closed
+        return ChainState(closed, self.relay.torque(now_s), released_brakes)
 
     def respond(self, request: bytes, now_s: float) -> bytes:
         """Return the response (PDU) to a request (PDU)."""
@@ -88,7 +96,7 @@ class IoEmulator(ModbusTcpEmulator):
         self.faults = self.coupler.faults
         self.port = ModbusTcpPort(self._feed, FaultyWire(self.faults, stream(seed, "wire")), clock)
         self._ports.append(self.port)
-        publish(False, clock.now_s())
+        publish(ChainState(False, False, False), clock.now_s())
 
     def start(self) -> dict[str, str]:
         """Listen; return ``{"io": "host:port"}``."""
@@ -114,7 +122,7 @@ class IoEmulator(ModbusTcpEmulator):
             if device_id == self._device_id and self.faults.value("link_down") is None:
                 now_s = self._clock.now_s()
                 response = self.coupler.respond(request, now_s)
-                self._publish(self.coupler.relay.closed, now_s)
+                self._publish(self.coupler.advance(now_s), now_s)
                 header = _HEADER.pack(transaction, 0, len(response) + _ID_BYTES, device_id)
                 responses.append(header + response)
         return used, responses

@@ -7,19 +7,25 @@ import math
 from hil.config.io import Io
 from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.io import NAME
-from hil.drivers.io.relay import SafetyRelay
+from hil.drivers.io.relay import HoldingBrakes, SafetyRelay
 from hil.errors import DeviceError, LinkLost
 
 _OFF = IoOutputs(False, b"")
 
 
 class MockIo:
-    """DiscreteIo without a wire. ``pressed`` and ``open_interlocks``: emergency stop and interlocks, set by tests."""
+    """DiscreteIo without a wire. ``pressed`` and ``open_interlocks``: emergency stop and interlocks, set by tests.
+
+    brakes_stick: the holding brakes do not close.
+    """
 
     def __init__(self, config: Io) -> None:
         self.name = NAME
         self.pressed = False
         self.open_interlocks: tuple[str, ...] = ()
+        self.brakes_stick = False
+        self._torque_delay_s = config.torque_delay_s
+        self._reads_brakes = config.inputs.brakes_closed is not None
         self.outputs = _OFF
         self._period_s = config.pump_period_s
         self._pump_timeout_s = config.pump_timeout_s
@@ -28,7 +34,8 @@ class MockIo:
 
     def open(self, now_s: float) -> None:
         """Start with all outputs off."""
-        self._relay = SafetyRelay(self._pump_timeout_s)
+        self._relay = SafetyRelay(self._pump_timeout_s, self._torque_delay_s)
+        self._brakes = HoldingBrakes(0.5 * self._torque_delay_s)
         self._pump = False
         self._toggled_s = now_s - self._period_s
         self.outputs = _OFF
@@ -58,7 +65,9 @@ class MockIo:
         """Return the inputs at ``now_s``."""
         self._check()
         closed = self._advance(now_s)
-        return IoInputs(now_s, not self.pressed, closed, self.open_interlocks, self._thrusters_s)
+        brakes = self._brakes.update(now_s, self.brakes_stick or (closed and self.outputs.brakes_released))
+        brakes_closed = brakes if self._reads_brakes else None
+        return IoInputs(now_s, not self.pressed, closed, self.open_interlocks, self._thrusters_s, brakes_closed)
 
     def stop(self, now_s: float) -> None:
         """Set all outputs off for good."""

@@ -15,6 +15,7 @@ from hil.errors import DriveFault, LinkTimeout, ProtocolError
 CONNECT_TIMEOUT_S: Final = 1.0
 ENABLE_TIMEOUT_S: Final = 2.0  # a holding brake takes some 0.1 s to open
 STOP: Final = ControlFlags.ENABLE | ControlFlags.QUICK_STOP
+OFF: Final = ControlFlags(0)
 ATTEMPTS: Final = 2
 _ENABLE_POLL_S: Final = 0.005
 _RATE_MARGIN: Final = 1.5  # allowed overshoot of the highest rate
@@ -125,10 +126,10 @@ class Drive:
             return DriveFault(self.name, "switched itself off")
         return None
 
-    async def send_stop(self) -> None:
-        """Send a quick stop without waiting for a response: the drive may be unable to send one."""
+    async def send(self, control: ControlFlags) -> None:
+        """Send STOP or OFF without waiting for a response: the drive may be unable to send one."""
         if self._identified:
-            await self._bus.send(self._device_id, *self._transfer(self._next(STOP, 0.0, 0.0)))
+            await self._bus.send(self._device_id, *self._transfer(self._next(control, 0.0, 0.0)))
 
     def _fault(self, code: int) -> DriveFault:
         return DriveFault(self.name, self._map.fault_text(code), self._map.fault_kind(code))

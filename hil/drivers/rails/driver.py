@@ -24,7 +24,7 @@ from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
 from hil.drivers.latest import Latest
 from hil.drivers.loop_thread import LoopThread
 from hil.drivers.rails.codec import ControlFlags, RegisterMap, State
-from hil.drivers.rails.drive import CONNECT_TIMEOUT_S, ENABLE_TIMEOUT_S, STOP, Drive
+from hil.drivers.rails.drive import CONNECT_TIMEOUT_S, ENABLE_TIMEOUT_S, OFF, STOP, Drive
 from hil.drivers.rails.frames import new_counters
 from hil.drivers.rails.homing import HomingMonitor, limit_switch
 from hil.drivers.rails.wiring import make_wires
@@ -59,6 +59,7 @@ class ModbusRails(LoopThread):
         self._setpoint: tuple[list[float], list[float], float] = ([], [], 0.0)  # position, rate, when sent
         self._serving = False
         self._stopping = False
+        self._disabled = False
         self._stop_was_called = False
         self._jogging = False
         self._all_stopped = threading.Event()
@@ -73,7 +74,7 @@ class ModbusRails(LoopThread):
         self._box = Latest(self.name)
         self._counters = new_counters()
         self._homing = HomingMonitor(self._config)
-        self._serving = self._stopping = self._stop_was_called = self._jogging = False
+        self._serving = self._stopping = self._stop_was_called = self._jogging = self._disabled = False
         self._stop_task = None
         self._all_stopped.clear()
         try:
@@ -124,8 +125,14 @@ class ModbusRails(LoopThread):
         if not again:
             self._all_stopped.wait(_STOP_WAIT_WALL_S)
 
+    def disable(self, now_s: float) -> None:
+        """Switch the torque of all drives off."""
+        self._stopping = self._disabled = True
+        if self._thread is not None and self._thread.is_alive():
+            self._call(self._begin_stop)
+
     def close(self) -> None:
-        """Send a quick stop and disconnect; at most 0.1 s of wall time."""
+        """Send a quick stop, unless the torque is off, and disconnect; at most 0.1 s of wall time."""
         self._stopping = True
         self._box.fail(LinkLost(self.name, "is closed"))
         self._end()
@@ -158,7 +165,7 @@ class ModbusRails(LoopThread):
             opened.set_result(None)
             await self._serve()
         finally:
-            await asyncio.gather(*(drive.send_stop() for drive in self._drives))
+            await asyncio.gather(*(drive.send(self._stop_control) for drive in self._drives))
             for wire in wires:
                 wire.bus.close()
 
@@ -194,8 +201,9 @@ class ModbusRails(LoopThread):
         stopping = self._stopping
         position_m, rate_mps = self._setpoint_of(index)
         homing = not stopping and self._homing.is_homing(index)
-        control = STOP if stopping else ControlFlags.ENABLE | ControlFlags.HOME if homing else ControlFlags.ENABLE
+        control = self._stop_control if stopping else ControlFlags.ENABLE
         if homing:
+            control |= ControlFlags.HOME
             drive.forget_position()
 
         def problem(state: State) -> DriveFault | None:  # a stop may be requested during this exchange
@@ -209,11 +217,15 @@ class ModbusRails(LoopThread):
             drive.failed = self._stopping = True
             self._box.fail(error)
             self._begin_stop()
-            await drive.send_stop()
+            await drive.send(self._stop_control)
             return None
         if self._homing.update(index, state, homing) or homing:
             self._hold_at(index, state.position_m)
         return state
+
+    @property
+    def _stop_control(self) -> ControlFlags:
+        return OFF if self._disabled else STOP
 
     def _begin_homing(self) -> None:
         self._homing.begin()
@@ -239,6 +251,9 @@ class ModbusRails(LoopThread):
 
     async def _stop_all(self) -> None:
         # Independent of the exchange under way, which may be waiting for a dead drive.
+        for drive in self._drives:
+            if drive.failed:  # no exchange any more
+                await drive.send(self._stop_control)
         await asyncio.gather(*(self._exchange(index) for index in range(len(self._drives))))
         self._all_stopped.set()
 

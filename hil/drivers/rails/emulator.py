@@ -9,7 +9,7 @@ from hil.config.rail_wires import ModbusRtu
 from hil.config.rig import RAIL_NAMES, Rails
 from hil.core.clock import WallClock
 from hil.drivers.base import full_names
-from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
+from hil.drivers.emulated_axes import STEP_S, EmulatedAxes, ReadChain
 from hil.drivers.fault_injection import FaultyChannel, FaultyWire
 from hil.drivers.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
 from hil.drivers.pty_line import PtyLine
@@ -33,14 +33,14 @@ class EmulatedRails:
         config: Rails,
         clock: WallClock,
         shared: SharedAxisState,
-        chain_closed: ChainClosed | None = None,
+        chain: ReadChain | None = None,
         seed: int = 0,
         name: str = "rails",
     ) -> None:
         self._clock = clock
         self._map = RegisterMap(config.map)
         self._identity = DriveIdentity(config.map.vendor, max(FIRMWARE, config.map.firmware_min))
-        self._axes = EmulatedAxes(name, config, clock, shared, chain_closed=chain_closed, seed=seed)
+        self._axes = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
         self.faults = self._axes.faults
         self.wire_noise = stream(seed, "wire")
         torque_off = self._map.code_of(FaultKind.TORQUE_OFF)

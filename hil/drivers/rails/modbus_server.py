@@ -55,7 +55,10 @@ class EmulatedRailDrive:
         self._axes.advance(now_s)
         self._echo = command.number
         self._enabled = bool(command.control & ControlFlags.ENABLE)
-        if not self._enabled:
+        if self._enabled:
+            self._axes.enable(self._index)
+        else:
+            self._axes.disable(self._index)
             self._quick_stop = False
             if command.control & ControlFlags.FAULT_RESET:
                 self._fault = 0

@@ -125,7 +125,7 @@ class RemoteAxes(_RemoteDevice):
         self._feedback = np.zeros(1, io_layout.FEEDBACK)
         self._stop = np.zeros(1, io_layout.STOP)
         self._feedback_before = 0
-        self._stopped = False
+        self._stopped = self._disabled = False
         self._kind = io_layout.CYCLIC
 
     def open(self, now_s: float) -> None:
@@ -133,7 +133,7 @@ class RemoteAxes(_RemoteDevice):
         self.close()
         self._link.beat(now_s, watched=False)
         self._feedback_before = self._block[f"{self.name}.feedback"].read(self._feedback)[0]
-        self._stopped = False
+        self._stopped = self._disabled = False
         self._kind = io_layout.CYCLIC
         self._open(now_s)
 
@@ -165,7 +165,7 @@ class RemoteAxes(_RemoteDevice):
     def read(self, now_s: float) -> AxisFeedback:
         """Return the newest feedback. Raises LinkTimeout when it is older than ``timeout_s``."""
         self._check(now_s)
-        self._link.beat(now_s, watched=not self._stopped)
+        self._link.beat(now_s, watched=not self._disabled)
         number, _ = self._block[f"{self.name}.feedback"].read(self._feedback)
         if number <= self._feedback_before:
             raise LinkTimeout(self.name, "has not answered yet")
@@ -180,8 +180,19 @@ class RemoteAxes(_RemoteDevice):
         if self._stopped or not self._is_open:
             return
         self._stopped = True
+        self._order(io_layout.QUICK_STOP, now_s)
+
+    def disable(self, now_s: float) -> None:
+        """Order that the torque is switched off, without waiting; the heartbeat is not due any more."""
+        if self._disabled or not self._is_open:
+            return
+        self._stopped = self._disabled = True
         self._link.beat(now_s, watched=False)
+        self._order(io_layout.DISABLE, now_s)
+
+    def _order(self, kind: int, now_s: float) -> None:
         self._stop["number"] += 1
+        self._stop["kind"] = kind
         self._block[f"{self.name}.stop"].write(self._stop, now_s)
         self._link.wake()
 
@@ -256,5 +267,6 @@ class RemoteIo(_RemoteDevice):
         """Let the watchdog set all outputs off, without waiting; idempotent, never raises."""
         if self._is_open:
             self._stop["number"] += 1
+            self._stop["kind"] = io_layout.QUICK_STOP
             self._block["io.stop"].write(self._stop, now_s)
             self._link.wake()

@@ -29,14 +29,25 @@ FEEDBACK: Final = np.dtype(
     [("t_s", "f8"), ("position", "f8", 3), ("rate", "f8", 3), ("homing", "i8", 3), ("limit", "i8", 3)]
 )
 HEARTBEAT: Final = np.dtype([("watched", "i8")])
-STOP: Final = np.dtype([("number", "i8")])
+STOP: Final = np.dtype([("number", "i8"), ("kind", "i8")])
+QUICK_STOP, DISABLE = 1, 2
+"""Kinds of stops: braking along the ramp, and removal of the torque."""
 FAILURE: Final = np.dtype([("kind", "S24"), ("device", "S64"), ("what", "S512"), ("fault", "S16")])
 """fault: value of the FaultKind of a DriveFault."""
 COUNTERS: Final = np.dtype([("text", "S1024")])
 INPUTS: Final = np.dtype(
-    [("t_s", "f8"), ("estop_closed", "i8"), ("chain_closed", "i8"), ("interlocks", "S512"), ("thrusters_s", "f8")]
+    [
+        ("t_s", "f8"),
+        ("estop_closed", "i8"),
+        ("chain_closed", "i8"),
+        ("interlocks", "S512"),
+        ("thrusters_s", "f8"),
+        ("brakes_closed", "i8"),  # -1: not read back
+    ]
 )
-OUTPUTS: Final = np.dtype([("enable", "i8"), ("count", "i8"), ("thrusters", "u1", MAX_THRUSTERS)])
+OUTPUTS: Final = np.dtype(
+    [("enable", "i8"), ("count", "i8"), ("thrusters", "u1", MAX_THRUSTERS), ("brakes_released", "i8")]
+)
 _FRAMES: Final = 256
 _KINDS: Final[dict[str, type[DeviceError]]] = {kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError)}
 
@@ -113,15 +124,17 @@ def inputs_record(inputs: IoInputs) -> np.ndarray:
     """Return inputs as INPUTS, shape (1,)."""
     record = np.zeros(1, INPUTS)
     names = "\n".join(inputs.open_interlocks).encode()
-    record[0] = (inputs.t_s, inputs.estop_closed, inputs.chain_closed, names, inputs.thrusters_s)
+    brakes = -1 if inputs.brakes_closed is None else int(inputs.brakes_closed)
+    record[0] = (inputs.t_s, inputs.estop_closed, inputs.chain_closed, names, inputs.thrusters_s, brakes)
     return record
 
 
 def read_inputs(record: np.ndarray) -> IoInputs:
     """Return the inputs in ``record``, shape (1,) of INPUTS."""
-    t_s, estop_closed, chain_closed, names, thrusters_s = record[0].item()
+    t_s, estop_closed, chain_closed, names, thrusters_s, brakes = record[0].item()
     interlocks = tuple(names.decode().split("\n")) if names else ()
-    return IoInputs(t_s, bool(estop_closed), bool(chain_closed), interlocks, thrusters_s)
+    brakes_closed = None if brakes < 0 else bool(brakes)
+    return IoInputs(t_s, bool(estop_closed), bool(chain_closed), interlocks, thrusters_s, brakes_closed)
 
 
 def outputs_record(outputs: IoOutputs) -> np.ndarray:
@@ -130,12 +143,14 @@ def outputs_record(outputs: IoOutputs) -> np.ndarray:
     lines = outputs.thrusters
     record["enable"], record["count"] = outputs.enable, len(lines)
     record["thrusters"][0, : len(lines)] = np.frombuffer(lines, np.uint8)
+    record["brakes_released"] = outputs.brakes_released
     return record
 
 
 def read_outputs(record: np.ndarray) -> IoOutputs:
     """Return the outputs in ``record``, shape (1,) of OUTPUTS."""
-    return IoOutputs(bool(record["enable"][0]), record["thrusters"][0].tobytes()[: int(record["count"][0])])
+    lines = record["thrusters"][0].tobytes()[: int(record["count"][0])]
+    return IoOutputs(bool(record["enable"][0]), lines, bool(record["brakes_released"][0]))
 
 
 def failure_record(error: BenchError, device: str) -> np.ndarray:

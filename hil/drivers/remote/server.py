@@ -9,7 +9,7 @@ import select
 import socket
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -47,10 +47,8 @@ class Device(Protocol):
     def close(self) -> None: ...
 
 
-class Stoppable(Protocol):
-    """A device with a stop."""
-
-    def stop(self, now_s: float) -> None: ...
+Stop = Callable[[float], None]
+"""A device's method that stops it, called with the bench time, s."""
 
 
 class DeviceServer:
@@ -122,17 +120,17 @@ class DeviceServer:
         number, beat_s = self.memory.block[sender].read(self._peer_heartbeat)
         return (now_s - beat_s) / self.clock.speed if number and self._peer_heartbeat["watched"][0] else 0.0
 
-    def stop_requested(self, device: str) -> bool:
-        """Return whether the loop has ordered another stop of ``device`` since the last call."""
+    def stop_requested(self, device: str) -> int:
+        """Return the kind of the newest stop of ``device`` ordered since the last call, 0 for none."""
         number, _ = self.memory.block[f"{device}.stop"].read(self._stop)
         if number == self._stops.get(device, 0):
-            return False
+            return 0
         self._stops[device] = number
-        return True
+        return int(self._stop["kind"][0])
 
-    def stop_in_thread(self, device: Stoppable, now_s: float) -> None:
-        """Stop ``device`` in a thread: a stop may take longer than a period, and the heartbeat must continue."""
-        threading.Thread(target=device.stop, args=(now_s,), name="stop", daemon=True).start()
+    def stop_in_thread(self, stop: Stop, now_s: float) -> None:
+        """Call ``stop`` in a thread: it may take longer than a period, and the heartbeat must continue."""
+        threading.Thread(target=stop, args=(now_s,), name="stop", daemon=True).start()
 
     def fail(self, name: str, error: BenchError, now_s: float) -> None:
         """Report the failure to the loop; the device is not served any more until it is opened again."""

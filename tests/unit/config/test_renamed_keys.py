@@ -280,11 +280,20 @@ def test_first_names_and_present_names_are_each_others_inverse(kind: str) -> Non
     assert all(key.split(".")[0] in Scenario.model_fields for key in RENAMED_VALUES["Scenario"])
 
 
+def without_brakes(rig: Rig) -> Rig:
+    """Return ``rig`` without the keys of holding brakes, which have been added since."""
+    assert rig.io is not None
+    z = rig.rails.z.model_copy(update={"gravity_loaded": False, "brake": None})
+    io = rig.io.model_copy(update={"torque_delay_s": 0.0})
+    return rig.model_copy(update={"rails": rig.rails.model_copy(update={"z": z}), "io": io})
+
+
 def test_sign_offs_and_campaigns_from_before_a_renaming_stay_valid() -> None:
     digests = {"mock": "06a49f02840c177d", "emulated": "71f8988572a0897d", "emulated-rtu": "5ecf3b9f7734f2d3"}
-    assert {name: motion_digest(load_rig(name).value)[7:23] for name in digests} == digests
+    assert {name: motion_digest(without_brakes(load_rig(name).value))[7:23] for name in digests} == digests
     ascii_acu = ["rig.turntable.driver=ascii", "rig.turntable.ascii.protocol=acu"]
-    assert motion_digest(load_rig("emulated", ascii_acu).value)[7:23] == "d00c872def857bf6"
+    assert motion_digest(without_brakes(load_rig("emulated", ascii_acu).value))[7:23] == "d00c872def857bf6"
+    assert motion_digest(load_rig("emulated").value)[7:23] != digests["emulated"]
     text = first_names_json(load_scenario("scheme-1").value)
     assert '"duplicate_share":0.0,"loss_share":0.0,"pictures":{"psf_sigma_px":1.0' in text
     assert '"reach":{"corridor_share":0.25,"attitude_margin_deg":1.0,"catch_up_s":0.2},"monitor":{' in text

@@ -11,7 +11,7 @@ from hil.config.load import load_rig
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import EmulatedAxes
-from hil.drivers.shared_state import SharedAxisState
+from hil.drivers.shared_state import ChainState, SharedAxisState
 
 Make = Callable[..., EmulatedAxes]
 PERIOD_S = 0.02
@@ -33,9 +33,9 @@ def board() -> Iterator[SharedAxisState]:
 
 @pytest.fixture
 def make(board: SharedAxisState) -> Make:
-    def rails(*settings: str, chain_closed: Callable[[], bool] = lambda: True) -> EmulatedAxes:
+    def rails(*settings: str, chain: Callable[[], ChainState] = ChainState) -> EmulatedAxes:
         config = load_rig("emulated", settings).value.rails
-        return EmulatedAxes("rails", config, StoppedClock(), board, chain_closed=chain_closed)
+        return EmulatedAxes("rails", config, StoppedClock(), board, chain=chain)
 
     return rails
 
@@ -102,7 +102,7 @@ def test_an_axis_without_commands_brakes_and_says_so(make: Make) -> None:
 
 def test_an_open_chain_takes_the_torque_and_closing_it_starts_nothing(make: Make) -> None:
     closed = [True]
-    axes = make(chain_closed=lambda: closed[0])
+    axes = make(chain=lambda: ChainState(*closed * 3))
     travel(axes, 1, 0.05, 0.0, 1.0)
     closed[0] = False
     axes.advance(1.5)
@@ -152,3 +152,89 @@ def test_homing_of_a_stuck_axis_fails(make: Make) -> None:
     axes.home(1)
     axes.advance(130.0)
     assert axes.homing[1] is Homing.FAILED
+
+
+OPEN = ChainState(False, False, False)
+
+
+def fall(axes: EmulatedAxes, board: SharedAxisState, to_s: float) -> float:
+    """Advance to ``to_s``; return by how much the z axis has sunk, m."""
+    before = board.read("rails", axes._t_s)[0][2]
+    while axes._t_s < to_s:
+        axes.advance(axes._t_s + 0.004)
+    return float(before - board.read("rails", axes._t_s)[0][2])
+
+
+def test_an_axis_without_torque_coasts_against_friction(make: Make) -> None:
+    chain = [ChainState()]
+    axes = make(chain=lambda: chain[0])
+    travel(axes, 1, 0.1, 0.0, 2.0)
+    speed, place = float(axes.rate[1]), float(axes.position[1])
+    chain[0] = OPEN
+    axes.advance(4.0)
+    assert axes.position[1] - place == pytest.approx(speed**2 / (2.0 * 0.3), rel=0.05)  # its ramp: half of that
+
+
+@pytest.mark.parametrize(
+    ("brake", "drop_m"),
+    [
+        pytest.param("{ close_s = 0.05 }", 9.81 * 0.05**2, id="brake"),  # falls, and is stopped as fast again
+        pytest.param("{ close_s = 0.2 }", 9.81 * 0.2**2, id="slow brake"),
+    ],
+)
+def test_a_gravity_loaded_axis_falls_until_its_brake_has_closed(
+    make: Make, board: SharedAxisState, brake: str, drop_m: float
+) -> None:
+    chain = [ChainState()]
+    axes = make(f"rig.rails.z.brake={brake}", "rig.io.torque_delay_s=0.2", chain=lambda: chain[0])
+    axes.follow(2, 0.0, 0.0, 0.0)
+    assert fall(axes, board, 0.4) == pytest.approx(0.0, abs=1e-6)
+    chain[0] = OPEN
+    assert fall(axes, board, 2.0) == pytest.approx(drop_m, rel=0.15)
+
+
+def test_a_delayed_contact_of_the_relay_keeps_the_torque_until_the_brake_has_closed(
+    make: Make, board: SharedAxisState
+) -> None:
+    chain = [ChainState()]
+    axes = make(chain=lambda: chain[0])
+    axes.follow(2, 0.0, 0.0, 0.0)
+    fall(axes, board, 0.2)
+    chain[0] = ChainState(False, True, False)
+    assert fall(axes, board, 0.26) == pytest.approx(0.0, abs=1e-5)
+    chain[0] = OPEN
+    assert fall(axes, board, 2.0) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_disabled_drive_closes_its_brake_before_it_switches_the_torque_off(
+    make: Make, board: SharedAxisState
+) -> None:
+    axes = make()
+    axes.follow(2, 0.0, 0.0, 0.0)
+    fall(axes, board, 0.2)
+    axes.disable(2)
+    assert fall(axes, board, 2.0) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_an_axis_with_a_counterweight_stays_where_it_is(make: Make, board: SharedAxisState) -> None:
+    chain = [ChainState()]
+    axes = make("rig.rails.z.counterweight=true", chain=lambda: chain[0])
+    axes.follow(2, 0.0, 0.0, 0.0)
+    fall(axes, board, 0.2)
+    chain[0] = ChainState(False, False, True)
+    assert fall(axes, board, 1.0) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_runaway_ignores_all_commands_as_long_as_it_has_torque(make: Make) -> None:
+    chain = [ChainState()]
+    axes = make(chain=lambda: chain[0])
+    travel(axes, 1, 0.1, 0.0, 1.0)
+    axes.faults.on("runaway", "y")
+    axes.advance(1.004)
+    speed = float(axes.rate[1])
+    axes.brake(1)
+    axes.advance(2.0)
+    assert axes.rate[1] == pytest.approx(speed)
+    chain[0] = OPEN
+    axes.advance(4.0)
+    assert not axes.moving(1)

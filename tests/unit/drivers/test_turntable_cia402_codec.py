@@ -21,6 +21,7 @@ class Axis:
 
     def __init__(self) -> None:
         self.told: list[tuple[int, int, float]] = []
+        self.has_torque = False
         self.brakes = 0
         self.known = Homing.DONE
         self.switch = 0
@@ -35,6 +36,13 @@ class Axis:
 
     def brake(self) -> None:
         self.brakes += 1
+
+    def enable(self) -> None:
+        self.has_torque = True
+
+    def disable(self) -> None:
+        self.brake()
+        self.has_torque = False
 
     def home(self) -> None:
         self.known = Homing.UNDER_WAY

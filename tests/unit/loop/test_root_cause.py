@@ -26,7 +26,9 @@ class SteppedRate:
         return self._now_s
 
 
-def cause_found(fault: BenchError, after_s: float, cause: BenchError = OPEN_INTERLOCK) -> BenchError:
+def cause_found(
+    fault: BenchError, after_s: float, cause: BenchError = OPEN_INTERLOCK, chain_opened: bool = False
+) -> BenchError:
     """Return what is found behind ``fault`` when ``cause`` shows ``after_s`` later."""
 
     def check(now_s: float) -> None:
@@ -35,13 +37,15 @@ def cause_found(fault: BenchError, after_s: float, cause: BenchError = OPEN_INTE
 
     loop: Any = SimpleNamespace(
         safety_io=SimpleNamespace(check=check),
+        now=SimpleNamespace(feedback=None),
         bench=SimpleNamespace(
+            read=lambda now_s, feedback: None,
             poll_emergency_input=lambda now_s: None,
             safety=SimpleNamespace(interlock_open=lambda now_s: None),
         ),
     )
     rate: Any = SteppedRate()
-    return root_cause(fault, loop, rate)
+    return root_cause(fault, loop, rate, chain_opened)
 
 
 @pytest.mark.parametrize("text", ["safe torque off", "STO active", ""])
@@ -67,3 +71,11 @@ def test_any_other_fault_has_the_time_of_the_emergency_stop_alone(fault: BenchEr
 def test_a_wire_that_is_gone_is_a_cause_itself() -> None:
     lost = LinkLost("rails.x", "connection closed")
     assert cause_found(lost, after_s=0.0) is lost
+
+
+def test_a_chain_that_the_stop_itself_has_opened_is_no_cause() -> None:
+    fault = SafetyTrip("rails.x", "following error", "0.06 m", "0.05 m")
+    opened = SafetyTrip("io", "safety chain", "open", "closed")
+    assert cause_found(fault, 0.0, opened) is opened
+    assert cause_found(fault, 0.0, opened, chain_opened=True) is fault
+    assert cause_found(fault, 0.03, OPEN_INTERLOCK, chain_opened=True) is OPEN_INTERLOCK

@@ -8,7 +8,7 @@ import pytest
 from hil.config.io import Io
 from hil.core.clock import SimulatedClock, WallClock
 from hil.drivers.io.mock import MockIo
-from hil.drivers.shared_state import SharedAxisState
+from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.errors import LinkTimeout, SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.safety_io_stage import CLOSING_TIME_S, SafetyIoStage
@@ -90,25 +90,38 @@ def test_failure_of_the_link_reaches_the_cycle(desk: Desk) -> None:
 def test_thrusters_are_mirrored_to_their_lines(desk: Desk) -> None:
     desk.on[:] = (0, 1, 0, 1)
     desk.stage.mirror_thrusters(0.0)
-    assert desk.io.outputs == (True, b"\0\1\0\1")
+    assert desk.io.outputs == (True, b"\0\1\0\1", False)
     desk.on[:] = 0
     desk.stage.mirror_thrusters(0.02)
     assert desk.io.outputs.thrusters == b"\0\0\0\0"
     desk.on[0] = 1
     desk.stage.mirror_thrusters(0.04)
     desk.stage.stop(0.06)
-    assert desk.io.outputs == (False, b"")
+    assert desk.io.outputs == (False, b"", False)
+
+
+def test_brakes_stay_released_when_a_thruster_fires_and_close_with_the_chain(desk: Desk) -> None:
+    desk.stage.release_brakes(True, 0.0)
+    desk.on[0] = 1
+    desk.stage.mirror_thrusters(0.02)
+    assert desk.io.outputs == (True, b"\1\0\0\0", True)
+    assert desk.stage.brakes_closed(0.02) is None  # no contact reads them
+    desk.stage.release_brakes(False, 0.04)
+    assert desk.io.outputs == (True, b"\1\0\0\0", False)
+    desk.stage.release_brakes(True, 0.06)
+    desk.stage.stop(0.08)
+    assert not desk.io.outputs.brakes_released
 
 
 def test_the_board_carries_the_chain_to_the_drives() -> None:
     board, clock = SharedAxisState.create(), WallClock()
     try:
-        assert board.chain_closed(clock)  # nobody has such a device
-        board.write_chain(False, clock.now_s())
-        assert not board.chain_closed(clock)
-        board.write_chain(True, clock.now_s())
-        assert board.chain_closed(clock)
-        board.write_chain(True, clock.now_s() - 1.0)
-        assert not board.chain_closed(clock)  # whoever should tell is dead
+        assert board.read_chain(clock).closed  # nobody has such a device
+        board.write_chain(ChainState(*[False] * 3), clock.now_s())
+        assert not board.read_chain(clock).closed
+        board.write_chain(ChainState(*[True] * 3), clock.now_s())
+        assert board.read_chain(clock).closed
+        board.write_chain(ChainState(*[True] * 3), clock.now_s() - 1.0)
+        assert not board.read_chain(clock).closed  # whoever should tell is dead
     finally:
         board.close()

@@ -157,6 +157,10 @@ class AsciiLink:
                 return
             self._wire.check_silence()
 
+    def disable(self) -> None:
+        """Stop: the protocols have no command for the torque, the controller switches it off after a quick stop."""
+        self.quick_stop()
+
     def close(self) -> None:
         self._wire.close()
 

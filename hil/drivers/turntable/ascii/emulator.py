@@ -10,7 +10,7 @@ from hil.config.load import load_protocol
 from hil.config.rig import GIMBAL_NAMES, Turntable
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
-from hil.drivers.emulated_axes import STEP_S, ChainClosed, EmulatedAxes
+from hil.drivers.emulated_axes import STEP_S, EmulatedAxes, ReadChain
 from hil.drivers.fault_injection import FaultyChannel
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.shared_state import SharedAxisState
@@ -33,7 +33,7 @@ class AsciiTurntableEmulator:
         config: Turntable,
         clock: WallClock,
         shared: SharedAxisState,
-        chain_closed: ChainClosed | None = None,
+        chain: ReadChain | None = None,
         seed: int = 0,
         name: str = "turntable",
     ) -> None:
@@ -47,7 +47,7 @@ class AsciiTurntableEmulator:
         self._torque_off = protocol.faults.torque_off or self._words.drive_fault
         self._has_flags = protocol.faults.kind == "flags"
         self.protocol = AsciiProtocol(protocol)
-        self.gimbals = EmulatedAxes(name, config, clock, shared, chain_closed=chain_closed, seed=seed)
+        self.gimbals = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
         self.faults = self.gimbals.faults
         self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
         self.splitter = self.protocol.requests.splitter()
@@ -114,6 +114,7 @@ class AsciiTurntableEmulator:
             elif line.action == "enable":
                 self._enabled[i] = True
                 self._quick_stopped = False
+                self.gimbals.enable(i)
                 self._hold(i)
             elif line.action == "hold":
                 self._hold(i)

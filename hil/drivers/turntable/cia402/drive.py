@@ -158,9 +158,12 @@ class EmulatedCia402Drive:
             return
         self.state = state
         if state is DriveState.ENABLED:
+            self._axis.enable()
             self._motion.begin()
-        else:
+        elif state is DriveState.QUICK_STOP_ACTIVE:
             self._axis.brake()
+        else:
+            self._axis.disable()
 
     def _statusword(self) -> int:
         word = self.state.bits | _REMOTE | _VOLTAGE

@@ -150,6 +150,14 @@ class Cia402Link:
         if self._port is not None:
             self._send_controlwords(self._port)
 
+    def disable(self) -> None:
+        """Send the controlword that switches the voltage off to all nodes, and repeat it from now on."""
+        self._stopped = True
+        for node in self._nodes:
+            node.controlword = codec.DISABLE_VOLTAGE
+        if self._port is not None:
+            self._send_controlwords(self._port)
+
     def close(self) -> None:
         """Let the nodes leave operation, which stops drives that still move, and let go of the bus."""
         port, self._port = self._port, None

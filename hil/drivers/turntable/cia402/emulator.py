@@ -7,7 +7,7 @@ import threading
 from hil.config.rig import GIMBAL_NAMES, Turntable
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
-from hil.drivers.emulated_axes import STEP_S, WATCHDOG_S, ChainClosed, EmulatedAxes
+from hil.drivers.emulated_axes import STEP_S, WATCHDOG_S, EmulatedAxes, ReadChain
 from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.drive import EmulatedCia402Drive
@@ -41,6 +41,12 @@ class _Axis:
     def brake(self) -> None:
         self._gimbals.brake(self._axis)
 
+    def enable(self) -> None:
+        self._gimbals.enable(self._axis)
+
+    def disable(self) -> None:
+        self._gimbals.disable(self._axis)
+
     def home(self) -> None:
         self._gimbals.home(self._axis)
 
@@ -65,7 +71,7 @@ class Cia402Emulator:
         config: Turntable,
         clock: WallClock,
         shared: SharedAxisState,
-        chain_closed: ChainClosed | None = None,
+        chain: ReadChain | None = None,
         seed: int = 0,
         name: str = "turntable",
     ) -> None:
@@ -73,7 +79,7 @@ class Cia402Emulator:
             raise BadInput.single("rig", "turntable.cia402", "is missing")
         self._config = config.cia402
         self._clock = clock
-        self.gimbals = EmulatedAxes(name, config, clock, shared, chain_closed=chain_closed, seed=seed)
+        self.gimbals = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
         self.faults = self.gimbals.faults
         self.drives = []
         for index, node_id in enumerate(config.cia402.node_ids):

@@ -35,6 +35,12 @@ class AxisPort(Protocol):
     def brake(self) -> None:
         """Quick stop, then hold."""
 
+    def enable(self) -> None:
+        """Switch the torque on and release the brake."""
+
+    def disable(self) -> None:
+        """Close the brake, then switch the torque off."""
+
     def home(self) -> None:
         """Start homing."""
 

@@ -189,7 +189,7 @@ class Node:
         return abs(position - self.position) > path or abs(velocity) > 2 * _SLACK * self._rate_max
 
     def _is_bad(self, state: DriveState | None) -> bool:
-        stopping = self.controlword == codec.QUICK_STOP
+        stopping = self.controlword in (codec.QUICK_STOP, codec.DISABLE_VOLTAGE)
         return state in codec.FAULT_STATES or (not stopping and state is not DriveState.ENABLED)
 
     def _confirm_fault(self, code: int = 0) -> None:
