@@ -78,6 +78,7 @@ class StoppableAxes(MockAxes):
     """Mock axes that count how often they were stopped."""
 
     stops = 0
+    disabled = 0
     accepted = np.zeros(3)
     goal: np.ndarray | None = None
 
@@ -92,6 +93,9 @@ class StoppableAxes(MockAxes):
     def stop(self, now_s: float) -> None:
         self.stops += 1
         super().stop(now_s)
+
+    def disable(self, now_s: float) -> None:
+        self.disabled += 1
 
 
 @dataclass
@@ -225,16 +229,28 @@ def test_axes_are_stopped_when_the_loop_falls_silent(sides: Sides) -> None:
         sides.rails.read(sides.clock.now_s())
 
 
-def test_silence_before_the_first_cycle_and_after_a_stop_is_no_fault(sides: Sides) -> None:
+def test_silence_before_the_first_cycle_and_without_torque_is_no_fault(sides: Sides) -> None:
     for device in (sides.rails, sides.turntable):
         device.open(sides.clock.now_s())
     time.sleep(3.0 * LOOP_SILENCE_MAX_S)
     assert sides.axes["rails"].stops == 0
     sides.rails.read(sides.clock.now_s())
     sides.rails.stop(sides.clock.now_s())
-    assert sides.wait_until(lambda: sides.axes["rails"].stops == 1, alive=False)
+    assert sides.wait_until(lambda: sides.axes["rails"].stops == 1)
+    sides.rails.disable(sides.clock.now_s())
+    assert sides.wait_until(lambda: sides.axes["rails"].disabled == 1, alive=False)
     time.sleep(3.0 * LOOP_SILENCE_MAX_S)
     assert [device.stops for device in sides.axes.values()] == [1, 0]
+
+
+def test_silence_after_a_stop_is_a_fault_as_long_as_there_is_torque(sides: Sides) -> None:
+    for device in (sides.rails, sides.turntable):
+        device.open(sides.clock.now_s())
+    sides.rails.read(sides.clock.now_s())
+    sides.rails.stop(sides.clock.now_s())
+    assert sides.wait_until(lambda: sides.axes["turntable"].stops == 1, alive=False)
+    with pytest.raises(LinkLost, match="turntable: stopped: the loop has been silent for"):
+        sides.turntable.read(sides.clock.now_s())
 
 
 def test_a_jog_passes_the_travel_and_ends_with_the_next_setpoint_of_another_kind(sides: Sides) -> None:

@@ -1,0 +1,147 @@
+"""Stops on emulated wires: drives that do not obey, gravity, holding brakes, with and without an operator."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from hil.core.modes import Mode
+from hil.core.operator_commands import Operator, OperatorCommand
+from hil.drivers.fault_injection import FaultControl
+from hil.loop.controlled_stop import OFF_RAMP_S, REACTION_S
+from hil.loop.runner import Outcome, Runner
+from hil.session import build
+from tests.support.run_settings import make_job
+
+pytestmark = pytest.mark.wires
+
+PLAN = (OperatorCommand.HOME, OperatorCommand.ARM, OperatorCommand.START)
+START = (
+    "initial.position_m=[2.0, -0.12, 0.12]",
+    "rig.rails.x.park_m=2.0",
+    "rig.rails.y.park_m=-0.12",
+    "rig.rails.z.park_m=0.12",
+)
+DETECTED_S = 0.2
+"""From the moment in which an axis leaves its ramp until its torque is off: time above the ramp, chain, relay."""
+BUSY_S = 0.15
+"""Allowed in addition for a computer that runs other programs."""
+
+
+@dataclass
+class Session:
+    """A run in a thread, its emulators, and what has happened to its axes."""
+
+    bench: build.WiredBench
+    runner: Runner
+    operator: Operator
+    thread: threading.Thread
+    outcomes: list[Outcome]
+
+    def fault(self, device: str, line: str) -> None:
+        control = FaultControl(self.bench.addresses[f"{device}.faults"])
+        control.send(line)
+        control.close()
+
+    @property
+    def mode(self) -> Mode:
+        return self.runner.safety.modes.mode
+
+    def place(self, device: str) -> np.ndarray:
+        assert self.bench.board is not None
+        return self.bench.board.read(device, self.bench.clock.now_s())[0]
+
+    def speed(self, device: str) -> float:
+        assert self.bench.board is not None
+        return float(np.abs(self.bench.board.read(device, self.bench.clock.now_s())[1]).max())
+
+    def torque(self) -> bool:
+        assert self.bench.board is not None
+        return self.bench.board.read_chain(self.bench.clock).torque
+
+    def wait(self, reached: Callable[[], bool], limit_s: float = 30.0) -> float:
+        """Wait until ``reached``; return how long it took, s."""
+        begun = time.monotonic()
+        while not reached():
+            assert time.monotonic() - begun < limit_s, f"not reached: {self.outcomes}"
+            time.sleep(0.001)
+        return time.monotonic() - begun
+
+
+@contextmanager
+def session(attended: bool, *settings: str) -> Iterator[Session]:
+    job = make_job(60.0, (*START, *settings), rig="emulated")
+    with build.wired_bench(job) as bench:
+        operator = Operator(PLAN, attended)
+        runner, outcomes = bench.runner(operator=operator), list[Outcome]()
+        thread = threading.Thread(target=lambda: outcomes.append(runner.run()))
+        made = Session(bench, runner, operator, thread, outcomes)
+        thread.start()
+        try:
+            made.wait(lambda: made.mode is Mode.RUNNING)
+            yield made
+        finally:
+            while thread.is_alive():
+                operator.submit(OperatorCommand.STOP)
+                thread.join(0.1)
+
+
+def cases(*of_one_case: object) -> list[object]:
+    """Return the cases attended and unattended; all but the first one are slow."""
+    every = [(one, attended) for one in of_one_case for attended in (True, False)]
+    return [pytest.param(*case, marks=[pytest.mark.slow] if k else []) for k, case in enumerate(every)]
+
+
+@pytest.mark.parametrize(("axis", "attended"), cases("rails.x", "rails.z", "turntable.yaw"))
+def test_a_drive_that_does_not_obey_a_safe_stop_loses_its_torque(axis: str, attended: bool) -> None:
+    device, name = axis.split(".")
+    with session(attended) as made:
+        made.fault(device, f"on runaway {name} {0.2 if device == 'rails' else 15.0}")
+        made.wait(lambda: made.mode is Mode.SAFE_STOP)
+        took_s = made.wait(lambda: not made.torque())
+        assert took_s < REACTION_S + DETECTED_S + BUSY_S
+        assert took_s > OFF_RAMP_S
+        made.wait(lambda: made.speed(device) < 2e-3, 2.0)
+        print(f"{axis}: torque off {took_s:.3f} s after the safe stop")  # noqa: T201
+        assert made.runner.safety.alarms.latched()
+
+
+@pytest.mark.parametrize(("line", "attended"), cases("io on estop", "rails on drive_fault x", "turntable on link_down"))
+def test_a_gravity_loaded_axis_does_not_drop_in_any_stop(line: str, attended: bool) -> None:
+    device, _, order = line.partition(" ")
+    with session(attended) as made:
+        before = made.place("rails")[2]
+        made.fault(device, order)
+        made.wait(lambda: made.mode is Mode.SAFE_STOP)
+        made.wait(lambda: not made.torque(), 3.0)
+        made.wait(lambda: made.speed("rails") < 1e-3, 2.0)
+        time.sleep(0.3)
+        drop = before - made.place("rails")[2]
+        print(f"{line}: z has sunk by {1e3 * drop:.2f} mm")  # noqa: T201
+        assert abs(drop) < 0.002
+
+
+BRAKES = ("rig.io.coils.brakes_released=26", "rig.io.inputs.brakes_closed=2")
+
+
+def test_brakes_that_are_not_confirmed_are_an_alarm_and_a_watched_standstill() -> None:
+    with session(True, *BRAKES) as made:
+        made.fault("io", "on brakes_open")
+        made.fault("rails", "on stuck y")  # a following error: all drives obey
+        made.wait(lambda: made.mode is Mode.SAFE_STOP)
+        made.wait(lambda: any(alarm.quantity == "holding brakes" for alarm in made.runner.safety.alarms.latched()), 5.0)
+        assert made.torque()
+        before = made.place("rails")[2]
+        time.sleep(0.5)
+        assert made.torque()
+        assert abs(made.place("rails")[2] - before) < 1e-3
+        made.fault("io", "off brakes_open")
+        made.wait(lambda: not made.torque(), 2.0)
+        time.sleep(0.3)
+        assert abs(made.place("rails")[2] - before) < 0.002
