@@ -115,7 +115,9 @@ def started(folder: Path, *settings: str) -> Iterator[Bench]:
         rig = lab_file(folder / "lab.toml", wired)
         command = [sys.executable, "-m", "hil", "run", "scheme-1", "--rig", rig]
         command += typed(*MOVING, *settings)
-        process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+        process = subprocess.Popen(
+            command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True
+        )
         try:
             assert process.stderr is not None
             pids = {"loop": process.pid}
@@ -177,6 +179,22 @@ def test_the_axes_stand_after_a_process_has_died(tmp_path: Path, who: str, how: 
             _, err = bench.controller.communicate(timeout=30.0)
             assert bench.controller.returncode == 3
             assert f"{who} process" in err.splitlines()[-1] or "safe torque off" in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    "number", [signal.SIGHUP, *(pytest.param(n, marks=pytest.mark.slow) for n in (signal.SIGQUIT, signal.SIGINT))]
+)
+def test_a_signal_to_all_processes_of_the_terminal_is_a_safe_stop(tmp_path: Path, number: signal.Signals) -> None:
+    with running(tmp_path) as bench:
+        bench.wait_for_speed(0.02)
+        os.killpg(bench.pids["loop"], number)
+        braking_s, stood_s = bench.times_to_stop(GENEROUS_S)
+        assert braking_s is not None
+        assert stood_s is not None
+        print(f"{number.name}: stands after {1e3 * stood_s:.0f} ms")  # noqa: T201
+        _, err = bench.controller.communicate(timeout=30.0)
+        assert bench.controller.returncode == 3
+        assert err.splitlines()[-1] == "safe stop: stopped by the operator"
 
 
 def _lives(pid: int) -> bool:
