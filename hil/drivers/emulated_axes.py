@@ -185,7 +185,7 @@ class EmulatedAxes:
                 self.brake(axis)
 
     def _apply_missing_torque(self, axis: int, position: float, rate: float, step_s: float) -> None:
-        """Replace the step of an axis without torque, or with a drive that does not obey.
+        """Replace the step of an axis without torque, or with a runaway drive.
 
         position, rate: m and m/s, or rad and rad/s, before the step.
         """
@@ -212,7 +212,7 @@ class EmulatedAxes:
         return math.copysign(max(0.0, abs(free) - step_s * hold), free)
 
     def _rate_of_runaway(self, axis: int, rate: float) -> float | None:
-        """Return the rate of an axis whose drive ignores all commands; None if it obeys."""
+        """Return the rate of an axis whose drive ignores all commands; None for a working one."""
         value = self.faults.value("runaway", self.names[axis])
         if value is None:
             self._runaway[axis] = None

@@ -56,7 +56,7 @@ AXIS: Final = {
     "mirrored": InjectableFault("motor and encoder are both the wrong way round", of_axis=True),
     "scaled": InjectableFault("the drive counts a multiple of the displacement", of_axis=True, value="factor"),
     "runaway": InjectableFault(
-        "the drive ignores all commands and goes on at a speed, 0 for its present one",
+        "the drive ignores all commands and moves at a constant speed, 0 for its present one",
         of_axis=True,
         value="m/s or deg/s",
         default=0.0,

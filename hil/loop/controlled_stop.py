@@ -63,7 +63,7 @@ class Ramp:
             self._first = np.abs(axes.read(stopped_s).rate)
 
     def is_lost(self, now_s: float) -> bool:
-        """Return whether the feedback has been missing for ``OFF_RAMP_S``; the fault of the stop says why."""
+        """Return whether the feedback has been missing for ``OFF_RAMP_S``; the fault of the stop is its cause."""
         return now_s - self._lost_since_s >= OFF_RAMP_S
 
     def check(self, now_s: float) -> Alarm | None:

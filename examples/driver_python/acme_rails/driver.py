@@ -73,6 +73,10 @@ class AcmeLink:
         if self._port is not None:
             self._insist(codec.STOP)
 
+    def disable(self) -> None:
+        """Stop: the controller has no command that switches the torque off."""
+        self.quick_stop()
+
     def close(self) -> None:
         """Close the port. Idempotent."""
         port, self._port = self._port, None
