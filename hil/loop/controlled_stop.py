@@ -62,6 +62,12 @@ class Ramp:
         with suppress(BenchError):
             self._first = np.abs(axes.read(stopped_s).rate)
 
+    @property
+    def end_s(self) -> float:
+        """Bench time at which the axes must stand: their ramps, and the times of standstill and of a late detection."""
+        longest = 0.0 if self._first is None else float((self._first / self._deceleration).max())
+        return self._stopped_s + REACTION_S + longest + OFF_RAMP_S + 2.0 * STANDSTILL_S
+
     def is_lost(self, now_s: float) -> bool:
         """Return whether the feedback has been missing for ``OFF_RAMP_S``; the fault of the stop is its cause."""
         return now_s - self._lost_since_s >= OFF_RAMP_S
@@ -123,14 +129,21 @@ class ControlledStop:
         self.cut = False
         """Whether an axis lost its torque before all stood."""
 
-    def brake(self) -> None:
-        """Stop all axes and wait until they stand, or until one has lost its torque. Never raises BenchError."""
+    def brake(self, each: Callable[[float], None] = lambda _: None) -> None:
+        """Stop all axes and wait until they stand, or until one has lost its torque. Never raises BenchError.
+
+        each: called with the bench time of each cycle.
+        """
         loop, now_s = self._loop, self._rate.now_s()
         self._ramps = self._begin(now_s)
         loop.bench.stop(now_s)
         loop.target.stop(now_s)
+        each(now_s)
         while not (self.cut or self._stands(now_s)):
-            now_s = self._step()
+            now_s = self.watch()
+            if now_s > max(ramp.end_s for ramp in self._ramps) and not self.cut:
+                self._cut(now_s)
+            each(now_s)
 
     def remove_torque(self) -> None:
         """Close the holding brakes, wait until they hold, then switch the torque off. Never raises BenchError."""
@@ -165,8 +178,8 @@ class ControlledStop:
     def _stands(self, now_s: float) -> bool:
         return all(now_s - ramp.rested_s >= STANDSTILL_S for ramp in self._ramps)
 
-    def _step(self) -> float:
-        """Wait for the next cycle and check all ramps; return its bench time."""
+    def watch(self) -> float:
+        """Wait for the next cycle and check all axes; return its bench time."""
         now_s = self._rate.wait().now_s
         self._loop.safety_io.keep_closed(now_s)
         alarms = [alarm for ramp in self._ramps if (alarm := ramp.check(now_s))]
@@ -192,7 +205,7 @@ class ControlledStop:
         closed_s = now_s + self._brakes.close_s
         reported = False
         while not self.cut and (now_s < closed_s or self._loop.safety_io.brakes_closed(now_s) is False):
-            now_s = self._step()
+            now_s = self.watch()
             if reported and self._ended(now_s):
                 break
             if not reported and now_s > closed_s + _BRAKE_CONFIRMED_S:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from contextlib import suppress
 from typing import Final
 
 from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, SafetyTrip
@@ -13,34 +11,39 @@ from hil.loop.safety_io_stage import SAFETY_CHAIN, NoSafetyIo
 
 _ESTOP_DETECTED_S: Final = 0.06  # bench time: the coupler is polled every 20 ms
 _COUPLER_LOSS_DETECTED_S: Final = 0.6  # until a dead coupler is detected
-_POLL_WALL_S: Final = 0.001
 
 
-def root_cause(fault: BenchError, loop: Loop, rate: Rate, chain_opened: bool = False) -> BenchError:
-    """Return the root cause of ``fault``, or ``fault`` itself; called after the axes have been stopped.
-
-    chain_opened: the stop has opened the safety chain, which is then no cause.
+class RootCause:
+    """Search for the root cause of ``fault`` while the bench is being stopped.
 
     An emergency stop, an opened interlock or a dead coupler removes the torque, and the drives may report that before
-    the safety chain is read. Waits until the chain has been read; in simulated time it does not wait.
+    the safety chain is read. The search ends when the chain has been read; in simulated time it ends at once.
     """
-    if isinstance(loop.safety_io, NoSafetyIo) or not rate.paced:
-        return fault
-    torque_is_off = isinstance(fault, DriveFault) and fault.kind is FaultKind.TORQUE_OFF
-    start_s = now_s = rate.now_s()
-    while now_s - start_s < (_COUPLER_LOSS_DETECTED_S if torque_is_off else _ESTOP_DETECTED_S):
+
+    def __init__(self, fault: BenchError, loop: Loop, rate: Rate) -> None:
+        self._fault = fault
+        self._loop = loop
+        torque_is_off = isinstance(fault, DriveFault) and fault.kind is FaultKind.TORQUE_OFF
+        wait_s = _COUPLER_LOSS_DETECTED_S if torque_is_off else _ESTOP_DETECTED_S
+        self._end_s = rate.now_s() + wait_s
+        self._found = isinstance(loop.safety_io, NoSafetyIo) or not rate.paced
+
+    def poll(self, now_s: float, chain_opened: bool) -> BenchError | None:
+        """Return the root cause, which may be the fault itself; None while the search goes on.
+
+        chain_opened: the stop has opened the safety chain, which is then no cause.
+        """
+        if self._found or now_s >= self._end_s:
+            return self._fault
+        bench = self._loop.bench
         try:
-            loop.bench.poll_emergency_input(now_s)
-            if (alarm := loop.bench.safety.interlock_open(now_s)) is not None:
+            bench.poll_emergency_input(now_s)
+            if (alarm := bench.safety.interlock_open(now_s)) is not None:
                 return alarm.trip()
-            loop.safety_io.check(now_s)
+            self._loop.safety_io.check(now_s)
         except BenchError as cause:
-            if isinstance(fault, LinkLost):  # a root cause itself
-                return fault
+            if isinstance(self._fault, LinkLost):  # a root cause itself
+                return self._fault
             if not (chain_opened and isinstance(cause, SafetyTrip) and cause.quantity == SAFETY_CHAIN):
                 return cause
-        with suppress(BenchError):
-            loop.bench.read(now_s, loop.now.feedback)  # the loop's heartbeat: the axes still have torque
-        time.sleep(_POLL_WALL_S)
-        now_s = rate.now_s()
-    return fault
+        return None

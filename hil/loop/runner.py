@@ -24,7 +24,7 @@ from hil.loop.cycle import Cycles, Loop, PythonCycles
 from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer, ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
-from hil.loop.root_cause import root_cause
+from hil.loop.root_cause import RootCause
 from hil.safety.alarms import Alarm, alarm_from_error
 
 COMPLETED = "completed"
@@ -293,17 +293,25 @@ class Runner:
     def _safe_stop(self, fault: BenchError) -> None:
         """Stop the bench, latch the alarms, cancel the automatic commands, and switch the torque off."""
         with _signals_counted() as signals:
-            now_s = self.rate.now_s()
-            self._modes.go(Mode.SAFE_STOP)
+            begun_s = self.rate.now_s()
             stop = self._controlled_stop(signals)
+            search = RootCause(fault, self.loop, self.rate)
+
+            def report_cause(now_s: float) -> None:
+                if self._modes.mode is Mode.SAFE_STOP or (cause := search.poll(now_s, stop.cut)) is None:
+                    return
+                self.safety.alarms.latch(alarm_from_error(cause, begun_s))
+                if cause is not fault:
+                    self.safety.alarms.latch(alarm_from_error(fault, begun_s))
+                self._faults.append(str(cause))
+                self._modes.go(Mode.SAFE_STOP)
+                self.operator.cancel_auto_sequence()
+
             if self._powered:
-                stop.brake()
-            cause = root_cause(fault, self.loop, self.rate, chain_opened=stop.cut)
-            self.safety.alarms.latch(alarm_from_error(cause, now_s))
-            if cause is not fault:
-                self.safety.alarms.latch(alarm_from_error(fault, now_s))
-            self._faults.append(str(cause))
-            self.operator.cancel_auto_sequence()
+                stop.brake(report_cause)
+            while self._modes.mode is not Mode.SAFE_STOP:
+                report_cause(self.rate.now_s() if stop.cut or not self._powered else stop.watch())
+                time.sleep(_PAUSE_S)
             if self._powered:
                 stop.remove_torque()
             self._powered = False

@@ -69,7 +69,7 @@ class Session:
         """Wait until ``reached``; return how long it took, s."""
         begun = time.monotonic()
         while not reached():
-            assert time.monotonic() - begun < limit_s, f"not reached: {self.outcomes}"
+            assert time.monotonic() - begun < limit_s, f"not reached: {[outcome.stop for outcome in self.outcomes]}"
             time.sleep(0.001)
         return time.monotonic() - begun
 

@@ -204,3 +204,19 @@ def test_an_axis_that_slips_while_its_brake_is_not_closed_is_cut() -> None:
     bench.run()
     assert bench.stop.cut
     assert lines.opened_s == pytest.approx(1.0 + OFF_RAMP_S, abs=2 * STEP_S)
+
+
+def test_an_axis_that_comes_to_rest_again_and_again_is_cut_when_its_time_is_over() -> None:
+    bench = Bench(Axes("rails", lambda t_s: 0.0 if round(t_s / STEP_S) % 4 == 3 else 0.0107))
+    bench.run()
+    assert bench.stop.cut
+    assert bench.lines.opened_s is not None
+    assert bench.lines.opened_s < 0.6
+
+
+def test_the_time_allowed_at_top_speed_is_that_of_the_ramp_and_the_reaction() -> None:
+    times: list[float] = []
+    bench = Bench(Axes("rails", lambda t_s: 0.5))
+    bench.stop.brake(times.append)
+    assert times[-1] <= REACTION_S + 0.01 / DECELERATION + OFF_RAMP_S + 2 * STEP_S
+    assert pytest.approx(0.95, abs=0.005) == 0.5 / DECELERATION + REACTION_S

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, LinkTimeout, SafetyTrip
-from hil.loop.root_cause import root_cause
+from hil.loop.root_cause import RootCause
 
 OPEN_INTERLOCK = SafetyTrip("io", "interlock", "open", "closed")
 
@@ -37,15 +37,16 @@ def cause_found(
 
     loop: Any = SimpleNamespace(
         safety_io=SimpleNamespace(check=check),
-        now=SimpleNamespace(feedback=None),
         bench=SimpleNamespace(
-            read=lambda now_s, feedback: None,
             poll_emergency_input=lambda now_s: None,
             safety=SimpleNamespace(interlock_open=lambda now_s: None),
         ),
     )
     rate: Any = SteppedRate()
-    return root_cause(fault, loop, rate, chain_opened)
+    search = RootCause(fault, loop, rate)
+    while (found := search.poll(rate.now_s(), chain_opened)) is None:
+        pass
+    return found
 
 
 @pytest.mark.parametrize("text", ["safe torque off", "STO active", ""])
