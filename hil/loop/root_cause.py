@@ -29,7 +29,7 @@ class RootCause:
         self._found = isinstance(loop.safety_io, NoSafetyIo) or not rate.paced
 
     def poll(self, now_s: float, chain_opened: bool) -> BenchError | None:
-        """Return the root cause, which may be the fault itself; None while the search goes on.
+        """Return the root cause, which may be the fault itself; None until it is found.
 
         chain_opened: the stop has opened the safety chain, which is then no cause.
         """
