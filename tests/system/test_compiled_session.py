@@ -15,6 +15,7 @@ from mcap.reader import NonSeekingReader
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.modes import Mode
+from hil.frmn.ring import NoTelemetry
 from hil.loop.compiled import cycles
 from hil.loop.compiled.cycles import CompiledCycles
 from hil.loop.cycle import Cycles, PythonCycles
@@ -23,6 +24,7 @@ from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR, Outcome, Runner
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design, case_seed
 from hil.recording import session as recording_session
+from hil.recording.sinks import RecordingSinks
 from hil.report.summary import summarise
 from hil.session import build
 from hil.session.build import Job
@@ -265,6 +267,33 @@ def test_compiled_cycles_and_cycles_in_python_can_follow_each_other(
 
     job = make_job(12.0, (*LATE, "gnc.abort.at_s=8.0"), seed=3)
     assert_equal(run(job, tmp_path / "a", True, alternate), run(job, tmp_path / "b", False))
+
+
+def test_library_that_fails_as_a_phase_is_decided_gives_the_same_events(check: Check, tmp_path: Path) -> None:
+    library = c_example(tmp_path, "other.so", f"{STEP} => {STEP} return 7;")
+    settings = (f"gnc.library={library}", "initial.position_m=[0.4, 0.0, 0.0]", "initial.attitude_deg=[0.0, 0.0, 0.0]")
+    found = check(make_job(4.0, settings), lambda runner: runner.loop.gnc.order_go())
+    assert [event.text for event in found.outcome.events][1:] == [
+        "docking: no-go, the ready state does not hold",
+        "phase ready begins",
+    ]
+    assert len(found.outcome.history) == 0
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_ctrl_c_while_a_row_is_recorded_ends_the_history_before_it(compiled: bool) -> None:
+    class Sink(NoTelemetry):
+        rows = 0
+
+        def put(self, row: np.ndarray) -> None:
+            if self.rows == 123:
+                raise KeyboardInterrupt
+            self.rows += 1
+
+    with build.runner(replace(make_job(4.0), compiled=compiled), sinks=RecordingSinks(cycles=Sink())) as runner:
+        outcome = runner.run()
+    assert outcome.stop == STOPPED_BY_OPERATOR
+    assert len(outcome.history) == 123
 
 
 def test_ctrl_c_stops_a_compiled_run_between_two_blocks(tmp_path: Path) -> None:
