@@ -13,10 +13,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from hil import errors
-from hil.core.build_info import VERSION
-
 if TYPE_CHECKING:
+    from hil import errors
     from hil.api.bench import Bench
     from hil.api.campaigns import Campaign, campaign
     from hil.api.jobs import load_rig, load_scenario
@@ -26,10 +24,11 @@ if TYPE_CHECKING:
     from hil.api.runs import run
     from hil.config.rig import Rig
     from hil.config.scenario import Scenario
+    from hil.core.build_info import VERSION
     from hil.monitor.monitor import DockingMonitor
     from hil.vmu.unit import VisionUnit
 
-__version__ = VERSION
+    __version__ = VERSION
 
 __all__ = [
     "Bench",
@@ -62,6 +61,7 @@ _MODULES = {
     "Run": "hil.api.results",
     "Scenario": "hil.config.scenario",
     "VisionUnit": "hil.vmu.unit",
+    "__version__": "hil.core.build_info:VERSION",
     "campaign": "hil.api.campaigns",
     "load_rig": "hil.api.jobs",
     "load_scenario": "hil.api.jobs",
@@ -73,6 +73,8 @@ _MODULES = {
 
 def __getattr__(name: str) -> Any:
     """Return a public name from its module (PEP 562)."""
+    if name == "errors":
+        return import_module("hil.errors")
     if name not in _MODULES:
         raise AttributeError(f"module 'hil' has no attribute {name!r}")
     module, _, other = _MODULES[name].partition(":")
