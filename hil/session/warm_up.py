@@ -23,7 +23,7 @@ from hil.setup.compiled import loop_is_compiled
 
 FIRST_START = "first start: compiling the kernels for this computer, once, about a minute"
 _CYCLES = 10
-_CHILD_WALL_S = 120.0
+_CHILD_WALL_S = 600.0  # a computer that is busy takes several minutes
 
 
 def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
