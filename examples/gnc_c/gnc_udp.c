@@ -4,8 +4,8 @@
  *     hil dss scheme-1 --lock-step &          # on the computer of the bench
  *     ./gnc_udp 127.0.0.1 24500               # on this one: address and port of hil dss
  *
- * The datagrams are those of docs/reference/wire-formats.md: a header of 32 bytes, and a struct of hil_gnc.h. This program sends
- * hello until the bench replies, then replies to each setup and each input with one output.
+ * The datagrams are those of docs/reference/wire-formats.md: a header of 32 bytes, a struct of hil_gnc.h and a tag by the
+ * key of the link. This program sends hello until the bench replies, then replies to each setup and each input with one output.
  */
 #define _POSIX_C_SOURCE 200809L
 #include <netdb.h>
@@ -18,8 +18,9 @@
 #include <unistd.h>
 
 #include "hil_gnc.h"
+#include "link_tag.h"
 
-enum { VERSION = 1, HEADER = 32, LARGEST = 1472, SILENT = 10 /* time-outs of 0.1 s, then hello is sent again */ };
+enum { VERSION = 2, HEADER = 32, LARGEST = 1472, SILENT = 10 /* time-outs of 0.1 s, then hello is sent again */ };
 enum { HELLO = 1, CELL = 2, GOODBYE = 4, REFUSED = 5 };
 enum { SETUP = 1, INPUT = 2, OUTPUT = 3 };
 enum { ROLE_GNC = 2, OFFERS = 1, WANTS = 2 };
@@ -43,6 +44,8 @@ typedef struct {
 
 static int wire;        /* the socket */
 static uint32_t writer; /* identifies this start of the program */
+static uint32_t bench;  /* writer number of the bench, from its datagrams */
+static const char *key; /* of the link */
 
 static double now_s(void)
 {
@@ -66,7 +69,7 @@ static uint32_t crc32(const uint8_t *bytes, size_t count)
 static void send_datagram(int kind, int cell, const void *payload, size_t size)
 {
     static uint32_t counts[8];
-    uint8_t datagram[LARGEST];
+    uint8_t datagram[LARGEST + TAG];
     header h = {{'F', 'R', 'M', 'N'}, 0, VERSION, (uint8_t)kind, (uint16_t)cell, (uint16_t)size, 0, writer, 0, 0.0};
     h.sequence = ++counts[kind];
     h.time_s = now_s();
@@ -74,7 +77,8 @@ static void send_datagram(int kind, int cell, const void *payload, size_t size)
     memcpy(datagram + HEADER, payload, size);
     h.crc = crc32(datagram + 8, HEADER - 8 + size);
     memcpy(datagram, &h, HEADER);
-    if (send(wire, datagram, HEADER + size, 0) < 0)
+    link_tag(key, kind == HELLO ? 0 : bench, datagram, HEADER + size, datagram + HEADER + size);
+    if (send(wire, datagram, HEADER + size + TAG, 0) < 0)
         return; /* the bench is not listening yet: hello is sent again */
 }
 
@@ -89,14 +93,19 @@ static void send_hello(void)
 /* Wait up to 0.1 s for a valid datagram; return the size of its payload, -1 without one. */
 static long receive(header *h, uint8_t payload[LARGEST])
 {
-    uint8_t datagram[LARGEST + 1];
-    const ssize_t got = recv(wire, datagram, sizeof datagram, 0);
+    uint8_t datagram[LARGEST + TAG + 1], tag[TAG];
+    const ssize_t got = recv(wire, datagram, sizeof datagram, 0) - TAG;
     if (got < HEADER || got > LARGEST)
         return -1;
     memcpy(h, datagram, HEADER);
+    const int begins = h->kind == REFUSED || (h->kind == CELL && h->cell == SETUP);
+    link_tag(key, begins ? 0 : writer, datagram, (size_t)got, tag);
+    if (memcmp(tag, datagram + got, TAG) != 0)
+        return -1;
     if (memcmp(h->magic, "FRMN", 4) != 0 || h->version != VERSION || h->size != got - HEADER
         || h->crc != crc32(datagram + 8, (size_t)got - 8))
         return -1;
+    bench = h->writer;
     memcpy(payload, datagram + HEADER, h->size);
     return h->size;
 }
@@ -130,6 +139,7 @@ int main(int argc, char **argv)
         fprintf(stderr, "usage: %s HOST PORT, those of hil dss\n", argv[0]);
         return 2;
     }
+    key = link_key();
     writer = (uint32_t)(now_s() * 1000.0) ^ ((uint32_t)getpid() << 16);
     for (;;) {
         const long size = receive(&h, payload);

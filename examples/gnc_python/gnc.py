@@ -9,6 +9,7 @@ components in c.
 """
 
 import contextlib
+import hmac
 import os
 import socket
 import struct
@@ -189,15 +190,29 @@ class Wire:
         self.socket.connect((host, port))
         self.socket.settimeout(0.1)
         self.writer = (int(time.time() * 1000) ^ os.getpid() << 16) & 0xFFFFFFFF
+        self.bench = 0  # writer number of the bench, from its datagrams
         self.counts = {}
+        folder = os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config")
+        path = os.environ.get("HIL_KEY_FILE") or f"{folder}/hil/gnc-link.key"  # as of hil dss --key-file
+        while not os.path.exists(path):  # hil dss makes it
+            time.sleep(0.1)
+        with open(path) as file:
+            self.key = file.read().strip().encode()
+
+    def tag(self, datagram, receiver):
+        """Return the 16 bytes behind a datagram: nobody without the key can start or fly a bench."""
+        kind, cell = struct.unpack_from("<9xBH", datagram)
+        begins = kind in (HELLO, REFUSED) or (kind == CELL and cell == SETUP_CELL)
+        return hmac.digest(self.key, struct.pack("<I", 0 if begins else receiver) + datagram, "sha256")[:16]
 
     def send(self, kind, cell, payload):
         self.counts[kind] = self.counts.get(kind, 0) + 1
         now_s = time.monotonic()
-        head = HEADER.pack(b"FRMN", 0, 1, kind, cell, len(payload), 0, self.writer, self.counts[kind], now_s)
+        head = HEADER.pack(b"FRMN", 0, 2, kind, cell, len(payload), 0, self.writer, self.counts[kind], now_s)
         crc = zlib.crc32(head[8:] + payload)
         with contextlib.suppress(ConnectionRefusedError):  # the bench is not listening yet
-            self.socket.send(head[:4] + struct.pack("<I", crc) + head[8:] + payload)
+            datagram = head[:4] + struct.pack("<I", crc) + head[8:] + payload
+            self.socket.send(datagram + self.tag(datagram, self.bench))
 
     def hello(self):
         cells = [(OUTPUT_CELL, OUTPUT, OFFERS), (SETUP_CELL, SETUP, WANTS), (INPUT_CELL, INPUT, WANTS)]
@@ -210,11 +225,12 @@ class Wire:
             datagram = self.socket.recv(2048)
         except (TimeoutError, ConnectionRefusedError):
             return None
-        if len(datagram) < HEADER.size:
+        datagram, tag = datagram[:-16], datagram[-16:]
+        if len(datagram) < HEADER.size or not hmac.compare_digest(tag, self.tag(datagram, self.writer)):
             return None
-        magic, crc, version, kind, cell, size, *_ = HEADER.unpack_from(datagram)
+        magic, crc, version, kind, cell, size, _, self.bench, *_ = HEADER.unpack_from(datagram)
         payload = datagram[HEADER.size :]
-        if (magic, version, size, crc) != (b"FRMN", 1, len(payload), zlib.crc32(datagram[8:])):
+        if (magic, version, size, crc) != (b"FRMN", 2, len(payload), zlib.crc32(datagram[8:])):
             return None
         return kind, cell, payload
 

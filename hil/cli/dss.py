@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import sys
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +14,7 @@ from hil.cli.output import check_json_path
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
+    from hil.core.operator_commands import TerminalOperator
     from hil.frmn.udp import Address
     from hil.loop.runner import Runner
 
@@ -30,6 +33,10 @@ class GncLinkOptions:
     """Each cycle waits for the reply of the GNC; on a mock rig the trajectory is that of hil run."""
     wait: float = 60.0
     """Wall-clock time to wait for a GNC, s."""
+    key_file: str | None = None
+    """Key of the link, the same file on both computers; default: this user's own key, made when needed."""
+    resume_by_gnc: Flag = False
+    """After a loss of the GNC, its return ends the hold, without an operator; on mock and emulated rigs only."""
 
 
 _LINK_DEFAULTS = GncLinkOptions()
@@ -70,12 +77,16 @@ def dss(
     if is_mock and lock_step and options.speed != 1.0:
         text = f"{options.speed:g}: in lock-step a mock rig does not run in real time: omit --speed"
         raise BadInput.single("--speed", "", text)
+    if link_options.resume_by_gnc and bench.value.kind == "hardware":
+        text = "a bench of hardware moves again by an act of its operator alone: type resume"
+        raise BadInput.single("--resume-by-gnc", "", text)
     console = Console(stderr=True)
 
     from hil.api.runs import RunRequest
     from hil.cli.run import run_and_print
     from hil.cli.warm_up import compile_kernels_with_notice
     from hil.core.operator_commands import AutoResumeOperator
+    from hil.frmn.authentication import link_key
     from hil.frmn.udp import shown
     from hil.gnc_backends.udp import gnc_link
     from hil.session import build
@@ -83,7 +94,7 @@ def dss(
 
     paced = is_mock and not lock_step
     job = replace(make_job(loaded, bench, options.seed, options.duration, options.speed), paced=paced)
-    link = gnc_link(f"hil dss {loaded.value.name}", bind, peer)
+    link = gnc_link(f"hil dss {loaded.value.name}", bind, peer, link_key(link_options.key_file))
     try:
         with console.status("checking that the rig can follow the scenario"):
             build.check(job)
@@ -93,11 +104,13 @@ def dss(
         where = f"the GNC at {shown(peer)}" if peer else f"a GNC on {shown(link.address)}"
         console.print(f"waiting for {where}", style="dim", highlight=False, soft_wrap=True)
         console.print(f"flown by {backend.connect(wait_s)}", style="dim", highlight=False, soft_wrap=True, markup=False)
-        operator = AutoResumeOperator() if bench.value.gnc_link.on_loss == "hold" else None
+        operator: AutoResumeOperator | TerminalOperator | None = None
+        if bench.value.gnc_link.on_loss == "hold":
+            operator = AutoResumeOperator() if link_options.resume_by_gnc else _at_terminal()
 
         def attach(runner: Runner) -> None:
             runner.loop.telemetry = mirror_of(runner, link)
-            if operator is not None:
+            if isinstance(operator, AutoResumeOperator):
                 operator.mode = lambda: runner.safety.modes.mode
 
         def link_stats() -> dict[str, Any]:
@@ -108,6 +121,18 @@ def dss(
         return run_and_print(request, console, json)
     finally:
         link.close("the bench has ended")
+
+
+def _at_terminal() -> TerminalOperator | None:
+    """Return the operator at the standard input, None if that is closed."""
+    from hil.core.operator_commands import TerminalOperator
+
+    try:
+        descriptor = sys.stdin.fileno()
+    except (AttributeError, OSError, ValueError):
+        return None
+    signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # a job in the background is not suspended
+    return TerminalOperator(descriptor)
 
 
 def link_addresses(

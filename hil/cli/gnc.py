@@ -25,6 +25,7 @@ def gnc(
     settings: Settings = (),
     wait: float = 60.0,
     json: Output = None,
+    key_file: str | None = None,
 ) -> int:
     """Run the GNC of a scenario for a bench in another process or on another computer, until the bench disconnects.
 
@@ -40,12 +41,15 @@ def gnc(
         Wall-clock time to wait for a bench, at first and after it became silent, s.
     json
         File for the numbers of the GNC, - for standard output.
+    key_file
+        Key of the link, the same file on both computers; default: this user's own key, made when needed.
     """
     refuse(wait_problems(wait) + check_json_path("--json", json))
     bind, peer = link_addresses("--listen", listen, "--dss", dss)
 
     from hil.config.load import load_scenario
     from hil.core.realtime import RealTime, no_garbage_collection
+    from hil.frmn.authentication import link_key
     from hil.frmn.udp import LOOPBACK, shown
     from hil.frmn.wire import PORT
     from hil.processes.gnc_server import GncServer, gnc_side
@@ -58,7 +62,7 @@ def gnc(
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True, markup=False)
 
-    link = gnc_side(f"hil gnc {loaded.name}", bind, peer)
+    link = gnc_side(f"hil gnc {loaded.name}", bind, peer, link_key(key_file))
     try:
         with console.status("compiling the kernels that are not cached"):
             server = GncServer(loaded, link, announce)

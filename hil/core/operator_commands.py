@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import select
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -149,6 +151,43 @@ class Operator:
                 if command is OperatorCommand.JOG:
                     self._jog, self._refreshed = None, False
             return None
+
+
+class TerminalOperator(Operator):
+    """Operator at the terminal of a run that needs no other commands: ``resume`` ends a hold, ``stop`` the run.
+
+    descriptor: of the terminal, whose lines are read without waiting; after its end no hold can be resumed.
+    """
+
+    _LONGEST_LINE: Final = 256
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__()
+        self._descriptor = descriptor
+        self._ended = False
+        self._line = b""
+
+    @property
+    def can_resume(self) -> bool:
+        """Whether the terminal can still send ``resume``."""
+        return not self._ended
+
+    def poll(self, now_s: float) -> None:
+        """Read the lines that have been typed."""
+        if self._ended or not select.select([self._descriptor], [], [], 0.0)[0]:
+            return
+        try:
+            typed = os.read(self._descriptor, self._LONGEST_LINE)
+        except OSError:  # a job in the background may not read
+            return
+        self._ended = not typed
+        *lines, rest = (self._line + typed).split(b"\n")
+        self._line = rest[-self._LONGEST_LINE :]
+        for line in lines:
+            if line.strip() == b"resume":
+                self.submit(OperatorCommand.RESUME)
+            elif line.strip() == b"stop":
+                self.submit(OperatorCommand.STOP)
 
 
 class AutoResumeOperator(Operator):

@@ -18,13 +18,15 @@ import numpy as np
 
 from hil.core.observable import ObservableList
 from hil.frmn import wire
+from hil.frmn.authentication import AuthenticatedSocket, link_key
 from hil.frmn.link_statistics import ClockOffset, DatagramStats
 from hil.frmn.mailboxes import MAILBOXES, Role
-from hil.frmn.udp import Address, UdpSocket, address_towards, shown
+from hil.frmn.udp import Address, address_towards, shown
 from hil.frmn.wire import DatagramHeader, DatagramKind, Fault, Refusal
 
 _EVERY_S: Final = 0.1  # heartbeats, and hellos until the first answer
 _POLL_MAX: Final = 64
+_DROPPING_S: Final = 2e-3
 _REPORTED_MAX: Final = 64  # texts of causes; further ones are only counted
 _REFUSE_EVERY_S: Final = 0.5  # to one address: limits amplification of a flood
 _REFUSED_ADDRESSES: Final = 256
@@ -59,7 +61,7 @@ class Link:
 
     bind: address of this host to listen on; None: the one on the route to ``peer``. peer: the only address accepted
     as the other side; None: the first sender of a hello. silent_max_s: a side that has been silent for longer is gone,
-    and another one can replace it.
+    and another one can replace it. key: of the link; None: that of the user (``link_key``).
     """
 
     def __init__(
@@ -71,11 +73,15 @@ class Link:
         bind: Address | None = None,
         peer: Address | None = None,
         silent_max_s: float = 1.0,
+        key: bytes | None = None,
     ) -> None:
         assert bind is not None or peer is not None
         self.role = role
         self.there = Role.GNC if role is Role.DSS else Role.DSS
-        self._socket = UdpSocket(bind or address_towards(peer or ("", 0)), "--listen" if bind else "--dss")
+        self._writer = secrets.randbits(32) or 1
+        where, option = bind or address_towards(peer or ("", 0)), "--listen" if bind else "--dss"
+        self._sealed = AuthenticatedSocket(where, option, link_key() if key is None else key, self._writer)
+        self._socket = self._sealed.socket
         self.address = self._socket.address
         self.silent_max_s = silent_max_s
         self.peer: Peer | None = None
@@ -90,7 +96,6 @@ class Link:
         self._offers, self._wants = tuple(offers), tuple(wants)
         self._only = peer
         self._hello = wire.hello_payload(role, name, offers, wants)
-        self._writer = secrets.randbits(32) or 1
         self._sequences: Counter[str] = Counter()
         self._counts: Counter[str] = Counter()
         self._reported: set[tuple[str, Address]] = set()
@@ -110,14 +115,23 @@ class Link:
     def poll(self, at_most: int = _POLL_MAX) -> list[Arrival]:
         """Process the received datagrams; return the mailboxes in them in order of arrival, without outdated values.
 
-        at_most: limit of datagrams per call; the others remain for the next call.
+        at_most: limit of authenticated datagrams per call; the others remain for the next call. Datagrams of others
+        are dropped, for at most ``_DROPPING_S`` of wall-clock time per call.
         """
         arrivals: list[Arrival] = []
-        for _ in range(at_most):
-            received = self._socket.receive()
+        give_up_s = time.monotonic() + _DROPPING_S
+        while at_most > 0:
+            received = self._sealed.receive()
             if received is None:
                 break
-            arrival = self.handle(*received)
+            datagram, sender, received_s = received
+            if datagram is None:
+                self._count("unauthenticated", sender, "sends datagrams that are not of the key of this link")
+                if time.monotonic() > give_up_s:
+                    break
+                continue
+            at_most -= 1
+            arrival = self.handle(datagram, sender, received_s)
             if arrival is not None:
                 arrivals.append(arrival)
         closed = self._socket.closed_ports()
@@ -170,7 +184,7 @@ class Link:
             for name in ("received", "lost", "reordered", "duplicates")
         }
         refused = {fault.value: self._counts[fault.value] for fault in Fault}
-        others = {name: self._counts[name] for name in ("unknown_sender", "second_writer", "unsent")}
+        others = {name: self._counts[name] for name in ("unknown_sender", "second_writer", "unauthenticated", "unsent")}
         return {**sums, **refused, **others}
 
     def handle(self, datagram: bytes, sender: Address, received_s: float) -> Arrival | None:
@@ -328,6 +342,6 @@ class Link:
             self._put(wire.pack(kind, payload, self._writer, self._sequences[kind.name], time.monotonic()), to)
 
     def _put(self, datagram: bytes, to: Address) -> bool:
-        sent = self._socket.send(datagram, to)
+        sent = self._sealed.send(datagram, to)
         self._counts["unsent"] += not sent
         return sent

@@ -5,7 +5,7 @@ Every datagram is a header of 32 bytes and a payload, little-endian, and fits in
     offset  type  field
          0  4s    magic     "FRMN"
          4  u4    crc       CRC-32 (zlib's) of all bytes from offset 8 to the end
-         8  u1    version   of the protocol, 1
+         8  u1    version   of the protocol, 2
          9  u1    kind      1 hello, 2 cell, 3 heartbeat, 4 ``goodbye``, 5 refused
         10  u2    cell      number of the mailbox; 0 in other kinds
         12  u2    size      of the payload, bytes
@@ -14,6 +14,8 @@ Every datagram is a header of 32 bytes and a payload, little-endian, and fits in
         20  u4    sequence  counts this writer's datagrams of this kind and mailbox, from 1 on
         24  f8    time_s    time of sending by the writer's own clock
         32        payload
+
+On the wire a tag follows (``hil.frmn.authentication``).
 """
 
 from __future__ import annotations
@@ -30,8 +32,9 @@ import numpy as np
 from hil.frmn.mailboxes import BY_NUMBER, MAILBOXES, MailboxSpec, Role
 
 MAGIC: Final = b"FRMN"
-VERSION: Final = 1
+VERSION: Final = 2
 """Incremented when header, handshake or a payload changes; the layouts of mailboxes have digests instead."""
+VERSION_AT: Final = 8  # offset
 HEADER: Final = struct.Struct("<4sIBBHHHIId")
 LARGEST: Final = 1472
 """Bytes of the largest datagram that fits into one Ethernet frame."""

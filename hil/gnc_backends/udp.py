@@ -42,12 +42,13 @@ _A_POSE: Final = np.zeros(1, POSE).view(np.recarray)
 _IDLE_IMU: Final = new(IMU)
 
 
-def gnc_link(name: str, bind: Address | None, peer: Address | None) -> Link:
-    """Return the bench's side of the link. bind: address to listen on. peer: the only GNC that is accepted.
+def gnc_link(name: str, bind: Address | None, peer: Address | None, key: bytes | None = None) -> Link:
+    """Return the bench's side of the link. bind: address to listen on. peer: the only GNC that is accepted. key: of
+    the link, None for that of the user.
 
     Raises BadInput if the address cannot be bound.
     """
-    return Link(Role.DSS, name, _OFFERS, _WANTS, bind, peer, _SILENT_S)
+    return Link(Role.DSS, name, _OFFERS, _WANTS, bind, peer, _SILENT_S, key)
 
 
 class UdpGnc(ExternalGnc):
@@ -111,6 +112,7 @@ class UdpGnc(ExternalGnc):
         while not self._replies.is_set_up:
             if time.monotonic() > give_up_s:
                 refusal = f"; refused: {self.link.refusal[1]}" if self.link.refusal else ""
+                refusal += f"; {self.link.complaints[-1]}" if self.link.complaints else ""
                 where = shown(self.link.address)
                 raise LinkTimeout(self.name, f"none has answered {where} within {patience_s:g} s{refusal}")
             self._replies.poll(self.cycle)

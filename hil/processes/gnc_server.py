@@ -38,9 +38,9 @@ _NEEDED: Final = ("step_s", "n_thrusters", "thruster_position_m", "thruster_forc
 """Fields of GNC_SETUP in which bench and GNC must agree: they describe the chaser."""
 
 
-def gnc_side(name: str, bind: Address | None, peer: Address | None) -> Link:
-    """Return the GNC's side of the link. bind: address to listen on. peer: the bench to connect to."""
-    return Link(Role.GNC, name, _OFFERS, _WANTS, bind, peer, _SILENT_S)
+def gnc_side(name: str, bind: Address | None, peer: Address | None, key: bytes | None = None) -> Link:
+    """Return the GNC's side of the link. bind: address to listen on. peer: the bench. key: None for the user's."""
+    return Link(Role.GNC, name, _OFFERS, _WANTS, bind, peer, _SILENT_S, key)
 
 
 @dataclass

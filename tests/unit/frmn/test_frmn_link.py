@@ -14,6 +14,7 @@ import pytest
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT
 from hil.errors import BadInput
 from hil.frmn import wire
+from hil.frmn.authentication import TAG_BYTES
 from hil.frmn.link import Arrival, Link
 from hil.frmn.link_statistics import ClockOffset, DatagramStats
 from hil.frmn.mailboxes import MAILBOXES, Role
@@ -224,13 +225,13 @@ def test_what_cannot_be_used_is_counted_and_said_once(bench: Link, datagram: byt
 def test_side_of_another_version_hears_why_it_is_refused(bench: Link) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.settimeout(5.0)
-        other.sendto(hello(1)[:8] + b"\x02" + hello(1)[9:], bench.address)
+        other.sendto(hello(1)[:8] + b"\x01" + hello(1)[9:], bench.address)
         until(lambda: bench.counters()["other_version"], bench)
         datagram = other.recv(2048)
-        header = wire.unpack(datagram)
+        header = wire.unpack(datagram[:-TAG_BYTES])
         assert isinstance(header, wire.DatagramHeader)
         assert header.kind is DatagramKind.REFUSED
-        assert wire.read_text(datagram[32:]) == (1, "this side uses version 1 of the protocol")
+        assert wire.read_text(datagram[32:-TAG_BYTES]) == (1, "this side uses version 2 of the protocol")
 
 
 def test_refusal_is_kept_for_whoever_wants_to_know(bench: Link, gnc: Link) -> None:

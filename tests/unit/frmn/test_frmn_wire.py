@@ -33,7 +33,7 @@ def changed(datagram: bytes, offset: int, replacement: bytes) -> bytes:
 def test_datagram_is_what_the_page_says() -> None:
     datagram = wire.pack(DatagramKind.HEARTBEAT, wire.heartbeat_payload(1.0, 2.0), 0x01020304, 5, 0.5)
     assert datagram.hex(" ", 4) == (
-        "46524d4e dc90bc2b 01030000 10000000 04030201 05000000 00000000 0000e03f 00000000 0000f03f 00000000 00000040"
+        "46524d4e 54200001 02030000 10000000 04030201 05000000 00000000 0000e03f 00000000 0000f03f 00000000 00000040"
     )
     assert struct.unpack_from("<I", datagram, 4)[0] == zlib.crc32(datagram[8:])
 
@@ -57,7 +57,7 @@ def test_every_cell_fits_an_ethernet_frame_and_has_a_number_of_its_own() -> None
         (b"", Fault.FOREIGN),
         (output(1)[:31], Fault.FOREIGN),
         (b"HTTP" + output(1)[4:], Fault.FOREIGN),
-        (changed(output(1), 8, b"\x02"), Fault.VERSION),
+        (changed(output(1), 8, b"\x01"), Fault.VERSION),
         (output(1)[:-1], Fault.CORRUPT),
         (output(1) + b"\0", Fault.CORRUPT),
         (output(1)[:100] + b"\x55" + output(1)[101:], Fault.CORRUPT),
