@@ -200,7 +200,7 @@ class Wire:
             self.key = file.read().strip().encode()
 
     def tag(self, datagram, receiver):
-        """Return the 16 bytes behind a datagram: nobody without the key can start or fly a bench."""
+        """Return the 16 bytes behind a datagram: a bench is started and flown by holders of the key."""
         kind, cell = struct.unpack_from("<9xBH", datagram)
         begins = kind in (HELLO, REFUSED) or (kind == CELL and cell == SETUP_CELL)
         return hmac.digest(self.key, struct.pack("<I", 0 if begins else receiver) + datagram, "sha256")[:16]

@@ -60,8 +60,7 @@ class Link:
     """This side, as ``role``, of a link that sends the mailboxes in ``offers`` and receives those in ``wants``.
 
     bind: address of this host to listen on; None: the one on the route to ``peer``. peer: the only address accepted
-    as the other side; None: the first sender of a hello. silent_max_s: a side that has been silent for longer is gone,
-    and another one can replace it. key: of the link; None: that of the user (``link_key``).
+    as the other side; None: the first sender of a hello. key: of the link; None: that of the user (``link_key``).
     """
 
     def __init__(
@@ -72,7 +71,6 @@ class Link:
         wants: Collection[str],
         bind: Address | None = None,
         peer: Address | None = None,
-        silent_max_s: float = 1.0,
         key: bytes | None = None,
     ) -> None:
         assert bind is not None or peer is not None
@@ -83,7 +81,8 @@ class Link:
         self._sealed = AuthenticatedSocket(where, option, link_key() if key is None else key, self._writer)
         self._socket = self._sealed.socket
         self.address = self._socket.address
-        self.silent_max_s = silent_max_s
+        self.silent_max_s = 1.0
+        """A side that has been silent for longer is gone, and another one can replace it."""
         self.peer: Peer | None = None
         self.joined = 0
         """Number of other sides that have joined so far."""

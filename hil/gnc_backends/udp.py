@@ -48,7 +48,9 @@ def gnc_link(name: str, bind: Address | None, peer: Address | None, key: bytes |
 
     Raises BadInput if the address cannot be bound.
     """
-    return Link(Role.DSS, name, _OFFERS, _WANTS, bind, peer, _SILENT_S, key)
+    link = Link(Role.DSS, name, _OFFERS, _WANTS, bind, peer, key)
+    link.silent_max_s = _SILENT_S
+    return link
 
 
 class UdpGnc(ExternalGnc):

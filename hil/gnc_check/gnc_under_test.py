@@ -141,4 +141,6 @@ def check_link(bind: tuple[str, int] | None, peer: tuple[str, int] | None) -> Li
     """Return a link on which this side acts as the bench."""
     from hil.frmn.mailboxes import Role
 
-    return Link(Role.DSS, "hil gnc check", ("gnc.setup", "gnc.input"), ("gnc.output",), bind, peer, _TIMEOUT_S)
+    link = Link(Role.DSS, "hil gnc check", ("gnc.setup", "gnc.input"), ("gnc.output",), bind, peer)
+    link.silent_max_s = _TIMEOUT_S
+    return link

@@ -40,7 +40,9 @@ _NEEDED: Final = ("step_s", "n_thrusters", "thruster_position_m", "thruster_forc
 
 def gnc_side(name: str, bind: Address | None, peer: Address | None, key: bytes | None = None) -> Link:
     """Return the GNC's side of the link. bind: address to listen on. peer: the bench. key: None for the user's."""
-    return Link(Role.GNC, name, _OFFERS, _WANTS, bind, peer, _SILENT_S, key)
+    link = Link(Role.GNC, name, _OFFERS, _WANTS, bind, peer, key)
+    link.silent_max_s = _SILENT_S
+    return link
 
 
 @dataclass

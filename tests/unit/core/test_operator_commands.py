@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from itertools import product
 
 import pytest
 
 from hil.core.modes import Mode
-from hil.core.operator_commands import ALLOWED_IN, JogRequest, Operator, OperatorCommand
+from hil.core.operator_commands import ALLOWED_IN, JogRequest, Operator, OperatorCommand, TerminalOperator
 
 
 @pytest.mark.parametrize(("order", "mode"), list(product(OperatorCommand, Mode)))
@@ -71,3 +72,27 @@ def test_refused_jog_leaves_no_key_pressed() -> None:
     assert operator.jog_request() is None
     operator.jog("rails.x", 1)
     assert operator.pop(Mode.STANDBY) is OperatorCommand.JOG
+
+
+def test_operator_at_the_terminal_resumes_a_hold_by_a_typed_line_and_by_nothing_else() -> None:
+    reader, writer = os.pipe()
+    operator = TerminalOperator(reader)
+    operator.poll(0.0)
+    assert operator.can_resume
+    os.write(writer, b"resum")
+    operator.poll(0.1)
+    os.write(writer, b"ed\n\xff\x00[\n" + b"x" * 5000 + b"\n")
+    for _ in range(40):
+        operator.poll(0.2)
+    assert not operator.pending
+    os.write(writer, b"resume\n")
+    operator.poll(0.3)
+    assert list(operator.pending) == [OperatorCommand.RESUME]
+    os.write(writer, b" stop \n")
+    operator.poll(0.4)
+    assert operator.pending[0] is OperatorCommand.STOP
+    os.close(writer)
+    operator.poll(0.5)
+    assert not operator.can_resume
+    operator.poll(0.6)
+    os.close(reader)

@@ -31,7 +31,7 @@ STRANGER = 99
 
 @pytest.fixture
 def bench() -> Iterator[Link]:
-    link = Link(Role.DSS, "bench", ("gnc.setup", "gnc.input"), ("gnc.output",), LOCAL, None, 1.0, KEY)
+    link = Link(Role.DSS, "bench", ("gnc.setup", "gnc.input"), ("gnc.output",), LOCAL, None, KEY)
     yield link
     link.close()
 
@@ -79,9 +79,8 @@ def test_stranger_without_the_key_is_no_peer(bench: Link, stranger: socket.socke
     assert until_empty(bench) == []
     assert bench.peer is None
     assert bench.counters()["unauthenticated"] == 3
-    assert bench.complaints == [
-        f"127.0.0.1:{stranger.getsockname()[1]} sends datagrams that are not of the key of this link"
-    ]
+    sender = f"127.0.0.1:{stranger.getsockname()[1]}"
+    assert bench.complaints == [f"{sender} sends datagrams that are not of the key of this link"]
 
 
 def test_recorded_exchange_cannot_be_repeated(bench: Link, stranger: socket.socket) -> None:
@@ -95,7 +94,7 @@ def test_recorded_exchange_cannot_be_repeated(bench: Link, stranger: socket.sock
 
 def test_two_sides_with_one_key_exchange_mailboxes_and_with_two_keys_none(bench: Link) -> None:
     for key, joins in ((KEY, True), (b"o" * 32, False)):
-        gnc = Link(Role.GNC, "gnc", ("gnc.output",), ("gnc.setup",), None, bench.address, 1.0, key)
+        gnc = Link(Role.GNC, "gnc", ("gnc.output",), ("gnc.setup",), None, bench.address, key)
         end_s = time.monotonic() + 0.3
         got = []
         while time.monotonic() < end_s:
@@ -136,9 +135,7 @@ def test_burst_of_foreign_datagrams_delays_a_reply_by_less_than_a_cycle(
         assert worst_s < 0.02
 
 
-def test_users_key_is_made_once_and_readable_by_its_owner_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_users_key_is_made_once_and_is_for_its_owner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     made = link_key()
     assert link_key() == made
