@@ -51,7 +51,7 @@ def read_text(path: Path, at_most: int, encoding: str = "utf-8-sig") -> str:
         text = read_bytes(path, at_most).decode(encoding)
     except UnicodeDecodeError as error:
         name = encoding.removesuffix("-sig").upper()
-        raise _unreadable(path, f"byte {error.start} is not {name}") from error
+        raise _unreadable(path, f"not a text file: byte {error.start} is not {name}") from error
     return text.replace("\r\n", "\n")
 
 

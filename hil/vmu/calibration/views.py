@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -57,7 +58,8 @@ def read_views(place: Path) -> Views:
         axes.append([_number(table, number, column, row[column], problems) for column in COLUMNS[1:]])
         left, right = ((row.get(side) or "").strip() or f"{side}/{name}.png" for side in IMAGE_COLUMNS)
         images.append((table.parent / left, table.parent / right))
-    problems += [Problem(str(path), "", "no such image") for pair in images for path in pair if not path.is_file()]
+    paths = [path for pair in images for path in pair]
+    problems += [Problem(str(path), "", "no such image") for path in paths if not os.path.isfile(path)]
     if not rows:
         problems.append(Problem(str(table), "", "contains no view"))
     if problems:
