@@ -17,6 +17,7 @@ from hil.core.clock import WallClock
 from hil.core.messages import VMU_FRAME, AxisFeedback
 from hil.drivers.base import AxisGroup, Jogs, Parks, PoseSource
 from hil.drivers.factory import make_drivers
+from hil.drivers.profiled_move import compile_profile
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.drivers.remote.server import LOOP_SILENCE_MAX_S, DeviceServer, raise_priority
@@ -127,6 +128,7 @@ class IoServer(DeviceServer):
 
 def make(configuration: Message) -> IoServer:
     """Return the server of the configured rig; the threads of this process get its priority."""
+    compile_profile()  # the first kernel loads the compiler, which would keep the heartbeat waiting later
     raise_priority()
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])

@@ -16,7 +16,6 @@ import numpy as np
 
 from hil.core.clock import WallClock
 from hil.core.realtime import SWITCH_INTERVAL_S, take_fifo
-from hil.drivers.base import accepted_setpoint
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.errors import BenchError
@@ -29,12 +28,7 @@ _COUNTERS_EVERY: Final = 50  # periods
 
 
 def raise_priority() -> None:
-    """Schedule this thread, and those it starts, before everything but the loop, if the system allows it.
-
-    Kernels are loaded now: later that would keep the interpreter from every other thread for 0.1 s.
-    """
-    nothing = np.zeros(3)
-    accepted_setpoint(("", "", ""), nothing, nothing, nothing)
+    """Schedule this thread, and those it starts, before everything but the loop, if the system allows it."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     take_fifo(FIFO_PRIORITY)
 
