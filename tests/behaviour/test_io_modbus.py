@@ -64,7 +64,7 @@ class Desk:
 def _desk() -> Iterator[Desk]:
     clock, stop = WallClock(), threading.Event()
     told: list[tuple[bool, float]] = []
-    emulator = IoEmulator(config(), clock, lambda closed, t_s: told.append((closed, t_s)))
+    emulator = IoEmulator(config(), clock, lambda chain, t_s: told.append((chain.closed, t_s)))
     port = int(emulator.start()["io"].rpartition(":")[2])
     thread = threading.Thread(target=emulator.run, args=(stop,))
     thread.start()
@@ -182,6 +182,9 @@ class Welded:
     closed = True
 
     def update(self, *_: object) -> bool:
+        return True
+
+    def torque(self, t_s: float) -> bool:
         return True
 
 

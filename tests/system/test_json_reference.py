@@ -8,7 +8,8 @@ from typing import Any
 from hil.cli.main import execute
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "json.md"
-ONLY_SOMETIMES = {"monitor", "recording"}  # of runs with a docking monitor, of recorded runs
+ONLY_SOMETIMES = {"monitor", "recording", "gnc.python"}
+"""Keys of runs with a docking monitor, of recorded runs, of a GNC in Python."""
 
 
 def described() -> set[str]:
