@@ -11,7 +11,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-# one worker runs the tests on wires, which mostly wait, and two run the others
+# one worker runs whole benches on wires, one single devices on wires, which both mostly wait, and one the others
 WORKERS := 3
 
 # the C example is built in the tests
@@ -64,7 +64,9 @@ tidy: .venv/ready
 # one install for everything; repeated only after a change of the dependencies
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt \
+		--editable '.[dev]'
+	$(BIN)/python -m compileall -q -j 0 .venv/lib > /dev/null || true  # on all cores; some packages hold templates
 	touch $@
 
 .venv/docs: .venv/ready

@@ -249,6 +249,7 @@ def test_silence_after_a_stop_is_a_fault_as_long_as_there_is_torque(sides: Sides
     sides.rails.read(sides.clock.now_s())
     sides.rails.stop(sides.clock.now_s())
     assert sides.wait_until(lambda: sides.axes["turntable"].stops == 1, alive=False)
+    time.sleep(LOOP_SILENCE_MAX_S)  # the stop runs in a thread of its own
     with pytest.raises(LinkLost, match="turntable: stopped: the loop has been silent for"):
         sides.turntable.read(sides.clock.now_s())
 

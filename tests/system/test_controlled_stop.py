@@ -17,6 +17,7 @@ from hil.drivers.fault_injection import FaultControl
 from hil.loop.controlled_stop import OFF_RAMP_S, REACTION_S
 from hil.loop.runner import Outcome, Runner
 from hil.session import build
+from hil.session.warm_up import warm_up
 from tests.support.run_settings import make_job
 
 pytestmark = pytest.mark.wires
@@ -77,6 +78,7 @@ class Session:
 @contextmanager
 def session(attended: bool, *settings: str) -> Iterator[Session]:
     job = make_job(60.0, (*START, *settings), rig="emulated")
+    warm_up(job)
     with build.wired_bench(job) as bench:
         operator = Operator(PLAN, attended)
         runner, outcomes = bench.runner(operator=operator), list[Outcome]()
@@ -133,8 +135,7 @@ BRAKES = ("rig.io.coils.brakes_released=26", "rig.io.inputs.brakes_closed=2")
 def test_brakes_that_are_not_confirmed_are_an_alarm_and_a_watched_standstill() -> None:
     with session(True, *BRAKES) as made:
         made.fault("io", "on brakes_open")
-        made.fault("rails", "on stuck y")  # a following error: all drives obey
-        made.wait(lambda: made.mode is Mode.SAFE_STOP)
+        made.operator.submit(OperatorCommand.STOP)  # all drives follow their ramps
         made.wait(lambda: any(alarm.quantity == "holding brakes" for alarm in made.runner.safety.alarms.latched()), 5.0)
         assert made.torque()
         before = made.place("rails")[2]
