@@ -11,7 +11,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-# one worker runs whole benches on wires, one single devices on wires, which both mostly wait, and one the others
+# one worker runs the tests on wires, which mostly wait, and two run the others
 WORKERS := 3
 
 # the C example is built in the tests
@@ -28,8 +28,8 @@ test: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/python -m compileall -q hil  # hundreds of processes start, also where Python may not write bytecode itself
-	$(BIN)/hil warm-up loop verdict & kernels=$$!; $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
-	$(BIN)/pytest -m "not slow" -n $(WORKERS) --dist loadgroup
+	$(BIN)/hil warm-up loop verdict & kernels=$$!; nice -n 10 $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
+	$(BIN)/pytest -m "not slow" -n $(WORKERS) --dist loadgroup --durations 25
 
 slow: .venv/ready
 	$(BIN)/pytest -m slow --timeout 3600

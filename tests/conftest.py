@@ -28,12 +28,12 @@ _ONE_WORKER = {"vmu": "vision unit", "monitor": "docking monitor", "monte_carlo"
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Assign each test to the group of one worker, so that expensive fixtures are made once.
 
-    Tests marked ``wires`` run one after the other, whole benches in one worker and single devices in another. A module
-    may name its own group by ``xdist_group``; any other module is a group of its own.
+    Tests marked ``wires`` run one after the other. A module may name its own group by ``xdist_group``; any other
+    module is a group of its own.
     """
     for item in items:
         if item.get_closest_marker("wires"):
-            item.add_marker(pytest.mark.xdist_group("benches" if item.path.parent.name == "system" else "wires"))
+            item.add_marker(pytest.mark.xdist_group("wires"))
         elif not item.get_closest_marker("xdist_group"):
             item.add_marker(pytest.mark.xdist_group(_ONE_WORKER.get(item.path.parent.name, item.path.stem)))
 

@@ -97,6 +97,7 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recor
     assert (entry["stop"], entry["cycles"]) == ("stopped by the operator", ended["cycles"])
 
 
+@pytest.mark.slow
 def test_gnc_of_the_users_own_is_flown_held_and_aborted_from_the_page(tmp_path: Path) -> None:
     settings = typed(*NEAR, f"gnc.library={c_example(tmp_path)}")
     with console("--rig", "mock", *settings, record=tmp_path) as c:

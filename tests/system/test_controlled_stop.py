@@ -94,13 +94,13 @@ def session(attended: bool, *settings: str) -> Iterator[Session]:
                 thread.join(0.1)
 
 
-def cases(*of_one_case: object) -> list[object]:
-    """Return the cases attended and unattended; all but the first one are slow."""
+def cases(*of_one_case: object, slow: int = 0) -> list[object]:
+    """Return the cases attended and unattended; those from number ``slow`` on run with the slow tests only."""
     every = [(one, attended) for one in of_one_case for attended in (True, False)]
-    return [pytest.param(*case, marks=[pytest.mark.slow] if k else []) for k, case in enumerate(every)]
+    return [pytest.param(*case, marks=[pytest.mark.slow] if k >= slow else []) for k, case in enumerate(every)]
 
 
-@pytest.mark.parametrize(("axis", "attended"), cases("rails.x", "rails.z", "turntable.yaw"))
+@pytest.mark.parametrize(("axis", "attended"), cases("rails.x", "rails.z", "turntable.yaw", slow=1))
 def test_a_drive_that_does_not_obey_a_safe_stop_loses_its_torque(axis: str, attended: bool) -> None:
     device, name = axis.split(".")
     with session(attended) as made:

@@ -182,7 +182,7 @@ def test_the_axes_stand_after_a_process_has_died(tmp_path: Path, who: str, how: 
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGHUP, *(pytest.param(n, marks=pytest.mark.slow) for n in (signal.SIGQUIT, signal.SIGINT))]
+    "number", [pytest.param(n, marks=pytest.mark.slow) for n in (signal.SIGHUP, signal.SIGQUIT, signal.SIGINT)]
 )
 def test_a_signal_to_all_processes_of_the_terminal_is_a_safe_stop(tmp_path: Path, number: signal.Signals) -> None:
     with running(tmp_path) as bench:

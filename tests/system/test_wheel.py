@@ -59,6 +59,7 @@ def test_wheel_has_configs_page_header_and_types(wheel: Path) -> None:
     assert any(name.startswith("hil/console/page/") for name in names)
 
 
+@pytest.mark.slow
 def test_installed_package_runs_scheme_1_and_names_its_build(bare: Path, tmp_path: Path) -> None:
     code = "import hil, pathlib; print(pathlib.Path(hil.__file__).parents[1])"
     assert run(bare / "python", "-c", code, cwd=tmp_path).strip() == str(bare.parent / next_packages(bare))
