@@ -163,7 +163,7 @@ def test_rate_feedforward_reaches_the_drives(driver):
 
 def test_rate_of_a_setpoint_that_nobody_renews_is_dropped(driver):
     goal = np.radians((5.0, -4.0, 1.0))
-    with served(driver, speed=4.0) as (_, device, clock):
+    with served(driver, speed=4.0, timeout_s=1.6) as (_, device, clock):
         device.send(goal, np.full(3, math.radians(10.0)), clock.now_s())
         eventually(lambda: np.allclose(device.read(clock.now_s()).position, goal, atol=1e-4))
 
@@ -264,7 +264,7 @@ def test_device_that_is_silent_from_the_start_is_a_time_out(driver):
 
 
 def test_cia402_works_on_any_bus_of_python_can():
-    with served("cia402", "virtual", "test-turntable", speed=4.0) as (_, device, clock):
+    with served("cia402", "virtual", "test-turntable", speed=4.0, timeout_s=1.6) as (_, device, clock):
         device.send(np.radians((5.0, -4.0, 1.0)), np.zeros(3), clock.now_s())
         eventually(lambda: np.allclose(np.degrees(device.read(clock.now_s()).position), (5.0, -4.0, 1.0), atol=0.01))
 
@@ -273,7 +273,7 @@ def test_cia402_drive_without_velocity_offset_goes_by_its_target_alone():
     def without_offset(emulator):
         emulator.drives[1].objects.remove(0x60B1)
 
-    with served("cia402", speed=4.0, prepare=without_offset) as (_, device, clock):
+    with served("cia402", speed=4.0, timeout_s=1.6, prepare=without_offset) as (_, device, clock):
         device.send(np.radians((5.0, -4.0, 1.0)), np.zeros(3), clock.now_s())
         eventually(lambda: np.allclose(np.degrees(device.read(clock.now_s()).position), (5.0, -4.0, 1.0), atol=0.01))
 

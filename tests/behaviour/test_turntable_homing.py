@@ -40,7 +40,7 @@ def test_axes_without_absolute_encoders_take_no_setpoints_before_homing(driver):
 
 
 def test_homing_finds_the_place_and_setpoints_are_taken_afterwards(driver):
-    with served(driver, speed=4.0, **INCREMENTAL) as (emulator, device, clock):
+    with served(driver, speed=4.0, timeout_s=1.6, **INCREMENTAL) as (emulator, device, clock):
         device.home(clock.now_s())
         assert set(feedback(device, clock).homing) == {Homing.UNDER_WAY}
         eventually(lambda: set(feedback(device, clock).homing) == {Homing.DONE}, 20.0)
@@ -65,7 +65,7 @@ def test_homing_that_fails_is_told_and_stops_all_axes(driver):
 
 
 def test_axis_on_its_limit_switch_is_told(driver):
-    with served(driver, speed=4.0) as (_, device, clock):
+    with served(driver, speed=4.0, timeout_s=1.6) as (_, device, clock):
         assert feedback(device, clock).limit == (0, 0, 0)
         goal = np.radians((-60.0, -2.0, 60.0))
 
@@ -100,7 +100,7 @@ def test_torque_off_is_known_by_its_code_when_it_is_called_otherwise(driver, tmp
 
 
 def test_move_to_parks_the_axes_slowly_and_takes_no_setpoints_any_more(driver):
-    with served(driver, speed=4.0) as (emulator, device, clock):
+    with served(driver, speed=4.0, timeout_s=1.6) as (emulator, device, clock):
         goal, rate = np.radians((8.0, -8.0, 5.0)), np.radians((10.0, 10.0, 10.0))
         assert device.move_to(goal, rate, clock.now_s()) == pytest.approx(goal)
         fastest = [0.0]
