@@ -27,7 +27,7 @@ def run(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_approach_passes_on_a_driver_that_an_entry_point_provides(tmp_path: Path) -> None:
     result_file = tmp_path / "run.json"
-    options = ("--rig", example_driver.RIG, "--duration", "20", "--speed", "2", "--json", str(result_file))
+    options = ("--rig", example_driver.RIG, "--duration", "28", "--speed", "2", "--json", str(result_file))
     done = run(tmp_path, "run", "scheme-1", *options, *typed(*NEAR, *UNHURRIED))
     assert done.returncode == 0, done.stdout + done.stderr
     result = json.loads(result_file.read_text())
