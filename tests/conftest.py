@@ -15,6 +15,7 @@ import hil
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from tests.support.pauses import Pauses
 
 # examples drawn from a fixed seed; no deadline, because a first call may compile a kernel
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
@@ -24,18 +25,30 @@ _ONE_WORKER = {"vmu": "vision unit", "monitor": "docking monitor", "monte_carlo"
 """Packages whose unit tests share fixtures or kernels that are expensive to make, and the name of their group."""
 
 
+_PAUSED = Pauses()
+
+
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Assign each test to the group of one worker, so that expensive fixtures are made once.
 
     Tests marked ``wires`` run one after the other. A module may name its own group by ``xdist_group``; any other
-    module is a group of its own.
+    module is a group of its own. A test that failed while the computer paused is run a second time.
     """
+    repeats = config.pluginmanager.hasplugin("rerunfailures")
     for item in items:
+        if repeats:
+            item.add_marker(pytest.mark.flaky(reruns=1, condition=_PAUSED))
         if item.get_closest_marker("wires"):
             item.add_marker(pytest.mark.xdist_group("wires"))
         elif not item.get_closest_marker("xdist_group"):
             item.add_marker(pytest.mark.xdist_group(_ONE_WORKER.get(item.path.parent.name, item.path.stem)))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Begin to watch for pauses of the computer."""
+    _PAUSED.begin()
 
 
 @pytest.fixture

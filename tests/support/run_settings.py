@@ -11,9 +11,12 @@ NEAR = ("initial.position_m=[0.7, -0.03, 0.03]", "rig.rails.x.park_m=0.6")
 """A start from which the ready point is near, for a run that is short on the wall at the speed of time: faster
 ones ask more of the computer that the tests run on than it may have left."""
 
-UNHURRIED = ("rig.io.pump_timeout_s=1.0",)
+PATIENT_RELAY = ("rig.io.pump_timeout_s=1.0",)
 """The safety relay's own 0.05 s are tested where processes are killed: elsewhere a computer that stops for a moment
 is no fault. The other time-outs are 0.4 s and more as shipped."""
+
+UNHURRIED = (*PATIENT_RELAY, *(f"rig.{device}.lost_packets_max=50" for device in ("rails", "turntable", "vmu")))
+"""Nor are the packets that such a moment loses: that they are counted is tested by the table of faults."""
 
 
 def typed(*settings: str) -> tuple[str, ...]:

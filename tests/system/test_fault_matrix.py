@@ -10,11 +10,11 @@ from hil.core.modes import Mode
 from hil.session.build import WiredBench, check, wired_bench
 from hil.session.warm_up import warm_up
 from sims.fault_matrix import CONTINUES, TIGHT, FaultCase, matrix, representatives, run_case
-from tests.support.run_settings import UNHURRIED, make_job
+from tests.support.run_settings import PATIENT_RELAY, make_job
 
 pytestmark = pytest.mark.wires
 
-SETTINGS = (*TIGHT, *UNHURRIED)
+SETTINGS = (*TIGHT, *PATIENT_RELAY)
 
 
 @pytest.fixture(scope="module")
