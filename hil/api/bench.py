@@ -18,12 +18,9 @@ import numpy as np
 from hil.api.jobs import (
     Overrides,
     is_positive,
-    loaded_rig,
-    loaded_scenario,
-    make_job,
+    job_of,
     named_as_argument,
     rig_name,
-    settings_of,
 )
 from hil.api.results import Run
 from hil.api.runs import RunRequest, gnc_summary, judged_run, log, run_job
@@ -191,9 +188,7 @@ class Bench:
         speed: relative to real time, on rigs that run in real time.
         """
         with named_as_argument():
-            settings = settings_of(overrides)
-            loaded = loaded_scenario(scenario, settings), loaded_rig(rig, settings)
-            self._job = replace(make_job(*loaded, seed, speed=speed, gnc=gnc), compiled=False)
+            self._job = replace(job_of(scenario, rig, overrides, seed, speed=speed, gnc=gnc), compiled=False)
             build.check(self._job)
         self._operator = ProcedureOperator()
         self._request = RunRequest(

@@ -10,11 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from hil.api.jobs import (
     Overrides,
-    loaded_rig,
-    loaded_scenario,
-    make_job,
+    job_of,
     named_as_argument,
-    settings_of,
 )
 from hil.api.results import Run
 from hil.api.runs import RunRequest, log, run_job
@@ -71,8 +68,7 @@ def campaign(
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise BadInput.single(name, "", f"{value!r:.60}: must be an integer, at least {least}")
     with named_as_argument():
-        settings = settings_of(overrides)
-        job = make_job(loaded_scenario(scenario, settings), loaded_rig(RIG, settings), seed, duration_s)
+        job = job_of(scenario, RIG, overrides, seed, duration_s)
         checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s)
     temporary = tempfile.TemporaryDirectory(prefix="hil-campaign-") if out is None else None
     folder = Path(temporary.name if temporary else str(out))

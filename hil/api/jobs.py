@@ -87,6 +87,20 @@ def rig_name(rig: str | Path | Rig) -> str:
     return rig.name if isinstance(rig, Rig) else str(rig)
 
 
+def job_of(
+    scenario: str | Path | Scenario,
+    rig: str | Path | Rig,
+    overrides: Overrides | None,
+    seed: int = 0,
+    duration_s: float | None = None,
+    speed: float = 1.0,
+    gnc: PythonGnc | None = None,
+) -> Job:
+    """Return the job of a run from the arguments of ``hil.run``. Raises BadInput."""
+    settings = settings_of(overrides)
+    return make_job(loaded_scenario(scenario, settings), loaded_rig(rig, settings), seed, duration_s, speed, gnc)
+
+
 def make_job(
     scenario: Loaded[Scenario],
     rig: Loaded[Rig],

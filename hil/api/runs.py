@@ -12,12 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from hil.api.jobs import (
     Overrides,
-    loaded_rig,
-    loaded_scenario,
-    make_job,
+    job_of,
     named_as_argument,
     rig_name,
-    settings_of,
 )
 from hil.api.results import Run, run_of
 from hil.config.rig import Rig
@@ -84,9 +81,7 @@ def run(
     if faults:
         raise BadInput.single("faults", "", "cannot be injected by this version: omit it")
     with named_as_argument():
-        settings = settings_of(overrides)
-        loaded = loaded_scenario(scenario, settings), loaded_rig(rig, settings)
-        job = make_job(*loaded, seed, duration_s, gnc=gnc)
+        job = job_of(scenario, rig, overrides, seed, duration_s, gnc=gnc)
         build.check(job)
     compile_kernels(job, log.warning)
     found = run_job(RunRequest(job, rig_name(rig), record, gnc_summary(gnc), announce=log.info))
