@@ -21,6 +21,7 @@ import cyclopts
 from cyclopts import App
 
 from hil.core.build_info import VERSION
+from hil.core.operator_commands import STOP_SIGNALS
 from hil.errors import BadInput, BenchError, CampaignStopped, RenamedKey
 
 _GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
@@ -83,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     gc.set_threshold(_GARBAGE_THRESHOLD)
     # even if the shell ignores Ctrl-C for this process: a bench must always be stoppable
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+    for number in STOP_SIGNALS:
         signal.signal(number, _as_ctrl_c)
     out, err = (_Output(sys.stdout), _Output(sys.stderr))
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)

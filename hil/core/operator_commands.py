@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -12,6 +13,9 @@ from enum import Enum
 from typing import Final
 
 from hil.core.modes import Mode
+
+STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals of a user, a terminal that closes, or the system, each of which stops the bench."""
 
 
 class OperatorCommand(Enum):

@@ -111,8 +111,7 @@ class CyclicAxisGroup:
         self._disabled = False
         self._goal = self._profile = None
         self._jogging = self._link.jogging = False
-        accepted_setpoint(self.axis_names, self._low, self._low, self._high)  # compiles outside the cycle
-        compile_profile()
+        compile_profile()  # outside the cycle
         try:
             feedback = self._link.open()
         except DeviceError as error:

@@ -15,7 +15,7 @@ import numpy as np
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.observable import ObservableList
-from hil.core.operator_commands import Operator, OperatorCommand, StopCommanded
+from hil.core.operator_commands import STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError
@@ -29,8 +29,6 @@ from hil.safety.alarms import Alarm, alarm_from_error
 
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
-STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-"""Signals of a user, a terminal that closes, or the system, each of which stops the bench."""
 _PAUSE_S: Final = 0.001
 
 

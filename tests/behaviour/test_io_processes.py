@@ -21,7 +21,6 @@ from hil.config.rig import RAIL_NAMES
 from hil.core.clock import WallClock
 from hil.core.messages import AxisFeedback, Homing, PoseFrame
 from hil.drivers.axes import ServoAxes
-from hil.drivers.base import accepted_setpoint
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses, RemoteTurntable
 from hil.drivers.remote.io_layout import IO, SETPOINT, WATCHDOG, IoSharedMemory
@@ -124,8 +123,7 @@ class Sides:
 
 @pytest.fixture
 def sides() -> Iterator[Sides]:
-    ServoAxes(RIG.rails).step(0.0)  # compiles, as does this
-    accepted_setpoint(("", "", ""), np.zeros(3), np.zeros(3), np.zeros(3))
+    ServoAxes(RIG.rails).step(0.0)  # compiles
     clock, stop = WallClock(), threading.Event()
     here, there = socket.socketpair()
     memory = IoSharedMemory.create()
