@@ -14,8 +14,11 @@ from collections import deque
 from collections.abc import Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from itertools import islice
 from multiprocessing import get_context, parent_process
 from multiprocessing.process import BaseProcess
+from queue import Empty, SimpleQueue
 from typing import Any, Final, Protocol, Self
 
 from hil.core.child_process import die_with_parent
@@ -31,6 +34,8 @@ _AHEAD: Final = 2  # batches per worker, or parts of them, that are queued or ru
 _PART: Final = 10  # cases that are submitted to a worker of this computer at once
 _TRIES: Final = 3  # of a batch whose worker dies
 _CONNECT_S: Final = 10.0
+_ASK_EVERY_S: Final = 5.0  # a scheduler whose computer has lost power does not close the connection
+_SILENT_S: Final = 20.0
 
 
 class Engine(Protocol):
@@ -203,41 +208,49 @@ class DaskEngine:
 
     def run(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
         """Yield first case and rows of each batch; the scheduler reassigns the batches of a lost worker."""
-        from distributed import CancelledError, as_completed
+        from distributed import CancelledError
         from distributed.comm.core import CommClosedError
 
         left = iter(batches)
         tries: dict[Batch, int] = {}
         of: dict[Any, Batch] = {}
-        done = as_completed(loop=self._client.loop)
+        done: SimpleQueue[Any] = SimpleQueue()
 
         def submit(batch: Batch) -> None:
             future = self._client.submit(run_batch, spec, *batch, pure=False)
-            of[future.key] = batch
-            done.add(future)
+            of[future] = batch
+            future.add_done_callback(done.put)
 
         try:
-            for batch, _ in zip(left, range(_AHEAD * self.workers), strict=False):
+            for batch in islice(left, _AHEAD * self.workers):
                 submit(batch)
-            for future in done:
-                batch = of.pop(future.key)
+            while of:
+                future = self._next(done)
+                batch = of.pop(future)
                 if future.status == "finished":
                     yield batch[0], future.result()
-                    if (following := next(left, None)) is not None:
-                        submit(following)
-                    continue
-                if future.status in ("cancelled", "lost") or self._client.status != "running":
+                elif future.status in ("cancelled", "lost") or self._client.status != "running":
                     raise CommClosedError
-                tries[batch] = tries.get(batch, 0) + 1
-                if tries[batch] >= _TRIES:
-                    yield batch[0], [died_row(spec, case) for case in range(batch[0], sum(batch))]
-                    if (following := next(left, None)) is not None:
-                        submit(following)
                 else:
-                    submit(batch)
+                    tries[batch] = tries.get(batch, 0) + 1
+                    if tries[batch] < _TRIES:
+                        submit(batch)
+                        continue
+                    yield batch[0], [died_row(spec, case) for case in range(batch[0], sum(batch))]
+                if (following := next(left, None)) is not None:
+                    submit(following)
         except (CommClosedError, CancelledError, TimeoutError, OSError) as error:
-            text = "is gone: completed cases are kept, run it again"
-            raise CampaignStopped(f"scheduler {self._address}: {text}") from error
+            lost = f"no answer for {_SILENT_S:g} s" if isinstance(error, TimeoutError) else "connection lost"
+            text = f"scheduler {self._address}: {lost}: completed cases are kept, start it and run the command again"
+            raise CampaignStopped(text) from error
+
+    def _next(self, done: SimpleQueue[Any]) -> Any:
+        """Return the next future of ``done``; raise OSError if the scheduler does not answer meanwhile."""
+        while (scheduler := self._client.scheduler) is not None:
+            with suppress(Empty):
+                return done.get(timeout=_ASK_EVERY_S)
+            self._client.sync(scheduler.identity, callback_timeout=_SILENT_S)
+        raise ConnectionError
 
     def close(self) -> None:
         """Disconnect from the scheduler."""

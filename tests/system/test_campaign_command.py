@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -19,6 +22,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.monte_carlo import batch, engines
 from hil.monte_carlo.campaign import CampaignJob
 from hil.monte_carlo.engines import LocalEngine
+from hil.monte_carlo.store import Store
 
 pytestmark = pytest.mark.xdist_group("campaign")
 
@@ -242,3 +246,60 @@ def test_dask_cluster_gives_the_same_cases_also_when_a_worker_is_killed(alone: P
         campaign.run(store, 120, engine, kill_one)
         engine.close()
     assert_same(alone, tmp_path / "killed")
+
+
+@contextmanager
+def cluster_of_processes(port: int) -> Iterator[subprocess.Popen[bytes]]:
+    """Yield the scheduler of a cluster with one worker; both end with the block."""
+    address = f"tcp://127.0.0.1:{port}"
+    commands = (
+        ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"],
+        ["worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
+    )
+    dask = [sys.executable, "-m", "dask"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with ExitStack() as stack:
+        members = [stack.enter_context(subprocess.Popen([*dask, *command], **quiet)) for command in commands]
+        try:
+            yield members[0]
+        finally:
+            for member in members:
+                member.kill()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("how", "words"), [(signal.SIGKILL, "connection lost"), (signal.SIGSTOP, "no answer for 2 s")], ids=["dead", "hung"]
+)
+def test_lost_scheduler_is_one_line_and_the_campaign_continues_with_another(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    how: signal.Signals,
+    words: str,
+) -> None:
+    monkeypatch.setattr(engines, "_SILENT_S", 2.0)
+    monkeypatch.setattr(engines, "_ASK_EVERY_S", 0.5)
+    fly(tmp_path / "calm", runs=300)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    command = ["campaign", "scheme-1", "--runs", "300", *SHORT, "--scheduler", f"tcp://127.0.0.1:{port}"]
+    command += ["--out", str(tmp_path / "lost")]
+    with cluster_of_processes(port) as scheduler:
+        put, parts = Store.put, []
+
+        def put_and_strike(store: Store, first: int, rows: list[dict[str, Any]]) -> None:
+            put(store, first, rows)
+            parts.append(first)
+            scheduler.send_signal(how)
+
+        monkeypatch.setattr(Store, "put", put_and_strike)
+        capsys.readouterr()
+        assert execute(command) == 3
+        monkeypatch.setattr(Store, "put", put)
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert said.startswith(f"scheduler tcp://127.0.0.1:{port}: {words}: completed cases are kept")
+    assert len(list((tmp_path / "lost" / "parts").glob("*.parquet"))) == len(parts) < 6
+    with cluster_of_processes(port):
+        assert execute(command) == 0
+    assert_same(tmp_path / "calm", tmp_path / "lost")
