@@ -79,7 +79,9 @@ class Console:
     """Console in this process, separate from the loop, with access to its service."""
 
     def __init__(self, rig: str, duration_s: float) -> None:
-        choice = Choice(scenario="scheme-1", rig=rig, duration_s=duration_s, settings=PATIENT, on_loss="continue")
+        choice = Choice(
+            scenario="scheme-1", rig=rig, duration_s=duration_s, settings=(*PATIENT, "rig.console.on_loss=continue")
+        )
         self.service = ConsoleService(choice, shipped("scenarios"), [rig], time.monotonic)
         self.service.warm_up()
         listener = socket.create_server(("127.0.0.1", 0))

@@ -79,14 +79,14 @@ def console(
     from hil.console.serve import Tls, listen, read_token, serve
     from hil.console.session import Choice
 
+    overridden = () if on_loss is None else (f"rig.console.on_loss={on_loss}",)
     choice = Choice(
         scenario=scenario,
         rig=rig,
         seed=options.seed,
         duration_s=options.duration,
         speed=options.speed,
-        settings=options.settings,
-        on_loss=on_loss,
+        settings=(*options.settings, *overridden),
         record=None if no_record else str(Path(record).absolute()),
     )
     choice.job()

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.checks.waivers import waivers
 from hil.console.columns import COLUMNS, NAMES
 from hil.console.lease import RequestRejected
 from hil.console.live_view import Client
@@ -112,9 +113,10 @@ class ConsoleService(SessionManager):
         seed = changes.get("seed", 0)
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= SEED_MAX:
             raise RequestRejected(f"seed {seed!r}: allowed an integer of 0 or more")
+        choice = self.choice.model_copy(update=changes)
         if not command.get("confirmed"):
-            return {"ok": False, "ask": OPEN_QUESTION}
-        self.start_session(self.choice.model_copy(update=changes))
+            return {"ok": False, "ask": "\n".join([*map(str, waivers(choice.job().rig.value)), OPEN_QUESTION])}
+        self.start_session(choice)
         return {"ok": True, "text": ""}
 
     async def _order(self, client: Client, word: str, confirmed: bool) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from hil.config.console import OnLoss
 from hil.config.load import load_rig, load_scenario
 from hil.config.model import ConfigModel
 from hil.console.bench import ConsoleBench, opened
@@ -44,8 +43,6 @@ class Choice(ConfigModel):
     duration_s: float | None = None
     speed: float = 1.0
     settings: tuple[str, ...] = ()
-    on_loss: OnLoss | None = None
-    """Overrides the rig's."""
     record: str | None = None
     """Folder of the recordings; None: no recording."""
 
@@ -65,9 +62,7 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
         job = choice.job()
         _check_and_compile(job, messages)
         rig = job.rig.value
-        operator = RemoteOperator(
-            messages, status["status"], choice.on_loss or rig.console.on_loss, rig.console.lease_s
-        )
+        operator = RemoteOperator(messages, status["status"], rig.console.on_loss, rig.console.lease_s)
 
         def announce(text: str) -> None:
             messages.send(word=text)

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.checks.waivers import waivers
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.console.status import DEVICES, MODES, UNKNOWN, empty_status, status_of
@@ -210,4 +211,5 @@ def bench_description(rig: Rig, scenario: Scenario) -> dict[str, Any]:
         "monitor": _monitor_numbers(scenario),
         "nis_bound": nis_band(1, _NIS_TAIL)[1],
         "late_us": rig.host.late_wakeup_us,
+        "waived": [waiver.as_json() for waiver in waivers(rig)],
     }

@@ -17,6 +17,7 @@ img { width: 100%; height: auto; } pre { white-space: pre-wrap; font-size: 12px;
 .pass { color: #00543b; border-color: #009e73; } .fail { color: #7c2d00; border-color: #d55e00; }
 .note { background: #fff4d6; padding: .5em .8em; border-left: 5px solid #e69f00; }
 .out { color: #7c2d00; font-weight: 700; }
+.waived { background: #c00000; color: #fff; font-weight: 700; padding: .4em .8em; margin: .3em 0; }
 @media print { h2 { break-after: avoid; } img, table { break-inside: avoid; } }
 """
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from hil.checks.waivers import Waiver
 from hil.recording.read import Recorded
 from hil.report import html
 from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_flight
@@ -77,6 +78,8 @@ def _one(run: Judged, alone: bool) -> Iterator[str]:
     dropped = int((recorded.end or {}).get("dropped", "0"))
     if dropped:
         yield html.paragraph(f"{dropped} messages are missing in this recording.", "note")
+    for waiver in summary["waived"]:
+        yield html.paragraph(str(Waiver(**waiver)), "waived")
     yield from _verdict(run)
     yield html.heading(2, "Figures")
     for title, address in figures(recorded.cycles, recorded.scenario, recorded.rig, run.verdict):

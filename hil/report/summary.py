@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from hil.checks.compatibility import sign_off_gap
+from hil.checks.waivers import waivers
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.sign_off import SignOff
@@ -67,6 +68,7 @@ def summarise(
         "latency": measure_latency(history, scenario.step_s),
         "timing": _timing(outcome, rig, rate_hz),
         "sign_off": sign_off_summary(rig),
+        "waived": [waiver.as_json() for waiver in waivers(rig)],
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
         "faults": outcome.faults,
         "alarms": [alarm.as_json() for alarm in outcome.alarms],
@@ -77,7 +79,7 @@ def summarise(
 def summary_of(recorded: Recorded) -> dict[str, Any]:
     """Return the numbers of a recorded run; of one that broke off, those of its cycles."""
     if recorded.summary is not None:
-        return recorded.summary
+        return {"waived": [waiver.as_json() for waiver in waivers(recorded.rig)], **recorded.summary}
     stop = (recorded.end or {}).get("stop", BROKE_OFF)
     run, step_s = recorded.run, recorded.scenario.step_s
     outcome = Outcome(recorded.cycles, stop, faults=[stop])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from hil.checks.waivers import Waiver
 from hil.config.scenario import Requirements
 from hil.core.realtime import REAL_TIME
 from hil.report.verdict import ROW_NAMES, TABLE_V, Verdict, tolerances
@@ -40,21 +42,23 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     _print_bench(summary["bench"], summary["latency"], console)
     _print_timing(summary["timing"], console)
     print_sign_off(summary["sign_off"], console)
+    print_waived(summary["waived"], console)
     word = "[bold green]PASS[/]" if summary["passed"] else "[bold red]FAIL[/]"
     why = "" if summary["passed"] else f" ({_reason(summary, verdict)})"
     console.print(f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']}{why}", highlight=False)
 
 
 def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
-    """Print who commissioned the hardware, or that commissioning was waived."""
-    if sign_off is None:
-        return
-    if sign_off["waived"]:
-        text = f"waived (rig.sign_off.waived); the sign-off {sign_off['gap'] or 'holds'}"
-        console.print(f"Sign-off    {text}", style="yellow", highlight=False, soft_wrap=True, markup=False)
-    else:
+    """Print who commissioned the hardware; ``print_waived`` reports a missing sign-off."""
+    if sign_off is not None and not sign_off["gap"]:
         text = f"{sign_off['date']} by {sign_off['by']}"
         console.print(f"Sign-off    {text}", highlight=False, soft_wrap=True, markup=False)
+
+
+def print_waived(waived: Sequence[dict[str, str]], console: Console) -> None:
+    """Print each waived protection, in red."""
+    for waiver in waived:
+        console.print(str(Waiver(**waiver)), style="bold red", highlight=False, soft_wrap=True, markup=False)
 
 
 def _print_timing(timing: dict[str, Any], console: Console) -> None:

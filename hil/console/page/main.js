@@ -3,7 +3,7 @@
 import { Camera } from "/page/camera.js";
 import { Controls } from "/page/controls.js";
 import { Link } from "/page/link.js";
-import { ages, alarms, header, isStale, log } from "/page/panels.js";
+import { ages, alarms, header, isStale, log, waived } from "/page/panels.js";
 import { Plots } from "/page/plots.js";
 import { Scene } from "/page/scene.js";
 import { Store } from "/page/store.js";
@@ -27,6 +27,7 @@ const link = new Link({
       store.name(page.columns);
       plots.describe(page.bench);
       alarms(page);
+      waived(page);
     }
     store.add(rows, header.rows, header.first);
     if (header.portions) store.addPortions(header.portions);

@@ -79,6 +79,10 @@ export function alarms(page) {
   $("alarmline").classList.toggle("seen", Boolean(first && first.acknowledged));
 }
 
+export function waived(page) {
+  fill($("waived"), page.bench.waived || [], "li", (row, waiver) => text(row, `WAIVED ${waiver.key} = ${waiver.value}`, waiver.takes_away));
+}
+
 export function log(page, wall_s) {
   const events = page.events.map((event) => ({ when: `run ${event.t_s.toFixed(1)} s`, text: event.text }));
   const lines = page.log.map((line) => ({ when: `${Math.max(0, wall_s - line.wall_s).toFixed(0)} s ago`, text: line.text }));

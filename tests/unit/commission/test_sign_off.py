@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 from hil.checks.compatibility import check_sign_off, sign_off_gap
+from hil.checks.waivers import waivers
 from hil.cli.commission import Terminal
 from hil.cli.main import execute
 from hil.commission.sign_off import as_toml, signed_before
@@ -19,7 +20,7 @@ from hil.config.load import load_rig
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
 from hil.report.summary import sign_off_summary
-from hil.report.table import print_sign_off
+from hil.report.table import print_sign_off, print_waived
 
 NAMES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
 WIRES = """
@@ -29,6 +30,8 @@ rails.modbus.z.port = 504
 turntable.cia402.channel = "/dev/null"
 vmu.rs422.port = "/dev/null"
 io.port = 505
+io.coils.brakes_released = 40
+io.inputs.brakes_closed = 9
 """
 
 
@@ -92,10 +95,11 @@ def test_report_of_hardware_says_who_signed_or_that_it_was_waived(lab: Path, moc
     console = Console(file=told, width=200)
     for rig in (load_rig(str(signed(lab))).value, load_rig(str(lab), ["rig.sign_off.waived=true"]).value, mock_rig):
         print_sign_off(sign_off_summary(rig), console)
+        print_waived([waiver.as_json() for waiver in waivers(rig)], console)
     signed_line, waived_line = told.getvalue().strip().splitlines()
     assert signed_line == 'Sign-off    2026-03-01 by A. "Tech" Nician'
-    gap = f"is not complete, missing: {', '.join(NAMES)}"
-    assert waived_line == f"Sign-off    waived (rig.sign_off.waived); the sign-off {gap}"
+    assert waived_line.startswith("WAIVED rig.sign_off.waived = true: ")
+    assert waived_line.endswith(f"the sign-off is not complete, missing: {', '.join(NAMES)}")
     assert sign_off_summary(mock_rig) is None
 
 

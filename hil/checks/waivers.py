@@ -1,0 +1,72 @@
+"""Protections that a hardware rig gives up by its own file or options."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from hil.checks.compatibility import sign_off_gap
+from hil.config.rig import Rig
+from hil.errors import BadInput
+
+
+@dataclass(frozen=True)
+class Waiver:
+    """A key of the rig, its value, and the protection that is absent because of it."""
+
+    key: str
+    value: str
+    takes_away: str
+
+    def __str__(self) -> str:
+        return f"WAIVED {self.key} = {self.value}: {self.takes_away}"
+
+    def as_json(self) -> dict[str, str]:
+        """Return the entry of ``waived`` in the JSON."""
+        return dataclasses.asdict(self)
+
+
+def waivers(rig: Rig) -> list[Waiver]:
+    """Return what ``rig`` waives; empty for mock and emulated rigs, which move nothing."""
+    return list(_waivers(rig)) if rig.kind == "hardware" else []
+
+
+def _waivers(rig: Rig) -> Iterator[Waiver]:
+    if not rig.has_io:
+        yield Waiver(
+            "rig.io.driver",
+            "none",
+            "emergency stop, interlocks and safety chain are not read, and no stop opens the chain: the axes of a "
+            "controller that hangs or dies are stopped by their drives alone",
+        )
+    if rig.sign_off is not None and rig.sign_off.waived:
+        gap = sign_off_gap(rig)
+        lost = f"the sign-off {gap}" if gap else "a change of the rig after its sign-off is accepted"
+        yield Waiver(
+            "rig.sign_off.waived", "true", f"axes, limits and safety chain may differ from what was tested: {lost}"
+        )
+    if not rig.host.require_realtime:
+        yield Waiver(
+            "rig.host.require_realtime",
+            "false",
+            "the loop may run without real-time priority and locked memory: other programs can delay it",
+        )
+    if rig.on_overrun == "log":
+        yield Waiver("rig.host.on_overrun", "log", "lost periods are counted only: the bench moves on late setpoints")
+    if rig.console.on_loss == "continue":
+        yield Waiver(
+            "rig.console.on_loss", "continue", "the bench moves on unattended when page, network or console is lost"
+        )
+    if rig.holding_brakes and (rig.io is None or rig.io.inputs.brakes_closed is None):
+        yield Waiver(
+            "rig.io.inputs.brakes_closed",
+            "not set",
+            "holding brakes are not read back: torque is removed from gravity-loaded axes after brake.close_s",
+        )
+    for name, table in rig.device_tables().items():
+        try:
+            lacking = table.entry.check_files(table) if table.has_wires else []
+        except BadInput as error:  # a recording is read on a computer without the file
+            lacking = [str(error)]
+        yield from (Waiver(f"rig.{name}.driver", table.driver, line) for line in lacking)
