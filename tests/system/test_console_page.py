@@ -291,3 +291,26 @@ def test_page_fits_the_small_screen_and_every_button_has_a_name(browser: Any, pi
         assert all(names)
         keys = screen.page.evaluate("[...document.querySelectorAll('button[data-key]')].map(b => b.dataset.key)")
         assert len(keys) == len(set(keys))
+
+
+def test_waived_protections_are_asked_about_and_shown_in_red(browser: Any, pictures: Path, tmp_path: Path) -> None:
+    lab = tmp_path / "lab.toml"
+    lab.write_text(
+        'extends = "emulated"\nname = "lab"\nkind = "hardware"\nio.driver = "none"\nsign_off.waived = true\n'
+        'turntable.cia402.channel = "/dev/null"\nvmu.rs422.port = "/dev/null"\n'
+        'host.require_realtime = false\nhost.on_overrun = "log"\n'
+        + "".join(f"rails.modbus.{name}.port = {port}\n" for port, name in enumerate("xyz", 1))
+    )
+    with console("--rig", str(lab), *PATIENT) as c:
+        screen = open_screen(browser, c, pictures)
+        screen.press("t", "take")
+        screen.press("n", "open")
+        screen.page.wait_for_selector("#confirm[open]")
+        assert screen.page.inner_text("#question").count("WAIVED rig.") == 5
+        screen.page.keyboard.press("y")
+        screen.until("document.querySelectorAll('#waived li').length === 5")
+        screen.picture("waived")
+        line = screen.page.locator("#waived li").first
+        assert line.inner_text().startswith("WAIVED rig.io.driver = none")
+        assert line.evaluate("line => getComputedStyle(line).backgroundColor") == "rgb(213, 94, 0)"
+        assert screen.errors == []
