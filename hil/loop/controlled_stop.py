@@ -22,7 +22,7 @@ from hil.errors import BenchError
 from hil.loop.cycle import Loop
 from hil.loop.rate_keeper import Rate
 from hil.loop.target_stage import PlacedTarget
-from hil.safety.alarms import Alarm
+from hil.safety.alarms import Alarm, speed_text
 
 REACTION_S: Final = 0.12
 """Allowed from the command until an axis brakes: wire, drive, and the age of its feedback."""
@@ -90,9 +90,10 @@ class Ramp:
         axis = int(self._off_since_s.argmin())
         if now_s - self._off_since_s[axis] < OFF_RAMP_S:
             return None
-        unit = "m/s" if self.axes.name != "turntable" else "rad/s"
-        limit = f"{self._allowed(now_s)[axis]:.3f} {unit} on its ramp"
-        return Alarm(now_s, self.axes.axis_names[axis], "speed in a stop", f"{speed[axis]:.3f} {unit}", limit)
+        device, allowed = self.axes.name, self._allowed(now_s)[axis]
+        limit = f"{speed_text(device, allowed)} on its ramp"
+        value = speed_text(device, allowed + excess[axis])
+        return Alarm(now_s, self.axes.axis_names[axis], "speed in a stop", value, limit)
 
     def _allowed(self, now_s: float) -> Array:
         """Return the highest speed (3,) that the ramps allow at ``now_s``."""

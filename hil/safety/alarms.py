@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -49,6 +50,11 @@ def alarm_from_error(error: BenchError, t_s: float) -> Alarm:
         quantity, limit = _KINDS.get(type(error), ("device", "no error"))
         return Alarm(t_s, error.device, quantity, error.what, limit, str(error))
     return Alarm(t_s, "bench", "error", str(error), "none", str(error))
+
+
+def speed_text(device: str, speed: float) -> str:
+    """Return the speed of an axis, m/s or rad/s, in the unit of alarms: deg/s for the turntable."""
+    return f"{math.degrees(speed):.2f} deg/s" if device == "turntable" else f"{speed:.3f} m/s"
 
 
 class AlarmLog:

@@ -220,3 +220,14 @@ def test_the_time_allowed_at_top_speed_is_that_of_the_ramp_and_the_reaction() ->
     bench.stop.brake(times.append)
     assert times[-1] <= REACTION_S + 0.01 / DECELERATION + OFF_RAMP_S + 2 * STEP_S
     assert pytest.approx(0.95, abs=0.005) == 0.5 / DECELERATION + REACTION_S
+
+
+@pytest.mark.parametrize(("device", "unit", "per_si"), [("rails", "m/s", 1.0), ("turntable", "deg/s", 57.29578)])
+def test_the_alarm_of_a_stop_has_the_unit_of_the_safety_monitor(device: str, unit: str, per_si: float) -> None:
+    bench = Bench(Axes("rails", (lambda _: 0.3) if device == "rails" else (lambda _: 0.0)))
+    bench.turntable._speed = bench.turntable._reported = (lambda _: 0.3) if device == "turntable" else (lambda _: 0.0)
+    bench.run()
+    (alarm,) = bench.alarms.all()
+    assert alarm.value.endswith(f" {unit}")
+    assert float(alarm.value.split()[0]) == pytest.approx(0.3 * per_si, abs=0.01)
+    assert f" {unit} on its ramp" in alarm.limit
