@@ -199,12 +199,13 @@ class Identification:
         start = new(AXES)
         start.rail_m, start.gimbal_rad = self._bench.motion.position[:3], self._bench.motion.position[3:]
         move = Move(self._params, start, end)
-        start_s = tick.now_s
-        while tick.now_s - start_s < move.duration_s + 2.0 * self._dt or not self._at_rest(tick):
-            if tick.now_s - start_s > move.duration_s + _SETTLE_S:
+        moved_s = 0.0
+        while moved_s < move.duration_s + 2.0 * self._dt or not self._at_rest(tick):
+            if moved_s > move.duration_s + _SETTLE_S:
                 raise SafetyTrip("bench", "standstill", "not reached", f"{_SETTLE_S:g} s after a move")
-            move.at(tick.now_s - start_s + self._dt, self._target)
-            self._bench.command(self._target, tick.now_s, self._now.setpoint, self._params)
+            moved_s += self._dt
+            move.at(moved_s, self._target)
+            self._bench.command(self._target, tick.now_s, self._now.setpoint, move.limits)
             tick = self._next(tick, counts=False)
         return tick
 

@@ -103,12 +103,13 @@ class SlowMover:
     def _move(self, target: Array, rates: Array, followed: int | None) -> MoveResult:
         start, encoders = self.setpoints(), self.encoders()
         move = self._profile(start, target, rates)
-        errors, fastest, start_s = [], np.zeros(6), self._tick.now_s
-        while (moved_s := self._tick.now_s - start_s) < move.duration_s + 2.0 * self.dt_s or not self._at_rest():
+        errors: list[Array] = []
+        fastest = np.zeros(6)
+        while (moved_s := len(errors) * self.dt_s) < move.duration_s + 2.0 * self.dt_s or not self._at_rest():
             if moved_s > move.duration_s + _SETTLE_S:
                 raise SafetyTrip("bench", "standstill", "not reached", f"{_SETTLE_S:g} s after a move")
             move.at(moved_s + self.dt_s, self._target)
-            self._step()
+            self._step(move.limits)
             errors.append(self._sent - self.encoders())
             feedback = self._now.feedback
             fastest = np.maximum(fastest, np.abs([*feedback.rail_mps, *feedback.gimbal_radps]))
@@ -138,9 +139,9 @@ class SlowMover:
             record.rail_m, record.gimbal_rad = position[:3], position[3:]
         return Move(params, *ends)
 
-    def _step(self) -> None:
+    def _step(self, limits: np.record | None = None) -> None:
         """Send the present target and wait for the next cycle, with the safety checks of a run."""
-        self._bench.command(self._target, self._tick.now_s, self._now.setpoint)
+        self._bench.command(self._target, self._tick.now_s, self._now.setpoint, limits)
         self._sent = np.concatenate([self._now.setpoint.rail_m, self._now.setpoint.gimbal_rad])
         self._tick = self._sequencer.tick()
         self._sequencer.hold_requested(Mode.PLACING)

@@ -65,6 +65,14 @@ class Jogs(Protocol):
 
 
 @runtime_checkable
+class LimitsSetpoints(Protocol):
+    """An axis group whose axes catch up after a gap in the setpoints, as after a lost response."""
+
+    def set_limits(self, rate: Array, acceleration: Array) -> None:
+        """Set the limits (3,) of catching up, those of the present move; ``open`` sets the limits of the axes."""
+
+
+@runtime_checkable
 class Parks(Protocol):
     """An axis group with profiled moves."""
 

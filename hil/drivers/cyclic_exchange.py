@@ -19,6 +19,7 @@ from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
 from hil.drivers.latest import Latest
 from hil.drivers.profiled_move import ProfiledMove, compile_profile
+from hil.drivers.setpoint_limiter import SetpointLimiter
 from hil.errors import DeviceError, LinkLost
 
 PERIOD_S = 0.02  # bench time between exchanges when no setpoints arrive
@@ -96,6 +97,7 @@ class CyclicAxisGroup:
         self._jogging = False
         self._goal: tuple[Array, Array] | None = None
         self._profile: ProfiledMove | None = None
+        self._limiters: list[SetpointLimiter] = []
         self._setpoint: tuple[Array, Array, float] = (np.zeros(3), np.zeros(3), 0.0)
 
     def open(self, now_s: float) -> None:
@@ -118,6 +120,11 @@ class CyclicAxisGroup:
             self._box.fail(error)
             raise
         self._setpoint = (feedback.position, np.zeros(3), now_s)
+        self._limiters = [
+            SetpointLimiter(rate, acceleration)
+            for rate, acceleration in zip(self._rate_max.tolist(), self._acceleration_max.tolist(), strict=True)
+        ]
+        self._restart_limiters()
         self._box.put(feedback, self._clock.now_s())
         self._thread = threading.Thread(target=self._run, daemon=True, name=f"{self.name}-io")
         self._thread.start()
@@ -136,6 +143,11 @@ class CyclicAxisGroup:
             self._setpoint = (feedback.position.copy(), np.zeros(3), self._setpoint[2])
             self._link.jogging = True  # stays set, so that the drives keep receiving a setpoint
         self._jogging = on
+
+    def set_limits(self, rate: Array, acceleration: Array) -> None:
+        """Set the limits (3,) within which an axis catches up after a lost response."""
+        for limiter, limits in zip(self._limiters, zip(rate.tolist(), acceleration.tolist(), strict=True), strict=True):
+            limiter.set_limits(*limits)
 
     def move_to(self, position: Array, rate: Array, now_s: float) -> Array:
         """Move to ``position`` at most at ``rate`` and hold there; return the accepted goal.
@@ -248,14 +260,34 @@ class CyclicAxisGroup:
                 self._profile = ProfiledMove(position, *self._goal, self._acceleration_max, now_s)
                 if self._link.has_profiles:
                     self._link.move_to(*self._goal)
-            return self._profile.at(now_s)
-        return position, rate if now_s - sent_s <= _RATE_HOLD_S else np.zeros(3)
+            return self._limited(*self._profile.at(now_s), now_s, now_s)
+        return self._limited(position, rate if now_s - sent_s <= _RATE_HOLD_S else np.zeros(3), sent_s, now_s)
+
+    def _limited(self, position: Array, rate: Array, sent_s: float, now_s: float) -> tuple[Array, Array]:
+        """Return position and rate to deliver now."""
+        feedback = self._box.peek()
+        assert feedback is not None
+        measured = zip(feedback.position.tolist(), feedback.rate.tolist(), strict=True)
+        wanted = zip(position.tolist(), rate.tolist(), strict=True)
+        delivered = [
+            limiter.next(*setpoint, sent_s, now_s, (feedback.t_s, *found))
+            for limiter, setpoint, found in zip(self._limiters, wanted, measured, strict=True)
+        ]
+        limited = np.array(delivered)
+        return limited[:, 0], limited[:, 1]
+
+    def _restart_limiters(self) -> None:
+        """Continue from the present setpoint, at rest."""
+        position, _, sent_s = self._setpoint
+        for limiter, value in zip(self._limiters, position.tolist(), strict=True):
+            limiter.restart(value, sent_s)
 
     def _update(self, feedback: AxisFeedback) -> None:
         before = self._box.peek()
         if before is not None and not _all_homed(before) and not self._link.jogging:
             # homing moves the zero: an earlier setpoint would refer to the old one
             self._setpoint = (feedback.position.copy(), np.zeros(3), feedback.t_s)
+            self._restart_limiters()
         if Homing.FAILED in feedback.homing:
             self._stopping.set()
         self._box.put(feedback, feedback.t_s)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.bench import kinematics, stopping
 from hil.core.messages import AXES, Array, AxisFeedback, new
-from hil.drivers.base import AxisGroup, Jogs, Parks
+from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks
 from hil.errors import DeviceError
 from hil.models.profile import along_line, duration
 from hil.safety.monitor import SafetyMonitor
@@ -48,6 +48,8 @@ class BenchStage:
         self._next = new(AXES)
         self._next_arrays = tuple(self._next[name] for name in ("rail_m", "rail_mps", "gimbal_rad", "gimbal_radps"))
         self.limited_cycles = 0
+        self._limits = params
+        """BENCH_PARAMS with the limits that the devices have for catching up."""
 
     def open(self, now_s: float) -> None:
         """Open both devices; they hold their positions. Raises SafetyTrip while the emergency stop is latched."""
@@ -55,6 +57,7 @@ class BenchStage:
         alarm = self.safety.interlock_open(now_s)
         if alarm is not None:
             raise alarm.trip()
+        self._limits = self.params
         self.rails.open(now_s)
         self.turntable.open(now_s)
 
@@ -126,6 +129,8 @@ class BenchStage:
         params: BENCH_PARAMS with other limits or leads, for a jog or a measurement.
         """
         limits = self.params if params is None else params
+        if limits is not self._limits:
+            self._set_limits(limits)
         if kinematics.limit_setpoint(limits, self.motion, target, self._next):
             self.limited_cycles += 1
         self._send(now_s, setpoint)
@@ -137,9 +142,19 @@ class BenchStage:
 
     def brake(self, now_s: float, setpoint: np.record, params: np.record | None = None) -> bool:
         """Send the next setpoint of a braking ramp; return whether a setpoint still moves."""
-        moving = stopping.brake_step(self.params if params is None else params, self.motion, self._next)
+        limits = self.params if params is None else params
+        if limits is not self._limits:
+            self._set_limits(limits)
+        moving = stopping.brake_step(limits, self.motion, self._next)
         self._send(now_s, setpoint)
         return bool(moving)
+
+    def _set_limits(self, limits: np.record) -> None:
+        """Set the limits within which the axes catch up after a gap, from BENCH_PARAMS."""
+        self._limits = limits
+        for device, axes in ((self.rails, slice(0, 3)), (self.turntable, slice(3, 6))):
+            if isinstance(device, LimitsSetpoints):
+                device.set_limits(limits.rate_max[axes], limits.acceleration_max[axes])
 
     def _send(self, now_s: float, setpoint: np.record) -> None:
         rail_m, rail_mps, gimbal_rad, gimbal_radps = self._next_arrays
@@ -188,15 +203,22 @@ class BenchStage:
 
 
 class Move:
-    """Slow move of all six axes from start to target, each with a trapezoidal speed profile."""
+    """Slow move of all six axes from start to target, each with a trapezoidal speed profile.
+
+    limits: BENCH_PARAMS with the limits of the move, slightly above its profile: an axis that is behind can catch up.
+    """
 
     FRACTION_OF_LIMITS = 0.5
+    RESERVE = 1.1
 
     def __init__(self, params: np.record, start: np.record, target: np.record) -> None:
         self._start = np.concatenate([start.rail_m, start.gimbal_rad])
         self._distance = np.concatenate([target.rail_m, target.gimbal_rad]) - self._start
         self._speed = self.FRACTION_OF_LIMITS * params.rate_max
         self._acceleration = self.FRACTION_OF_LIMITS * params.acceleration_max
+        self.limits = params.copy()
+        self.limits.rate_max = np.minimum(self.RESERVE * self._speed, params.rate_max)
+        self.limits.acceleration_max = np.minimum(self.RESERVE * self._acceleration, params.acceleration_max)
         self.duration_s = max(
             duration(abs(distance), speed, acceleration, acceleration)
             for distance, speed, acceleration in zip(self._distance, self._speed, self._acceleration, strict=True)

@@ -167,17 +167,16 @@ class MotionSequencer:
         bench, now, mode = self.loop.bench, self.loop.now, self.modes.mode
         wanted = new(AXES)
         move = Move(bench.params, now.feedback, target)
-        start_s = tick.now_s
         cycle = 0
         while True:
-            moved_s = tick.now_s - start_s
+            moved_s = cycle * self._step_s  # a late cycle delays the move
             ended = move.duration_s - moved_s < _NO_MOVE_S
             if ended and self._is_at(target) and bench.at_rest(tick.now_s, now.feedback):
                 return True
             if moved_s > move.duration_s + _SETTLE_S:
                 raise SafetyTrip("bench", _PLACE_NAMES[mode], "not reached", f"{_SETTLE_S:g} s after the move")
             move.at(moved_s + self._step_s, wanted)
-            bench.command(wanted, tick.now_s, now.setpoint)
+            bench.command(wanted, tick.now_s, now.setpoint, move.limits)
             tick = self.tick()
             if self.hold_requested(mode):
                 return False

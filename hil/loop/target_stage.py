@@ -10,12 +10,13 @@ import numpy as np
 
 from hil.config.rig import TargetManipulator
 from hil.core.messages import Homing
-from hil.drivers.base import AxisGroup
+from hil.drivers.base import AxisGroup, LimitsSetpoints
 from hil.errors import SafetyTrip
+from hil.loop.bench_stage import Move
 from hil.loop.rate_keeper import Rate
 from hil.models.profile import along_line, duration
 
-FRACTION_OF_LIMITS: Final = 0.5
+FRACTION_OF_LIMITS: Final = Move.FRACTION_OF_LIMITS
 _SETTLE_S: Final = 3.0  # allowed after the move until the axes are at their places
 _SETTLED_M: Final = 0.001
 
@@ -80,11 +81,14 @@ class PlacedTarget:
         for name, homing in zip(self.axes.axis_names, feedback.homing, strict=True):
             if homing is not Homing.DONE:
                 raise SafetyTrip(name, "homing", homing.name.lower().replace("_", " "), "done before a run")
-        start_s, start, distance = tick.now_s, feedback.position.copy(), self._place - feedback.position
+        start, distance = feedback.position.copy(), self._place - feedback.position
+        if isinstance(self.axes, LimitsSetpoints):
+            self.axes.set_limits(Move.RESERVE * self._speed, Move.RESERVE * self._acceleration)
+        moved_s = 0.0
         limits = list(zip(np.abs(distance), self._speed, self._acceleration, strict=True))
         duration_s = max(duration(length, speed, acceleration, acceleration) for length, speed, acceleration in limits)
         position, motion, along = np.empty(3), np.empty(3), np.empty(3)
-        while (moved_s := tick.now_s - start_s) <= duration_s or self._off(tick.now_s) > _SETTLED_M:
+        while moved_s <= duration_s or self._off(tick.now_s) > _SETTLED_M:
             if moved_s > duration_s + _SETTLE_S:
                 raise SafetyTrip(self.axes.name, "place", "not reached", f"{_SETTLE_S:g} s after the move")
             for i, (length, speed, acceleration) in enumerate(limits):
@@ -93,6 +97,7 @@ class PlacedTarget:
                 motion[i] = math.copysign(along[1], distance[i])
             self.axes.send(position, motion, tick.now_s)
             tick = rate.wait()
+            moved_s += rate.step_s  # a late cycle delays the move
             each(tick.now_s)
         self.axes.send(self._place, np.zeros(3), tick.now_s)
 

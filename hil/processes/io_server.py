@@ -15,7 +15,7 @@ from hil.config.rig import Rig
 from hil.core.child_process import Message, serve
 from hil.core.clock import WallClock
 from hil.core.messages import VMU_FRAME, AxisFeedback
-from hil.drivers.base import AxisGroup, Jogs, Parks, PoseSource
+from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks, PoseSource
 from hil.drivers.factory import make_drivers
 from hil.drivers.profiled_move import compile_profile
 from hil.drivers.remote import io_layout
@@ -93,6 +93,8 @@ class IoServer(DeviceServer):
         if (kind == io_layout.JOGGED) != self._jogging[device.name] and isinstance(device, Jogs):
             self._jogging[device.name] = kind == io_layout.JOGGED
             device.set_jogging(kind == io_layout.JOGGED)
+        if isinstance(device, LimitsSetpoints):
+            device.set_limits(self._setpoint["rate_max"][0], self._setpoint["acceleration_max"][0])
         device.send(position, rate, sent_s)
 
     def _write_feedback(self, name: str, feedback: AxisFeedback) -> None:

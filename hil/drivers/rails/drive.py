@@ -42,6 +42,8 @@ class Drive:
         self.name = name
         self.failed = False
         self.sampled_s = 0.0  # bench time of the newest state
+        self.measured = 0.0, 0.0, 0.0
+        """Bench time, s, position, m, and rate, m/s, of the newest state."""
         self._bus = wire.bus
         self._device_id = wire.device_id
         self._attempt_s = wire.attempt_s
@@ -108,6 +110,7 @@ class Drive:
         ):
             raise ProtocolError(self.name, f"position {state.position_m:.6g} m is implausible: too far from the last")
         self._last = self.sampled_s, state.position_m
+        self.measured = self.sampled_s, state.position_m, state.rate_mps
         return state
 
     def forget_position(self) -> None:

@@ -28,6 +28,7 @@ from hil.drivers.rails.drive import CONNECT_TIMEOUT_S, ENABLE_TIMEOUT_S, OFF, ST
 from hil.drivers.rails.frames import new_counters
 from hil.drivers.rails.homing import HomingMonitor, limit_switch
 from hil.drivers.rails.wiring import make_wires
+from hil.drivers.setpoint_limiter import SetpointLimiter
 from hil.errors import DeviceError, DriveFault, LinkLost, SafetyTrip
 
 IDLE_PERIOD_S: Final = 0.02  # between exchanges without setpoints
@@ -54,6 +55,7 @@ class ModbusRails(LoopThread):
         self._homing = HomingMonitor(config)
         limits = ServoAxes(config)
         self._low, self._high, self._rate_max = limits.low, limits.high, limits.rate_max
+        self._acceleration_max = limits.acceleration_max
         self._box: Latest[AxisFeedback] = Latest(self.name)
         self._box.fail(LinkLost(self.name, "is not open"))
         self._setpoint: tuple[list[float], list[float], float] = ([], [], 0.0)  # position, rate, when sent
@@ -64,6 +66,7 @@ class ModbusRails(LoopThread):
         self._jogging = False
         self._all_stopped = threading.Event()
         self._drives: list[Drive] = []
+        self._limiters: list[SetpointLimiter] = []
         self._stop_task: asyncio.Task[None] | None = None
 
     def open(self, now_s: float) -> None:
@@ -91,6 +94,11 @@ class ModbusRails(LoopThread):
     def set_jogging(self, on: bool) -> None:
         """While on, accept setpoints for axes that are not homed, and do not limit them to the travel."""
         self._jogging = on
+
+    def set_limits(self, rate: Array, acceleration: Array) -> None:
+        """Set the limits (3,), m/s and m/s2, within which an axis catches up after a lost response."""
+        for limiter, limits in zip(self._limiters, zip(rate.tolist(), acceleration.tolist(), strict=True), strict=True):
+            limiter.set_limits(*limits)
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Set the next setpoint; a stopped device returns the position that it holds.
@@ -159,6 +167,12 @@ class ModbusRails(LoopThread):
             await _all(drive.identify() for drive in self._drives)
             held = await _all(drive.enable() for drive in self._drives)
             self._setpoint = (held, [0.0, 0.0, 0.0], self._clock.now_s())
+            self._limiters = [
+                SetpointLimiter(rate, acceleration)
+                for rate, acceleration in zip(self._rate_max.tolist(), self._acceleration_max.tolist(), strict=True)
+            ]
+            for limiter, position_m in zip(self._limiters, held, strict=True):
+                limiter.restart(position_m, self._setpoint[2])
             self._serving = True
             await self._exchange_all()
             self._box.check()
@@ -236,13 +250,16 @@ class ModbusRails(LoopThread):
         position, rate, sent_s = self._setpoint
         moved, stood = list(position), list(rate)
         moved[index], stood[index] = position_m, 0.0
+        self._limiters[index].restart(position_m, sent_s)
         self._setpoint = (moved, stood, sent_s)
 
     def _setpoint_of(self, index: int) -> tuple[float, float]:
-        """Return position and rate; the rate is 0 if the setpoint is old."""
+        """Return position and rate to send; the rate of an old setpoint is 0."""
         position, rate, sent_s = self._setpoint
-        fresh = self._clock.now_s() - sent_s <= self._timeout_s
-        return position[index], rate[index] if fresh else 0.0
+        now_s = self._clock.now_s()
+        fresh = now_s - sent_s <= self._timeout_s
+        wanted = position[index], rate[index] if fresh else 0.0
+        return self._limiters[index].next(*wanted, sent_s, now_s, self._drives[index].measured)
 
     def _begin_stop(self) -> None:
         self._homing.abort()

@@ -120,6 +120,7 @@ class RemoteAxes(_RemoteDevice):
         self.axis_names = full_names(name, config.axis_names)
         axes = ServoAxes(config)
         self._low, self._high, self._rate_max = axes.low, axes.high, axes.rate_max
+        self._acceleration_max = axes.acceleration_max
         self._timeout_s = config.timeout_s
         self._setpoint = np.zeros(1, io_layout.SETPOINT)
         self._feedback = np.zeros(1, io_layout.FEEDBACK)
@@ -135,12 +136,17 @@ class RemoteAxes(_RemoteDevice):
         self._feedback_before = self._block[f"{self.name}.feedback"].read(self._feedback)[0]
         self._stopped = self._disabled = False
         self._kind = io_layout.CYCLIC
+        self.set_limits(self._rate_max, self._acceleration_max)
         self._open(now_s)
 
     def home(self, now_s: float) -> None:
         """Start homing in the I/O process. Raises DeviceError."""
         self._check(now_s)
         self._link.requests.request("home", self.name)
+
+    def set_limits(self, rate: Array, acceleration: Array) -> None:
+        """Set the limits (3,) within which the axes catch up after a gap in the setpoints."""
+        self._setpoint["rate_max"], self._setpoint["acceleration_max"] = rate, acceleration
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Send the newest setpoint; return the accepted position, or the measured one if the device is stopped."""

@@ -22,7 +22,10 @@ DEVICES: Final = (*AXIS_DEVICES, "vmu", "io")
 LOOP, IO, WATCHDOG = "loop", "I/O", "watchdog"
 """The processes; mailboxes of their heartbeats."""
 
-SETPOINT: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3), ("kind", "i8")])
+SETPOINT: Final = np.dtype(
+    [("position", "f8", 3), ("rate", "f8", 3), ("rate_max", "f8", 3), ("acceleration_max", "f8", 3), ("kind", "i8")]
+)
+"""rate_max, acceleration_max: limits within which the axes catch up after a gap."""
 CYCLIC, JOGGED, GOAL = 0, 1, 2
 """Kinds of setpoints: of homed axes within their travel; of axes that are jogged; the position to park at."""
 FEEDBACK: Final = np.dtype(

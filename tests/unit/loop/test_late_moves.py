@@ -1,0 +1,48 @@
+"""Moves of the bench with late cycles: the move is delayed, no axis is sent faster than its move."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.core.clock import SimulatedClock
+from hil.core.messages import AXES, new
+from hil.loop.bench_stage import Move
+from hil.loop.rate_keeper import SimulatedRate, Tick
+from hil.session.build import in_memory
+from tests.support.run_settings import make_job
+
+LATE_CYCLE, LATE_S = 200, 0.1
+
+
+class LateRate(SimulatedRate):
+    """One cycle is late by ``LATE_S``."""
+
+    def wait(self) -> Tick:
+        if self.executed == LATE_CYCLE:
+            self._zero_s += LATE_S
+        return super().wait()
+
+
+def test_a_late_cycle_delays_a_move_and_does_not_hasten_it() -> None:
+    job = make_job(2.0)
+    runner = in_memory(job, LateRate(SimulatedClock(), job.scenario.value.step_s))
+    bench, sent = runner.loop.bench, list[np.ndarray]()
+    send = bench._send
+
+    def record(now_s: float, setpoint: np.record) -> None:
+        send(now_s, setpoint)
+        sent.append(np.concatenate([bench.accepted.rail_m, bench.accepted.gimbal_rad]))
+
+    bench._send = record  # type: ignore[method-assign]
+    with runner.axes_only() as sequencer:
+        target = new(AXES)
+        target.rail_m, target.gimbal_rad = runner.loop.now.feedback.rail_m, 0.0
+        target.rail_m[0] = 0.5
+        sequencer.tick()
+        sequencer.park(target)
+    speeds = np.diff(sent, axis=0)[:, 0] / bench.params.dt_s
+    limit = Move.FRACTION_OF_LIMITS * bench.params.rate_max[0]
+    assert len(sent) > LATE_CYCLE + 50
+    assert np.abs(speeds).max() < limit * (1.0 + 1e-9)
+    assert np.abs(speeds).max() > 0.99 * limit
+    assert np.abs(np.diff(speeds)).max() <= Move.FRACTION_OF_LIMITS * bench.params.acceleration_max[0] * 0.02 * 1.001
