@@ -36,6 +36,8 @@ class InputLines(ConfigModel):
     """Input that is 1 while the relay enables torque."""
     brakes_closed: BitAddress | None = None
     """Input that is 1 while all holding brakes are closed; omitted if they have no contact."""
+    local_enable: BitAddress | None = None
+    """Input that is 1 while the switch at the bench permits power and motion; omitted if the bench has none."""
 
 
 class IoIdentity(ConfigModel):
@@ -90,8 +92,8 @@ class Io(DeviceTable):
         if self.coils.brakes_released is not None:
             coils.append(("coils.brakes_released", self.coils.brakes_released))
         inputs = [("inputs.estop_closed", self.inputs.estop_closed), ("inputs.chain_closed", self.inputs.chain_closed)]
-        if self.inputs.brakes_closed is not None:
-            inputs.append(("inputs.brakes_closed", self.inputs.brakes_closed))
+        optional = {"brakes_closed": self.inputs.brakes_closed, "local_enable": self.inputs.local_enable}
+        inputs += [(f"inputs.{name}", address) for name, address in optional.items() if address is not None]
         inputs += [(f"interlocks.{name}", address) for name, address in self.interlocks.items()]
         for lines_of_a_kind in (coils, inputs):
             taken: dict[int, str] = {}

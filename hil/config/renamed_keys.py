@@ -79,6 +79,7 @@ _NOT_DIGESTED_DEFAULTS: Final[Mapping[str, Any]] = {
     "brake": None,
     "brakes_released": None,
     "brakes_closed": None,
+    "local_enable": None,
     "torque_delay_s": 0.0,
 }
 """Last names of keys that have been added since digests are written -> value with which nothing changes."""

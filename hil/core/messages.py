@@ -235,7 +235,8 @@ class IoInputs(NamedTuple):
     estop_closed: the emergency stop is released. chain_closed: the safety relay enables torque.
     open_interlocks: names of the interlocks whose contacts are open. thrusters_s: when the coupler
     received the thrusters' lines as they are, s of bench time; NaN before the first change.
-    brakes_closed: all holding brakes are closed; None: not read back.
+    brakes_closed: all holding brakes are closed; None: not read back. local_enable: the switch at the bench
+    permits power and motion; None: the bench has none.
     """
 
     t_s: float
@@ -244,6 +245,7 @@ class IoInputs(NamedTuple):
     open_interlocks: tuple[str, ...] = ()
     thrusters_s: float = math.nan
     brakes_closed: bool | None = None
+    local_enable: bool | None = None
 
 
 class IoOutputs(NamedTuple):

@@ -57,6 +57,12 @@ ALLOWED_IN: Final[dict[OperatorCommand, frozenset[Mode]]] = {
 """Modes in which a command is executed; in every other mode it is rejected with a message to the operator."""
 
 
+MOVING: Final = frozenset(
+    {OperatorCommand.HOME, OperatorCommand.ARM, OperatorCommand.START, OperatorCommand.PARK, OperatorCommand.JOG}
+)
+"""Commands that move the axes, or let them move."""
+
+
 class StopCommanded(Exception):
     """The operator commanded the end of the run."""
 

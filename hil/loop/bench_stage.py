@@ -19,7 +19,7 @@ class BenchStage:
     """Rails and turntable as one machine that realises the chaser's pose.
 
     emergency_input: returns, for a bench time, the levels of the emergency stop (None: unknown) and of its reset; None
-    if the bench has no such input.
+    if the bench has no such input. local_enable: returns the level of the local enabling input; None without one.
     """
 
     def __init__(
@@ -36,6 +36,7 @@ class BenchStage:
         self.safety = safety
         self.axis_names = (*rails.axis_names, *turntable.axis_names)
         self.emergency_input = emergency_input
+        self.local_enable: Callable[[float], bool] | None = None
         self.motion = new(kinematics.MOTION)
         """Positions and rates of the last setpoints."""
         self.feedback: tuple[AxisFeedback, AxisFeedback]
@@ -52,9 +53,9 @@ class BenchStage:
         """BENCH_PARAMS with the limits that the devices have for catching up."""
 
     def open(self, now_s: float) -> None:
-        """Open both devices; they hold their positions. Raises SafetyTrip while the emergency stop is latched."""
-        self.poll_emergency_input(now_s)
-        alarm = self.safety.interlock_open(now_s)
+        """Open both devices; they hold their positions. Raises SafetyTrip while ``interlock_power`` forbids it."""
+        self.poll_safety_inputs(now_s)
+        alarm = self.safety.interlock_power(now_s)
         if alarm is not None:
             raise alarm.trip()
         self._limits = self.params
@@ -64,7 +65,7 @@ class BenchStage:
     def read(self, now_s: float, feedback: np.record) -> None:
         """Write the newest encoder values into ``feedback`` (AXES)."""
         if self.emergency_input is not None:
-            self.poll_emergency_input(now_s)
+            self.poll_safety_inputs(now_s)
         rails = self.rails.read(now_s)
         turntable = self.turntable.read(now_s)
         self.feedback = rails, turntable
@@ -75,8 +76,8 @@ class BenchStage:
         rails, turntable = self.feedback
         return rails.t_s - zero_s, turntable.t_s - zero_s
 
-    def poll_emergency_input(self, now_s: float) -> None:
-        """Update the safety monitor with the levels of the emergency stop and of its reset, if the bench has them.
+    def poll_safety_inputs(self, now_s: float) -> None:
+        """Update the safety monitor with emergency stop, its reset and local enabling input, if the bench has them.
 
         Raises DeviceError if they cannot be read, which counts as pressed.
         """
@@ -84,6 +85,8 @@ class BenchStage:
             return
         try:
             self.safety.estop.update(*self.emergency_input(now_s))
+            if self.local_enable is not None:
+                self.safety.locally_enabled = self.local_enable(now_s)
         except DeviceError:
             self.safety.estop.update(None)
             raise

@@ -37,8 +37,8 @@ class RootCause:
             return self._fault
         bench = self._loop.bench
         try:
-            bench.poll_emergency_input(now_s)
-            if (alarm := bench.safety.interlock_open(now_s)) is not None:
+            bench.poll_safety_inputs(now_s)
+            if (alarm := bench.safety.interlock_power(now_s)) is not None:
                 return alarm.trip()
             self._loop.safety_io.check(now_s)
         except BenchError as cause:

@@ -15,7 +15,7 @@ import numpy as np
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.observable import ObservableList
-from hil.core.operator_commands import STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
+from hil.core.operator_commands import MOVING, STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError
@@ -212,6 +212,12 @@ class Runner:
             self._on_progress(self._modes.mode, 0.0)
 
     def _execute(self, command: OperatorCommand) -> None:
+        if command in MOVING and (alarm := self.safety.interlock_power(self.rate.now_s())):
+            if not self.operator.attended:
+                raise alarm.trip()
+            self.operator.rejections.append(alarm.text)
+            self.operator.end_jog()
+            return
         match command:
             case OperatorCommand.HOME:
                 self._sequencer.home()
@@ -333,7 +339,7 @@ class Runner:
         while True:
             tick = self.rate.wait()
             with suppress(DeviceError):  # counts as pressed
-                self.loop.bench.poll_emergency_input(tick.now_s)
+                self.loop.bench.poll_safety_inputs(tick.now_s)
             self.operator.poll(tick.now_s)
             command = self.operator.pop(Mode.SAFE_STOP)
             if command is OperatorCommand.STOP:

@@ -14,6 +14,7 @@ from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.base import DiscreteIo
 from hil.errors import DeviceError, SafetyTrip
 from hil.loop.rate_keeper import Rate
+from hil.safety.monitor import not_enabled
 
 CLOSING_TIME_S: Final = 1.0  # allowed from the first edge of enable until the relay closes
 SAFETY_CHAIN: Final = "safety chain"
@@ -105,6 +106,8 @@ class SafetyIoStage:
         inputs = self.io.read(now_s)
         if not inputs.estop_closed or inputs.open_interlocks:
             raise self._trip(inputs)
+        if inputs.local_enable is False:
+            raise not_enabled(now_s).trip()
         return enable and inputs.chain_closed
 
     def check(self, now_s: float) -> None:
@@ -121,6 +124,10 @@ class SafetyIoStage:
     def emergency_input(self, now_s: float) -> tuple[bool | None, bool]:
         """Return whether the emergency stop is pressed, and False: the coupler has no reset input."""
         return not self.io.read(now_s).estop_closed, False
+
+    def local_enable(self, now_s: float) -> bool:
+        """Return whether the switch at the bench permits power and motion; True if the bench has none."""
+        return self.io.read(now_s).local_enable is not False
 
     def mirror_thrusters(self, now_s: float) -> None:
         """Write the thruster lines if one has changed."""

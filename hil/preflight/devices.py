@@ -58,11 +58,15 @@ def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool
     try:
         lines.open(rate)
         with chain_kept_closed(lines, rate):
-            fine = PreflightCheck("device io", True, "identified, emergency stop released, safety chain closes")
+            enabled = "" if rig.io.inputs.local_enable is None else "local enabling input on, "
+            fine = PreflightCheck(
+                "device io", True, f"identified, emergency stop released, {enabled}safety chain closes"
+            )
             return [fine, *device_checks(rails, turntable, source, clock, enable_drives)]
     except BenchError as error:
         advice = (
-            "release the emergency stop, close the interlocks, check the coupler's link (docs/explanation/safety.md)"
+            "release the emergency stop, close the interlocks, switch the local enabling input on, "
+            "check the coupler's link (docs/explanation/safety.md)"
         )
         return [PreflightCheck("device io", False, str(error), advice)]
     finally:

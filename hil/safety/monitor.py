@@ -22,6 +22,7 @@ from hil.safety.alarms import Alarm, AlarmLog
 from hil.safety.estop import EmergencyStop
 from hil.safety.packet_loss import LinkWatch
 
+LOCAL_ENABLE: Final = "local enabling input"
 _SWITCHES: Final = {-1: "low", 1: "high"}
 _REST_MPS = 0.01
 _REST_RADPS = math.radians(1.0)
@@ -31,11 +32,12 @@ _SLACK_RAD = 0.001
 
 @dataclass(frozen=True, slots=True)
 class Checks:
-    """Checks of a mode: ``open``: emergency stop and age of the feedback; ``homed``: all axes homed; ``homing``: no
-    axis failed to home; ``switches``: no axis on a limit switch; ``commanded``: age of the setpoints; ``following``:
-    following error and soft limits."""
+    """Checks of a mode: ``open``: emergency stop and age of the feedback; ``enabled``: local enabling input;
+    ``homed``: all axes homed; ``homing``: no axis failed to home; ``switches``: no axis on a limit switch;
+    ``commanded``: age of the setpoints; ``following``: following error and soft limits."""
 
     open: bool = True
+    enabled: bool = True
     homed: bool = False
     homing: bool = False
     switches: bool = False
@@ -46,8 +48,8 @@ class Checks:
 _ALL = Checks(homed=True, switches=True, commanded=True, following=True)
 
 CHECKS: Final[dict[Mode, Checks]] = {
-    Mode.OFF: Checks(open=False),
-    Mode.STANDBY: Checks(),
+    Mode.OFF: Checks(open=False, enabled=False),
+    Mode.STANDBY: Checks(enabled=False),  # the drives hold the axes; ``interlock_power`` keeps them there
     Mode.HOMING: Checks(homing=True),  # the drives move the axes to the home switches by themselves
     Mode.JOGGING: Checks(commanded=True, following=True),  # the jog itself respects the switches: it may move off one
     Mode.PLACING: _ALL,
@@ -55,7 +57,7 @@ CHECKS: Final[dict[Mode, Checks]] = {
     Mode.RUNNING: _ALL,
     Mode.PARKING: _ALL,
     Mode.HOLD: _ALL,
-    Mode.SAFE_STOP: Checks(open=False),
+    Mode.SAFE_STOP: Checks(open=False, enabled=False),
 }
 
 
@@ -100,6 +102,8 @@ class SafetyMonitor:
         self.modes = ModeMachine()
         self.alarms = AlarmLog()
         self.estop = EmergencyStop()
+        self.locally_enabled = True
+        """Local enabling input: the switch at the bench permits power and motion, or the bench has none."""
         self.limits = limits
         self.hold_reason = ""
         """Reason of a requested hold; empty if none is requested."""
@@ -131,6 +135,8 @@ class SafetyMonitor:
         if checks.open:
             if self.estop.latched:
                 return self._emergency_stop(now_s)
+            if checks.enabled and not self.locally_enabled:
+                return not_enabled(now_s)
             rails_max_s, turntable_max_s = self.limits.feedback_age_max_s
             if not now_s - rails.t_s <= rails_max_s:
                 return self._stale_feedback(now_s, 0, rails, rails_max_s)
@@ -151,16 +157,18 @@ class SafetyMonitor:
                 return breach_alarm(now_s, self._axis_names, breach, self._breach)
         return None
 
-    def interlock_open(self, now_s: float) -> Alarm | None:
-        """Return the alarm that forbids enabling the drives, None if allowed."""
-        return self._emergency_stop(now_s) if self.estop.latched else None
+    def interlock_power(self, now_s: float) -> Alarm | None:
+        """Return the alarm that forbids enabling the drives, and any command to move, None if allowed."""
+        if self.estop.latched:
+            return self._emergency_stop(now_s)
+        return None if self.locally_enabled else not_enabled(now_s)
 
     def interlock_motion(
         self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback, feedback: np.record
     ) -> Alarm | None:
         """Return the alarm that forbids motion, None if allowed; checked before placing, arming and resuming."""
-        if self.estop.latched:
-            return self._emergency_stop(now_s)
+        if alarm := self.interlock_power(now_s):
+            return alarm
         if rails.homing != HOMED or turntable.homing != HOMED:
             return self._not_homed(now_s, rails, turntable)
         if rails.limit != NO_LIMIT or turntable.limit != NO_LIMIT:
@@ -203,6 +211,8 @@ class SafetyMonitor:
         """Reset all alarms, or return the alarm that forbids it."""
         if not self.estop.reset():
             return Alarm(now_s, "bench", "emergency stop", "pressed", "released")
+        if not self.locally_enabled:
+            return not_enabled(now_s)
         self.alarms.reset()
         return None
 
@@ -250,6 +260,11 @@ class SafetyMonitor:
         switches = (*rails.limit, *turntable.limit)
         axis = next(i for i, switch in enumerate(switches) if switch != 0)
         return Alarm(now_s, self._axis_names[axis], "limit switch", _SWITCHES[switches[axis]], "none")
+
+
+def not_enabled(now_s: float) -> Alarm:
+    """Return the alarm of a local enabling input that permits neither power nor motion."""
+    return Alarm(now_s, "io", LOCAL_ENABLE, "off", "on")
 
 
 def hold_trip(reason: str) -> SafetyTrip:

@@ -134,6 +134,7 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         lines = SafetyIoStage(io, loop.now.command.on[: rig.io.thruster_lines])
         loop.safety_io = lines
         loop.bench.emergency_input = lines.emergency_input
+        loop.bench.local_enable = lines.local_enable
     if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
         loop.vision.on_frame_used = loop.gnc.forwarder.put
     if target is not None and rig.moved_target is not None:

@@ -28,6 +28,7 @@ THRUSTERS = bytes((1, 0, 0, 1))
 
 def config(driver: str, **changes: object) -> Io:
     table = {"driver": driver, "pump_timeout_s": PUMP_TIMEOUT_S, "interlocks": {"door": 5}, "thruster_lines": 6}
+    table["inputs"] = {"local_enable": 3}
     return Io.model_validate(table | changes)
 
 
@@ -40,6 +41,7 @@ class Backend:
     pass_time: Callable[[float], None]
     press: Callable[[bool], None]
     open_door: Callable[[bool], None]
+    switch_off: Callable[[bool], None]
     thrusters: Callable[[], tuple[bool, ...]]
     go_silent: Callable[[], None]
 
@@ -79,6 +81,7 @@ def _mock() -> Iterator[Backend]:
         pass_time,
         lambda pressed: setattr(io, "pressed", pressed),
         lambda is_open: setattr(io, "open_interlocks", ("door",) if is_open else ()),
+        lambda off: setattr(io, "local_enable", not off),
         lambda: tuple(bool(on) for on in io.outputs.thrusters.ljust(6, b"\0")),
         lambda: io.fail(LinkTimeout("io", "silent")),
     )
@@ -100,6 +103,7 @@ def _on_the_wire() -> Iterator[Backend]:
             time.sleep,
             lambda pressed: faults.on("estop") if pressed else faults.off("estop"),
             lambda is_open: faults.on("interlock", "door") if is_open else faults.off("interlock", "door"),
+            lambda off: faults.on("local_enable_off") if off else faults.off("local_enable_off"),
             lambda: emulator.coupler.thrusters,
             lambda: faults.on("link_down"),
         )
@@ -170,6 +174,21 @@ def test_an_open_interlock_is_named_and_opens_the_chain(backend: Backend) -> Non
     backend.close_the_chain()
     backend.open_door(True)
     backend.wait_for(lambda inputs: inputs.open_interlocks == ("door",) and not inputs.chain_closed)
+
+
+def test_the_chain_stays_without_the_switch_at_the_bench_and_does_not_close_without_it(backend: Backend) -> None:
+    backend.close_the_chain()
+    assert backend.wait_for(lambda inputs: True).local_enable is True
+    backend.switch_off(True)
+    assert backend.wait_for(lambda inputs: inputs.local_enable is False).chain_closed
+    for enable in (False, True):
+        backend.io.write(IoOutputs(enable, THRUSTERS), backend.now_s())
+        for _ in range(10):
+            backend.io.pulse(backend.now_s())
+            backend.pass_time(0.02)
+    assert not backend.io.read(backend.now_s()).chain_closed
+    backend.switch_off(False)
+    backend.close_the_chain()
 
 
 def test_stop_sets_all_lines_off_and_keeps_them_off(backend: Backend) -> None:

@@ -10,6 +10,7 @@ coil      coils.brakes_released       1 releases the holding brakes
 input     inputs.estop_closed         1 while the emergency stop is released
 input     inputs.chain_closed         1 while the relay lets the drives have torque
 input     inputs.brakes_closed        1 while all holding brakes are closed
+input     inputs.local_enable         1 while the switch at the bench permits power and motion
 input     interlocks.NAME             1 while this contact (door, fence, end switch) is closed
 ========= =========================== ==============================================================
 
@@ -52,6 +53,7 @@ class LineMap:
     """Addresses of coils and inputs. coils: charge pump, enable, thrusters, in this order, and the brakes if commanded.
 
     thrusters: addresses of the thrusters' coils. brakes, brakes_closed: of the brakes' coil and input; None without.
+    local_enable: of its input; None without.
     """
 
     def __init__(self, config: Io) -> None:
@@ -59,6 +61,7 @@ class LineMap:
         self.thrusters = range(first, first + config.thruster_lines)
         self.brakes = config.coils.brakes_released
         self.brakes_closed = config.inputs.brakes_closed
+        self.local_enable = config.inputs.local_enable
         names = {config.coils.charge_pump: "charge pump", config.coils.enable: "enable"}
         names |= {address: f"thruster {n + 1}" for n, address in enumerate(self.thrusters)}
         if self.brakes is not None:
@@ -68,8 +71,7 @@ class LineMap:
         self.chain = config.inputs.chain_closed
         self.interlocks = dict(config.interlocks)
         inputs = [self.estop, self.chain, *self.interlocks.values()]
-        if self.brakes_closed is not None:
-            inputs.append(self.brakes_closed)
+        inputs += [address for address in (self.brakes_closed, self.local_enable) if address is not None]
         self.inputs = tuple(sorted(inputs))
         self.coil_runs = runs(self.coils)
         self.input_runs = runs(self.inputs)

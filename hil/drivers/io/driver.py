@@ -151,9 +151,16 @@ class ModbusIo(LoopThread):
             self._thrusters, self._thrusters_s = thrusters, t_s
         lines = self._lines
         open_interlocks = tuple(name for name, address in lines.interlocks.items() if not inputs[address])
-        brakes_closed = None if lines.brakes_closed is None else inputs[lines.brakes_closed]
         self._box.put(
-            IoInputs(t_s, inputs[lines.estop], inputs[lines.chain], open_interlocks, self._thrusters_s, brakes_closed),
+            IoInputs(
+                t_s,
+                inputs[lines.estop],
+                inputs[lines.chain],
+                open_interlocks,
+                self._thrusters_s,
+                None if lines.brakes_closed is None else inputs[lines.brakes_closed],
+                None if lines.local_enable is None else inputs[lines.local_enable],
+            ),
             t_s,
         )
         if stopped:

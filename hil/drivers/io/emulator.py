@@ -22,6 +22,7 @@ BUTTONS: Final = {
     "estop": InjectableFault("the emergency stop is pressed"),
     "interlock": InjectableFault("an interlock's contact is open", of_axis=True),
     "brakes_open": InjectableFault("the holding brakes do not close, nor does their contact"),
+    "local_enable_off": InjectableFault("the switch at the bench does not permit power and motion"),
 }
 _HEADER: Final = struct.Struct(">HHHB")  # transaction, protocol 0, length with the device id, device id
 _ID_BYTES: Final = 1
@@ -57,13 +58,16 @@ class EmulatedCoupler:
         released = self.faults.value("estop") is None
         open_now = {name for name in lines.interlocks if self.faults.value("interlock", name) is not None}
         pump, enable = (image.coils[address] for address in lines.coils[:2])
-        closed = self.relay.update(now_s, pump, enable, released and not open_now)
+        permitted = self.faults.value("local_enable_off") is None
+        closed = self.relay.update(now_s, pump, enable, released and not open_now, permitted)
         released_brakes = closed and (lines.brakes is None or image.coils[lines.brakes])
         released_brakes = released_brakes or self.faults.value("brakes_open") is not None
         brakes_closed = self._brakes.update(now_s, released_brakes)
         if self.faults.value("freeze") is None:
             if lines.brakes_closed is not None:
                 image.inputs[lines.brakes_closed] = brakes_closed
+            if lines.local_enable is not None:
+                image.inputs[lines.local_enable] = permitted
             image.inputs[lines.estop] = released
             image.inputs[lines.chain] = closed
             for name, address in lines.interlocks.items():

@@ -16,7 +16,7 @@ _OFF = IoOutputs(False, b"")
 class MockIo:
     """DiscreteIo without a wire. ``pressed`` and ``open_interlocks``: emergency stop and interlocks, set by tests.
 
-    brakes_stick: the holding brakes do not close.
+    brakes_stick: the holding brakes do not close. local_enable: the switch at the bench permits power and motion.
     """
 
     def __init__(self, config: Io) -> None:
@@ -24,6 +24,8 @@ class MockIo:
         self.pressed = False
         self.open_interlocks: tuple[str, ...] = ()
         self.brakes_stick = False
+        self.local_enable = True
+        self._reads_local_enable = config.inputs.local_enable is not None
         self._torque_delay_s = config.torque_delay_s
         self._reads_brakes = config.inputs.brakes_closed is not None
         self.outputs = _OFF
@@ -67,7 +69,10 @@ class MockIo:
         closed = self._advance(now_s)
         brakes = self._brakes.update(now_s, self.brakes_stick or (closed and self.outputs.brakes_released))
         brakes_closed = brakes if self._reads_brakes else None
-        return IoInputs(now_s, not self.pressed, closed, self.open_interlocks, self._thrusters_s, brakes_closed)
+        local_enable = self.local_enable if self._reads_local_enable else None
+        return IoInputs(
+            now_s, not self.pressed, closed, self.open_interlocks, self._thrusters_s, brakes_closed, local_enable
+        )
 
     def stop(self, now_s: float) -> None:
         """Set all outputs off for good."""
@@ -90,4 +95,4 @@ class MockIo:
 
     def _advance(self, now_s: float) -> bool:
         contacts_closed = not (self.pressed or self.open_interlocks)
-        return self._relay.update(now_s, self._pump, self.outputs.enable, contacts_closed)
+        return self._relay.update(now_s, self._pump, self.outputs.enable, contacts_closed, self.local_enable)

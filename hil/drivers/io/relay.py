@@ -27,12 +27,15 @@ class SafetyRelay:
         self._pump = self._enable = False
         self._open_at_s = math.inf
 
-    def update(self, t_s: float, pump: bool, enable: bool, contacts_closed: bool) -> bool:
-        """Update with the levels at ``t_s``; contacts_closed: emergency stop and interlocks. Return ``closed``."""
+    def update(self, t_s: float, pump: bool, enable: bool, contacts_closed: bool, may_close: bool = True) -> bool:
+        """Update with the levels at ``t_s``; return ``closed``.
+
+        contacts_closed: emergency stop and interlocks. may_close: contact in the relay's reset circuit.
+        """
         if pump != self._pump:
             self._pump = pump
             self._edge_s = t_s
-        risen = enable and not self._enable
+        risen = enable and not self._enable and may_close
         self._enable = enable
         failed_at_s = t_s if not (enable and contacts_closed) else self._edge_s + self._pump_timeout_s
         if t_s < failed_at_s:

@@ -46,6 +46,7 @@ INPUTS: Final = np.dtype(
         ("interlocks", "S512"),
         ("thrusters_s", "f8"),
         ("brakes_closed", "i8"),  # -1: not read back
+        ("local_enable", "i8"),  # -1: the bench has none
     ]
 )
 OUTPUTS: Final = np.dtype(
@@ -127,17 +128,17 @@ def inputs_record(inputs: IoInputs) -> np.ndarray:
     """Return inputs as INPUTS, shape (1,)."""
     record = np.zeros(1, INPUTS)
     names = "\n".join(inputs.open_interlocks).encode()
-    brakes = -1 if inputs.brakes_closed is None else int(inputs.brakes_closed)
-    record[0] = (inputs.t_s, inputs.estop_closed, inputs.chain_closed, names, inputs.thrusters_s, brakes)
+    optional = [-1 if level is None else int(level) for level in (inputs.brakes_closed, inputs.local_enable)]
+    record[0] = (inputs.t_s, inputs.estop_closed, inputs.chain_closed, names, inputs.thrusters_s, *optional)
     return record
 
 
 def read_inputs(record: np.ndarray) -> IoInputs:
     """Return the inputs in ``record``, shape (1,) of INPUTS."""
-    t_s, estop_closed, chain_closed, names, thrusters_s, brakes = record[0].item()
+    t_s, estop_closed, chain_closed, names, thrusters_s, *levels = record[0].item()
     interlocks = tuple(names.decode().split("\n")) if names else ()
-    brakes_closed = None if brakes < 0 else bool(brakes)
-    return IoInputs(t_s, bool(estop_closed), bool(chain_closed), interlocks, thrusters_s, brakes_closed)
+    optional = (None if level < 0 else bool(level) for level in levels)
+    return IoInputs(t_s, bool(estop_closed), bool(chain_closed), interlocks, thrusters_s, *optional)
 
 
 def outputs_record(outputs: IoOutputs) -> np.ndarray:

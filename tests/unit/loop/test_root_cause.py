@@ -38,8 +38,8 @@ def cause_found(
     loop: Any = SimpleNamespace(
         safety_io=SimpleNamespace(check=check),
         bench=SimpleNamespace(
-            poll_emergency_input=lambda now_s: None,
-            safety=SimpleNamespace(interlock_open=lambda now_s: None),
+            poll_safety_inputs=lambda now_s: None,
+            safety=SimpleNamespace(interlock_power=lambda now_s: None),
         ),
     )
     rate: Any = SteppedRate()
