@@ -100,9 +100,9 @@ class AuthenticatedSocket:
         self._writer = writer
         self._writers: dict[Address, int] = {}
 
-    def receive(self) -> tuple[bytes | None, Address, float] | None:
+    def receive(self, from_peer: bool) -> tuple[bytes | None, Address, float] | None:
         """Return the next datagram, None in its place without a valid tag; sender and time; None without any."""
-        received = self.socket.receive()
+        received = self.socket.receive(from_peer)
         if received is None:
             return None
         sealed, sender, received_s = received

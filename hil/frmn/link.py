@@ -26,6 +26,8 @@ from hil.frmn.wire import DatagramHeader, DatagramKind, Fault, Refusal
 
 _EVERY_S: Final = 0.1  # heartbeats, and hellos until the first answer
 _POLL_MAX: Final = 64
+_STRANGERS_MAX: Final = 4
+_UNLIMITED: Final = 1 << 30
 _DROPPING_S: Final = 2e-3
 _REPORTED_MAX: Final = 64  # texts of causes; further ones are only counted
 _REFUSE_EVERY_S: Final = 0.5  # to one address: limits amplification of a flood
@@ -94,6 +96,8 @@ class Link:
         self.datagram_stats = {cell: DatagramStats() for cell in wants}
         self._offers, self._wants = tuple(offers), tuple(wants)
         self._only = peer
+        if peer is not None:
+            self._socket.connect(peer)
         self._hello = wire.hello_payload(role, name, offers, wants)
         self._sequences: Counter[str] = Counter()
         self._counts: Counter[str] = Counter()
@@ -114,33 +118,38 @@ class Link:
     def poll(self, at_most: int = _POLL_MAX) -> list[Arrival]:
         """Process the received datagrams; return the mailboxes in them in order of arrival, without outdated values.
 
-        at_most: limit of authenticated datagrams per call; the others remain for the next call. Datagrams of others
-        are dropped, for at most ``_DROPPING_S`` of wall-clock time per call.
+        at_most: limit of authenticated datagrams per call; the others remain for the next call. Datagrams without a
+        valid tag are dropped, for at most ``_DROPPING_S`` of wall-clock time per call. While the other side is alive,
+        strangers are answered at ``_STRANGERS_MAX`` datagrams per call.
         """
+        now_s = time.monotonic()
         arrivals: list[Arrival] = []
-        give_up_s = time.monotonic() + _DROPPING_S
-        while at_most > 0:
-            received = self._sealed.receive()
-            if received is None:
-                break
-            datagram, sender, received_s = received
-            if datagram is None:
-                self._count("unauthenticated", sender, "sends datagrams that are not of the key of this link")
-                if time.monotonic() > give_up_s:
+        # of strangers first: they have what the other side sent before it was connected to
+        strangers = _STRANGERS_MAX if self.alive(now_s) else _UNLIMITED
+        for from_peer, tries in ((False, strangers), (True, _UNLIMITED)):
+            while at_most > 0 and tries > 0:
+                received = self._sealed.receive(from_peer)
+                if received is None:
                     break
-                continue
-            at_most -= 1
-            arrival = self.handle(datagram, sender, received_s)
-            if arrival is not None:
-                arrivals.append(arrival)
+                tries -= 1
+                datagram, sender, received_s = received
+                if datagram is None:
+                    self._count("unauthenticated", sender, "sends datagrams that are not of the key of this link")
+                    if time.monotonic() - now_s > _DROPPING_S:
+                        break
+                    continue
+                at_most -= 1
+                arrival = self.handle(datagram, sender, received_s)
+                if arrival is not None:
+                    arrivals.append(arrival)
         closed = self._socket.closed_ports()
         if self.peer is not None and self.peer.gone is None and self.peer.address in closed:
             self.peer.gone = PORT_CLOSED  # without a `goodbye`
         return arrivals
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for a datagram, at most ``timeout_s``; return whether there is one."""
-        return self._socket.wait(timeout_s)
+        """Wait for a datagram, at most ``timeout_s``; return whether there is one. Strangers do not end it."""
+        return self._socket.wait(timeout_s, self.alive(time.monotonic()))
 
     def service(self) -> None:
         """Send what is due: a heartbeat, or a hello before the first answer; to be called frequently."""
@@ -276,6 +285,7 @@ class Link:
         return True
 
     def _join(self, peer: Peer) -> None:
+        self._socket.connect(peer.address)
         self.peer = peer
         self.joined += 1
         self.refusal = None

@@ -53,32 +53,59 @@ def address_towards(peer: Address) -> Address:
 
 
 class UdpSocket:
-    """UDP socket bound to one address of this host. Raises BadInput if it cannot be bound."""
+    """UDP port of one address of this host, with a socket connected to the peer once there is one.
+
+    The kernel delivers the peer's datagrams to the connected socket: those of strangers wait in the buffer of the
+    other one, and can neither fill the peer's nor delay its reader. Raises BadInput if the port cannot be bound.
+    """
 
     def __init__(self, bind: Address, option: str = "--listen") -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
-        self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        self._socket.setsockopt(socket.IPPROTO_IP, _IP_RECVERR, 1)
+        self._listening = _open()
+        self._connected: socket.socket | None = None
+        self._peer: Address | None = None
         self._closed: list[Address] = []
         try:
-            self._socket.bind(bind)
+            self._listening.bind(bind)
         except OSError as error:
-            self._socket.close()
+            self._listening.close()
             raise BadInput.single(option, "", f"{shown(bind)}: cannot listen there: {error.strerror}") from error
-        self.address: Address = self._socket.getsockname()
+        self.address: Address = self._listening.getsockname()
 
-    def receive(self) -> tuple[bytes, Address, float] | None:
-        """Return the next datagram, its sender and the kernel's receive time (monotonic, s); None without any."""
+    def connect(self, peer: Address) -> None:
+        """Receive from ``peer`` by a socket of its own from now on; no effect if the system refuses it."""
+        if peer == self._peer:
+            return
+        self._disconnect()
+        connected = _open()
+        pair = (self._listening, connected)
+        try:
+            for each in pair:
+                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+            connected.bind(self.address)
+            connected.connect(peer)
+            for each in pair:  # no other process of this user can bind the port
+                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 0)
+        except OSError:
+            connected.close()
+            return
+        self._connected, self._peer = connected, peer
+
+    def receive(self, from_peer: bool = False) -> tuple[bytes, Address, float] | None:
+        """Return the next datagram, its sender and the kernel's receive time (monotonic, s); None without any.
+
+        from_peer: of the peer alone, to which this port is connected; else of all others.
+        """
+        source = self._connected if from_peer else self._listening
+        if source is None:
+            return None
         for _ in range(_TRIES):
             try:
-                datagram, ancillary, _, sender = self._socket.recvmsg(_BUFFER_SIZE, 64)
+                datagram, ancillary, _, sender = source.recvmsg(_BUFFER_SIZE, 64)
                 break
             except BlockingIOError:
                 return None
             except OSError:  # the error of an earlier datagram comes first
-                self._read_errors()
+                self._read_errors(source)
         else:
             return None
         age_s = 0.0
@@ -93,12 +120,12 @@ class UdpSocket:
         """Send ``datagram``; return whether the kernel accepted it. Never waits, never raises."""
         for _ in range(_TRIES):
             try:
-                self._socket.sendto(datagram, to)
+                self._listening.sendto(datagram, to)
                 return True
             except BlockingIOError:
                 return False
             except OSError:
-                self._read_errors()
+                self._read_errors(self._listening)
         return False
 
     def closed_ports(self) -> list[Address]:
@@ -106,10 +133,10 @@ class UdpSocket:
         closed, self._closed = self._closed, []
         return closed
 
-    def _read_errors(self) -> None:
+    def _read_errors(self, source: socket.socket) -> None:
         for _ in range(_ERRORS_AT_ONCE):
             try:
-                _, ancillary, _, to = self._socket.recvmsg(_BUFFER_SIZE, 512, socket.MSG_ERRQUEUE)
+                _, ancillary, _, to = source.recvmsg(_BUFFER_SIZE, 512, socket.MSG_ERRQUEUE)
             except OSError:
                 return
             for level, kind, error in ancillary:
@@ -117,10 +144,28 @@ class UdpSocket:
                 if reported and struct.unpack_from("=I", error)[0] == errno.ECONNREFUSED:
                     self._closed.append(to)
 
-    def wait(self, timeout_s: float) -> bool:
-        """Wait for a datagram; return whether there is one. 0 does not wait."""
-        return bool(select.select([self._socket], [], [], max(0.0, timeout_s))[0])  # poll() has a resolution of 1 ms
+    def wait(self, timeout_s: float, for_peer: bool = False) -> bool:
+        """Wait for a datagram; return whether there is one. 0 does not wait. for_peer: for one of the peer alone."""
+        sources = [self._connected] if self._connected is not None else []
+        if not (for_peer and sources):
+            sources.append(self._listening)
+        return bool(select.select(sources, [], [], max(0.0, timeout_s))[0])  # poll() has a resolution of 1 ms
 
     def close(self) -> None:
-        """Close the socket; idempotent."""
-        self._socket.close()
+        """Close the port; idempotent."""
+        self._disconnect()
+        self._listening.close()
+
+    def _disconnect(self) -> None:
+        if self._connected is not None:
+            self._connected.close()
+            self._connected = self._peer = None
+
+
+def _open() -> socket.socket:
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    opened.setblocking(False)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+    opened.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+    opened.setsockopt(socket.IPPROTO_IP, _IP_RECVERR, 1)
+    return opened

@@ -109,6 +109,35 @@ def test_two_sides_with_one_key_exchange_mailboxes_and_with_two_keys_none(bench:
         bench.drop_peer()
 
 
+def test_strangers_can_neither_fill_the_buffer_of_the_other_side_nor_end_the_wait_for_it(
+    bench: Link, stranger: socket.socket
+) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as gnc:
+        gnc.sendto(sealed(hello(), KEY), bench.address)
+        assert until_empty(bench) == []
+        for _ in range(5000):  # several times the buffer of a socket
+            stranger.sendto(bytes(1000), bench.address)
+        began_s = time.monotonic()
+        assert not bench.wait(0.05)
+        assert time.monotonic() - began_s >= 0.05
+        gnc.sendto(sealed(output(), KEY, bench._writer), bench.address)
+        assert bench.wait(1.0)
+        assert [arrival.name for arrival in bench.poll()] == ["gnc.output"]
+
+
+def test_port_of_a_connected_link_is_taken_also_for_programs_of_the_same_user(bench: Link) -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as gnc,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief,
+    ):
+        gnc.sendto(sealed(hello(), KEY), bench.address)
+        assert until_empty(bench) == []
+        thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+        thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with pytest.raises(OSError, match="in use"):
+            thief.bind(bench.address)
+
+
 @pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_burst_of_foreign_datagrams_delays_a_reply_by_less_than_a_cycle(
     bench: Link, stranger: socket.socket, count: int
