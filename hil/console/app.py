@@ -7,7 +7,7 @@ import hmac
 import json
 import signal
 import traceback
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -17,21 +17,22 @@ from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.requests import HTTPConnection
 
+from hil.console.lease import RequestRejected
 from hil.console.live_view import Client
 from hil.console.message import pack
 from hil.console.service import ConsoleService
+from hil.console.strangers import FairSlots, GuessLimiter
 from hil.core.files import parse_json
 
 PAGE: Final = Path(__file__).parent / "page"
 TICK_S: Final = 0.05
 _HELLO_TIMEOUT_WALL_S: Final = 5.0
-_WRONG_TOKEN_DELAY_WALL_S: Final = 0.5
 _REFUSED: Final = 4401
 _LONGEST_TEXT: Final = 4096
 _LONGEST_NAME: Final = 24
 _LONGEST_KEY: Final = 256
 _CLIENTS_MAX: Final = 32
-_STRANGERS_MAX: Final = 16  # sockets without a valid first message, at a time
+_STRANGERS_MAX: Final = 16  # sockets whose first message is awaited
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:; style-src 'self'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
@@ -55,6 +56,7 @@ def make_app(service: ConsoleService, token: str | None, hosts: frozenset[str] |
         await service.close()
 
     updated = asyncio.Condition()
+    authenticator = Authenticator(token, hosts, service.wall_s)
     app = FastAPI(lifespan=life, docs_url=None, redoc_url=None, openapi_url=None)
 
     @app.middleware("http")
@@ -73,7 +75,7 @@ def make_app(service: ConsoleService, token: str | None, hosts: frozenset[str] |
 
     @app.websocket("/ws")
     async def _websocket(socket: WebSocket) -> None:
-        await _serve_client(socket, service, token, hosts, updated)
+        await _serve_client(socket, service, authenticator, updated)
 
     app.mount("/page", StaticFiles(directory=PAGE), name="page")
     return app
@@ -94,24 +96,76 @@ def _exit_on_error(ticking: asyncio.Task[None]) -> None:
         signal.raise_signal(signal.SIGINT)
 
 
+class Authenticator:
+    """Authenticates clients: see ``make_app``. Bounds those that have not authenticated, fairly among addresses."""
+
+    def __init__(self, token: str | None, hosts: frozenset[str] | None, wall_s: Callable[[], float]) -> None:
+        self._token = token
+        self._hosts = hosts
+        self._wall_s = wall_s
+        self._strangers: FairSlots[asyncio.Event] = FairSlots(_STRANGERS_MAX)
+        self._guesses = GuessLimiter()
+
+    async def admit(self, socket: WebSocket) -> Client:
+        """Return the client of a valid first message; raise RequestRejected, or WebSocketDisconnect."""
+        if not (_is_known_host(socket, self._hosts) and _is_own_page(socket)):
+            raise RequestRejected("this console rejects pages of other sites")
+        address = socket.client.host if socket.client is not None else ""
+        displaced = asyncio.Event()
+        if (oldest := self._strangers.enter(displaced, address)) is not None:
+            oldest.set()
+        try:
+            hello = _table(await _before(displaced, _receive_text(socket)))
+        finally:
+            self._strangers.leave(displaced)
+        if hello is None:
+            text = 'the first message must be {"key": ..., "name": ..., "token": ...}'
+            raise RequestRejected("too many clients: try again" if displaced.is_set() else text)
+        key, name, given = (str(hello.get(field, "")) for field in ("key", "name", "token"))
+        self._check_token(address, given)
+        if not 16 <= len(key) <= _LONGEST_KEY:
+            raise RequestRejected("key: at least 16 random characters")
+        return Client(key, plain_name(name) or "unnamed")
+
+    def _check_token(self, address: str, given: str) -> None:
+        """Raise RequestRejected for a wrong token, and for any while its address has to pause."""
+        if self._token is None:
+            return
+        if not given:
+            raise RequestRejected("this console requires a token")
+        now_s = self._wall_s()
+        if pause_s := self._guesses.pause_s(address, now_s):
+            raise RequestRejected(f"wrong tokens came from this address: try again in {pause_s:.1f} s")
+        if not hmac.compare_digest(given.encode(errors="replace"), self._token.encode()):
+            self._guesses.failed(address, now_s)
+            raise RequestRejected("wrong token")
+        self._guesses.succeeded(address)
+
+
+async def _before(event: asyncio.Event, message: Coroutine[Any, Any, str]) -> str:
+    """Return ``message``; "" if ``event`` or the time-out of a first message comes before."""
+    waiting = [asyncio.ensure_future(message), asyncio.ensure_future(event.wait())]
+    try:
+        await asyncio.wait(waiting, timeout=_HELLO_TIMEOUT_WALL_S, return_when=asyncio.FIRST_COMPLETED)
+        return str(waiting[0].result()) if waiting[0].done() else ""
+    finally:
+        for each in waiting:
+            each.cancel()
+
+
 async def _serve_client(
-    socket: WebSocket,
-    service: ConsoleService,
-    token: str | None,
-    hosts: frozenset[str] | None,
-    updated: asyncio.Condition,
+    socket: WebSocket, service: ConsoleService, authenticator: Authenticator, updated: asyncio.Condition
 ) -> None:
     """Authenticate one client; then send updates and execute its requests until it disconnects."""
     await socket.accept()
-    if service.strangers >= _STRANGERS_MAX or len(service.clients) >= _CLIENTS_MAX:
-        await _reject(socket, "too many clients: try again")
-        return
-    service.strangers += 1
     try:
-        client = await _authenticate(socket, token, hosts)
-    finally:
-        service.strangers -= 1
-    if client is None:
+        client = await authenticator.admit(socket)
+        if len(service.clients) >= _CLIENTS_MAX:
+            raise RequestRejected(f"{_CLIENTS_MAX} clients are connected: try again")
+    except RequestRejected as error:
+        await _reject(socket, str(error))
+        return
+    except WebSocketDisconnect:
         return
     service.clients.append(client)
     service.changed()
@@ -130,29 +184,6 @@ async def _serve_client(
     for result in results:
         if isinstance(result, Exception) and not isinstance(result, (WebSocketDisconnect, RuntimeError)):
             raise result  # an internal error: the client is disconnected and the server logs it
-
-
-async def _authenticate(socket: WebSocket, token: str | None, hosts: frozenset[str] | None) -> Client | None:
-    """Return the client of a valid first message; else send the reason and return None."""
-    if not (_is_known_host(socket, hosts) and _is_own_page(socket)):
-        await _reject(socket, "this console rejects pages of other sites")
-        return None
-    try:
-        hello = _table(await asyncio.wait_for(_receive_text(socket), _HELLO_TIMEOUT_WALL_S))
-        if hello is None:
-            raise ValueError
-        key, name, given = (str(hello.get(field, "")) for field in ("key", "name", "token"))
-    except (TimeoutError, ValueError, WebSocketDisconnect):
-        await _reject(socket, 'the first message must be {"key": ..., "name": ..., "token": ...}')
-        return None
-    if token is not None and not hmac.compare_digest(given.encode(errors="replace"), token.encode()):
-        await asyncio.sleep(_WRONG_TOKEN_DELAY_WALL_S)
-        await _reject(socket, "wrong token" if given else "this console requires a token")
-        return None
-    if not 16 <= len(key) <= _LONGEST_KEY:
-        await _reject(socket, "key: at least 16 random characters")
-        return None
-    return Client(key, plain_name(name) or "unnamed")
 
 
 def plain_name(name: str) -> str:
@@ -178,6 +209,7 @@ def _table(text: str) -> dict[str, Any] | None:
 
 
 async def _reject(socket: WebSocket, reason: str) -> None:
+    """Send the reason and close the socket."""
     with suppress(WebSocketDisconnect, RuntimeError):
         await socket.send_text(json.dumps({"refused": reason}))
         await socket.close(_REFUSED, reason)

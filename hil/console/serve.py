@@ -19,6 +19,7 @@ from hil.errors import BadInput, Problem
 
 _CERTIFICATE_BYTES: Final = MIB
 _CONNECTIONS_MAX: Final = 128
+_HTTP_MAX: Final = 64  # of them without a websocket
 _TOKEN_BYTES: Final = 4 * KIB
 _SHORTEST_TOKEN: Final = 16
 _LOOPBACK_NAMES: Final = ("localhost", "127.0.0.1", "::1")
@@ -105,6 +106,7 @@ def serve(
     import uvicorn
 
     from hil.console.app import make_app
+    from hil.console.connections import bounded_http
     from hil.console.service import ConsoleService
 
     scenarios = [*dict.fromkeys([choice.scenario, *shipped("scenarios")])]
@@ -125,5 +127,7 @@ def serve(
         ssl_certfile=tls.certificate if tls else None,
         ssl_keyfile=tls.key if tls else None,
         limit_concurrency=_CONNECTIONS_MAX,
+        http=bounded_http(_HTTP_MAX),
+        proxy_headers=False,  # a client names no other address as its own
     )
     uvicorn.Server(config).run(sockets=[listener])

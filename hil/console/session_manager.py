@@ -53,8 +53,6 @@ class SessionManager:
         self.view = LiveView()
         self.page_version = 0
         self.clients: list[Client] = []
-        self.strangers = 0
-        """Connected sockets whose first message has not been accepted yet."""
         self.log_lines: deque[dict[str, Any]] = deque(maxlen=_KEPT_LOG)
         self._print = log
         self.wall_s = wall_s

@@ -36,14 +36,17 @@ PATIENT = typed(*(f"{key}={value}" for key, value in _PATIENCE.items()))
 class Console:
     """A console that listens at ``address``, and its pages."""
 
-    def __init__(self, address: str, process: subprocess.Popen[str], pages: ExitStack) -> None:
+    def __init__(self, address: str, process: subprocess.Popen[str], pages: ExitStack, scheme: str = "ws") -> None:
         self.address = address
+        self._scheme = scheme
         self.process = process
         self._pages = pages
 
     def page(self, name: str, token: str = "", key: str | None = None, **options: Any) -> Page:
         """Return a new page, open until the console ends."""
-        socket = connect(f"ws://{self.address}/ws", max_size=None, open_timeout=60.0, close_timeout=0.1, **options)
+        socket = connect(
+            f"{self._scheme}://{self.address}/ws", max_size=None, open_timeout=60.0, close_timeout=0.1, **options
+        )
         page = Page(self._pages.enter_context(socket))
         with suppress(ConnectionClosed):  # turned away at once: the reason is there to be read
             page.socket.send(json.dumps({"key": key or name * 8, "name": name, "token": token}))
@@ -59,9 +62,9 @@ def console(*arguments: str, record: Path | None = None) -> Iterator[Console]:
         try:
             assert process.stderr is not None
             line = process.stderr.readline()
-            found = re.match(r"console on http://(\S+)/", line)
+            found = re.match(r"console on http(s?)://(\S+)/", line)
             assert found, line + process.stderr.read()
-            yield Console(found[1], process, pages)
+            yield Console(found[2], process, pages, f"ws{found[1]}")
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=30.0)
         finally:

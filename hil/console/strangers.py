@@ -1,0 +1,70 @@
+"""Bounds on clients that have not authenticated: how many at a time, and how often an address guesses the token.
+
+Time is an argument. An address is that of the other computer, without its port.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Final, Generic, TypeVar
+
+_TYPING_ERRORS: Final = 2
+_FIRST_PAUSE_S: Final = 0.5
+_LONGEST_PAUSE_S: Final = 30.0
+_DOUBLINGS_MAX: Final = 16
+_ADDRESSES_MAX: Final = 1024
+
+T = TypeVar("T")
+
+
+class FairSlots(Generic[T]):
+    """At most ``most`` occupants; a newcomer displaces the oldest one of the address that has most of them.
+
+    So one address cannot keep another one out.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._occupants: dict[T, str] = {}  # in the order of arrival
+
+    def __len__(self) -> int:
+        return len(self._occupants)
+
+    def enter(self, newcomer: T, address: str) -> T | None:
+        """Add ``newcomer``; return the occupant that is displaced, None if there is room."""
+        self._occupants[newcomer] = address
+        if len(self._occupants) <= self._most:
+            return None
+        fullest = Counter(self._occupants.values()).most_common(1)[0][0]
+        displaced = next(each for each, of in self._occupants.items() if of == fullest)
+        self.leave(displaced)
+        return displaced
+
+    def leave(self, occupant: T) -> None:
+        """Remove ``occupant``; no effect if it was displaced."""
+        self._occupants.pop(occupant, None)
+
+
+class GuessLimiter:
+    """Pause after a wrong token of an address, from the third on: 0.5 s, doubled by each further one, 30 s at most."""
+
+    def __init__(self) -> None:
+        self._wrong: dict[str, tuple[int, float]] = {}  # number of wrong tokens, end of the pause
+
+    def pause_s(self, address: str, now_s: float) -> float:
+        """Return the time for which tokens of ``address`` are still rejected unread."""
+        return max(0.0, self._wrong.get(address, (0, 0.0))[1] - now_s)
+
+    def failed(self, address: str, now_s: float) -> None:
+        """Count a wrong token of ``address``."""
+        count = self._wrong.pop(address, (0, 0.0))[0]
+        while len(self._wrong) >= _ADDRESSES_MAX:
+            del self._wrong[next(iter(self._wrong))]
+        count += 1
+        doublings = min(count - _TYPING_ERRORS - 1, _DOUBLINGS_MAX)
+        pause_s = min(_LONGEST_PAUSE_S, _FIRST_PAUSE_S * 2.0**doublings) if doublings >= 0 else 0.0
+        self._wrong[address] = (count, now_s + pause_s)
+
+    def succeeded(self, address: str) -> None:
+        """Forget the wrong tokens of ``address``."""
+        self._wrong.pop(address, None)

@@ -1,0 +1,148 @@
+"""Console over TLS, and clients that guess its token while a bench runs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import ssl
+import subprocess
+import threading
+import time
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+
+from hil.recording.read import load
+from tests.support.console_client import Console, Page, console
+from tests.support.run_settings import NEAR, UNHURRIED, typed
+
+pytestmark = [pytest.mark.wires, pytest.mark.slow, pytest.mark.timeout(300)]
+
+TOKEN = "0123456789abcdef-right"
+GUESSERS = 60
+
+
+@pytest.fixture
+def token_file(tmp_path: Path) -> str:
+    path = tmp_path / "token"
+    path.touch(mode=0o600)
+    path.write_text(TOKEN)
+    return str(path)
+
+
+def start(page: Page) -> None:
+    """Take the command, open the bench, close the loop."""
+    assert page.ask("take")["ok"]
+    assert page.ask("open", confirmed=True)["ok"]
+    page.until_mode("standby")
+    page.order("arm")
+    page.until_mode("armed")
+    page.order("start")
+    page.until(lambda: page.now["mode"] == "running" and page.now["run_s"] > 0.5, "a run")
+
+
+def test_page_and_websocket_over_tls_with_a_certificate_of_the_labs_own(tmp_path: Path, token_file: str) -> None:
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl on this computer")
+    certificate, key = tmp_path / "cert.pem", tmp_path / "key.pem"
+    command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=bench"]
+    command += ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(certificate)]
+    subprocess.run(command, check=True, capture_output=True)
+    trusting = ssl.create_default_context(cafile=str(certificate))
+    options = ("--host", "0.0.0.0", "--token-file", token_file, "--certificate", str(certificate), "--key", str(key))
+    with console("--rig", "mock", *typed(*NEAR), *options) as c:
+        c.address = f"127.0.0.1:{c.address.rpartition(':')[2]}"
+        with urlopen(f"https://{c.address}/", context=trusting) as answer:
+            assert b"<title>hil console</title>" in answer.read()
+        page = c.page("ann", TOKEN, ssl=trusting)
+        start(page)
+        page.order("stop")
+        page.until(lambda: not page.now["open"], "the end")
+        assert c.page("eve", "0123456789abcdef-wrong", ssl=trusting).take() == {"refused": "wrong token"}
+        with pytest.raises(ssl.SSLCertVerificationError):
+            c.page("eve", TOKEN, ssl=ssl.create_default_context())
+        with pytest.raises((OSError, WebSocketException)):
+            connect(f"ws://{c.address}/ws", open_timeout=5.0)
+
+
+class Guessers:
+    """Sockets that guess the token without a pause, from one address, until the block ends."""
+
+    def __init__(self, c: Console) -> None:
+        self._address = c.address
+        self._ended = threading.Event()
+        self.answers: dict[str, int] = {}
+        self._threads = [threading.Thread(target=self._guess, args=(n,), daemon=True) for n in range(GUESSERS)]
+
+    def __enter__(self) -> Guessers:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        for thread in self._threads:
+            thread.join(10.0)
+
+    def _guess(self, number: int) -> None:
+        while not self._ended.is_set():
+            there = connect(f"ws://{self._address}/ws", source_address=("127.0.0.2", 0), open_timeout=5.0)
+            with suppress(OSError, WebSocketException, TimeoutError), there as page:
+                hello = {"key": f"guesser-{number:012d}", "name": "eve", "token": f"0123456789abcdef-{number}"}
+                page.send(json.dumps(hello))
+                text = json.loads(page.recv(10.0))["refused"].partition(":")[0]
+                self.answers[text] = self.answers.get(text, 0) + 1
+
+
+def test_sixty_sockets_that_guess_the_token_disturb_neither_the_loop_nor_other_clients(
+    tmp_path: Path, token_file: str
+) -> None:
+    options = ("--rig", "emulated", "--token-file", token_file, *typed(*NEAR, *UNHURRIED, "rig.console.lease_s=10"))
+    with console(*options, record=tmp_path) as c:
+        ann = c.page("ann", TOKEN)
+        start(ann)
+        ann.until(lambda: ann.now["run_s"] > 8.0, "8 s of the run")
+        attacked_from_s = ann.now["run_s"]
+        with Guessers(c) as guessers:
+            began_s = time.monotonic()
+            bob = c.page("bob", TOKEN)
+            bob.until(lambda: bob.now["mode"] == "running", "the state")
+            joined_s = time.monotonic() - began_s
+            ann.until(lambda: ann.now["run_s"] > attacked_from_s + 8.0, "8 s more")
+            attacked_to_s = ann.now["run_s"]
+        ann.order("stop")
+        ann.until(lambda: not ann.now["open"], "the end")
+        recorded = load(Path(ann.page["ended"]["recording"]["file"]))
+    cycles = recorded.cycles
+    late_us = 1e6 * cycles["lateness_s"]
+    attacked = (cycles["t_s"] >= attacked_from_s) & (cycles["t_s"] <= attacked_to_s)
+    quiet = (cycles["t_s"] > 1.0) & (cycles["t_s"] < attacked_from_s)
+    shown = {
+        name: [round(float(v)) for v in np.percentile(late_us[which], (50, 99, 100))]
+        for name, which in (("quiet", quiet), ("attacked", attacked))
+    }
+    print(f"lateness p50 p99 max, us: {shown}; bob joined in {joined_s:.2f} s; answers {guessers.answers}")  # noqa: T201
+    assert guessers.answers["wrong token"] <= 8
+    assert guessers.answers["wrong tokens came from this address"] > 100
+    assert joined_s < 3.0
+    assert np.percentile(late_us[attacked], 99) < 2000.0
+
+
+def test_idle_connections_of_one_address_keep_nobody_out() -> None:
+    elsewhere = ("127.0.0.2", 0)
+    with console("--rig", "mock") as c, ExitStack() as idle:
+        host, _, port = c.address.rpartition(":")
+        for _ in range(200):
+            idle.enter_context(socket.create_connection((host, int(port)), source_address=elsewhere))
+        with urlopen(f"http://{c.address}/", timeout=5.0) as answer:
+            assert answer.status == 200
+        for _ in range(40):  # that send no first message
+            idle.enter_context(connect(f"ws://{c.address}/ws", source_address=elsewhere, close_timeout=0.1))
+        page = c.page("ann")
+        page.until(lambda: True, "the state")
