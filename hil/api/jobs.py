@@ -19,6 +19,7 @@ from hil.config.model import ConfigModel
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.errors import BadInput, Problem
+from hil.gnc_backends.library import key_of
 from hil.gnc_backends.python_object import PythonGnc, PythonObjectGnc, class_name
 from hil.setup.assembly import Job
 from hil.setup.gnc_setup import backend_setup
@@ -138,8 +139,9 @@ def _gnc_problems(gnc: object, scenario: Loaded[Scenario], rig: Loaded[Rig]) -> 
 def other_gnc_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem for each key of scenario and rig that names a GNC other than that of the caller."""
     found = []
-    if (library := scenario.value.gnc.library) is not None:
-        found.append(Problem(scenario.where("gnc.library"), "gnc.library", f'"{library}": another GNC is given'))
+    if (binary := scenario.value.gnc.binary) is not None:
+        key = key_of(scenario.value.gnc)
+        found.append(Problem(scenario.where(key), key, f'"{binary}": another GNC is given'))
     key = "flight_computer.command_words"
     if (wire := rig.value.flight_computer.command_words) != "none":
         found.append(Problem(rig.where(key), f"rig.{key}", f'"{wire}": another GNC is given'))

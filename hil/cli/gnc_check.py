@@ -12,6 +12,7 @@ from hil.cli.output import check_json_path, write_json
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
+    from hil.config.scenario import GncConfig
     from hil.gnc_check.check import Report
     from hil.gnc_check.gnc_under_test import GncUnderTest
 
@@ -33,7 +34,7 @@ def gnc_check(
     Parameters
     ----------
     gnc
-        A shared library (*.so), or HOST:PORT of this computer on which to wait for a GNC.
+        A shared library (*.so), an FMU (*.fmu), or HOST:PORT of this computer on which to wait for a GNC.
     scenario
         Gives vehicle, step and Table III.
     dial
@@ -50,7 +51,7 @@ def gnc_check(
 
     loaded = load_scenario(scenario, settings).value
     console = Console(stderr=True)
-    partner = _partner(gnc, dial, wait, console)
+    partner = _partner(gnc, loaded.gnc, dial, wait, console)
     try:
         with console.status("waiting for the GNC") as status:
             report = check_gnc(partner, loaded, lambda name: status.update(f"playing: {name}"))
@@ -63,15 +64,20 @@ def gnc_check(
     return _PASSED if report.passed else _FAILED
 
 
-def _partner(gnc: str, dial: bool, wait_s: float, console: Console) -> GncUnderTest:
+def _partner(gnc: str, settings: GncConfig, dial: bool, wait_s: float, console: Console) -> GncUnderTest:
     from hil.frmn.udp import parse_address, shown
     from hil.frmn.wire import PORT
+    from hil.gnc_backends.library import open_library
     from hil.gnc_check.gnc_under_test import LibraryUnderTest, ProgramUnderTest, check_link
 
-    if Path(gnc).suffix == ".so" or Path(gnc).exists():
-        return LibraryUnderTest(gnc, "hil gnc check")
+    suffix = Path(gnc).suffix
+    if suffix in (".so", ".fmu") or Path(gnc).exists():
+        binary = {"fmu": gnc, "library": None} if suffix == ".fmu" else {"library": gnc, "fmu": None}
+        library = open_library(settings.model_copy(update=binary), "hil gnc check")
+        assert library is not None
+        return LibraryUnderTest(library)
     if ":" not in gnc:
-        raise BadInput.single("hil gnc check", "", f"{gnc}: give a shared library (*.so) or HOST:PORT")
+        raise BadInput.single("hil gnc check", "", f"{gnc}: give a shared library (*.so), an FMU (*.fmu) or HOST:PORT")
     address = parse_address("hil gnc check", gnc, PORT)
     link = check_link(None if dial else address, address if dial else None)
     if not dial:

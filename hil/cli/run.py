@@ -59,7 +59,7 @@ def run(
     from hil.session import build
 
     loaded = loaded_scenario(scenario, options.settings)
-    if loaded.value.gnc.library is not None and sys.__stderr__ is not None:
+    if loaded.value.gnc.binary is not None and sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # a library that crashes takes this process with it: print where
     job = make_job(loaded, loaded_rig(rig, options.settings), options.seed, options.duration, options.speed)
     if case is not None:

@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar, get_origin
 from pydantic import BaseModel, ValidationError
 
 from hil.config.driver_registry import DeviceTable, model_of_field
+from hil.config.fmu_mapping import FmuMapping
 from hil.config.model import ConfigModel
 from hil.config.protocol import Protocol
 from hil.config.renamed_keys import present_key, with_present_names
@@ -34,6 +35,8 @@ _FILES_OF_KEYS = {
     "protocol": (".toml",),
     "scene": (".json", ".toml"),
     "library": (".so",),
+    "fmu": (".fmu",),
+    "fmu_mapping": (".toml",),
 }  # values that are names, or paths with these endings
 _NEVER = ("\0",)
 
@@ -101,6 +104,13 @@ def load_geometry(path: str) -> Loaded[VmuGeometry]:
     origin: dict[str, str] = {}
     table = read_with_bases(Path(path), "geometries", VmuGeometry, origin)
     return check_table(table, VmuGeometry, path, origin)
+
+
+def load_fmu_mapping(path: str) -> FmuMapping:
+    """Return the mapping file of an FMU at ``path``; raise BadInput."""
+    origin: dict[str, str] = {}
+    table = read_with_bases(Path(path), "mappings", FmuMapping, origin)
+    return check_table(table, FmuMapping, path, origin).value
 
 
 def load_scene(name: str) -> Loaded[Scene]:
@@ -179,7 +189,7 @@ def _read_table(path: Path) -> Table:
 
 
 def _find_files_beside(table: Table, folder: Path) -> None:
-    """Make paths relative to the folder of their file: keys in ``_file``, protocol, scene, library."""
+    """Make paths relative to the folder of their file: keys in ``_file``, protocol, scene, library, FMU."""
     for key, value in table.items():
         if isinstance(value, dict):
             _find_files_beside(value, folder)

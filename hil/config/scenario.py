@@ -353,6 +353,16 @@ class GncConfig(ConfigModel):
 
     library: str | None = None
     """Shared library that replaces the built-in navigation and control."""
+    fmu: str | None = None
+    """FMU for co-simulation (FMI 2.0, 3.0) that replaces the built-in navigation and control."""
+    fmu_mapping: str | None = None
+    """File that maps the FMU's variables to the records; by name without one."""
+    fmu_parameters: dict[str, bool | int | float | str] = Field(default_factory=dict)
+    """Parameters and start values of the FMU, in its units."""
+    fmu_process: bool = False
+    """Run the FMU in a process of its own: if it hangs or crashes, the bench stops."""
+    fmu_timeout_s: Annotated[float, Field(gt=0.0, le=60.0)] = 0.5
+    """Longest time of a step in a process of its own, real time."""
     navigation: Navigation
     akf: AttitudeFilter
     pkf: PositionFilter
@@ -362,6 +372,17 @@ class GncConfig(ConfigModel):
     corridor: Corridor
     abort: Abort
     control: Control
+
+    @model_validator(mode="after")
+    def _is_one_binary(self) -> Self:
+        if self.library is not None and self.fmu is not None:
+            raise ValueError("library and fmu: both are given, allowed is one of them")
+        return self
+
+    @property
+    def binary(self) -> str | None:
+        """Path of the library or FMU, None for the built-in GNC."""
+        return self.library if self.fmu is None else self.fmu
 
 
 class Requirements(ConfigModel):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, Protocol, Self
 
 import numpy as np
 
@@ -105,10 +105,21 @@ def _reason(error: Exception, path: Path) -> str:
     return " ".join(str(error).split()).removeprefix(f"{path}: ")
 
 
+class GncLibrary(Protocol):
+    """A binary with GNCs; ``step_address`` is that of a function with the signature of ``hil_gnc_step``."""
+
+    path: Path
+    name: str
+    step_address: int
+
+    def open(self, setup: np.record) -> Instance:
+        """Return a GNC set up with ``setup`` (GNC_SETUP). Raises BadInput with the reason if it is refused."""
+
+
 class SharedLibraryGnc(ExternalGnc):
     """Calls ``library`` in the loop's own thread, in the cycles of a run and of a hold; a session has one instance."""
 
-    def __init__(self, library: Library, setup: BackendSetup) -> None:
+    def __init__(self, library: GncLibrary, setup: BackendSetup) -> None:
         super().__init__(gnc_name(library), setup)
         self.library = library
         self._instance: Instance | None = None
@@ -148,7 +159,7 @@ class SharedLibraryGnc(ExternalGnc):
         return True
 
 
-def gnc_name(library: Library) -> str:
+def gnc_name(library: GncLibrary) -> str:
     """Return the name of the GNC of ``library`` in events and errors."""
     return f"gnc {library.name}"
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode, GncState
 from hil.core.messages import new
-from hil.errors import DeviceError, LinkTimeout
+from hil.errors import LinkTimeout
 from hil.frmn.link import Arrival, Link
 from hil.frmn.udp import shown
 from hil.gnc_backends import external_records
-from hil.gnc_backends.shared_library import Instance, Library
+from hil.gnc_backends.shared_library import GncLibrary, Instance, step_failed
 
 _AGAIN_S: Final = 0.1  # after which a setup that is not answered is sent again
 _TIMEOUT_S: Final = 2.0  # of a reply; inputs are repeated meanwhile: a datagram may be lost
@@ -38,12 +38,12 @@ class GncUnderTest(Protocol):
 
 
 class LibraryUnderTest:
-    """A shared library, with a new instance per case. It is called as in a run: in RUNNING and HOLD."""
+    """A shared library or an FMU, with a new instance per case. It is called as in a run: in RUNNING and HOLD."""
 
     modes: tuple[GncMode, ...] = ()
 
-    def __init__(self, path: str, source: str) -> None:
-        self._library = Library(path, source)
+    def __init__(self, library: GncLibrary) -> None:
+        self._library = library
         self.name = self._library.name
         self._instance: Instance | None = None
         self._output = new(GNC_OUTPUT)
@@ -61,7 +61,7 @@ class LibraryUnderTest:
         code = external_records.call_library(self._library.step_address, self._instance.address, sent, self._output)
         took_s = time.perf_counter() - begun_s
         if code != 0:
-            raise DeviceError(self.name, f"its step returned {code}")
+            raise step_failed(self.name, code, self._output)
         return self._output, took_s
 
     def close(self) -> None:

@@ -20,7 +20,7 @@ from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.core.jit import COMPILED_LOOP, kernels_digest, mark_kernels_cached
 from hil.errors import BadInput, Problem
-from hil.gnc_backends.shared_library import digest_of
+from hil.gnc_backends.library import binary_digest
 from hil.monte_carlo.batch import Spec
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design
@@ -84,9 +84,11 @@ class CampaignJob:
 
         warn: called with a line for each file of an earlier start that cannot be used.
         """
-        library = self.scenario.value.gnc.library
-        gnc_digest = digest_of(library) if library is not None else ""
-        texts = (first_names_json(self.scenario.value), first_names_json(self._rig.value), gnc_digest)
+        texts = (
+            first_names_json(self.scenario.value),
+            first_names_json(self._rig.value),
+            binary_digest(self.scenario.value.gnc),
+        )
         digest = hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
         identity = {
             "scenario": self.scenario.value.name,

@@ -20,7 +20,8 @@ from hil.errors import BenchError, LinkTimeout, ProtocolError, SafetyTrip
 from hil.gnc.fusion import MEMORY, STEP
 from hil.gnc_backends import external_records
 from hil.gnc_backends.external import fault_text, hold_reason, reported_fault
-from hil.gnc_backends.shared_library import Library, gnc_name, step_failed
+from hil.gnc_backends.library import open_library
+from hil.gnc_backends.shared_library import gnc_name, step_failed
 from hil.loop.compiled import loop_kernel
 from hil.loop.compiled.library_kernel import output_of
 from hil.loop.compiled.loop_kernel import LOOP_STATE, run_loop
@@ -64,7 +65,7 @@ class CaseRunner:
         self._travel_draws = np.empty((exposures, TRAVEL_DRAWS))
         self._arrivals = np.zeros(0, ARRIVAL).view(np.recarray)
         self._leds = vision_params.camera(rig)[1]
-        self._library = Library(scenario.gnc.library, "campaign") if scenario.gnc.library is not None else None
+        self._library = open_library(scenario.gnc, "campaign")
 
     def _fixed_params(self) -> np.record:
         """Return LOOP_PARAMS with all parameters of the GNC and the rig."""

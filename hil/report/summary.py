@@ -87,8 +87,8 @@ def summary_of(recorded: Recorded) -> dict[str, Any]:
 
 
 def gnc_summary(scenario: Scenario) -> dict[str, Any]:
-    """Return the GNC library with the digest of its file; None for the built-in GNC."""
-    path = scenario.gnc.library
+    """Return the GNC library or FMU with the digest of its file; None for the built-in GNC."""
+    path = scenario.gnc.binary
     return {"library": path, "sha256": digest_of(path) if path is not None else None}
 
 

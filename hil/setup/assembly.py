@@ -29,8 +29,8 @@ from hil.gnc.filter_monitor import FilterMonitor
 from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.gnc_backends.command_words import CommandWordGnc
-from hil.gnc_backends.shared_library import KEY as LIBRARY_KEY
-from hil.gnc_backends.shared_library import Library, SharedLibraryGnc
+from hil.gnc_backends.library import key_of, open_library
+from hil.gnc_backends.shared_library import SharedLibraryGnc
 from hil.loop.bench_stage import BenchStage
 from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.cycle import Loop
@@ -186,20 +186,19 @@ def make_gnc(scenario: Scenario) -> BuiltinGnc:
 
 
 def make_backend(scenario: Scenario) -> GncBackend:
-    """Return the built-in GNC, or the library that ``scenario`` names. Raises BadInput if it cannot be loaded."""
-    if scenario.gnc.library is None:
-        return make_gnc(scenario)
-    return SharedLibraryGnc(Library(scenario.gnc.library), backend_setup(scenario))
+    """Return the built-in GNC, or the binary that ``scenario`` names. Raises BadInput if it cannot be loaded."""
+    library = open_library(scenario.gnc)
+    return make_gnc(scenario) if library is None else SharedLibraryGnc(library, backend_setup(scenario))
 
 
 def library_problems(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return why the GNC library of ``scenario``, if it has one, cannot be used."""
-    path = scenario.value.gnc.library
-    if path is None:
-        return []
+    """Return why the GNC binary of ``scenario``, if it has one, cannot be used."""
+    gnc = scenario.value.gnc
     try:
-        with Library(path, scenario.where(LIBRARY_KEY)).open(gnc_setup(scenario.value)):
-            return []
+        library = open_library(gnc, scenario.where(key_of(gnc)))
+        if library is not None:
+            library.open(gnc_setup(scenario.value)).close()
+        return []
     except BadInput as error:
         return list(error.problems)
 

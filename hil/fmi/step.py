@@ -1,0 +1,353 @@
+"""Step of an FMU as one compiled function with the signature of ``hil_gnc_step``, callable from the compiled loop.
+
+It copies the mapped elements of the input record to staging arrays, sets the FMU's variables, steps it, gets its
+outputs and copies them to the output record. What is copied and called is in tables that a component points to.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+from llvmlite import ir
+from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
+from numba.extending import intrinsic
+
+from hil.core.gnc_records import GNC_OUTPUT, GncMode
+from hil.fmi.binary import LOG_BYTES
+
+
+def offset_of(dtype: np.dtype, name: str) -> int:
+    """Return the offset of a field, bytes."""
+    assert dtype.fields is not None
+    offset: int = dtype.fields[name][1]
+    return offset
+
+
+CODES: Final = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
+"""Types of staging arrays and records, by their number in the tables."""
+
+FIELD_TEXT: Final = 64
+COPY: Final = np.dtype(
+    [
+        ("offset", "i8"),  # in the record
+        ("field_code", "i8"),
+        ("address", "i8"),  # in a staging array
+        ("code", "i8"),
+        ("factor", "f8"),  # value in the receiver's unit: factor * value + shift
+        ("shift", "f8"),
+        ("text", "u1", FIELD_TEXT),  # message for a value that the receiver cannot hold
+    ],
+    align=True,
+)
+"""Copy of one element."""
+
+CALL: Final = np.dtype(
+    [
+        ("function", "i8"),
+        ("references", "i8"),  # address
+        ("n", "i8"),
+        ("values", "i8"),  # address
+        ("n_values", "i8"),
+        ("text", "u1", FIELD_TEXT),  # message for a failure
+    ],
+    align=True,
+)
+"""Call of a function that sets or gets variables of one type."""
+
+GROUP: Final = np.dtype([("copies", "i8"), ("n_copies", "i8"), ("calls", "i8"), ("n_calls", "i8")], align=True)
+"""Copies and calls that go together: addresses and lengths."""
+
+COMPONENT: Final = np.dtype(
+    [
+        ("component", "i8"),
+        ("version", "i8"),
+        ("do_step", "i8"),
+        ("step_s", "f8"),
+        ("input", GROUP),
+        ("poses", "i8"),  # address of GROUP for each pose
+        ("n_poses", "i8"),
+        ("poses_offset", "i8"),  # of the field n_poses in the input
+        ("output", GROUP),
+        ("direct", "i8"),  # 1: the outputs open thrusters
+        ("estimate", "i8"),  # 1: the outputs are an estimate
+        ("log", "i8"),  # address of the last message
+        ("step_text", "u1", FIELD_TEXT),
+        ("end_text", "u1", FIELD_TEXT),
+    ],
+    align=True,
+)
+"""Component of an FMU and its tables."""
+
+_INPUT_HEAD = np.dtype([("cycle", "i8"), ("t_s", "f8"), ("mode", "i4"), ("orders", "i4")], align=True)
+_TEXT_OFFSET = offset_of(GNC_OUTPUT, "text")
+_DIRECT_OFFSET = offset_of(GNC_OUTPUT, "direct")
+_ESTIMATE_OFFSET = offset_of(GNC_OUTPUT, "estimate")
+_RUNNING = GncMode.RUNNING.value
+_INTEGER_MAX = 2.0**53
+UNUSABLE: Final = 100
+"""Returned for an output that its field cannot hold; failures of FMI functions return their status."""
+ENDS: Final = 101
+"""Returned if the FMU requests the end of the simulation."""
+
+_machine_code: Any = intrinsic  # under this name: these functions are compiled at each start, outside the cache
+
+
+def _load_of(kind: Any) -> Any:
+    """Return a function that reads a number at an address."""
+
+    @_machine_code
+    def load(_typing, address):
+        def generate(context, builder, _signature, arguments):
+            return builder.load(builder.inttoptr(arguments[0], context.get_value_type(kind).as_pointer()))
+
+        return kind(types.int64), generate
+
+    return load
+
+
+def _store_of(kind: Any) -> Any:
+    """Return a function that writes a number to an address."""
+
+    @_machine_code
+    def store(_typing, address, value):
+        def generate(context, builder, _signature, arguments):
+            builder.store(arguments[1], builder.inttoptr(arguments[0], context.get_value_type(kind).as_pointer()))
+            return context.get_dummy_value()
+
+        return types.void(types.int64, kind), generate
+
+    return store
+
+
+_KINDS = (
+    types.float64, types.float32, types.int8, types.uint8, types.int16, types.uint16, types.int32, types.uint32,
+    types.int64, types.uint64,
+)  # fmt: skip
+_load_f8, _load_f4, _load_i1, _load_u1, _load_i2, _load_u2, _load_i4, _load_u4, _load_i8, _load_u8 = map(
+    _load_of, _KINDS
+)
+(
+    _store_f8, _store_f4, _store_i1, _store_u1, _store_i2, _store_u2, _store_i4, _store_u4, _store_i8, _store_u8
+) = map(_store_of, _KINDS)  # fmt: skip
+
+
+@_machine_code
+def _pointer(_typing, address):
+    def generate(_context, builder, _signature, arguments):
+        return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
+
+    return types.voidptr(types.int64), generate
+
+
+@_machine_code
+def _address(_typing, pointer):
+    def generate(_context, builder, _signature, arguments):
+        return builder.ptrtoint(arguments[0], ir.IntType(64))
+
+    return types.int64(types.voidptr), generate
+
+
+@_machine_code
+def _call_values(_typing, function, component, references, n, values, n_values):
+    """Call a function that sets or gets variables; FMI 2.0's have no ``n_values``, and ignore it."""
+    long = types.int64
+
+    def generate(_context, builder, _signature, arguments):
+        word = ir.IntType(64)
+        kind = ir.FunctionType(ir.IntType(32), [word] * 5)
+        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
+
+    return types.int32(long, long, long, long, long, long), generate
+
+
+@_machine_code
+def _do_step_2(_typing, function, component, t_s, step_s):
+    def generate(_context, builder, _signature, arguments):
+        word, real, whole = ir.IntType(64), ir.DoubleType(), ir.IntType(32)
+        kind = ir.FunctionType(whole, [word, real, real, whole])
+        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), [*arguments[1:], whole(1)])
+
+    return types.int32(types.int64, types.int64, types.float64, types.float64), generate
+
+
+@_machine_code
+def _do_step_3(_typing, function, component, t_s, step_s):
+    """Return the status, and 256 more if the FMU requests the end of the simulation."""
+
+    def generate(_context, builder, _signature, arguments):
+        word, real, byte, whole = ir.IntType(64), ir.DoubleType(), ir.IntType(8), ir.IntType(32)
+        flags = [builder.alloca(byte) for _ in range(3)]
+        last = builder.alloca(real)
+        for flag in flags:
+            builder.store(byte(0), flag)
+        kind = ir.FunctionType(whole, [word, real, real, byte, *(byte.as_pointer() for _ in flags), real.as_pointer()])
+        function = builder.inttoptr(arguments[0], kind.as_pointer())
+        status = builder.call(function, [*arguments[1:], byte(1), *flags, last])
+        ends = builder.zext(builder.icmp_unsigned("!=", builder.load(flags[1]), byte(0)), whole)
+        return builder.or_(status, builder.shl(ends, whole(8)))
+
+    return types.int32(types.int64, types.int64, types.float64, types.float64), generate
+
+
+@njit(error_model="numpy", forceinline=True)
+def _read(address, code):
+    """Return the number of type ``code`` at ``address`` as a float."""
+    if code == 0:
+        return _load_f8(address)
+    if code == 6:
+        return float(_load_i4(address))
+    if code == 8:
+        return float(_load_i8(address))
+    if code == 1:
+        return float(_load_f4(address))
+    if code == 2:
+        return float(_load_i1(address))
+    if code == 3:
+        return float(_load_u1(address))
+    if code == 4:
+        return float(_load_i2(address))
+    if code == 5:
+        return float(_load_u2(address))
+    if code == 7:
+        return float(_load_u4(address))
+    return float(_load_u8(address))
+
+
+@njit(error_model="numpy")
+def _write(address, code, value):
+    """Write ``value`` as type ``code`` at ``address``; return False if the type cannot hold it."""
+    if code == 0:
+        _store_f8(address, value)
+        return True
+    if code == 1:
+        _store_f4(address, np.float32(value))
+        return True
+    if not abs(value) <= _INTEGER_MAX or value != np.floor(value):
+        return False
+    whole = np.int64(value)
+    if code == 6:
+        _store_i4(address, np.int32(whole))
+        return whole == np.int32(whole)
+    if code == 8:
+        _store_i8(address, whole)
+        return True
+    if code == 2:
+        _store_i1(address, np.int8(whole))
+        return whole == np.int8(whole)
+    if code == 3:
+        _store_u1(address, np.uint8(whole))
+        return whole == np.int64(np.uint8(whole))
+    if code == 4:
+        _store_i2(address, np.int16(whole))
+        return whole == np.int16(whole)
+    if code == 5:
+        _store_u2(address, np.uint16(whole))
+        return whole == np.int64(np.uint16(whole))
+    if code == 7:
+        _store_u4(address, np.uint32(whole))
+        return whole == np.int64(np.uint32(whole))
+    _store_u8(address, np.uint64(whole))
+    return whole >= 0
+
+
+@njit(error_model="numpy")
+def _say(output, text):
+    """Write ``text`` (FIELD_TEXT,) as the text of the output record."""
+    for i in range(FIELD_TEXT):
+        _store_u1(output + _TEXT_OFFSET + i, text[i])
+
+
+@njit(error_model="numpy")
+def _fail(component, output, text):
+    """Write the FMU's last message, or ``text`` without one, as the text of the output record."""
+    log = carray(_pointer(component.log), (LOG_BYTES,), np.uint8)
+    if log[0] != 0:
+        _say(output, log)
+    else:
+        _say(output, text)
+
+
+@njit(error_model="numpy")
+def _set_group(component, group, record, output):
+    """Copy and set the inputs of ``group``; return the status, 0 if all went well."""
+    copies = carray(_pointer(group.copies), (group.n_copies,), COPY)
+    for i in range(group.n_copies):
+        copy = copies[i]
+        value = _read(record + copy.offset, copy.field_code)
+        if copy.code == 0:
+            _store_f8(copy.address, copy.factor * value + copy.shift)
+        elif not _write(copy.address, copy.code, copy.factor * value + copy.shift):
+            _say(output, copy.text)
+            return UNUSABLE
+    calls = carray(_pointer(group.calls), (group.n_calls,), CALL)
+    for i in range(group.n_calls):
+        call = calls[i]
+        status = _call_values(
+            call.function, component.component, call.references, call.n, call.values, call.n_values
+        )  # fmt: skip
+        if status > 1:
+            _fail(component, output, call.text)
+            return status
+    return 0
+
+
+@njit(error_model="numpy")
+def _get_group(component, group, output):
+    """Get and copy the outputs of ``group``; return the status, 0 if all went well."""
+    calls = carray(_pointer(group.calls), (group.n_calls,), CALL)
+    for i in range(group.n_calls):
+        call = calls[i]
+        status = _call_values(
+            call.function, component.component, call.references, call.n, call.values, call.n_values
+        )  # fmt: skip
+        if status > 1:
+            _fail(component, output, call.text)
+            return status
+    copies = carray(_pointer(group.copies), (group.n_copies,), COPY)
+    for i in range(group.n_copies):
+        copy = copies[i]
+        value = copy.factor * _read(copy.address, copy.code) + copy.shift
+        if not _write(output + copy.offset, copy.field_code, value):
+            _say(output, copy.text)
+            return UNUSABLE
+    return 0
+
+
+def _step(instance, gnc_input, gnc_output):
+    component = carray(instance, (1,), COMPONENT)[0]
+    head = carray(gnc_input, (1,), _INPUT_HEAD)[0]
+    record, output = _address(gnc_input), _address(gnc_output)
+    if head.mode != _RUNNING:
+        return 0  # the run's time is held, and with it the FMU's
+    status = _set_group(component, component.input, record, output)
+    if status != 0:
+        return status
+    n_poses = min(_load_i8(record + component.poses_offset), component.n_poses)
+    groups = carray(_pointer(component.poses), (component.n_poses,), GROUP)
+    for i in range(n_poses):
+        status = _set_group(component, groups[i], record, output)
+        if status != 0:
+            return status
+    if component.version == 2:
+        status = _do_step_2(component.do_step, component.component, head.t_s, component.step_s)
+    else:
+        status = _do_step_3(component.do_step, component.component, head.t_s, component.step_s)
+        if status >= 256:
+            _fail(component, output, component.end_text)
+            return ENDS
+    if status > 1:
+        _fail(component, output, component.step_text)
+        return status
+    if component.direct != 0:
+        _store_i4(output + _DIRECT_OFFSET, np.int32(1))
+    if component.estimate != 0:
+        _store_i8(output + _ESTIMATE_OFFSET, 1)
+    return _get_group(component, component.output, output)
+
+
+@cache
+def step_function() -> Any:
+    """Return the step, a C function; ``address`` is its attribute. Compiled once per process, in about a second."""
+    return cfunc(types.int32(types.voidptr, types.voidptr, types.voidptr))(_step)
