@@ -6,7 +6,7 @@ import ctypes
 import platform
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -134,13 +134,8 @@ class Fmu:
         address: int = component
         return address
 
-    def initialise(self, component: int, values: Mapping[str, Any], start: Callable[[], None]) -> None:
-        """Initialise ``component`` for a run from t = 0.
-
-        values: of variables, by name, in their units. start: called in initialisation mode. Raises FmuError.
-        """
-        for name, value in values.items():
-            self._set(component, self.description.variables[name], value)
+    def initialise(self, component: int) -> None:
+        """Initialise ``component`` for a run from t = 0. Raises FmuError."""
         real, flag = ctypes.c_double, ctypes.c_int if self.description.version == 2 else ctypes.c_bool
         arguments = (flag, real, real, flag, real)
         if self.description.version == 2:
@@ -148,29 +143,36 @@ class Fmu:
             self._call("EnterInitializationMode", component)
         else:
             self._call("EnterInitializationMode", component, arguments, False, 0.0, 0.0, False, 0.0)
-        start()
         self._call("ExitInitializationMode", component)
 
     def free(self, component: int) -> None:
         """Release ``component``."""
         self._free(component)
 
-    def _set(self, component: int, variable: FmiVariable, value: Any) -> None:
-        values = list(value) if isinstance(value, list | tuple) else [value]
-        if len(values) != variable.size:
-            raise FmuError(f"{variable.name}: has {variable.size} elements, {len(values)} are given")
-        encoded: list[Any] = [v.encode() if isinstance(v, str) else v for v in values]
-        if variable.code[0] in "iu":
-            encoded = [int(v) for v in encoded]
+    def set_variable(self, component: int, name: str, value: Any) -> None:
+        """Set one variable, of any type; ``value`` is in its unit. Raises FmuError."""
+        variable = self.description.variables[name]
+        if variable.size != 1:
+            raise FmuError(f"{name}: is an array, its value cannot be set")
+        self.set_values(component, variable.access, [variable], [value])
+
+    def set_values(
+        self, component: int, access: str, variables: Sequence[FmiVariable], values: Sequence[float | str]
+    ) -> None:
+        """Set ``variables``, all of one type, to their elements in ``values``. Raises FmuError."""
+        code = variables[0].code
         try:
-            block = (_TYPES[variable.code] * len(encoded))(*encoded)
+            given: list[Any] = [v.encode() if isinstance(v, str) else int(v) if code[0] in "iu" else v for v in values]
+            if any(whole != v for whole, v in zip(given, values, strict=True) if code[0] in "iu"):
+                raise ValueError
+            block = (_TYPES[code] * len(given))(*given)
         except (TypeError, ValueError, OverflowError) as error:
-            raise FmuError(f"{variable.name}: {value!r}, expected {variable.type}") from error
-        reference = ctypes.c_uint32(variable.reference)
-        more = () if self.description.version == 2 else (ctypes.c_size_t(len(encoded)),)
-        set_values = self._function(f"Set{variable.access}", ctypes.c_int)
-        status = set_values(_POINTER(component), ctypes.byref(reference), ctypes.c_size_t(1), block, *more)
-        self._check(f"Set{variable.access}", status, f" for {variable.name} = {value}")
+            raise FmuError(f"{variables[0].name}: {values[0]!r}, expected {variables[0].type}") from error
+        references = (ctypes.c_uint32 * len(variables))(*(variable.reference for variable in variables))
+        more = () if self.description.version == 2 else (ctypes.c_size_t(len(given)),)
+        function = self._function(f"Set{access}", ctypes.c_int)
+        status = function(_POINTER(component), references, ctypes.c_size_t(len(variables)), block, *more)
+        self._check(f"Set{access}", status, f" for {variables[0].name}" + ("" if len(variables) == 1 else ", ..."))
 
     def _call(self, name: str, component: int, types: tuple[Any, ...] = (), *arguments: Any) -> None:
         self._check(name, self._function(name, ctypes.c_int, _POINTER, *types)(component, *arguments))

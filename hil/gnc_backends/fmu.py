@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import math
+import struct
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from hil.gnc_backends.shared_library import Instance
 
 KEY: Final = "gnc.fmu"
 _ESTIMATE: Final = frozenset({"r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"})
+_FORMATS: Final = {"f8": "<d", "i8": "<q", "i4": "<i", "u1": "<B"}
 _MULTIPLE: Final = 1e-6  # tolerance of the quotient of two steps
 
 
@@ -41,6 +43,8 @@ class FmuLibrary:
         self.name = self.path.name
         self._shown, self._source, self._own_process = gnc.fmu, source, own_process
         self._parameters = gnc.fmu_parameters
+        self._tables: list[_Tables] = []
+        """Those that no instance uses."""
         mapping = load_fmu_mapping(gnc.fmu_mapping) if gnc.fmu_mapping is not None else FmuMapping()
         try:
             self._fmu = Fmu(self.path)
@@ -59,11 +63,12 @@ class FmuLibrary:
         fmu = self._fmu
         try:
             self._check_step(float(setup.step_s))
-            values = {**self._setup_values(setup), **self._parameters}
             component = fmu.instantiate("gnc")
             try:
-                tables = _Tables(fmu, component, self.inputs, self.outputs, float(setup.step_s))
-                fmu.initialise(component, values, lambda: None)
+                tables = self._tables.pop() if self._tables else _Tables(fmu, self.inputs, self.outputs)
+                tables.begin(component, float(setup.step_s))
+                self._set_parameters(component, setup)
+                fmu.initialise(component)
             except FmuError:
                 fmu.free(component)
                 raise
@@ -72,7 +77,7 @@ class FmuLibrary:
 
         def close(_pointer: int) -> None:
             fmu.free(component)
-            tables.release()
+            self._tables.append(tables)
 
         return Instance(close, tables.address)
 
@@ -117,32 +122,35 @@ class FmuLibrary:
         if not (round(ratio) >= 1 and abs(ratio - round(ratio)) < _MULTIPLE * ratio):
             raise FmuError(f"allows steps of {fixed_s:g} s and multiples: step_s is {step_s:g} s")
 
-    def _setup_values(self, setup: np.record) -> dict[str, Any]:
-        """Return the values of the parameters that are fields of GNC_SETUP, in the FMU's units."""
+    def _set_parameters(self, component: int, setup: np.record) -> None:
+        """Set the parameters that are fields of GNC_SETUP, in the FMU's units, and those of the scenario."""
         block = np.asarray(setup).tobytes()
-        values: dict[str, list[Any]] = {}
-        for element in self._setup:
-            (number,) = np.frombuffer(block, element.field.code, 1, element.offset)
-            place = values.setdefault(element.variable.name, [0.0] * element.variable.size)
-            place[element.index] = (float(number) - element.shift) / element.factor
-        return values
+        for access, variables in _by_access(self._setup).items():
+            places = {variable.name: i for i, variable in enumerate(variables)}
+            values = [[0.0] * variable.size for variable in variables]
+            for element in self._setup:
+                if (place := places.get(element.variable.name)) is not None:
+                    (number,) = struct.unpack_from(_FORMATS[element.field.code], block, element.offset)
+                    values[place][element.index] = (number - element.shift) / element.factor
+            self._fmu.set_values(component, access, variables, [number for row in values for number in row])
+        for name, value in self._parameters.items():
+            self._fmu.set_variable(component, name, value)
 
     def _refusal(self, error: FmuError) -> BadInput:
         return BadInput.single(self._source, KEY, f'"{self._shown}": {error}')
 
 
 class _Tables:
-    """Tables of one component, which ``hil.fmi.step`` reads; ``address``: of the COMPONENT."""
+    """Tables of one component at a time, which ``hil.fmi.step`` reads; ``address``: of the COMPONENT."""
 
-    def __init__(
-        self, fmu: Fmu, component: int, inputs: Sequence[MappedElement], outputs: Sequence[MappedElement], step_s: float
-    ) -> None:
+    def __init__(self, fmu: Fmu, inputs: Sequence[MappedElement], outputs: Sequence[MappedElement]) -> None:
         self._kept: list[np.ndarray] = []
+        self._started: list[tuple[np.ndarray, np.ndarray]] = []
         self._fmu = fmu
         block = self._keep(np.zeros(1, step.COMPONENT))
-        table = block.view(np.recarray)[0]
+        table = self._table = block.view(np.recarray)[0]
         version = fmu.description.version
-        table.component, table.version, table.do_step, table.step_s = component, version, fmu.address("DoStep"), step_s
+        table.version, table.do_step = version, fmu.address("DoStep")
         self._fill(table.input, "Set", [element for element in inputs if element.field.group < 0])
         groups = self._keep(np.zeros(MAX_POSES, step.GROUP)).view(np.recarray)
         for i in range(MAX_POSES):
@@ -158,9 +166,11 @@ class _Tables:
         table.step_text, table.end_text = _text(f"{prefix} failed"), _text("the FMU requests the end of the simulation")
         self.address: int = block.ctypes.data
 
-    def release(self) -> None:
-        """Release the memory; the address is invalid from then on."""
-        self._kept.clear()
+    def begin(self, component: int, step_s: float) -> None:
+        """Use the tables for another component; ``step_s``: its steps."""
+        self._table.component, self._table.step_s = component, step_s
+        for values, start in self._started:
+            values[...] = start
 
     def _fill(self, group: np.record, verb: str, elements: Sequence[MappedElement]) -> None:
         """Write the copies of ``elements`` and a call for each type to ``group`` (GROUP). verb: "Set" or "Get"."""
@@ -175,6 +185,7 @@ class _Tables:
                 places[variable.name] = (values, first)
                 self._start_values(values, first, variable)
                 first += variable.size
+            self._started.append((values, values.copy()))
             function = f"{verb}{access}"
             text = _text(f"fmi{self._fmu.description.version}{function} failed")
             calls.append(
@@ -211,12 +222,10 @@ class _Tables:
 
 def _by_access(elements: Iterable[MappedElement]) -> dict[str, list[FmiVariable]]:
     """Return the variables of ``elements``, each once, by the functions that set and get them."""
-    found: dict[str, list[FmiVariable]] = {}
+    found: dict[str, dict[str, FmiVariable]] = {}
     for element in elements:
-        variables = found.setdefault(element.variable.access, [])
-        if element.variable not in variables:
-            variables.append(element.variable)
-    return found
+        found.setdefault(element.variable.access, {})[element.variable.name] = element.variable
+    return {access: list(variables.values()) for access, variables in found.items()}
 
 
 def _text(text: str) -> np.ndarray:
