@@ -13,7 +13,7 @@ VariableNames = VariableName | Annotated[tuple[VariableName, ...], Field(min_len
 
 
 class MappedVariables(ConfigModel):
-    """Variables of one field, with what the FMU does not say itself."""
+    """Variables of one field, with properties that the FMU itself does not state."""
 
     variables: VariableNames
     """An array or the common name of its elements, or one variable per element."""

@@ -51,6 +51,7 @@ RENAMED: Final[Mapping[str, Mapping[str, str]]] = {
         "recording.picture_each_s": "recording.image_interval_s",
     },
     "Scene": {"reserve": "backup"},
+    "FmuMapping": {},
     "Protocol": {"emulator.torque_off": "faults.torque_off"},
     "VmuGeometry": {
         "calibration.camera_station_m": "calibration.camera_position_m",
@@ -81,6 +82,11 @@ _NOT_DIGESTED_DEFAULTS: Final[Mapping[str, Any]] = {
     "brakes_closed": None,
     "local_enable": None,
     "torque_delay_s": 0.0,
+    "fmu": None,
+    "fmu_mapping": None,
+    "fmu_parameters": {},
+    "fmu_process": False,
+    "fmu_timeout_s": 0.5,
 }
 """Last names of keys that have been added since digests are written -> value with which nothing changes."""
 

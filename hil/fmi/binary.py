@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import platform
+import shutil
 import sys
 import tempfile
+import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -45,7 +47,9 @@ _TYPES: Final[Mapping[str, Any]] = {
     "S": ctypes.c_char_p,
 }
 _POINTER = ctypes.c_void_p
-_LOG_2: Final = ctypes.CFUNCTYPE(None, _POINTER, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
+_LOG_2: Final = ctypes.CFUNCTYPE(
+    None, _POINTER, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p, _POINTER
+)  # its last argument is the first of a variable number, a pointer if the message has %s for it
 _LOG_3: Final = ctypes.CFUNCTYPE(None, _POINTER, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 
 
@@ -81,8 +85,8 @@ class Fmu:
             self.description: ModelDescription = parse(archive.description())
             version = self.description.version
             binary = _binary_name(self.description, archive.names())
-            self._folder = tempfile.TemporaryDirectory(prefix="hil-fmu-")  # removed with this object
-            self.folder = Path(self._folder.name)
+            self.folder = Path(tempfile.mkdtemp(prefix="hil-fmu-"))
+            weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
             archive.unpack(self.folder)
         try:
             self._loaded = ctypes.CDLL(str(self.folder / binary))
@@ -192,7 +196,11 @@ class Fmu:
             function.argtypes = arguments
         return function
 
-    def _on_log_2(self, _env: Any, _name: bytes, status: int, _category: bytes, message: bytes | None) -> None:
+    def _on_log_2(
+        self, _env: Any, _name: bytes, status: int, _category: bytes, message: bytes | None, value: int | None
+    ) -> None:
+        if message and value and message.replace(b"%%", b"").partition(b"%")[2][:1] == b"s":
+            message = message.replace(b"%s", ctypes.string_at(value), 1)
         self._on_log_3(_env, status, _category, message)
 
     def _on_log_3(self, _env: Any, status: int, _category: bytes, message: bytes | None) -> None:

@@ -136,8 +136,9 @@ def _places(
         return [(variable, i) for i in range(variable.size)]
     else:
         names = [f"{variables}{suffix}" for suffix in suffixes]
-        if field.shape and not any(name in known for name in (names[0], names[-1])):
-            names = [f"{variables}{_from_zero(suffix)}" for suffix in suffixes]
+        from_zero = [f"{variables}{_from_zero(suffix)}" for suffix in suffixes]
+        if field.shape and from_zero[0] in known:
+            names = from_zero
         if not explicit and not any(name in known for name in names):
             return []
     places = []

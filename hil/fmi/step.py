@@ -253,7 +253,7 @@ def _write(address, code, value):
 
 
 @njit(error_model="numpy")
-def _say(output, text):
+def _write_text(output, text):
     """Write ``text`` (FIELD_TEXT,) as the text of the output record."""
     for i in range(FIELD_TEXT):
         _store_u1(output + _TEXT_OFFSET + i, text[i])
@@ -264,9 +264,9 @@ def _fail(component, output, text):
     """Write the FMU's last message, or ``text`` without one, as the text of the output record."""
     log = carray(_pointer(component.log), (LOG_BYTES,), np.uint8)
     if log[0] != 0:
-        _say(output, log)
+        _write_text(output, log)
     else:
-        _say(output, text)
+        _write_text(output, text)
 
 
 @njit(error_model="numpy")
@@ -279,7 +279,7 @@ def _set_group(component, group, record, output):
         if copy.code == 0:
             _store_f8(copy.address, copy.factor * value + copy.shift)
         elif not _write(copy.address, copy.code, copy.factor * value + copy.shift):
-            _say(output, copy.text)
+            _write_text(output, copy.text)
             return UNUSABLE
     calls = carray(_pointer(group.calls), (group.n_calls,), CALL)
     for i in range(group.n_calls):
@@ -310,7 +310,7 @@ def _get_group(component, group, output):
         copy = copies[i]
         value = copy.factor * _read(copy.address, copy.code) + copy.shift
         if not _write(output + copy.offset, copy.field_code, value):
-            _say(output, copy.text)
+            _write_text(output, copy.text)
             return UNUSABLE
     return 0
 

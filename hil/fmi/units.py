@@ -29,7 +29,7 @@ _SYMBOLS: Final = {
     "g": ({"kg": 1}, 1e-3),
     "N": ({"kg": 1, "m": 1, "s": -2}, 1.0),
 }
-_FACTOR: Final = re.compile(r"([A-Za-z%-]+|1)(?:\^?\(?([+-]?\d)\)?)?")
+_FACTOR: Final = re.compile(r"([A-Za-z%]+|-|1)(?:\^?\(?([+-]?\d)\)?)?")
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ _DRIFT_MPS: Final = 0.015
 _RATE_RADPS: Final = math.radians(0.3)
 _REACTION: Final = 0.01  # mean fraction of the time above which a push counts as a reaction
 _BUSY: Final = 0.25  # fraction of the time that thrusters may fire at rest on the reference
+_DELAY_S: Final = 4.0  # of the case that measures the delay
 _FROM_S: Final = 2.0  # reactions count from here on
 _AXES: Final = "xyz"
 _A_DEGREE: Final = math.degrees(1.0)
@@ -93,6 +94,7 @@ class _Check:
         if in_time:  # otherwise the rest would take too long
             self._check_rest(rest)
             self._check_hold()
+            self._check_delay()
             signs_fit = self._check_signs()
             if not signs_fit:
                 self._check_misreadings()
@@ -158,6 +160,23 @@ class _Check:
             name = GncMode(mode).name
             faults = [f"fires in {name}: thrusters open in RUNNING alone"] if np.abs(fired).max() > 1e-6 else []
             self.report.add("quiet", faults, f"thrusters are quiet in {name}")
+
+    def _check_delay(self) -> None:
+        """Report the number of cycles from a change of the inputs to the first output that it changes."""
+        case = CheckCase("a step of reference and gyro", _DELAY_S)
+        steps_at = round(0.5 * _DELAY_S / float(self.setup.step_s))
+        plain = self._play(case, keep=False)
+        stepped = self._play(case, test_cases.step_at(steps_at, _OFFSET_M, _RATE_RADPS), keep=False)
+        n = min(len(plain.outputs), len(stepped.outputs))
+        changed = [k for k in range(n) if plain.outputs[k].tobytes() != stepped.outputs[k].tobytes()]
+        if not changed or plain.ended or stepped.ended:
+            return  # other checks report it
+        late = changed[0] - steps_at
+        text = "outputs answer the input of their own cycle"
+        if late > 0:
+            late_ms = 1e3 * late * float(self.setup.step_s)
+            text = f"outputs come {late} cycle{'s' * (late > 1)} ({late_ms:g} ms) after the input that they answer"
+        self.report.add("delay", [], text)
 
     def _check_signs(self) -> bool:
         """Return whether each offset and rotation is opposed on its own axis, on both sides."""

@@ -133,6 +133,18 @@ def along(axis: int, size: float) -> Triple:
     return x, y, z
 
 
+def step_at(cycle: int, offset_m: float, rate_radps: float) -> Change:
+    """Return a change that steps the reference's position and the gyro from ``cycle`` on."""
+
+    def change(sent: np.record) -> None:
+        if sent.cycle == cycle:
+            sent.rate_radps += rate_radps  # the record of a chaser at rest keeps it
+        if sent.cycle >= cycle:
+            sent.reference_r_CT_H_m += offset_m
+
+    return change
+
+
 def scalar_first(sent: np.record) -> None:
     """Write the quaternions with the scalar first."""
     for q in _quaternions(sent):

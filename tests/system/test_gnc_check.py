@@ -12,6 +12,7 @@ import pytest
 
 from hil.cli.main import execute
 from hil.config.load import load_scenario
+from hil.gnc_backends.shared_library import Library
 from hil.gnc_check.check import Report, check_gnc
 from hil.gnc_check.gnc_under_test import LibraryUnderTest, ProgramUnderTest, check_link
 from tests.support.external_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
@@ -55,7 +56,7 @@ class _Slower(LibraryUnderTest):
     """A library whose replies take longer."""
 
     def __init__(self, library: Path, slower_s: float) -> None:
-        super().__init__(str(library), "test")
+        super().__init__(Library(str(library), "test"))
         self._slower_s = slower_s
 
     def ask(self, told: np.record) -> tuple[np.record, float]:
@@ -71,7 +72,7 @@ def test_example_passes_and_its_estimate_is_that_of_the_sequence(tmp_path: Path)
     report = check(c_example(tmp_path))
     assert faults(report) == []
     assert report.estimate["position_m"] < 0.01
-    assert {"answers", "time", "quiet", "sign", "size", "motion", "poses", "abort", "estimate"} == {
+    assert {"answers", "time", "quiet", "delay", "sign", "size", "motion", "poses", "abort", "estimate"} == {
         found.check for found in report.findings
     }
 

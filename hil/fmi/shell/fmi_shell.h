@@ -1,7 +1,7 @@
 /* Shell of an FMU for co-simulation around a model in C: FMI 2.0 with -DFMI=2, FMI 3.0 with -DFMI=3.
  *
- * The variables of the model are elements of one block of memory; tables that are generated with the model description
- * say where. The model has three functions, which return 0, or write a reason of at most FMI_REASON bytes.
+ * The variables of the model are elements of one block of memory; their places are in tables that are generated with
+ * the model description. The model has three functions, which return 0, or write a reason of at most FMI_REASON bytes.
  */
 #ifndef FMI_SHELL_H
 #define FMI_SHELL_H

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from hil.cli.main import execute
+from hil.config.fmu_mapping import FmuMapping
 from hil.config.gnc_override import with_other_gnc
 from hil.config.load import Loaded, load_geometry, load_protocol, load_rig, load_scenario, load_scene, shipped
 from hil.config.model import ConfigModel
@@ -30,7 +31,9 @@ from hil.setup.assembly import Job
 from hil.setup.live_tuning import with_setting
 from hil.vmu.geometry import geometry_of_rig
 
-MODELS: dict[str, type[ConfigModel]] = {m.__name__: m for m in (Scenario, Rig, Scene, Protocol, VmuGeometry)}
+MODELS: dict[str, type[ConfigModel]] = {
+    m.__name__: m for m in (Scenario, Rig, Scene, FmuMapping, Protocol, VmuGeometry)
+}
 
 
 def put(path: Path, text: str) -> str:

@@ -1,0 +1,122 @@
+"""Archives of FMUs that are cut, hostile or absurd are refused with one line, and nothing is written outside."""
+
+from __future__ import annotations
+
+import stat
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from hil.fmi import archive
+from hil.fmi.archive import DESCRIPTION, Archive, FmuError
+from hil.fmi.description import parse
+
+
+def made(path: Path, files: dict[str, bytes]) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as made_of:
+        for name, content in files.items():
+            made_of.writestr(name, content)
+    return path
+
+
+def refusal(path: Path, folder: Path) -> str:
+    def read() -> None:
+        with Archive(path) as found:
+            found.description()
+            found.unpack(folder)
+
+    with pytest.raises(FmuError) as caught:
+        read()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["../evil", "a/../../evil", "/evil", "C:/evil", "a\\..\\evil", ".."])
+def test_paths_that_leave_the_folder_are_refused(tmp_path: Path, name: str) -> None:
+    path = made(tmp_path / "a.fmu", {DESCRIPTION: b"<x/>", name: b"evil"})
+    assert "relative paths inside the archive" in refusal(path, tmp_path / "in")
+    assert not (tmp_path / "evil").exists()
+    assert not (tmp_path / "in").exists()
+
+
+def test_link_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.fmu"
+    with zipfile.ZipFile(path, "w") as made_of:
+        entry = zipfile.ZipInfo("link")
+        entry.external_attr = (stat.S_IFLNK | 0o777) << 16
+        made_of.writestr(entry, "/etc/passwd")
+    assert "no regular file" in refusal(path, tmp_path / "in")
+
+
+def test_bomb_is_refused_before_it_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archive, "_UNPACKED_MAX", 1 << 20)
+    path = made(tmp_path / "a.fmu", {DESCRIPTION: b"<x/>", "zeros": bytes(2 << 20)})
+    assert path.stat().st_size < 10_000
+    assert "allowed 1048576" in refusal(path, tmp_path / "in")
+
+
+def test_entry_longer_than_stated_is_refused(tmp_path: Path) -> None:
+    path = made(tmp_path / "a.fmu", {DESCRIPTION: b"<x/>", "zeros": bytes(100_000)})
+    data = bytearray(path.read_bytes())
+    for mark, place in ((b"PK\x03\x04", 22), (b"PK\x01\x02", 24)):  # uncompressed size in both headers
+        at = data.rfind(mark)
+        data[at + place : at + place + 4] = (10).to_bytes(4, "little")
+    path.write_bytes(data)
+    assert "zeros" in refusal(path, tmp_path / "in")
+
+
+@pytest.mark.parametrize("left", [0, 10, 200, -30])
+def test_cut_archive_is_refused(tmp_path: Path, left: int) -> None:
+    path = made(tmp_path / "a.fmu", {DESCRIPTION: b"<x/>" * 100, "b": bytes(range(256)) * 4})
+    path.write_bytes(path.read_bytes()[:left])
+    assert "cut off" in refusal(path, tmp_path / "in")
+
+
+def test_damaged_entry_is_refused(tmp_path: Path) -> None:
+    path = made(tmp_path / "a.fmu", {DESCRIPTION: b"<x/>" * 100})
+    data = bytearray(path.read_bytes())
+    data[50] ^= 0xFF
+    path.write_bytes(data)
+    assert "cannot be unpacked" in refusal(path, tmp_path / "in")
+
+
+def test_archive_without_description_is_refused(tmp_path: Path) -> None:
+    assert refusal(made(tmp_path / "a.fmu", {"b": b""}), tmp_path / "in") == f"has no {DESCRIPTION}"
+
+
+BOMB = (
+    b'<!DOCTYPE a [<!ENTITY a "aaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]><fmiModelDescription>&b;</fmiModelDescription>'
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (BOMB, "entities are not allowed"),
+        (b"<a>" * 100 + b"</a>" * 100, "nested too deeply"),
+        (b"<fmiModelDescription", "is not XML"),
+        (b"", "is not XML"),
+        (b"<other/>", "expected fmiModelDescription"),
+        (b'<fmiModelDescription fmiVersion="1.0"/>', "allowed 2.0, 3.0"),
+        (b'<fmiModelDescription fmiVersion="2.0"><ModelExchange/></fmiModelDescription>', "model exchange only"),
+        (
+            b'<fmiModelDescription fmiVersion="2.0"><CoSimulation modelIdentifier="../a"/></fmiModelDescription>',
+            "expected a name of C",
+        ),
+        (
+            b'<fmiModelDescription fmiVersion="3.0"><CoSimulation modelIdentifier="a"/><ModelVariables>'
+            b'<Float64 name="x" valueReference="-1"/></ModelVariables></fmiModelDescription>',
+            "expected a whole number",
+        ),
+        (
+            b'<fmiModelDescription fmiVersion="3.0"><CoSimulation modelIdentifier="a"/><ModelVariables>'
+            b'<Float64 name="x" valueReference="1"><Dimension start="100000"/><Dimension start="100000"/></Float64>'
+            b"</ModelVariables></fmiModelDescription>",
+            "elements, allowed",
+        ),
+    ],
+)
+def test_model_description_that_cannot_be_used_is_refused(text: bytes, says: str) -> None:
+    with pytest.raises(FmuError, match=says):
+        parse(text)
