@@ -1,4 +1,4 @@
-"""Mapping of an FMU's variables to the fields of a record, by name or as a mapping file says."""
+"""Mapping of the variables of an FMU to the fields of a record: by name, or by a mapping file."""
 
 from __future__ import annotations
 
