@@ -15,6 +15,6 @@ class ConsoleTable(ConfigModel):
     """Supervision of the operator's page."""
 
     on_loss: OnLoss = "hold"
-    """Reaction of a moving bench to the loss of page, network or console; homing and parking complete unless "stop"."""
+    """Reaction of a run to the loss of page, network or console; placing holds unless "stop", other motion stops."""
     lease_s: Annotated[float, Field(ge=0.5, le=60.0)] = 2.0
     """Silence after which the operator counts as lost."""

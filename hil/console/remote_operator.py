@@ -36,7 +36,7 @@ _PACKETS_PER_CYCLE: Final = 8
 _KEPT_MESSAGES: Final = 512
 _PACKET: Final = 65536
 _HOLDABLE: Final = frozenset({Mode.PLACING, Mode.RUNNING})
-"""Modes with motion that a hold can interrupt."""
+"""Modes with motion that a hold can interrupt; other motion ends by a safe stop."""
 
 
 class OutgoingMessages:
@@ -222,10 +222,12 @@ class RemoteOperator(Operator):
         source = "console process" if self._disconnected else "operator's page"
         value = "disconnected" if self._disconnected else f"silent for {max(silent_s, self._lease_s):.1f} s"
         if not self._reacted and mode not in AT_REST:
-            if self._on_loss == "stop":
+            as_set = mode is Mode.RUNNING or self._on_loss != "continue"
+            reaction = self._on_loss if as_set else "hold"  # only a run continues without its operator
+            if reaction == "stop" or (reaction == "hold" and mode not in _HOLDABLE):
                 self._reacted = True
                 raise SafetyTrip("console", source, value, f"{self._lease_s:g} s of silence while the bench moves")
-            if self._on_loss == "hold" and mode in _HOLDABLE:
+            if reaction == "hold":
                 self._reacted = True
                 safety.request_hold(f"console: {source} {value}, allowed {self._lease_s:g} s")
         if self._disconnected and mode in AT_REST and OperatorCommand.STOP not in self.pending:

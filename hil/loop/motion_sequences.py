@@ -132,14 +132,24 @@ class MotionSequencer:
         return self._newest
 
     def place(self) -> None:
-        """Move all axes slowly to the start pose and wait until they are at rest there."""
+        """Move the target to its place, then all axes slowly to the start pose; wait until they are at rest there."""
         target, truth, at_rest = new(AXES), self.loop.now.truth, np.zeros(3)
         self.loop.bench.axes_of(truth.r_CT_H, at_rest, truth.q_CH, at_rest, target)
         self.begin()
         tick = self.seed_for_run()
         self.modes.go(Mode.PLACING)
+        self.loop.target.place(self._tick_without_hold, self._step_s)
+        tick = self._newest
         while not self._move_to(target, tick):
             tick = self.hold(tick)
+
+    def _tick_without_hold(self) -> Tick:
+        """``tick`` in a motion that cannot be held: a hold becomes a safe stop."""
+        tick = self.tick()
+        if self.hold_requested(self.modes.mode):
+            text = self.safety.hold_reason or "commanded by the operator"
+            raise SafetyTrip("target", "hold", f"({text})", "once the target is at its place")
+        return tick
 
     def park(self, target: np.record) -> None:
         """Move all axes slowly to the park position ``target`` (AXES); the turntable by its drives' profiles.

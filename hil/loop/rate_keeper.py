@@ -37,8 +37,6 @@ class Rate(Protocol):
     """Periods in which no cycle started, because an earlier one was still running."""
     paced: bool
     """Whether cycles have deadlines in real time."""
-    step_s: float
-    """Period of the cycles, s of bench time."""
 
     def now_s(self) -> float:
         """Return bench time."""
@@ -55,7 +53,7 @@ class SimulatedRate:
 
     def __init__(self, clock: SimulatedClock, step_s: float) -> None:
         self._clock = clock
-        self.step_s = step_s
+        self._step_s = step_s
         self.executed = self.overruns = self.skipped_periods = 0
         self.paced = False
         self.restart()
@@ -72,7 +70,7 @@ class SimulatedRate:
         self.executed = cycle
 
     def wait(self) -> Tick:
-        self._clock.t_s = self._zero_s + self.executed * self.step_s
+        self._clock.t_s = self._zero_s + self.executed * self._step_s
         self.executed += 1
         return Tick(self._clock.t_s, self._zero_s, 0.0)
 
@@ -86,7 +84,7 @@ class WallClockRate:
 
     def __init__(self, clock: WallClock, step_s: float) -> None:
         self._clock = clock
-        self.step_s = step_s
+        self._step_s = step_s
         self._period_ns = round(step_s / clock.speed * 1e9)
         self._spin_ns = min(_SPIN_NS, int(_SPIN_FRACTION * self._period_ns))
         self.executed = self.overruns = self.skipped_periods = 0
@@ -110,7 +108,7 @@ class WallClockRate:
             self.overruns += 1
             self.skipped_periods += skipped
             self._deadline_ns += skipped * self._period_ns
-            self._zero_s += skipped * self.step_s
+            self._zero_s += skipped * self._step_s
         left_ns = self._deadline_ns - time.monotonic_ns() - self._spin_ns
         if left_ns > 0:
             time.sleep(left_ns * 1e-9)

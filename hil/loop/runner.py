@@ -224,7 +224,6 @@ class Runner:
             case OperatorCommand.JOG:
                 self._sequencer.jog()
             case OperatorCommand.ARM:
-                self.loop.target.place(self.rate, self._sequencer.check)
                 self._sequencer.place()
                 self._arm()
             case OperatorCommand.START:

@@ -13,7 +13,7 @@ from hil.core.messages import Homing
 from hil.drivers.base import AxisGroup, LimitsSetpoints
 from hil.errors import SafetyTrip
 from hil.loop.bench_stage import Move
-from hil.loop.rate_keeper import Rate
+from hil.loop.rate_keeper import Tick
 from hil.models.profile import along_line, duration
 
 FRACTION_OF_LIMITS: Final = Move.FRACTION_OF_LIMITS
@@ -27,8 +27,11 @@ class TargetStage(Protocol):
     def open(self, now_s: float) -> None:
         """Open the device; it holds its position. Raises DeviceError."""
 
-    def place(self, rate: Rate, each: Callable[[float], None]) -> None:
-        """Move slowly to the place; ``each`` is called with the time of each cycle. Raises BenchError."""
+    def place(self, tick: Callable[[], Tick], step_s: float) -> None:
+        """Move slowly to the place. Raises BenchError.
+
+        tick: waits for the next cycle, of period ``step_s``, s, and checks the bench.
+        """
 
     def check(self, now_s: float) -> None:
         """Raise SafetyTrip if the target is not at its place, DeviceError on failure."""
@@ -48,7 +51,7 @@ class FixedTarget:
 
     def open(self, now_s: float) -> None: ...
 
-    def place(self, rate: Rate, each: Callable[[float], None]) -> None: ...
+    def place(self, tick: Callable[[], Tick], step_s: float) -> None: ...
 
     def check(self, now_s: float) -> None: ...
 
@@ -74,10 +77,10 @@ class PlacedTarget:
         """Open the axes; they hold their positions."""
         self.axes.open(now_s)
 
-    def place(self, rate: Rate, each: Callable[[float], None]) -> None:
+    def place(self, tick: Callable[[], Tick], step_s: float) -> None:
         """Move all axes slowly to the place and wait until they are at rest there."""
-        tick = rate.wait()
-        feedback = self.axes.read(tick.now_s)
+        now_s = tick().now_s
+        feedback = self.axes.read(now_s)
         for name, homing in zip(self.axes.axis_names, feedback.homing, strict=True):
             if homing is not Homing.DONE:
                 raise SafetyTrip(name, "homing", homing.name.lower().replace("_", " "), "done before a run")
@@ -88,18 +91,17 @@ class PlacedTarget:
         limits = list(zip(np.abs(distance), self._speed, self._acceleration, strict=True))
         duration_s = max(duration(length, speed, acceleration, acceleration) for length, speed, acceleration in limits)
         position, motion, along = np.empty(3), np.empty(3), np.empty(3)
-        while moved_s <= duration_s or self._off(tick.now_s) > _SETTLED_M:
+        while moved_s <= duration_s or self._off(now_s) > _SETTLED_M:
             if moved_s > duration_s + _SETTLE_S:
                 raise SafetyTrip(self.axes.name, "place", "not reached", f"{_SETTLE_S:g} s after the move")
             for i, (length, speed, acceleration) in enumerate(limits):
                 along_line(length, speed, acceleration, acceleration, moved_s, along)
                 position[i] = start[i] + math.copysign(along[0], distance[i])
                 motion[i] = math.copysign(along[1], distance[i])
-            self.axes.send(position, motion, tick.now_s)
-            tick = rate.wait()
-            moved_s += rate.step_s  # a late cycle delays the move
-            each(tick.now_s)
-        self.axes.send(self._place, np.zeros(3), tick.now_s)
+            self.axes.send(position, motion, now_s)
+            now_s = tick().now_s
+            moved_s += step_s  # a late cycle delays the move
+        self.axes.send(self._place, np.zeros(3), now_s)
 
     def check(self, now_s: float) -> None:
         """Raise SafetyTrip if an axis is further from its place than ``held_within_m``."""

@@ -80,9 +80,11 @@ class Talk:
 Script = Callable[[Talk], None]
 
 
-def converse(script: Script, on_loss: OnLoss = "hold", duration_s: float = 2.0) -> tuple[Outcome, Talk]:
+def converse(
+    script: Script, on_loss: OnLoss = "hold", duration_s: float = 2.0, settings: tuple[str, ...] = ()
+) -> tuple[Outcome, Talk]:
     """Run scheme 1 on the mock rig; ``script`` is called before each look at the encoders. It ends by itself."""
-    job = make_job(duration_s)
+    job = make_job(duration_s, settings)
     here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     here.setblocking(False)
     block = MailboxBlock.create(CELLS, "console")
@@ -187,6 +189,44 @@ def test_lost_operator_stops_the_bench_with_an_alarm_where_the_rig_says_so() -> 
     assert (alarm.device, alarm.limit) == ("console", "1 s of silence while the bench moves")
     assert alarm.quantity == "operator's page"
     assert len(outcome.history) * 0.02 < LEASE_S + 0.1
+
+
+INCREMENTAL = ('rig.rails.y.encoder="incremental"', "rig.rails.y.home_m=-1.0")
+
+
+@pytest.mark.parametrize("on_loss", ["hold", "continue", "stop"])
+@pytest.mark.parametrize(("order", "mode"), [("home", Mode.HOMING), ("park", Mode.PARKING)])
+def test_homing_and_parking_end_when_the_operator_is_lost(order: str, mode: Mode, on_loss: OnLoss) -> None:
+    def script(talk: Talk) -> None:
+        talk.order(order, talk.mode is Mode.STANDBY)
+        if talk.once("lose", talk.mode is mode):
+            talk.beats = False
+        talk.beats |= talk.mode is Mode.SAFE_STOP
+        talk.order("stop", talk.mode is Mode.SAFE_STOP)
+
+    outcome, talk = converse(script, on_loss, settings=INCREMENTAL if order == "home" else ())
+    assert outcome.mode is Mode.SAFE_STOP
+    (alarm,) = outcome.alarms
+    assert alarm.text.startswith("console: operator's page silent for 1")
+    assert alarm.t_s - talk.done["lose"] < LEASE_S + 0.1
+
+
+@pytest.mark.parametrize("on_loss", ["hold", "continue", "stop"])
+def test_placing_ends_when_the_operator_is_lost(on_loss: OnLoss) -> None:
+    def script(talk: Talk) -> None:
+        talk.order("home", talk.mode is Mode.STANDBY)
+        talk.order("arm", talk.mode is Mode.STANDBY and Mode.HOMING in talk.modes)
+        if talk.once("lose", talk.mode is Mode.PLACING):
+            talk.beats = False
+        talk.beats |= "lose" in talk.done and talk.now_s - talk.done["lose"] > 3.0
+        talk.order("stop", "lose" in talk.done and talk.now_s - talk.done["lose"] > 3.5)
+
+    outcome, talk = converse(script, on_loss, settings=INCREMENTAL)
+    assert talk.modes[talk.modes.index(Mode.PLACING) + 1] is (Mode.SAFE_STOP if on_loss == "stop" else Mode.HOLD)
+    if on_loss != "stop":
+        assert np.abs(talk.runner.loop.now.feedback.rail_mps).max() < 0.01
+    assert Mode.ARMED not in talk.modes
+    assert bool(outcome.alarms) == (on_loss == "stop")
 
 
 def test_operator_lost_while_nothing_moves_changes_nothing() -> None:

@@ -10,7 +10,7 @@ from hil.config.rig import RAIL_NAMES, TargetManipulator
 from hil.core.clock import SimulatedClock
 from hil.drivers.mock_axes import MockAxes
 from hil.errors import SafetyTrip
-from hil.loop.rate_keeper import SimulatedRate
+from hil.loop.rate_keeper import SimulatedRate, Tick
 from hil.loop.target_stage import FRACTION_OF_LIMITS, PlacedTarget
 from hil.session.build import runner as make_runner
 from tests.support.run_settings import make_job
@@ -43,7 +43,13 @@ class Desk:
     def place(self) -> np.ndarray:
         """Return where the axes were in each cycle of the move, (n, 3)."""
         seen = []
-        self.target.place(self.rate, lambda now_s: seen.append(self.axes.read(now_s).position))
+
+        def tick() -> Tick:
+            tick = self.rate.wait()
+            seen.append(self.axes.read(tick.now_s).position)
+            return tick
+
+        self.target.place(tick, 0.02)
         return np.array(seen)
 
 
