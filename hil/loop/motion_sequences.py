@@ -141,7 +141,7 @@ class MotionSequencer:
         self.loop.target.place(self._tick_without_hold, self._step_s)
         tick = self._newest
         while not self._move_to(target, tick):
-            tick = self.hold(tick)
+            tick = self.hold(self._newest)
 
     def _tick_without_hold(self) -> Tick:
         """``tick`` in a motion that cannot be held: a hold becomes a safe stop."""
