@@ -31,7 +31,7 @@ class FairSlots(Generic[T]):
         return len(self._occupants)
 
     def enter(self, newcomer: T, address: str) -> T | None:
-        """Add ``newcomer``; return the occupant that is displaced, None if nobody has to go."""
+        """Add ``newcomer``; return the occupant that is displaced, if any."""
         self._occupants[newcomer] = address
         if len(self._occupants) <= self._most:
             return None
