@@ -53,11 +53,11 @@ def expose(params, state, vision_noise, travel_draws, leds, frames, stats, n):
 
 
 @kernel
-def receive_poses(params, state, frames, poses, arrivals, n):
+def receive_poses(params, state, frames, delayed, poses, arrivals, n):
     for _ in range(n):
         state.in_transit = 1
         frames[0].received_s = 0.0
-        loop._receive_poses(params, state, 0.01, frames, poses, arrivals)
+        loop._receive_poses(params, state, 0.01, frames, delayed, poses, arrivals)
         loop._record_pose(state, poses, 1)
 
 
@@ -101,13 +101,13 @@ def cycle_stats(params, state, stats, n):
 @kernel
 def move_truth(params, field, state, n):
     for _ in range(n):
-        truth_kernels.step(params.dss, field, state.harmonics, state.now.truth, state.now.command.on)
+        truth_kernels.step(params.dss, field, state.truth_memory, state.now.truth, state.now.command.on)
 
 
 @kernel
 def sample_imu(params, state, noise, n):
     for i in range(n):
-        imu_kernels.sample(params.imu, state.now.truth, noise[i % noise.shape[0]], state.now.imu)
+        imu_kernels.sample(params.imu, state.now.truth, noise[i % noise.shape[0]], state.imu_memory, state.now.imu)
 
 
 @kernel
@@ -153,7 +153,7 @@ def main() -> None:
         "axes of the mock rig, encoders": best_ns(flight, lambda n: read_axes(p, s, n)),
         "supervision of the bench": best_ns(flight, lambda n: supervise_bench(p, s, n)),
         "vision unit": best_ns(flight, lambda n: expose(p, s, vision_noise, draws, leds, frames, stats, n)) / a_pose
-        + best_ns(flight, lambda n: receive_poses(p, s, frames, poses, arrivals, n)) / a_pose,
+        + best_ns(flight, lambda n: receive_poses(p, s, frames, frames.copy(), poses, arrivals, n)) / a_pose,
         "filters, prediction": (alone := best_ns(flight, lambda n: predict(p, s, memory, poses, n))),
         "filters, poses": (best_ns(flight, lambda n: fuse(p, s, memory, poses, n)) - alone) / a_pose,
         "consistency of the filters": best_ns(flight, lambda n: errors(s, n)) / a_pose,

@@ -21,7 +21,7 @@ from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import moon_gravity
 from hil.dynamics import truth as kernels
-from hil.dynamics.cached_gravity import CACHED_GRAVITY
+from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths import quat
 from hil.params import dynamics as dynamics_params
 
@@ -35,10 +35,10 @@ REPEATS = 5
 
 
 @kernel
-def steps(params, field, span, truth, on, n):
+def steps(params, field, memory, truth, on, n):
     """Take ``n`` steps without leaving compiled code, as a campaign does."""
     for _ in range(n):
-        kernels.step(params, field, span, truth, on)
+        kernels.step(params, field, memory, truth, on)
 
 
 @kernel
@@ -79,10 +79,10 @@ def main() -> None:
             dynamics_params.field(scenario),
             dynamics_params.initial_truth(scenario),
         )
-        span = new(CACHED_GRAVITY)
+        memory = new(TRUTH_MEMORY)
         n = round(span_s / params.dt_s)
-        steps(params, field, span, truth, quiet, 1)
-        taken = best_s(lambda: steps(params, field, span, truth, quiet, n))  # noqa: B023
+        steps(params, field, memory, truth, quiet, 1)
+        taken = best_s(lambda: steps(params, field, memory, truth, quiet, n))  # noqa: B023
         print(f"  {title:28s} {1e6 * taken / n:8.2f} us a step {taken:9.4f} s")
     scenario = load_scenario("scheme-2").value
     params, field, r = (

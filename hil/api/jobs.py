@@ -18,6 +18,7 @@ from hil.config.load import Loaded
 from hil.config.model import ConfigModel
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.core.files import parse_toml
 from hil.errors import BadInput, Problem
 from hil.gnc_backends.library import key_of
 from hil.gnc_backends.python_object import PythonGnc, PythonObjectGnc, class_name
@@ -26,6 +27,7 @@ from hil.setup.gnc_setup import backend_setup
 
 Overrides = Mapping[str, Any]
 Settings = Sequence[str]
+Faults = Sequence[Mapping[str, Any]]
 _Model = TypeVar("_Model", bound=ConfigModel)
 
 _OPTION, _ARGUMENT = "--set", "overrides"
@@ -96,10 +98,24 @@ def job_of(
     duration_s: float | None = None,
     speed: float = 1.0,
     gnc: PythonGnc | None = None,
+    faults: Faults | None = None,
 ) -> Job:
     """Return the job of a run from the arguments of ``hil.run``. Raises BadInput."""
     settings = settings_of(overrides)
-    return make_job(loaded_scenario(scenario, settings), loaded_rig(rig, settings), seed, duration_s, speed, gnc)
+    loaded = _with_faults(loaded_scenario(scenario, settings), faults or ())
+    return make_job(loaded, loaded_rig(rig, settings), seed, duration_s, speed, gnc)
+
+
+def _with_faults(scenario: Loaded[Scenario], faults: Faults) -> Loaded[Scenario]:
+    """Return ``scenario`` with ``faults`` after its own."""
+    if not faults:
+        return scenario
+    if isinstance(faults, Mapping | str) or not all(isinstance(fault, Mapping) for fault in faults):
+        raise BadInput.single("faults", "", f"{faults!r:.60}: must be a list of tables")
+    table = scenario.value.model_dump(mode="json", exclude_none=True)
+    given = parse_toml(f"faults = {_toml(list(faults), 'faults')}")["faults"]
+    table["faults"] = [*table["faults"], *given]
+    return load.check_table(table, Scenario, scenario.source, {**scenario.origin, "faults": "faults"})
 
 
 def make_job(

@@ -4,13 +4,14 @@ command line."""
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.api.jobs import (
+    Faults,
     Overrides,
     job_of,
     named_as_argument,
@@ -20,7 +21,6 @@ from hil.api.results import Run, run_of
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.operator_commands import Operator
-from hil.errors import BadInput
 from hil.gnc_backends.python_object import PythonGnc, class_name
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
@@ -42,7 +42,7 @@ def run(
     seed: int = 0,
     duration_s: float | None = None,
     overrides: Overrides | None = None,
-    faults: Sequence[Any] | None = None,
+    faults: Faults | None = None,
     gnc: PythonGnc | None = None,
     record: str | Path | None = None,
 ) -> Run:
@@ -62,7 +62,8 @@ def run(
     overrides
         Dotted keys or nested tables to values: ``{"gnc.control.deadband_m": 0.004, "rig.vmu.timeout_s": 0.5}``.
     faults
-        Faults to inject: none can be given yet.
+        Faults to inject, tables with the keys of ``[[faults]]``, beside those of the scenario:
+        ``[{"device": "vmu", "kind": "no_pose", "at_s": 60.0}]``.
     gnc
         Object with ``step(input)`` that replaces the GNC of the scenario, see ``hil.gnc_backends.python_object``.
     record
@@ -78,10 +79,8 @@ def run(
     KeyboardInterrupt
         Ctrl-C, after the bench has stopped.
     """
-    if faults:
-        raise BadInput.single("faults", "", "cannot be injected by this version: omit it")
     with named_as_argument():
-        job = job_of(scenario, rig, overrides, seed, duration_s, gnc=gnc)
+        job = job_of(scenario, rig, overrides, seed, duration_s, gnc=gnc, faults=faults)
         build.check(job)
     compile_kernels(job, log.warning)
     found = run_job(RunRequest(job, rig_name(rig), record, gnc_summary(gnc), announce=log.info))

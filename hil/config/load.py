@@ -271,13 +271,13 @@ def _problems(
     for fault in faults[:_PROBLEMS_MAX]:
         location = _keys_of(fault["loc"], table)
         dotted = ".".join(part for part in location if isinstance(part, str))
-        indices = "".join(f"[{part}]" for part in location if isinstance(part, int))
+        shown = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
         known = dotted
         while known and known not in origin:
             known = known.rpartition(".")[0]
         where = origin.get(known, source)
         message = _message(fault, model, [part for part in location if isinstance(part, str)], table)
-        problems.append(Problem(where, f"{prefix}{dotted}{indices}" if dotted else "", message))
+        problems.append(Problem(where, f"{prefix}{shown}" if dotted else "", message))
     if len(faults) > _PROBLEMS_MAX:
         problems.append(Problem(source, "", f"{len(faults) - _PROBLEMS_MAX} more errors"))
     return problems

@@ -10,10 +10,11 @@ from pydantic import Field, field_validator, model_validator
 
 from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitorConfig
+from hil.config.faults import Fault
 from hil.config.live_tunable import LiveTuning
 from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.truth import Orbit, SolarArray, Truth
-from hil.core.messages import MAX_PHASES, MAX_THRUSTERS
+from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
 
 AngleTriple = tuple[
     Annotated[float, Field(gt=-180.0, le=180.0)],
@@ -439,5 +440,7 @@ class Scenario(ConfigModel):
     requirements: Requirements
     reachability: Reachability = Reachability()
     monitor: DockingMonitorConfig = DockingMonitorConfig()
+    faults: Annotated[tuple[Fault, ...], Field(max_length=5 * MAX_FAULTS)] = ()
+    """Faults of devices, in the run's time."""
     dispersions: Dispersions = Dispersions()
     console: LiveTuning = LiveTuning()

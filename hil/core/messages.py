@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 MAX_THRUSTERS = 24
 MAX_PHASES = 16
 MAX_POSES = 4  # that can arrive in one cycle
+MAX_FAULTS = 8  # of one kind of device in a run
 
 TRUTH_FIELDS: Final = (
     Field("t_s", "f8", (), "s", "", "time of the truth"),

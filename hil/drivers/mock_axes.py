@@ -71,8 +71,10 @@ class MockAxes:
         self._move(now_s)
         if self._stopped:
             return self._shown()
-        axes.setpoint[:] = accepted + self._counted_from if self._homing is not HOMED else accepted
-        axes.feedforward[:] = feedforward
+        servo = axes.record
+        wanted = accepted + self._counted_from if self._homing is not HOMED else accepted
+        axes.setpoint[:] = wanted - servo.encoder_offset + servo.disturbance
+        axes.feedforward[:] = feedforward + servo.disturbance_rate
         return accepted
 
     def read(self, now_s: float) -> AxisFeedback:
@@ -80,6 +82,12 @@ class MockAxes:
         self._check()
         self._move(now_s)
         return AxisFeedback(now_s, self._shown(), self._axes.rate.copy(), self._homing, self._limit)
+
+    def position_at(self, now_s: float) -> Array:
+        """Return the true positions at ``now_s``, (3,), m or rad, whatever the encoders show."""
+        self._check()
+        self._move(now_s)
+        return self._axes.position.copy()
 
     def stop(self, now_s: float) -> None:
         """Brake, then hold; homing is aborted."""
@@ -143,7 +151,7 @@ class MockAxes:
         self._homing = HOMED if all(state == Homing.DONE for state in states) else (states[0], states[1], states[2])
 
     def _shown(self) -> Array:
-        position = self._axes.position.copy()
+        position: Array = self._axes.position + self._axes.record.encoder_offset
         return position if self._homing is HOMED else position - self._counted_from
 
     def _move(self, now_s: float) -> None:

@@ -18,15 +18,19 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics import cached_gravity, orbit
+from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
 from hil.dynamics.hill import hill_acceleration
 from hil.dynamics.mass_centre import add_lever_terms, shift
 from hil.dynamics.moon_gravity import GRAVITY_PARAMS
 from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
+from hil.dynamics.target_faults import TARGET_MEMORY, move_target
+from hil.dynamics.thruster_faults import THRUST_MEMORY, step_faulty_valves
 from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
+from hil.models.faults import FAULTS
 
 HILL, NONLINEAR = 0, 1
 
@@ -52,9 +56,17 @@ DSS_PARAMS = np.dtype(
         ("plate", PLATE_PARAMS),
         ("mode", MODE_PARAMS),
         ("sun_I", "f8", 3),  # unit vector to the Sun, inertial
+        ("thruster_faults", FAULTS),
+        ("target_faults", FAULTS),
     ],
     align=True,
 )
+
+TRUTH_MEMORY = np.dtype(
+    [("gravity", CACHED_GRAVITY), ("thrust", THRUST_MEMORY), ("target", TARGET_MEMORY)],
+    align=True,
+)
+"""What a step keeps for the next ones, zeroed before the first."""
 
 # the integrated state, in axes F: r 0:3, v 3:6, q_CF 6:10, w_CI_C 10:13, integral of w 13:16, integral of the
 # pressure's specific force in c 16:19, eta 19, its rate 20, and in the nonlinear model r_T_I 21:24, v_T_I 24:27
@@ -239,15 +251,23 @@ def _leave(params, y, truth):
 
 
 @kernel
-def step(params, field, span, truth, on):
+def step(params, field, memory, truth, on):
     """Move ``truth`` (TRUTH) on by one step, in place, with the thruster commands ``on`` (n,), 0 or 1.
 
-    field: the harmonics, (N + 1, N + 1, 6), as ``moon_gravity.field_table`` gives them. span: CACHED_GRAVITY.
+    field: the harmonics, (N + 1, N + 1, 6), as ``moon_gravity.field_table`` gives them. memory: TRUTH_MEMORY.
     """
     dt = params.dt_s
     n = params.n_thrusters
     fraction = truth.thrust_fraction
-    step_valves(on[:n], truth.open_s[:n], params.minimum_on_s, dt, fraction[:n])
+    if params.thruster_faults.n == 0:
+        step_valves(on[:n], truth.open_s[:n], params.minimum_on_s, dt, fraction[:n])
+    else:
+        step_faulty_valves(
+            params.thruster_faults, memory.thrust, truth.t_s, on[:n], truth.open_s[:n], params.minimum_on_s, dt,
+            fraction[:n],
+        )  # fmt: skip
+    if params.target_faults.n != 0:
+        move_target(params.target_faults, memory.target, truth)
     load, y, sun_f, w_before = stack.vector(7), stack.vector(_N), stack.vector(3), stack.vector(3)
     held, gravity = stack.matrix(4, 3), stack.matrix(3, 10)
     wrench(
@@ -270,7 +290,7 @@ def step(params, field, span, truth, on):
     if params.relative_motion != HILL:
         if params.gravity.degree >= 2:
             cached_gravity.interpolate_perturbation(
-                params.gravity, field, truth.t_s, y[21:24], y[24:27], y[0:3], y[3:6], dt, span, held
+                params.gravity, field, truth.t_s, y[21:24], y[24:27], y[0:3], y[3:6], dt, memory.gravity, held
             )  # fmt: skip
         cached_gravity.gravity_over_step(params.gravity.gm, held, y, load, dt, gravity)
     _integrate(params, gravity, y, load, sun_f, dt)

@@ -15,6 +15,7 @@ from hil.core.messages import CYCLE
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc_backends.base import GncBackend
 from hil.loop.bench_stage import BenchStage
+from hil.loop.fault_stages import AxisFaults
 from hil.loop.rate_keeper import Tick
 from hil.loop.safety_io_stage import NoSafetyIo, SafetyIo
 from hil.loop.stages import DssStage, VisionStage
@@ -65,6 +66,8 @@ class Loop:
     telemetry: Telemetry = field(default_factory=NoTelemetry)
     safety_io: SafetyIo = field(default_factory=NoSafetyIo)
     target: TargetStage = field(default_factory=FixedTarget)
+    axis_faults: AxisFaults | None = None
+    """Faults of axes in memory, if there are any."""
     now: CycleData = field(default_factory=CycleData)
     done: int = 0
     """Completed cycles of the run."""
@@ -87,6 +90,8 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     run_zero_s: bench time of the run's time zero. lateness_s: wake-up delay of this cycle.
     """
     now = loop.now
+    if loop.axis_faults is not None:
+        loop.axis_faults.act(t_s)
     loop.safety_io.check(bench_s)  # 0  emergency stop and safety chain
     loop.bench.read(bench_s, now.feedback)  # 1  encoders
     loop.bench.check(bench_s, now.feedback)  # 2  safety monitor: continue or stop

@@ -14,8 +14,10 @@ from hil.core.messages import ARRIVAL, MAX_POSES, POSE, Array, PoseFrame, new
 from hil.drivers.base import PoseSource
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
-from hil.dynamics.cached_gravity import CACHED_GRAVITY
+from hil.dynamics.imu_faults import IMU_MEMORY
+from hil.dynamics.truth import TRUTH_MEMORY
 from hil.frmn.ring import Telemetry
+from hil.loop.fault_stages import FrameFaults
 from hil.maths.random_streams import NormalRows
 from hil.models.mounting import chaser_pose
 
@@ -28,8 +30,10 @@ class DssStage:
     def __init__(self, params: np.record, field: Array, imu_params: np.record, imu_noise: NormalRows) -> None:
         self.params = params
         self.field = field
-        self.harmonics = new(CACHED_GRAVITY)
-        """Cached values of the gravity field."""
+        self.memory = new(TRUTH_MEMORY)
+        """What the truth keeps from step to step."""
+        self.imu_memory = new(IMU_MEMORY)
+        """What the faults of the IMU keep from sample to sample."""
         self._imu_params = imu_params
         self.noise = imu_noise
         """One row per step."""
@@ -37,11 +41,11 @@ class DssStage:
 
     def sample_imu(self, truth: np.record, imu: np.record) -> None:
         """Write the IMU sample of the step that ended at ``truth``."""
-        imu_kernels.sample(self._imu_params, truth, self.noise.next_row(), imu)
+        imu_kernels.sample(self._imu_params, truth, self.noise.next_row(), self.imu_memory, imu)
 
     def step(self, truth: np.record, command: np.record) -> None:
         """Propagate ``truth`` by one step with the thrusters that ``command`` opens."""
-        truth_kernels.step(self.params, self.field, self.harmonics, truth, command.on)
+        truth_kernels.step(self.params, self.field, self.memory, truth, command.on)
 
     def rate_against_hill(self, truth: np.record) -> Array:
         """Return the chaser's rate relative to H, in c, (3,), rad/s; valid until the next call."""
@@ -61,6 +65,8 @@ class VisionStage:
         self.dropped = 0  # beyond MAX_POSES in one cycle
         self.not_before_s = -math.inf
         """Frames exposed before this bench time are stale and discarded."""
+        self.faults: FrameFaults | None = None
+        """Faults of the unit, if it has any: what follows sees only what they leave."""
         self.frame_sink: Telemetry | None = None
         """Receives each frame, as a row of ARRIVAL."""
         self.on_run_zero: Callable[[float], None] | None = None
@@ -78,7 +84,10 @@ class VisionStage:
         run_zero_s: bench time of the run's time zero.
         """
         self.set_run_zero(run_zero_s)
-        received = frames = self.source.poll(bench_s)
+        received = self.source.poll(bench_s)
+        if self.faults is not None:
+            received = self.faults.pass_on(received, bench_s, run_zero_s)
+        frames = received
         self.cycle += 1
         if frames:
             frames = [frame for frame in frames if frame.t_s >= self.not_before_s]
@@ -115,6 +124,8 @@ class VisionStage:
         """Discard the frames received since the last cycle; return their number."""
         self.set_run_zero(None)
         frames = self.source.poll(bench_s)
+        if self.faults is not None:
+            self.faults.delayed = []
         if self.frame_sink is not None:
             self._record_unused(frames)
         return len(frames)

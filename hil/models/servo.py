@@ -30,10 +30,13 @@ SERVO = np.dtype(
         ("acceleration_max", "f8", 3),
         ("low", "f8", 3),
         ("high", "f8", 3),
+        ("encoder_offset", "f8", 3),  # reading minus position
+        ("disturbance", "f8", 3),  # added to each setpoint
+        ("disturbance_rate", "f8", 3),
     ],
     align=True,
 )
-"""Three axes of a device, arguments of ``servo_step``."""
+"""Three axes of a device: arguments of ``servo_step``, and what faults add to readings and setpoints."""
 
 
 @kernel

@@ -60,6 +60,7 @@ class CaseRunner:
         self._memory = np.zeros(MEMORY, STEP)
         self._poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self._frames = frames_in_transit(rig, scenario.step_s)
+        self._delayed = self._frames.copy()
         self._imu_noise = np.empty((self.cycles, IMU_NOISE))
         self._vision_noise = np.empty((exposures, VISION_NOISE))
         self._travel_draws = np.empty((exposures, TRAVEL_DRAWS))
@@ -126,6 +127,7 @@ class CaseRunner:
             self._memory,
             self._poses,
             self._frames,
+            self._delayed,
             stats,
             np.zeros(0, CYCLE) if history is None else history,
             self._arrivals,
@@ -134,12 +136,13 @@ class CaseRunner:
 
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
-        set_truth(params, truth, dss_as_built(truth, seed))
+        set_truth(params, truth, seed, dss_as_built(truth, seed))
         state.end = self.cycles
         state.now.truth = dynamics_params.initial_truth(truth)
         draw_initial_imu_errors(truth, seed, state.now.imu)
         rails, turntable = axes_at_start(truth, self.rig)
         state.rails, state.turntable = ServoAxes(rails).record, ServoAxes(turntable).record
+        params.nominal_axes.rate_max = np.concatenate([state.rails.rate_max, state.turntable.rate_max])
 
     def _interlock(self) -> str:
         """Return why the bench could not be armed at the start pose, "" if it could."""

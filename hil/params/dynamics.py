@@ -17,6 +17,7 @@ from hil.dynamics.moon_gravity import acceleration, field_table
 from hil.dynamics.thrusters import DRAWS_PER_THRUSTER, STANDARD_GRAVITY_MPS2, as_built
 from hil.dynamics.truth import DSS_PARAMS, HILL, NONLINEAR
 from hil.maths import euler, quat
+from hil.params.faults import fault_rows
 
 MOON_SIDEREAL_RATE_RADPS = 2.0 * math.pi / (27.321661 * 86400.0)  # Seidelmann, Explanatory Supplement (1992)
 
@@ -65,6 +66,7 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None) -> np.record:
     params.gravity_gradient = scenario.truth.gravity_gradient
     params.solar_pressure = scenario.truth.solar_pressure
     params.flexible_array = scenario.truth.flexible_array
+    params.thruster_faults, params.target_faults = fault_rows(scenario, "thruster"), fault_rows(scenario, "target")
     _set_thrusters(params, scenario, thruster_draws)
     _set_gravity(params, scenario)
     if scenario.chaser.solar_array is not None:
@@ -72,14 +74,15 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None) -> np.record:
     return params
 
 
-def imu(scenario: Scenario) -> np.record:
-    """Return IMU_PARAMS."""
+def imu(scenario: Scenario, seed: int = 0) -> np.record:
+    """Return IMU_PARAMS. seed: of the run, for the noise of faults."""
     params = new(IMU_PARAMS)
     params.dt_s = scenario.step_s
     params.sigma_gyro = math.radians(scenario.imu.gyro_noise_degps)
     params.sigma_drift = math.radians(scenario.imu.gyro_drift_noise_degps2)
     params.sigma_accelerometer = scenario.imu.accelerometer_noise_mps2
     params.sigma_bias = scenario.imu.accelerometer_bias_noise_mps3
+    params.faults = fault_rows(scenario, "imu", seed)
     return params
 
 

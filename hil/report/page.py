@@ -146,6 +146,13 @@ def _numbers(summary: dict[str, Any]) -> Iterator[str]:
 
 def _events(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:
     yield html.heading(2, "Faults, alarms, events")
+    if summary.get("injected"):
+        rows = [
+            (fault["device"], fault["kind"], " ".join(f"{value:g}" for value in fault["value"]), f"{fault['at_s']:g}",
+             "" if fault["until_s"] is None else f"{fault['until_s']:g}")
+            for fault in summary["injected"]
+        ]  # fmt: skip
+        yield html.table(("injected in", "fault", "value", "from, s", "to, s"), rows, words=True)
     if summary["faults"]:
         yield html.table(("fault",), [(text,) for text in summary["faults"]], words=True)
     if summary["alarms"]:

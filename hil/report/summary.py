@@ -8,6 +8,7 @@ import numpy as np
 
 from hil.checks.compatibility import sign_off_gap
 from hil.checks.waivers import waivers
+from hil.config.faults import Fault
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.sign_off import SignOff
@@ -70,6 +71,7 @@ def summarise(
         "sign_off": sign_off_summary(rig),
         "waived": [waiver.as_json() for waiver in waivers(rig)],
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
+        "injected": [injected(fault) for fault in scenario.faults],
         "faults": outcome.faults,
         "alarms": [alarm.as_json() for alarm in outcome.alarms],
     }
@@ -84,6 +86,21 @@ def summary_of(recorded: Recorded) -> dict[str, Any]:
     run, step_s = recorded.run, recorded.scenario.step_s
     outcome = Outcome(recorded.cycles, stop, faults=[stop])
     return summarise(outcome, recorded.scenario, recorded.rig, run["rig"], int(run["seed"]), 1.0 / step_s)[0]
+
+
+def injected(fault: Fault) -> dict[str, Any]:
+    """Return a fault that was injected, and by what it was detected: nothing detects faults yet."""
+    return {
+        "device": fault.device,
+        "kind": fault.kind,
+        "at_s": fault.at_s,
+        "until_s": fault.until_s,
+        "value": list(fault.values),
+        "detected_s": None,
+        "detected_by": None,
+        "reaction": None,
+        "reaction_s": None,
+    }
 
 
 def gnc_summary(scenario: Scenario) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from hil.checks.compatibility import (
     check_sign_off,
     driver_warnings,
 )
+from hil.checks.faults import check_faults
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
@@ -51,6 +52,7 @@ def check(job: Job) -> None:
         *(check_truth(job.scenario) or check_plan(job.scenario, job.rig)),
         *check_approach(job.scenario),
         *check_monitor(job.scenario),
+        *check_faults(job.scenario, job.rig),
         *_rig_problems(job),
     ]
     if problems := problems or library_problems(job.scenario) or check_sign_off(job.rig):

@@ -21,6 +21,7 @@ from hil.core.realtime import DefaultScheduling, SchedulingPolicy
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
 from hil.drivers.command_words.poses import PoseForwarder
 from hil.drivers.command_words.receiver import CommandWordReceiver
+from hil.drivers.mock_axes import MockAxes
 from hil.drivers.vmu.transport import Transport
 from hil.dynamics.imu import IMU_NOISE
 from hil.errors import BadInput, Problem
@@ -34,6 +35,7 @@ from hil.gnc_backends.shared_library import SharedLibraryGnc
 from hil.loop.bench_stage import BenchStage
 from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.cycle import Loop
+from hil.loop.fault_stages import AxisFaults, FrameFaults
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
@@ -46,6 +48,7 @@ from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 from hil.params import vision as vision_params
+from hil.params.faults import fault_rows
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import approach_event_log, backend_setup, gnc_setup
@@ -130,6 +133,12 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         telemetry=context.telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
     )
+    if any(fault.family == "vmu" for fault in job.truth.faults):
+        loop.vision.faults = FrameFaults(fault_rows(job.truth, "vmu", job.seed), vision_params.mounting(rig))
+    if any(fault.family == "axis" for fault in job.truth.faults):
+        assert isinstance(rails, MockAxes)
+        assert isinstance(turntable, MockAxes)
+        loop.axis_faults = AxisFaults(fault_rows(job.truth, "axis", job.seed), rails.servo(), turntable.servo())
     if io is not None and rig.io is not None:
         lines = SafetyIoStage(io, loop.now.command.on[: rig.io.thruster_lines])
         loop.safety_io = lines
@@ -238,7 +247,7 @@ def _dss(scenario: Scenario, seed: int) -> DssStage:
     return DssStage(
         dss_as_built(scenario, seed),
         dynamics_params.field(scenario),
-        dynamics_params.imu(scenario),
+        dynamics_params.imu(scenario, seed),
         NormalRows(stream(seed, "imu"), IMU_NOISE),
     )
 
@@ -269,7 +278,6 @@ class Mocks(NamedTuple):
 def mocks(scenario: Scenario, rig: Rig, seed: int, images: ImageSink | None = None) -> Mocks:
     """Return mock devices whose axes are at the start pose. images: sink of a rendered vision unit's images."""
     from hil.drivers.io.mock import MockIo
-    from hil.drivers.mock_axes import MockAxes
     from hil.drivers.vmu.mock import MockVmu
 
     rails_config, turntable_config = axes_at_start(scenario, rig)
@@ -278,7 +286,7 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, images: ImageSink | None = No
     sensor = make_pose_sensor(scenario, rig, seed, images)
 
     def pose_at(t_s: float) -> PoseFrame | None:
-        return sensor.measure(rails.read(t_s).position, turntable.read(t_s).position, t_s)
+        return sensor.measure(rails.position_at(t_s), turntable.position_at(t_s), t_s)
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
     target = MockAxes("target", rig.moved_target) if rig.moved_target else None

@@ -61,7 +61,11 @@ def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks)
     assert isinstance(mocks.sensor, PoseModel)
     backend = compiled_backend(loop.gnc)
     params = loop_params(scenario, rig, backend.params, loop.bench.params, loop.bench.safety.limits.guard)
-    set_truth(params, job.truth, loop.dss.params)
+    set_truth(params, job.truth, job.seed, loop.dss.params)
+    if loop.axis_faults is not None:
+        params.nominal_axes = loop.axis_faults.nominal
     frames = frames_in_transit(rig, scenario.step_s)
-    session = MockSession(rails, turntable, source, io, mocks.sensor.noise, mocks.transport.draws, frames)
+    session = MockSession(
+        rails, turntable, source, io, mocks.sensor.noise, mocks.transport.draws, frames, frames.copy()
+    )
     return CompiledCycles(loop, rate, session, params, backend, runner.cycles)

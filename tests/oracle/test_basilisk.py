@@ -16,7 +16,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import moon_gravity
 from hil.dynamics import truth as kernels
-from hil.dynamics.cached_gravity import CACHED_GRAVITY
+from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths import quat
 from hil.params import dynamics as dynamics_params
 from tests.support.basilisk_pair import Pair, gravity_model, write_field
@@ -74,11 +74,11 @@ def test_relative_position_agrees(drift: Scenario, field_file: Path, span_s: flo
         dynamics_params.field(drift),
         dynamics_params.initial_truth(drift),
     )
-    span = new(CACHED_GRAVITY)
+    memory = new(TRUTH_MEMORY)
     assert 2.0 * math.pi / params.orbit_rate == pytest.approx(7655.0, abs=60.0)
     theirs = Pair(params, inertial_states(truth), field_file, step_s=0.5).run_to(span_s)
     for _ in range(round(span_s / params.dt_s)):
-        kernels.step(params, field, span, truth, QUIET)
+        kernels.step(params, field, memory, truth, QUIET)
     ours = quat.to_matrix(truth.q_HI).T @ truth.r_CT_H
     assert np.linalg.norm(ours) > 1.0
     assert np.linalg.norm(ours - theirs) <= tolerance_m

@@ -34,7 +34,7 @@ _NO_ARRIVALS: Final = np.zeros(0, ARRIVAL).view(np.recarray)
 
 @dataclass(frozen=True)
 class MockSession:
-    """Mocks and memory of a compiled session. frames: see ``params.frames_in_transit``.
+    """Mocks and memory of a compiled session. frames, delayed: see ``params.frames_in_transit``.
 
     vision_noise, travel_draws: random numbers of the vision unit, one row per exposure.
     """
@@ -46,6 +46,7 @@ class MockSession:
     vision_noise: RandomRows
     travel_draws: RandomRows
     frames: np.ndarray
+    delayed: np.ndarray
 
 
 class CompiledCycles:
@@ -124,7 +125,7 @@ class CompiledCycles:
         loop.safety_io.check(tick.now_s)
         state.lines, state.lines_changed_s = loop.now.command.on, loop.safety_io.thrusters_s
         state.now = loop.now.row[0]
-        state.harmonics = loop.dss.harmonics
+        state.truth_memory, state.imu_memory = loop.dss.memory, loop.dss.imu_memory
         state.rails, state.turntable = mocks.rails.servo(), mocks.turntable.servo()
         state.motion, state.before = loop.bench.motion, loop.bench.accepted
         source = mocks.source.state()
@@ -132,6 +133,10 @@ class CompiledCycles:
         state.received, state.last_rx_s, state.in_transit = source.received, source.last_rx_s, len(source.in_transit)
         for i, frame in enumerate(source.in_transit):
             frame.write_to(mocks.frames[i : i + 1])
+        if (faults := loop.vision.faults) is not None:
+            state.vmu_memory, state.delayed = faults.memory, len(faults.delayed)
+            for i, frame in enumerate(faults.delayed):
+                frame.write_to(mocks.delayed[i : i + 1])
         state.logged = state.dropped = 0
         self._stats.limited_cycles = 0
         self._backend.load(state)
@@ -156,6 +161,7 @@ class CompiledCycles:
             self._backend.memory,
             loop.vision.poses,
             mocks.frames,
+            mocks.delayed,
             self._stats,
             loop.history,
             self._arrivals,
@@ -172,7 +178,8 @@ class CompiledCycles:
         """Write LOOP_STATE to the stages, after a block from cycle ``first`` on that ended with ``code``."""
         loop, mocks, state = self._loop, self._mocks, self._state
         loop.now.row[0] = state.now
-        np.asarray(loop.dss.harmonics)[...] = state.harmonics
+        np.asarray(loop.dss.memory)[...] = state.truth_memory
+        np.asarray(loop.dss.imu_memory)[...] = state.imu_memory
         mocks.rails.set_servo(state.rails)
         mocks.turntable.set_servo(state.turntable)
         self._store_bench(first)
@@ -182,6 +189,9 @@ class CompiledCycles:
                 int(state.next_exposure), int(state.first_exposure), int(state.received), float(state.last_rx_s), frames
             )
         )
+        if (faults := loop.vision.faults) is not None:
+            np.asarray(faults.memory)[...] = state.vmu_memory
+            faults.delayed = [PoseFrame.from_record(mocks.delayed[i]) for i in range(state.delayed)]
         loop.vision.arrived = int(state.now.pose.fresh)
         loop.vision.dropped += int(state.dropped)
         # the cycle of a failed GNC or setpoint has received its poses

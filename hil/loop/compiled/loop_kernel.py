@@ -18,10 +18,11 @@ from hil.core.jit import kernel
 from hil.core.messages import AXES, CYCLE, MAX_POSES, MAX_THRUSTERS
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
-from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.imu import IMU_PARAMS
-from hil.dynamics.truth import DSS_PARAMS
+from hil.dynamics.imu_faults import IMU_MEMORY
+from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
 from hil.dynamics.vision import ALL_LEDS, VISION_PARAMS, measure
+from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame
 from hil.gnc import guidance, navigation
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
 from hil.gnc.ready_phase import READY_PARAMS
@@ -31,8 +32,10 @@ from hil.loop.compiled.run_stats import count_cycle, count_exposure
 from hil.maths import stack
 from hil.maths.arrays import copy_into, copy_matrix, fill
 from hil.maths.limits import cut_to_range
+from hil.models.axis_faults import NOMINAL_AXES, set_axis_faults
 from hil.models.camera import CAMERA
 from hil.models.camera_timing import TIME_SLACK_S, TRAVEL, delays, exposure_time, first_exposure
+from hil.models.faults import FAULTS
 from hil.models.mounting import MOUNTING, chaser_pose
 from hil.models.servo import SERVO, servo_step, servo_step_of_two
 
@@ -59,6 +62,9 @@ LOOP_PARAMS = np.dtype(
         ("gnc", GNC_PARAMS),
         ("verdict", APPROACH_MONITOR_PARAMS),  # margins of the verdict, whatever the GNC's own are
         ("ready", READY_PARAMS),
+        ("vmu_faults", FAULTS),
+        ("axis_faults", FAULTS),
+        ("nominal_axes", NOMINAL_AXES),
     ],
     align=True,
 )
@@ -70,7 +76,9 @@ LOOP_STATE = np.dtype(
         ("end", "i8"),  # number of the cycle before which ``run_loop`` returns
         ("zero_s", "f8"),  # bench time of the run's time zero
         ("now", CYCLE),
-        ("harmonics", CACHED_GRAVITY),
+        ("truth_memory", TRUTH_MEMORY),
+        ("imu_memory", IMU_MEMORY),
+        ("vmu_memory", VMU_MEMORY),
         ("rails", SERVO),
         ("turntable", SERVO),
         ("motion", MOTION),
@@ -84,6 +92,7 @@ LOOP_STATE = np.dtype(
         ("next_exposure", "i8"),
         ("first_exposure", "i8"),
         ("in_transit", "i8"),  # frames exposed and not received yet
+        ("delayed", "i8"),  # frames received that faults of the vision unit delay
         ("last_rx_s", "f8"),  # when the last frame was received, bench time
         ("arrived_s", "f8", MAX_POSES),  # when the poses of this cycle were received, bench time
         ("received", "i8"),  # frames so far
@@ -131,8 +140,9 @@ def _send(axes, position, rate, now_s, accepted):
     if cut_to_range(rate, axes.rate_min, axes.rate_max, feedforward) >= 0:
         return False
     _move_axes(axes, now_s)
-    copy_into(axes.setpoint, accepted)
-    copy_into(axes.feedforward, feedforward)
+    for i in range(3):
+        axes.setpoint[i] = accepted[i] - axes.encoder_offset[i] + axes.disturbance[i]
+        axes.feedforward[i] = feedforward[i] + axes.disturbance_rate[i]
     return True
 
 
@@ -168,10 +178,10 @@ def _expose(params, state, until_s, first, vision_noise, travel_draws, leds, fra
 
 
 @kernel
-def _next_arrival(state, frames):
-    """Return the index of the frame that arrives first, of equals the one exposed first; -1 if there is none."""
+def _next_arrival(frames, n):
+    """Return the index of the frame of ``n`` that arrives first, of equals the one exposed first; -1 if there is none."""
     found = -1
-    for i in range(state.in_transit):
+    for i in range(n):
         if (
             found < 0
             or frames[i].received_s < frames[found].received_s
@@ -203,37 +213,69 @@ def _copy_pose(pose, out):
 
 
 @kernel
-def _receive_poses(params, state, now_s, frames, poses, arrivals):
+def _take_frame(frames, i, n):
+    """Remove frame ``i`` of the first ``n``; return how many are left."""
+    if i < n - 1:
+        frames[i] = frames[n - 1]
+    return n - 1
+
+
+@kernel
+def _disturb_frames(params, state, now_s, frames, delayed):
+    """Move the frames that have arrived by ``now_s`` into ``delayed``, with the faults of the vision unit."""
+    while True:
+        i = _next_arrival(frames, state.in_transit)
+        if i < 0 or frames[i].received_s > now_s + TIME_SLACK_S:
+            return
+        state.last_rx_s = frames[i].received_s
+        state.received += 1
+        if disturb_frame(params.vmu_faults, params.mounting, state.zero_s, state.vmu_memory, frames[i]):
+            delayed[state.delayed] = frames[i]
+            state.delayed += 1
+        state.in_transit = _take_frame(frames, i, state.in_transit)
+
+
+@kernel
+def _receive_poses(params, state, now_s, frames, delayed, poses, arrivals):
     """Write the poses that have arrived by ``now_s`` into ``poses`` (MAX_POSES,); return their number, -1 on timeout.
 
-    Of more than MAX_POSES the last ones are kept. arrivals: of ARRIVAL, receives every frame; (0,) for none.
+    Of more than MAX_POSES the last ones are kept. delayed: as many as ``frames``, received and not yet passed on; used
+    if the vision unit has faults. arrivals: of ARRIVAL, receives every frame; (0,) for none.
     """
     arrived = 0
     logged = state.logged
+    has_faults = params.vmu_faults.n != 0
+    if has_faults:
+        _disturb_frames(params, state, now_s, frames, delayed)
+    queue = delayed if has_faults else frames
+    waiting = state.delayed if has_faults else state.in_transit
     while True:
-        i = _next_arrival(state, frames)
-        if i < 0 or frames[i].received_s > now_s + TIME_SLACK_S:
+        i = _next_arrival(queue, waiting)
+        if i < 0 or queue[i].received_s > now_s + TIME_SLACK_S:
             break
-        state.last_rx_s = frames[i].received_s
-        state.received += 1
+        if not has_faults:
+            state.last_rx_s = queue[i].received_s
+            state.received += 1
         if arrived == MAX_POSES:
             for j in range(MAX_POSES - 1):
                 poses[j] = poses[j + 1]
                 state.arrived_s[j] = state.arrived_s[j + 1]
             arrived -= 1
             state.dropped += 1
-        chaser_pose(params.mounting, frames[i].t_v, frames[i].q_vt, frames[i].covariance, poses[arrived])
-        poses[arrived].t_s = frames[i].t_s - state.zero_s
-        poses[arrived].status = frames[i].status
-        state.arrived_s[arrived] = frames[i].received_s
+        chaser_pose(params.mounting, queue[i].t_v, queue[i].q_vt, queue[i].covariance, poses[arrived])
+        poses[arrived].t_s = queue[i].t_s - state.zero_s
+        poses[arrived].status = queue[i].status
+        state.arrived_s[arrived] = queue[i].received_s
         arrived += 1
         if state.logged < arrivals.shape[0]:
             arrivals[state.logged].cycle = -1
-            _copy_frame(frames[i], arrivals[state.logged].frame)
+            _copy_frame(queue[i], arrivals[state.logged].frame)
             state.logged += 1
-        state.in_transit -= 1
-        if i < state.in_transit:
-            frames[i] = frames[state.in_transit]
+        waiting = _take_frame(queue, i, waiting)
+    if has_faults:
+        state.delayed = waiting
+    else:
+        state.in_transit = waiting
     if now_s - state.last_rx_s > params.vmu_timeout_s:
         state.logged = logged
         return -1
@@ -265,7 +307,11 @@ def _read_axes(state, now_s):
     """Write the encoders' values into the present row."""
     _move_all(state, now_s)
     rails, turntable = state.rails, state.turntable
-    kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, state.now.feedback)
+    feedback = state.now.feedback
+    kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, feedback)
+    for i in range(3):
+        feedback.rail_m[i] += rails.encoder_offset[i]
+        feedback.gimbal_rad[i] += turntable.encoder_offset[i]
 
 
 @kernel
@@ -340,7 +386,20 @@ def _has_event(state):
 
 @kernel
 def run_loop(
-    params, field, leds, imu_noise, vision_noise, travel_draws, state, memory, poses, frames, stats, history, arrivals
+    params,
+    field,
+    leds,
+    imu_noise,
+    vision_noise,
+    travel_draws,
+    state,
+    memory,
+    poses,
+    frames,
+    delayed,
+    stats,
+    history,
+    arrivals,
 ):
     """Run the cycles from ``state.cycle`` to ``state.end``; return why it ended.
 
@@ -353,8 +412,8 @@ def run_loop(
     travel_draws: (n, TRAVEL_DRAWS), uniform, one row per exposure. state: LOOP_STATE; if not ``opened``, zeroed but for
     ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, ``end``, and the address and instance of a library.
     memory: (fusion.MEMORY,) of STEP, zeroed. poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on
-    their way at once and two more. stats: RUN_STATS. history: (n,) of CYCLE, filled for the first n cycles of the run.
-    arrivals: of ARRIVAL, filled from ``state.logged`` on.
+    their way at once and two more. delayed: as many again. stats: RUN_STATS. history: (n,) of CYCLE, filled for the
+    first n cycles of the run. arrivals: of ARRIVAL, filled from ``state.logged`` on.
     """
     now = state.now
     if state.opened == 0:
@@ -364,12 +423,14 @@ def run_loop(
         k = state.cycle
         t_s = k * params.step_s
         now_s = state.zero_s + t_s
+        if params.axis_faults.n != 0:
+            set_axis_faults(params.axis_faults, params.nominal_axes, t_s, state.rails, state.turntable)
         _read_axes(state, now_s)
         broken = guards.first_breach(params.guard, state.before, now.feedback, state.breach)
         if broken != guards.NOTHING:
             return broken
         _expose(params, state, now_s + TIME_SLACK_S, first, vision_noise, travel_draws, leds, frames, stats)
-        arrived = _receive_poses(params, state, now_s, frames, poses, arrivals)
+        arrived = _receive_poses(params, state, now_s, frames, delayed, poses, arrivals)
         if arrived < 0:
             return VISION_SILENT
         _record_pose(state, poses, arrived)
@@ -390,8 +451,8 @@ def run_loop(
             count_cycle(params, state, stats)
         if k < history.shape[0]:
             history[k] = now
-        truth_kernels.step(params.dss, field, state.harmonics, now.truth, now.command.on)
-        imu_kernels.sample(params.imu, now.truth, imu_noise[k - first_cycle], now.imu)
+        truth_kernels.step(params.dss, field, state.truth_memory, now.truth, now.command.on)
+        imu_kernels.sample(params.imu, now.truth, imu_noise[k - first_cycle], state.imu_memory, now.imu)
         if not _send_setpoints(params, state, stats, now_s):
             return NOT_FINITE
         state.cycle = k + 1

@@ -13,6 +13,7 @@ from hil.core.messages import VMU_FRAME, new
 from hil.loop.compiled.loop_kernel import LOOP_PARAMS
 from hil.params import dynamics as dynamics_params
 from hil.params import vision as vision_params
+from hil.params.faults import fault_rows
 
 _TRANSIT_MAX_S: Final = 2.0  # longest delay of a frame: latency and jitter of at most 1 s each
 _SPARE_FRAMES: Final = 4
@@ -31,13 +32,16 @@ def loop_params(scenario: Scenario, rig: Rig, gnc: np.record, bench: np.record, 
     return params
 
 
-def set_truth(params: np.record, truth: Scenario, dss: np.record) -> None:
-    """Write vehicle, sensors and transport of frames of ``truth`` to ``params`` (LOOP_PARAMS). dss: DSS_PARAMS."""
+def set_truth(params: np.record, truth: Scenario, seed: int, dss: np.record) -> None:
+    """Write vehicle, sensors, transport of frames and faults of ``truth`` to ``params`` (LOOP_PARAMS). dss: DSS_PARAMS.
+
+    seed: of the run.
+    """
     vmu = truth.vmu
-    params.dss = dss
-    params.imu = dynamics_params.imu(truth)
+    params.dss, params.imu = dss, dynamics_params.imu(truth, seed)
     params.vision = vision_params.vision(truth)
     params.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability)
+    params.vmu_faults, params.axis_faults = fault_rows(truth, "vmu", seed), fault_rows(truth, "axis", seed)
 
 
 def frames_in_transit(rig: Rig, step_s: float) -> np.ndarray:

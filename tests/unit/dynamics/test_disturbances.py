@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
 from hil.dynamics.orbit import state_of_elements
 from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, SOLAR_PRESSURE_PA, pressure_force
 from hil.dynamics.thrusters import as_built
+from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths import quat
 from hil.params import dynamics as dynamics_params
 
@@ -62,9 +62,9 @@ def test_gravity_gradient_turns_the_vehicle_alike_in_both_models(plain_1: Scenar
             dynamics_params.field(scenario),
             dynamics_params.initial_truth(scenario),
         )
-        span = new(CACHED_GRAVITY)
+        memory = new(TRUTH_MEMORY)
         w = truth.w_CI_C.copy()
-        kernels.step(params, field, span, truth, QUIET)
+        kernels.step(params, field, memory, truth, QUIET)
         nadir, w0 = quat.to_matrix(truth.q_CH)[:, 2], params.orbit_rate
         torque = 3.0 * w0**2 * np.cross(nadir, J @ nadir) - np.cross(w, J @ w)
         np.testing.assert_allclose(truth.w_CI_C - w, params.dt_s * np.linalg.solve(J, torque), atol=3e-14)
@@ -116,8 +116,8 @@ def test_sunlight_accelerates_turns_and_is_felt_by_the_accelerometer(plain_1: Sc
     dark_params, dark = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     sun_C = quat.transform(truth.q_CH, quat.transform(truth.q_HI, params.sun_I))
     force = pressure(params.plate, sun_C)
-    kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, QUIET)
-    kernels.step(dark_params, NO_FIELD, new(CACHED_GRAVITY), dark, QUIET)
+    kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, QUIET)
+    kernels.step(dark_params, NO_FIELD, new(TRUTH_MEMORY), dark, QUIET)
     array = scenario.chaser.solar_array
     assert array is not None
     torque = np.cross(array.centre_m, force)
@@ -176,7 +176,7 @@ def test_undamped_bending_keeps_momentum_and_energy(plain_1: Scenario) -> None:
     params, truth = bent(plain_1, 0.0)
     momentum_0, energy_0, w_0 = momentum(params, truth), energy(params, truth), truth.w_CI_C.copy()
     for _ in range(2000):
-        kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, QUIET)
+        kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, QUIET)
     assert np.abs(truth.w_CI_C - w_0).max() > 1e-3
     np.testing.assert_allclose(momentum(params, truth), momentum_0, atol=1e-7)
     assert energy(params, truth) == pytest.approx(energy_0, rel=1e-8)
@@ -186,7 +186,7 @@ def test_damping_takes_energy_and_no_momentum(plain_1: Scenario) -> None:
     params, truth = bent(plain_1, 0.05)
     momentum_0, energy_0 = momentum(params, truth), energy(params, truth)
     for _ in range(2000):
-        kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, QUIET)
+        kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, QUIET)
     np.testing.assert_allclose(momentum(params, truth), momentum_0, atol=1e-7)
     assert energy(params, truth) < energy_0 - 0.1
 
@@ -195,12 +195,12 @@ def test_torque_pulse_makes_the_array_swing_at_the_coupled_frequency(plain_1: Sc
     scenario = with_truth(plain_1, flexible_array=True)
     params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
     params.mode.damping = 0.0
-    kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, firing(2, 7))
+    kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, firing(2, 7))
     assert truth.eta != 0.0
     swing = []
     for _ in range(3000):
         swing.append(float(truth.eta))
-        kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, QUIET)
+        kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, QUIET)
     spectrum = np.abs(np.fft.rfft(swing))
     d = params.mode.coupling
     coupled = params.mode.frequency / math.sqrt(1.0 - d @ params.inertia_inverse @ d)
@@ -255,7 +255,7 @@ def test_reference_point_circles_the_mass_centre_of_a_free_spin(plain_1: Scenari
     centre = truth.r_CT_H + start.apply(offset)
     truth.v_CT_H = -start.apply(np.cross([0.0, 0.0, 0.3], offset))  # the mass centre stands still
     for _ in range(250):
-        kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, QUIET)
+        kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, QUIET)
     now = Rotation.from_quat(truth.q_CH)
     np.testing.assert_allclose(truth.r_CT_H, centre - now.apply(offset), atol=1e-9)
     np.testing.assert_allclose(truth.v_CT_H, -now.apply(np.cross([0.0, 0.0, 0.3], offset)), atol=1e-9)
@@ -269,7 +269,7 @@ def test_accelerometer_off_the_mass_centre_agrees_with_the_velocity_it_gains(pla
     params.orbit_rate = 0.0
     truth.w_HI_H = 0.0
     before = truth.v_CT_H.copy()
-    kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, firing(2, 7, 10))
+    kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, firing(2, 7, 10))
     gained = quat.to_matrix(truth.q_CH) @ (truth.v_CT_H - before) / params.dt_s
     assert np.linalg.norm(np.cross(truth.w_CI_C, [0.05, -0.04, 0.03])) > 1e-6
     np.testing.assert_allclose(truth.mean_force_C, gained, atol=2e-6)
@@ -279,7 +279,7 @@ def test_mass_stays_where_loss_is_switched_off(plain_1: Scenario) -> None:
     scenario = with_truth(plain_1, mass_loss=False)
     params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
     for _ in range(10):
-        kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, firing(0))
+        kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, firing(0))
     assert truth.mass_kg == scenario.chaser.mass_kg
 
 

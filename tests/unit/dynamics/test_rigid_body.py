@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.rigid_body import angular_acceleration
+from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths import quat
 from hil.params import dynamics as dynamics_params
 
@@ -64,7 +64,7 @@ def test_torque_free_tumble_keeps_momentum_and_energy_in_inertial_space(plain_1:
     momentum_0, energy_0 = momentum(), 0.5 * truth.w_CI_C @ J @ truth.w_CI_C
     w_0 = truth.w_CI_C.copy()
     for _ in range(1500):
-        kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, on)
+        kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, on)
     assert np.linalg.norm(truth.w_CI_C - w_0) > 0.05
     np.testing.assert_allclose(momentum(), momentum_0, rtol=1e-8)
     assert 0.5 * truth.w_CI_C @ J @ truth.w_CI_C == pytest.approx(energy_0, rel=1e-10)
@@ -76,7 +76,7 @@ def test_tumble_agrees_with_an_integrator_of_higher_order(plain_1: Scenario) -> 
     truth.w_CI_C = [0.01, 0.5, 0.02]  # near the axis of largest inertia
     start = truth.w_CI_C.copy()
     for _ in range(1000):
-        kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, np.zeros(MAX_THRUSTERS, dtype=np.int64))
+        kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, np.zeros(MAX_THRUSTERS, dtype=np.int64))
     exact = solve_ivp(
         lambda _, w: np.linalg.solve(J, -np.cross(w, J @ w)),
         (0.0, 20.0),

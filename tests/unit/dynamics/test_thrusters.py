@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
+from hil.dynamics.truth import TRUTH_MEMORY
 from hil.params import dynamics as dynamics_params
 
 NO_FIELD = np.zeros((1, 1, 6))  # the linear model reads no gravity field
@@ -80,7 +80,7 @@ def test_propellant_is_thrust_times_time_over_exhaust_speed(plain_1: Scenario) -
     on[[0, 5, 9]] = 1
     steps = 250
     for _ in range(steps):
-        kernels.step(params, NO_FIELD, new(CACHED_GRAVITY), truth, on)
+        kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, on)
     thrusters = plain_1.chaser.thrusters
     expected = 3 * thrusters.force_n * steps * plain_1.step_s / (thrusters.specific_impulse_s * 9.80665)
     assert plain_1.chaser.mass_kg - truth.mass_kg == pytest.approx(expected, rel=1e-9)

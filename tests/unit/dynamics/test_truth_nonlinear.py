@@ -13,7 +13,7 @@ from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.cached_gravity import CACHED_GRAVITY
+from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths import quat
 from hil.params import dynamics as dynamics_params
 from tests.support import moon_reference as reference
@@ -51,10 +51,10 @@ def fly(scenario: Scenario, span_s: float, step_s: float, on: np.ndarray = QUIET
         dynamics_params.field(scenario),
         dynamics_params.initial_truth(scenario),
     )
-    span = new(CACHED_GRAVITY)
+    memory = new(TRUTH_MEMORY)
     params.dt_s = step_s
     for _ in range(round(span_s / step_s)):
-        kernels.step(params, field, span, truth, on)
+        kernels.step(params, field, memory, truth, on)
     return truth
 
 
@@ -96,7 +96,7 @@ def test_jacobi_constant_holds_about_the_turning_moon(drift: Scenario) -> None:
         dynamics_params.field(drift),
         dynamics_params.initial_truth(drift),
     )
-    span = new(CACHED_GRAVITY)
+    memory = new(TRUTH_MEMORY)
     params.gravity.rate = 1e-4  # a Moon that turns visibly
     spin = np.array([0.0, 0.0, params.gravity.rate])
 
@@ -111,7 +111,7 @@ def test_jacobi_constant_holds_about_the_turning_moon(drift: Scenario) -> None:
     before = jacobi()
     energy = 0.5 * truth.v_T_I @ truth.v_T_I - params.gravity.gm / np.linalg.norm(truth.r_T_I)
     for _ in range(50000):
-        kernels.step(params, field, span, truth, QUIET)
+        kernels.step(params, field, memory, truth, QUIET)
     kepler = 0.5 * truth.v_T_I @ truth.v_T_I - params.gravity.gm / np.linalg.norm(truth.r_T_I)
     assert jacobi() == pytest.approx(before, rel=2e-14)
     assert abs(kepler - energy) > 1e-6 * abs(energy)  # the harmonics did act
@@ -123,12 +123,12 @@ def test_recorded_rate_of_hill_is_that_of_the_recorded_frame(drift: Scenario) ->
         dynamics_params.field(drift),
         dynamics_params.initial_truth(drift),
     )
-    span = new(CACHED_GRAVITY)
+    memory = new(TRUTH_MEMORY)
     frames, rates = [], []
     for _ in range(101):
         frames.append(quat.to_matrix(truth.q_HI))
         rates.append(truth.w_HI_H.copy())
-        kernels.step(params, field, span, truth, QUIET)
+        kernels.step(params, field, memory, truth, QUIET)
     turn = -Rotation.from_matrix(frames[100] @ frames[0].T).as_rotvec() / 2.0
     np.testing.assert_allclose(turn, rates[50], atol=1e-11)
     assert abs(rates[50][2]) > 1e-9  # the orbit plane turns too
@@ -156,14 +156,14 @@ def test_plain_hill_keeps_its_numbers_to_the_last_bit(plain_2: Scenario) -> None
         dynamics_params.field(plain_2),
         dynamics_params.initial_truth(plain_2),
     )
-    span = new(CACHED_GRAVITY)
+    memory = new(TRUTH_MEMORY)
     for i in range(500):
         on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
         if i % 7 < 3:
             on[i % 16] = 1
         if i % 11 == 0:
             on[(5 * i) % 16] = 1
-        kernels.step(params, field, span, truth, on)
+        kernels.step(params, field, memory, truth, on)
     kept = {
         "r_CT_H": ["0x1.3fedc3dafe48fp+3", "-0x1.fe14269ec1450p-2", "0x1.fed8e5cea546bp-2"],
         "v_CT_H": ["-0x1.087d34d33ee13p-11", "0x1.5a21d20059c7dp-13", "-0x1.1576bc5b1d27dp-13"],
@@ -192,11 +192,11 @@ def test_attitude_keeps_its_sign_along_a_whole_orbit(scheme_2: Scenario) -> None
         dynamics_params.field(scheme_2),
         dynamics_params.initial_truth(scheme_2),
     )
-    span = new(CACHED_GRAVITY)
+    memory = new(TRUTH_MEMORY)
     params.dt_s = 1.0
     before = truth.q_CH.copy(), truth.q_HI.copy()
     for _ in range(round(ORBIT_S)):
-        kernels.step(params, field, span, truth, QUIET)
+        kernels.step(params, field, memory, truth, QUIET)
         assert truth.q_CH @ before[0] > 0.9
         assert truth.q_HI @ before[1] > 0.9
         before = truth.q_CH.copy(), truth.q_HI.copy()

@@ -1,0 +1,191 @@
+"""Faults of devices, as data: the table of all kinds, and the timetable ``[[faults]]`` of a scenario.
+
+A fault is a term of a device's error model that acts for a time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from hil.config.model import ConfigModel, NotNegative, Positive
+
+ALWAYS_S: Final = 1e9
+"""End of a fault without ``until_s``."""
+
+Vector = Annotated[tuple[float, ...], Field(min_length=1, max_length=3)]
+Sensor = Literal["gyro", "accelerometer"]
+
+
+@dataclass(frozen=True)
+class ErrorTerm:
+    """A kind of fault of a kind of device.
+
+    values: number of components of ``value``, 0 for none; default: of a value that may be omitted. unit, frame: of the
+    value. low, high: range of each component; for a vector of its magnitude. effect: what the device does.
+    """
+
+    effect: str
+    values: int = 0
+    unit: str = ""
+    frame: str = ""
+    low: float = 0.0
+    high: float = 0.0
+    default: float | None = None
+    options: tuple[str, ...] = ()
+
+    def problem(self, value: tuple[float, ...]) -> str:
+        """Return what is wrong with ``value``, "" if it is allowed."""
+        count = "one number" if self.values == 1 else f"{self.values} numbers"
+        shown = f"{value[0]:g}" if len(value) == 1 else str(list(value))
+        in_unit = f" in {self.unit}" if self.unit not in ("", "1") else ""
+        if len(value) != self.values:
+            return f"value = {shown}: must be {count}{in_unit}"
+        size = math.hypot(*value) if self.values == 3 else None
+        sizes = value if size is None else (size,)
+        if not all(self.low <= entry <= self.high for entry in sizes):
+            of = "the magnitude" if size is not None else "each number" if self.values > 1 else "it"
+            return f"value = {shown}: {of} must be {self.low:g} to {self.high:g}{in_unit}"
+        return ""
+
+
+FACTOR_MAX: Final = 1000.0
+
+TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
+    "vmu": {
+        "no_pose": ErrorTerm("frames come without a pose"),
+        "frozen": ErrorTerm("repeats its last pose and covariance, with fresh time stamps"),
+        "offset": ErrorTerm("poses mean a chaser that is displaced", 3, "m", "H", 0.0, 100.0),
+        "drift": ErrorTerm("the displacement grows from 0 at this rate", 3, "m/s", "H", 0.0, 10.0),
+        "outlier": ErrorTerm("this share of the poses is displaced by `size_m` in a random direction", 1, "1", "",
+                             1e-6, 1.0, options=("size_m",)),
+        "noise_scale": ErrorTerm("the noise is this multiple of the reported one, which does not change", 1, "1", "",
+                                 1.0, FACTOR_MAX),
+        "sigma_scale": ErrorTerm("the reported standard deviations are multiplied by this factor", 1, "1", "",
+                                 1.0 / FACTOR_MAX, FACTOR_MAX),
+        "latency": ErrorTerm("poses come later by this time; `stamp` is their exposure, or their arrival", 1, "s", "",
+                             0.0, 1.0, options=("stamp",)),
+        "misidentified": ErrorTerm("LEDs are taken for those this many places further round the ring", 1, "1",
+                                   "t", 1.0, 5.0, 1.0),
+    },
+    "imu": {
+        "bias_step": ErrorTerm("the drift or bias changes by this value", 3, "deg/s or m/s^2", "c", 0.0, 100.0,
+                               options=("sensor",)),
+        "scale_factor": ErrorTerm("readings are multiplied by this factor", 1, "1", "", -FACTOR_MAX, FACTOR_MAX,
+                                  options=("sensor",)),
+        "dropout": ErrorTerm("all readings are zero"),
+        "noise_scale": ErrorTerm("the noise of a reading is this multiple of its nominal one", 1, "1", "",
+                                 1.0, FACTOR_MAX, options=("sensor",)),
+        "stuck": ErrorTerm("readings repeat the last one", options=("sensor",)),
+    },
+    "thruster": {
+        "stuck_open": ErrorTerm("the valve stays open"),
+        "stuck_closed": ErrorTerm("the valve stays closed"),
+        "leak": ErrorTerm("a closed valve gives this fraction of the thrust", 1, "1", "", 0.0, 1.0),
+        "force_scale": ErrorTerm("the thrust is multiplied by this factor", 1, "1", "", 0.0, 10.0),
+        "delay": ErrorTerm("the valve follows its command after this time", 1, "s", "", 0.0, 1.0),
+        "minimum_on": ErrorTerm("a valve that opened stays open for this time", 1, "s", "", 0.0, 10.0),
+    },
+    "axis": {
+        "stuck": ErrorTerm("the axis stands still, whatever its setpoint"),
+        "slow": ErrorTerm("the largest rate is this fraction of its own", 1, "1", "", 0.0, 1.0),
+        "offset": ErrorTerm("the encoder reads this much too high", 1, "m or deg", "", -100.0, 100.0),
+        "oscillation": ErrorTerm("the axis moves about its setpoint: amplitude, frequency", 2, "m or deg, Hz", "",
+                                 0.0, 100.0),
+    },
+    "target": {
+        "jump": ErrorTerm("the target is displaced", 3, "m", "H", 0.0, 10.0),
+        "drift": ErrorTerm("the target moves at this velocity", 3, "m/s", "H", 0.0, 1.0),
+    },
+}  # fmt: skip
+"""Kind of device -> kind of fault -> term. Models, injection, tests and docs/reference/faults.md use this table."""
+
+AXES: Final = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
+
+
+class Fault(ConfigModel):
+    """A fault of a device, in the run's time."""
+
+    at_s: NotNegative
+    """Onset."""
+    until_s: Positive | None = None
+    """End; unless set, that of the run."""
+    device: str
+    """`vmu`, `imu`, `thruster.1` and so on in the scenario's order, `rails.x`, `turntable.roll`, ..., `target`."""
+    kind: str
+    """Kind of fault: see the table."""
+    value: float | Vector | None = None
+    """Size, in unit and frame of the kind."""
+    size_m: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
+    """Displacement of an outlier."""
+    sensor: Sensor | None = None
+    """Sensor of an IMU's fault; unless set, the gyro."""
+    stamp: Literal["exposure", "arrival"] | None = None
+    """Time stamp of poses that come late; unless set, the exposure."""
+
+    @model_validator(mode="after")
+    def _is_in_the_table(self) -> Self:
+        kinds = TERMS.get(self.family)
+        if kinds is None or self.number < 0:
+            raise ValueError(f'device = "{self.device}": must be one of {", ".join(devices())}')
+        if self.kind not in kinds:
+            raise ValueError(f'kind = "{self.kind}": {self.device} has {", ".join(kinds)}')
+        if self.until_s is not None and self.until_s <= self.at_s:
+            raise ValueError(f"until_s = {self.until_s:g}: must be later than at_s = {self.at_s:g}")
+        term = kinds[self.kind]
+        for option in ("size_m", "sensor", "stamp"):
+            if getattr(self, option) is not None and option not in term.options:
+                raise ValueError(f'{option} does not go with kind = "{self.kind}"')
+        if "size_m" in term.options and self.size_m is None:
+            raise ValueError(f'kind = "{self.kind}" needs size_m')
+        return self._checked_value(term)
+
+    def _checked_value(self, term: ErrorTerm) -> Self:
+        if self.value is None:
+            if term.values and term.default is None:
+                unit = f" in {term.unit}" if term.unit != "1" else ""
+                raise ValueError(f'kind = "{self.kind}" needs value{unit}')
+        elif not term.values:
+            raise ValueError(f'value does not go with kind = "{self.kind}"')
+        elif problem := term.problem(self.values):
+            raise ValueError(problem)
+        return self
+
+    @property
+    def family(self) -> str:
+        """Kind of device: a key of TERMS, or the device's name where there is none."""
+        if self.device in AXES:
+            return "axis"
+        name, dot, _ = self.device.partition(".")
+        return name if (dot != "") == (name == "thruster") else self.device
+
+    @property
+    def number(self) -> int:
+        """Index of a thruster or an axis, from 0; -1 if it is no number."""
+        if self.family == "axis":
+            return AXES.index(self.device)
+        if self.family != "thruster":
+            return 0
+        digits = self.device.partition(".")[2]
+        return int(digits) - 1 if digits.isascii() and digits.isdigit() and len(digits) < 4 else -1
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Components of the value, the default if it is omitted."""
+        if self.value is None:
+            default = TERMS[self.family][self.kind].default
+            return () if default is None else (default,)
+        return self.value if isinstance(self.value, tuple) else (self.value,)
+
+    @property
+    def end_s(self) -> float:
+        """End, in the run's time."""
+        return ALWAYS_S if self.until_s is None else self.until_s
+
+
+def devices() -> tuple[str, ...]:
+    """Return the names of all devices that can have faults."""
+    return ("vmu", "imu", "thruster.1, thruster.2 ...", *AXES, "target")

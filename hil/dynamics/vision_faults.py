@@ -1,0 +1,139 @@
+"""Faults of the vision unit: what happens to its frames between the unit and the loop.
+
+They act on frames of any unit: modelled, rendered, emulated or real.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.jit import kernel
+from hil.core.messages import VMU_FRAME
+from hil.maths import quat, stack
+from hil.maths.arrays import copy_into, copy_matrix
+from hil.models.faults import AT, KIND, OPTION, SIZE, VALUE, is_active, normal, uniform
+
+NO_POSE, FROZEN, OFFSET, DRIFT, OUTLIER, NOISE_SCALE, SIGMA_SCALE, LATENCY, MISIDENTIFIED = range(9)
+AT_ARRIVAL = 1.0
+"""Option of LATENCY: frames are stamped when they arrive."""
+
+_PLACE_RAD = math.pi / 3.0  # between two LEDs of the ring of six
+_OUTLIER_LANE, _NOISE_LANE = 0, 8
+
+VMU_MEMORY = np.dtype([("has_frame", "i8"), ("frame", VMU_FRAME)], align=True)
+"""The last frame that was passed on."""
+
+
+@kernel
+def _displace(mounting, displacement, frame):
+    """Displace the chaser that ``frame`` means by ``displacement`` (3,), m, in H: the ring moves against the camera."""
+    q_vh, moved = stack.vector(4), stack.vector(3)
+    quat.multiply_into(frame.q_vt, mounting.q_th, q_vh)
+    quat.transform_into(q_vh, displacement, moved)
+    for i in range(3):
+        frame.t_v[i] -= moved[i]
+
+
+@kernel
+def _throw(faults, i, frame):
+    """Displace a share of the frames in a random direction."""
+    row, lane = faults.row[i], _OUTLIER_LANE + 32 * i
+    if uniform(faults.seed, frame.counter, lane) >= row[VALUE]:
+        return
+    height = 2.0 * uniform(faults.seed, frame.counter, lane + 1) - 1.0
+    angle = 2.0 * math.pi * uniform(faults.seed, frame.counter, lane + 2)
+    level = math.sqrt(1.0 - height * height)
+    frame.t_v[0] += row[SIZE] * level * math.cos(angle)
+    frame.t_v[1] += row[SIZE] * level * math.sin(angle)
+    frame.t_v[2] += row[SIZE] * height
+
+
+@kernel
+def _turn(rotation, frame):
+    """Turn the ring of ``frame`` by the rotation vector (3,), rad, whose sense is that of a vector's, in v."""
+    turn, before = stack.vector(4), stack.vector(4)
+    for i in range(3):
+        rotation[i] = -rotation[i]  # from_rotation_vector turns the frame
+    copy_into(before, frame.q_vt)
+    quat.from_rotation_vector_into(rotation, turn)
+    quat.multiply_into(turn, before, frame.q_vt)
+
+
+@kernel
+def _add_noise(faults, i, frame):
+    """Add noise that makes the reported one ``value`` times as large."""
+    excess = math.sqrt(faults.row[i, VALUE] ** 2 - 1.0)
+    rotation = stack.vector(3)
+    lane = _NOISE_LANE + 16 * i
+    for j in range(3):
+        sigma_m, sigma_rad = math.sqrt(frame.covariance[j, j]), math.sqrt(frame.covariance[3 + j, 3 + j])
+        frame.t_v[j] += excess * sigma_m * normal(faults.seed, frame.counter, lane + j)
+        rotation[j] = excess * sigma_rad * normal(faults.seed, frame.counter, lane + 3 + j)
+    _turn(rotation, frame)
+
+
+@kernel
+def _misidentify(places, frame):
+    """Take each LED for the one ``places`` further round the ring, whose axis is z of t."""
+    turn, before = stack.vector(4), stack.vector(4)
+    copy_into(before, frame.q_vt)
+    turn[0] = turn[1] = 0.0
+    turn[2], turn[3] = math.sin(0.5 * places * _PLACE_RAD), math.cos(0.5 * places * _PLACE_RAD)
+    quat.multiply_into(before, turn, frame.q_vt)
+
+
+@kernel
+def _copy_content(frame, out):
+    """Copy pose, covariance, LEDs and status, not counter and times."""
+    copy_into(out.t_v, frame.t_v)
+    copy_into(out.q_vt, frame.q_vt)
+    copy_matrix(out.covariance, frame.covariance)
+    out.leds_left, out.leds_right, out.status = frame.leds_left, frame.leds_right, frame.status
+
+
+@kernel
+def disturb_frame(faults, mounting, zero_s, memory, frame):
+    """Apply the faults that act at its exposure to ``frame`` (VMU_FRAME); return whether it has a pose.
+
+    faults: FAULTS. mounting: MOUNTING. zero_s: bench time of the run's time zero. memory: VMU_MEMORY. ``received_s``
+    of a frame that comes later is later.
+    """
+    displacement = stack.vector(3)
+    is_frozen = is_stamped_late = False
+    t_s = frame.t_s - zero_s
+    for i in range(faults.n):
+        row = faults.row[i]
+        if not is_active(row, t_s):
+            continue
+        kind = row[KIND]
+        if kind == NO_POSE:
+            return False
+        if kind == FROZEN:
+            is_frozen = True
+        elif kind in (OFFSET, DRIFT):
+            for j in range(3):
+                displacement[j] = row[VALUE + j] * (t_s - row[AT] if kind == DRIFT else 1.0)
+            _displace(mounting, displacement, frame)
+        elif kind == OUTLIER:
+            _throw(faults, i, frame)
+        elif kind == NOISE_SCALE:
+            _add_noise(faults, i, frame)
+        elif kind == SIGMA_SCALE:
+            for j in range(6):
+                for k in range(6):
+                    frame.covariance[j, k] *= row[VALUE] ** 2
+        elif kind == MISIDENTIFIED:
+            _misidentify(row[VALUE], frame)
+        elif kind == LATENCY:
+            frame.received_s += row[VALUE]
+            is_stamped_late = is_stamped_late or row[OPTION] == AT_ARRIVAL
+    if is_stamped_late:
+        frame.t_s = frame.received_s
+    if is_frozen and memory.has_frame != 0:
+        _copy_content(memory.frame, frame)
+    else:
+        _copy_content(frame, memory.frame)
+        memory.has_frame = 1
+    return True
