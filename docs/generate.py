@@ -22,6 +22,7 @@ from pydantic.fields import FieldInfo
 from hil.cli.main import app
 from hil.config.dispersions import Spread
 from hil.config.driver_registry import DeviceTable
+from hil.config.faults import TERMS, ErrorTerm
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -57,7 +58,7 @@ UNITS: Final = {
 """Last words of a key -> unit."""
 NO_UNIT: Final = re.compile(
     r"(^|_)(sigmas?|scale|factor|fraction|probability|confidence|eccentricity|relative|damping|coupling|specular|diffuse"
-    r"|direction|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean)$"
+    r"|direction|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight)$"
 )
 """Numbers without unit. New keys need a unit in their name, or one of these words."""
 NOTATION: Final = dict.fromkeys(("fx", "fy", "cx", "cy", "f", "width", "height"), "px") | {
@@ -151,6 +152,47 @@ documentation gives, in a table of its name.
     return f"{intro}\n{_sections(Rig)}"
 
 
+def fault_table() -> str:
+    """Return the page of all kinds of faults: what they do, and how each is detected."""
+    intro = """# Faults
+
+A fault is a term of the error model of a device that acts for a time. A scenario gives a timetable with the keys of
+[`[[faults]]`](scenario.md), as do `--set 'faults=[...]'` and `hil.run(..., faults=[...])`: see [how to inject
+faults](../../how-to/inject-faults.md). A fault acts from `at_s` to `until_s` of the run's time, in the compiled loop,
+the cycle in Python, campaigns and replays alike. Faults of axes need the mock rig; those of an emulated rig are switched
+on at the control ports of its [emulators](../../how-to/set-up-a-rig.md).
+"""
+    devices = {
+        "vmu": "`vmu`: vision unit. Its frames are disturbed on their way to the loop, whatever their source",
+        "imu": "`imu`: virtual IMU",
+        "thruster": "`thruster.1` and so on, in the order of the scenario",
+        "axis": "`rails.x`, `rails.y`, `rails.z`, `turntable.roll`, `turntable.pitch`, `turntable.yaw`",
+        "target": "`target`: leaves the place where the approach expects it",
+    }
+    parts = [intro]
+    for family, kinds in TERMS.items():
+        rows = [
+            f"| `{name}` | {_fault_value(term)} | {term.unit} | {term.frame} | {_fault_range(term)} | {term.effect} "
+            "| none | none |"
+            for name, term in kinds.items()
+        ]
+        head = "| `kind` | `value` | unit | frame | allowed | effect | detection | reaction |"
+        parts.append(f"## {family}\n\n{devices[family]}.\n\n{head}\n|{'---|' * 8}\n" + "\n".join(rows) + "\n")
+    return "\n".join(parts)
+
+
+def _fault_value(term: ErrorTerm) -> str:
+    count = ("", "number", "2 numbers", "3 numbers")[term.values]
+    more = ", ".join(f"`{option}`" for option in term.options)
+    return "; ".join(part for part in (count, more) if part)
+
+
+def _fault_range(term: ErrorTerm) -> str:
+    if not term.values:
+        return ""
+    return f"{'magnitude ' if term.values == 3 else ''}{term.low:g} to {term.high:g}"
+
+
 def other_files() -> str:
     """Return the page of the keys of the other configuration files."""
     parts = {
@@ -165,6 +207,7 @@ def other_files() -> str:
 PAGES: Final[dict[str, Callable[[], str]]] = {
     "command-line": command_line,
     "scenario": scenario_keys,
+    "faults": fault_table,
     "rig": rig_keys,
     "files": other_files,
 }

@@ -143,5 +143,6 @@ class Campaign:
 def job_of_case(job: Job, case: int) -> Job:
     """Return the job of a campaign's case: its true scenario, that of the GNC, and its own seed."""
     design = Design(job.scenario, job.seed)
-    truth, known = design.apply(design.values(case))
+    truth, known = design.apply(design.values(case), design.fault(case))
+    known = known.model_copy(update={"faults": truth.faults})
     return replace(job, scenario=replace(job.scenario, value=known), seed=case_seed(job.seed, case), dispersed=truth)

@@ -62,7 +62,7 @@ def run(
     overrides
         Dotted keys or nested tables to values: ``{"gnc.control.deadband_m": 0.004, "rig.vmu.timeout_s": 0.5}``.
     faults
-        Faults to inject, tables with the keys of ``[[faults]]``, beside those of the scenario:
+        Faults to inject, tables with the keys of ``[[faults]]``, in addition to those of the scenario:
         ``[{"device": "vmu", "kind": "no_pose", "at_s": 60.0}]``.
     gnc
         Object with ``step(input)`` that replaces the GNC of the scenario, see ``hil.gnc_backends.python_object``.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from hil.config.faults import TERMS, Fault
+from hil.config.faults import TERMS, TimedFault
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -29,7 +29,7 @@ def check_faults(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     return found
 
 
-def _why_not(fault: Fault, scenario: Scenario, rig: Rig) -> str:
+def _why_not(fault: TimedFault, scenario: Scenario, rig: Rig) -> str:
     if fault.at_s > scenario.duration_s:
         return f"at_s = {fault.at_s:g}: the run ends at {scenario.duration_s:g} s"
     thrusters = len(scenario.chaser.thrusters.position_m)

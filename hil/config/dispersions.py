@@ -6,9 +6,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import ConfigModel
+from hil.config.faults import AXES, TERMS, Sensor
+from hil.config.model import ConfigModel, Positive
 
 Number = float | tuple[float, ...]
+Range = tuple[float, float]
 
 
 class Spread(ConfigModel):
@@ -59,6 +61,54 @@ def _each(value: Number | None) -> tuple[float, ...]:
 Table = dict[str, Any]
 
 
+class FaultDraw(ConfigModel):
+    """A kind of fault that a case may have, and the ranges of its size, onset and duration, all uniform."""
+
+    device: str
+    """As in `[[faults]]`; `thruster` or `axis`: any of them, with equal probability."""
+    kind: str
+    """Kind of fault: see [Faults](faults.md)."""
+    weight: Positive = 1.0
+    """Its probability relative to the other kinds."""
+    value: Range | None = None
+    """Range of the number, or of the magnitude of a vector of random direction."""
+    at_s: Range
+    """Range of the onset."""
+    lasting_s: Range | None = None
+    """Range of the duration; unless set, to the end of the run."""
+    size_m: Positive | None = None
+    """As in `[[faults]]`."""
+    sensor: Sensor | None = None
+    """As in `[[faults]]`."""
+
+    @model_validator(mode="after")
+    def _is_in_the_table(self) -> Self:
+        family = "axis" if self.device in AXES else self.device.partition(".")[0]
+        term = TERMS.get(family, {}).get(self.kind)
+        if term is None:
+            raise ValueError(f'device = "{self.device}", kind = "{self.kind}": not in the table of faults')
+        if term.values == 2:
+            raise ValueError(f'kind = "{self.kind}": has two numbers and cannot be drawn')
+        if (self.value is None) != (term.values == 0 or term.default is not None):
+            raise ValueError(f'kind = "{self.kind}" {"needs value" if self.value is None else "has no value"}')
+        if self.at_s[0] < 0.0:
+            raise ValueError(f"at_s = {list(self.at_s)}: must not be negative")
+        for name in ("value", "at_s", "lasting_s"):
+            given = getattr(self, name)
+            if given is not None and not given[0] <= given[1]:
+                raise ValueError(f"{name} = {list(given)}: the first number must not exceed the second")
+        return self
+
+
+class FaultDispersion(ConfigModel):
+    """Faults of the cases of a campaign: a case has at most one, of a kind that is drawn by weight."""
+
+    probability: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
+    """Of a case to have a fault."""
+    draw: tuple[FaultDraw, ...] = ()
+    """Kinds of faults."""
+
+
 class Dispersions(ConfigModel):
     """Spreads under the names of the scenario's tables; each leaf is a ``Spread`` (docs/how-to/run-a-campaign.md).
 
@@ -82,6 +132,7 @@ class Dispersions(ConfigModel):
     """Distributions of keys in `[imu]`."""
     vmu: Table = Field(default_factory=dict)
     """Distributions of keys in `[vmu]`."""
+    faults: FaultDispersion = FaultDispersion()
     gnc: Table = Field(default_factory=dict)
     """Distributions of keys in `[gnc]`: of the parameters of the GNC itself, and of injected events."""
 

@@ -60,7 +60,7 @@ TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
         "frozen": ErrorTerm("repeats its last pose and covariance, with fresh time stamps"),
         "offset": ErrorTerm("poses mean a chaser that is displaced", 3, "m", "H", 0.0, 100.0),
         "drift": ErrorTerm("the displacement grows from 0 at this rate", 3, "m/s", "H", 0.0, 10.0),
-        "outlier": ErrorTerm("this share of the poses is displaced by `size_m` in a random direction", 1, "1", "",
+        "outlier": ErrorTerm("this fraction of the poses is displaced by `size_m` in a random direction", 1, "1", "",
                              1e-6, 1.0, options=("size_m",)),
         "noise_scale": ErrorTerm("the noise is this multiple of the reported one, which does not change", 1, "1", "",
                                  1.0, FACTOR_MAX),
@@ -101,12 +101,12 @@ TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
         "drift": ErrorTerm("the target moves at this velocity", 3, "m/s", "H", 0.0, 1.0),
     },
 }  # fmt: skip
-"""Kind of device -> kind of fault -> term. Models, injection, tests and docs/reference/faults.md use this table."""
+"""Kind of device -> kind of fault -> term: for models, injection, tests and the generated reference."""
 
 AXES: Final = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
 
 
-class Fault(ConfigModel):
+class TimedFault(ConfigModel):
     """A fault of a device, in the run's time."""
 
     at_s: NotNegative
@@ -116,7 +116,7 @@ class Fault(ConfigModel):
     device: str
     """`vmu`, `imu`, `thruster.1` and so on in the scenario's order, `rails.x`, `turntable.roll`, ..., `target`."""
     kind: str
-    """Kind of fault: see the table."""
+    """Kind of fault: see [Faults](faults.md)."""
     value: float | Vector | None = None
     """Size, in unit and frame of the kind."""
     size_m: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
@@ -156,7 +156,7 @@ class Fault(ConfigModel):
 
     @property
     def family(self) -> str:
-        """Kind of device: a key of TERMS, or the device's name where there is none."""
+        """Kind of device: a key of TERMS, otherwise the device's name."""
         if self.device in AXES:
             return "axis"
         name, dot, _ = self.device.partition(".")

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitorConfig
-from hil.config.faults import Fault
+from hil.config.faults import TimedFault
 from hil.config.live_tunable import LiveTuning
 from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.truth import Orbit, SolarArray, Truth
@@ -440,7 +440,7 @@ class Scenario(ConfigModel):
     requirements: Requirements
     reachability: Reachability = Reachability()
     monitor: DockingMonitorConfig = DockingMonitorConfig()
-    faults: Annotated[tuple[Fault, ...], Field(max_length=5 * MAX_FAULTS)] = ()
+    faults: Annotated[tuple[TimedFault, ...], Field(max_length=5 * MAX_FAULTS)] = ()
     """Faults of devices, in the run's time."""
     dispersions: Dispersions = Dispersions()
     console: LiveTuning = LiveTuning()

@@ -28,20 +28,27 @@ IMU_PARAMS = np.dtype(
 
 
 @kernel
-def sample(params, truth, noise, memory, imu):
+def sample(params, truth, noise, imu):
     """Write the sample of the step that ended at ``truth``; advance drift and bias.
 
-    params: IMU_PARAMS. truth: TRUTH. noise: standard normals, (12,). memory: IMU_MEMORY. imu: IMU, whose ``drift_C``
-    and ``bias_C`` are the true values that held during the step and on return those of the next one.
+    params: IMU_PARAMS. truth: TRUTH. noise: standard normals, (12,). imu: IMU, whose ``drift_C`` and
+    ``bias_C`` are the true values that held during the step and on return those of the next one.
     """
-    if params.faults.n != 0:
-        imu_faults.step_biases(params.faults, memory, truth.t_s, imu)
     for i in range(3):
         imu.rate_C[i] = truth.mean_rate_C[i] + imu.drift_C[i] + params.sigma_gyro * noise[i]
         imu.force_C[i] = truth.mean_force_C[i] + imu.bias_C[i] + params.sigma_accelerometer * noise[3 + i]
         imu.drift_C[i] += params.dt_s * params.sigma_drift * noise[6 + i]
         imu.bias_C[i] += params.dt_s * params.sigma_bias * noise[9 + i]
-    if params.faults.n != 0:
-        imu_faults.distort(
-            params.faults, memory, truth.t_s, params.dt_s, params.sigma_gyro, params.sigma_accelerometer, imu
-        )
+
+
+@kernel
+def sample_with_faults(params, truth, noise, memory, imu):
+    """``sample`` with the faults that act at the end of the step. memory: IMU_MEMORY."""
+    if params.faults.n == 0:
+        sample(params, truth, noise, imu)
+        return
+    imu_faults.step_biases(params.faults, memory, truth.t_s, imu)
+    sample(params, truth, noise, imu)
+    imu_faults.distort(
+        params.faults, memory, truth.t_s, params.dt_s, params.sigma_gyro, params.sigma_accelerometer, imu
+    )

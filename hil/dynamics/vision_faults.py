@@ -38,7 +38,7 @@ def _displace(mounting, displacement, frame):
 
 @kernel
 def _throw(faults, i, frame):
-    """Displace a share of the frames in a random direction."""
+    """Displace a fraction of the frames in a random direction."""
     row, lane = faults.row[i], _OUTLIER_LANE + 32 * i
     if uniform(faults.seed, frame.counter, lane) >= row[VALUE]:
         return

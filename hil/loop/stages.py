@@ -41,7 +41,7 @@ class DssStage:
 
     def sample_imu(self, truth: np.record, imu: np.record) -> None:
         """Write the IMU sample of the step that ended at ``truth``."""
-        imu_kernels.sample(self._imu_params, truth, self.noise.next_row(), self.imu_memory, imu)
+        imu_kernels.sample_with_faults(self._imu_params, truth, self.noise.next_row(), self.imu_memory, imu)
 
     def step(self, truth: np.record, command: np.record) -> None:
         """Propagate ``truth`` by one step with the thrusters that ``command`` opens."""

@@ -48,7 +48,7 @@ class Case:
         """Run ``case``; return its row: dispersions and outcome, or the reason why it cannot be run."""
         seed = case_seed(self._spec.seed, case)
         try:
-            outcome = self._outcome(self._design.values(case), seed)
+            outcome = self._outcome(case, seed)
         except Exception as error:  # one case must not end the campaign: its row has the reason
             kind = "" if isinstance(error, BadInput) else f"{type(error).__name__}: "
             outcome = failed_row(f"not flown: {kind}{' '.join(str(error).split())}")
@@ -58,8 +58,8 @@ class Case:
         """Return the dispersions of ``case`` by their names."""
         return dict(zip(self._design.names, map(float, self._design.values(case)), strict=True))
 
-    def _outcome(self, values: Any, seed: int) -> dict[str, Any]:
-        truth, gnc = self._design.apply(values)
+    def _outcome(self, case: int, seed: int) -> dict[str, Any]:
+        truth, gnc = self._design.apply(self._design.values(case), self._design.fault(case))
         if self._design.touches_gnc:
             self._runner.set_gnc_scenario(gnc)
         stats, stop = self._runner.run(truth, seed)

@@ -20,13 +20,14 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
-from hil.config.dispersions import TABLES, Number, Spread
+from hil.config.dispersions import TABLES, FaultDispersion, Number, Spread
+from hil.config.faults import AXES, TERMS
 from hil.config.load import Loaded, check_table
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import BadInput, Problem
 
-_DESIGN, _CASE = 0, 1
+_DESIGN, _CASE, _FAULT = 0, 1, 2
 _SMALLEST = 2.0**-40  # least distance of a unit point from 0 and 1, where the normal's inverse is infinite
 
 
@@ -108,14 +109,28 @@ class Design:
         unit = self._unit(case)
         return np.array([component.value(float(u)) for component, u in zip(self.components, unit, strict=True)])
 
-    def apply(self, values: Array) -> tuple[Scenario, Scenario]:
-        """Return the scenario of the truth, and that of the GNC; raise BadInput if one is invalid."""
+    def fault(self, case: int) -> dict[str, Any] | None:
+        """Return the fault of ``case``, a table of ``[[faults]]``; None if it has none."""
+        if not self._settings.faults.draw:
+            return None
+        sequence = np.random.SeedSequence(self._seed, spawn_key=(_FAULT, case))
+        return drawn_fault(self._settings.faults, len(self._nominal.chaser.thrusters.position_m), sequence)
+
+    def apply(self, values: Array, fault: dict[str, Any] | None = None) -> tuple[Scenario, Scenario]:
+        """Return the scenario of the truth, and that of the GNC; raise BadInput if one is invalid.
+
+        fault: added to those of the scenario.
+        """
         truth, gnc = (json.loads(self._text) for _ in range(2))
+        if fault is not None:
+            truth["faults"] = [*truth["faults"], fault]
         for component, value in zip(self.components, values, strict=True):
             _put(truth, component, float(value))
             if component.path[0] == "gnc":
                 _put(gnc, component, float(value))
-        dispersed = check_table(truth, Scenario, "dispersed").value if self.components else self._nominal
+        dispersed = (
+            check_table(truth, Scenario, "dispersed").value if self.components or fault is not None else self._nominal
+        )
         return dispersed, check_table(gnc, Scenario, "dispersed").value if self.touches_gnc else self._nominal
 
     def _unit(self, case: int) -> Array:
@@ -132,6 +147,29 @@ class Design:
             unit = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_DESIGN, case))).random(n)
         inside: Array = np.clip(unit, _SMALLEST, 1.0 - _SMALLEST)
         return inside
+
+
+def drawn_fault(settings: FaultDispersion, thrusters: int, seed: np.random.SeedSequence) -> dict[str, Any] | None:
+    """Return a table of ``[[faults]]``, drawn from the kinds of ``settings``; None for no fault."""
+    generator = np.random.default_rng(seed)
+    if generator.random() >= settings.probability:
+        return None
+    weights = np.array([draw.weight for draw in settings.draw])
+    draw = settings.draw[int(generator.choice(len(weights), p=weights / weights.sum()))]
+    devices = {"thruster": [f"thruster.{i + 1}" for i in range(thrusters)], "axis": list(AXES)}
+    device = str(generator.choice(devices.get(draw.device, [draw.device])))
+    table: dict[str, Any] = {"device": device, "kind": draw.kind, "at_s": float(generator.uniform(*draw.at_s))}
+    if draw.value is not None:
+        size = float(generator.uniform(*draw.value))
+        family = draw.device.partition(".")[0]
+        if TERMS.get(family, TERMS["axis"])[draw.kind].values == 3:
+            direction = generator.standard_normal(3)
+            table["value"] = [float(part) for part in size * direction / np.linalg.norm(direction)]
+        else:
+            table["value"] = size
+    if draw.lasting_s is not None:
+        table["until_s"] = table["at_s"] + float(generator.uniform(*draw.lasting_s))
+    return table | {name: value for name in ("size_m", "sensor") if (value := getattr(draw, name)) is not None}
 
 
 @lru_cache(maxsize=4)

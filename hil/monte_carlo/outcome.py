@@ -23,10 +23,11 @@ _SINGLE: Final = (
     "ready_time_s", "held_since_s", "control_margin", "corridor_margin_m", "closing_margin_mps", "nearest_m",
     "aborted_at_s", "view_margin_px", "propellant_kg", "propellant_share", "thruster_on_time_s", "nees_pkf", "nees_akf",
 )  # fmt: skip
+_OF_FAULT: Final = ("fault_at_s", "fault_size")
 FLAGS: Final = ("passed", "passed_all_parts", "security_passed", "energy_passed", "view_passed")
 COUNTS: Final = ("firings", "limited_cycles", "cycles")
-TEXTS: Final = ("stop", "abort")
-NUMBERS: Final = (*_SINGLE, *(f"{name}_{axis}" for name in _TRIPLES for axis in _AXES))
+TEXTS: Final = ("stop", "abort", "fault_device", "fault_kind")
+NUMBERS: Final = (*_SINGLE, *_OF_FAULT, *(f"{name}_{axis}" for name in _TRIPLES for axis in _AXES))
 """Columns with floats; null where a run did not get far enough."""
 
 
@@ -75,6 +76,7 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
         **_three("force_on_time_s", scenario.step_s * stats.force_cycles),
         **_three("torque_on_time_s", scenario.step_s * stats.torque_cycles),
         **_navigation(stats),
+        **_fault(truth),
     }
     if verdict.worst is not None:
         row["control_margin"] = min(float((1.0 - verdict.worst[n] / allowed[n]).min()) for n in ROW_NAMES)
@@ -87,7 +89,7 @@ def failed_row(reason: str) -> dict[str, Any]:
     """Return the outcome of a case that could not be flown at all."""
     row: dict[str, Any] = dict.fromkeys(NUMBERS)
     row |= dict.fromkeys(FLAGS, False) | dict.fromkeys(COUNTS, 0)
-    return row | {"stop": reason, "abort": ""}
+    return row | {"stop": reason, "abort": "", "fault_device": "", "fault_kind": ""}
 
 
 def _propellant_kg(stats: np.record, truth: Scenario) -> float:
@@ -107,6 +109,19 @@ def _navigation(stats: np.record) -> dict[str, float | None]:
         **_three("attitude_rmse_deg", np.degrees(rms[6:9])),
         "nees_pkf": _number(stats.nees_position / fused) if fused else None,
         "nees_akf": _number(stats.nees_attitude / fused) if fused else None,
+    }
+
+
+def _fault(truth: Scenario) -> dict[str, Any]:
+    """Return the last fault of a run, the one that a campaign draws; its size is the magnitude of its value."""
+    if not truth.faults:
+        return {"fault_device": "", "fault_kind": "", "fault_at_s": None, "fault_size": None}
+    fault = truth.faults[-1]
+    return {
+        "fault_device": fault.device,
+        "fault_kind": fault.kind,
+        "fault_at_s": fault.at_s,
+        "fault_size": math.hypot(*fault.values) if fault.values else None,
     }
 
 

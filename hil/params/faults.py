@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.faults import TERMS, Fault
+from hil.config.faults import TERMS, TimedFault
 from hil.config.scenario import Scenario
 from hil.core.messages import new
 from hil.dynamics import imu_faults, target_faults, thruster_faults, vision_faults
@@ -44,13 +44,13 @@ def fault_rows(scenario: Scenario, family: str, seed: int = 0) -> np.record:
     return table
 
 
-def _option(fault: Fault) -> float:
+def _option(fault: TimedFault) -> float:
     if fault.sensor == "accelerometer":
         return imu_faults.ACCELEROMETER
     return vision_faults.AT_ARRIVAL if fault.stamp == "arrival" else 0.0
 
 
-def _si_per_unit(fault: Fault) -> np.ndarray | float:
+def _si_per_unit(fault: TimedFault) -> np.ndarray | float:
     """Return the factor of each component of the value."""
     if fault.family == "imu" and fault.kind == "bias_step" and fault.sensor != "accelerometer":
         return math.radians(1.0)

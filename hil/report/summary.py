@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.checks.compatibility import sign_off_gap
 from hil.checks.waivers import waivers
-from hil.config.faults import Fault
+from hil.config.faults import TimedFault
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.sign_off import SignOff
@@ -88,7 +88,7 @@ def summary_of(recorded: Recorded) -> dict[str, Any]:
     return summarise(outcome, recorded.scenario, recorded.rig, run["rig"], int(run["seed"]), 1.0 / step_s)[0]
 
 
-def injected(fault: Fault) -> dict[str, Any]:
+def injected(fault: TimedFault) -> dict[str, Any]:
     """Return a fault that was injected, and by what it was detected: nothing detects faults yet."""
     return {
         "device": fault.device,

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import atexit
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -29,8 +27,7 @@ class Pauses:
             number, name = tempfile.mkstemp(prefix="pauses-")
             os.close(number)
             self._file = Path(name)
-            process = subprocess.Popen([sys.executable, "-S", __file__, name], stdin=subprocess.DEVNULL)
-            atexit.register(self._end, process)
+            os.posix_spawn(sys.executable, [sys.executable, "-S", __file__, name], os.environ)
         self._begin_s = time.monotonic()
 
     def longest_s(self) -> float:
@@ -42,15 +39,9 @@ class Pauses:
     def __bool__(self) -> bool:
         return self.longest_s() > 0.0
 
-    def _end(self, process: subprocess.Popen[bytes]) -> None:
-        process.kill()
-        process.wait()
-        assert self._file is not None
-        self._file.unlink()
-
 
 def _watch(file: str) -> None:
-    """Append a line with time and duration for each pause until the parent has ended."""
+    """Append a line with time and duration for each pause until the parent has ended, then remove the file."""
     near, far = os.openpty()
     tty.setraw(far)
     parent = os.getppid()
@@ -63,6 +54,7 @@ def _watch(file: str) -> None:
             now_s = time.monotonic()
             if now_s - start_s - PERIOD_S > LONGEST_S:
                 lines.write(f"{now_s:.6f} {now_s - start_s - PERIOD_S:.6f}\n")
+    os.unlink(file)
 
 
 if __name__ == "__main__":

@@ -179,7 +179,7 @@ def _expose(params, state, until_s, first, vision_noise, travel_draws, leds, fra
 
 @kernel
 def _next_arrival(frames, n):
-    """Return the index of the frame of ``n`` that arrives first, of equals the one exposed first; -1 if there is none."""
+    """Return the index of the frame of ``n`` that arrives first, of equals the one exposed first, or -1."""
     found = -1
     for i in range(n):
         if (
@@ -452,7 +452,7 @@ def run_loop(
         if k < history.shape[0]:
             history[k] = now
         truth_kernels.step(params.dss, field, state.truth_memory, now.truth, now.command.on)
-        imu_kernels.sample(params.imu, now.truth, imu_noise[k - first_cycle], state.imu_memory, now.imu)
+        imu_kernels.sample_with_faults(params.imu, now.truth, imu_noise[k - first_cycle], state.imu_memory, now.imu)
         if not _send_setpoints(params, state, stats, now_s):
             return NOT_FINITE
         state.cycle = k + 1

@@ -12,7 +12,6 @@ from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_THRUSTERS, TRUTH, new
 from hil.dynamics import truth as truth_kernels
 from hil.dynamics.imu import IMU_NOISE, IMU_PARAMS, sample
-from hil.dynamics.imu_faults import IMU_MEMORY
 from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths.random_streams import NormalRows, stream
 from hil.params import dynamics as dynamics_params
@@ -36,7 +35,7 @@ def test_sample_is_truth_plus_error_of_the_step_plus_noise(params: np.record) ->
     truth.mean_rate_C, truth.mean_force_C = [1.0, 2.0, 3.0], [4.0, 5.0, 6.0]
     imu.drift_C, imu.bias_C = [0.1, 0.2, 0.3], [0.4, 0.5, 0.6]
     noise = np.arange(12.0)
-    sample(params, truth, noise, new(IMU_MEMORY), imu)
+    sample(params, truth, noise, imu)
     np.testing.assert_allclose(imu.rate_C, [1.1 + 0.0, 2.2 + 2.0, 3.3 + 4.0])
     np.testing.assert_allclose(imu.force_C, [4.4 + 15.0, 5.5 + 20.0, 6.6 + 25.0])
 
@@ -45,7 +44,7 @@ def test_drift_and_bias_walk_by_step_times_sigma_times_normal(params: np.record)
     truth, imu = new(TRUTH), new(IMU)
     imu.drift_C, imu.bias_C = [0.1, 0.2, 0.3], [0.4, 0.5, 0.6]
     noise = np.arange(12.0)
-    sample(params, truth, noise, new(IMU_MEMORY), imu)
+    sample(params, truth, noise, imu)
     np.testing.assert_allclose(imu.drift_C, np.array([0.1, 0.2, 0.3]) + TS * 3.0 * noise[6:9])
     np.testing.assert_allclose(imu.bias_C, np.array([0.4, 0.5, 0.6]) + TS * 7.0 * noise[9:12])
 
@@ -56,7 +55,7 @@ def test_noise_and_walks_have_the_stated_spread_and_are_white(params: np.record)
     found = np.empty((n, 12))
     for k in range(n):
         drift, bias = imu.drift_C.copy(), imu.bias_C.copy()
-        sample(params, truth, rows.next_row(), new(IMU_MEMORY), imu)
+        sample(params, truth, rows.next_row(), imu)
         found[k] = np.concatenate([imu.rate_C - drift, imu.force_C - bias, imu.drift_C - drift, imu.bias_C - bias])
     whitened = found / np.repeat([2.0, 5.0, TS * 3.0, TS * 7.0], 3)
     squares = np.sum(whitened**2, axis=0)
@@ -76,7 +75,7 @@ def test_gyro_sees_the_mean_rate_of_a_step_and_not_its_end(plain_1: Scenario) ->
     on[5] = 1  # +x at +y and -x at -y: a turn about -z
     before = truth.w_CI_C.copy()
     truth_kernels.step(dss, NO_FIELD, new(TRUTH_MEMORY), truth, on)
-    sample(perfect, truth, np.zeros(12), new(IMU_MEMORY), imu)
+    sample(perfect, truth, np.zeros(12), imu)
     # thrust, and with it the angular acceleration, is constant over the step
     np.testing.assert_allclose(imu.rate_C, 0.5 * (before + truth.w_CI_C), rtol=1e-5)
     assert abs(imu.rate_C[2] - truth.w_CI_C[2]) > 1e-5
@@ -87,11 +86,11 @@ def test_accelerometer_feels_thrust_and_not_gravity(plain_1: Scenario) -> None:
     dss.minimum_on_s = 0.0
     on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
     truth_kernels.step(dss, NO_FIELD, new(TRUTH_MEMORY), truth, on)
-    sample(new(IMU_PARAMS), truth, np.zeros(12), new(IMU_MEMORY), imu)
+    sample(new(IMU_PARAMS), truth, np.zeros(12), imu)
     np.testing.assert_array_equal(imu.force_C, 0.0)
     on[0] = 1
     truth_kernels.step(dss, NO_FIELD, new(TRUTH_MEMORY), truth, on)
-    sample(new(IMU_PARAMS), truth, np.zeros(12), new(IMU_MEMORY), imu)
+    sample(new(IMU_PARAMS), truth, np.zeros(12), imu)
     force = plain_1.chaser.thrusters.force_n / plain_1.chaser.mass_kg
     np.testing.assert_allclose(imu.force_C, [force, 0.0, 0.0])
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import re
+
 import numpy as np
 import pytest
 from scipy.stats import kstest
@@ -106,3 +109,46 @@ def test_bad_dispersion_is_told_in_one_line(setting: str, words: tuple[str, ...]
     assert len(caught.value.problems) == 1
     for word in words:
         assert word in str(caught.value)
+
+
+FAULTS = (
+    'dispersions.faults.draw=[{device="vmu", kind="offset", weight=3.0, value=[0.1, 0.4], at_s=[5.0, 50.0], '
+    'lasting_s=[1.0, 2.0]}, {device="thruster", kind="stuck_open", at_s=[0.0, 9.0]}]',
+)
+
+
+def test_one_case_in_four_has_a_thruster_stuck_open_and_three_an_offset_of_the_vision_unit() -> None:
+    design = Design(load_scenario("scheme-1", FAULTS), 7)
+    found = [design.apply(design.values(case), design.fault(case))[0].faults for case in range(400)]
+    drawn = [faults[0] for faults in found if len(faults) == 1]
+    assert len(drawn) == 400
+    offsets = [fault for fault in drawn if fault.device == "vmu"]
+    assert 270 < len(offsets) < 330
+    sizes = [math.hypot(*fault.values) for fault in offsets]
+    assert 0.1 <= min(sizes) < 0.12
+    assert 0.38 < max(sizes) <= 0.4
+    assert all(5.0 <= fault.at_s <= 50.0 and 1.0 <= fault.end_s - fault.at_s <= 2.0 for fault in offsets)
+    assert {fault.device for fault in drawn if fault.device != "vmu"} == {f"thruster.{i}" for i in range(1, 17)}
+
+
+def test_faults_leave_the_other_dispersions_of_a_case_as_they_are() -> None:
+    with_faults, without = (Design(load_scenario("scheme-1", settings), 7) for settings in (FAULTS, ()))
+    np.testing.assert_array_equal(with_faults.values(5), without.values(5))
+    assert without.fault(5) is None
+    assert with_faults.fault(5) == Design(load_scenario("scheme-1", FAULTS), 7).fault(5)
+
+
+@pytest.mark.parametrize(
+    ("draw", "said"),
+    [
+        ('device="vmu", kind="stuck", at_s=[0.0, 1.0]', "not in the table of faults"),
+        ('device="vmu", kind="offset", at_s=[0.0, 1.0]', "needs value"),
+        ('device="vmu", kind="no_pose", value=[0.0, 1.0], at_s=[0.0, 1.0]', "has no value"),
+        ('device="vmu", kind="no_pose", at_s=[2.0, 1.0]', "the first number must not exceed the second"),
+        ('device="vmu", kind="no_pose", at_s=[-2.0, 1.0]', "must not be negative"),
+        ('device="vmu", kind="no_pose"', "dispersions.faults.draw[0].at_s: is missing"),
+    ],
+)
+def test_a_draw_that_cannot_be_is_one_line(draw: str, said: str) -> None:
+    with pytest.raises(BadInput, match=re.escape(said)):
+        load_scenario("scheme-1", (f"dispersions.faults.draw=[{{{draw}}}]",))
