@@ -159,8 +159,9 @@ def fault_table() -> str:
 A fault is a term of the error model of a device that acts for a time. A scenario gives a timetable with the keys of
 [`[[faults]]`](scenario.md), as do `--set 'faults=[...]'` and `hil.run(..., faults=[...])`: see [how to inject
 faults](../../how-to/inject-faults.md). A fault acts from `at_s` to `until_s` of the run's time, in the compiled loop,
-the cycle in Python, campaigns and replays alike. Faults of axes need the mock rig; those of an emulated rig are switched
-on at the control ports of its [emulators](../../how-to/set-up-a-rig.md).
+the cycle in Python, campaigns and replays alike. Faults of axes need the mock rig; those of an emulated rig are
+switched on
+at the control ports of its [emulators](../../how-to/set-up-a-rig.md).
 """
     devices = {
         "vmu": "`vmu`: vision unit. Its frames are disturbed on their way to the loop, whatever their source",
