@@ -26,6 +26,7 @@ from hil.core.files import parse_json
 
 PAGE: Final = Path(__file__).parent / "page"
 TICK_S: Final = 0.05
+_REQUEST_PERIOD_S: Final = 0.01  # of one client; a page sends a few per second
 _HELLO_TIMEOUT_WALL_S: Final = 5.0
 _REFUSED: Final = 4401
 _LONGEST_TEXT: Final = 4096
@@ -226,7 +227,9 @@ async def _send_updates(socket: WebSocket, service: ConsoleService, client: Clie
 
 
 async def _receive(socket: WebSocket, service: ConsoleService, client: Client) -> None:
+    """Execute the requests of ``client``, at a bounded rate: a flood waits in its own connection."""
     while True:
+        await asyncio.sleep(_REQUEST_PERIOD_S)
         message = _table(await _receive_text(socket))
         if message is None:
             await socket.send_text(json.dumps({"answer": None, "ok": False, "text": "not a JSON object, or too long"}))

@@ -47,7 +47,9 @@ TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: a reader that comes later misses rows
 
 
 def check(job: Job) -> None:
-    """Raise BadInput with every problem of the scenario on this rig."""
+    """Raise BadInput if another process has the rig, else with every problem of the scenario on it."""
+    with locked_wires(job.rig.value):
+        pass
     problems = [
         *(check_truth(job.scenario) or check_plan(job.scenario, job.rig)),
         *check_approach(job.scenario),

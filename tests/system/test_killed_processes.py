@@ -84,8 +84,8 @@ def lab_file(path: Path, wired: Rig) -> str:
         f'[turntable.cia402]\nchannel = "{wired.turntable.cia402.channel}"\n'
         '[vmu]\nclock = "own"\n'
         f'[vmu.rs422]\nport = "{wired.vmu.rs422.port}"\n'
-        f"[io]\nport = {wired.io.port}\n"
-        '[host]\nrequire_realtime = false\non_overrun = "log"\n'
+        + (f"[io]\nport = {wired.io.port}\n" if wired.has_io else '[io]\ndriver = "none"\n')
+        + '[host]\nrequire_realtime = false\non_overrun = "log"\n'
     )
     return str(path)
 
@@ -109,7 +109,7 @@ def running(folder: Path, *settings: str) -> Iterator[Bench]:
 def started(folder: Path, *settings: str) -> Iterator[Bench]:
     clock = WallClock()
     with EmulatedDevices(
-        load_scenario("scheme-1", MOVING).value, load_rig("emulated", MOVING).value, clock, 0
+        load_scenario("scheme-1", MOVING).value, load_rig("emulated", (*MOVING, *settings)).value, clock, 0
     ) as emulated:
         wired, _ = emulated.wait_ready()
         rig = lab_file(folder / "lab.toml", wired)
@@ -121,7 +121,7 @@ def started(folder: Path, *settings: str) -> Iterator[Bench]:
         try:
             assert process.stderr is not None
             pids = {"loop": process.pid}
-            while "watchdog" not in pids:
+            while ("watchdog" if wired.has_io else "I/O") not in pids:
                 line = process.stderr.readline()
                 assert line, "the controller ended before it ran"
                 if found := re.match(r"(I/O|watchdog) process (\d+)", line):
