@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 import pty
+import select
 import shutil
 import subprocess
 import sys
@@ -67,18 +68,23 @@ def test_closed_terminal_is_a_safe_stop_with_a_whole_recording(tmp_path: Path) -
     def take_terminal() -> None:
         os.setsid()
         fcntl.ioctl(inside, termios.TIOCSCTTY, 0)
+        termios.tcsetwinsize(inside, (40, 120))
 
     command = [*HIL, *EMULATED, "--record", str(tmp_path)]
     streams = {"stdin": inside, "stdout": inside, "stderr": inside}
     with subprocess.Popen(command, **streams, preexec_fn=take_terminal) as process:
         os.close(inside)
-        shown, end_s = b"", time.monotonic() + 120.0
-        while b"running" not in shown:
-            assert time.monotonic() < end_s, shown
-            shown += os.read(terminal, 4096)
-        time.sleep(1.0)
-        os.close(terminal)
-        assert process.wait(30.0) == SAFE_STOPPED
+        try:
+            shown, end_s = b"", time.monotonic() + 120.0
+            while b"watchdog process" not in shown:
+                assert time.monotonic() < end_s, shown
+                if select.select([terminal], [], [], 1.0)[0]:
+                    shown += os.read(terminal, 4096)
+            time.sleep(5.0)
+            os.close(terminal)
+            assert process.wait(30.0) == SAFE_STOPPED
+        finally:
+            process.kill()
     (file,) = tmp_path.glob("*.mcap")
     recorded = load(file)
     assert recorded.intact
