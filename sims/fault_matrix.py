@@ -1,7 +1,8 @@
 """Fault matrix: each fault of each emulated device in each applicable mode, with the reaction of the bench.
 
-    python sims/fault_matrix.py [running|standby|armed|hold ...] [KEY=VALUE ...]
+    python sims/fault_matrix.py [running|standby|armed|hold ...] [--console|--unattended] [KEY=VALUE ...]
 
+--console: the commands come from an operator at the console; --unattended: only running.
 Each case runs a session on the emulated bench up to a mode, switches one fault on, and reports the time of detection,
 the reached mode, the text of the alarm and the time until the axes are at rest (docs/explanation/safety.md).
 Exit code 1 if a reaction is not as expected.
@@ -9,24 +10,40 @@ Exit code 1 if a reaction is not as expected.
 
 from __future__ import annotations
 
+import json
+import socket
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final
+from enum import Enum
+from typing import Any, Final
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from hil.config.load import load_rig, load_scenario
+from hil.console.remote_operator import OutgoingMessages, RemoteOperator
+from hil.console.status import CELLS
 from hil.core.modes import Mode
-from hil.core.operator_commands import Operator, OperatorCommand
+from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
 from hil.drivers.fault_injection import AXIS, WIRE, FaultControl
+from hil.frmn.mailbox import MailboxBlock
 from hil.loop.runner import Runner
 from hil.session.build import Job, WiredBench, check, wired_bench
 from hil.session.warm_up import warm_up
+
+
+class Attendance(Enum):
+    """Who commands the session."""
+
+    SCRIPT = "script"  # of an operator who is present
+    CONSOLE = "console"
+    UNATTENDED = "unattended"
+
 
 TRIPS, CONTINUES = "trips", "continues"
 STANDSTILL: Final = 2e-3  # m/s or rad/s
@@ -40,6 +57,9 @@ _MODE_TIMEOUT_WALL_S: Final = 30.0
 _IN_MODE_WALL_S: Final = 0.4  # before the fault is switched on
 _REST_TIMEOUT_WALL_S: Final = 2.0
 _POLL_WALL_S: Final = 0.001
+_LEASE_WALL_S: Final = 2.0
+_PRESENCE_WALL_S: Final = 0.05
+_BETWEEN_ORDERS_WALL_S: Final = 0.3  # the mode follows an order in the next cycle
 
 
 @dataclass(frozen=True)
@@ -74,13 +94,72 @@ class FaultReaction:
         return self.reached is Mode.SAFE_STOP and self.detected_s is not None and self.at_rest_s is not None
 
 
-def run_case(bench: WiredBench, case: FaultCase) -> FaultReaction:
+class ConsoleLine:
+    """Line of a console with an operator who has the command: sends the commands of a plan as they are allowed.
+
+    operator: the end in the loop.
+    """
+
+    def __init__(self, plan: Sequence[OperatorCommand]) -> None:
+        self._here, self._there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._here.setblocking(False)
+        self._status = MailboxBlock.create(CELLS, "console")
+        self.operator = RemoteOperator(OutgoingMessages(self._there), self._status["status"], "hold", _LEASE_WALL_S)
+        self._plan = list(plan)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._talk, name="console", daemon=True)
+
+    def begin(self, runner: Runner) -> None:
+        """Attach the runner and begin to send."""
+        self.operator.attach(runner)
+        self._runner = runner
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the line."""
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        for each in (self._here, self._there, self._status):
+            each.close()
+
+    def _talk(self) -> None:
+        number, sent_s = 0, 0.0
+        while not self._ended.wait(_PRESENCE_WALL_S):
+            self._send(present=True)
+            with suppress(BlockingIOError):
+                while self._here.recv(1 << 18):
+                    pass
+            allowed = self._plan and self._runner.safety.modes.mode in ALLOWED_IN[self._plan[0]]
+            if allowed and time.monotonic() - sent_s > _BETWEEN_ORDERS_WALL_S:
+                number, sent_s = number + 1, time.monotonic()
+                self._send(order=self._plan.pop(0).value, id=number)
+
+    def _send(self, **message: Any) -> None:
+        with suppress(BlockingIOError):
+            self._here.send(json.dumps(message).encode())
+
+
+def run_case(bench: WiredBench, case: FaultCase, by: Attendance = Attendance.SCRIPT) -> FaultReaction:
     """Run a session at ``bench`` up to ``case.mode`` and switch the fault on; all faults are off afterwards.
 
     Raises RuntimeError if the mode was not reached.
     """
-    operator = Operator(_PLANS[case.mode], attended=True)
+    plan = _PLANS[case.mode]
+    if by is not Attendance.CONSOLE:
+        return _run(bench, case, Operator(plan, attended=by is Attendance.SCRIPT))
+    line = ConsoleLine(plan)
+    try:
+        return _run(bench, case, line.operator, line.begin)
+    finally:
+        line.close()
+
+
+def _run(
+    bench: WiredBench, case: FaultCase, operator: Operator, begin: Callable[[Runner], None] = lambda _: None
+) -> FaultReaction:
     runner = bench.runner(operator=operator)
+    begin(runner)
     reactions: list[FaultReaction] = []
     failures: list[RuntimeError] = []
 
@@ -220,7 +299,9 @@ TIGHT: Final = (
 
 
 def main(arguments: list[str]) -> int:
-    modes = [Mode(word) for word in arguments if "=" not in word] or [Mode.RUNNING, Mode.STANDBY, Mode.ARMED, Mode.HOLD]
+    by = next((each for each in Attendance if f"--{each.value}" in arguments), Attendance.SCRIPT)
+    named = [Mode(word) for word in arguments if "=" not in word and not word.startswith("--")]
+    modes = named or ([Mode.RUNNING] if by is Attendance.UNATTENDED else [Mode.RUNNING, *_STILL])
     settings = (*TIGHT, *(word for word in arguments if "=" in word))
     job = Job(load_scenario("scheme-1", settings), load_rig("emulated", settings), 0, 60.0, 1.0)
     check(job)
@@ -231,7 +312,7 @@ def main(arguments: list[str]) -> int:
         clear_faults(bench)
         for case in matrix(modes):
             try:
-                reaction = run_case(bench, case)
+                reaction = run_case(bench, case, by)
             except RuntimeError as error:
                 console.print(f"NOT RUN {case.name}: {error}", highlight=False, soft_wrap=True)
                 reactions.append(FaultReaction(case, Mode.OFF, str(error), None, None))

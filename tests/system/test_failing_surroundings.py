@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from hil.cli.main import BAD_INPUT, FAILED, SAFE_STOPPED
+from hil.core.realtime import FIFO, MEMORY
 from hil.recording.read import load
 from tests.support.run_settings import NEAR, UNHURRIED, typed
 
@@ -100,7 +101,7 @@ def test_user_without_privileges_runs_emulated_rigs_and_is_refused_hardware(tmp_
     assert done.returncode == FAILED, done.stderr  # two seconds are too short to be ready
     found = json.loads(out.read_text())
     assert found["stop"] == "completed"
-    assert {each["name"] for each in found["timing"]["privileges"] if not each["granted"]} >= {"SCHED_FIFO"}
+    assert {each["name"] for each in found["timing"]["privileges"] if not each["granted"]} >= {FIFO, MEMORY}
     lab = tmp_path / "lab.toml"
     lab.write_text(HARDWARE)
     command = [*UNPRIVILEGED, *HIL, "run", "scheme-1", "--rig", str(lab)]

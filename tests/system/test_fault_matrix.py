@@ -9,7 +9,7 @@ import pytest
 from hil.core.modes import Mode
 from hil.session.build import WiredBench, check, wired_bench
 from hil.session.warm_up import warm_up
-from sims.fault_matrix import CONTINUES, TIGHT, FaultCase, matrix, representatives, run_case
+from sims.fault_matrix import CONTINUES, TIGHT, Attendance, FaultCase, matrix, representatives, run_case
 from tests.support.run_settings import PATIENT_RELAY, make_job
 
 pytestmark = pytest.mark.wires
@@ -26,8 +26,8 @@ def bench() -> Iterator[WiredBench]:
         yield made
 
 
-def _check(bench: WiredBench, case: FaultCase) -> None:
-    reaction = run_case(bench, case)
+def _check(bench: WiredBench, case: FaultCase, by: Attendance = Attendance.SCRIPT) -> None:
+    reaction = run_case(bench, case, by)
     assert reaction.as_expected, reaction
     if case.expected == CONTINUES:
         return
@@ -48,6 +48,20 @@ def test_fault_is_detected_and_named_and_the_axes_are_at_rest(bench: WiredBench,
 )
 def test_every_fault_in_every_mode_that_can_have_it(bench: WiredBench, case: FaultCase) -> None:
     _check(bench, case)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "case", matrix((Mode.RUNNING, Mode.STANDBY, Mode.ARMED, Mode.HOLD)), ids=lambda case: case.name
+)
+def test_every_fault_in_every_mode_with_an_operator_at_the_console(bench: WiredBench, case: FaultCase) -> None:
+    _check(bench, case, Attendance.CONSOLE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", matrix((Mode.RUNNING,)), ids=lambda case: case.name)
+def test_every_fault_in_an_unattended_run(bench: WiredBench, case: FaultCase) -> None:
+    _check(bench, case, Attendance.UNATTENDED)
 
 
 def test_the_table_holds_every_fault_of_every_device_and_motion_faults_where_axes_move() -> None:
