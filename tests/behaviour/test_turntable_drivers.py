@@ -13,6 +13,7 @@ import threading
 import time
 import tty
 
+import can
 import numpy as np
 import pytest
 
@@ -267,6 +268,37 @@ def test_cia402_works_on_any_bus_of_python_can():
     with served("cia402", "virtual", "test-turntable", speed=4.0, timeout_s=1.6) as (_, device, clock):
         device.send(np.radians((5.0, -4.0, 1.0)), np.zeros(3), clock.now_s())
         eventually(lambda: np.allclose(np.degrees(device.read(clock.now_s()).position), (5.0, -4.0, 1.0), atol=0.01))
+
+
+@pytest.mark.slow
+def test_flood_of_foreign_frames_on_the_bus_leaves_the_feedback_fresh():
+    dice, oldest_s = np.random.default_rng(1), 0.0
+    with (
+        served("cia402", "virtual", "test-flood", speed=1.0, timeout_s=1.6) as (_, device, clock),
+        can.Bus(interface="virtual", channel="test-flood") as stranger,
+    ):
+        for _burst in range(100):
+            device.send(np.radians((5.0, -4.0, 1.0)), np.zeros(3), clock.now_s())
+            for _ in range(100):  # of higher priority, of other nodes, extended
+                number = int(dice.choice((0x001, 0x010, 0x1A5, 0x2C4, 0x7F0)))
+                data, extended = dice.bytes(int(dice.integers(0, 9))), bool(dice.random() < 0.2)
+                stranger.send(can.Message(arbitration_id=number, data=data, is_extended_id=extended))
+            time.sleep(0.02)
+            now_s = clock.now_s()
+            oldest_s = max(oldest_s, now_s - device.read(now_s).t_s)
+        eventually(lambda: np.allclose(np.degrees(device.read(clock.now_s()).position), (5.0, -4.0, 1.0), atol=0.01))
+    print(f"10,000 foreign frames: oldest feedback {1e3 * oldest_s:.0f} ms")  # noqa: T201
+    assert oldest_s < 0.4
+
+
+def test_frames_of_another_length_in_the_name_of_a_drive_are_an_error_that_names_it():
+    with (
+        served("cia402", "virtual", "test-impostor", speed=1.0, timeout_s=1.6) as (_, device, clock),
+        can.Bus(interface="virtual", channel="test-impostor") as impostor,
+    ):
+        for _ in range(20):
+            impostor.send(can.Message(arbitration_id=0x182, data=b"", is_extended_id=False))
+        assert "turntable.pitch: 4 implausible frames in a row" in str(error_of(device, clock))
 
 
 def test_cia402_drive_without_velocity_offset_goes_by_its_target_alone():

@@ -21,7 +21,7 @@ from tests.support.run_settings import NEAR, UNHURRIED, typed
 pytestmark = [pytest.mark.wires, pytest.mark.slow, pytest.mark.timeout(300)]
 
 DATAGRAMS = 100_000
-DURATION_S = 40.0
+DURATION_S = 50.0
 QUIET_S = 10.0
 
 
@@ -36,7 +36,7 @@ def odd(dice: random.Random) -> bytes:
 
 
 class Stranger:
-    """Sends the datagrams evenly from ``QUIET_S`` to the end of the run, in bursts of 50."""
+    """Sends the datagrams, in bursts of 50, at an even rate if this computer keeps it."""
 
     def __init__(self, to: tuple[str, int]) -> None:
         self._to = to
@@ -49,7 +49,7 @@ class Stranger:
     def _send(self) -> None:
         dice = random.Random(1)
         bursts = [[odd(dice) for _ in range(50)] for _ in range(200)]
-        begun_s, spent_s = time.monotonic(), DURATION_S - QUIET_S - 2.0
+        begun_s, spent_s = time.monotonic(), DURATION_S - 2.0 * QUIET_S - 8.0
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
             while self.sent < DATAGRAMS:
                 for datagram in bursts[self.sent // 50 % len(bursts)]:
@@ -78,7 +78,7 @@ def test_odd_datagrams_make_the_loop_no_later(tmp_path: Path) -> None:
             drain = threading.Thread(target=dss.stderr.read, daemon=True)
             drain.start()
             end_s = time.monotonic() + 120.0
-            while not (files := list(tmp_path.glob("*.mcap"))) or files[0].stat().st_size < 400_000:
+            while not (files := list(tmp_path.glob("*.mcap"))) or files[0].stat().st_size < 100_000:
                 assert time.monotonic() < end_s, "the run did not begin"
                 assert dss.poll() is None
                 time.sleep(0.1)
@@ -97,7 +97,10 @@ def test_odd_datagrams_make_the_loop_no_later(tmp_path: Path) -> None:
     (file,) = tmp_path.glob("*.mcap")
     cycles = load(file).cycles
     late_us, t_s = 1e6 * cycles["lateness_s"], cycles["t_s"]
-    parts = {"without": (t_s > 1.0) & (t_s < QUIET_S), "with": t_s > DURATION_S - QUIET_S}
+    parts = {
+        "without": (t_s > 1.0) & (t_s < QUIET_S),
+        "with": (t_s > QUIET_S + 8.0) & (t_s < DURATION_S - QUIET_S - 4.0),
+    }
     shown = {name: np.percentile(late_us[which], (50, 99, 100)).round().tolist() for name, which in parts.items()}
     link = summary["gnc_link"]
     print(f"lateness p50 p99 max, us: {shown}; {stranger.sent} datagrams; {link}")  # noqa: T201

@@ -85,6 +85,19 @@ def test_answer_behind_garbage_is_found_at_once(is_tcp: bool) -> None:
     assert finder.counters["protocol_errors"] == 1
 
 
+@pytest.mark.parametrize("cut", range(25))
+def test_answer_behind_the_echo_of_its_request_is_found(cut: int) -> None:
+    body = struct.pack(">BBHHHHB6H", DEVICE, READ_WRITE, 0, DRIVE_MAP.state.count, 100, 6, 12, *range(6))
+    echoed, good = with_check_sum(body), serial_answer(state_of(DRIVE_MAP))
+    finder, waiting, frame = sieve(False, expected(DRIVE_MAP)), b"", None
+    for part in (echoed[:cut], echoed[cut:] + good[:5], good[5:]):
+        assert frame is None
+        used, frame = finder.feed(waiting + part)
+        waiting = (waiting + part)[used:]
+    assert frame is not None
+    assert frame.registers == tuple(state_of(DRIVE_MAP))
+
+
 @pytest.mark.parametrize("is_tcp", [False, True])
 @pytest.mark.parametrize(
     "changed",
