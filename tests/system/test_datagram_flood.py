@@ -104,5 +104,6 @@ def test_odd_datagrams_make_the_loop_no_later(tmp_path: Path) -> None:
     shown = {name: np.percentile(late_us[which], (50, 99, 100)).round().tolist() for name, which in parts.items()}
     link = summary["gnc_link"]
     print(f"lateness p50 p99 max, us: {shown}; {stranger.sent} datagrams; {link}")  # noqa: T201
-    assert link["closed_cycles"] == 0
+    assert (link["lost"], link["coasted_cycles"]) == (0, 0)
+    assert link["answers"] >= summary["timing"]["cycles"] - 1  # the first cycle has none
     assert shown["with"][1] < 2000.0
