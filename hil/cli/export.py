@@ -17,11 +17,11 @@ def export(
     recording: str,
     /,
     *,
-    form: Annotated[Literal["parquet", "csv"], Parameter(name="--format")] = "csv",
+    form: Annotated[Literal["parquet", "csv", "ros2"], Parameter(name="--format")] = "csv",
     out: Annotated[str | None, Parameter(name=("--out", "-o"))] = None,
     images: Annotated[str | None, Parameter(name=("--images", "--pictures"))] = None,
 ) -> int:
-    """Write the numbers of a recording as Parquet or CSV, or its camera images.
+    """Write the numbers of a recording as Parquet or CSV, its camera images, or all of it as a bag of ROS 2.
 
     Parameters
     ----------
@@ -30,13 +30,19 @@ def export(
     form
         parquet requires the extra of that name: pip install 'hil-bench[parquet]'.
     out
-        File to write; default: the recording's name with the format's ending.
+        File, or of ros2 the new folder, to write; default: the recording's name with the format's ending.
     images
         Folder for the camera images, with their times and calibration, instead of the numbers.
     """
     if images is not None:
         return _export_images(recording, images, out)
     target = Path(out) if out is not None else Path(recording).with_suffix(f".{form}")
+    if form == "ros2":
+        from hil.recording.ros2 import export_ros2
+
+        for topic, count in export_ros2(Path(recording), target).items():
+            Console().print(f"{target}: {topic} {count} messages", highlight=False, soft_wrap=True, markup=False)
+        return 0
     refuse(check_json_path("--out", str(target)))
 
     from hil.recording import export as numbers

@@ -48,7 +48,8 @@ COMMANDS: Final = {
     "monitor": "Measure range, range rate and angles on the video of an approach, each with its standard deviation.",
     "replay": "Replay the recorded inputs of a run through the present GNC and compare bit by bit.",
     "recover": "Restore a truncated recording in a new file; the file itself stays unchanged.",
-    "export": "Write the numbers of a recording as Parquet or CSV, or its camera images.",
+    "export": "Write the numbers of a recording as Parquet or CSV, its camera images, or all of it as a bag of ROS 2.",
+    "fmu-export": "Write truth, sensors, thrusters and mock axes of one run as an FMU for co-simulation.",
     "warm-up": "Compile all kernels for this computer, and print the time that each group of them takes.",
     "report": "Write a self-contained HTML report of a run, or a comparison of several.",
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from hil.core.messages import ARRIVAL, AXES, CYCLE, MAX_POSES, POSE, new
 from hil.drivers.axes import ServoAxes
 from hil.dynamics.imu import IMU_NOISE
 from hil.dynamics.vision import VISION_NOISE
-from hil.errors import BenchError, LinkTimeout, ProtocolError, SafetyTrip
+from hil.errors import BadInput, BenchError, LinkTimeout, ProtocolError, SafetyTrip
 from hil.gnc.fusion import MEMORY, STEP
 from hil.gnc_backends import external_records
 from hil.gnc_backends.external import fault_text, hold_reason, reported_fault
@@ -92,9 +93,7 @@ class CaseRunner:
         truth: the scenario of vehicle, sensors and start. history: (n,) of CYCLE, filled for the first n cycles.
         """
         stats = self._stats
-        for block in (self._state_block, self._stats_block, self._memory):
-            block[...] = np.zeros((), block.dtype)
-        start_run_stats(stats)
+        self._clear()
         self._set_truth(truth, seed)
         interlock = self._interlock()
         if interlock:
@@ -115,24 +114,44 @@ class CaseRunner:
             yield
 
     def _run_loop(self, truth: Scenario, seed: int, history: np.ndarray | None) -> int:
-        state, stats = self._state, self._stats
-        code: int = run_loop(
+        code: int = run_loop(*self._arguments(truth, seed, np.zeros(0, CYCLE) if history is None else history))
+        return code
+
+    def _arguments(self, truth: Scenario, seed: int, history: np.ndarray) -> tuple[Any, ...]:
+        """Return the arguments of ``run_loop``."""
+        return (
             self._params,
             dynamics_params.field(truth),
             self._leds,
             stream(seed, "imu").standard_normal(out=self._imu_noise),
             stream(seed, "vision").standard_normal(out=self._vision_noise),
             stream(seed, "transport").random(out=self._travel_draws),
-            state,
+            self._state,
             self._memory,
             self._poses,
             self._frames,
             self._delayed,
-            stats,
-            np.zeros(0, CYCLE) if history is None else history,
+            self._stats,
+            history,
             self._arrivals,
         )
-        return code
+
+    def prepared(self, truth: Scenario, seed: int) -> tuple[Any, ...]:
+        """Return the arguments of ``run_loop`` before the first cycle of a case, without library and statistics.
+
+        Raises BadInput if the bench could not be armed at the start pose.
+        """
+        self._clear()
+        self._set_truth(truth, seed)
+        if interlock := self._interlock():
+            raise BadInput.single(truth.name, "initial", interlock)
+        self._params.counts = 0
+        return self._arguments(truth, seed, np.zeros(0, CYCLE))
+
+    def _clear(self) -> None:
+        for block in (self._state_block, self._stats_block, self._memory):
+            block[...] = np.zeros((), block.dtype)
+        start_run_stats(self._stats)
 
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
