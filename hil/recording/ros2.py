@@ -1,7 +1,7 @@
 """Export of a recording as a bag of ROS 2: an MCAP file with ROS 2 messages, and its ``metadata.yaml``.
 
-Messages are encoded here (OMG CDR, little-endian), from the definitions of the ROS 2 interfaces. Stamps are the wall
-clock at the start of the run plus the time of the run; ``/time_of_run`` has the latter.
+Messages are encoded here (OMG CDR, little-endian), from the definitions of the ROS 2 interfaces. Stamps are the
+wall clock at the start of the run plus the time of the run; ``/time_of_run`` has the latter.
 """
 
 from __future__ import annotations
