@@ -26,8 +26,8 @@ from hil.core.messages import CYCLE
 from hil.fmi.mapping import record_fields
 from hil.fmi.package import SHELL, Model, ModelVariable, build
 from hil.gnc_backends.c_header import HEADER_FILE
-from hil.loop.compiled.library_kernel import LIBRARY
 from hil.loop.compiled import loop_kernel
+from hil.loop.compiled.library_kernel import LIBRARY
 from hil.loop.compiled.loop_kernel import LOOP_STATE, run_loop
 from hil.monte_carlo.case_runner import CaseRunner
 
