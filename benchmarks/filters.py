@@ -15,7 +15,7 @@ from numba import njit
 from hil.config.load import load_scenario
 from hil.core.messages import IMU, POSE, new
 from hil.gnc import akf, fusion, pkf
-from hil.gnc.fusion import FUSION_STATE, MEMORY, STEP
+from hil.gnc.fusion import FUSION_STATE
 from hil.params import gnc as gnc_params
 
 REPEATS, CALLS = 9, 2000
@@ -71,7 +71,7 @@ def many(params, state, pose, zero, what, n):
 
 def own_costs() -> dict[str, float]:
     params = gnc_params.navigation(load_scenario("scheme-1").value).fusion
-    state, memory, imu, pose = new(FUSION_STATE), np.zeros(MEMORY, STEP), new(IMU), new(POSE)
+    state, memory, imu, pose = new(FUSION_STATE), fusion.new_memory(params), new(IMU), new(POSE)
     pose.q_CH[3] = 1.0
     pose.z_TC_C[0] = -5.0
     pose.covariance_position, pose.covariance_attitude = 2.5e-5 * np.eye(3), 3.3e-7 * np.eye(3)

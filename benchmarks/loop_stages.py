@@ -62,16 +62,16 @@ def receive_poses(params, state, frames, delayed, poses, arrivals, n):
 
 
 @kernel
-def predict(params, state, memory, poses, n):
+def predict(params, state, samples, memory, poses, n):
     for _ in range(n):
-        step.navigate(params.gnc, state.gnc, memory, state.now.imu, poses, 0, state.now.navigation)
+        step.navigate(params.gnc, state.gnc, memory, samples, poses, 0, state.now.navigation)
 
 
 @kernel
-def fuse(params, state, memory, poses, n):
+def fuse(params, state, samples, memory, poses, n):
     for _ in range(n):
         poses[0].t_s = state.gnc.navigation.fusion.cycle * params.step_s
-        step.navigate(params.gnc, state.gnc, memory, state.now.imu, poses, 1, state.now.navigation)
+        step.navigate(params.gnc, state.gnc, memory, samples, poses, 1, state.now.navigation)
 
 
 @kernel
@@ -115,6 +115,7 @@ def sample_imu(params, state, noise, n):
 @kernel
 def follow(params, state, stats, n):
     for _ in range(n):
+        loop._aim(params, state)
         loop._send_setpoints(params, state, stats, state.rails.t_s)
 
 
@@ -145,7 +146,8 @@ def main() -> None:
         took.append(time.thread_time() - begun)
     flight = CaseRunner(scenario, load_rig("mock").value, 0.5 * scenario.duration_s)
     flight.run(scenario, 0)
-    p, s, memory, poses = flight._params, flight._state, flight._memory, flight._poses
+    p, s, samples = flight._params, flight._state, flight._samples
+    memory, poses = flight._memory, flight._poses
     frames, stats, arrivals = flight._frames, flight._stats, np.zeros(0, ARRIVAL)
     field, leds = dynamics_params.field(scenario), flight._leds
     imu_noise, vision_noise, draws = flight._imu_noise, flight._vision_noise, flight._travel_draws
@@ -156,8 +158,8 @@ def main() -> None:
         "supervision of the bench": best_ns(flight, lambda n: supervise_bench(p, s, n)),
         "vision unit": best_ns(flight, lambda n: expose(p, s, vision_noise, draws, leds, frames, stats, n)) / a_pose
         + best_ns(flight, lambda n: receive_poses(p, s, frames, frames.copy(), poses, arrivals, n)) / a_pose,
-        "filters, prediction": (alone := best_ns(flight, lambda n: predict(p, s, memory, poses, n))),
-        "filters, poses": (best_ns(flight, lambda n: fuse(p, s, memory, poses, n)) - alone) / a_pose,
+        "filters, prediction": (alone := best_ns(flight, lambda n: predict(p, s, samples, memory, poses, n))),
+        "filters, poses": (best_ns(flight, lambda n: fuse(p, s, samples, memory, poses, n)) - alone) / a_pose,
         "consistency of the filters": best_ns(flight, lambda n: errors(s, n)) / a_pose,
         "guidance, supervision, control": best_ns(flight, lambda n: decide(p, s, n)),
         "stats": best_ns(flight, lambda n: cycle_stats(p, s, stats, n)),

@@ -24,7 +24,9 @@ from hil.core.operator_commands import Operator
 from hil.gnc_backends.python_object import PythonGnc, class_name
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
+from hil.report.long_run import accumulate
 from hil.report.summary import summarise
+from hil.report.verdict import Verdict
 from hil.session import build, with_docking_monitor
 from hil.session.warm_up import compile_kernels
 from hil.setup.assembly import Job
@@ -128,9 +130,10 @@ def run_job(request: RunRequest) -> Run:
             look,
         ):
             request.attach(runner)
+            numbers = accumulate(runner, job)
             outcome = runner.run()
             watched = look(outcome)
-        found = judged_run(job, request.rig_name, outcome, watched)
+        found = judged_run(job, request.rig_name, outcome, watched, numbers(outcome))
         found.summary.update(request.more | request.link_stats())
         if recorder:
             kept = recorder.finish(found.summary)
@@ -138,10 +141,17 @@ def run_job(request: RunRequest) -> Run:
     return found
 
 
-def judged_run(job: Job, rig: str, outcome: Outcome, watched: MonitorOutcome | None = None) -> Run:
-    """Return the results of ``outcome``. watched: results of the docking monitor."""
+def judged_run(
+    job: Job,
+    rig: str,
+    outcome: Outcome,
+    watched: MonitorOutcome | None = None,
+    numbers: tuple[dict[str, Any], Verdict] | None = None,
+) -> Run:
+    """Return the results of ``outcome``. watched: results of the docking monitor. numbers: of a long run."""
     scenario = job.scenario.value
-    summary, verdict = summarise(outcome, scenario, job.rig.value, rig, job.seed, 1.0 / scenario.step_s)
+    rate_hz = 1.0 / scenario.step_s
+    summary, verdict = summarise(outcome, scenario, job.rig.value, rig, job.seed, rate_hz, numbers)
     if watched is not None:
         from hil.report.docking_monitor import judge_monitor  # slow imports
 

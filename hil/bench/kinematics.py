@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.core.messages import AXES
 from hil.maths import euler, quat, stack
 
 BENCH_PARAMS = np.dtype(
@@ -29,6 +30,9 @@ BENCH_PARAMS = np.dtype(
 )
 
 MOTION = np.dtype([("position", "f8", 6), ("rate", "f8", 6)], align=True)  # rails, then gimbals; rate of the last step
+
+SPAN = np.dtype([("known", "i8"), ("begin", AXES), ("end", AXES)], align=True)
+"""Axes at begin and end of a cycle, without limits. known: 1 if ``end`` is that of the present motion."""
 
 
 @kernel
@@ -144,6 +148,49 @@ def limit_setpoint(params, motion, wanted, out):
         motion.position[axis] = position
         write_axis(axis, position, feedforward, out)
     return limited
+
+
+@kernel
+def extend_span(span, target, duration_s):
+    """Begin the next cycle, of ``duration_s``, where the last one ends; it ends at ``target`` (AXES).
+
+    The first one of a motion begins where ``target`` comes from at its rates. span: SPAN.
+    """
+    if span.known != 0:
+        _copy_axes(span.end, span.begin)
+    else:
+        _copy_axes(target, span.begin)
+        for i in range(3):
+            span.begin.rail_m[i] -= duration_s * target.rail_mps[i]
+            span.begin.gimbal_rad[i] -= duration_s * target.gimbal_radps[i]
+    _copy_axes(target, span.end)
+    span.known = 1
+
+
+@kernel
+def within_span(span, duration_s, fraction, out):
+    """Write ``out`` (AXES): positions and rates at ``fraction`` of the cycle of ``duration_s``; at 1 exactly its end.
+
+    Cubic Hermite interpolation: off by the fourth power of the duration while the acceleration is constant.
+    """
+    s = fraction
+    h00, h10 = (2.0 * s - 3.0) * s * s + 1.0, ((s - 2.0) * s + 1.0) * s
+    h01, h11 = (3.0 - 2.0 * s) * s * s, (s - 1.0) * s * s
+    d00, d10 = 6.0 * (s - 1.0) * s, (3.0 * s - 4.0) * s + 1.0
+    d11 = (3.0 * s - 2.0) * s
+    begin, end = span.begin, span.end
+    for i in range(3):
+        a, b, u, v = begin.rail_m[i], end.rail_m[i], begin.rail_mps[i], end.rail_mps[i]
+        out.rail_m[i] = h00 * a + h01 * b + duration_s * (h10 * u + h11 * v)
+        out.rail_mps[i] = d00 * (a - b) / duration_s + d10 * u + d11 * v
+        a, b, u, v = begin.gimbal_rad[i], end.gimbal_rad[i], begin.gimbal_radps[i], end.gimbal_radps[i]
+        out.gimbal_rad[i] = h00 * a + h01 * b + duration_s * (h10 * u + h11 * v)
+        out.gimbal_radps[i] = d00 * (a - b) / duration_s + d10 * u + d11 * v
+
+
+@kernel
+def _copy_axes(source, out):
+    write_axes(source.rail_m, source.rail_mps, source.gimbal_rad, source.gimbal_radps, out)
 
 
 @kernel

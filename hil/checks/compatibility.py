@@ -12,13 +12,17 @@ from hil.bench.kinematics import axes_of_pose
 from hil.checks.reachability import check_reachability
 from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest
-from hil.config.rig import BENCH_AXES, Rig
+from hil.config.rig import BENCH_AXES, AxisGroupTable, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import AXES, MAX_THRUSTERS, new
 from hil.errors import BadInput, Problem
 from hil.maths import euler
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
+
+_RATE_MAX_HZ = 10_000.0
+_RATIO_TOLERANCE = 1e-9
+_MEMORY_STEPS_MAX = 20_000  # each of them 3 kB, and a few microseconds when a pose is that late
 
 
 def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_deg: Sequence[float]) -> np.record:
@@ -63,6 +67,65 @@ def check_host(rig: Loaded[Rig]) -> list[Problem]:
         return []
     text = f"{cpu}: this computer has {', '.join(map(str, present))}"
     return [Problem(rig.where("host.cpu"), "rig.host.cpu", text)]
+
+
+def check_rates(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return the problems of the rates of IMU and axes: of their ratio to the cycle's, and of the axes' wires."""
+    step_s = scenario.value.step_s
+    imu_hz, axes_hz = scenario.value.imu.rate_hz, rig.value.bench.axes_rate_hz
+    problems = []
+    for source, key, rate_hz in (
+        (scenario.where("imu.rate_hz"), "imu.rate_hz", imu_hz),
+        (rig.where("bench.axes_rate_hz"), "rig.bench.axes_rate_hz", axes_hz),
+    ):
+        ratio = 1.0 if rate_hz is None else rate_hz * step_s
+        if abs(ratio - round(ratio)) > _RATIO_TOLERANCE * ratio or round(ratio) < 1:
+            text = f"{rate_hz:g}: allowed are multiples of the cycle's rate, {1.0 / step_s:g} Hz (step_s {step_s:g})"
+            problems.append(Problem(source, key, text))
+        elif rate_hz is not None and rate_hz > _RATE_MAX_HZ:
+            problems.append(Problem(source, key, f"{rate_hz:g}: at most {_RATE_MAX_HZ:g} are allowed"))
+    return problems or _wire_problems(scenario, rig)
+
+
+def _wire_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each axis group whose wire cannot carry the setpoints."""
+    own_hz, step_s = rig.value.bench.axes_rate_hz, scenario.value.step_s
+    if own_hz is not None:
+        source, key, value, setpoints_hz = rig.where("bench.axes_rate_hz"), "rig.bench.axes_rate_hz", own_hz, own_hz
+    else:
+        source, key, value, setpoints_hz = scenario.where("step_s"), "step_s", step_s, 1.0 / step_s
+    problems = []
+    for name, table in rig.value.device_tables().items():
+        if not (isinstance(table, AxisGroupTable) and table.has_wires) or name == "target_manipulator":
+            continue
+        most_hz = table.entry.setpoints_hz(table)
+        if setpoints_hz > most_hz:
+            text = f"{setpoints_hz:g} setpoints per second, the wire of {name} ({table.driver}) carries {most_hz:.0f}"
+            problems.append(Problem(source, key, f"{value:g}: {text}"))
+    return problems
+
+
+def check_memory(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem if poses arrive later than the filters remember, or if they remember too many steps."""
+    value = scenario.value
+    navigation, vmu = value.gnc.navigation, value.vmu
+    if navigation.sensors != "vision_imu" or value.gnc.binary is not None:
+        return []
+    key = "gnc.navigation.memory_s"
+    if value.memory_steps > _MEMORY_STEPS_MAX:
+        text = (
+            f"{navigation.memory_s:g}: {value.memory_steps} steps of {value.sample_s:g} s, allowed {_MEMORY_STEPS_MAX}"
+        )
+        return [Problem(scenario.where(key), key, text)]
+    parts = [f"vmu.latency_s {vmu.latency_s:g}", f"vmu.latency_jitter_s {vmu.latency_jitter_s:g}"]
+    oldest_s = vmu.latency_s + vmu.latency_jitter_s + 2.0 * value.step_s
+    if rig.value.vmu.has_wires:
+        parts.append(f"rig.vmu.processing_s {rig.value.vmu.processing_s:g}")
+        oldest_s += rig.value.vmu.processing_s
+    if oldest_s > navigation.memory_s:
+        text = f"{navigation.memory_s:g}: allowed from {oldest_s:g}, the age of the latest poses ({', '.join(parts)})"
+        return [Problem(scenario.where(key), key, text)]
+    return []
 
 
 def check_drivers(rig: Loaded[Rig]) -> list[Problem]:

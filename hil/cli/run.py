@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from hil.cli.options import Group, OptionalInteger, Output, RunOptions, refuse
+from hil.cli.options import Flag, Group, OptionalInteger, Output, RunOptions, refuse
 from hil.cli.output import check_json_path, write_json
 from hil.cli.progress import ProgressBar
 from hil.errors import BadInput, Problem
@@ -29,6 +29,7 @@ def run(
     *,
     rig: str = "mock",
     options: Group[RunOptions] = _DEFAULTS,
+    until_stopped: Flag = False,
     case: OptionalInteger = None,
     record: str | None = None,
     json: Output = None,
@@ -41,6 +42,8 @@ def run(
         scheme-1, scheme-2, scheme-3, or the path of a scenario file.
     rig
         mock, emulated, or the path of a rig file.
+    until_stopped
+        Run until Ctrl-C, which ends the run normally; memory does not grow.
     case
         Number of a case of the campaign of this scenario and seed, to be run in full detail.
     record
@@ -51,6 +54,8 @@ def run(
     problems = options.problems() + check_json_path("--json", json)
     if case is not None and case < 0:
         problems.append(Problem("--case", "", f"{case}: must not be negative"))
+    if until_stopped and options.duration is not None:
+        problems.append(Problem("--until-stopped", "", "does not go together with --duration"))
     refuse(problems)
 
     from hil.api.jobs import loaded_rig, loaded_scenario, make_job
@@ -62,6 +67,7 @@ def run(
     if loaded.value.gnc.binary is not None and sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # a library that crashes takes this process with it: print where
     job = make_job(loaded, loaded_rig(rig, options.settings), options.seed, options.duration, options.speed)
+    job = replace(job, until_stopped=until_stopped)
     if case is not None:
         from hil.api.campaigns import job_of_case
 

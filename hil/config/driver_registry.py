@@ -12,6 +12,7 @@ An entry is imported when a rig file selects its driver, its driver and emulator
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -104,6 +105,7 @@ class DriverEntry:
     check_files: returns a line per protection that the files named in the table leave out; raises BadInput for a file
     that the driver cannot use.
     identity: what the driver requires the device to report, by name; empty: any device is accepted.
+    setpoints_hz: most setpoints per second that the wire of an axis group carries, inf if its speed does not matter.
     """
 
     device: Device
@@ -115,6 +117,7 @@ class DriverEntry:
     check: Callable[[Any], None] = lambda table: None
     check_files: Callable[[Any], list[str]] = lambda table: []
     identity: Callable[[Any], Mapping[str, str]] = lambda table: {}
+    setpoints_hz: Callable[[Any], float] = lambda table: math.inf
 
 
 @cache

@@ -23,7 +23,7 @@ class HostConfig(ConfigModel):
     on_overrun: OnOverrun | None = None
     """Reaction to lost periods: count, hold or safe stop. Unless set: safe_stop on hardware, log otherwise."""
     overruns_max: Annotated[int, Field(ge=0)] = 5
-    """Lost periods that `on_overrun` allows ..."""
+    """Lost periods of the cycle that `on_overrun` allows ..."""
     overruns_window_s: Positive = 1.0
     """... within this time (leaky bucket)."""
     late_wakeup_us: Positive = 1000.0

@@ -26,6 +26,8 @@ def motion_digest(rig: Rig) -> str:
     for device, names in (("rails", RAIL_NAMES), ("turntable", GIMBAL_NAMES), ("target_manipulator", RAIL_NAMES)):
         for name in names if table[device] is not None else ():
             del table[device][name]["lead_s"]
+    if rig.bench.axes_rate_hz is None:
+        del table["bench"]["axes_rate_hz"]  # added later: a sign-off from before stays valid
     if rig.turntable.ascii is not None:
         protocol = load_protocol(rig.turntable.ascii.protocol).value
         dump = with_first_names("Protocol", protocol.model_dump(mode="json"))

@@ -44,6 +44,9 @@ class BenchGeometry(ConfigModel):
     """Rows: axes of the left camera in c."""
     led_ring_position_m: Triple = (0.0, 0.0, 0.0)
     """In H: target's reference point to the centre of the LED ring."""
+    axes_rate_hz: Positive | None = None
+    """Setpoints per second, a multiple of the cycle's rate, interpolated between two cycles; unless set, one per
+    cycle."""
     park_after_run: bool = False
     """Move all axes to `park_m` and `park_deg` at the end of a complete run."""
     led_ring_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))
@@ -518,6 +521,11 @@ class Rig(ConfigModel):
     def brake_open_s(self) -> float:
         """Longest opening time of the holding brakes, s; 0 without one."""
         return max((brake.open_s for brake in self.holding_brakes), default=0.0)
+
+    def ticks(self, step_s: float) -> int:
+        """Return the number of setpoints per cycle of ``step_s``."""
+        rate_hz = self.bench.axes_rate_hz
+        return 1 if rate_hz is None else max(1, round(rate_hz * step_s))
 
     def device_tables(self) -> dict[str, DeviceTable]:
         """Return the tables of the devices that the bench has, by their keys."""

@@ -24,7 +24,7 @@ AngleTriple = tuple[
 
 
 DURATION_MAX_S = 1e6
-CYCLES_MAX = 5_000_000  # of a run, 28 h at 50 Hz: each leaves a record of 2 kB
+CYCLES_MAX = 5_000_000  # of a run with a duration, 28 h at 50 Hz: each leaves 2 kB in a recording
 Duration = Annotated[float, Field(gt=0.0, le=DURATION_MAX_S)]
 Delay = Annotated[float, Field(ge=0.0, le=1.0)]
 Probability = Annotated[float, Field(ge=0.0, lt=1.0)]
@@ -114,6 +114,8 @@ class Imu(ConfigModel):
     """Random walk of the bias."""
     accelerometer_noise_mps2: NotNegative
     """Noise of a sample."""
+    rate_hz: Positive | None = None
+    """Samples per second, a multiple of the cycle's rate; unless set, one sample per cycle."""
 
 
 class RenderedImages(ConfigModel):
@@ -167,6 +169,8 @@ class Navigation(ConfigModel):
     """Fusion of poses and IMU, or vision alone."""
     gate_sigma: Positive
     """Poses with a larger innovation are rejected and counted."""
+    memory_s: Positive = 1.28
+    """Time for which samples and filters are kept: an older pose cannot be fused at its exposure and is discarded."""
 
 
 class AttitudeFilter(ConfigModel):
@@ -429,7 +433,7 @@ class Scenario(ConfigModel):
     duration_s: Duration
     """Length of the run."""
     step_s: Annotated[float, Field(ge=1e-4, le=1.0)]
-    """Period of the cycle."""
+    """Period of the cycle: of guidance, navigation and control, and of the recorded rows."""
     orbit: Orbit
     truth: Truth = Truth()
     chaser: Chaser
@@ -444,3 +448,18 @@ class Scenario(ConfigModel):
     """Faults of devices, in the run's time."""
     dispersions: Dispersions = Dispersions()
     console: LiveTuning = LiveTuning()
+
+    @property
+    def imu_samples(self) -> int:
+        """Samples of the IMU per cycle."""
+        return 1 if self.imu.rate_hz is None else max(1, round(self.imu.rate_hz * self.step_s))
+
+    @property
+    def sample_s(self) -> float:
+        """Period of the IMU: step of the truth and of the filters, s."""
+        return self.step_s / self.imu_samples
+
+    @property
+    def memory_steps(self) -> int:
+        """Steps of the filters that are kept."""
+        return math.ceil(self.gnc.navigation.memory_s / self.sample_s - 1e-9)

@@ -26,7 +26,9 @@ from hil.frmn.mailbox import MailboxBlock
 from hil.loop.runner import Outcome
 from hil.recording.session import RunRecorder, recording
 from hil.report.docking_monitor import judge_monitor
+from hil.report.long_run import accumulate
 from hil.report.summary import summarise
+from hil.report.verdict import Verdict
 from hil.session import build
 from hil.session.warm_up import compile_kernels
 from hil.setup.docking_monitor import MonitorOutcome
@@ -71,11 +73,12 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
             with opened(job, operator, announce, taken.sinks if taken else None) as bench:
                 operator.attach(bench.runner, bench.event_recorder, job.scenario.value.console.adjustable)
                 _send_hello(channel, bench, status, taken)
+                numbers = accumulate(bench.runner, job)
                 outcome = bench.runner.run()
                 operator.publish(bench.runner.now_s())
                 messages.send(word="the loop has ended: evaluating the run and closing its files", closing=True)
                 watched = bench.watched(outcome)
-            messages.send(ended=_result(choice, job, outcome, watched, taken))
+            messages.send(ended=_result(choice, job, outcome, watched, taken, numbers(outcome)))
     except BadInput as error:
         messages.send(refused=[str(problem) for problem in error.problems])
     except BenchError as error:
@@ -125,21 +128,26 @@ def _send_hello(channel: socket.socket, bench: ConsoleBench, status: MailboxBloc
 
 
 def _result(
-    choice: Choice, job: build.Job, outcome: Outcome, watched: MonitorOutcome | None, taken: RunRecorder | None
+    choice: Choice,
+    job: build.Job,
+    outcome: Outcome,
+    watched: MonitorOutcome | None,
+    taken: RunRecorder | None,
+    numbers: tuple[dict[str, Any], Verdict] | None,
 ) -> dict[str, Any]:
-    """Return the result for the console, and close the recording."""
+    """Return the result for the console, and close the recording. numbers: of a long run."""
     rate_hz = 1.0 / job.scenario.value.step_s
     ended: dict[str, Any] = {"stop": outcome.stop, "faults": outcome.faults, "mode": outcome.mode.value, "passed": None}
     summary: dict[str, Any] = {}
     if len(outcome.history):
-        summary, _ = summarise(outcome, job.scenario.value, job.rig.value, choice.rig, job.seed, rate_hz)
+        summary, _ = summarise(outcome, job.scenario.value, job.rig.value, choice.rig, job.seed, rate_hz, numbers)
         if watched is not None:
             summary["monitor"] = judge_monitor(watched, outcome.history, job.scenario.value, job.rig.value)
         ended |= {
             "passed": summary["passed"],
             "ready_time_s": summary["ready_time_s"],
             "parts": {name: part["passed"] for name, part in summary["verdict"].items()},
-            "cycles": len(outcome.history),
+            "cycles": summary["timing"]["cycles"],
             "timing": summary["timing"],
         }
     if taken is not None:

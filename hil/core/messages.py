@@ -167,6 +167,24 @@ CYCLE_FIELDS: Final = (
 )
 CYCLE = record_dtype(CYCLE_FIELDS)
 
+IMU_SAMPLE_FIELDS: Final = (
+    Field("cycle", "i8", (), "1", "", "number of the cycle that uses it"),
+    Field("t_s", "f8", (), "s", "", "end of the sample, time of the run"),
+    Field("imu", IMU_FIELDS),
+)
+IMU_SAMPLE = record_dtype(IMU_SAMPLE_FIELDS)
+"""A sample of an IMU that is faster than the cycle."""
+
+AXES_SAMPLE_FIELDS: Final = (
+    Field("t_s", "f8", (), "s", "", "time of the run at which the setpoint was sent"),
+    Field("setpoint", AXES_FIELDS),
+    Field("feedback", AXES_FIELDS),
+    Field("sampled_s", "f8", 2, "s", "", "when the encoders of rails and turntable had these values, time of the run"),
+    Field("lateness_s", "f8", (), "s", "", "lateness of the wake-up, wall clock"),
+)
+AXES_SAMPLE = record_dtype(AXES_SAMPLE_FIELDS)
+"""A setpoint of axes that are faster than the cycle, with the encoders read before it."""
+
 VMU_FRAME_FIELDS: Final = (
     Field("counter", "i8", (), "1", "", "frame number of the unit, wraps at 2^32"),
     Field("t_s", "f8", (), "s", "", "exposure, bench time"),
@@ -197,6 +215,11 @@ def new(dtype: np.dtype) -> np.record:
     """Return one zeroed record of ``dtype`` that owns its memory."""
     record: np.record = np.zeros(1, dtype).view(np.recarray)[0]
     return record
+
+
+def imu_samples(row: np.ndarray, n: int) -> np.ndarray:
+    """Return memory for the IMU's samples of a cycle, (n,) of IMU; for one it is ``imu`` of ``row``, (1,) of CYCLE."""
+    return row["imu"].view(np.ndarray) if n == 1 else np.zeros(n, IMU)
 
 
 class Homing(IntEnum):

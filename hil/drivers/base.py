@@ -93,6 +93,14 @@ class CountsLosses(Protocol):
 
 
 @runtime_checkable
+class Exposes(Protocol):
+    """A simulated vision unit, whose exposures between two ``poll`` are taken when it is called."""
+
+    def expose(self, now_s: float) -> None:
+        """Take the exposures up to bench time ``now_s``."""
+
+
+@runtime_checkable
 class PoseSource(Protocol):
     """The vision measurement unit."""
 

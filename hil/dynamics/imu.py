@@ -1,7 +1,7 @@
 """Virtual IMU: bench paper eq. (1) and (2) with drift and bias as random walks.
 
 Gyro and accelerometer integrate, as fibre-optic gyros and quartz accelerometers do: a sample is the
-mean over the step, so a thruster pulse within the step is measured in full.
+mean over the step, so a thruster pulse within the step is measured in full. The truth takes one step per sample.
 """
 
 from __future__ import annotations
@@ -9,7 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics import imu_faults
+from hil.dynamics import truth as truth_kernels
+from hil.maths import stack
+from hil.maths.arrays import copy_into, fill
 from hil.models.faults import FAULTS
 
 IMU_NOISE = 12  # standard normals per sample: gyro, accelerometer, drift, bias
@@ -52,3 +56,45 @@ def sample_with_faults(params, truth, noise, memory, imu):
     imu_faults.distort(
         params.faults, memory, truth.t_s, params.dt_s, params.sigma_gyro, params.sigma_accelerometer, imu
     )
+
+
+@kernel
+def propagate(dss, params, field, memory, truth, on, noise, imu_memory, samples, imu):
+    """Propagate ``truth`` by one cycle, in as many equal steps as there are ``samples``, (n,) of IMU, which are filled.
+
+    dss: DSS_PARAMS, params: IMU_PARAMS, both with the step of a sample. field, memory, truth, on: as of ``truth.step``.
+    noise: (n, 12), see ``sample``. imu_memory: IMU_MEMORY. imu: IMU, on return the mean of the samples; with one sample
+    it may be that sample. Means over the last step in ``truth`` become means over the cycle.
+    """
+    n = samples.shape[0]
+    means, fraction = stack.matrix(4, 3), stack.vector(MAX_THRUSTERS)
+    for row in range(4):
+        fill(means[row], 0.0)
+    fill(fraction, 0.0)
+    for k in range(n):
+        truth_kernels.step(dss, field, memory, truth, on)
+        sample_with_faults(params, truth, noise[k], imu_memory, imu)
+        if n > 1:
+            copy_sample(imu, samples[k])
+            for i in range(3):
+                means[0, i] += imu.rate_C[i] / n
+                means[1, i] += imu.force_C[i] / n
+                means[2, i] += truth.mean_rate_C[i] / n
+                means[3, i] += truth.mean_force_C[i] / n
+            for i in range(MAX_THRUSTERS):
+                fraction[i] += truth.thrust_fraction[i] / n
+    if n > 1:
+        copy_into(imu.rate_C, means[0])
+        copy_into(imu.force_C, means[1])
+        copy_into(truth.mean_rate_C, means[2])
+        copy_into(truth.mean_force_C, means[3])
+        copy_into(truth.thrust_fraction, fraction)
+
+
+@kernel
+def copy_sample(imu, out):
+    """Copy a record of IMU."""
+    copy_into(out.rate_C, imu.rate_C)
+    copy_into(out.force_C, imu.force_C)
+    copy_into(out.drift_C, imu.drift_C)
+    copy_into(out.bias_C, imu.bias_C)

@@ -66,7 +66,7 @@ class FilterMonitor:
     def __init__(self, navigation: np.record, shadow_limits: tuple[float, float] | None) -> None:
         self.events: ObservableList[Event] = ObservableList()
         self.largest_divergence = (0.0, 0.0)  # m, rad
-        self._dt = float(navigation.fusion.pkf.dt_s)
+        self._cycle_s = float(navigation.vision_only.dt_s)
         self._position = [NisMonitor("pkf", window) for window in WINDOWS]
         self._attitude = [NisMonitor("akf", window) for window in WINDOWS]
         self._limits = shadow_limits
@@ -83,12 +83,14 @@ class FilterMonitor:
         """Whether ``update`` is needed in cycles without a pose as well."""
         return self._shadow is not None
 
-    def update(self, cycle: int, imu: np.record, poses: np.ndarray, estimate: np.record, memory: np.ndarray) -> None:
-        """Check the filters after ``cycle``. poses: of POSE, the new ones only. estimate: NAVIGATION."""
+    def update(
+        self, cycle: int, samples: np.ndarray, poses: np.ndarray, estimate: np.record, memory: np.ndarray
+    ) -> None:
+        """Check the filters after ``cycle``. samples: of IMU. poses: of POSE, the new ones. estimate: NAVIGATION."""
         if len(poses):
             self.add_innovations(cycle, estimate.nis_position, estimate.nis_attitude)
         if self._shadow is not None:
-            self._compare(cycle, imu, poses, memory)
+            self._compare(cycle, samples, poses, memory)
 
     def add_innovations(self, cycle: int, nis_position: float, nis_attitude: float) -> None:
         """Check the NIS of the update in ``cycle``; nan for a filter without one."""
@@ -96,12 +98,12 @@ class FilterMonitor:
             for monitor in monitors if math.isfinite(nis) else ():
                 text = monitor.add(nis)
                 if text:
-                    self.events.append(Event(float(round(cycle * self._dt, 6)), monitor.name, text))
+                    self.events.append(Event(float(round(cycle * self._cycle_s, 6)), monitor.name, text))
 
-    def _compare(self, cycle: int, imu: np.record, poses: np.ndarray, memory: np.ndarray) -> None:
+    def _compare(self, cycle: int, samples: np.ndarray, poses: np.ndarray, memory: np.ndarray) -> None:
         assert self._shadow is not None
         assert self._limits is not None
-        divergence = self._shadow.step(cycle, imu, poses, memory)
+        divergence = self._shadow.step(cycle, samples, poses, memory)
         if divergence is None:
             return
         self.largest_divergence = (
@@ -115,5 +117,5 @@ class FilterMonitor:
                 f"and {math.degrees(divergence.angle):.4f} deg, "
                 f"allowed {self._limits[0]:g} m and {math.degrees(self._limits[1]):g} deg"
             )
-            self.events.append(Event(float(round(cycle * self._dt, 6)), "shadow", text))
+            self.events.append(Event(float(round(cycle * self._cycle_s, 6)), "shadow", text))
         self._diverged = diverged

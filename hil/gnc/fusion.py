@@ -1,7 +1,7 @@
 """Both filters with a memory, so that a pose is fused at its own time however late it arrives.
 
-The last ``MEMORY`` steps are kept: the IMU's sample of each, the predicted filters, and the poses of
-that moment. A pose is assigned to the step nearest to its exposure; the filters return to that step and are
+The last steps are kept, as many as ``new_memory`` holds: the IMU's sample of each, the predicted filters, and the
+poses of that moment. A pose is assigned to the step nearest to its exposure; the filters return to that step and are
 propagated forward again over the same samples and poses. The result is that of a filter that had waited for
 the pose.
 """
@@ -21,7 +21,6 @@ from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix
 
-MEMORY = 64  # steps; at 50 Hz 1.28 s
 POSES_PER_STEP = 2
 
 NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED = range(4)
@@ -29,7 +28,16 @@ NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED = range(4)
 MULTIPLICATIVE = 0
 AS_PRINTED = 1
 
-FUSION_PARAMS = np.dtype([("attitude_form", "i8"), ("akf", AKF_PARAMS), ("pkf", PKF_PARAMS)], align=True)
+FUSION_PARAMS = np.dtype(
+    [
+        ("attitude_form", "i8"),
+        ("memory", "i8"),  # steps that are kept
+        ("ahead", "i8"),  # steps that an exposure may be in the future: stamps and cycles are rounded
+        ("akf", AKF_PARAMS),
+        ("pkf", PKF_PARAMS),
+    ],
+    align=True,
+)
 
 FILTERS = np.dtype([("akf", AKF_STATE), ("additive", AKF_ADDITIVE_STATE), ("pkf", PKF_STATE)], align=True)
 
@@ -66,8 +74,12 @@ FUSION_STATE = np.dtype(
     align=True,
 )
 
-_AHEAD = 1  # steps that an exposure may be in the future: stamps and cycles are rounded
 _REOPEN_AFTER = 8  # consecutive rejections, after which the filter counts as wrong and the next pose is accepted
+
+
+def new_memory(params: np.record) -> np.ndarray:
+    """Return the zeroed memory of filters with FUSION_PARAMS ``params``, (n,) of STEP."""
+    return np.zeros(int(params.memory), STEP)
 
 
 @kernel
@@ -196,17 +208,17 @@ def _count(state, found, nis_attitude, nis_position):
 def _place(params, state, memory, pose):
     """Put a pose into the step nearest to its exposure; return that step's number, or -1 if there is none."""
     cycle = math.floor(pose.t_s / params.pkf.dt_s + 0.5)
-    if cycle > state.cycle + _AHEAD:  # the unit's clock runs ahead: the moment of exposure is unknown
+    if cycle > state.cycle + params.ahead:  # the unit's clock runs ahead: the moment of exposure is unknown
         state.too_late += 1
         return -1
     cycle = min(cycle, state.cycle)
-    oldest = max(0, state.cycle - MEMORY + 1)
+    oldest = max(0, state.cycle - memory.shape[0] + 1)
     if state.started != 0:
         oldest = max(oldest, state.start_cycle)
     if cycle < oldest:
         state.too_late += 1
         return -1
-    step = memory[cycle % MEMORY]
+    step = memory[cycle % memory.shape[0]]
     # the pose that started the filters is ``first`` but not counted as one to fuse
     held = step.n_poses + step.is_start
     if (held > 0 and abs(step.first.t_s - pose.t_s) < 1e-6) or (held > 1 and abs(step.second.t_s - pose.t_s) < 1e-6):
@@ -244,9 +256,9 @@ def _fuse_step(params, state, step, moment_s):
 def advance(params, state, memory, imu):
     """Begin the next step: keep its IMU sample and carry the filters over it.
 
-    memory: (MEMORY,) of STEP. The very first step has no sample before it.
+    memory: of ``new_memory``. The very first step has no sample before it.
     """
-    step = memory[state.cycle % MEMORY]
+    step = memory[state.cycle % memory.shape[0]]
     copy_into(step.rate_C, imu.rate_C)
     copy_into(step.force_C, imu.force_C)
     step.n_poses = 0
@@ -264,11 +276,11 @@ def fuse(params, state, memory, pose):
     first = _place(params, state, memory, pose)
     if first < 0:
         return
-    dt = params.pkf.dt_s
-    _copy_filters(params, memory[first % MEMORY].predicted, state.filters)
-    _fuse_step(params, state, memory[first % MEMORY], first * dt)
+    dt, n = params.pkf.dt_s, memory.shape[0]
+    _copy_filters(params, memory[first % n].predicted, state.filters)
+    _fuse_step(params, state, memory[first % n], first * dt)
     for cycle in range(first + 1, state.cycle + 1):
-        step = memory[cycle % MEMORY]
+        step = memory[cycle % n]
         _predict(params, state.filters, step.rate_C, step.force_C)
         _copy_filters(params, state.filters, step.predicted)
         _fuse_step(params, state, step, cycle * dt)

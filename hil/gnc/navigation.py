@@ -24,14 +24,19 @@ NAVIGATION_STATE = np.dtype([("fusion", FUSION_STATE), ("vision_only", VISION_ON
 
 
 @kernel
-def navigate(params, state, memory, imu, poses, n_poses, out):
-    """Use the step's IMU sample and the new poses; write ``out`` (NAVIGATION).
+def navigate(params, state, memory, samples, poses, n_poses, out):
+    """Use the IMU's samples since the last call and the new poses; write ``out`` (NAVIGATION).
 
-    memory: (fusion.MEMORY,) of fusion.STEP. poses: array of POSE, of which the first ``n_poses`` are
+    memory: of ``fusion.new_memory``. samples: (n,) of IMU, each of one step of the filters; the first call, at the
+    start of a run, uses none of them. poses: array of POSE, of which the first ``n_poses`` are
     new. ``out.valid`` is 0 until the first pose.
     """
     if params.sensors == VISION_AND_IMU:
-        fusion.advance(params.fusion, state.fusion, memory, imu)
+        n = samples.shape[0]
+        for i in range(0 if state.fusion.cycle > 0 else n - 1, n):
+            fusion.advance(params.fusion, state.fusion, memory, samples[i])
+            state.fusion.cycle += 1
+        state.fusion.cycle -= 1
         for i in range(n_poses):
             fusion.fuse(params.fusion, state.fusion, memory, poses[i])
         state.fusion.cycle += 1

@@ -1,7 +1,7 @@
 """Shadow filter: independent filters of filterpy on the same inputs, to detect a divergence of the compiled ones.
 
 Their process models are written out from bench paper eq. (6) and (14) and integrated by matrix exponentials. They run
-``LAG`` steps behind, so that late poses have come by then, and are compared with the compiled filters' memory of the
+``lag`` steps behind, so that late poses have come by then, and are compared with the compiled filters' memory of the
 same moment.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
@@ -17,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.core.messages import Array
 
-LAG = 40  # steps behind the loop; less than the compiled filters' memory
+_LAG_FRACTION: Final = 0.625  # of the compiled filters' memory
 
 
 @dataclass(slots=True)
@@ -45,7 +46,9 @@ class ShadowFilter:
         self._akf_params = params.akf
         self._pkf_params = params.pkf
         self._dt = float(params.pkf.dt_s)
-        self._inputs: deque[_Inputs] = deque(maxlen=LAG + 1)
+        self.lag = int(_LAG_FRACTION * params.memory)
+        """Steps behind the loop."""
+        self._inputs: deque[_Inputs] = deque(maxlen=self.lag + 1)
         w0 = float(params.akf.orbit_rate)
         whole = np.zeros((9, 9))  # eq. (11) with an acceleration in H as three further states (Van Loan)
         whole[:3, 3:6] = whole[3:6, 6:] = np.eye(3)
@@ -55,21 +58,32 @@ class ShadowFilter:
         self._position: KalmanFilter | None = None
         self._attitude: ExtendedKalmanFilter | None = None
 
-    def step(self, cycle: int, imu: np.record, poses: np.ndarray, memory: np.ndarray) -> Divergence | None:
-        """Use the inputs of ``cycle``; return the divergence ``LAG`` steps ago, None before the start.
+    def step(self, cycle: int, samples: np.ndarray, poses: np.ndarray, memory: np.ndarray) -> Divergence | None:
+        """Use the inputs of ``cycle``; return the divergence ``lag`` steps ago, None before the start.
 
-        poses: array of POSE, the new ones only. memory: of fusion.STEP, the compiled filters'.
+        samples: of IMU since the cycle before, each of one step; the first cycle has the last one alone. poses: of
+        POSE, the new ones only. memory: of fusion.STEP, the compiled filters'.
         """
-        self._inputs.append(_Inputs(imu.rate_C.copy(), imu.force_C.copy(), []))
+        last = cycle * len(samples)
+        divergence = None
+        for behind in reversed(range(len(samples) if cycle else 1)):
+            imu = samples[-1 - behind]
+            self._inputs.append(_Inputs(imu["rate_C"].copy(), imu["force_C"].copy(), []))
+            if behind == 0:
+                self._place(last, poses)
+            if len(self._inputs) > self.lag:
+                step = last - behind - self.lag
+                divergence = self._advance(self._inputs[0], memory[step % len(memory)]) or divergence
+        return divergence
+
+    def _place(self, last: int, poses: np.ndarray) -> None:
+        """Put each pose into the step nearest to its exposure; ``last``: number of the newest step."""
         for pose in poses:
-            behind = cycle - round(pose.t_s / self._dt)
+            behind = last - round(pose.t_s / self._dt)
             if 0 <= behind < len(self._inputs):
                 inputs = self._inputs[-1 - behind]
                 if all(abs(known.t_s - pose.t_s) > 1e-6 for known in inputs.poses):
                     inputs.poses.append(pose.copy())
-        if len(self._inputs) <= LAG:
-            return None
-        return self._advance(self._inputs[0], memory[(cycle - LAG) % len(memory)])
 
     def _advance(self, inputs: _Inputs, compiled: np.void) -> Divergence | None:
         divergence = None

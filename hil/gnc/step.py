@@ -73,13 +73,14 @@ GNC_STATE = np.dtype(
 
 
 @kernel
-def gnc_step(params, state, memory, t_s, imu, poses, n_poses, estimate, reference, supervision, command):
+def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, reference, supervision, command):
     """Run stages 4 to 7: write NAVIGATION, REFERENCE, SUPERVISION and COMMAND for ``t_s``, time of the run.
 
-    params: GNC_PARAMS. state: GNC_STATE, zeroed at the start of a run but for guidance (``guidance.start``). memory:
-    (fusion.MEMORY,) of fusion.STEP, zeroed. imu: IMU. poses: array of POSE, of which the first ``n_poses`` are new.
+    params: GNC_PARAMS. state: GNC_STATE, zeroed at the start of a run but for guidance (``guidance.start``). memory: of
+    ``fusion.new_memory``. samples: (n,) of IMU since the last step. poses: array of POSE, of which the first
+    ``n_poses`` are new.
     """
-    navigate(params, state, memory, imu, poses, n_poses, estimate)
+    navigate(params, state, memory, samples, poses, n_poses, estimate)
     guide(params.approach, state.approach, t_s, supervision, reference)
     watch_approach(params.approach, state.approach, t_s, estimate, reference, supervision, False)
     actuate(params, estimate, reference, command)
@@ -104,9 +105,9 @@ def has_event(before, after):
 
 
 @kernel
-def navigate(params, state, memory, imu, poses, n_poses, estimate):
+def navigate(params, state, memory, samples, poses, n_poses, estimate):
     """Stage 4: both filters, or vision only. Arguments as of ``gnc_step``."""
-    navigation.navigate(params.navigation, state.navigation, memory, imu, poses, n_poses, estimate)
+    navigation.navigate(params.navigation, state.navigation, memory, samples, poses, n_poses, estimate)
     state.fused = 1 if n_poses > 0 and params.navigation.sensors == navigation.VISION_AND_IMU else 0
 
 

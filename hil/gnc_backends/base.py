@@ -23,6 +23,8 @@ class Records(Protocol):
     """Records of the present cycle that a GNC reads and writes; the truth is not among them."""
 
     imu: np.record
+    samples: np.ndarray
+    """Samples of the IMU since the last cycle, (n,) of IMU; ``imu`` is their mean."""
     navigation: np.record
     reference: np.record
     supervision: np.record

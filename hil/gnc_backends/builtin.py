@@ -8,7 +8,7 @@ from hil.core.messages import Array, Event, new
 from hil.core.observable import ObservableList
 from hil.gnc import navigation, step
 from hil.gnc.filter_monitor import FilterMonitor
-from hil.gnc.fusion import MEMORY, STEP
+from hil.gnc.fusion import new_memory
 from hil.gnc.step import GNC_STATE
 from hil.gnc_backends.approach import Approach
 from hil.gnc_backends.approach_events import ApproachEventLog
@@ -25,8 +25,8 @@ class BuiltinGnc(Approach):
         self.state = new(GNC_STATE)
         super().__init__(params.approach, self.state.approach, event_log)
         self.filter_monitor = filter_monitor
-        self.memory = np.zeros(MEMORY, STEP)
-        """Of the filters, (MEMORY,) of STEP."""
+        self.memory = new_memory(params.navigation.fusion)
+        """Of the filters, (n,) of fusion.STEP."""
         self._nees = np.empty(2)
         self.fuses = bool(params.navigation.sensors == navigation.VISION_AND_IMU)
         self.fused_now = False
@@ -45,7 +45,7 @@ class BuiltinGnc(Approach):
             self.state,
             self.memory,
             t_s,
-            now.imu,
+            now.samples,
             vision.poses,
             vision.arrived,
             now.navigation,
@@ -53,23 +53,23 @@ class BuiltinGnc(Approach):
             now.supervision,
             now.command,
         )
-        self._monitor_filters(now.imu, vision, now.navigation)
+        self._monitor_filters(now.samples, vision, now.navigation)
         self.log_progress(t_s, before, now.supervision)
 
-    def navigate(self, imu: np.record, vision: Poses, estimate: np.record) -> None:
+    def navigate(self, samples: np.ndarray, vision: Poses, estimate: np.record) -> None:
         """Run stage 4 alone, for a GNC whose guidance runs on the bench: write NAVIGATION."""
-        step.navigate(self.params, self.state, self.memory, imu, vision.poses, vision.arrived, estimate)
-        self._monitor_filters(imu, vision, estimate)
+        step.navigate(self.params, self.state, self.memory, samples, vision.poses, vision.arrived, estimate)
+        self._monitor_filters(samples, vision, estimate)
 
     def actuate(self, estimate: np.record, reference: np.record, command: np.record) -> None:
         """Run stage 7 alone: write the demands and the thrusters of COMMAND."""
         step.actuate(self.params, estimate, reference, command)
 
-    def _monitor_filters(self, imu: np.record, vision: Poses, estimate: np.record) -> None:
+    def _monitor_filters(self, samples: np.ndarray, vision: Poses, estimate: np.record) -> None:
         self.cycle += 1
         self.fused_now = self.fuses and vision.arrived > 0
         if self.fused_now or (self.fuses and self.filter_monitor.needs_every_cycle):
-            self.filter_monitor.update(self.cycle, imu, vision.poses[: vision.arrived], estimate, self.memory)
+            self.filter_monitor.update(self.cycle, samples, vision.poses[: vision.arrived], estimate, self.memory)
 
     def adjust(self, params: np.record) -> int:
         """Take over other parameters between two cycles; return the number of the cycle from which on they act.

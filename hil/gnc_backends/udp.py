@@ -183,7 +183,7 @@ class UdpGnc(ExternalGnc):
         if self._read_reply(now, t_s) and (
             math.isfinite(now.navigation.nis_position) or math.isfinite(now.navigation.nis_attitude)
         ):
-            self.filter_monitor.update(self._replies.used, now.imu, _A_POSE, now.navigation, _NO_POSES)
+            self.filter_monitor.update(self._replies.used, now.samples, _A_POSE, now.navigation, _NO_POSES)
 
     def _read_reply(self, now: Records, t_s: float) -> bool:
         """Write NAVIGATION and COMMAND; return whether they are those of a GNC server."""

@@ -20,6 +20,8 @@ class BenchStage:
 
     emergency_input: returns, for a bench time, the levels of the emergency stop (None: unknown) and of its reset; None
     if the bench has no such input. local_enable: returns the level of the local enabling input; None without one.
+    if the bench has no such input. params: BENCH_PARAMS of the period of setpoints. ticks: setpoints per cycle of
+    ``cycle_s``.
     """
 
     def __init__(
@@ -29,6 +31,8 @@ class BenchStage:
         params: np.record,
         safety: SafetyMonitor,
         emergency_input: Callable[[float], tuple[bool | None, bool]] | None = None,
+        ticks: int = 1,
+        cycle_s: float = math.nan,
     ) -> None:
         self.rails = rails
         self.turntable = turntable
@@ -51,6 +55,11 @@ class BenchStage:
         self.limited_cycles = 0
         self._limits = params
         """BENCH_PARAMS with the limits that the devices have for catching up."""
+        self.ticks, self._cycle_s = ticks, cycle_s
+        self.tick = 0
+        """Tick of the last cycle that comes next; 0: all have run."""
+        self.span = new(kinematics.SPAN)
+        """Course of the axes over the last cycle, if they are faster than it."""
 
     def open(self, now_s: float) -> None:
         """Open both devices; they hold their positions. Raises SafetyTrip while ``interlock_power`` forbids it."""
@@ -109,6 +118,7 @@ class BenchStage:
         kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, self.accepted)
         kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, self.motion)
         self.commanded_s = math.nan
+        self.tick, self.span.known = 0, 0
 
     def seed_for_run(self, now_s: float, feedback: np.record) -> None:
         """``seed`` if all axes are homed, within their travel and off their limit switches; SafetyTrip otherwise."""
@@ -122,9 +132,21 @@ class BenchStage:
         kinematics.axes_of_pose(self.params, r_CT_H, v_CT_H, q_CH, w_CH_C, out)
 
     def follow(self, truth: np.record, w_CH_C: Array, now_s: float, setpoint: np.record) -> None:
-        """Command the axes to the pose in ``truth``; write the accepted setpoint into ``setpoint``."""
+        """Send the first setpoint on the way to the pose in ``truth`` at the end of this cycle.
+
+        Writes the accepted one into ``setpoint``.
+        """
         self.axes_of(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C, self._target)
+        if self.ticks > 1:
+            kinematics.extend_span(self.span, self._target, self._cycle_s)
+        self.follow_on(now_s, setpoint)
+
+    def follow_on(self, now_s: float, setpoint: np.record) -> None:
+        """Send the setpoint of the present tick of the cycle: where the axes have to be at the next one."""
+        if self.ticks > 1:
+            kinematics.within_span(self.span, self._cycle_s, (self.tick + 1) / self.ticks, self._target)
         self.command(self._target, now_s, setpoint)
+        self.tick = self.tick + 1 if self.tick + 1 < self.ticks else 0
 
     def command(self, target: np.record, now_s: float, setpoint: np.record, params: np.record | None = None) -> None:
         """Send ``target`` (AXES), advanced by each axis' lead, limited in travel, speed and acceleration.

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.core.messages import CYCLE
+from hil.core.messages import AXES_SAMPLE, CYCLE, imu_samples
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc_backends.base import GncBackend
 from hil.loop.bench_stage import BenchStage
@@ -23,10 +23,14 @@ from hil.loop.target_stage import FixedTarget, TargetStage
 
 
 class CycleData:
-    """Records of the present cycle: views into one row of CYCLE, the row that is recorded."""
+    """Records of the present cycle: views into one row of CYCLE, the row that is recorded.
 
-    def __init__(self) -> None:
+    samples: of the IMU since the cycle before, (n,) of IMU; ``imu`` is their mean.
+    """
+
+    def __init__(self, n_samples: int = 1) -> None:
         self.row = np.zeros(1, CYCLE)
+        self.samples = imu_samples(self.row, n_samples)
         records = self.row.view(np.recarray)
         for name in CYCLE.names or ():
             setattr(self, name, records[name][0] if CYCLE[name].names else self.row[name])
@@ -61,6 +65,7 @@ class Loop:
     vision: VisionStage
     gnc: GncBackend
     history: np.ndarray
+    """Rows of the run, (n,) of CYCLE: all of them, or those of the part since ``first``."""
     bench_now_s: Callable[[], float]
     """Bench time, to stamp the thruster command."""
     telemetry: Telemetry = field(default_factory=NoTelemetry)
@@ -71,6 +76,13 @@ class Loop:
     now: CycleData = field(default_factory=CycleData)
     done: int = 0
     """Completed cycles of the run."""
+    first: int = 0
+    """Number of the cycle in the first row of ``history``."""
+    on_full: Callable[[np.ndarray], np.ndarray] | None = None
+    """Receives the rows when no further one fits; returns the memory for the next ones."""
+    axes_sink: Telemetry | None = None
+    """Receives each setpoint of axes that are faster than the cycle, as a row of AXES_SAMPLE."""
+    _axes: np.ndarray = field(default_factory=lambda: np.zeros(1, AXES_SAMPLE))
     _row: memoryview = field(init=False)
     _history_bytes: memoryview = field(init=False)
 
@@ -80,8 +92,32 @@ class Loop:
 
     def record(self, k: int) -> None:
         """Copy the present row into the history as cycle ``k``, as bytes: a structured copy takes five times longer."""
-        self._history_bytes[k * CYCLE.itemsize : (k + 1) * CYCLE.itemsize] = self._row
+        self.make_room(k)
+        start = (k - self.first) * CYCLE.itemsize
+        self._history_bytes[start : start + CYCLE.itemsize] = self._row
         self.telemetry.put(self.now.row)
+
+    def make_room(self, k: int) -> None:
+        """Hand the rows over and start again if cycle ``k`` does not fit."""
+        if k - self.first < len(self.history):
+            return
+        if self.on_full is not None:
+            self.history = self.on_full(self.history)
+            self._history_bytes = self.history.view(np.uint8).data
+        self.first = k
+
+    def rows(self) -> np.ndarray:
+        """Return the rows since ``first``."""
+        return self.history[: self.done - self.first]
+
+    def record_axes(self, t_s: float, run_zero_s: float, lateness_s: float) -> None:
+        """Send the setpoint of this tick and the encoders read before it to the sink."""
+        if self.axes_sink is None:
+            return
+        row = self._axes
+        row["t_s"], row["lateness_s"], row["sampled_s"] = t_s, lateness_s, self.bench.sampled_s(run_zero_s)
+        row["setpoint"], row["feedback"] = self.now.row["setpoint"], self.now.row["feedback"]
+        self.axes_sink.put(row)
 
 
 def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float, lateness_s: float) -> None:
@@ -105,10 +141,24 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
     now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
     loop.record(k)  # 8  record of the cycle at t_s
-    loop.dss.step(now.truth, now.command)  # 9  truth: propagate by one step
-    loop.dss.sample_imu(now.truth, now.imu)  # 10 virtual IMU over this step
+    loop.dss.step(k, now.truth, now.command, now.imu, now.samples)  # 9, 10 truth over this cycle, virtual IMU
     w_CH_C = loop.dss.rate_against_hill(now.truth)
     loop.bench.follow(now.truth, w_CH_C, bench_s, now.setpoint)  # 11 setpoints for rails and turntable
+    loop.record_axes(bench_s - run_zero_s, run_zero_s, lateness_s)
+
+
+def run_tick(loop: Loop, bench_s: float, run_zero_s: float, lateness_s: float) -> None:
+    """Run a tick between two cycles, of axes that are faster: their checks and their next setpoint; raises BenchError.
+
+    Arguments as of ``run_cycle``.
+    """
+    now = loop.now
+    loop.safety_io.check(bench_s)  # 0
+    loop.bench.read(bench_s, now.feedback)  # 1
+    loop.bench.check(bench_s, now.feedback)  # 2
+    loop.vision.expose(bench_s)
+    loop.bench.follow_on(bench_s, now.setpoint)  # 11
+    loop.record_axes(bench_s - run_zero_s, run_zero_s, lateness_s)
 
 
 class Cycles(Protocol):
@@ -122,7 +172,7 @@ class Cycles(Protocol):
 
 
 class PythonCycles:
-    """Runs one cycle of ``loop`` at a time. wait: waits for the start of a cycle."""
+    """Runs one cycle of ``loop`` at a time. wait: waits for the next tick. step_s: period of the cycle."""
 
     def __init__(self, loop: Loop, wait: Callable[[], Tick], step_s: float) -> None:
         self._loop = loop
@@ -130,8 +180,11 @@ class PythonCycles:
         self._step_s = step_s
 
     def advance(self, held_s: float) -> Tick:
-        """Run the next cycle."""
+        """Run the ticks left of the last cycle, and the next cycle."""
         tick = self._wait()
+        while self._loop.bench.tick:
+            run_tick(self._loop, tick.now_s, tick.run_zero_s + held_s, tick.lateness_s)
+            tick = self._wait()
         k = self._loop.done
         run_cycle(self._loop, k, k * self._step_s, tick.now_s, tick.run_zero_s + held_s, tick.lateness_s)
         self._loop.done = k + 1

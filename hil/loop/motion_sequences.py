@@ -37,7 +37,10 @@ ProgressCallback = Callable[[Mode, float], None]
 
 
 class MotionSequencer:
-    """Executes motion commands while the loop is open. Each method returns with the axes at rest."""
+    """Executes motion commands while the loop is open. Each method returns with the axes at rest.
+
+    step_s: period of ``rate``, of which a cycle has ``ticks_per_cycle``.
+    """
 
     def __init__(
         self,
@@ -47,6 +50,7 @@ class MotionSequencer:
         step_s: float,
         operator: Operator,
         on_progress: ProgressCallback,
+        ticks_per_cycle: int = 1,
     ) -> None:
         self.loop = loop
         self._rate = rate
@@ -57,9 +61,13 @@ class MotionSequencer:
         self.safety = loop.bench.safety
         self.modes = self.safety.modes
         self.ticks = 0
+        self._ticks_per_cycle = ticks_per_cycle
+        self.progress_ticks = PROGRESS_CYCLES * ticks_per_cycle
+        """Ticks between two reports of progress."""
         self._newest: Tick
-        self.link_check_cycles = max(1, round(_LINK_CHECK_PERIOD_S / step_s))
-        """Cycles between two checks of the links."""
+        self._link_check_ticks = max(1, round(_LINK_CHECK_PERIOD_S / step_s))
+        self.link_check_cycles = max(1, self._link_check_ticks // ticks_per_cycle)
+        """Cycles between two checks of the links in the closed loop."""
 
     def tick(self) -> Tick:
         """Wait for the next cycle, read the axes, and check them and the links. Raises BenchError."""
@@ -67,8 +75,9 @@ class MotionSequencer:
         self.ticks += 1
         self.check(tick.now_s)
         self._operator.poll(tick.now_s)
-        self.loop.gnc.on_idle_cycle(_GNC_MODES.get(self.modes.mode, GncMode.STANDBY), tick.now_s)
-        if self.ticks % self.link_check_cycles == 0:
+        if self.ticks % self._ticks_per_cycle == 0:
+            self.loop.gnc.on_idle_cycle(_GNC_MODES.get(self.modes.mode, GncMode.STANDBY), tick.now_s)
+        if self.ticks % self._link_check_ticks == 0:
             self.check_links(tick.now_s)
         return tick
 
@@ -102,7 +111,7 @@ class MotionSequencer:
             self._poll_command(Mode.HOMING)
             if alarm := self.safety.homing_timeout(tick.now_s, since_s, *bench.feedback):
                 raise alarm.trip()
-            if self.ticks % PROGRESS_CYCLES == 0:
+            if self.ticks % self.progress_ticks == 0:
                 done = sum(state is Homing.DONE for group in bench.feedback for state in group.homing)
                 self._on_progress(Mode.HOMING, done / 6.0)
         self.tick()
@@ -191,7 +200,7 @@ class MotionSequencer:
             if self.hold_requested(mode):
                 return False
             cycle += 1
-            if cycle % PROGRESS_CYCLES == 0 and move.duration_s > 0.0:
+            if cycle % self.progress_ticks == 0 and move.duration_s > 0.0:
                 self._on_progress(mode, min(1.0, moved_s / move.duration_s))
 
     def _is_at(self, target: np.record) -> bool:
@@ -230,7 +239,7 @@ class MotionSequencer:
             tick = self.tick()
             if held_mode is Mode.RUNNING:
                 self.loop.vision.discard_pending(tick.now_s)
-            if self.ticks % PROGRESS_CYCLES == 0:
+            if self.ticks % self.progress_ticks == 0:
                 self._on_progress(Mode.HOLD, 0.0)
         bench.seed_for_run(tick.now_s, now.feedback)
         self.loop.vision.not_before_s = tick.now_s

@@ -17,15 +17,19 @@ _HISTOGRAM_US = tuple(2**power for power in range(17))  # 1 us to 65 ms
 class OverrunMonitor:
     """Leaky bucket of lost periods: single losses are tolerated, a burst trips.
 
-    Each lost period adds one; the level decays by ``allowed`` per ``window_s`` of bench time, and trips above
-    ``allowed``. action: "log" never trips; "hold" passes the trip to ``on_hold``, once until the bucket is empty
-    again, and raises it if ``on_hold`` is not set; "safe_stop" raises it.
+    Each lost cycle adds one, a lost tick of axes that are faster than the cycle its part; the level decays by
+    ``allowed`` per ``window_s`` of bench time, and trips above ``allowed``. action: "log" never trips; "hold" passes
+    the trip to ``on_hold``, once until the bucket is empty again, and raises it if ``on_hold`` is not set; "safe_stop"
+    raises it. ticks: of a cycle.
     """
 
-    def __init__(self, action: Literal["log", "hold", "safe_stop"], allowed: int, window_s: float) -> None:
+    def __init__(
+        self, action: Literal["log", "hold", "safe_stop"], allowed: int, window_s: float, ticks: int = 1
+    ) -> None:
         self._action = action
         self._allowed = allowed
         self._window_s = window_s
+        self._ticks = ticks
         self._level = 0.0
         self._updated_s = 0.0
         self._tripped = False
@@ -46,7 +50,7 @@ class OverrunMonitor:
         self._updated_s = tick.now_s
         level = max(self._level - leaked, 0.0)
         self._tripped &= level > 0.0
-        self._level = level + tick.skipped
+        self._level = level + tick.skipped / self._ticks
         if self._level <= self._allowed or self._action == "log" or self._tripped:
             return
         self._tripped = True

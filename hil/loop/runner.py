@@ -51,10 +51,11 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """Length of a run and its end points. step_s: period of the ``cycles`` cycles, s.
+    """Length of a run and its end points. step_s: period of the ``cycles`` cycles, s, of ``ticks`` setpoints each.
 
     frames_to_arm: poses required before the loop is closed. park_position: AXES, approached by PARK, and after each
-    complete run if ``park_after_run``. brakes: holding brakes of the axes.
+    complete run if ``park_after_run``. brakes: holding brakes of the axes. until_stopped: the operator ends the closed
+    loop, which is no fault.
     """
 
     step_s: float
@@ -63,6 +64,13 @@ class RunPlan:
     park_position: np.record | None = None
     park_after_run: bool = False
     brakes: BrakeTimes = field(default_factory=BrakeTimes)
+    ticks: int = 1
+    until_stopped: bool = False
+
+    @property
+    def tick_s(self) -> float:
+        """Period of the rate keeper, s."""
+        return self.step_s / self.ticks
 
 
 class Runner:
@@ -91,7 +99,9 @@ class Runner:
         self._plan = plan
         self._on_progress = on_progress
         self._modes = self.safety.modes
-        self._sequencer = MotionSequencer(loop, rate, overrun_monitor, plan.step_s, self.operator, on_progress)
+        self._sequencer = MotionSequencer(
+            loop, rate, overrun_monitor, plan.tick_s, self.operator, on_progress, plan.ticks
+        )
         self._faults: list[str] = []
         self.events: ObservableList[Event] = ObservableList()
         """Events of the bench: holds, changed settings."""
@@ -124,7 +134,7 @@ class Runner:
     def outcome(self, stop: str) -> Outcome:
         """Return the results so far; stop: why the run ends or is held. Only while the loop's thread does not run."""
         return Outcome(
-            history=self.loop.history[: self.loop.done],
+            history=self.loop.rows(),
             stop=stop,
             faults=list(self._faults),
             mode=self._modes.mode,
@@ -156,7 +166,10 @@ class Runner:
             while self._session():
                 pass
         except (KeyboardInterrupt, StopCommanded):
-            self._faults.append(STOPPED_BY_OPERATOR)
+            if self._plan.until_stopped and self._modes.mode is Mode.RUNNING:
+                self._finish()
+            else:
+                self._faults.append(STOPPED_BY_OPERATOR)
         finally:
             self._shut_down()
         return self._faults[-1] if self._faults else COMPLETED
@@ -208,7 +221,7 @@ class Runner:
         """Run one monitored cycle without motion."""
         tick = self._sequencer.tick()
         self.loop.vision.discard_pending(tick.now_s)
-        if self._sequencer.ticks % PROGRESS_CYCLES == 0:
+        if self._sequencer.ticks % self._sequencer.progress_ticks == 0:
             self._on_progress(self._modes.mode, 0.0)
 
     def _execute(self, command: OperatorCommand) -> None:
@@ -267,8 +280,12 @@ class Runner:
             self.operator.poll(tick.now_s)
             if self.operator.pending or self.safety.hold_reason:
                 held_s += self._execute_while_running(last * step_s)
-        self.loop.gnc.finish((cycles - 1) * step_s, self.loop.now.supervision)
+        self._finish()
         self._on_progress(Mode.RUNNING, 1.0)
+
+    def _finish(self) -> None:
+        """Let the GNC decide on docking at the end of the run."""
+        self.loop.gnc.finish((self.loop.done - 1) * self._plan.step_s, self.loop.now.supervision)
 
     def _execute_while_running(self, t_s: float) -> float:
         """Execute a command between two cycles; return the duration of a hold, s, in which the run's time stops."""
@@ -289,7 +306,7 @@ class Runner:
         self.events.append(Event(t_s, "bench", f"hold: {reason}"))
         before = self._sequencer.ticks
         self._sequencer.hold(self._sequencer.tick())
-        held_s = (self._sequencer.ticks - before) * self._plan.step_s
+        held_s = (self._sequencer.ticks - before) * self._plan.tick_s
         self.events.append(Event(t_s, "bench", f"resumed after {held_s:.2f} s"))
         return held_s
 

@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.core.messages import ARRIVAL, MAX_POSES, POSE, Array, PoseFrame, new
-from hil.drivers.base import PoseSource
+from hil.core.messages import ARRIVAL, IMU_SAMPLE, MAX_POSES, POSE, Array, PoseFrame, new
+from hil.drivers.base import Exposes, PoseSource
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.dynamics.imu_faults import IMU_MEMORY
@@ -36,16 +36,36 @@ class DssStage:
         """What the faults of the IMU keep from sample to sample."""
         self._imu_params = imu_params
         self.noise = imu_noise
-        """One row per step."""
+        """One row per sample."""
         self._rate = np.empty(3)
+        self.sample_sink: Telemetry | None = None
+        """Receives each sample of an IMU that is faster than the cycle, as a row of IMU_SAMPLE."""
+        self._row = np.zeros(1, IMU_SAMPLE)
 
-    def sample_imu(self, truth: np.record, imu: np.record) -> None:
-        """Write the IMU sample of the step that ended at ``truth``."""
-        imu_kernels.sample_with_faults(self._imu_params, truth, self.noise.next_row(), self.imu_memory, imu)
+    def step(self, k: int, truth: np.record, command: np.record, imu: np.record, samples: np.ndarray) -> None:
+        """Propagate ``truth`` over cycle ``k`` with the thrusters that ``command`` opens; write the IMU's samples.
 
-    def step(self, truth: np.record, command: np.record) -> None:
-        """Propagate ``truth`` by one step with the thrusters that ``command`` opens."""
-        truth_kernels.step(self.params, self.field, self.memory, truth, command.on)
+        samples: (n,) of IMU, which the next cycle uses. imu: their mean.
+        """
+        n = len(samples)
+        imu_kernels.propagate(
+            self.params,
+            self._imu_params,
+            self.field,
+            self.memory,
+            truth,
+            command.on,
+            self.noise.next_rows(n),
+            self.imu_memory,
+            samples,
+            imu,
+        )
+        if self.sample_sink is None:
+            return
+        for i, sample in enumerate(samples):
+            self._row["cycle"], self._row["t_s"] = k + 1, (k * n + i + 1) * float(self.params.dt_s)
+            self._row["imu"] = sample
+            self.sample_sink.put(self._row)
 
     def rate_against_hill(self, truth: np.record) -> Array:
         """Return the chaser's rate relative to H, in c, (3,), rad/s; valid until the next call."""
@@ -58,6 +78,7 @@ class VisionStage:
 
     def __init__(self, source: PoseSource, mounting: np.record) -> None:
         self.source = source
+        self._simulated = source if isinstance(source, Exposes) else None
         self._mounting = mounting
         self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self._records = [self.poses[i] for i in range(MAX_POSES)]
@@ -119,6 +140,11 @@ class VisionStage:
         self._run_zero_s = run_zero_s
         if self.on_run_zero is not None:
             self.on_run_zero(math.nan if run_zero_s is None else run_zero_s)
+
+    def expose(self, bench_s: float) -> None:
+        """Let a simulated unit expose up to ``bench_s``, between two cycles."""
+        if self._simulated is not None:
+            self._simulated.expose(bench_s)
 
     def discard_pending(self, bench_s: float) -> int:
         """Discard the frames received since the last cycle; return their number."""

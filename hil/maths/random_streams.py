@@ -49,6 +49,12 @@ class RandomRows:
         self._next += 1
         return row
 
+    def next_rows(self, n: int) -> np.ndarray:
+        """Return the next ``n`` rows, (n, width)."""
+        rows = self.peek(n)
+        self.skip(n)
+        return rows
+
     def peek(self, n: int) -> np.ndarray:
         """Return the next ``n`` rows, (n, width), without taking them."""
         if missing := max(0, self._next + n - len(self._rows)):

@@ -13,12 +13,22 @@ from hil.bench import guard as guards
 from hil.bench.kinematics import write_axes
 from hil.config.rig import BENCH_AXES, Rig
 from hil.config.scenario import Scenario
-from hil.core.messages import ARRIVAL, AXES, CYCLE, MAX_POSES, POSE, new
+from hil.core.messages import (
+    ARRIVAL,
+    AXES,
+    AXES_SAMPLE,
+    CYCLE,
+    IMU_SAMPLE,
+    MAX_POSES,
+    POSE,
+    imu_samples,
+    new,
+)
 from hil.drivers.axes import ServoAxes
 from hil.dynamics.imu import IMU_NOISE
 from hil.dynamics.vision import VISION_NOISE
 from hil.errors import BadInput, BenchError, LinkTimeout, ProtocolError, SafetyTrip
-from hil.gnc.fusion import MEMORY, STEP
+from hil.gnc.fusion import new_memory
 from hil.gnc_backends import external_records
 from hil.gnc_backends.external import fault_text, hold_reason, reported_fault
 from hil.gnc_backends.library import open_library
@@ -41,6 +51,9 @@ from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_lim
 from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built
 from hil.setup.gnc_setup import gnc_setup
 
+_NO_AXES_SAMPLES = np.zeros(0, AXES_SAMPLE)
+_NO_IMU_SAMPLES = np.zeros(0, IMU_SAMPLE)
+
 
 class CaseRunner:
     """Runs cases of one scenario on one mock rig, in memory that is allocated once.
@@ -58,11 +71,12 @@ class CaseRunner:
             np.zeros(1, dtype).view(np.recarray) for dtype in (LOOP_STATE, RUN_STATS)
         )
         self._state, self._stats = self._state_block[0], self._stats_block[0]
-        self._memory = np.zeros(MEMORY, STEP)
+        self._memory = new_memory(self._params.gnc.navigation.fusion)
         self._poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self._frames = frames_in_transit(rig, scenario.step_s)
         self._delayed = self._frames.copy()
-        self._imu_noise = np.empty((self.cycles, IMU_NOISE))
+        self._samples = imu_samples(self._state_block["now"], scenario.imu_samples)
+        self._imu_noise = np.empty((self.cycles * scenario.imu_samples, IMU_NOISE))
         self._vision_noise = np.empty((exposures, VISION_NOISE))
         self._travel_draws = np.empty((exposures, TRAVEL_DRAWS))
         self._arrivals = np.zeros(0, ARRIVAL).view(np.recarray)
@@ -127,6 +141,7 @@ class CaseRunner:
             stream(seed, "vision").standard_normal(out=self._vision_noise),
             stream(seed, "transport").random(out=self._travel_draws),
             self._state,
+            self._samples,
             self._memory,
             self._poses,
             self._frames,
@@ -134,6 +149,8 @@ class CaseRunner:
             self._stats,
             history,
             self._arrivals,
+            _NO_AXES_SAMPLES,
+            _NO_IMU_SAMPLES,
         )
 
     def prepared(self, truth: Scenario, seed: int) -> tuple[Any, ...]:
@@ -149,7 +166,7 @@ class CaseRunner:
         return self._arguments(truth, seed, np.zeros(0, CYCLE))
 
     def _clear(self) -> None:
-        for block in (self._state_block, self._stats_block, self._memory):
+        for block in (self._state_block, self._stats_block, self._memory, self._samples):
             block[...] = np.zeros((), block.dtype)
         start_run_stats(self._stats)
 

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
-from hil.gnc.fusion import FUSION_STATE, MEMORY, STEP
+from hil.gnc.fusion import FUSION_STATE, new_memory
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.monte_carlo.fusion_kernel import SNAPSHOTS_S, STUDY_PARAMS, STUDY_RESULT, run_study
 from hil.params import dynamics as dynamics_params
@@ -74,7 +74,7 @@ class Study:
             new(IMU),
             new(POSE),
             new(FUSION_STATE),
-            np.zeros(MEMORY, STEP),
+            new_memory(self._filters),
             np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(number,))),
             1 if noisy else 0,
             result,

@@ -182,7 +182,7 @@ def run_study(
     """Do one run; write ``result`` (STUDY_RESULT).
 
     study: STUDY_PARAMS. params: FUSION_PARAMS. imu_params: IMU_PARAMS. line: GUIDANCE_PARAMS. guidance_state,
-    point, truth, imu, pose, state: records of the run, zeroed. memory: (MEMORY,) of fusion.STEP. rng: numpy
+    point, truth, imu, pose, state: records of the run, zeroed. memory: of ``fusion.new_memory``. rng: numpy
     Generator. noisy: 0 gives the linear covariance along the line, without any noise or error.
     trace: (n, 12), errors and sigmas of position, m, and small-angle rotation, rad, of the first n cycles.
     """

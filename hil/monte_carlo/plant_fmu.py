@@ -31,8 +31,9 @@ from hil.loop.compiled.library_kernel import LIBRARY
 from hil.loop.compiled.loop_kernel import LOOP_STATE, run_loop
 from hil.monte_carlo.case_runner import CaseRunner
 
-_PARTS: Final = tuple(inspect.signature(run_loop).parameters)[:-2]
-"""Arguments of ``run_loop`` but history and arrivals, which the FMU does without."""
+_OMITTED: Final = ("history", "arrivals", "axes_log", "samples_log")
+"""Last arguments of ``run_loop``, which the FMU does without."""
+_PARTS: Final = tuple(inspect.signature(run_loop).parameters)[: -len(_OMITTED)]
 _FIXED: Final = ("params", "field", "leds", "imu_noise", "vision_noise", "travel_draws")
 _CHANGED: Final = tuple(name for name in _PARTS if name not in _FIXED)
 _CODES: Final = (
@@ -173,7 +174,7 @@ def _call(arguments: Mapping[str, Any]) -> str:
     Of an array: its memory and its parent, both null; elements, bytes of one; data; shape; strides.
     """
     types, values = ["int64_t *", "void **"], ["&code", "&raised"]
-    for name in (*_PARTS, "history", "arrivals"):
+    for name in (*_PARTS, *_OMITTED):
         if isinstance(arguments.get(name), np.record):
             types.append("void *")
             values.append(f"part[{_PARTS.index(name)}]")
@@ -183,7 +184,8 @@ def _call(arguments: Mapping[str, Any]) -> str:
             shape, strides, size, itemsize = array.shape, array.strides, array.size, array.itemsize
             data = f"part[{_PARTS.index(name)}]"
             if rows := _ROWS.get(name):
-                data += f" + {rows} * {strides[0]}"
+                per_row = len(arguments["samples"]) if name == "imu_noise" else 1
+                data += f" + {rows} * {per_row * strides[0]}"
         else:
             shape, strides, size, itemsize, data = (0,), (0,), 0, 0, "nothing"
         types += ["void *", "void *", "int64_t", "int64_t", "void *", *["int64_t"] * 2 * len(shape)]

@@ -12,9 +12,9 @@ from hil.core.messages import new
 
 
 def bench(rig: Rig, step_s: float) -> np.record:
-    """Return BENCH_PARAMS: geometry and limits of the six axes."""
+    """Return BENCH_PARAMS: geometry and limits of the six axes. step_s: period of the cycle."""
     params = new(BENCH_PARAMS)
-    params.dt_s = step_s
+    params.dt_s = step_s / rig.ticks(step_s)
     params.lever_arm = rig.bench.lever_arm_m
     params.order = ["xyz".index(letter) for letter in rig.bench.gimbal_order]
     rails = (rig.rails.x, rig.rails.y, rig.rails.z)

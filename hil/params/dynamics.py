@@ -56,7 +56,7 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None) -> np.record:
     thruster_draws: standard normals, (n, 3), for the errors of the thrusters; None for nominal thrusters.
     """
     params = new(DSS_PARAMS)
-    params.dt_s = scenario.step_s
+    params.dt_s = scenario.sample_s
     params.relative_motion = HILL if scenario.truth.relative_motion == "hill" else NONLINEAR
     params.orbit_rate = orbit_rate(scenario)
     params.inertia = np.array(scenario.chaser.inertia_kg_m2)
@@ -77,7 +77,7 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None) -> np.record:
 def imu(scenario: Scenario, seed: int = 0) -> np.record:
     """Return IMU_PARAMS. seed: of the run, for the noise of faults."""
     params = new(IMU_PARAMS)
-    params.dt_s = scenario.step_s
+    params.dt_s = scenario.sample_s
     params.sigma_gyro = math.radians(scenario.imu.gyro_noise_degps)
     params.sigma_drift = math.radians(scenario.imu.gyro_drift_noise_degps2)
     params.sigma_accelerometer = scenario.imu.accelerometer_noise_mps2

@@ -20,6 +20,8 @@ from hil.gnc.step import GNC_PARAMS
 from hil.maths import chi_square, euler, quat
 from hil.params.dynamics import orbit_rate
 
+_AHEAD_S = 0.02  # by which a pose may be stamped ahead of the loop, at least one step
+
 
 def gnc(scenario: Scenario) -> np.record:
     """Return GNC_PARAMS of ``scenario``. Raises ValueError if the thruster layout cannot move an axis."""
@@ -50,8 +52,10 @@ def navigation(scenario: Scenario) -> np.record:
     params.sensors = VISION_AND_IMU if gnc.navigation.sensors == "vision_imu" else VISION_ALONE
     fusion = params.fusion
     fusion.attitude_form = AS_PRINTED if gnc.akf.form == "as_printed" else MULTIPLICATIVE
+    fusion.memory = scenario.memory_steps
+    fusion.ahead = max(1, round(_AHEAD_S / scenario.sample_s))
     akf = fusion.akf
-    akf.dt_s = scenario.step_s
+    akf.dt_s = scenario.sample_s
     akf.orbit_rate = w0
     akf.sigma_gyro = math.radians(gnc.akf.gyro_noise_degps)
     akf.sigma_drift = math.radians(gnc.akf.gyro_drift_noise_degps2)
@@ -59,9 +63,9 @@ def navigation(scenario: Scenario) -> np.record:
     akf.gate = _gate(gnc.navigation.gate_sigma)
     akf.initial_drift_sigma = math.radians(gnc.akf.initial_drift_sigma_degps)
     pkf = fusion.pkf
-    pkf.dt_s = scenario.step_s
-    pkf.hill_transition = transition(w0, scenario.step_s)
-    pkf.hill_response = input_response(w0, scenario.step_s)
+    pkf.dt_s = scenario.sample_s
+    pkf.hill_transition = transition(w0, scenario.sample_s)
+    pkf.hill_response = input_response(w0, scenario.sample_s)
     pkf.sigma_accelerometer = gnc.pkf.accelerometer_noise_mps2
     pkf.sigma_bias = gnc.pkf.accelerometer_bias_noise_mps3
     pkf.gate = akf.gate

@@ -30,10 +30,11 @@ from hil.setup.gnc_setup import gnc_setup
 _OFFERS: Final = ("gnc.flight", "gnc.output", "gnc.filters")
 _WANTS: Final = ("gnc.setup", "gnc.input")
 _SILENT_S: Final = 0.35  # wall time after which another bench may replace a silent one
-_BRIDGED_S: Final = 1.2  # of consecutive lost inputs: less than the filters' memory of 64 steps at 50 Hz
+_BRIDGED_FRACTION: Final = 0.9375  # of the filters' memory: the longest time of consecutive lost inputs
 _SILENCES_LOGGED: Final = 3  # further ones are only counted
 _SLICE_S: Final = 0.05
-_SILENT_CYCLES: Final = 3  # of wall time without an input, after which the bench counts as silent
+_SILENT_CYCLES: Final = 3  # of wall time without an input, after which the bench counts as silent ...
+_SILENT_LEAST_S: Final = 0.06  # ... at least this
 _NEEDED: Final = ("step_s", "n_thrusters", "thruster_position_m", "thruster_force_N", "mass_kg", "inertia_kgm2")
 """Fields of GNC_SETUP in which bench and GNC must agree: they describe the chaser."""
 
@@ -98,6 +99,7 @@ class GncServer:
         self._joined = 0  # link.joined of the bench whose setup is in use
         self._fault = ""
         self._last = -1  # last cycle stepped
+        self._samples: np.ndarray = np.zeros(scenario.imu_samples, IMU)
         self._imu, self._reference = new(IMU), new(REFERENCE)
         self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self.arrived = 0
@@ -120,7 +122,7 @@ class GncServer:
         patience_s: wall time without a bench after which LinkTimeout is raised, or LinkLost if there was one.
         """
         last_rx_s = time.monotonic()
-        silent_after_s = _SILENT_CYCLES * self._scenario.step_s
+        silent_after_s = max(_SILENT_LEAST_S, _SILENT_CYCLES * self._scenario.step_s)
         silent = False
         while True:
             left_s = last_rx_s + silent_after_s - time.monotonic()
@@ -229,7 +231,7 @@ class GncServer:
                 self._send()
             return
         gap = cycle - self._last - 1
-        if self._last >= 0 and gap * self._scenario.step_s > _BRIDGED_S:
+        if self._last >= 0 and gap * self._scenario.step_s > _BRIDGED_FRACTION * self._scenario.gnc.navigation.memory_s:
             self.stats.restarts += 1
             self._announce(f"{gap} inputs were lost: the filters restart")
             self._restart()
@@ -240,7 +242,7 @@ class GncServer:
             self._bridge(gap)
         self.arrived = arrived
         out = self._out
-        self._gnc.navigate(self._imu, self, out.navigation)
+        self._navigate()
         self._command_before = bytes(self._command_bytes)
         self._actuate(cycle)
         out.output.text = b""
@@ -267,9 +269,14 @@ class GncServer:
         self._gnc.actuate(out.navigation, self._reference, out.command)
         udp_records.write_output(cycle, out.navigation, out.command, self._n, out.output)
 
+    def _navigate(self) -> None:
+        """Run the filters over the last cycle: the input has the mean of the IMU's samples, which stands for each."""
+        self._samples["rate_C"], self._samples["force_C"] = self._imu.rate_C, self._imu.force_C
+        self._gnc.navigate(self._samples, self, self._out.navigation)
+
     def _join_at(self, cycle: int) -> None:
         """Start the filters in the middle of a run: their steps take its cycle numbers, older poses are discarded."""
-        self._gnc.state.navigation.fusion.cycle = cycle
+        self._gnc.state.navigation.fusion.cycle = cycle * len(self._samples)
         self._gnc.cycle = cycle - 1
         self._not_before_s = (cycle - 0.5) * self._scenario.step_s
 
@@ -277,7 +284,7 @@ class GncServer:
         """Carry the filters over lost inputs: their thrusters never opened, so control is not run."""
         self.arrived = 0
         for _ in range(gap):
-            self._gnc.navigate(self._imu, self, self._out.navigation)
+            self._navigate()
         self.stats.bridged += gap
 
     def _send(self) -> None:
@@ -289,7 +296,7 @@ class GncServer:
     def _warm_up(self) -> None:
         """Call each kernel once: nothing compiles while a bench waits for an answer."""
         self._read_input()
-        self._gnc.navigate(self._imu, self, self._out.navigation)
+        self._navigate()
         self._actuate(0)
         udp_records.write_filters(0, self._gnc.state.navigation.fusion.filters, self._sent_filters)
         copy_into(self._imu.rate_C, np.zeros(3))

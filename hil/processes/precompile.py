@@ -65,7 +65,7 @@ def _compile_checks() -> None:
     job = _job()
     scenario, rig = job.scenario.value, job.rig.value
     build.check(job)
-    outcome = build.in_memory(job, SimulatedRate(SimulatedClock(), scenario.step_s)).run()
+    outcome = build.in_memory(job, SimulatedRate(SimulatedClock(), job.tick_s)).run()
     summarise(outcome, scenario, rig, rig.name, job.seed, 1.0 / scenario.step_s)
 
 

@@ -22,10 +22,12 @@ TABLES: Final = {
     "/cycle": "cycles",
     "/vmu/frames": "frames",
     "/monitor/portions": "portions",
+    "/imu": "imu",
+    "/axes": "axes",
     foxglove.LOG_TOPIC: "log",
 }
 """Topic -> name of its table; the cycles go to the given file, the others next to it."""
-_OPTIONAL: Final = "/monitor/portions"  # most runs have no docking monitor
+_OPTIONAL: Final = ("/monitor/portions", "/imu", "/axes")  # most runs have none of these
 
 _CSV_ROWS: Final = 1000
 
@@ -49,7 +51,8 @@ def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple
     """Write the tables of the recording at ``path``; return each file with its number of rows.
 
     ``out`` has the cycles; frames and log are in ``OUT-frames`` and ``OUT-log`` next to it, results of a docking
-    monitor in ``OUT-portions``. Works on recordings of any version, by the layout in their schemas. Raises BadInput.
+    monitor in ``OUT-portions``, samples of IMU and axes that are faster than the cycle in ``OUT-imu`` and
+    ``OUT-axes``. Works on recordings of any version, by the layout in their schemas. Raises BadInput.
     """
     if form == "parquet":
         _pyarrow()
@@ -85,7 +88,7 @@ def _write_file(form: str, table: dict[str, Any], units: dict[str, str], target:
 
 
 def _table(found: Contents, topic: str) -> dict[str, Any] | None:
-    if topic == _OPTIONAL and not found.records.get(topic):
+    if topic in _OPTIONAL and not found.records.get(topic):
         return None
     if topic in found.layouts:
         return dict(columns(found.flat(topic)))

@@ -26,8 +26,9 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.fields import record_dtype
 from hil.core.files import MIB, check_regular, parse_json
+from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
 from hil.errors import BadInput
-from hil.recording import foxglove, schema, writer
+from hil.recording import foxglove, parts, schema, writer
 
 _Model = TypeVar("_Model", bound=ConfigModel)
 
@@ -148,7 +149,32 @@ class Contents:
 
 
 def contents(path: Path, topics: frozenset[str] | None = None) -> Contents:
-    """Return the content of the recording at ``path``; topics: the selected ones, None for all. Raises BadInput."""
+    """Return the content of the recording at ``path`` with its later parts; topics: the selected ones, None for all.
+
+    Raises BadInput, also for a later part alone.
+    """
+    found = _contents_of_part(path, topics)
+    if number := found.run.get(parts.PART):
+        text = f"part {number} of a recording: open its first part, the file without .part{number} in its name"
+        raise BadInput.single(str(path), "", text)
+    for later in parts.later_parts(path):
+        _append(found, _contents_of_part(later, topics))
+    return found
+
+
+def _append(found: Contents, later: Contents) -> None:
+    """Add the rows, lines, end and attachments of a later part."""
+    if later.run.get("run") != found.run.get("run") or later.layouts != found.layouts:
+        raise BadInput.single(str(later.path), "", f"is no part of {found.path}")
+    for topic, records in later.records.items():
+        found.records.setdefault(topic, []).extend(records)
+    for topic, lines in later.lines.items():
+        found.lines.setdefault(topic, []).extend(lines)
+    found.end, found.intact = later.end, found.intact and later.intact
+    found.files |= later.files
+
+
+def _contents_of_part(path: Path, topics: frozenset[str] | None) -> Contents:
     found = Contents(path)
     schemas, channels = directory(path)
     for known in channels.values():
@@ -222,9 +248,9 @@ def _table(path: Path, what: str, text: str | bytes) -> dict[str, Any]:
 class Recorded:
     """A recorded run.
 
-    cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. portions: (k,) of PORTION. log: entries of the log as
-    recorded. summary: as of ``hil run --json``, None for a run that broke off. intact: the file has its end and no
-    damage.
+    cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. portions: (k,) of PORTION. imu_samples, axes_samples: of
+    IMU_SAMPLE and AXES_SAMPLE, empty unless these were faster than the cycle. log: entries of the log as recorded.
+    summary: as of ``hil run --json``, None for a run that broke off. intact: the file has its end and no damage.
     """
 
     path: Path
@@ -240,6 +266,8 @@ class Recorded:
     intact: bool
     files: dict[str, str]
     """Attachments: name -> text."""
+    imu_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, IMU_SAMPLE))
+    axes_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, AXES_SAMPLE))
 
     def calibration(self, name: str, model: type[_Model]) -> _Model:
         """Return the attachment ``name``: cameras and target as assumed in the run. Raises BadInput."""
@@ -267,6 +295,8 @@ def load(path: Path) -> Recorded:
         _table(path, writer.SUMMARY, summary) if summary else None,
         found.intact,
         found.files,
+        _rows(found, "/imu"),
+        _rows(found, "/axes"),
     )
 
 

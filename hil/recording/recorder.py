@@ -18,12 +18,13 @@ import numpy as np
 from hil.core.camera_images import IMAGE
 from hil.core.child_process import Message, Parent
 from hil.core.clock import utc_text
-from hil.core.messages import ARRIVAL, CYCLE
+from hil.core.messages import ARRIVAL, AXES_SAMPLE, CYCLE, IMU_SAMPLE
 from hil.errors import BadInput
 from hil.frmn.mailbox import Mailbox, MailboxBlock
 from hil.frmn.ring import Reader, Ring
 from hil.monitor.results import PORTION
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
+from hil.recording.parts import PartedFile
 from hil.recording.schema import LOG_ENTRY
 from hil.recording.writer import FLUSH_S, RecordingHeader, RunFile
 
@@ -38,6 +39,8 @@ RING_DTYPES: Final = {
     "images": IMAGE,
     "monitor_images": IMAGE,
     "portions": PORTION,
+    "imu_samples": IMU_SAMPLE,
+    "axes_samples": AXES_SAMPLE,
 }
 """Name of a ring in ``RecordingSinks`` -> its record."""
 
@@ -51,7 +54,7 @@ STATE_MAILBOX: Final = {"state": STATE}
 class Recorder:
     """Moves rows from the rings into the file and counts those that were overwritten. state: receives STATE."""
 
-    def __init__(self, file: RunFile, rings: dict[str, Ring], state: Mailbox) -> None:
+    def __init__(self, file: RunFile | PartedFile, rings: dict[str, Ring], state: Mailbox) -> None:
         self._file = file
         self._state = state
         self._row = np.zeros(1, STATE)
@@ -115,7 +118,7 @@ def run_child(parent: Parent) -> None:
     }
     path = Path(configuration["file"])
     try:
-        file = RunFile(path, RecordingHeader(**configuration["header"]))
+        file = PartedFile(path, RecordingHeader(**configuration["header"]))
     except OSError as error:
         parent.send(problem=error.strerror)
         return

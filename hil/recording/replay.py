@@ -21,6 +21,7 @@ from hil.errors import BadInput, BenchError
 from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.loop.cycle import CycleData
+from hil.loop.runner import COMPLETED
 from hil.params import gnc as gnc_params
 from hil.recording.read import Recorded
 from hil.recording.schema import flat_fields
@@ -84,6 +85,25 @@ class _Poses:
         return self.arrived
 
 
+class _Samples:
+    """Samples of the IMU of one cycle: those recorded, or the one in the row of the cycle."""
+
+    def __init__(self, recorded: Recorded) -> None:
+        self._samples = recorded.imu_samples
+        self._first = np.searchsorted(self._samples["cycle"], np.arange(len(recorded.cycles) + 1))
+
+    def load(self, k: int, now: CycleData) -> str:
+        """Write those of cycle ``k`` to ``now``; return why it cannot be replayed, "" if it can."""
+        n, found = len(now.samples), self._samples[self._first[k] : self._first[k + 1]]
+        if n == 1 or k == 0:  # the first cycle has none before it
+            return ""
+        if len(found) != n:
+            text = f"cycle {k} had {n} samples of the IMU, of which {len(found)} are in the recording"
+            return f"{text}: the replay ends there"
+        now.samples[:] = found["imu"]
+        return ""
+
+
 def replay(recorded: Recorded, scenario: Scenario, backend: GncBackend | None = None) -> Replayed:
     """Return the results of ``backend``, or of the GNC of ``scenario``, for the recorded inputs; and their differences.
 
@@ -95,11 +115,11 @@ def replay(recorded: Recorded, scenario: Scenario, backend: GncBackend | None = 
     gnc, poses, orders = backend or make_backend(scenario), _Poses(recorded.arrivals), _orders(recorded)
     settings = _Settings(recorded, scenario)
     rows = recorded.cycles.copy()
-    now = CycleData()
+    now, samples = CycleData(scenario.imu_samples), _Samples(recorded)
     done, ended = 0, ""
     with _opened(gnc):
         for k, row in enumerate(recorded.cycles):
-            ended = _gap(row, k, scenario.step_s, poses.load(k))
+            ended = _gap(row, k, scenario.step_s, poses.load(k)) or samples.load(k, now)
             if not ended:
                 _send_orders(gnc, orders.get(k, ()))
                 settings.apply(gnc, k)
@@ -191,6 +211,8 @@ class _Settings:
 
 
 def _is_complete(recorded: Recorded, scenario: Scenario) -> bool:
+    if recorded.end is not None and recorded.end.get("stop") == COMPLETED:
+        return True
     return len(recorded.cycles) == round(float(recorded.run["duration_s"]) / scenario.step_s) + 1
 
 

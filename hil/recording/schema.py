@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.core.fields import Fields, leaf_fields, record_dtype
 from hil.core.files import parse_json
-from hil.core.messages import ARRIVAL_FIELDS, CYCLE_FIELDS
+from hil.core.messages import ARRIVAL_FIELDS, AXES_SAMPLE_FIELDS, CYCLE_FIELDS, IMU_SAMPLE_FIELDS
 from hil.errors import BadInput
 from hil.monitor.results import PORTION_FIELDS
 
@@ -45,6 +45,8 @@ RECORDS: Final[dict[str, tuple[str, Fields]]] = {
     "/cycle": ("hil.Cycle", CYCLE_FIELDS),
     "/vmu/frames": ("hil.Arrival", ARRIVAL_FIELDS),
     "/monitor/portions": ("hil.Portion", PORTION_FIELDS),
+    "/imu": ("hil.ImuSample", IMU_SAMPLE_FIELDS),
+    "/axes": ("hil.AxesSample", AXES_SAMPLE_FIELDS),
 }
 """Topic -> name of its schema and fields of its messages."""
 

@@ -24,8 +24,9 @@ from hil.frmn.ring import Ring
 from hil.recording import recorder
 from hil.recording.catalogue import BROKEN_OFF, DONE, Catalogue
 from hil.recording.header import header_of
+from hil.recording.parts import PartedFile
 from hil.recording.sinks import RecordingSinks
-from hil.recording.writer import RecordingHeader, RecordingStats, RunFile
+from hil.recording.writer import RecordingHeader, RecordingStats
 from hil.setup.assembly import Job
 
 _RING_S: Final = 5.0  # of cycles: longest pause of the recorder without loss
@@ -37,7 +38,7 @@ SLOTS: Final = {
     "monitor_images": camera_images.SLOTS,
     "portions": 64,
 }
-"""Rows of each ring except that of the cycles."""
+"""Rows of each ring except those whose rate is that of the cycle or more."""
 _READY_WALL_S: Final = 60.0
 _FINISH_WALL_S: Final = 30.0
 _EXIT_WALL_S: Final = 1.0
@@ -153,6 +154,10 @@ def required_sinks(job: Job) -> set[str]:
     """Return the names in ``RecordingSinks`` to which a run of ``job`` writes: rings of images are large."""
     scenario, wanted = job.scenario.value, image_policy(job.rig.value).encoding != "none"
     required = {"cycles", "arrivals", "log"}
+    if scenario.imu_samples > 1:
+        required.add("imu_samples")
+    if job.ticks > 1:
+        required.add("axes_samples")
     if scenario.vmu.source == "rendered" and wanted:
         required.add("images")
     if scenario.monitor.source == "rendered":
@@ -174,7 +179,7 @@ class _InMemory:
     """Recorder of a run in simulated time, which waits for it: no row is lost."""
 
     def __init__(self, path: Path, header: RecordingHeader) -> None:
-        self._file = RunFile(path, header)
+        self._file = PartedFile(path, header)
         self._run_time = RunTime.create()
         self.state: MailboxBlock | None = None
         self.sinks = RecordingSinks(
@@ -192,7 +197,12 @@ class _RecorderProcess:
     def __init__(self, job: Job, path: Path, run: str, header: RecordingHeader) -> None:
         self._path = path
         rows = max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s))
-        slots = {"cycles": rows, **SLOTS}
+        slots = {
+            "cycles": rows,
+            "imu_samples": max(_ROWS_LEAST, round(_RING_S / job.scenario.value.sample_s)),
+            "axes_samples": max(_ROWS_LEAST, round(_RING_S / job.tick_s)),
+            **SLOTS,
+        }
         required = required_sinks(job)
         self._rings = {
             name: Ring.create(dtype, slots[name], name)

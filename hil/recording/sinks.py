@@ -66,9 +66,10 @@ class EventRecorder:
 
 @dataclass
 class RecordingSinks:
-    """Sinks of CYCLE, ARRIVAL, LOG_ENTRY, IMAGE and PORTION rows, each with one writer.
+    """Sinks of CYCLE, ARRIVAL, LOG_ENTRY, IMAGE, PORTION, IMU_SAMPLE and AXES_SAMPLE rows, each with one writer.
 
-    images: of the vision unit; monitor_images, portions: of the docking monitor. run_time: receives the relation of
+    images: of the vision unit; monitor_images, portions: of the docking monitor; imu_samples, axes_samples: of an IMU
+    and of axes that are faster than the cycle. run_time: receives the relation of
     the run's time to bench time, for sources that have bench time only.
     """
 
@@ -78,6 +79,8 @@ class RecordingSinks:
     images: Telemetry = field(default_factory=NoTelemetry)
     monitor_images: Telemetry = field(default_factory=NoTelemetry)
     portions: Telemetry = field(default_factory=NoTelemetry)
+    imu_samples: Telemetry = field(default_factory=NoTelemetry)
+    axes_samples: Telemetry = field(default_factory=NoTelemetry)
     run_time: RunTime | None = None
 
     def attach(self, runner: Runner) -> EventRecorder:
@@ -85,6 +88,10 @@ class RecordingSinks:
         recorder = EventRecorder(self.log, runner)
         loop = runner.loop
         loop.vision.frame_sink = self.arrivals
+        if len(loop.now.samples) > 1:
+            loop.dss.sample_sink = self.imu_samples
+        if loop.bench.ticks > 1:
+            loop.axes_sink = self.axes_samples
         if self.run_time is not None:
             loop.vision.on_run_zero = self.run_time.set_zero
         for events in (*loop.gnc.event_logs, runner.events):

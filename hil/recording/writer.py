@@ -89,6 +89,12 @@ class RunFile:
             self._json_schemas[title] = self._writer.register_schema(title, "jsonschema", text)
         return self._writer.register_channel(topic, "json", self._json_schemas[title])
 
+    def continue_from(self, before: RunFile) -> None:
+        """Take over what rows refer to from the part before, the times and counts of their sources."""
+        self._last_s = self._flushed_s = before._last_s
+        self._json_s = before._json_s
+        self._source_dropped = before._source_dropped
+
     @property
     def writers(self) -> dict[str, Callable[[np.ndarray], None]]:
         """Method that writes the rows of each sink in ``RecordingSinks``."""
@@ -99,6 +105,8 @@ class RunFile:
             "images": self.write_images,
             "monitor_images": self.write_images,
             "portions": self.write_portions,
+            "imu_samples": lambda rows: self._write_samples("/imu", rows),
+            "axes_samples": lambda rows: self._write_samples("/axes", rows),
         }
 
     def write_cycles(self, rows: np.ndarray) -> None:
@@ -154,6 +162,11 @@ class RunFile:
         """Write results of the docking monitor, (n,) of PORTION."""
         for row in rows:
             self._add("/monitor/portions", row.tobytes(), float(row["t_s"]))
+
+    def _write_samples(self, topic: str, rows: np.ndarray) -> None:
+        """Write samples of IMU or axes that are faster than the cycle."""
+        for row in rows:
+            self._add(topic, row.tobytes(), float(row["t_s"]))
 
     def _image_channel(self, camera: str, ending: str, content: Mapping[str, Any]) -> str:
         topic = f"{foxglove_images.PICTURE_TOPICS}{camera}{ending}"

@@ -17,18 +17,23 @@ _KNOWN_WITHIN = 2  # rows after the command
 _STAMP_S = 1e-3  # a command is stamped just after its lines were passed on
 
 
-def measure_latency(history: np.ndarray, step_s: float) -> dict[str, Any]:
+def measure_latency(history: np.ndarray, step_s: float, tick_s: float) -> dict[str, Any]:
     """Return p50, p99 and max, ms of bench time, of each latency; None if there was nothing to measure.
 
     ``pose_to_command_ms``: from the last byte of a pose's frame to the command of the cycle that used
     it. ``pose_to_wire_ms``: to the time at which the coupler of the digital lines received a command that
     changed them. ``setpoint_to_encoder_ms``: from sending a setpoint to the encoder's arrival at it, one
-    value for each second in which an axis moved.
+    value for each second in which an axis moved. tick_s: period of the setpoints.
     """
+    return {name: percentiles(1e3 * values) for name, values in measured(history, step_s, tick_s).items()}
+
+
+def measured(history: np.ndarray, step_s: float, tick_s: float) -> dict[str, Array]:
+    """Return the values of each latency, s, by its name in ``measure_latency``."""
     return {
-        "pose_to_command_ms": _percentiles(1e3 * pose_to_command_s(history)),
-        "pose_to_wire_ms": _percentiles(1e3 * pose_to_wire_s(history)),
-        "setpoint_to_encoder_ms": _percentiles(1e3 * setpoint_to_encoder_s(history, step_s)),
+        "pose_to_command_ms": pose_to_command_s(history),
+        "pose_to_wire_ms": pose_to_wire_s(history),
+        "setpoint_to_encoder_ms": setpoint_to_encoder_s(history, step_s, tick_s),
     }
 
 
@@ -55,10 +60,10 @@ def pose_to_wire_s(history: np.ndarray) -> Array:
     return np.array(found)
 
 
-def setpoint_to_encoder_s(history: np.ndarray, step_s: float) -> Array:
+def setpoint_to_encoder_s(history: np.ndarray, step_s: float, tick_s: float) -> Array:
     """Return a time for each axis and each window of a second in which it moved, s.
 
-    A row's setpoint belongs to ``t_s`` and was sent a step earlier; its feedback was sampled at
+    A row's setpoint belongs to ``t_s`` and was sent ``tick_s`` earlier; its feedback was sampled at
     ``sampled_s``. While an axis follows with a delay d, its encoder lags by d times the speed:
     d is fitted to each window by least squares. Windows with an uncertain d are omitted.
     """
@@ -70,7 +75,7 @@ def setpoint_to_encoder_s(history: np.ndarray, step_s: float) -> Array:
         for k in range(0, len(t_s) - window + 1, window):
             part = slice(k, k + window)
             found += _delay_of_window(behind[part], speed[part], axis)
-    return np.array(found) + step_s
+    return np.array(found) + tick_s
 
 
 def _delay_of_window(behind: Array, speed: Array, axis: int) -> list[float]:
@@ -96,7 +101,8 @@ def _of_axis(rows: np.ndarray, axis: int) -> tuple[Array, Array, Array]:
     return t_s, behind, np.interp(t_s, setpoint_s, setpoint[rate][:, i])
 
 
-def _percentiles(values: Array) -> dict[str, float | None]:
+def percentiles(values: Array) -> dict[str, float | None]:
+    """Return p50, p99 and max, None without values."""
     if not len(values) or not np.isfinite(values).all():
         return {"p50": None, "p99": None, "max": None}
     p50, p99, largest = np.percentile(values, [50.0, 99.0, 100.0])

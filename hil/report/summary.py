@@ -32,23 +32,30 @@ SETTLED_S = 100.0  # navigation errors count from here on, as in the paper's num
 _TORQUE_WINDOW_S = (360.0, 400.0)  # bench paper Fig. 8
 
 
+RMS_KEYS: Final = (
+    "position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg", "position_bound_m", "attitude_bound_deg",
+)  # fmt: skip
+"""Errors of navigation that are root mean squares, three values each."""
+
+
 def summarise(
-    outcome: Outcome, scenario: Scenario, rig: Rig, rig_name: str, seed: int, rate_hz: float
+    outcome: Outcome,
+    scenario: Scenario,
+    rig: Rig,
+    rig_name: str,
+    seed: int,
+    rate_hz: float,
+    numbers: tuple[dict[str, Any], Verdict] | None = None,
 ) -> tuple[dict[str, Any], Verdict]:
-    """Return the run's numbers as JSON content, and the verdict; None for quantities that the run did not reach."""
+    """Return the run's numbers as JSON content, and the verdict; None for quantities that the run did not reach.
+
+    numbers: of ``numbers_of``, if ``outcome.history`` has the last rows of a long run only.
+    """
     history = outcome.history
-    verdict = judge(deviations(history, scenario.requirements), scenario.requirements)
+    found, verdict = numbers or numbers_of(history, scenario, rig)
+    parts, timing = found["verdict"], found["timing"]
     aborted = bool(len(history) and history["supervision"]["aborted"][-1])
     passed = verdict.passed and outcome.stop == COMPLETED and not aborted
-    thrusters = _thrusters(history, scenario)
-    parts = {
-        "control_precision": _control_precision(verdict, scenario),
-        "security": judge_security(history, scenario, dynamics_params.orbit_rate(scenario)),
-        "energy": judge_energy(
-            history["reference"]["v_CT_H"], scenario, thrusters["propellant_kg"], sum(thrusters["thruster_firings"])
-        ),
-        "field_of_view": judge_field_of_view(history, rig, scenario.step_s),
-    }
     summary = {
         "scenario": scenario.name,
         "build": build_info()._asdict(),
@@ -61,13 +68,22 @@ def summarise(
         "held_since_s": verdict.held_since_s,
         "ready_phase": {name: _list(verdict.worst[name]) for name in ROW_NAMES} if verdict.worst else None,
         "verdict": parts,
-        "navigation": navigation_errors(history),
-        "thrusters": thrusters,
+        "navigation": found["navigation"],
+        "thrusters": found["thrusters"],
         "gnc": gnc_summary(scenario),
         "vision": outcome.vision_counters,
-        "bench": _bench(history, outcome) | judge_bench_error(history, rig, scenario.step_s, SETTLED_S),
-        "latency": measure_latency(history, scenario.step_s),
-        "timing": _timing(outcome, rig, rate_hz),
+        "bench": found["bench"] | {"limited_cycles": outcome.limited_cycles},
+        "latency": found["latency"],
+        "timing": {
+            "rate_hz": rate_hz,
+            "axes_rate_hz": rate_hz * rig.ticks(scenario.step_s),
+            "imu_rate_hz": rate_hz * scenario.imu_samples,
+            "overruns": outcome.overruns,
+            "skipped_periods": outcome.skipped_periods,
+            **timing,
+            "late_cycle": rig.on_overrun,
+            "privileges": [{"name": g.name, "granted": g.granted, "detail": g.detail} for g in outcome.privileges],
+        },
         "sign_off": sign_off_summary(rig),
         "waived": [waiver.as_json() for waiver in waivers(rig)],
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
@@ -76,6 +92,27 @@ def summarise(
         "alarms": [alarm.as_json() for alarm in outcome.alarms],
     }
     return summary, verdict
+
+
+def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[str, Any], Verdict]:
+    """Return what the rows of a run, (n,) of CYCLE, give: tables of its JSON, and the verdict."""
+    verdict = judge(deviations(history, scenario.requirements), scenario.requirements)
+    thrusters = thrusters_of(history, scenario)
+    firings = sum(thrusters["thruster_firings"])
+    return {
+        "verdict": {
+            "control_precision": control_precision(verdict, scenario),
+            "security": judge_security(history, scenario, dynamics_params.orbit_rate(scenario)),
+            "energy": judge_energy(history["reference"]["v_CT_H"], scenario, thrusters["propellant_kg"], firings),
+            "field_of_view": judge_field_of_view(history, rig, scenario.step_s),
+        },
+        "navigation": navigation_errors(history),
+        "thrusters": thrusters,
+        "bench": axis_errors(history) | judge_bench_error(history, rig, scenario.step_s, SETTLED_S),
+        "latency": measure_latency(history, scenario.step_s, scenario.step_s / rig.ticks(scenario.step_s)),
+        "timing": lateness_counts(history["lateness_s"], rig)
+        | {"lateness_us": lateness_percentiles_us(history["lateness_s"])},
+    }, verdict
 
 
 def summary_of(recorded: Recorded) -> dict[str, Any]:
@@ -117,23 +154,16 @@ def sign_off_summary(rig: Rig) -> dict[str, Any] | None:
     return {"valid": not gap, "gap": gap, "waived": found.waived, "date": found.date, "by": found.by}
 
 
-def _timing(outcome: Outcome, rig: Rig, rate_hz: float) -> dict[str, Any]:
-    """Return lateness and lost periods of the closed loop, and what the operating system granted."""
-    lateness_s = outcome.history["lateness_s"]
+def lateness_counts(lateness_s: Array, rig: Rig) -> dict[str, Any]:
+    """Return cycles, late wake-ups and the histogram of the lateness."""
     return {
-        "rate_hz": rate_hz,
         "cycles": len(lateness_s),
-        "overruns": outcome.overruns,
-        "skipped_periods": outcome.skipped_periods,
         "late_wakeups": int(np.count_nonzero(lateness_s * 1e6 > rig.host.late_wakeup_us)),
-        "lateness_us": lateness_percentiles_us(lateness_s),
         "lateness_histogram": lateness_histogram(lateness_s),
-        "late_cycle": rig.on_overrun,
-        "privileges": [{"name": g.name, "granted": g.granted, "detail": g.detail} for g in outcome.privileges],
     }
 
 
-def _control_precision(verdict: Verdict, scenario: Scenario) -> dict[str, Any]:
+def control_precision(verdict: Verdict, scenario: Scenario) -> dict[str, Any]:
     """Return Table III over the ready phase; margin: the least of 1 - deviation / tolerance, None if never ready."""
     allowed = tolerances(scenario.requirements)
     worst = verdict.worst
@@ -150,9 +180,8 @@ def navigation_errors(history: np.ndarray) -> dict[str, Any]:
     known = history[history["navigation"]["valid"] == 1]
     late = known[known["t_s"] >= SETTLED_S]
     chosen = late if len(late) else known
-    keys = ("position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg", "position_bound_m", "attitude_bound_deg")
     if not len(chosen):
-        return dict.fromkeys((*keys, "nees_pkf", "nees_akf"))
+        return dict.fromkeys((*RMS_KEYS, "nees_pkf", "nees_akf"))
     truth, estimate = chosen["truth"], chosen["navigation"]
     return {
         "position_rmse_m": _rms(truth["r_CT_H"] - estimate["r_CT_H"]),
@@ -185,7 +214,8 @@ def _mean(values: Array) -> float | None:
     return float(np.mean(known)) if len(known) else None
 
 
-def _thrusters(history: np.ndarray, scenario: Scenario) -> dict[str, Any]:
+def thrusters_of(history: np.ndarray, scenario: Scenario) -> dict[str, Any]:
+    """Return the use of the thrusters: demands, open times, firings, propellant."""
     command, truth = history["command"], history["truth"]
     n = len(scenario.chaser.thrusters.position_m)
     step = scenario.step_s
@@ -211,11 +241,11 @@ def _propellant(truth: np.ndarray, open_s: float, scenario: Scenario) -> float:
     return open_s * thrusters.force_n / (thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2)
 
 
-def _bench(history: np.ndarray, outcome: Outcome) -> dict[str, Any]:
+def axis_errors(history: np.ndarray) -> dict[str, Any]:
     """Return commanded against measured axes, rms and largest; a row's setpoint is that for its own time."""
     rows = history[1:]
     if not len(rows):
-        return {"limited_cycles": outcome.limited_cycles}
+        return {}
     rail = rows["setpoint"]["rail_m"] - rows["feedback"]["rail_m"]
     gimbal = np.degrees(rows["setpoint"]["gimbal_rad"] - rows["feedback"]["gimbal_rad"])
     return {
@@ -223,5 +253,4 @@ def _bench(history: np.ndarray, outcome: Outcome) -> dict[str, Any]:
         "rail_error_max_m": _list(np.abs(rail).max(axis=0)),
         "gimbal_error_rms_deg": _rms(gimbal),
         "gimbal_error_max_deg": _list(np.abs(gimbal).max(axis=0)),
-        "limited_cycles": outcome.limited_cycles,
     }

@@ -104,6 +104,17 @@ def _abort(after: np.ndarray, scenario: Scenario, orbit_rate: float) -> dict[str
     }
 
 
+def later_abort(known: dict[str, Any], after: np.ndarray, scenario: Scenario, orbit_rate: float) -> dict[str, Any]:
+    """Return the course of the abort ``known`` with the rows ``after``, which follow those that it was made of."""
+    found = _abort(after, scenario, orbit_rate)
+    return known | {
+        "nearest_m": min(known["nearest_m"], found["nearest_m"]),
+        "hold_since_s": found["hold_since_s"] if known["hold_since_s"] is None else known["hold_since_s"],
+        "range_at_end_m": found["range_at_end_m"],
+        "drift_from_end": found["drift_from_end"],
+    }
+
+
 def impulsive_delta_v(v_CT_H: Array) -> float:
     """Return the sum of the reference's changes of velocity, m/s, for its velocities ``v_CT_H`` (n, 3), from rest."""
     changes = np.diff(np.vstack([np.zeros((1, 3)), v_CT_H]), axis=0)

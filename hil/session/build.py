@@ -12,9 +12,11 @@ from hil.checks.compatibility import (
     check_flight_computer,
     check_host,
     check_io,
+    check_memory,
     check_monitor,
     check_plan,
     check_ports,
+    check_rates,
     check_sign_off,
     driver_warnings,
 )
@@ -75,6 +77,8 @@ def _rig_problems(job: Job) -> list[Problem]:
         *check_ports(job.rig),
         *check_host(job.rig),
         *check_io(job.scenario, job.rig),
+        *check_rates(job.scenario, job.rig),
+        *check_memory(job.scenario, job.rig),
         *check_drivers(job.rig),
         *check_flight_computer(job.rig),
     ]
@@ -100,13 +104,13 @@ def runner(
         with wired_bench(job, announce, sinks) as bench:
             yield bench.runner(on_progress, operator)
         return
-    scenario, rig = job.scenario.value, job.rig.value
+    rig = job.rig.value
     telemetry, images = (sinks.cycles, sinks.image_encoder(rig)) if sinks else (None, None)
     with ExitStack() as stack:
-        rate: Rate = SimulatedRate(SimulatedClock(), scenario.step_s)
+        rate: Rate = SimulatedRate(SimulatedClock(), job.tick_s)
         scheduling = None
         if job.paced:
-            rate = WallClockRate(WallClock(speed=job.speed), scenario.step_s)
+            rate = WallClockRate(WallClock(speed=job.speed), job.tick_s)
             scheduling = stack.enter_context(RealTime(rig.host.fifo, rig.host.cpu))
         made = in_memory(job, rate, on_progress, scheduling, telemetry, operator, images)
         if sinks:
@@ -137,7 +141,7 @@ class WiredBench:
 
     def runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
         """Return a Runner of the job."""
-        rate = WallClockRate(self.clock, self.job.scenario.value.step_s)
+        rate = WallClockRate(self.clock, self.job.tick_s)
         context = RunContext(operator, on_progress, self.realtime, self.telemetry, _FRAMES_TO_ARM)
         made = assemble(self.job, self.rig, rate, self.devices, context)
         if self.sinks:

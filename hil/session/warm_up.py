@@ -70,7 +70,7 @@ def warm_up(job: Job) -> None:
 def warm_up_all_but_gnc(job: Job) -> None:
     """Call the kernels of every stage but the GNC's once."""
     loop = _short_run(job).loop
-    loop.safety_io.open(SimulatedRate(SimulatedClock(), job.scenario.value.step_s))
+    loop.safety_io.open(SimulatedRate(SimulatedClock(), job.tick_s))
     now = loop.now
     loop.bench.open(0.0)
     loop.vision.source.open(0.0)
@@ -80,8 +80,7 @@ def warm_up_all_but_gnc(job: Job) -> None:
     loop.bench.check(0.0, now.feedback)
     loop.bench.brake(0.0, now.setpoint)
     loop.vision.receive(0.0, 0.0, now.row[0])
-    loop.dss.step(now.truth, now.command)
-    loop.dss.sample_imu(now.truth, now.imu)
+    loop.dss.step(0, now.truth, now.command, now.imu, now.samples)
     loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), 0.0, now.setpoint)
 
 
@@ -90,4 +89,4 @@ def _short_run(job: Job) -> Runner:
     scenario = job.scenario.value
     builtin = scenario.model_copy(update={"gnc": scenario.gnc.model_copy(update={"library": None})})
     short = Job(replace(job.scenario, value=builtin), job.rig, 0, _CYCLES * scenario.step_s, 1.0, compiled=False)
-    return in_memory(short, SimulatedRate(SimulatedClock(), scenario.step_s))
+    return in_memory(short, SimulatedRate(SimulatedClock(), job.tick_s))

@@ -34,7 +34,7 @@ from hil.gnc_backends.library import key_of, open_library
 from hil.gnc_backends.shared_library import SharedLibraryGnc
 from hil.loop.bench_stage import BenchStage
 from hil.loop.controlled_stop import BrakeTimes
-from hil.loop.cycle import Loop
+from hil.loop.cycle import CycleData, Loop
 from hil.loop.fault_stages import AxisFaults, FrameFaults
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
@@ -53,6 +53,9 @@ from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import approach_event_log, backend_setup, gnc_setup
 
+ROWS_MAX = 100_000
+"""Rows of a run that are kept in memory, 0.2 GB; of a longer one they are handed over part by part."""
+_UNTIL_STOPPED_CYCLES = 2**40
 _FRAMES_TO_FORGET = 2.0  # one lost frame drains from the bucket in their time, unless the rig file sets another
 
 
@@ -87,7 +90,8 @@ class Job:
 
     dispersed: the true scenario, if it differs from the nominal one that guidance, navigation and control are designed
     for. make_backend: makes the GNC backend instead of the scenario's. paced: a mock rig runs in real time. compiled:
-    False for the cycle in Python, also where the compiled loop can run the job.
+    False for the cycle in Python, also where the compiled loop can run the job. until_stopped: Ctrl-C ends the run,
+    instead of ``duration_s``.
     """
 
     scenario: Loaded[Scenario]
@@ -99,10 +103,11 @@ class Job:
     make_backend: Callable[[Scenario], GncBackend] | None = None
     paced: bool = False
     compiled: bool = True
+    until_stopped: bool = False
 
     def __post_init__(self) -> None:
         """Raise BadInput if the run has more cycles than can be recorded."""
-        if self.cycles > CYCLES_MAX:
+        if self.cycles > CYCLES_MAX and not self.until_stopped:
             text = f"{self.duration_s:g}: has {self.cycles} cycles of step_s, at most {CYCLES_MAX} are allowed"
             raise BadInput.single(self.scenario.where("duration_s"), "duration_s", text)
 
@@ -114,7 +119,19 @@ class Job:
     @property
     def cycles(self) -> int:
         """Cycles of the run, the one at t = 0 and the one at t = duration included."""
+        if self.until_stopped:
+            return _UNTIL_STOPPED_CYCLES
         return round(self.duration_s / self.scenario.value.step_s) + 1
+
+    @property
+    def ticks(self) -> int:
+        """Setpoints per cycle."""
+        return self.rig.value.ticks(self.scenario.value.step_s)
+
+    @property
+    def tick_s(self) -> float:
+        """Period of the fastest rate that waits for its time, s: that of the rate keeper."""
+        return self.scenario.value.step_s / self.ticks
 
 
 def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunContext) -> Runner:
@@ -126,12 +143,13 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
     safety = SafetyMonitor(safety_limits(rig, bench), axis_names, _links(rig, rails, turntable, source))
     loop = Loop(
         dss=_dss(job.truth, job.seed),
-        bench=BenchStage(rails, turntable, bench, safety),
+        bench=BenchStage(rails, turntable, bench, safety, ticks=job.ticks, cycle_s=scenario.step_s),
         vision=VisionStage(source, vision_params.mounting(rig)),
         gnc=_backend(job, rig, rate),
-        history=np.zeros(job.cycles, CYCLE),
+        history=np.zeros(min(job.cycles, ROWS_MAX), CYCLE),
         telemetry=context.telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
+        now=CycleData(scenario.imu_samples),
     )
     if any(fault.family == "vmu" for fault in job.truth.faults):
         loop.vision.faults = FrameFaults(fault_rows(job.truth, "vmu", job.seed), vision_params.mounting(rig))
@@ -150,7 +168,7 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         loop.target = PlacedTarget(target, rig.moved_target)
     loop.now.row["truth"] = dynamics_params.initial_truth(job.truth)
     draw_initial_imu_errors(job.truth, job.seed, loop.now.imu)
-    overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s)
+    overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s, job.ticks)
     overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
     loop.gnc.request_hold = safety.request_hold
     return Runner(
@@ -165,6 +183,8 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
             park_position(rig),
             rig.bench.park_after_run,
             BrakeTimes(rig.brake_close_s, rig.brake_open_s),
+            job.ticks,
+            job.until_stopped,
         ),
         context.on_progress,
         context.operator,

@@ -68,4 +68,4 @@ def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks)
     session = MockSession(
         rails, turntable, source, io, mocks.sensor.noise, mocks.transport.draws, frames, frames.copy()
     )
-    return CompiledCycles(loop, rate, session, params, backend, runner.cycles)
+    return CompiledCycles(loop, rate, session, params, backend, runner.cycles, job.cycles)

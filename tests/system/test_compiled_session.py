@@ -45,6 +45,7 @@ LATE = (
 CROWDED = ("rig.vmu.rate_hz=400.0", "vmu.latency_jitter_s=0.1", "vmu.duplicate_probability=0.3")
 """More poses in a cycle than it takes."""
 SLOW_RAILS = ("rig.rails.x.acceleration_max_mps2=0.0002", "rig.rails.following_error_max_m=1.0")
+RATES = ("rig.bench.axes_rate_hz=250.0", "imu.rate_hz=200.0")
 STEP = "    gnc_state *g = gnc;"
 STARTED_NS = 1_700_000_000_000_000_000
 
@@ -135,6 +136,7 @@ Check = Callable[..., Evidence]
         ("scheme-1", CROWDED),
         ("scheme-1", SLOW_RAILS),
         ("scheme-1", ("rig.rails.x.lead_s=-0.01", "rig.vmu.bench_sigma_m=0.002")),
+        ("scheme-1", (*RATES, *LATE, "rig.vmu.rate_hz=7.0", "rig.rails.x.lead_s=0.01")),
     ],
     ids=[
         "scheme-1",
@@ -147,6 +149,7 @@ Check = Callable[..., Evidence]
         "more poses than a cycle takes",
         "limited setpoints",
         "lead, other sigma",
+        "fast axes and IMU",
     ],
 )
 def test_compiled_session_equals_the_cycle_in_python(check: Check, scheme: str, settings: tuple[str, ...]) -> None:
@@ -185,8 +188,9 @@ def test_events_come_in_the_same_cycles(check: Check, settings: tuple[str, ...],
         (("rig.rails.following_error_max_m=0.00002",), "rails."),
         (("vmu.loss_probability=0.9",), "vmu"),
         (("rig.rails.x.travel_m=[-0.2, 3.93]", "rig.rails.following_error_max_m=1e-9"), "rails."),
+        (("rig.rails.following_error_max_m=0.000005", "rig.bench.axes_rate_hz=250.0"), "rails."),
     ],
-    ids=["following error", "silent vision unit", "travel"],
+    ids=["following error", "silent vision unit", "travel", "following error between two cycles"],
 )
 def test_fault_raises_the_same_alarm_in_the_same_cycle(check: Check, settings: tuple[str, ...], device: str) -> None:
     found = check(make_job(20.0, settings))
@@ -255,8 +259,9 @@ class Alternating:
         return self._turns[0].advance(held_s)
 
 
+@pytest.mark.parametrize("rates", [(), RATES], ids=["one rate", "fast axes and IMU"])
 def test_compiled_cycles_and_cycles_in_python_can_follow_each_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rates: tuple[str, ...]
 ) -> None:
     monkeypatch.setattr(cycles, "_BLOCK_S", 0.14)
 
@@ -265,7 +270,7 @@ def test_compiled_cycles_and_cycles_in_python_can_follow_each_other(
         turns: Cycles = Alternating(runner.cycles)
         runner.cycles = turns
 
-    job = make_job(12.0, (*LATE, "gnc.abort.at_s=8.0"), seed=3)
+    job = make_job(12.0, (*LATE, *rates, "gnc.abort.at_s=8.0"), seed=3)
     assert_equal(run(job, tmp_path / "a", True, alternate), run(job, tmp_path / "b", False))
 
 

@@ -62,6 +62,17 @@ def test_orders_are_given_again_in_their_cycles(tmp_path: Path) -> None:
     assert replay(recorded, recorded.scenario).identical
 
 
+def test_samples_of_a_fast_imu_are_replayed(tmp_path: Path) -> None:
+    recorded = record(tmp_path, "scheme-1", 6.0, "imu.rate_hz=200.0", "rig.bench.axes_rate_hz=250.0")
+    assert len(recorded.imu_samples) == 4 * len(recorded.cycles)
+    assert len(recorded.axes_samples) == 5 * (len(recorded.cycles) - 1) + 1
+    assert replay(recorded, recorded.scenario).identical
+    recorded.imu_samples["imu"]["rate_C"][500] += 1e-6
+    assert replay(recorded, recorded.scenario).differences[0].first_cycle == 126
+    recorded.imu_samples["cycle"][900:] += 1
+    assert "of which 0 are in the recording" in replay(recorded, recorded.scenario).ended
+
+
 def record_operated(folder: Path, operator: Operator, watch: Callable[[Mode, float], None]) -> Recorded:
     """Return 4 s of scheme-1, recorded, with somebody who gives orders while being told how far the run is."""
     job = make_job(4.0, seed=1)

@@ -47,6 +47,11 @@ def _check_rtu(rails: Rails) -> None:
     _check_map(rails)
 
 
+def _rtu_setpoints_hz(rails: Rails) -> float:
+    """The drives share the line: one exchange after the other."""
+    return 1.0 / (len(RAIL_NAMES) * (rails.rtu or ModbusRtu()).exchange_s(rails.map))
+
+
 def _identity(rails: Rails) -> dict[str, str]:
     major, minor = rails.map.firmware_min
     return {"vendor": f"0x{rails.map.vendor:X}", "firmware from": f"{major}.{minor}"}
@@ -70,4 +75,5 @@ RTU: Final = DriverEntry(
     wires=[WireKey("rtu.port", "serial", emulated={"parity": "none"})],
     check=_check_rtu,
     identity=_identity,
+    setpoints_hz=_rtu_setpoints_hz,
 )

@@ -73,6 +73,10 @@ class MockVmu:
         self._received.get(now_s, self._timeout_s)
         return frames
 
+    def expose(self, now_s: float) -> None:
+        """Expose up to bench time ``now_s``, while the axes are where they are then."""
+        self._expose_until(now_s + TIME_SLACK_S)
+
     def counters(self) -> dict[str, int]:
         """Return the counters since ``open``, named as in ``hil.drivers.vmu.COUNTERS``."""
         return dict(self._counts)

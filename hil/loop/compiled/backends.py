@@ -9,7 +9,7 @@ from typing import NoReturn, Protocol
 
 import numpy as np
 
-from hil.gnc.fusion import MEMORY, STEP
+from hil.gnc.fusion import new_memory
 from hil.gnc_backends.base import GncBackend, Records
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.gnc_backends.external import hold_reason
@@ -23,7 +23,7 @@ class CompiledBackend(Protocol):
     params: np.record
     """GNC_PARAMS."""
     memory: np.ndarray
-    """Of the filters, (MEMORY,) of STEP."""
+    """Of the filters, (n,) of fusion.STEP."""
 
     def load(self, state: np.record) -> None:
         """Write the backend's state to ``state`` (LOOP_STATE)."""
@@ -78,7 +78,7 @@ class CompiledLibrary:
     def __init__(self, gnc: SharedLibraryGnc) -> None:
         self.gnc = gnc
         self.params = gnc.params
-        self.memory = np.zeros(MEMORY, STEP)
+        self.memory = new_memory(gnc.params.navigation.fusion)
 
     def load(self, state: np.record) -> None:
         library = state.library

@@ -13,7 +13,7 @@ from typing import Final, NoReturn
 
 import numpy as np
 
-from hil.core.messages import ARRIVAL, AxisFeedback, PoseFrame, new
+from hil.core.messages import ARRIVAL, AXES_SAMPLE, IMU_SAMPLE, AxisFeedback, PoseFrame, imu_samples, new
 from hil.drivers.io.mock import MockIo
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.vmu.mock import MockVmu, MockVmuState
@@ -30,6 +30,8 @@ from hil.maths.random_streams import RandomRows
 _BLOCK_S: Final = 20.0  # of the run's time: a few milliseconds, after which Ctrl-C and progress have their turn
 _NO_LEDS: Final = np.zeros((0, 3))
 _NO_ARRIVALS: Final = np.zeros(0, ARRIVAL).view(np.recarray)
+_NO_AXES_SAMPLES: Final = np.zeros(0, AXES_SAMPLE)
+_NO_IMU_SAMPLES: Final = np.zeros(0, IMU_SAMPLE)
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class MockSession:
 class CompiledCycles:
     """Runs blocks of cycles of ``loop`` on ``mocks``, in simulated time.
 
-    params: LOOP_PARAMS. python: runs the cycles that the compiled loop cannot run or complete.
+    params: LOOP_PARAMS. cycles: of the run. python: runs the cycles that the compiled loop cannot run or complete.
     """
 
     def __init__(
@@ -63,19 +65,26 @@ class CompiledCycles:
         params: np.record,
         backend: CompiledBackend,
         python: Cycles,
+        cycles: int,
     ) -> None:
         self._loop = loop
         self._rate = rate
         self._mocks = mocks
         self._params = params
         self._python = python
+        self._cycles = cycles
         self._backend = backend
         self._state = new(LOOP_STATE)
         self._state.opened = 1
+        self._ticks, self._n_samples = int(params.ticks), len(loop.now.samples)
+        self._samples = loop.now.samples
+        if self._n_samples == 1:
+            self._samples = imu_samples(np.asarray(self._state).reshape(1)["now"], 1)
+        self._axes_log, self._samples_log = _NO_AXES_SAMPLES, _NO_IMU_SAMPLES
         self._stats = new(RUN_STATS)
         self._arrivals = _NO_ARRIVALS
         self._last_arrivals: dict[int, int] = {}
-        self._sent_arrivals = 0
+        self._sent_arrivals = self._sent_axes = self._sent_samples = self._begun = 0
         self._tick: Tick
         self._block = max(1, round(_BLOCK_S / float(params.step_s)))
         params.reports = 1
@@ -88,15 +97,17 @@ class CompiledCycles:
             return self._python.advance(held_s)
         loop, rate, state = self._loop, self._rate, self._state
         first = loop.done
-        end = min(first + self._block, len(loop.history))
-        rate.seek(first)
+        loop.make_room(first)
+        end = min(first + self._block, loop.first + len(loop.history), self._cycles)
+        self._begun = begun = self._tick_number()
+        rate.seek(first * self._ticks)
         tick = rate.wait()
         if self._is_behind(tick.now_s):
-            rate.seek(first)
+            rate.seek(begun)
             return self._python.advance(held_s)
         self._load(first, end, tick)
         code = self._run(first, end)
-        self._store(first, code)
+        self._store(begun, code)
         last = int(state.cycle)
         self._hand_over(first, last, code)
         match code:
@@ -109,8 +120,13 @@ class CompiledCycles:
                 self._fail_in_gnc(last)
             case loop_kernel.NOT_FINITE:
                 self._fail_in_setpoint(last)
-        rate.seek(last)
+        rate.seek(self._tick_number())
         return self._python.advance(held_s)
+
+    def _tick_number(self) -> int:
+        """Return the number of the next tick of the run."""
+        done, tick = self._loop.done, self._loop.bench.tick
+        return (done - 1) * self._ticks + tick if tick else done * self._ticks
 
     def _is_behind(self, now_s: float) -> bool:
         """Return whether more frames are due in the first cycle than in a period, as after a wait."""
@@ -128,6 +144,7 @@ class CompiledCycles:
         state.truth_memory, state.imu_memory = loop.dss.memory, loop.dss.imu_memory
         state.rails, state.turntable = mocks.rails.servo(), mocks.turntable.servo()
         state.motion, state.before = loop.bench.motion, loop.bench.accepted
+        state.tick, state.span = loop.bench.tick, loop.bench.span
         source = mocks.source.state()
         state.next_exposure, state.first_exposure = source.next_exposure, source.first_exposure
         state.received, state.last_rx_s, state.in_transit = source.received, source.last_rx_s, len(source.in_transit)
@@ -137,7 +154,7 @@ class CompiledCycles:
             state.vmu_memory, state.delayed = faults.memory, len(faults.delayed)
             for i, frame in enumerate(faults.delayed):
                 frame.write_to(mocks.delayed[i : i + 1])
-        state.logged = state.dropped = 0
+        state.logged = state.dropped = state.axes_logged = state.samples_logged = 0
         self._stats.limited_cycles = 0
         self._backend.load(state)
 
@@ -150,39 +167,46 @@ class CompiledCycles:
         self._arrivals = _NO_ARRIVALS
         if loop.vision.frame_sink is not None:
             self._arrivals = np.zeros(2 * exposures + int(state.in_transit), ARRIVAL).view(np.recarray)
+        if loop.axes_sink is not None:
+            self._axes_log = np.zeros((end - first) * self._ticks, AXES_SAMPLE)
+        if loop.dss.sample_sink is not None:
+            self._samples_log = np.zeros((end - first) * self._n_samples, IMU_SAMPLE)
         code: int = run_loop(
             params,
             loop.dss.field,
             _NO_LEDS,
-            loop.dss.noise.peek(end - first),
+            loop.dss.noise.peek((end - first) * self._n_samples),
             mocks.vision_noise.peek(exposures),
             mocks.travel_draws.peek(exposures),
             state,
+            self._samples,
             self._backend.memory,
             loop.vision.poses,
             mocks.frames,
             mocks.delayed,
             self._stats,
-            loop.history,
+            loop.history[first - loop.first : end - loop.first],
             self._arrivals,
+            self._axes_log,
+            self._samples_log,
         )
         used_in = self._arrivals["cycle"][: state.logged]
         self._last_arrivals = {int(cycle): i + 1 for i, cycle in enumerate(used_in) if cycle >= 0}
-        self._sent_arrivals = 0
-        loop.dss.noise.skip(int(state.cycle) - first + (code == loop_kernel.NOT_FINITE))
+        self._sent_arrivals = self._sent_axes = self._sent_samples = 0
+        loop.dss.noise.skip((int(state.cycle) - first + (code == loop_kernel.NOT_FINITE)) * self._n_samples)
         for rows in (mocks.vision_noise, mocks.travel_draws):
             rows.skip(int(state.next_exposure) - next_exposure)
         return code
 
-    def _store(self, first: int, code: int) -> None:
-        """Write LOOP_STATE to the stages, after a block from cycle ``first`` on that ended with ``code``."""
+    def _store(self, begun: int, code: int) -> None:
+        """Write LOOP_STATE to the stages, after a block from tick ``begun`` on that ended with ``code``."""
         loop, mocks, state = self._loop, self._mocks, self._state
         loop.now.row[0] = state.now
         np.asarray(loop.dss.memory)[...] = state.truth_memory
         np.asarray(loop.dss.imu_memory)[...] = state.imu_memory
         mocks.rails.set_servo(state.rails)
         mocks.turntable.set_servo(state.turntable)
-        self._store_bench(first)
+        self._store_bench(begun)
         frames = [PoseFrame.from_record(mocks.frames[i]) for i in range(state.in_transit)]
         mocks.source.set_state(
             MockVmuState(
@@ -200,15 +224,18 @@ class CompiledCycles:
         if mocks.io is not None and isinstance(loop.safety_io, SafetyIoStage):
             mocks.io.set_outputs(loop.safety_io.set_mirrored(), float(state.lines_changed_s))
 
-    def _store_bench(self, first: int) -> None:
+    def _store_bench(self, begun: int) -> None:
         """Write feedback and setpoints to the bench stage."""
         bench, state = self._loop.bench, self._state
+        bench.tick = int(state.tick)
+        np.asarray(bench.span)[...] = state.span
         np.asarray(bench.motion)[...] = state.motion
         np.asarray(bench.accepted)[...] = state.before
         bench.limited_cycles += int(self._stats.limited_cycles)
-        feedback, last = state.now.feedback, int(state.cycle) - 1
-        if last >= first:
-            bench.commanded_s = float(state.zero_s + last * self._params.step_s)
+        feedback, cycle = state.now.feedback, int(state.cycle)
+        last = ((cycle - 1) * self._ticks + bench.tick if bench.tick else cycle * self._ticks) - 1
+        if last >= begun:
+            bench.commanded_s = float(state.zero_s + last * self._params.tick_s)
             bench.feedback = (
                 AxisFeedback(bench.commanded_s, feedback.rail_m.copy(), feedback.rail_mps.copy()),
                 AxisFeedback(bench.commanded_s, feedback.gimbal_rad.copy(), feedback.gimbal_radps.copy()),
@@ -221,10 +248,11 @@ class CompiledCycles:
         """
         loop = self._loop
         is_last = code in (loop_kernel.COMPLETED, loop_kernel.EVENT, loop_kernel.GNC_HOLDS)
-        rows = loop.history[first:end]
+        rows = loop.history[first - loop.first : end - loop.first]
         has_poses = rows["pose"]["fresh"] > 0
         due = has_poses.copy()
-        if loop.vision.frame_sink is not None or not isinstance(loop.telemetry, NoTelemetry):
+        is_sampled = loop.axes_sink is not None or loop.dss.sample_sink is not None
+        if is_sampled or loop.vision.frame_sink is not None or not isinstance(loop.telemetry, NoTelemetry):
             due[:] = True
         due[-1:] = True
         nis_position, nis_attitude = rows["navigation"]["nis_position"], rows["navigation"]["nis_attitude"]
@@ -235,12 +263,34 @@ class CompiledCycles:
                 self._backend.add_innovations(k, float(nis_position[i]), float(nis_attitude[i]))
             if is_last and k == end - 1:
                 self._backend.log_events(float(rows["t_s"][i]), self._state)
-            loop.telemetry.put(loop.history[k : k + 1])
+            loop.telemetry.put(rows[i : i + 1])
+            self._send_samples()
+            self._send_axes(k * self._ticks + 1)
             loop.done = k + 1
+        self._send_axes(end * self._ticks)
+
+    def _send_axes(self, end: int) -> None:
+        """Send the setpoints of the ticks before number ``end`` of the run that were not sent yet."""
+        sink, log = self._loop.axes_sink, self._axes_log
+        if sink is None:
+            return
+        for i in range(self._sent_axes, min(end - self._begun, int(self._state.axes_logged))):
+            sink.put(log[i : i + 1])
+            self._sent_axes = i + 1
+
+    def _send_samples(self) -> None:
+        """Send the IMU's samples of the next cycle of the block."""
+        sink, log = self._loop.dss.sample_sink, self._samples_log
+        if sink is None:
+            return
+        for _ in range(self._n_samples):
+            sink.put(log[self._sent_samples : self._sent_samples + 1])
+            self._sent_samples += 1
 
     def _begin(self, cycle: int) -> None:
         """Set the clock to ``cycle`` and send its frames."""
-        self._rate.seek(cycle)
+        self._send_axes(cycle * self._ticks)
+        self._rate.seek(cycle * self._ticks)
         self._tick = self._rate.wait()
         self._loop.gnc.cycle = cycle
         sink = self._loop.vision.frame_sink

@@ -13,7 +13,7 @@ import numpy as np
 from hil.bench import guard as guards
 from hil.bench import kinematics
 from hil.bench.guard import BREACH, GUARD
-from hil.bench.kinematics import BENCH_PARAMS, MOTION
+from hil.bench.kinematics import BENCH_PARAMS, MOTION, SPAN
 from hil.core.jit import kernel
 from hil.core.messages import AXES, CYCLE, MAX_POSES, MAX_THRUSTERS
 from hil.dynamics import imu as imu_kernels
@@ -45,6 +45,8 @@ COMPLETED, FOLLOWING, TRAVEL_LEFT, VISION_SILENT, NOT_FINITE, GNC_FAILED, GNC_HO
 LOOP_PARAMS = np.dtype(
     [
         ("step_s", "f8"),
+        ("ticks", "i8"),  # setpoints per cycle
+        ("tick_s", "f8"),  # between two setpoints
         ("vmu_rate_hz", "f8"),
         ("vmu_timeout_s", "f8"),
         ("thruster_lines", "i8"),  # thrusters mirrored to digital lines
@@ -73,6 +75,7 @@ LOOP_STATE = np.dtype(
     [
         ("opened", "i8"),  # 1: the bench is open; 0: ``run_loop`` opens it
         ("cycle", "i8"),  # number of the next cycle
+        ("tick", "i8"),  # of the last cycle, the next one to run; 0: all have run
         ("end", "i8"),  # number of the cycle before which ``run_loop`` returns
         ("zero_s", "f8"),  # bench time of the run's time zero
         ("now", CYCLE),
@@ -83,6 +86,7 @@ LOOP_STATE = np.dtype(
         ("turntable", SERVO),
         ("motion", MOTION),
         ("desired", AXES),
+        ("span", SPAN),  # of the last cycle
         ("next", AXES),
         ("before", AXES),  # the setpoint of the cycle before
         ("breach", BREACH),
@@ -98,6 +102,8 @@ LOOP_STATE = np.dtype(
         ("received", "i8"),  # frames so far
         ("dropped", "i8"),  # of them beyond MAX_POSES in one cycle
         ("logged", "i8"),  # rows of ARRIVAL written
+        ("axes_logged", "i8"),  # rows of AXES_SAMPLE written
+        ("samples_logged", "i8"),  # rows of IMU_SAMPLE written
         ("lines", "i8", MAX_THRUSTERS),  # as mirrored
         ("lines_changed_s", "f8"),  # bench time, nan without lines
     ],
@@ -339,13 +345,22 @@ def _check_consistency(state):
 
 
 @kernel
-def _send_setpoints(params, state, stats, now_s):
-    """Stage 11: setpoints for the truth's pose. Return False if one is not finite."""
-    now = state.now
+def _aim(params, state):
+    """Stage 11: axes for the truth's pose at the end of the cycle."""
     rate = stack.vector(3)
-    truth_kernels.rate_against_hill(now.truth, rate)
-    truth = now.truth
+    truth = state.now.truth
+    truth_kernels.rate_against_hill(truth, rate)
     kinematics.axes_of_pose(params.bench, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, state.desired)
+    if params.ticks > 1:
+        kinematics.extend_span(state.span, state.desired, params.step_s)
+
+
+@kernel
+def _send_setpoints(params, state, stats, now_s):
+    """Stage 11: setpoints of the present tick. Return False if one is not finite."""
+    now = state.now
+    if params.ticks > 1:
+        kinematics.within_span(state.span, params.step_s, (state.tick + 1) / params.ticks, state.desired)
     out = state.next
     if kinematics.limit_setpoint(params.bench, state.motion, state.desired, out) != 0:
         stats.limited_cycles += 1
@@ -358,6 +373,37 @@ def _send_setpoints(params, state, stats, now_s):
     kinematics.write_axes(rails, out.rail_mps, gimbals, out.gimbal_radps, now.setpoint)
     kinematics.write_axes(rails, out.rail_mps, gimbals, out.gimbal_radps, state.before)
     return True
+
+
+@kernel
+def _log_axes(state, now_s, log):
+    """Write the setpoint of the present tick, sent at ``now_s``, and the encoders into ``log``, of AXES_SAMPLE."""
+    if state.axes_logged >= log.shape[0]:
+        return
+    row, setpoint, feedback = log[state.axes_logged], state.now.setpoint, state.now.feedback
+    row.t_s = row.sampled_s[0] = row.sampled_s[1] = now_s - state.zero_s
+    row.lateness_s = 0.0
+    kinematics.write_axes(
+        setpoint.rail_m, setpoint.rail_mps, setpoint.gimbal_rad, setpoint.gimbal_radps, row.setpoint
+    )  # fmt: skip
+    kinematics.write_axes(
+        feedback.rail_m, feedback.rail_mps, feedback.gimbal_rad, feedback.gimbal_radps, row.feedback
+    )  # fmt: skip
+    state.axes_logged += 1
+
+
+@kernel
+def _log_samples(params, state, samples, log):
+    """Write the IMU's samples of the present cycle, which the next one uses, into ``log``, of IMU_SAMPLE."""
+    n = samples.shape[0]
+    for i in range(n):
+        if state.samples_logged >= log.shape[0]:
+            return
+        row = log[state.samples_logged]
+        row.cycle = state.cycle + 1
+        row.t_s = (state.cycle * n + i + 1) * params.dss.dt_s
+        imu_kernels.copy_sample(samples[i], row.imu)
+        state.samples_logged += 1
 
 
 @kernel
@@ -386,75 +432,79 @@ def _has_event(state):
 
 @kernel
 def run_loop(
-    params,
-    field,
-    leds,
-    imu_noise,
-    vision_noise,
-    travel_draws,
-    state,
-    memory,
-    poses,
-    frames,
-    delayed,
-    stats,
-    history,
-    arrivals,
-):
+    params, field, leds, imu_noise, vision_noise, travel_draws, state, samples, memory, poses, frames, delayed, stats,
+    history, arrivals, axes_log, samples_log,
+):  # fmt: skip
     """Run the cycles from ``state.cycle`` to ``state.end``; return why it ended.
 
+    A cycle sends the setpoints of its first tick; its other ticks, if it has more, come before the next cycle.
     COMPLETED, GNC_HOLDS and EVENT leave ``state.cycle`` at the next cycle. After any other reason it is the number of
-    the cycle that was not completed: FOLLOWING, TRAVEL_LEFT and VISION_SILENT end it before the GNC, GNC_FAILED in it,
-    NOT_FINITE when the setpoints are to be sent, after its row was written.
+    the cycle that was not completed, unless ``state.tick`` is above 0: then it was that tick of the cycle before.
+    FOLLOWING, TRAVEL_LEFT and VISION_SILENT end a cycle before the GNC, GNC_FAILED in it, NOT_FINITE when the setpoints
+    are to be sent, after its row was written.
 
     params: LOOP_PARAMS. field: harmonics, measure ``moon_gravity.field_table``. leds: (n, 3), m, in t. imu_noise: (n,
-    IMU_NOISE), one row per cycle, vision_noise: (n, VISION_NOISE), one row per exposure, standard normals;
+    IMU_NOISE), one row per sample, vision_noise: (n, VISION_NOISE), one row per exposure, standard normals;
     travel_draws: (n, TRAVEL_DRAWS), uniform, one row per exposure. state: LOOP_STATE; if not ``opened``, zeroed but for
     ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, ``end``, and the address and instance of a library.
-    memory: (fusion.MEMORY,) of STEP, zeroed. poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on
-    their way at once and two more. delayed: as many again. stats: RUN_STATS. history: (n,) of CYCLE, filled for the
-    first n cycles of the run. arrivals: of ARRIVAL, filled from ``state.logged`` on.
+    samples: (n,) of IMU, those of a cycle; (1,) may be ``state.now.imu``. memory: of ``fusion.new_memory``. poses:
+    (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on their way at once and two more. delayed: as many
+    again. stats: RUN_STATS. history: (n,) of CYCLE, filled with the first n cycles from here. arrivals: of ARRIVAL,
+    filled from ``state.logged`` on. axes_log: of AXES_SAMPLE, samples_log: of IMU_SAMPLE, likewise; (0,) for none.
     """
     now = state.now
     if state.opened == 0:
         _open(params, state)
-    first_cycle, first = state.cycle, state.next_exposure
+    first_cycle, first, n_samples = state.cycle, state.next_exposure, samples.shape[0]
     while state.cycle < state.end:
         k = state.cycle
-        t_s = k * params.step_s
-        now_s = state.zero_s + t_s
-        if params.axis_faults.n != 0:
-            set_axis_faults(params.axis_faults, params.nominal_axes, t_s, state.rails, state.turntable)
+        begins = state.tick == 0
+        tick = k * params.ticks if begins else (k - 1) * params.ticks + state.tick
+        now_s = state.zero_s + tick * params.tick_s
+        if begins and params.axis_faults.n != 0:
+            set_axis_faults(params.axis_faults, params.nominal_axes, k * params.step_s, state.rails, state.turntable)
         _read_axes(state, now_s)
         broken = guards.first_breach(params.guard, state.before, now.feedback, state.breach)
         if broken != guards.NOTHING:
             return broken
         _expose(params, state, now_s + TIME_SLACK_S, first, vision_noise, travel_draws, leds, frames, stats)
-        arrived = _receive_poses(params, state, now_s, frames, delayed, poses, arrivals)
-        if arrived < 0:
-            return VISION_SILENT
-        _record_pose(state, poses, arrived)
-        if params.reports != 0:
-            copy_progress(state.gnc.approach.progress, state.progress_before)
-        if state.library.step_address == 0:
-            gnc_step(
-                params.gnc, state.gnc, memory, t_s, now.imu, poses, arrived,
-                now.navigation, now.reference, now.supervision, now.command,
+        if begins:
+            t_s = k * params.step_s
+            arrived = _receive_poses(params, state, now_s, frames, delayed, poses, arrivals)
+            if arrived < 0:
+                return VISION_SILENT
+            _record_pose(state, poses, arrived)
+            if params.reports != 0:
+                copy_progress(state.gnc.approach.progress, state.progress_before)
+            if state.library.step_address == 0:
+                gnc_step(
+                    params.gnc, state.gnc, memory, t_s, samples, poses, arrived,
+                    now.navigation, now.reference, now.supervision, now.command,
+                )  # fmt: skip
+            elif not library_step(params.gnc, state, poses, arrived, k, t_s):
+                return GNC_FAILED
+            _mirror_thrusters(params, state, now_s)
+            _check_consistency(state)
+            now.t_s = t_s
+            now.commanded_s = now.sampled_s[0] = now.sampled_s[1] = now_s - state.zero_s
+            if params.counts != 0:
+                count_cycle(params, state, stats)
+            row = k - first_cycle
+            if row < history.shape[0]:
+                history[row] = now
+            row *= n_samples
+            imu_kernels.propagate(
+                params.dss, params.imu, field, state.truth_memory, now.truth, now.command.on,
+                imu_noise[row : row + n_samples], state.imu_memory, samples, now.imu,
             )  # fmt: skip
-        elif not library_step(params.gnc, state, poses, arrived, k, t_s):
-            return GNC_FAILED
-        _mirror_thrusters(params, state, now_s)
-        _check_consistency(state)
-        now.t_s = t_s
-        now.commanded_s = now.sampled_s[0] = now.sampled_s[1] = now_s - state.zero_s
-        if params.counts != 0:
-            count_cycle(params, state, stats)
-        if k < history.shape[0]:
-            history[k] = now
-        truth_kernels.step(params.dss, field, state.truth_memory, now.truth, now.command.on)
-        imu_kernels.sample_with_faults(params.imu, now.truth, imu_noise[k - first_cycle], state.imu_memory, now.imu)
+            _log_samples(params, state, samples, samples_log)
+            _aim(params, state)
         if not _send_setpoints(params, state, stats, now_s):
             return NOT_FINITE
+        _log_axes(state, now_s, axes_log)
+        state.tick = state.tick + 1 if state.tick + 1 < params.ticks else 0
+        if not begins:
+            continue
         state.cycle = k + 1
         if state.library.asks_for_hold != 0:
             return GNC_HOLDS

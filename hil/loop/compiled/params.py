@@ -26,6 +26,8 @@ def loop_params(scenario: Scenario, rig: Rig, gnc: np.record, bench: np.record, 
     """
     params = new(LOOP_PARAMS)
     params.step_s = scenario.step_s
+    params.ticks = rig.ticks(scenario.step_s)
+    params.tick_s = bench.dt_s
     params.vmu_rate_hz, params.vmu_timeout_s = rig.vmu.rate_hz, rig.vmu.timeout_s
     params.mounting = vision_params.mounting(rig)
     params.bench, params.guard, params.gnc = bench, guard, gnc

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_THRUSTERS, TRUTH, new
 from hil.dynamics import truth as truth_kernels
-from hil.dynamics.imu import IMU_NOISE, IMU_PARAMS, sample
+from hil.dynamics.imu import IMU_NOISE, IMU_PARAMS, propagate, sample
+from hil.dynamics.imu_faults import IMU_MEMORY
 from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths.random_streams import NormalRows, stream
 from hil.params import dynamics as dynamics_params
@@ -115,3 +117,27 @@ def test_streams_of_one_seed_repeat_and_do_not_depend_on_the_block() -> None:
         NormalRows(stream(7, "vision"), 12).next_row(), NormalRows(stream(7, "imu"), 12).next_row()
     )
     assert not np.array_equal(NormalRows(stream(8, "imu"), 12).next_row(), NormalRows(stream(7, "imu"), 12).next_row())
+
+
+def test_fast_imu_takes_one_step_of_the_truth_per_sample() -> None:
+    linear = load_scenario("scheme-1", ("truth.relative_motion=hill", "truth.gravity_degree=0")).value
+    fast = linear.model_copy(update={"imu": linear.imu.model_copy(update={"rate_hz": 200.0})})
+    on = np.ones(MAX_THRUSTERS, np.int64)
+    found = []
+    for scenario in (linear, fast):
+        truth, imu = dynamics_params.initial_truth(scenario), new(IMU)
+        samples = np.zeros(scenario.imu_samples, IMU)
+        propagate(
+            dynamics_params.dss(scenario), dynamics_params.imu(scenario), NO_FIELD, new(TRUTH_MEMORY), truth, on,
+            np.zeros((len(samples), IMU_NOISE)), new(IMU_MEMORY), samples, imu,
+        )  # fmt: skip
+        found.append((truth, imu, samples))
+    (one, slow, _), (four, mean, samples) = found
+    assert len(samples) == 4
+    np.testing.assert_allclose(four.r_CT_H, one.r_CT_H, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(four.q_CH, one.q_CH, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(four.thrust_fraction, one.thrust_fraction, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(samples["rate_C"].mean(axis=0), mean.rate_C, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(mean.rate_C, slow.rate_C, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(mean.force_C, slow.force_C, rtol=0.0, atol=1e-9)
+    assert not np.array_equal(samples["rate_C"][0], samples["rate_C"][3])

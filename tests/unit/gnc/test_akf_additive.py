@@ -205,7 +205,7 @@ class Both:
         self.params = [gnc_params.navigation(scenario).fusion for _ in range(2)]
         self.params[1].attitude_form = fusion.AS_PRINTED
         self.state = [new(fusion.FUSION_STATE) for _ in range(2)]
-        self._memory = [np.zeros(fusion.MEMORY, fusion.STEP) for _ in range(2)]
+        self._memory = [fusion.new_memory(params) for params in self.params]
         self._rng, self._cycle = rng, 0
         own = self.params[0].akf
         self.drift = own.initial_drift + own.initial_drift_sigma * rng.standard_normal(3)

@@ -63,7 +63,7 @@ class Run:
 
     def __init__(self, params: np.record, flight: Flight) -> None:
         self._params, self._flight = params, flight
-        self.state, self._memory = new(fusion.FUSION_STATE), np.zeros(fusion.MEMORY, fusion.STEP)
+        self.state, self._memory = new(fusion.FUSION_STATE), fusion.new_memory(params)
 
     def step(self, *poses: np.record) -> None:
         fusion.advance(self._params, self.state, self._memory, self._flight.imu[self.state.cycle])
@@ -184,9 +184,9 @@ def test_duplicate_changes_nothing_and_is_counted(params: np.record, rng: np.ran
 def test_pose_older_than_the_memory_changes_nothing_and_is_counted(params: np.record, rng: np.random.Generator) -> None:
     flight = Flight(params, 110, rng)
     poses = {0: [flight.pose(0)], 96: [flight.pose(96)]}
-    extra = {k: [flight.pose(k - fusion.MEMORY)] for k in (64, 99, 105)}
+    extra = {k: [flight.pose(k - params.memory)] for k in (64, 99, 105)}
     assert alongside(params, flight, poses, extra) == (1, 0, 0, 0, 3)
-    poses[105] = [flight.pose(105 - fusion.MEMORY + 1)]
+    poses[105] = [flight.pose(105 - params.memory + 1)]
     assert alongside(params, flight, poses, {}) == (2, 0, 0, 0, 0)
 
 

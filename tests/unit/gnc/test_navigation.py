@@ -28,7 +28,7 @@ class Navigator:
 
     def __init__(self, params: np.record, rng: np.random.Generator, scale: float = 1.0) -> None:
         self.params, self.out = params, new(NAVIGATION)
-        self.state, self._memory = new(navigation.NAVIGATION_STATE), np.zeros(fusion.MEMORY, fusion.STEP)
+        self.state, self._memory = new(navigation.NAVIGATION_STATE), fusion.new_memory(params.fusion)
         self._poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self._rng, self._scale = rng, scale
         self.r, self.q = np.array([10.0, -0.5, 0.5]), Rotation.from_euler("ZYX", [-5, 5, 5], degrees=True).as_quat()
@@ -44,7 +44,8 @@ class Navigator:
         return pose
 
     def step(self, *poses: np.record) -> np.record:
-        own, imu = self.params.fusion, new(IMU)
+        own, samples = self.params.fusion, np.zeros(1, IMU).view(np.recarray)
+        imu = samples[0]
         for i, pose in enumerate(poses):
             self._poses[i] = pose
         w0 = own.akf.orbit_rate
@@ -53,7 +54,7 @@ class Navigator:
         imu.rate_C += own.akf.sigma_gyro * self._rng.standard_normal(3)
         imu.force_C = quat.transform(self.q, still) + own.pkf.initial_bias
         imu.force_C += own.pkf.sigma_accelerometer * self._rng.standard_normal(3)
-        navigation.navigate(self.params, self.state, self._memory, imu, self._poses, len(poses), self.out)
+        navigation.navigate(self.params, self.state, self._memory, samples, self._poses, len(poses), self.out)
         return self.out
 
 
@@ -152,14 +153,15 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
     params, mounting = gnc_params.navigation(scheme_2), vision_params.mounting(mock_rig)
     vision, akf, pkf = vision_params.vision(scheme_2), params.fusion.akf, params.fusion.pkf
     vision.reference_range = 1e3  # noise as in Table I at every range
-    hill_rate, no_imu = np.array([0.0, -akf.orbit_rate, 0.0]), new(IMU)
+    hill_rate, samples = np.array([0.0, -akf.orbit_rate, 0.0]), np.zeros(1, IMU).view(np.recarray)
     truth, out, two = new(TRUTH), new(NAVIGATION), np.empty(2)
     poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
     truth.q_CH = [0.0, 0.0, 0.0, 1.0]
     t_v, q_vt, covariance = np.empty(3), np.empty(4), np.empty((6, 6))
     total = {mark: np.zeros(2) for mark in marks}
     for _ in range(runs):
-        state, memory, imu = new(navigation.NAVIGATION_STATE), np.zeros(fusion.MEMORY, fusion.STEP), no_imu
+        state, memory = new(navigation.NAVIGATION_STATE), fusion.new_memory(params.fusion)
+        imu = samples[0]
         x = np.concatenate([[10.0, -0.5, 0.5], pkf.initial_velocity_sigma * rng.standard_normal(3)])
         imu.bias_C = pkf.initial_bias + pkf.initial_bias_sigma * rng.standard_normal(3)
         imu.drift_C = akf.initial_drift + akf.initial_drift_sigma * rng.standard_normal(3)
@@ -175,7 +177,7 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
                 measure(vision, mounting, truth.r_CT_H, truth.q_CH, rng.standard_normal(6), t_v, q_vt, covariance)
                 chaser_pose(mounting, t_v, q_vt, covariance, poses[0])
                 poses[0].t_s = 0.02 * k
-            navigation.navigate(params, state, memory, imu, poses, int(k % 8 == 0), out)
+            navigation.navigate(params, state, memory, samples, poses, int(k % 8 == 0), out)
             if k in total:
                 held = state.fusion.filters
                 navigation.normalised_errors(held, truth, imu, two)

@@ -31,6 +31,13 @@ def test_burst_trips_and_names_lateness_and_limit() -> None:
         cycles.check(late(10.01))
 
 
+def test_lost_tick_counts_as_its_part_of_a_cycle() -> None:
+    ticks = OverrunMonitor("safe_stop", 5, 1.0, 20)
+    ticks.check(late(10.0, 100))
+    with pytest.raises(SafetyTrip):
+        ticks.check(late(10.0))
+
+
 def test_single_lost_periods_leak_away() -> None:
     cycles = OverrunMonitor("safe_stop", 5, 1.0)
     for k in range(1000):

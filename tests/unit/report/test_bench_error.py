@@ -98,7 +98,7 @@ def test_run_that_ended_at_once_has_numbers_or_none(mock_rig: Rig, rows: int) ->
     history = flight(mock_rig)[:rows]
     found = judge_bench_error(history, mock_rig, DT, 100.0)
     assert found["pose_error_mm"]["max"] is None if rows == 0 else found["pose_error_mm"]["max"] < 1e-9
-    assert measure_latency(history, DT)["setpoint_to_encoder_ms"]["p50"] is None
+    assert measure_latency(history, DT, DT)["setpoint_to_encoder_ms"]["p50"] is None
 
 
 def test_pose_to_command_counts_the_cycles_that_used_a_pose(mock_rig: Rig) -> None:
@@ -108,7 +108,7 @@ def test_pose_to_command_counts_the_cycles_that_used_a_pose(mock_rig: Rig) -> No
     history["pose"]["fresh"][::8] = 1
     history["received_s"][::8] = history["t_s"][::8] - 0.0047
     history["received_s"][80] -= 0.01
-    found = measure_latency(history, DT)["pose_to_command_ms"]
+    found = measure_latency(history, DT, DT)["pose_to_command_ms"]
     assert found["p50"] == pytest.approx(5.0)
     assert found["max"] == pytest.approx(15.0)
 
@@ -123,7 +123,7 @@ def test_pose_to_wire_counts_the_changes_that_reached_the_coupler(mock_rig: Rig)
     history["on_wire_s"][81:] = history["t_s"][80] + 0.002
     history["command"]["on"][101:, 1] = 1  # without one
     history["on_wire_s"][102:] = history["t_s"][101] + 0.003
-    found = measure_latency(history, DT)["pose_to_wire_ms"]
+    found = measure_latency(history, DT, DT)["pose_to_wire_ms"]
     assert found["p50"] == found["max"] == pytest.approx(6.0)
 
 
@@ -133,7 +133,7 @@ def test_setpoint_to_encoder_is_found_in_the_runs_own_motion(
 ) -> None:
     history = flight(mock_rig, sampled_early_s + delay_s)  # encoders show where the setpoint was so long ago
     history["sampled_s"] += delay_s
-    found = setpoint_to_encoder_s(history, DT)
+    found = setpoint_to_encoder_s(history, DT, DT)
     assert len(found) >= 20  # three rails, a window each second of 8
     np.testing.assert_allclose(found, delay_s + DT, atol=1e-9)
 
@@ -141,7 +141,7 @@ def test_setpoint_to_encoder_is_found_in_the_runs_own_motion(
 def test_windows_that_say_nothing_are_left_out(mock_rig: Rig) -> None:
     history = flight(mock_rig)
     history["setpoint"]["rail_mps"] *= 1e-3
-    assert len(setpoint_to_encoder_s(history, DT)) == 0
+    assert len(setpoint_to_encoder_s(history, DT, DT)) == 0
     noisy = flight(mock_rig)
     noisy["feedback"]["rail_m"] += 0.002 * np.random.default_rng(1).standard_normal((N, 3))
-    assert len(setpoint_to_encoder_s(noisy, DT)) < 4
+    assert len(setpoint_to_encoder_s(noisy, DT, DT)) < 4

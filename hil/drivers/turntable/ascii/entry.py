@@ -6,11 +6,21 @@ from typing import Final
 
 from hil.config.driver_registry import DriverEntry, WireKey
 from hil.config.load import load_protocol
-from hil.config.rig import Turntable
+from hil.config.rig import AsciiTurntableLine, Turntable
+
+_BITS_PER_BYTE: Final = 10
 
 
 def _check_files(turntable: Turntable) -> list[str]:
     return load_protocol(turntable.ascii.protocol).value.warnings() if turntable.ascii is not None else []
+
+
+def _setpoints_hz(turntable: Turntable) -> float:
+    """Each request waits for the reply to the one before."""
+    from hil.drivers.turntable.ascii.protocol import AsciiProtocol  # on use: it is large
+
+    line = turntable.ascii or AsciiTurntableLine()
+    return line.baud / (_BITS_PER_BYTE * AsciiProtocol(load_protocol(line.protocol).value).exchange_bytes())
 
 
 def _identity(turntable: Turntable) -> dict[str, str]:
@@ -25,4 +35,5 @@ ENTRY: Final = DriverEntry(
     wires=[WireKey("ascii.port", "serial")],
     check_files=_check_files,
     identity=_identity,
+    setpoints_hz=_setpoints_hz,
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import Final
 
@@ -175,6 +176,17 @@ class AsciiProtocol:
     def reply(self, sequence: int, line: AsciiCommand, axis: int, values: Mapping[Key, Value]) -> bytes:
         """Return the reply to a request."""
         return self.replies.encode(sequence, line.reply.write(values, axis))
+
+    def exchange_bytes(self) -> int:
+        """Return the bytes of an exchange of setpoints and feedback, both directions, with all numbers zero."""
+        zero: FieldValues = defaultdict(float)
+        actions = ("set",) if self.set_reports_all else ("set", "status")
+        return sum(
+            len(self.request(0, line, axis, zero)) + len(self.reply(0, line, axis, zero))
+            for action in actions
+            for line in self.lines[action]
+            for axis in line.axes
+        )
 
     def refusal(self, sequence: int, number: int) -> bytes:
         """Return the error reply, b"" if the command set has none."""

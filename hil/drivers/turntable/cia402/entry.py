@@ -5,7 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 from hil.config.driver_registry import DriverEntry, WireKey
-from hil.config.rig import GIMBAL_NAMES, Turntable
+from hil.config.rig import GIMBAL_NAMES, Cia402, Turntable
+
+_PDO_BITS: Final = 111  # of a data frame of 8 bytes with the space after it, without stuff bits (ISO 11898-1)
+_SYNC_BITS: Final = 47  # of one without data
+_ADAPTER_BYTES: Final = {"serial": (19, 11), "slcan": (22, 6)}  # of both on the serial port of an adapter
+_BITS_PER_BYTE: Final = 10
 
 
 def _check_files(turntable: Turntable) -> list[str]:
@@ -14,6 +19,17 @@ def _check_files(turntable: Turntable) -> list[str]:
     if turntable.cia402 is not None:
         Eds.of(turntable.cia402, homing=any(getattr(turntable, name).encoder == "incremental" for name in GIMBAL_NAMES))
     return []
+
+
+def _setpoints_hz(turntable: Turntable) -> float:
+    """Three setpoints and SYNC, three replies: on the bus in turn, on a serial adapter one direction each."""
+    can = turntable.cia402 or Cia402()
+    bus_bits = 2 * len(GIMBAL_NAMES) * _PDO_BITS + _SYNC_BITS
+    hz = can.bitrate / bus_bits
+    if can.interface in _ADAPTER_BYTES:
+        pdo, sync = _ADAPTER_BYTES[can.interface]
+        hz = min(hz, can.baud / (_BITS_PER_BYTE * (len(GIMBAL_NAMES) * pdo + sync)))
+    return hz
 
 
 def _identity(turntable: Turntable) -> dict[str, str]:
@@ -32,4 +48,5 @@ ENTRY: Final = DriverEntry(
     wires=[WireKey("cia402.channel", "can")],
     check_files=_check_files,
     identity=_identity,
+    setpoints_hz=_setpoints_hz,
 )

@@ -1,0 +1,96 @@
+"""Runs longer than the memory of their rows: the same numbers, events and recordings, in memory that does not grow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.api import runs
+from hil.core.modes import Mode
+from hil.recording import parts
+from hil.recording.read import load
+from hil.recording.replay import replay
+from hil.setup import assembly
+from tests.support.run_settings import make_job
+
+pytestmark = pytest.mark.xdist_group("campaign")
+
+LENGTH_S = 120.0
+EXACT = ("verdict", "thrusters", "stop", "passed", "ready_time_s", "ready_phase", "events", "navigation", "bench")
+
+
+def assert_close(found: Any, expected: Any, where: str) -> None:
+    """Compare two JSON values; numbers within the rounding of sums in another order."""
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys(), where
+        for name, value in expected.items():
+            assert_close(found[name], value, f"{where}.{name}")
+    elif isinstance(expected, list):
+        assert len(found) == len(expected), where
+        for i, value in enumerate(expected):
+            assert_close(found[i], value, f"{where}[{i}]")
+    elif isinstance(expected, float):
+        assert found == pytest.approx(expected, rel=2e-3 if ".bench.share" in where else 1e-6, abs=1e-12), where
+    else:
+        assert found == expected, where
+
+
+def summary_of(folder: Path | None, *settings: str, compiled: bool = True) -> dict[str, Any]:
+    job = replace(make_job(LENGTH_S, settings, seed=2), compiled=compiled)
+    return runs.run_job(runs.RunRequest(job, "mock", folder)).summary
+
+
+@pytest.mark.parametrize("settings", [(), ("gnc.abort.at_s=70.0",)], ids=["approach", "abort in the middle"])
+def test_numbers_of_a_long_run_are_those_of_its_rows(
+    monkeypatch: pytest.MonkeyPatch, settings: tuple[str, ...]
+) -> None:
+    expected = summary_of(None, *settings)
+    monkeypatch.setattr(assembly, "ROWS_MAX", 700)
+    found = summary_of(None, *settings)
+    for name in EXACT:
+        assert_close(found[name], expected[name], name)
+    assert found["timing"]["cycles"] == expected["timing"]["cycles"] == LENGTH_S * 50 + 1
+    assert_close(found["latency"]["pose_to_command_ms"], expected["latency"]["pose_to_command_ms"], "latency")
+
+
+def test_recording_in_parts_replays_as_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(assembly, "ROWS_MAX", 700)
+    monkeypatch.setattr(parts, "PART_CYCLES", 2000)
+    summary_of(tmp_path, "imu.rate_hz=100.0")
+    files = sorted(path.name for path in tmp_path.glob("*.mcap"))
+    assert len(files) == 4
+    assert sum(".part" in name for name in files) == 3
+    recorded = load(next(tmp_path / name for name in files if ".part" not in name))
+    assert len(recorded.cycles) == LENGTH_S * 50 + 1
+    assert recorded.intact
+    assert recorded.summary is not None
+    assert replay(recorded, recorded.scenario).identical
+
+
+def test_later_part_alone_is_rejected(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(parts, "PART_CYCLES", 4000)
+    summary_of(tmp_path)
+    (later,) = tmp_path.glob("*.part2.mcap")
+    with pytest.raises(runs.BadInput, match="part 2 of a recording: open its first part"):
+        load(later)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_ctrl_c_ends_a_run_until_stopped_normally(compiled: bool) -> None:
+    calls = [0]
+
+    def press(mode: Mode, _: float) -> None:
+        calls[0] += mode is Mode.RUNNING
+        if calls[0] == 3:
+            raise KeyboardInterrupt
+
+    job = replace(make_job(1.0), until_stopped=True, compiled=compiled)
+    found = runs.run_job(runs.RunRequest(job, "mock", on_progress=press))
+    assert found.summary["stop"] == "completed"
+    assert found.summary["faults"] == []
+    assert found.summary["timing"]["cycles"] > 100
+    assert np.all(np.diff(found.history["t_s"]) > 0.0)
