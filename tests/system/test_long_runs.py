@@ -11,6 +11,7 @@ import pytest
 
 from hil.api import runs
 from hil.core.modes import Mode
+from hil.errors import BadInput
 from hil.recording import parts
 from hil.recording.read import load
 from hil.recording.replay import replay
@@ -75,7 +76,7 @@ def test_later_part_alone_is_rejected(monkeypatch: pytest.MonkeyPatch, tmp_path:
     monkeypatch.setattr(parts, "PART_CYCLES", 4000)
     summary_of(tmp_path)
     (later,) = tmp_path.glob("*.part2.mcap")
-    with pytest.raises(runs.BadInput, match="part 2 of a recording: open its first part"):
+    with pytest.raises(BadInput, match="part 2 of a recording: open its first part"):
         load(later)
 
 
