@@ -1,4 +1,4 @@
-"""Cost of a GNC as an FMU: per step, beside fmpy if it is installed, and per case of a campaign beside the library.
+"""Cost of a GNC as an FMU: per step, compared with fmpy if installed; per case of a campaign, with the library.
 
 python benchmarks/fmu.py
 """

@@ -10,6 +10,7 @@ from rich.console import Console
 from hil.cli.dss import link_addresses
 from hil.cli.options import Flag, Output, Settings, refuse, wait_problems
 from hil.cli.output import check_json_path, write_json
+from hil.errors import BadInput
 
 app = App(name="gnc")
 app.command("hil.cli.gnc_check:gnc_check", name="check", help="Check an external GNC: latency, signs, units and order.")
@@ -52,11 +53,17 @@ def gnc(
     from hil.frmn.authentication import link_key
     from hil.frmn.udp import LOOPBACK, shown
     from hil.frmn.wire import PORT
+    from hil.gnc_backends.library import key_of
     from hil.processes.gnc_server import GncServer, gnc_side
 
     if bind is not None and listen is None:  # by default the bench on this computer
         bind, peer = None, (LOOPBACK, PORT)
-    loaded = load_scenario(scenario, settings).value
+    found = load_scenario(scenario, settings)
+    loaded = found.value
+    if loaded.gnc.binary is not None:
+        key = key_of(loaded.gnc)
+        text = f'"{loaded.gnc.binary}": hil gnc runs the built-in GNC; set it for hil run, campaign or console'
+        raise BadInput.single(found.where(key), key, text)
     console = Console(stderr=True)
 
     def announce(text: str) -> None:

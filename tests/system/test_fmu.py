@@ -207,6 +207,11 @@ def test_archive_that_cannot_be_used_is_refused(fmu: Path, tmp_path: Path, chang
     assert "\n" not in error
 
 
+def test_program_that_runs_the_built_in_gnc_refuses_an_fmu(fmu: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["gnc", "scheme-1", "--set", f"gnc.fmu={fmu}"]) == 2
+    assert "hil gnc runs the built-in GNC" in capsys.readouterr().err
+
+
 def test_parameter_of_the_scenario_is_set(tmp_path: Path) -> None:
     change = "BANDWIDTH_RADPS = 0.15 => BANDWIDTH_RADPS = 0.15"
     made = example_fmu(tmp_path, 2, change)
