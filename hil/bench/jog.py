@@ -9,7 +9,6 @@ import numpy as np
 from hil.core.messages import Array
 
 DEAD_MAN_S = 0.2
-SHARE_OF_RATE = 0.1  # of an axis' greatest speed, jogged
 SHARE_OF_RATE_NOT_HOMED = 0.02  # of an axis that is not homed
 _FAR = 100.0  # m or rad: further than any axis goes
 
@@ -34,18 +33,19 @@ class Jog:
 
     params: BENCH_PARAMS of the bench. axis: 0..2 rails, 3..5 gimbals. direction: 1 or -1. homed:
     an axis that is not homed has no soft limits and a lower speed. position (6,): of the axes; an axis beyond
-    its travel may only move back.
+    its travel may only move back. rate_fraction: of the axis' speed limit.
     """
 
-    def __init__(self, params: np.record, axis: int, direction: int, homed: bool, position: Array) -> None:
+    def __init__(
+        self, params: np.record, axis: int, direction: int, homed: bool, position: Array, rate_fraction: float = 0.1
+    ) -> None:
         if axis not in range(6) or direction not in (-1, 1):
             raise ValueError(f"axis {axis}, direction {direction}: allowed 0..5 and -1 or 1")
         self.axis = axis
         self.direction = direction
         self.key = DeadMan()
         self.params = params.copy()
-        share = SHARE_OF_RATE if homed else SHARE_OF_RATE_NOT_HOMED
-        self.params.rate_max[axis] *= share
+        self.params.rate_max[axis] *= rate_fraction if homed else min(rate_fraction, SHARE_OF_RATE_NOT_HOMED)
         for i in range(6):
             low, high = params.low[i], params.high[i]
             free = i == axis and not homed

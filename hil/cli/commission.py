@@ -93,6 +93,7 @@ def commission(
     from hil.commission.steps import Commissioning, CommissioningPlan
     from hil.config.load import load_rig, load_scenario
     from hil.config.rig import BENCH_AXES
+    from hil.drivers.remote.io_layout import WATCHDOG
     from hil.session import build
 
     loaded, loaded_rig = load_scenario(scenario, settings), load_rig(rig, settings)
@@ -119,7 +120,9 @@ def commission(
         button = emulated if emulated is not None and loaded_rig.value.has_io else None
         true_position = emulated.position if emulated is not None else None
         plan = CommissioningPlan(chosen, others, limits)
-        steps = Commissioning(bench.runner(), loaded_rig.value, prompt, plan, button, true_position)
+        steps = Commissioning(
+            bench.runner(), loaded_rig.value, prompt, plan, button, true_position, bench.pids.get(WATCHDOG)
+        )
         try:
             findings = steps.run()
         except StepFailed as failure:

@@ -38,6 +38,7 @@ def preflight(
     """
     refuse(check_json_path("--json", json))
 
+    from hil.checks.preflight_record import write_record
     from hil.config.load import load_rig, load_scenario
     from hil.preflight import run
     from hil.preflight.lateness import histogram_lines
@@ -46,6 +47,10 @@ def preflight(
     progress = Console(stderr=True)
     with progress.status("") as status:
         found = run.preflight(loaded, loaded_rig, Path.cwd(), devices, lambda text: status.update(f"{text} ..."))
+    if loaded_rig.value.kind == "hardware":
+        late = found.lateness
+        measured_s = 0.0 if late is None else late.cycles * late.period_s
+        write_record(loaded_rig, found.rate_hz, measured_s, found.passed)
     if json is not None:
         write_json({"scenario": loaded.value.name, "rig": rig, **found.numbers()}, json)
     if json != "-":

@@ -22,6 +22,7 @@ CRAWL_FRACTION: Final = 0.1  # largest, of an axis' speed limit
 QUARTER: Final = 0.25
 _DEVIATION_M: Final = 0.005  # between command and encoder at crawl speed; beyond it the axis is stopped
 _DEVIATION_RAD: Final = math.radians(0.5)
+_CATCH_UP: Final = 1.5  # of the speed of a move, for an axis that is behind: its deviation is watched closely
 _SETTLE_S: Final = 3.0
 _SETTLING_S: Final = 0.2
 
@@ -137,7 +138,9 @@ class SlowMover:
         ends = new(AXES), new(AXES)
         for record, position in zip(ends, (start, target), strict=True):
             record.rail_m, record.gimbal_rad = position[:3], position[3:]
-        return Move(params, *ends)
+        move = Move(params, *ends)
+        move.limits.rate_max = np.minimum(_CATCH_UP * rates, self._bench.params.rate_max)
+        return move
 
     def _step(self, limits: np.record | None = None) -> None:
         """Send the present target and wait for the next cycle, with the safety checks of a run."""

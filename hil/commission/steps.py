@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from hil.commission.chain_tests import ChainTests
 from hil.commission.emergency_stop import Button, EmergencyStopTest
 from hil.commission.identity import check_vision_unit, expected_identity
 from hil.commission.prompt import OperatorPrompt, StepFailed
@@ -64,7 +65,10 @@ class CommissioningPlan:
 
 
 class Commissioning:
-    """Commissions axes of a bench in all steps. button, true_position: of an emulated bench."""
+    """Commissions axes of a bench in all steps. button, true_position: of an emulated bench.
+
+    watchdog_pid: process that pulses the charge pump, on a bench with wires.
+    """
 
     def __init__(
         self,
@@ -74,8 +78,10 @@ class Commissioning:
         plan: CommissioningPlan,
         button: Button | None = None,
         true_position: TruePosition | None = None,
+        watchdog_pid: int | None = None,
     ) -> None:
         self._runner = runner
+        self._watchdog_pid = watchdog_pid
         self._rig = rig
         self._prompt = prompt
         self._plan = plan
@@ -89,6 +95,9 @@ class Commissioning:
         findings = Findings()
         self._title("emergency stop")
         EmergencyStopTest(self._runner.loop.safety_io, self._runner.rate, self._prompt, self._button).run()
+        if self._runner.rate.paced:  # in simulated time the relay has no time-out
+            self._title("safety chain")
+            ChainTests(self._runner, self._rig, self._prompt, self._watchdog_pid).run()
         self._title("identity of the devices")
         with self._runner.axes_only() as sequencer:
             check_vision_unit(self._runner, sequencer, self._rig, self._prompt)

@@ -25,6 +25,8 @@ class IoCoils(ConfigModel):
     """First of the outputs that show the thrusters."""
     brakes_released: BitAddress | None = None
     """Output that releases the holding brakes; omitted if drives and relay control them."""
+    warning: BitAddress | None = None
+    """Output of the light or horn that warns before the first motion; omitted if the bench has none."""
 
 
 class InputLines(ConfigModel):
@@ -79,6 +81,8 @@ class Io(DeviceTable):
     """Time-out of the safety relay for an edge of the charge pump."""
     torque_delay_s: NotNegative = 0.0
     """Delayed contacts of the safety relay: the torque goes this long after brakes and chain."""
+    warning_s: Annotated[float, Field(ge=0.0, le=60.0)] = 2.0
+    """Duration of the warning before the first motion after the drives were enabled, with `coils.warning`."""
     identity: IoIdentity = IoIdentity()
     """Expected identification of the coupler."""
 
@@ -89,8 +93,8 @@ class Io(DeviceTable):
             raise ValueError(f"coils.thrusters_first {first}: the {lines} thruster lines must end at 65535")
         coils = [("coils.charge_pump", self.coils.charge_pump), ("coils.enable", self.coils.enable)]
         coils += [(f"coils.thrusters_first + {i}", first + i) for i in range(lines)]
-        if self.coils.brakes_released is not None:
-            coils.append(("coils.brakes_released", self.coils.brakes_released))
+        signals = {"brakes_released": self.coils.brakes_released, "warning": self.coils.warning}
+        coils += [(f"coils.{name}", address) for name, address in signals.items() if address is not None]
         inputs = [("inputs.estop_closed", self.inputs.estop_closed), ("inputs.chain_closed", self.inputs.chain_closed)]
         optional = {"brakes_closed": self.inputs.brakes_closed, "local_enable": self.inputs.local_enable}
         inputs += [(f"inputs.{name}", address) for name, address in optional.items() if address is not None]

@@ -298,6 +298,8 @@ class Rails(AxisGroupTable):
     """Largest following error at rest."""
     following_error_per_speed_s: NotNegative = 0.0
     """Its increase per commanded speed."""
+    speed_mismatch_max_mps: Positive = 0.05
+    """Largest difference of reported speed and change of position, in addition to a tenth of the speed."""
     lost_packets_max: Positive = 5.0
     """Level of the leaky bucket of lost packets that trips."""
     lost_packets_window_s: Positive = 1.0
@@ -346,6 +348,8 @@ class Turntable(AxisGroupTable):
     """Largest following error at rest."""
     following_error_per_speed_s: NotNegative = 0.0
     """Its increase per commanded rate."""
+    speed_mismatch_max_degps: Positive = 5.0
+    """Largest difference of reported rate and change of position, in addition to a tenth of the rate."""
     lost_packets_max: Positive = 5.0
     """Level of the leaky bucket of lost packets that trips."""
     lost_packets_window_s: Positive = 1.0
@@ -433,6 +437,10 @@ class Safety(ConfigModel):
     """Longest time between setpoints; at most the time-out of the drives' watchdogs."""
     homing_timeout_s: Positive = 120.0
     """For all axes together."""
+    parking_rate_fraction: Annotated[float, Field(gt=0.0, le=0.5)] = 0.25
+    """Speed of parking, of each axis' limit."""
+    jog_rate_fraction: Annotated[float, Field(gt=0.0, le=0.25)] = 0.1
+    """Speed of a jog, of the axis' limit; at most 0.02 of it before the axis is homed."""
 
 
 class Rig(ConfigModel):

@@ -275,12 +275,15 @@ class IoInputs(NamedTuple):
 class IoOutputs(NamedTuple):
     """Demanded digital outputs. enable: asks the safety relay to close. thrusters: one byte per line, 0 or 1.
 
-    brakes_released: lets go of the axes that have holding brakes.
+    brakes_released: lets go of the axes that have holding brakes. pump: the charge pump toggles; False only in a test
+    of the safety relay's time-out. warning: signal before the first motion.
     """
 
     enable: bool
     thrusters: bytes
     brakes_released: bool = False
+    pump: bool = True
+    warning: bool = False
 
 
 @dataclass(frozen=True, slots=True)

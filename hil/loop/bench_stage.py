@@ -209,7 +209,8 @@ class BenchStage:
     def park_turntable(self, target: np.record, now_s: float) -> None:
         """Move the turntable to ``target`` (AXES) by its drives' own profiles, if they have them."""
         if isinstance(self.turntable, Parks):
-            self.turntable.move_to(target.gimbal_rad, Move.FRACTION_OF_LIMITS * self.params.rate_max[3:], now_s)
+            rate = self.safety.limits.parking_rate_fraction * self.params.rate_max[3:]
+            self.turntable.move_to(target.gimbal_rad, rate, now_s)
 
     def stop(self, now_s: float) -> None:
         """Stop all axes; never raises."""
@@ -236,10 +237,12 @@ class Move:
     FRACTION_OF_LIMITS = 0.5
     RESERVE = 1.1
 
-    def __init__(self, params: np.record, start: np.record, target: np.record) -> None:
+    def __init__(
+        self, params: np.record, start: np.record, target: np.record, rate_fraction: float = FRACTION_OF_LIMITS
+    ) -> None:
         self._start = np.concatenate([start.rail_m, start.gimbal_rad])
         self._distance = np.concatenate([target.rail_m, target.gimbal_rad]) - self._start
-        self._speed = self.FRACTION_OF_LIMITS * params.rate_max
+        self._speed = rate_fraction * params.rate_max
         self._acceleration = self.FRACTION_OF_LIMITS * params.acceleration_max
         self.limits = params.copy()
         self.limits.rate_max = np.minimum(self.RESERVE * self._speed, params.rate_max)

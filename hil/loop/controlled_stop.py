@@ -30,7 +30,8 @@ OFF_RAMP_S: Final = 0.1
 """Time above the ramp after which an axis loses its torque."""
 STANDSTILL_S: Final = 0.1
 """Time at rest after which an axis counts as standing."""
-_BRAKE_CONFIRMED_S: Final = 0.1  # beyond the closing time, until the brakes' contact must be read as closed
+BRAKE_CONFIRMED_S: Final = 0.1
+"""Beyond the time of the brakes, until their contact must be read in its new position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +210,7 @@ class ControlledStop:
             now_s = self.watch()
             if reported and self._ended(now_s):
                 break
-            if not reported and now_s > closed_s + _BRAKE_CONFIRMED_S:
+            if not reported and now_s > closed_s + BRAKE_CONFIRMED_S:
                 reported = True
                 alarm = Alarm(now_s, "io", "holding brakes", "not closed: axes held by their drives", "closed")
                 self._loop.bench.safety.alarms.latch(alarm)

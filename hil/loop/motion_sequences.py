@@ -65,6 +65,8 @@ class MotionSequencer:
         self.progress_ticks = PROGRESS_CYCLES * ticks_per_cycle
         """Ticks between two reports of progress."""
         self._newest: Tick
+        self.warning_s = 0.0
+        """Duration of the warning before the next motion; 0 after it."""
         self._link_check_ticks = max(1, round(_LINK_CHECK_PERIOD_S / step_s))
         self.link_check_cycles = max(1, self._link_check_ticks // ticks_per_cycle)
         """Cycles between two checks of the links in the closed loop."""
@@ -98,12 +100,27 @@ class MotionSequencer:
         self._rate.restart()
         return self.tick()
 
+    def _warn(self) -> None:
+        """Warn before the first motion after the drives were enabled. Raises StopCommanded."""
+        duration_s, self.warning_s = self.warning_s, 0.0
+        if duration_s == 0.0:
+            return
+        begun_s = now_s = self.tick().now_s
+        self.loop.safety_io.warn(True, now_s)
+        while now_s - begun_s < duration_s:
+            now_s = self.tick().now_s
+            if OperatorCommand.STOP in self._operator.pending:
+                raise StopCommanded
+        self.loop.safety_io.warn(False, now_s)
+
     def home(self) -> None:
         """Home the axes that need it; one failure stops all."""
         bench = self.loop.bench
         since_s = self.tick().now_s
         if all(group.homing == HOMED for group in bench.feedback):
             return
+        self._warn()
+        since_s = self._newest.now_s
         self.modes.go(Mode.HOMING)
         bench.home(since_s)
         while not all(group.homing == HOMED for group in bench.feedback):
@@ -135,7 +152,11 @@ class MotionSequencer:
             now_s = self.tick().now_s
 
     def seed_for_run(self) -> Tick:
-        """Seed the setpoints with the encoder positions once the axes are at rest; return the newest tick."""
+        """Seed the setpoints with the encoder positions once the axes are at rest; return the newest tick.
+
+        Warns before the first motion.
+        """
+        self._warn()
         self._await_standstill()
         self.loop.bench.seed_for_run(self._newest.now_s, self.loop.now.feedback)
         return self._newest
@@ -185,7 +206,9 @@ class MotionSequencer:
         """Execute one move from the present positions; return False if a hold interrupted it."""
         bench, now, mode = self.loop.bench, self.loop.now, self.modes.mode
         wanted = new(AXES)
-        move = Move(bench.params, now.feedback, target)
+        parking = mode is Mode.PARKING
+        fraction = self.safety.limits.parking_rate_fraction if parking else Move.FRACTION_OF_LIMITS
+        move = Move(bench.params, now.feedback, target, fraction)
         cycle = 0
         while True:
             moved_s = cycle * self._step_s  # a late cycle delays the move
@@ -254,6 +277,9 @@ class MotionSequencer:
             return
         bench, now = self.loop.bench, self.loop.now
         tick = self.begin()
+        if self.warning_s > 0.0:
+            self._warn()
+            tick, request = self._newest, self._operator.jog_request() or request
         jog = self._begin_jog(request, tick)
         if jog is None:
             self._operator.end_jog()
@@ -278,7 +304,8 @@ class MotionSequencer:
             return None
         homing = (*bench.feedback[0].homing, *bench.feedback[1].homing)
         bench.seed(tick.now_s, self.loop.now.feedback)
-        jog = Jog(bench.params, axis, request.direction, homing[axis] is Homing.DONE, bench.motion.position)
+        homed, fraction = homing[axis] is Homing.DONE, self.safety.limits.jog_rate_fraction
+        jog = Jog(bench.params, axis, request.direction, homed, bench.motion.position, fraction)
         if not bench.set_jogging(True):
             alarm = self.safety.interlock_motion(tick.now_s, *bench.feedback, self.loop.now.feedback)
             if alarm is not None:  # these devices accept setpoints only when homed and within travel

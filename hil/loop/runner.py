@@ -18,8 +18,8 @@ from hil.core.observable import ObservableList
 from hil.core.operator_commands import MOVING, STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
 from hil.drivers.base import PoseSource
-from hil.errors import BenchError, DeviceError
-from hil.loop.controlled_stop import BrakeTimes, ControlledStop
+from hil.errors import BenchError, DeviceError, SafetyTrip
+from hil.loop.controlled_stop import BRAKE_CONFIRMED_S, BrakeTimes, ControlledStop
 from hil.loop.cycle import Cycles, Loop, PythonCycles
 from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer, ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
@@ -55,7 +55,7 @@ class RunPlan:
 
     frames_to_arm: poses required before the loop is closed. park_position: AXES, approached by PARK, and after each
     complete run if ``park_after_run``. brakes: holding brakes of the axes. until_stopped: the operator ends the closed
-    loop, which is no fault.
+    loop, which is no fault. warning_s: duration of the warning before the first motion.
     """
 
     step_s: float
@@ -66,6 +66,7 @@ class RunPlan:
     brakes: BrakeTimes = field(default_factory=BrakeTimes)
     ticks: int = 1
     until_stopped: bool = False
+    warning_s: float = 0.0
 
     @property
     def tick_s(self) -> float:
@@ -201,12 +202,17 @@ class Runner:
     def _power_axes(self) -> None:
         """Enable the drives, which hold the axes, and release the holding brakes."""
         self._powered = True
+        self._sequencer.warning_s = self._plan.warning_s
         self.loop.bench.open(self.rate.now_s())
         self.loop.target.open(self.rate.now_s())
         released_s = self.rate.now_s()
         self.loop.safety_io.release_brakes(True, released_s)
-        while self.rate.now_s() - released_s < self._plan.brakes.open_s:
-            self._sequencer.check(self.rate.wait().now_s)
+        open_s, now_s = self._plan.brakes.open_s, released_s
+        while now_s - released_s < open_s or self.loop.safety_io.brakes_closed(now_s):
+            if now_s - released_s > open_s + BRAKE_CONFIRMED_S:
+                raise SafetyTrip("io", "holding brakes", "closed", f"open {open_s:g} s after their release")
+            now_s = self.rate.wait().now_s
+            self._sequencer.check(now_s)
 
     def _next_command(self) -> OperatorCommand | None:
         """Return the next command; None if the run is over, the bench is parked, or no operator can issue one."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Final, Protocol
@@ -18,6 +19,7 @@ from hil.safety.monitor import not_enabled
 
 CLOSING_TIME_S: Final = 1.0  # allowed from the first edge of enable until the relay closes
 SAFETY_CHAIN: Final = "safety chain"
+_READ_BACK_WALL_S: Final = 0.15  # of the chain after the relay has opened: relay, coupler, processes
 _EDGE_PERIOD_S: Final = 0.2  # of the edges of enable
 _PULSE_PERIOD_S: Final = 0.01
 
@@ -42,6 +44,9 @@ class SafetyIo(Protocol):
 
     def brakes_closed(self, now_s: float) -> bool | None:
         """Return whether the holding brakes are closed; None if that is not read back."""
+
+    def warn(self, on: bool, now_s: float) -> None:
+        """Switch the warning of motion on or off. Raises DeviceError once the link has failed."""
 
     def keep_closed(self, now_s: float) -> None:
         """Keep the chain closed by a pulse, without a check. Never raises."""
@@ -69,6 +74,8 @@ class NoSafetyIo:
     def brakes_closed(self, now_s: float) -> bool | None:
         return None
 
+    def warn(self, on: bool, now_s: float) -> None: ...
+
     def keep_closed(self, now_s: float) -> None: ...
 
     def stop(self, now_s: float) -> None: ...
@@ -79,20 +86,46 @@ class NoSafetyIo:
 class SafetyIoStage:
     """Digital lines of a bench with an I/O coupler.
 
-    on: view of the thruster commands in COMMAND, integers 0 or 1, one per line.
+    on: view of the thruster commands in COMMAND, integers 0 or 1, one per line. tested_pump_s: time-out of the safety
+    relay for the charge pump, s of wall time, if each opening tests it.
     """
 
-    def __init__(self, io: DiscreteIo, on: np.ndarray) -> None:
+    def __init__(self, io: DiscreteIo, on: np.ndarray, tested_pump_s: float | None = None) -> None:
         self.io = io
         self._on = on
+        self._tested_pump_s = tested_pump_s
         self._mirrored = on.tobytes()
-        self._brakes_released = False
+        self._brakes_released = self._warning = False
         self.thrusters_s = math.nan
 
     def open(self, rate: Rate) -> None:
-        """Connect, then send edges of enable until the relay closes, for at most ``CLOSING_TIME_S``."""
-        self._brakes_released = False
+        """Connect, and close the safety chain; the drives have no torque yet.
+
+        If the relay's time-out is to be tested, the chain is opened by a pause of the charge pump, and closed again.
+        """
+        self._brakes_released = self._warning = False
         self.io.open(rate.now_s())
+        self._close_chain(rate)
+        if self._tested_pump_s is not None:
+            self.test_pump(rate, self._tested_pump_s)
+            self._close_chain(rate)
+
+    def test_pump(self, rate: Rate, timeout_s: float) -> float:
+        """Pause the charge pump and wait until the chain reads as open; return after how long, s of wall time.
+
+        timeout_s: of the relay, s of wall time. Raises SafetyTrip if the chain is closed after it.
+        """
+        begun = time.monotonic()
+        self.io.write(IoOutputs(True, self._lines(), pump=False), rate.now_s())
+        while self.io.read(rate.now_s()).chain_closed:
+            if time.monotonic() - begun > timeout_s + _READ_BACK_WALL_S:
+                value = f"chain closed {timeout_s + _READ_BACK_WALL_S:g} s after the last pulse"
+                raise SafetyTrip(self.io.name, "time-out of the charge pump", value, f"{timeout_s:g} s")
+            rate.wait()
+        return time.monotonic() - begun
+
+    def _close_chain(self, rate: Rate) -> None:
+        """Send edges of enable until the relay closes, for at most ``CLOSING_TIME_S``."""
         now_s = start_s = rate.now_s()
         while not self._send_enable(now_s, enable=(now_s - start_s) % _EDGE_PERIOD_S < 0.5 * _EDGE_PERIOD_S):
             if now_s - start_s > CLOSING_TIME_S:
@@ -133,13 +166,18 @@ class SafetyIoStage:
         """Write the thruster lines if one has changed."""
         if self._on.tobytes() != self._mirrored:
             self._mirrored = self._on.tobytes()
-            self.io.write(IoOutputs(True, self._lines(), self._brakes_released), now_s)
+            self.io.write(self._outputs(), now_s)
 
     def release_brakes(self, released: bool, now_s: float) -> None:
         """Release the holding brakes, or let them close."""
         self._brakes_released = released
         with suppress(DeviceError):  # without the coupler the relay opens, and the brakes close
-            self.io.write(IoOutputs(True, self._lines(), released), now_s)
+            self.io.write(self._outputs(), now_s)
+
+    def warn(self, on: bool, now_s: float) -> None:
+        """Switch the warning of motion on or off."""
+        self._warning = on
+        self.io.write(self._outputs(), now_s)
 
     def brakes_closed(self, now_s: float) -> bool | None:
         """Return whether the holding brakes are closed; None if that is not read back, False if it cannot be read."""
@@ -169,6 +207,9 @@ class SafetyIoStage:
     def close(self) -> None:
         """Close the link."""
         self.io.close()
+
+    def _outputs(self) -> IoOutputs:
+        return IoOutputs(True, self._lines(), self._brakes_released, warning=self._warning)
 
     def _lines(self) -> bytes:
         return self._on.astype(np.uint8).tobytes()

@@ -35,15 +35,15 @@ class Lateness:
     histogram: list[dict[str, float | int | None]]
 
 
-def measure(period_s: float) -> Lateness:
-    """Return the lateness of an empty loop over DURATION_S, with the privileges that this user gets.
+def measure(period_s: float, duration_s: float = DURATION_S) -> Lateness:
+    """Return the lateness of an empty loop over ``duration_s``, with the privileges that this user gets.
 
     Raises RuntimeError if the measurement fails.
     """
-    configuration = {"period_s": period_s, "duration_s": DURATION_S}
+    configuration = {"period_s": period_s, "duration_s": duration_s}
     try:
         with ChildProcess("lateness probe", "hil.processes.lateness_probe", configuration) as child:
-            found = child.receive(DURATION_S + _START_S)
+            found = child.receive(duration_s + _START_S)
     except DeviceError as error:
         raise RuntimeError(f"the lateness could not be measured: {error}") from error
     return summarise(period_s, np.array(found["lateness_s"]), found["skipped"], found["scheduling"])

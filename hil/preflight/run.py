@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.checks.compatibility import check_approach, check_plan
+from hil.checks.preflight_record import MEASURED_S
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
@@ -15,10 +16,11 @@ from hil.config.scenario import Scenario
 from hil.preflight.check import PreflightCheck, all_passed
 from hil.preflight.devices import rig_checks
 from hil.preflight.host import HostFacts, host_checks, probe_host
-from hil.preflight.lateness import Lateness, lateness_check, measure
+from hil.preflight.lateness import DURATION_S, Lateness, lateness_check, measure
 
 Probe = Callable[[Path], HostFacts]
-Meter = Callable[[float], Lateness]
+Meter = Callable[[float, float], Lateness]
+"""Returns the lateness of an empty loop: of its period, s, and the duration of the measurement, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,14 +64,16 @@ def preflight(
     run = scenario.value
     announce("reading the operating system")
     cycles = round(run.duration_s / run.step_s) + 1
-    checks = host_checks(probe(folder), cycles, rig.value.kind == "hardware")
+    on_hardware = rig.value.kind == "hardware"
+    checks = host_checks(probe(folder), cycles, on_hardware)
     announce("checking the planned trajectory")
     checks.append(reachability_check(scenario, rig))
+    checks.append(overtravel_check(rig.value))
     announce("opening the devices")
     checks += rig_checks(run, rig.value, enable_drives)
     announce("measuring the lateness")
     try:
-        late = meter(run.step_s)
+        late = meter(run.step_s, MEASURED_S + run.step_s if on_hardware else DURATION_S)
     except RuntimeError as error:
         return Preflight([*checks, PreflightCheck("lateness", False, str(error))], None, 1.0 / run.step_s)
     return Preflight([*checks, lateness_check(late)], late, 1.0 / run.step_s)
@@ -85,3 +89,13 @@ def reachability_check(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> Prefligh
         )
     text = "; ".join(str(problem) for problem in problems)
     return PreflightCheck(name, False, text, "change the named key of the scenario or limit of the rig")
+
+
+def overtravel_check(rig: Rig) -> PreflightCheck:
+    """Return how far the hard-wired overtravel switches must lie beyond the soft limits: v^2 / 2a of each axis."""
+    texts = []
+    for device, table, unit in (("rails", rig.rails, "m"), ("turntable", rig.turntable, "deg")):
+        paths = (axis.limits[2] ** 2 / (2.0 * axis.limits[3]) for axis in table.axes)
+        texts += [f"{device}.{name} {path:.2f} {unit}" for name, path in zip(table.axis_names, paths, strict=True)]
+    value = f"hard-wired switches at least this far beyond the travel: {', '.join(texts)}"
+    return PreflightCheck("overtravel", None, value, "measure it: their places are not in the rig file")

@@ -18,9 +18,10 @@ from hil.config.rig import Rig
 from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing, new
 from hil.core.modes import Mode, ModeMachine
 from hil.errors import SafetyTrip
-from hil.safety.alarms import Alarm, AlarmLog
+from hil.safety.alarms import Alarm, AlarmLog, speed_text
 from hil.safety.estop import EmergencyStop
 from hil.safety.packet_loss import LinkWatch
+from hil.safety.speed_check import SpeedCheck
 
 LOCAL_ENABLE: Final = "local enabling input"
 _SWITCHES: Final = {-1: "low", 1: "high"}
@@ -34,7 +35,8 @@ _SLACK_RAD = 0.001
 class Checks:
     """Checks of a mode: ``open``: emergency stop and age of the feedback; ``enabled``: local enabling input;
     ``homed``: all axes homed; ``homing``: no axis failed to home; ``switches``: no axis on a limit switch;
-    ``commanded``: age of the setpoints; ``following``: following error and soft limits."""
+    ``commanded``: age of the setpoints; ``following``: following error and soft limits; ``speed``: reported speed
+    against the change of position."""
 
     open: bool = True
     enabled: bool = True
@@ -43,21 +45,22 @@ class Checks:
     switches: bool = False
     commanded: bool = False
     following: bool = False
+    speed: bool = True
 
 
 _ALL = Checks(homed=True, switches=True, commanded=True, following=True)
 
 CHECKS: Final[dict[Mode, Checks]] = {
-    Mode.OFF: Checks(open=False, enabled=False),
+    Mode.OFF: Checks(open=False, enabled=False, speed=False),
     Mode.STANDBY: Checks(enabled=False),  # the drives hold the axes; ``interlock_power`` keeps them there
-    Mode.HOMING: Checks(homing=True),  # the drives move the axes to the home switches by themselves
+    Mode.HOMING: Checks(homing=True, speed=False),  # the drives move the axes to the home switches by themselves
     Mode.JOGGING: Checks(commanded=True, following=True),  # the jog itself respects the switches: it may move off one
     Mode.PLACING: _ALL,
     Mode.ARMED: Checks(homed=True, switches=True, following=True),  # the drives hold the last setpoint
     Mode.RUNNING: _ALL,
     Mode.PARKING: _ALL,
     Mode.HOLD: _ALL,
-    Mode.SAFE_STOP: Checks(open=False, enabled=False),
+    Mode.SAFE_STOP: Checks(open=False, enabled=False, speed=False),
 }
 
 
@@ -74,6 +77,12 @@ class SafetyLimits:
     slack: Array
     rest_mps: float = _REST_MPS
     rest_radps: float = _REST_RADPS
+    speed_mismatch_max: tuple[float, float] = (0.05, math.radians(5.0))
+    """Of rails and turntable, m/s and rad/s."""
+    parking_rate_fraction: float = 0.25
+    """Of the speed limits."""
+    jog_rate_fraction: float = 0.1
+    """Of the speed limits."""
 
 
 def safety_limits(rig: Rig, params: np.record) -> SafetyLimits:
@@ -89,6 +98,9 @@ def safety_limits(rig: Rig, params: np.record) -> SafetyLimits:
         command_age_max_s=rig.safety.command_age_max_s,
         homing_timeout_s=rig.safety.homing_timeout_s,
         slack=np.array([_SLACK_M] * 3 + [_SLACK_RAD] * 3),
+        speed_mismatch_max=(rails.speed_mismatch_max_mps, math.radians(turntable.speed_mismatch_max_degps)),
+        parking_rate_fraction=rig.safety.parking_rate_fraction,
+        jog_rate_fraction=rig.safety.jog_rate_fraction,
     )
 
 
@@ -111,6 +123,7 @@ class SafetyMonitor:
         self._links = tuple(links)
         self._guard = limits.guard.copy()
         self._breach = new(guards.BREACH)
+        self._speed_checks = [SpeedCheck(limit) for limit in limits.speed_mismatch_max]
         self._checked_mode = self.modes.mode
         self._checks = CHECKS[self._checked_mode]
 
@@ -131,6 +144,8 @@ class SafetyMonitor:
         mode = self.modes.mode
         if mode is not self._checked_mode:
             self._checked_mode, self._checks = mode, CHECKS[mode]
+            for check in self._speed_checks:
+                check.restart()
         checks = self._checks
         if checks.open:
             if self.estop.latched:
@@ -155,6 +170,16 @@ class SafetyMonitor:
             breach = guards.first_breach(self._guard, setpoint, feedback, self._breach)
             if breach != guards.NOTHING:
                 return breach_alarm(now_s, self._axis_names, breach, self._breach)
+        return self._check_speeds(now_s, rails, turntable) if checks.speed else None
+
+    def _check_speeds(self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback) -> Alarm | None:
+        """Return the alarm of an axis whose reported speed is not the change of its position."""
+        for device, (check, feedback) in enumerate(zip(self._speed_checks, (rails, turntable), strict=True)):
+            if (found := check.update(feedback)) is not None:
+                axis, reported, moved = found
+                name = ("rails", "turntable")[device]
+                value, limit = f"{speed_text(name, reported)} reported", f"{speed_text(name, moved)} by its position"
+                return Alarm(now_s, self._axis_names[3 * device + axis], "speed", value, limit)
         return None
 
     def interlock_power(self, now_s: float) -> Alarm | None:

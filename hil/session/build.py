@@ -21,6 +21,7 @@ from hil.checks.compatibility import (
     driver_warnings,
 )
 from hil.checks.faults import check_faults
+from hil.checks.preflight_record import check_preflight
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
@@ -59,7 +60,8 @@ def check(job: Job) -> None:
         *check_faults(job.scenario, job.rig),
         *_rig_problems(job),
     ]
-    if problems := problems or library_problems(job.scenario) or check_sign_off(job.rig):
+    problems = problems or library_problems(job.scenario) or check_sign_off(job.rig)
+    if problems := problems or check_preflight(job.rig, job.scenario.value.step_s):
         raise BadInput(problems)
 
 

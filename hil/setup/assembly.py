@@ -158,7 +158,8 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         assert isinstance(turntable, MockAxes)
         loop.axis_faults = AxisFaults(fault_rows(job.truth, "axis", job.seed), rails.servo(), turntable.servo())
     if io is not None and rig.io is not None:
-        lines = SafetyIoStage(io, loop.now.command.on[: rig.io.thruster_lines])
+        tested_pump_s = rig.io.pump_timeout_s if rig.kind == "hardware" else None
+        lines = SafetyIoStage(io, loop.now.command.on[: rig.io.thruster_lines], tested_pump_s)
         loop.safety_io = lines
         loop.bench.emergency_input = lines.emergency_input
         loop.bench.local_enable = lines.local_enable
@@ -185,6 +186,7 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
             BrakeTimes(rig.brake_close_s, rig.brake_open_s),
             job.ticks,
             job.until_stopped,
+            rig.io.warning_s if rig.io is not None and rig.has_io and rig.io.coils.warning is not None else 0.0,
         ),
         context.on_progress,
         context.operator,

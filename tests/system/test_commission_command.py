@@ -39,7 +39,10 @@ extends = "emulated"
 name = "near its start"
 rails.x.park_m = 4.95
 rails.y.park_m = -0.25
-io.pump_timeout_s = 1.0
+io.pump_timeout_s = 0.5
+io.timeout_s = 1.0
+io.coils.brakes_released = 26
+io.inputs.brakes_closed = 2
 """
 
 
@@ -66,11 +69,12 @@ def commission(bench: WiredBench, axis: int) -> tuple[StepFailed, Runner]:
     """Commission one axis, which does not pass; return why, and the session."""
     assert bench.board is not None
     technician = AutoOperator(bench.board, bench.addresses)
-    rig = load_rig("emulated").value
     for _ in range(_ATTEMPTS):
         time.sleep(_BETWEEN_SESSIONS_S)
         runner = bench.runner()
-        steps = Commissioning(runner, rig, ScriptedPrompt(), CommissioningPlan([axis]), technician, technician.position)
+        steps = Commissioning(
+            runner, bench.rig, ScriptedPrompt(), CommissioningPlan([axis]), technician, technician.position
+        )
         try:
             with pytest.raises(StepFailed) as raised:
                 steps.run()
@@ -129,6 +133,18 @@ def test_axis_that_is_wired_wrongly_is_named_with_what_to_do(
     assert runner.safety.modes.mode is not Mode.OFF
 
 
+def test_a_relay_that_does_not_monitor_the_pump_is_found(bench: WiredBench) -> None:
+    control = FaultControl(bench.addresses["io.faults"])
+    try:
+        control.send("on pump_ignored")
+        failure, _ = commission(bench, Y)
+    finally:
+        control.send("clear")
+        control.close()
+    assert failure.what == "io: charge pump"
+    assert "time-out of the charge pump chain closed 0.65 s after the last pulse, allowed 0.5 s" in str(failure)
+
+
 @pytest.mark.slow
 def test_whole_path_ends_in_a_rig_file_that_is_signed_off(rig_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = rig_file.with_name("signed.toml")
@@ -153,6 +169,7 @@ def test_whole_path_ends_in_a_rig_file_that_is_signed_off(rig_file: Path, capsys
     titles = re.findall(r"^-- (.*)$", told, re.MULTILINE)
     assert titles == [
         "emergency stop",
+        "safety chain",
         "identity of the devices",
         "rails.y: sign and scale",
         "turntable.yaw: sign and scale",
@@ -161,6 +178,15 @@ def test_whole_path_ends_in_a_rig_file_that_is_signed_off(rig_file: Path, capsys
     ]
     assert "io: emergency stop detected, safety chain open" in told
     assert "io: released, chain stayed open, closed again after the reset" in told
+    for line in (
+        r"io: chain read as open 0\.\d+ s after the last pulse, time-out 0\.5 s",
+        r"io: chain opened while the watchdog process was stopped for 0\.65 s",
+        r"io: holding brakes read as closed after 0\.\d+ s",
+        r"io: holding brakes read as open after 0\.\d+ s",
+        r"rails\..*, 0\.\d+ s after enable was switched off",
+        r"turntable\..*, 0\.\d+ s after enable was switched off",
+    ):
+        assert re.search(line, told), told
     assert told.strip().endswith("the rig is signed off")
     rig = load_rig(str(out)).value
     assert sign_off_gap(rig) == ""

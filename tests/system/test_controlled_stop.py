@@ -29,6 +29,8 @@ START = (
     "rig.rails.y.park_m=-0.12",
     "rig.rails.z.park_m=0.12",
 )
+LOCAL_ENABLE = ("rig.io.inputs.local_enable=3",)
+LOCAL_ENABLE_OFF = "io on local_enable_off"
 DETECTED_S = 0.2
 """From the moment in which an axis leaves its ramp until its torque is off: time above the ramp, chain, relay."""
 BUSY_S = 0.15
@@ -114,13 +116,42 @@ def test_a_drive_that_does_not_obey_a_safe_stop_loses_its_torque(axis: str, atte
         assert made.runner.safety.alarms.latched()
 
 
-@pytest.mark.parametrize(("line", "attended"), cases("io on estop", "rails on drive_fault x", "turntable on link_down"))
+FIRST_CAUSES = ("rails on drive_fault y", "turntable on drive_fault yaw", "vmu on link_down", LOCAL_ENABLE_OFF, "stop")
+
+
+@pytest.mark.parametrize(("first", "attended"), cases(*FIRST_CAUSES, slow=0))
+def test_a_drive_that_does_not_obey_loses_its_torque_whatever_the_stop_is_for(first: str, attended: bool) -> None:
+    with session(attended, *LOCAL_ENABLE) as made:
+        made.wait(lambda: made.speed("rails") > 0.03)
+        made.fault("rails", "on runaway x 0")  # at its present speed: no following error gives it away
+        device, _, line = first.partition(" ")
+        begun_s = made.bench.clock.now_s()
+        if line:
+            made.fault(device, line)
+        else:
+            made.operator.submit(OperatorCommand.STOP)
+        made.wait(lambda: not made.torque())
+        opened_s = made.bench.clock.now_s()
+        alarms = made.runner.safety.alarms.all()
+        stopped_s = min((alarm.t_s for alarm in alarms), default=begun_s) if line else begun_s
+        took_s = opened_s - stopped_s
+        print(f"{first}: torque off {took_s:.3f} s after the stop began")  # noqa: T201
+        assert took_s < REACTION_S + DETECTED_S + BUSY_S
+        made.wait(lambda: made.speed("rails") < 2e-3, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("line", "attended"),
+    cases("io on estop", "rails on drive_fault x", "turntable on link_down", LOCAL_ENABLE_OFF, "stop"),
+)
 def test_a_gravity_loaded_axis_does_not_drop_in_any_stop(line: str, attended: bool) -> None:
     device, _, order = line.partition(" ")
-    with session(attended) as made:
+    with session(attended, *LOCAL_ENABLE) as made:
         before = made.place("rails")[2]
-        made.fault(device, order)
-        made.wait(lambda: made.mode is Mode.SAFE_STOP)
+        if order:
+            made.fault(device, order)
+        else:
+            made.operator.submit(OperatorCommand.STOP)
         made.wait(lambda: not made.torque(), 3.0)
         made.wait(lambda: made.speed("rails") < 1e-3, 2.0)
         time.sleep(0.3)

@@ -7,6 +7,7 @@ coil      coils.charge_pump           heartbeat: toggles while the watchdog proc
 coil      coils.enable                1 asks the safety relay to close; an edge is needed each time
 coil      coils.thrusters_first + n   1 while thruster n is open
 coil      coils.brakes_released       1 releases the holding brakes
+coil      coils.warning               1 warns before the first motion
 input     inputs.estop_closed         1 while the emergency stop is released
 input     inputs.chain_closed         1 while the relay lets the drives have torque
 input     inputs.brakes_closed        1 while all holding brakes are closed
@@ -50,10 +51,10 @@ class ModbusException(IntEnum):
 
 
 class LineMap:
-    """Addresses of coils and inputs. coils: charge pump, enable, thrusters, in this order, and the brakes if commanded.
+    """Addresses of coils and inputs. coils: charge pump, enable, thrusters, in this order, then brakes and warning.
 
-    thrusters: addresses of the thrusters' coils. brakes, brakes_closed: of the brakes' coil and input; None without.
-    local_enable: of its input; None without.
+    thrusters: addresses of the thrusters' coils. brakes, brakes_closed, warning, local_enable: of brakes and their
+    contact, of the warning of motion and of the switch at the bench; None without.
     """
 
     def __init__(self, config: Io) -> None:
@@ -66,6 +67,9 @@ class LineMap:
         names |= {address: f"thruster {n + 1}" for n, address in enumerate(self.thrusters)}
         if self.brakes is not None:
             names[self.brakes] = "brakes"
+        self.warning = config.coils.warning
+        if self.warning is not None:
+            names[self.warning] = "warning"
         self.coils, self.coil_names = tuple(names), tuple(names.values())
         self.estop = config.inputs.estop_closed
         self.chain = config.inputs.chain_closed

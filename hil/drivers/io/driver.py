@@ -70,7 +70,8 @@ class ModbusIo(LoopThread):
 
     def pulse(self, now_s: float) -> None:
         """Toggle the charge pump, unless it was toggled within the pump's period."""
-        if now_s - self._toggled_s >= self._config.pump_period_s and not self._stopped:
+        due = now_s - self._toggled_s >= self._config.pump_period_s
+        if due and self._outputs.pump and not self._stopped:
             self._pump = not self._pump
             self._toggled_s = now_s
             self._call(self._wake.set)
@@ -176,4 +177,6 @@ class ModbusIo(LoopThread):
             levels.update(zip(lines.thrusters, map(bool, outputs.thrusters), strict=False))
             if lines.brakes is not None:
                 levels[lines.brakes] = outputs.brakes_released
+            if lines.warning is not None:
+                levels[lines.warning] = outputs.warning
         return levels

@@ -22,6 +22,7 @@ BUTTONS: Final = {
     "estop": InjectableFault("the emergency stop is pressed"),
     "interlock": InjectableFault("an interlock's contact is open", of_axis=True),
     "brakes_open": InjectableFault("the holding brakes do not close, nor does their contact"),
+    "pump_ignored": InjectableFault("the relay does not monitor the charge pump"),
     "local_enable_off": InjectableFault("the switch at the bench does not permit power and motion"),
 }
 _HEADER: Final = struct.Struct(">HHHB")  # transaction, protocol 0, length with the device id, device id
@@ -45,6 +46,7 @@ class EmulatedCoupler:
         self.image = Image(coils, inputs, IDENTITY)
         self.relay = SafetyRelay(pump_timeout_s, config.torque_delay_s)
         self._brakes = HoldingBrakes(0.5 * config.torque_delay_s)
+        self._other_pump = False
         self.advance(0.0)
 
     @property
@@ -58,6 +60,8 @@ class EmulatedCoupler:
         released = self.faults.value("estop") is None
         open_now = {name for name in lines.interlocks if self.faults.value("interlock", name) is not None}
         pump, enable = (image.coils[address] for address in lines.coils[:2])
+        if self.faults.value("pump_ignored") is not None:
+            pump = self._other_pump = not self._other_pump
         permitted = self.faults.value("local_enable_off") is None
         closed = self.relay.update(now_s, pump, enable, released and not open_now, permitted)
         released_brakes = closed and (lines.brakes is None or image.coils[lines.brakes])

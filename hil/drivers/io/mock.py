@@ -45,7 +45,7 @@ class MockIo:
 
     def pulse(self, now_s: float) -> None:
         """Toggle the charge pump, unless it was toggled within the pump's period."""
-        if self._error is None and now_s - self._toggled_s >= self._period_s:
+        if self._error is None and self.outputs.pump and now_s - self._toggled_s >= self._period_s:
             self._pump = not self._pump
             self._toggled_s = now_s
             self._advance(now_s)

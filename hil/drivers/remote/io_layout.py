@@ -50,7 +50,14 @@ INPUTS: Final = np.dtype(
     ]
 )
 OUTPUTS: Final = np.dtype(
-    [("enable", "i8"), ("count", "i8"), ("thrusters", "u1", MAX_THRUSTERS), ("brakes_released", "i8")]
+    [
+        ("enable", "i8"),
+        ("count", "i8"),
+        ("thrusters", "u1", MAX_THRUSTERS),
+        ("brakes_released", "i8"),
+        ("pump", "i8"),
+        ("warning", "i8"),
+    ]
 )
 _FRAMES: Final = 256
 _KINDS: Final[dict[str, type[DeviceError]]] = {kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError)}
@@ -147,14 +154,16 @@ def outputs_record(outputs: IoOutputs) -> np.ndarray:
     lines = outputs.thrusters
     record["enable"], record["count"] = outputs.enable, len(lines)
     record["thrusters"][0, : len(lines)] = np.frombuffer(lines, np.uint8)
-    record["brakes_released"] = outputs.brakes_released
+    for name in ("brakes_released", "pump", "warning"):
+        record[name] = getattr(outputs, name)
     return record
 
 
 def read_outputs(record: np.ndarray) -> IoOutputs:
     """Return the outputs in ``record``, shape (1,) of OUTPUTS."""
     lines = record["thrusters"][0].tobytes()[: int(record["count"][0])]
-    return IoOutputs(bool(record["enable"][0]), lines, bool(record["brakes_released"][0]))
+    levels = (bool(record[name][0]) for name in ("brakes_released", "pump", "warning"))
+    return IoOutputs(bool(record["enable"][0]), lines, *levels)
 
 
 def failure_record(error: BenchError, device: str) -> np.ndarray:

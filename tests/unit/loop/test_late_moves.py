@@ -41,7 +41,7 @@ def test_a_late_cycle_delays_a_move_and_does_not_hasten_it() -> None:
         sequencer.tick()
         sequencer.park(target)
     speeds = np.diff(sent, axis=0)[:, 0] / bench.params.dt_s
-    limit = Move.FRACTION_OF_LIMITS * bench.params.rate_max[0]
+    limit = bench.safety.limits.parking_rate_fraction * bench.params.rate_max[0]
     assert len(sent) > LATE_CYCLE + 50
     assert np.abs(speeds).max() < limit * (1.0 + 1e-9)
     assert np.abs(speeds).max() > 0.99 * limit

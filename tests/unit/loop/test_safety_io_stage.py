@@ -7,6 +7,7 @@ import pytest
 
 from hil.config.io import Io
 from hil.core.clock import SimulatedClock, WallClock
+from hil.core.messages import IoOutputs
 from hil.drivers.io.mock import MockIo
 from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.errors import LinkTimeout, SafetyTrip
@@ -90,24 +91,24 @@ def test_failure_of_the_link_reaches_the_cycle(desk: Desk) -> None:
 def test_thrusters_are_mirrored_to_their_lines(desk: Desk) -> None:
     desk.on[:] = (0, 1, 0, 1)
     desk.stage.mirror_thrusters(0.0)
-    assert desk.io.outputs == (True, b"\0\1\0\1", False)
+    assert desk.io.outputs == IoOutputs(True, b"\0\1\0\1")
     desk.on[:] = 0
     desk.stage.mirror_thrusters(0.02)
     assert desk.io.outputs.thrusters == b"\0\0\0\0"
     desk.on[0] = 1
     desk.stage.mirror_thrusters(0.04)
     desk.stage.stop(0.06)
-    assert desk.io.outputs == (False, b"", False)
+    assert desk.io.outputs == IoOutputs(False, b"")
 
 
 def test_brakes_stay_released_when_a_thruster_fires_and_close_with_the_chain(desk: Desk) -> None:
     desk.stage.release_brakes(True, 0.0)
     desk.on[0] = 1
     desk.stage.mirror_thrusters(0.02)
-    assert desk.io.outputs == (True, b"\1\0\0\0", True)
+    assert desk.io.outputs == IoOutputs(True, b"\1\0\0\0", True)
     assert desk.stage.brakes_closed(0.02) is None  # no contact reads them
     desk.stage.release_brakes(False, 0.04)
-    assert desk.io.outputs == (True, b"\1\0\0\0", False)
+    assert desk.io.outputs == IoOutputs(True, b"\1\0\0\0")
     desk.stage.release_brakes(True, 0.06)
     desk.stage.stop(0.08)
     assert not desk.io.outputs.brakes_released

@@ -22,7 +22,7 @@ from hil.preflight.check import PreflightCheck, all_passed
 from hil.preflight.devices import device_checks
 from hil.preflight.host import HostFacts, Privileges, host_checks, probe_host
 from hil.preflight.lateness import Lateness, histogram_lines, lateness_check, summarise
-from hil.preflight.run import preflight, reachability_check
+from hil.preflight.run import overtravel_check, preflight, reachability_check
 
 GOOD = HostFacts(
     clock_resolution_s=1e-9,
@@ -273,7 +273,7 @@ def test_plan_that_the_rig_cannot_realise_fails_with_its_problems() -> None:
 
 
 def test_lateness_that_cannot_be_measured_fails(tmp_path: Path) -> None:
-    def broken(_: float) -> Lateness:
+    def broken(*_: float) -> Lateness:
         raise RuntimeError("the lateness could not be measured: killed")
 
     found = preflight(load_scenario("scheme-1"), load_rig("mock"), tmp_path, False, probe=lambda _: GOOD, meter=broken)
@@ -284,7 +284,7 @@ def test_lateness_that_cannot_be_measured_fails(tmp_path: Path) -> None:
 def test_numbers_have_the_promised_keys(tmp_path: Path) -> None:
     told: list[str] = []
     found = preflight(
-        load_scenario("scheme-1"), load_rig("mock"), tmp_path, False, told.append, lambda _: GOOD, lambda _: QUIET
+        load_scenario("scheme-1"), load_rig("mock"), tmp_path, False, told.append, lambda _: GOOD, lambda *_: QUIET
     )
     numbers = found.numbers()
     assert numbers["passed"] is True
@@ -292,3 +292,10 @@ def test_numbers_have_the_promised_keys(tmp_path: Path) -> None:
     assert set(numbers["lateness_us"]) == {"p50", "p99", "p999", "max"}
     assert all(set(check) == {"name", "passed", "value", "advice"} for check in numbers["checks"])
     assert len(told) == 4
+
+
+def test_overtravel_is_the_braking_distance_beyond_the_travel() -> None:
+    check = overtravel_check(load_rig("mock").value)
+    assert check.passed is None
+    assert "rails.x 0.21 m" in check.value
+    assert "turntable.yaw 10.00 deg" in check.value

@@ -1,0 +1,73 @@
+"""Hardware runs need a passed preflight of the last hour, for this rig and this period."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.checks.preflight_record import MEASURED_S, VALID_S, check_preflight, record_path, write_record
+from hil.config.load import load_rig
+from tests.unit.commission.test_sign_off import WIRES
+
+STEP_S = 0.02
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    path = tmp_path / "lab.toml"
+    path.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\n{WIRES}')
+    return path
+
+
+def recorded(lab: Path, change: Callable[[dict[str, Any]], object] = lambda _: None) -> list[str]:
+    """Write a good record, change it, and return the problems of a run."""
+    rig = load_rig(str(lab))
+    write_record(rig, 1.0 / STEP_S, MEASURED_S, True)
+    record = json.loads(record_path(rig).read_text())
+    change(record)
+    record_path(rig).write_text(json.dumps(record))
+    return [str(problem) for problem in check_preflight(rig, STEP_S)]
+
+
+def test_a_run_of_hardware_needs_a_preflight_and_others_do_not(lab: Path) -> None:
+    (problem,) = check_preflight(load_rig(str(lab)), STEP_S)
+    path = lab.with_name("lab.preflight.json")
+    assert str(problem) == f"{path}: preflight: is missing: run hil preflight --rig {lab} --devices"
+    assert check_preflight(load_rig(str(lab), ["rig.sign_off.waived=true"]), STEP_S) == []
+    for name in ("mock", "emulated", "emulated-rtu"):
+        assert check_preflight(load_rig(name), STEP_S) == []
+
+
+def test_a_good_preflight_permits_runs_for_an_hour(lab: Path) -> None:
+    assert recorded(lab) == []
+    rig = load_rig(str(lab))
+    assert check_preflight(rig, STEP_S, time.time() + VALID_S - 60.0) == []
+    (problem,) = check_preflight(rig, STEP_S, time.time() + VALID_S + 60.0)
+    assert "is 61 min old, allowed 60 min" in str(problem)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        pytest.param({"passed": False}, "has failed", id="failed"),
+        pytest.param({"measured_s": 5.0}, "measured the lateness for 5 s, required 60 s", id="short"),
+        pytest.param({"digest": "sha256:0"}, "is of another configuration of this rig", id="other rig"),
+        pytest.param({"rate_hz": 100.0}, "is for 100 Hz, the scenario has 50 Hz", id="other rate"),
+        pytest.param({"unix_time_s": 1e12}, "min old", id="from the future"),
+        pytest.param({"measured_s": "long"}, "cannot be read", id="no number"),
+    ],
+)
+def test_another_record_is_refused_with_its_reason(lab: Path, change: dict[str, Any], text: str) -> None:
+    (problem,) = recorded(lab, lambda record: record.update(change))
+    assert text in problem
+
+
+def test_a_damaged_record_is_refused(lab: Path) -> None:
+    record_path(load_rig(str(lab))).write_text("{")
+    (problem,) = check_preflight(load_rig(str(lab)), STEP_S)
+    assert "cannot be read" in str(problem)
