@@ -15,6 +15,7 @@ from hil.errors import BadInput
 from hil.recording import parts
 from hil.recording.read import load
 from hil.recording.replay import replay
+from hil.session.warm_up import warm_up
 from hil.setup import assembly
 from tests.support.run_settings import make_job
 
@@ -95,3 +96,14 @@ def test_ctrl_c_ends_a_run_until_stopped_normally(compiled: bool) -> None:
     assert found.summary["faults"] == []
     assert found.summary["timing"]["cycles"] > 100
     assert np.all(np.diff(found.history["t_s"]) > 0.0)
+
+
+def test_parts_of_a_run_in_real_time_are_evaluated_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(assembly, "ROWS_MAX", 300)
+    job = replace(make_job(20.0, speed=10.0), paced=True)
+    warm_up(job)
+    found = runs.run_job(runs.RunRequest(job, "mock")).summary
+    assert found["stop"] == "completed"
+    assert found["timing"]["cycles"] == 1001
+    assert sum(entry["cycles"] for entry in found["timing"]["lateness_histogram"]) == 1001
+    assert found["verdict"]["security"]["passed"]
