@@ -77,15 +77,16 @@ def platform_folders(version: int) -> tuple[str, ...]:
 class Fmu:
     """The FMU at ``path``, unpacked, with its binary loaded. Raises FmuError.
 
+    within: folder for the unpacked files, which go into a new one of their own; None for that of temporary files.
     description: its model description. log: buffer of LOG_BYTES with the last message of the FMU, zero at its end.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, within: Path | None = None) -> None:
         with Archive(path) as archive:
             self.description: ModelDescription = parse(archive.description())
             version = self.description.version
             binary = _binary_name(self.description, archive.names())
-            self.folder = Path(tempfile.mkdtemp(prefix="hil-fmu-"))
+            self.folder = Path(tempfile.mkdtemp(prefix="hil-fmu-", dir=within))
             weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
             archive.unpack(self.folder)
         try:

@@ -34,20 +34,21 @@ class FmuLibrary:
     """The FMU of a scenario's GNC. Raises BadInput if it cannot be used.
 
     source: option or file that names it, for messages. step_address: of a function with the signature of
-    ``hil_gnc_step``. own_process: this process runs nothing else, so that one instance per process is enough.
+    ``hil_gnc_step``. own_process: folder for the unpacked files of a process that runs nothing else, so
+    that one instance per process is enough, and that may be killed; None for any other process.
     """
 
-    def __init__(self, gnc: GncConfig, source: str = "--set", own_process: bool = False) -> None:
+    def __init__(self, gnc: GncConfig, source: str = "--set", own_process: Path | None = None) -> None:
         assert gnc.fmu is not None
         self.path = Path(gnc.fmu).absolute()
         self.name = self.path.name
-        self._shown, self._source, self._own_process = gnc.fmu, source, own_process
+        self._shown, self._source, self._own_process = gnc.fmu, source, own_process is not None
         self._parameters = gnc.fmu_parameters
         self._tables: list[_Tables] = []
         """Those that no instance uses."""
         mapping = load_fmu_mapping(gnc.fmu_mapping) if gnc.fmu_mapping is not None else FmuMapping()
         try:
-            self._fmu = Fmu(self.path)
+            self._fmu = Fmu(self.path, own_process)
             self._map(mapping)
         except FmuError as error:
             raise self._refusal(error) from error

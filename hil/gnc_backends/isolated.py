@@ -7,7 +7,9 @@ library, so that the compiled loop can call it as well.
 from __future__ import annotations
 
 import ctypes
+import shutil
 import socket
+import tempfile
 import weakref
 from functools import cache
 from pathlib import Path
@@ -164,7 +166,13 @@ class _Child:
     def __init__(self, name: str, gnc: GncConfig, source: str) -> None:
         self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            configuration = {"gnc": gnc.model_dump(mode="json"), "source": source, "descriptor": theirs.fileno()}
+            self._folder = tempfile.mkdtemp(prefix="hil-fmu-")
+            configuration = {
+                "gnc": gnc.model_dump(mode="json"),
+                "source": source,
+                "descriptor": theirs.fileno(),
+                "folder": self._folder,
+            }
             self._process = ChildProcess(name, _MODULE, configuration, (theirs.fileno(),))
         libc = ctypes.CDLL(None)
         send, poll, receive = (ctypes.cast(f, ctypes.c_void_p).value for f in (libc.send, libc.poll, libc.recv))
@@ -194,3 +202,4 @@ class _Child:
         """End the process; idempotent."""
         self._process.close()
         self._ours.close()
+        shutil.rmtree(self._folder, ignore_errors=True)

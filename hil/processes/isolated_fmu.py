@@ -7,6 +7,7 @@ import json
 import select
 import socket
 import sys
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -65,7 +66,7 @@ def main() -> None:
     gnc = GncConfig.model_validate_json(json.dumps(configuration["gnc"]))
     link = socket.socket(fileno=int(configuration["descriptor"]))
     try:
-        library = FmuLibrary(gnc, configuration["source"], own_process=True)
+        library = FmuLibrary(gnc, configuration["source"], own_process=Path(configuration["folder"]))
     except BadInput as error:
         parent.send(problem=error.problems[0].message)
         return

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
+import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -246,12 +248,15 @@ CONTAINED = {
 def test_fmu_in_its_own_process_is_contained(tmp_path: Path, case: str) -> None:
     put_in, says = CONTAINED[case]
     made = example_fmu(tmp_path, 2, f"{STEP} => {put_in}")
+    before = set(Path(tempfile.gettempdir()).glob("hil-fmu-*"))
     begun_s = time.monotonic()
     rows, stop = history("scheme-1", 3.0, f"gnc.fmu={made}", "gnc.fmu_process=true", "gnc.fmu_timeout_s=0.3")
     assert says in stop
     assert len(rows) // CYCLE.itemsize == 50
     assert time.monotonic() - begun_s < 60.0
+    gc.collect()
     assert not _children("isolated_fmu")
+    assert set(Path(tempfile.gettempdir()).glob("hil-fmu-*")) <= before
 
 
 def _children(name: str) -> list[str]:
