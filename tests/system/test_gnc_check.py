@@ -129,4 +129,4 @@ def test_nobody_there_and_nothing_to_check_are_said_in_one_line(capsys: pytest.C
     assert execute(["gnc-check", "127.0.0.1:0", "--wait", "0.2"]) == 3
     assert "none has answered" in capsys.readouterr().err.splitlines()[-1]
     assert execute(["gnc-check", "mygnc"]) == 2
-    assert "give a shared library (*.so) or HOST:PORT" in capsys.readouterr().err
+    assert "give a shared library (*.so), an FMU (*.fmu) or HOST:PORT" in capsys.readouterr().err

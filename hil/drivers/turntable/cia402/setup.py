@@ -85,6 +85,7 @@ class DriveSetup:
         self.node_id = node_id
         self._eds = eds
         self._sdo = _PumpedClient(port, network, node_id, others)
+        self._has_offset = False
 
     def identify(self, config: Cia402) -> None:
         """Check that this is a CiA 402 drive, and the one that the rig file asks for."""
@@ -109,7 +110,7 @@ class DriveSetup:
 
     def configure(self, timeout_s: float, watchdog_s: float, heartbeat_s: float) -> bool:
         """Write PDOs, mode and reactions (node pre-operational); return whether velocity offset is mapped."""
-        has_offset = self._map_either(codec.SETPOINT_PDO, codec.SETPOINT_PDO_PLAIN)
+        self._has_offset = self._map_either(codec.SETPOINT_PDO, codec.SETPOINT_PDO_PLAIN)
         self._map(codec.CONTROL_PDO)
         self._map(codec.FEEDBACK_PDO)
         self._map_either(codec.STATUS_PDO, codec.STATUS_PDO_PLAIN)
@@ -119,7 +120,7 @@ class DriveSetup:
         self.put(codec.ABORT_CONNECTION_OPTION, codec.ABORT_QUICK_STOPS, 2)
         self.put(codec.QUICK_STOP_OPTION, codec.QUICK_STOP_STAYS, 2)
         self.choose_mode(codec.CYCLIC_SYNCHRONOUS_POSITION)
-        return has_offset
+        return self._has_offset
 
     def choose_mode(self, mode: int) -> None:
         """Write the mode of operation and check that the drive is in it."""
@@ -148,9 +149,19 @@ class DriveSetup:
 
     def back_to_setpoints(self) -> int:
         """Select cyclic synchronous position mode at the present position; return that, counts."""
+        position = self._hold()
+        self.choose_mode(codec.CYCLIC_SYNCHRONOUS_POSITION)
+        return position
+
+    def _hold(self) -> int:
+        """Make the present position, at rest, the setpoint; return it, counts.
+
+        A drive keeps the velocity offset of the last setpoint that it received, however old.
+        """
         position = self.get(codec.POSITION_ACTUAL, 4)
         self.put(codec.TARGET_POSITION, position, 4)
-        self.choose_mode(codec.CYCLIC_SYNCHRONOUS_POSITION)
+        if self._has_offset:
+            self.put(codec.VELOCITY_OFFSET, 0, 4)
         return position
 
     def statusword(self) -> int:
@@ -174,7 +185,7 @@ class DriveSetup:
                 continue
             moving = state is DriveState.QUICK_STOP_ACTIVE and abs(self.get(codec.VELOCITY_ACTUAL, 4)) > standstill
             if state is DriveState.SWITCHED_ON:
-                self.put(codec.TARGET_POSITION, self.get(codec.POSITION_ACTUAL, 4), 4)
+                self._hold()
             if state in codec.TOWARDS_ENABLED and not moving:
                 self.put(codec.CONTROLWORD, codec.TOWARDS_ENABLED[state], 2)
             time.sleep(_POLL_WALL_S)
