@@ -115,7 +115,7 @@ def test_rig_objects_take_overrides_of_the_rig_only() -> None:
         (lambda: hil.run("scheme-1", overrides={"duration_s": [object()]}), "overrides: duration_s: <object"),
         (lambda: hil.run("scheme-1", overrides=["duration_s=3"]), "overrides: ['duration_s=3']: must be a dict"),
         (lambda: hil.run("scheme-1", overrides={"a=b": 1}), "overrides: a=b: keys must be dotted names"),
-        (lambda: hil.run("scheme-1", faults=[{"at_s": 3.0}]), "faults: faults[0].device: is missing"),
+        (lambda: hil.run("scheme-1", faults=[{"at_s": 3.0, "device": "vmu"}]), "faults: faults[0].kind: is missing"),
         (lambda: hil.run("scheme-1", faults="vmu"), "faults: 'vmu': must be a list of tables"),
         (lambda: hil.run("scheme-1", gnc=3), "gnc: int: must be an object with a method step(input)"),
         (lambda: hil.open("nothing.mcap"), "nothing.mcap: cannot be read: No such file"),
