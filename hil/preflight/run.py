@@ -13,10 +13,11 @@ from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.preflight import lateness
 from hil.preflight.check import PreflightCheck, all_passed
 from hil.preflight.devices import rig_checks
 from hil.preflight.host import HostFacts, host_checks, probe_host
-from hil.preflight.lateness import DURATION_S, Lateness, lateness_check, measure
+from hil.preflight.lateness import Lateness, lateness_check, measure
 
 Probe = Callable[[Path], HostFacts]
 Meter = Callable[[float, float], Lateness]
@@ -74,7 +75,7 @@ def preflight(
     checks += rig_checks(run, rig.value, enable_drives)
     announce("measuring the lateness")
     try:
-        late = meter(run.step_s, MEASURED_S + run.step_s if on_hardware else DURATION_S)
+        late = meter(run.step_s, MEASURED_S + run.step_s if on_hardware else lateness.DURATION_S)
     except RuntimeError as error:
         return Preflight([*checks, PreflightCheck("lateness", False, str(error))], None, 1.0 / run.step_s)
     return Preflight([*checks, lateness_check(late)], late, 1.0 / run.step_s)

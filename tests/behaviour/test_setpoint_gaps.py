@@ -58,7 +58,7 @@ def test_rails_catch_up_within_their_move_after_a_lost_answer(rig: str) -> None:
         assert bench.rails.counters()["retries"] >= 1
         print(f"{rig}: {found.max():.3f} m/s")  # noqa: T201
         assert found.max() < 0.25 * RESERVE * RIPPLE
-        assert found[-20:].mean() > 0.25
+        assert found[-20:].mean() > 0.25 / RIPPLE
 
 
 @pytest.mark.parametrize("driver", ["cia402", "ascii"])
