@@ -203,10 +203,14 @@ def check_io(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     return problems
 
 
+def requires_sign_off(rig: Rig) -> bool:
+    """Return whether hardware moves, and its sign-off is not waived."""
+    return rig.kind == "hardware" and not (rig.sign_off is not None and rig.sign_off.waived)
+
+
 def check_sign_off(rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem if hardware is not commissioned with its present rig file, unless that is waived."""
-    found = rig.value.sign_off
-    if rig.value.kind != "hardware" or (found is not None and found.waived):
+    if not requires_sign_off(rig.value):
         return []
     reason = sign_off_gap(rig.value)
     advice = f"commission it with hil commission {rig.source}, or set rig.sign_off.waived=true"

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Final
 
+from hil.checks.compatibility import requires_sign_off
 from hil.config.load import Loaded
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
@@ -45,8 +46,7 @@ def check_preflight(rig: Loaded[Rig], step_s: float, now_unix_s: float | None = 
 
     A waived sign-off waives it too; rigs that are not hardware need none.
     """
-    found = rig.value.sign_off
-    if rig.value.kind != "hardware" or (found is not None and found.waived):
+    if not requires_sign_off(rig.value):
         return []
     reason = _gap(rig, step_s, time.time() if now_unix_s is None else now_unix_s)
     advice = f"run hil preflight --rig {rig.source} --devices"

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.faults import AXES, TERMS, Sensor
+from hil.config.faults import AXES, TERMS, ErrorTerm, Sensor
 from hil.config.model import ConfigModel, Positive
 
 Number = float | tuple[float, ...]
@@ -83,8 +83,7 @@ class FaultDraw(ConfigModel):
 
     @model_validator(mode="after")
     def _is_in_the_table(self) -> Self:
-        family = "axis" if self.device in AXES else self.device.partition(".")[0]
-        term = TERMS.get(family, {}).get(self.kind)
+        term = self.term
         if term is None:
             raise ValueError(f'device = "{self.device}", kind = "{self.kind}": not in the table of faults')
         if term.values == 2:
@@ -98,6 +97,12 @@ class FaultDraw(ConfigModel):
             if given is not None and not given[0] <= given[1]:
                 raise ValueError(f"{name} = {list(given)}: the first number must not exceed the second")
         return self
+
+    @property
+    def term(self) -> ErrorTerm | None:
+        """Entry of the table of faults, None if there is none."""
+        family = "axis" if self.device in AXES else self.device.partition(".")[0]
+        return TERMS.get(family, {}).get(self.kind)
 
 
 class FaultDispersion(ConfigModel):

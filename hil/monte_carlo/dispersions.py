@@ -21,7 +21,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from hil.config.dispersions import TABLES, FaultDispersion, Number, Spread
-from hil.config.faults import AXES, TERMS
+from hil.config.faults import AXES
 from hil.config.load import Loaded, check_table
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
@@ -161,8 +161,7 @@ def drawn_fault(settings: FaultDispersion, thrusters: int, seed: np.random.SeedS
     table: dict[str, Any] = {"device": device, "kind": draw.kind, "at_s": float(generator.uniform(*draw.at_s))}
     if draw.value is not None:
         size = float(generator.uniform(*draw.value))
-        family = draw.device.partition(".")[0]
-        if TERMS.get(family, TERMS["axis"])[draw.kind].values == 3:
+        if draw.term is not None and draw.term.values == 3:
             direction = generator.standard_normal(3)
             table["value"] = [float(part) for part in size * direction / np.linalg.norm(direction)]
         else:
