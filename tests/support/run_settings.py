@@ -18,6 +18,18 @@ is no fault. The other time-outs are 0.4 s and more as shipped."""
 UNHURRIED = (*PATIENT_RELAY, *(f"rig.{device}.lost_packets_max=50" for device in ("rails", "turntable", "vmu")))
 """Nor are the packets that such a moment loses: that they are counted is tested by the table of faults."""
 
+HARDWARE_WIRES = """
+rails.modbus.x.port = 502
+rails.modbus.y.port = 503
+rails.modbus.z.port = 504
+turntable.cia402.channel = "/dev/null"
+vmu.rs422.port = "/dev/null"
+io.port = 505
+io.coils.brakes_released = 40
+io.inputs.brakes_closed = 9
+"""
+"""Wires of a rig of hardware, none of which is there."""
+
 
 def typed(*settings: str) -> tuple[str, ...]:
     """Return ``settings`` as they are typed."""

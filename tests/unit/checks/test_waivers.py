@@ -20,20 +20,9 @@ from hil.console.session_state import bench_description
 from hil.report.page import report
 from hil.report.summary import summary_of
 from hil.report.table import print_waived
+from tests.support.run_settings import HARDWARE_WIRES
 
-LAB = """
-extends = "emulated"
-name = "lab"
-kind = "hardware"
-rails.modbus.x.port = 502
-rails.modbus.y.port = 503
-rails.modbus.z.port = 504
-turntable.cia402.channel = "/dev/null"
-vmu.rs422.port = "/dev/null"
-io.port = 505
-io.coils.brakes_released = 40
-io.inputs.brakes_closed = 9
-"""
+LAB = f'extends = "emulated"\nname = "lab"\nkind = "hardware"\n{HARDWARE_WIRES}'
 EACH = {
     "rig.io.driver=none": "rig.io.driver = none: emergency stop, interlocks and safety chain are not read",
     "rig.sign_off.waived=true": "rig.sign_off.waived = true: axes, limits and safety chain may differ",

@@ -21,18 +21,9 @@ from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
 from hil.report.summary import sign_off_summary
 from hil.report.table import print_sign_off, print_waived
+from tests.support.run_settings import HARDWARE_WIRES
 
 NAMES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
-WIRES = """
-rails.modbus.x.port = 502
-rails.modbus.y.port = 503
-rails.modbus.z.port = 504
-turntable.cia402.channel = "/dev/null"
-vmu.rs422.port = "/dev/null"
-io.port = 505
-io.coils.brakes_released = 40
-io.inputs.brakes_closed = 9
-"""
 
 
 def found(axes: range | list[int], whole: bool) -> Findings:
@@ -43,7 +34,7 @@ def found(axes: range | list[int], whole: bool) -> Findings:
 @pytest.fixture
 def lab(tmp_path: Path) -> Path:
     path = tmp_path / "lab.toml"
-    path.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\n{WIRES}')
+    path.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\n{HARDWARE_WIRES}')
     return path
 
 
@@ -139,7 +130,7 @@ def test_change_of_anything_else_does_not(lab: Path, change: str) -> None:
 
 def test_sign_off_of_a_rehearsal_does_not_hold_for_hardware(lab: Path, tmp_path: Path) -> None:
     rehearsed = tmp_path / "rehearsed.toml"
-    rehearsed.write_text(f'extends = "emulated"\n{WIRES}')
+    rehearsed.write_text(f'extends = "emulated"\n{HARDWARE_WIRES}')
     now_hardware = tmp_path / "now-hardware.toml"
     now_hardware.write_text(f'extends = "{signed(rehearsed, base="rehearsed.toml").name}"\nkind = "hardware"\n')
     (problem,) = check_sign_off(load_rig(str(now_hardware)))
