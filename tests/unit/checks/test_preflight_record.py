@@ -12,7 +12,7 @@ import pytest
 
 from hil.checks.preflight_record import MEASURED_S, VALID_S, check_preflight, record_path, write_record
 from hil.config.load import load_rig
-from tests.unit.commission.test_sign_off import WIRES
+from tests.support.run_settings import HARDWARE_WIRES
 
 STEP_S = 0.02
 
@@ -20,7 +20,7 @@ STEP_S = 0.02
 @pytest.fixture
 def lab(tmp_path: Path) -> Path:
     path = tmp_path / "lab.toml"
-    path.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\n{WIRES}')
+    path.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\n{HARDWARE_WIRES}')
     return path
 
 
