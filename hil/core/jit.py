@@ -1,9 +1,10 @@
 """Compilation of the kernels and their cache on disk.
 
 numba's own cache checks only the file of the function that is called; a change in a kernel that it calls from
-another file goes unnoticed. A bench must never run yesterday's formula, so the cache folder carries a digest of every
-source that a kernel is compiled from: a change in any of them compiles everything again. The entries do not depend on
-where the package is installed: two checkouts of the same sources share them.
+another file goes unnoticed. A bench must never run yesterday's formula, so each entry carries a digest of every source
+that its kernel is compiled from: its own file and all that this imports, directly or not. The folder of a set of
+sources starts with the entries of earlier ones that are still valid, so that a change compiles only what depends on it.
+The entries do not depend on where the package is installed: two checkouts of the same sources share them.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ import platform
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -70,6 +71,7 @@ def _python_files(package: Path) -> dict[str, bytes]:
     return found
 
 
+@cache
 def _imports(text: bytes) -> list[str]:
     """Return the files that ``text`` may import: of ``from hil.a import b`` a.py, a/__init__.py and a/b.py."""
     files = []
@@ -80,19 +82,46 @@ def _imports(text: bytes) -> list[str]:
     return files
 
 
-def source_digest(package: Path = _PACKAGE) -> str:
-    """Return a digest of ``kernel_sources`` and of the compiler; the same in every process."""
+def source_digest(sources: Mapping[str, bytes]) -> str:
+    """Return a digest of ``sources``, contents by name, and of the compiler; the same in every process."""
     digest = hashlib.sha256(f"numba {numba.__version__}".encode())
-    for name, text in kernel_sources(package).items():
-        digest.update(f"{name} {len(text)} ".encode())
-        digest.update(text)
+    for name in sorted(sources):
+        digest.update(f"{name} {len(sources[name])} ".encode())
+        digest.update(sources[name])
     return digest.hexdigest()[:16]
+
+
+def module_digests(sources: Mapping[str, bytes]) -> dict[str, str]:
+    """Return ``source_digest`` of each of ``sources`` together with all that it imports, directly or not."""
+    imported = {name: {file for file in _imports(text) if file in sources} for name, text in sources.items()}
+    own = {name: hashlib.sha256(text).digest() for name, text in sources.items()}
+    return {name: source_digest({file: own[file] for file in _reached(name, imported)}) for name in sources}
+
+
+def _reached(name: str, imported: Mapping[str, set[str]]) -> set[str]:
+    """Return ``name`` and the files that it imports, directly or not."""
+    found: set[str] = set()
+    pending = {name}
+    while pending:
+        found |= pending
+        pending = set().union(*(imported[file] for file in pending)) - found
+    return found
+
+
+@cache
+def _own_sources() -> dict[str, bytes]:
+    return kernel_sources()
 
 
 @cache
 def kernels_digest() -> str:
     """Return the digest of the kernels that this process runs."""
-    return source_digest()
+    return source_digest(_own_sources())
+
+
+@cache
+def _own_module_digests() -> dict[str, str]:
+    return module_digests(_own_sources())
 
 
 def _cache_root() -> Path:
@@ -117,9 +146,23 @@ def prepare_kernel_cache() -> None:
     if folder.exists() and os.access(folder, os.W_OK):
         return
     _make_writable(folder)
-    others = sorted((entry for entry in folder.parent.iterdir() if entry.is_dir()), key=lambda e: e.stat().st_mtime)
-    for old in others[:-_KEPT_CACHES]:
+    siblings = (entry for entry in folder.parent.iterdir() if entry.is_dir() and entry != folder)
+    others = sorted(siblings, key=lambda entry: entry.stat().st_mtime)
+    for other in others:
+        _reuse_entries(other, folder)
+    for old in others[: 1 - _KEPT_CACHES]:
         shutil.rmtree(old, ignore_errors=True)
+
+
+def _reuse_entries(old: Path, folder: Path) -> None:
+    """Link the entries of ``old`` whose sources are those of today into ``folder``."""
+    current = set(_own_module_digests().values())
+    for path in old.rglob("*.nb[ic]"):
+        if not current.isdisjoint(re.findall(r"-(\w{16})\.", path.name)):
+            place = folder / path.relative_to(old)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            with suppress(FileExistsError, FileNotFoundError):  # another process does the same, or removes ``old``
+                os.link(path, place)
 
 
 def _make_writable(folder: Path) -> None:
@@ -166,7 +209,9 @@ class _KernelCacheLocator(_CacheLocator):
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
         self._py_file = py_file  # named in numba's warning about a function that cannot be cached
         self._line = py_func.__code__.co_firstlineno
-        self._place = Path(py_file).relative_to(_PACKAGE).parent
+        place = Path(py_file).relative_to(_PACKAGE)
+        self._place = place.parent
+        self._digest = _own_module_digests()[str(place)]
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _KernelCacheLocator | None:
@@ -176,13 +221,14 @@ class _KernelCacheLocator(_CacheLocator):
         return str(_cache_folder() / self._place)
 
     def ensure_cache_path(self) -> None:
+        prepare_kernel_cache()
         _make_writable(_cache_folder() / self._place)
 
     def get_source_stamp(self) -> str:
-        return kernels_digest()
+        return self._digest
 
     def get_disambiguator(self) -> str:
-        return str(self._line)
+        return f"{self._line}-{self._digest}"  # part of the names of the files, which ``_reuse_entries`` looks at
 
 
 CacheImpl._locator_classes.insert(0, _KernelCacheLocator)

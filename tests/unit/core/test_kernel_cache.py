@@ -42,38 +42,54 @@ def run_in(checkout: Path, code: str, environment: dict[str, str]) -> subprocess
 
 
 def test_digest_is_the_same_for_a_copy_of_the_sources(copy: Path) -> None:
-    assert source_digest(copy) == source_digest(PACKAGE)
+    assert source_digest(kernel_sources(copy)) == source_digest(kernel_sources(PACKAGE))
 
 
 def test_kernel_that_moves_to_a_new_folder_stays_in_the_digest(copy: Path) -> None:
-    before = source_digest(copy)
+    before = source_digest(kernel_sources(copy))
     (copy / "new_folder").mkdir()
     moved = (copy / "dynamics" / "hill.py").rename(copy / "new_folder" / "hill.py")
     assert "new_folder/hill.py" in kernel_sources(copy)
-    assert source_digest(copy) != before
+    assert source_digest(kernel_sources(copy)) != before
 
-    after = source_digest(copy)
+    after = source_digest(kernel_sources(copy))
     moved.write_bytes(moved.read_bytes().replace(b"2.0 * w0", b"2.1 * w0"))
-    assert source_digest(copy) != after
+    assert source_digest(kernel_sources(copy)) != after
 
 
 @pytest.mark.parametrize("imported", ["core/messages.py", "core/gnc_records.py"])
 def test_module_whose_constants_kernels_use_is_in_the_digest(copy: Path, imported: str) -> None:
-    before = source_digest(copy)
+    before = source_digest(kernel_sources(copy))
     (copy / imported).write_bytes((copy / imported).read_bytes() + b"\nADDED = 1\n")
-    assert source_digest(copy) != before
+    assert source_digest(kernel_sources(copy)) != before
 
 
 def test_module_without_influence_on_kernels_is_not_in_the_digest(copy: Path) -> None:
-    before = source_digest(copy)
+    before = source_digest(kernel_sources(copy))
     (copy / "cli" / "main.py").write_bytes(b"")
-    assert source_digest(copy) == before
+    assert source_digest(kernel_sources(copy)) == before
 
 
 def test_second_checkout_of_the_same_sources_compiles_nothing(copy: Path, tmp_path: Path) -> None:
     first = run_with_cache(CALL_ONE_KERNEL, tmp_path / "cache", PACKAGE.parent)
     second = run_with_cache(CALL_ONE_KERNEL, tmp_path / "cache", copy.parent)
     assert (first.stdout, second.stdout) == ("0\n", "1\n"), first.stderr + second.stderr
+
+
+def test_kernel_is_compiled_again_only_if_a_source_of_its_own_has_changed(copy: Path, tmp_path: Path) -> None:
+    prepare_and_call = f"from hil.core.jit import prepare_kernel_cache as prepare; prepare(){CALL_ONE_KERNEL}"
+
+    def hits_after_a_change_of(name: str) -> str:
+        with (copy / name).open("a") as file:
+            file.write("\n# changed\n")
+        done = run_with_cache(prepare_and_call, tmp_path / "cache", copy.parent)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert hits_after_a_change_of("maths/limits.py") == "0\n"
+    assert hits_after_a_change_of("dynamics/hill.py") == "1\n"
+    assert hits_after_a_change_of("core/jit.py") == "0\n"
+    assert hits_after_a_change_of("maths/limits.py") == "0\n"
 
 
 def test_import_writes_nothing(tmp_path: Path) -> None:
