@@ -55,6 +55,7 @@ OUTPUT = np.dtype(
         ("cycle", "<i8"), ("state", "<i4"), ("direct", "<i4"), ("force", "<i4", 3), ("torque", "<i4", 3),
         ("on", "u1", 24), ("estimate", "<i8"), ("r_CT_H_m", "<f8", 3), ("v_CT_H_mps", "<f8", 3),
         ("q_CH", "<f8", 4), ("w_CH_C_radps", "<f8", 3), ("text", "S64"),
+        ("protection_level_m", "<f8", 3), ("protection_level_rad", "<f8"), ("health", "<i8"),
     ]
 )  # fmt: skip
 

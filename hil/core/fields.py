@@ -17,7 +17,8 @@ class Field:
     """One field of a record.
 
     type: type code as in numpy, or the table of a nested record. shape: () for a scalar. unit: "1" for a number
-    without unit, "" for text. frame: "" for none (``docs/explanation/frames.md``).
+    without unit, "" for text. frame: "" for none (``docs/explanation/frames.md``). absent: value in rows of a recording
+    that lacks the field.
     """
 
     name: str
@@ -26,6 +27,7 @@ class Field:
     unit: str = "1"
     frame: str = ""
     meaning: str = ""
+    absent: float = 0.0
 
 
 Fields = tuple[Field, ...]

@@ -15,8 +15,10 @@ from typing import Final, TypeVar
 from hil.core.fields import Field, record_dtype
 from hil.core.messages import MAX_POSES, MAX_THRUSTERS
 
-PROTOCOL: Final = 1
-"""Version of the records; incremented when a layout or a meaning changes."""
+PROTOCOL: Final = 2
+"""Version of the records; incremented when fields are appended. 2: protection levels and health in the output."""
+PROTOCOLS: Final = (1, 2)
+"""Versions that the bench accepts: a GNC of an earlier one does not write the appended fields, which stay zero."""
 REASON_BYTES: Final = 128
 """Size of the text with which a library rejects a scenario, including its terminating zero."""
 
@@ -65,6 +67,21 @@ class GncState(IntEnum):
     WORKING = 1, ""
     ASKS_FOR_HOLD = 2, "requests a hold; the run can be resumed"
     FAULT = 3, "requests a stop of the bench; text gives the reason"
+
+
+class GncHealth(IntFlag):
+    """Health of the navigation, bits of ``health``; 0 is healthy."""
+
+    meaning: str
+    __new__ = _documented  # type: ignore[assignment]
+
+    HEALTHY = 0, ""
+    VISION_LOST = 1, "no pose of the vision unit is usable"
+    VISION_SUSPECT = 2, "poses are rejected, or their innovations are not those of their covariance"
+    IMU_SUSPECT = 4, ""
+    THRUSTER_FAULT = 8, "a thruster does not do what is commanded"
+    MONITOR_DISAGREES = 16, "the docking monitor measures another pose"
+    COVARIANCE_INVALID = 32, "a covariance of the filters is not finite or not positive definite"
 
 
 GNC_SETUP_FIELDS: Final = (
@@ -134,5 +151,10 @@ GNC_OUTPUT_FIELDS: Final = (
     Field("q_CH", "f8", 4, "1", "H to c", "estimated attitude"),
     Field("w_CH_C_radps", "f8", 3, "rad/s", "c", "estimated rate against H"),
     Field("text", "S64", (), "", "", "message for the operator; empty for none"),
+    Field("protection_level_m", "f8", 3, "m", "H", "bound on the error of r_CT_H_m, per axis; 0 or nan: not reported"),
+    Field("protection_level_rad", "f8", (), "rad", "", "bound on the attitude error; 0 or nan: not reported"),
+    Field("health", "i8", (), "1", "", "0 healthy; sum of hil_gnc_health"),
 )
 GNC_OUTPUT: Final = record_dtype(GNC_OUTPUT_FIELDS)
+GNC_OUTPUT_1: Final = record_dtype(GNC_OUTPUT_FIELDS[:-3])
+"""GNC_OUTPUT of protocol 1."""

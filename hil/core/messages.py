@@ -79,6 +79,9 @@ NAVIGATION_FIELDS: Final = (
     Field("sigma_attitude_rad", "f8", 3, "rad", "c", "standard deviation of the attitude"),
     Field("nis_position", "f8", (), "1", "", "normalised innovation squared, 3 components; nan without an update"),
     Field("nis_attitude", "f8", (), "1", "", "normalised innovation squared, 3 components; nan without an update"),
+    Field("protection_level_m", "f8", 3, "m", "H", "bound on the position error, nan if not reported", math.nan),
+    Field("protection_level_rad", "f8", (), "rad", "", "bound on the attitude error, nan if not reported", math.nan),
+    Field("health", "i8", (), "1", "", "0 healthy; sum of the bits of hil_gnc_health"),
 )
 NAVIGATION = record_dtype(NAVIGATION_FIELDS)
 
@@ -101,6 +104,7 @@ SUPERVISION_FIELDS: Final = (
     Field("ready_since_s", "f8", (), "s", "", "start of the estimate's stay within Table III; nan outside"),
     Field("aborted", "i8", (), "1", "", "cause of the abort, 0 for none"),
     Field("aborted_at_s", "f8", (), "s", "", "time of the run at which the approach was aborted"),
+    Field("reaction", "i8", (), "1", "", "to the health: 0 continue, 1 coast, 2 hold, 3 retreat, 4 abort"),
 )
 SUPERVISION = record_dtype(SUPERVISION_FIELDS)
 

@@ -31,6 +31,8 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
     start of a run, uses none of them. poses: array of POSE, of which the first ``n_poses`` are
     new. ``out.valid`` is 0 until the first pose.
     """
+    fill(out.protection_level_m, np.nan)
+    out.protection_level_rad = np.nan
     if params.sensors == VISION_AND_IMU:
         n = samples.shape[0]
         for i in range(0 if state.fusion.cycle > 0 else n - 1, n):

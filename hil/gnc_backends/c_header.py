@@ -13,6 +13,7 @@ from hil.core.gnc_records import (
     GNC_SETUP_FIELDS,
     PROTOCOL,
     REASON_BYTES,
+    GncHealth,
     GncMode,
     GncOrder,
     GncState,
@@ -73,12 +74,12 @@ _TAIL: Final = """\
 def c_header() -> str:
     """Return the text of ``hil_gnc.h``."""
     parts = [_HEAD, f"#define HIL_GNC_PROTOCOL {PROTOCOL}\n#define HIL_GNC_REASON_BYTES {REASON_BYTES}\n"]
-    parts += [_enum("mode", GncMode), _enum("order", GncOrder), _enum("state", GncState)]
+    parts += [_enum("mode", GncMode), _enum("order", GncOrder), _enum("state", GncState), _enum("health", GncHealth)]
     parts += [_struct(name, fields) for name, fields in RECORDS.items()]
     return "\n".join([*parts, _FUNCTIONS, _checks(), _TAIL])
 
 
-def _enum(name: str, kind: type[GncMode | GncOrder | GncState]) -> str:
+def _enum(name: str, kind: type[GncMode | GncOrder | GncState | GncHealth]) -> str:
     lines = [f"    HIL_GNC_{member.name} = {int(member)},{_comment(member.meaning)}" for member in kind]
     return "\n".join([f"enum hil_gnc_{name} {{", *lines, "};\n"])
 

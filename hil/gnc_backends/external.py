@@ -179,6 +179,12 @@ def fault_text(out: np.record, fault: int, index: int, cycle: int, n_thrusters: 
         case external_records.ATTITUDE:
             values = ", ".join(f"{value:g}" for value in out.q_CH)
             return f"estimated q_CH ({values}) is not of length 1"
+        case external_records.PROTECTION_LEVEL:
+            level = [*out.protection_level_m, out.protection_level_rad][index]
+            name = f"protection_level_m[{index}]" if index < 3 else "protection_level_rad"
+            return f"{name} is {level:g}, allowed 0 and more, 0 or nan: not reported"
+        case external_records.HEALTH:
+            return f"health {out.health}, allowed 0 to {external_records.HEALTH_MAX}"
         case _:
             name = {external_records.POSITION: "r_CT_H_m", external_records.VELOCITY: "v_CT_H_mps"}.get(
                 fault, "w_CH_C_radps"

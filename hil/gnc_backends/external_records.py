@@ -11,17 +11,19 @@ from llvmlite import ir
 from numba import typeof, types
 from numba.extending import intrinsic
 
-from hil.core.gnc_records import GncState
+from hil.core.gnc_records import GncHealth, GncState
 from hil.core.jit import kernel
 from hil.gnc import allocation
 from hil.maths.arrays import copy_into, copy_matrix, fill
 
 FINE, CYCLE, STATE, DIRECT, FORCE, TORQUE, THRUSTER, ESTIMATE, POSITION, VELOCITY, ATTITUDE, RATE = range(12)
+PROTECTION_LEVEL, HEALTH = 12, 13
 """Faults of an output; FINE: none."""
 
 STARTING, WORKING, ASKS_FOR_HOLD, FAULT = (state.value for state in GncState)
 """GncState, as numbers for the kernels."""
 
+HEALTH_MAX = sum(bit.value for bit in GncHealth)
 _NORM_TOLERANCE = 1e-3  # of an estimated quaternion
 
 
@@ -63,6 +65,9 @@ def clear_output(out, cycle):
     fill(out.v_CT_H_mps, 0.0)
     fill(out.q_CH, 0.0)
     fill(out.w_CH_C_radps, 0.0)
+    fill(out.protection_level_m, 0.0)
+    out.protection_level_rad = 0.0
+    out.health = 0
 
 
 @kernel
@@ -100,6 +105,13 @@ def _bad_estimate(out):
         square += out.q_CH[i] * out.q_CH[i]
     if not abs(square - 1.0) <= 2.0 * _NORM_TOLERANCE:
         return ATTITUDE, 0
+    for i in range(3):
+        if out.protection_level_m[i] < 0.0:
+            return PROTECTION_LEVEL, i
+    if out.protection_level_rad < 0.0:
+        return PROTECTION_LEVEL, 3
+    if not 0 <= out.health <= HEALTH_MAX:
+        return HEALTH, 0
     return FINE, 0
 
 
@@ -136,6 +148,12 @@ def fault_of(out, cycle, n_thrusters):
 
 
 @kernel
+def _level(reported):
+    """Return a reported protection level, nan if there is none: a GNC that reports none leaves it zero."""
+    return reported if reported > 0.0 else np.nan
+
+
+@kernel
 def read_output(out, params, boost, navigation, command):
     """Write NAVIGATION and COMMAND from ``out`` (GNC_OUTPUT), which has no fault.
 
@@ -151,6 +169,10 @@ def read_output(out, params, boost, navigation, command):
         copy_into(navigation.v_CT_H, out.v_CT_H_mps)
         copy_into(navigation.q_CH, out.q_CH)
         copy_into(navigation.w_CH_C, out.w_CH_C_radps)
+        for i in range(3):
+            navigation.protection_level_m[i] = _level(out.protection_level_m[i])
+        navigation.protection_level_rad = _level(out.protection_level_rad)
+        navigation.health = out.health
     command.boost = boost
     if out.direct != 0:
         fill(command.force, 0)
@@ -177,6 +199,9 @@ def mark_invalid(navigation):
     fill(navigation.sigma_attitude_rad, np.nan)
     navigation.nis_position = np.nan
     navigation.nis_attitude = np.nan
+    fill(navigation.protection_level_m, np.nan)
+    navigation.protection_level_rad = np.nan
+    navigation.health = 0
 
 
 @kernel

@@ -13,6 +13,7 @@ from hil.gnc_backends import external_records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc
 
 _ESTIMATE: Final = frozenset({"r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"})
+_REALS: Final = _ESTIMATE | {"protection_level_m", "protection_level_rad"}
 _INTEGERS: Final = range(-100, 101)  # of demands and states; the allowed ones are checked with the record
 _FIELDS: Final = tuple(name for name in GNC_OUTPUT.names or () if name not in ("cycle", "direct", "estimate"))
 
@@ -31,7 +32,8 @@ class PythonGnc(Protocol):
         first ``n_poses`` came since the last cycle. It may be kept. The result is None to coast, or a sequence with
         one number per thruster, 1 open and 0 closed, or a mapping with fields of ``hil_gnc_output``: ``on``; or
         ``force`` and ``torque``, (3,) each of -1, 0, 1, which the bench allocates; the four fields of an estimate
-        (``r_CT_H_m``, ``v_CT_H_mps``, ``q_CH``, ``w_CH_C_radps``); ``state``; ``text``, a message for the operator.
+        (``r_CT_H_m``, ``v_CT_H_mps``, ``q_CH``, ``w_CH_C_radps``) and, with it, ``protection_level_m``,
+        ``protection_level_rad`` and ``health``; ``state``; ``text``, a message for the operator.
         """
 
 
@@ -80,7 +82,7 @@ class PythonObjectGnc(ExternalGnc):
             elif name == "state":
                 self.output.state = int(self._numbers(name, value, (), whole=True))
             else:
-                self.output[name] = self._numbers(name, value, GNC_OUTPUT[name].shape, whole=name not in _ESTIMATE)
+                self.output[name] = self._numbers(name, value, GNC_OUTPUT[name].shape, whole=name not in _REALS)
         estimate = _ESTIMATE & set(found)
         if estimate and estimate != _ESTIMATE:
             missing = ", ".join(sorted(_ESTIMATE - estimate))

@@ -9,7 +9,7 @@ from typing import Any, Final, Protocol, Self
 import numpy as np
 
 from hil.core.files import sha256_of
-from hil.core.gnc_records import PROTOCOL, REASON_BYTES, GncMode, GncState
+from hil.core.gnc_records import PROTOCOL, PROTOCOLS, REASON_BYTES, GncMode, GncState
 from hil.errors import BadInput, DeviceError
 from hil.gnc_backends import external_records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc, printable
@@ -44,7 +44,7 @@ class Library:
             raise self._refusal(f"has no function {', '.join(missing)}: hil gnc header prints its interface")
         self._declare()
         protocol = self._loaded.hil_gnc_protocol()
-        if protocol != PROTOCOL:
+        if protocol not in PROTOCOLS:
             raise self._refusal(
                 f"has protocol {protocol}, this bench has {PROTOCOL}: build it with the header of hil gnc header"
             )

@@ -35,6 +35,9 @@ def read_flight(sent, sent_command, navigation, command):
     copy_into(navigation.sigma_attitude_rad, sent.sigma_attitude_rad)
     navigation.nis_position = sent.nis_position
     navigation.nis_attitude = sent.nis_attitude
+    copy_into(navigation.protection_level_m, sent.protection_level_m)
+    navigation.protection_level_rad = sent.protection_level_rad
+    navigation.health = sent.health
     copy_into(command.force, sent_command.force)
     copy_into(command.torque, sent_command.torque)
     copy_into(command.cycles_left, sent_command.cycles_left)
@@ -107,3 +110,6 @@ def write_output(cycle, navigation, command, n_thrusters, out):
     copy_into(out.v_CT_H_mps, navigation.v_CT_H)
     copy_into(out.q_CH, navigation.q_CH)
     copy_into(out.w_CH_C_radps, navigation.w_CH_C)
+    copy_into(out.protection_level_m, navigation.protection_level_m)
+    out.protection_level_rad = navigation.protection_level_rad
+    out.health = navigation.health

@@ -24,7 +24,7 @@ from hil.config.model import ConfigModel
 from hil.config.renamed_keys import present_setting, with_present_names
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.core.fields import record_dtype
+from hil.core.fields import leaf_fields, record_dtype
 from hil.core.files import MIB, check_regular, parse_json
 from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
 from hil.errors import BadInput
@@ -268,6 +268,8 @@ class Recorded:
     """Attachments: name -> text."""
     imu_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, IMU_SAMPLE))
     axes_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, AXES_SAMPLE))
+    absent: frozenset[str] = frozenset()
+    """Dotted names of the fields of CYCLE that the recording lacks."""
 
     def calibration(self, name: str, model: type[_Model]) -> _Model:
         """Return the attachment ``name``: cameras and target as assumed in the run. Raises BadInput."""
@@ -297,6 +299,7 @@ def load(path: Path) -> Recorded:
         found.files,
         _rows(found, "/imu"),
         _rows(found, "/axes"),
+        _absent(found, "/cycle"),
     )
 
 
@@ -311,7 +314,7 @@ def _check_version(found: Contents) -> None:
 
 
 def _rows(found: Contents, topic: str) -> np.ndarray:
-    """Return the messages of ``topic`` as rows of today's record; fields that an earlier version lacks are zero."""
+    """Return the messages of ``topic`` as rows of today's record; those that it lacks have ``Field.absent``."""
     dtype = record_dtype(schema.RECORDS[topic][1])
     if topic not in found.layouts:
         return np.zeros(0, dtype)
@@ -324,9 +327,16 @@ def _rows(found: Contents, topic: str) -> np.ndarray:
         text = f"the records of {topic} do not have the layout of schema version {found.version}"
         raise BadInput.single(str(found.path), "", text)
     rows, flat = np.zeros(len(found.records[topic]), dtype), found.flat(topic)
-    for name in names:
-        rows.view(today)[name] = flat[name]
+    for field_ in leaf_fields(schema.RECORDS[topic][1]):
+        rows.view(today)[field_.name] = flat[field_.name] if field_.name in names else field_.absent
     return rows
+
+
+def _absent(found: Contents, topic: str) -> frozenset[str]:
+    """Return the fields of today's record that the messages of ``topic`` lack."""
+    today = schema.flat_dtype(record_dtype(schema.RECORDS[topic][1]))
+    recorded = found.layouts.get(topic, today)
+    return frozenset(today.names or ()) - frozenset(recorded.names or ())
 
 
 def _note(path: Path, note: dict[str, Any]) -> dict[str, Any]:

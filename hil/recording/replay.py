@@ -132,7 +132,7 @@ def replay(recorded: Recorded, scenario: Scenario, backend: GncBackend | None = 
         if not ended and recorded.end is not None and _is_complete(recorded, scenario):
             gnc.finish(float(rows["t_s"][-1]), now.supervision)
     found = Replayed(rows[:done], ended)
-    found.differences = list(_differences(recorded.cycles[:done], rows[:done]))
+    found.differences = list(_differences(recorded.cycles[:done], rows[:done], recorded.absent))
     found.missing_events, found.new_events = _events(recorded, gnc, done)
     return found
 
@@ -216,10 +216,11 @@ def _is_complete(recorded: Recorded, scenario: Scenario) -> bool:
     return len(recorded.cycles) == round(float(recorded.run["duration_s"]) / scenario.step_s) + 1
 
 
-def _differences(before: np.ndarray, now: np.ndarray) -> Iterator[Difference]:
+def _differences(before: np.ndarray, now: np.ndarray, absent: frozenset[str]) -> Iterator[Difference]:
+    """Yield the fields that differ; those that the recording lacks are not compared."""
     for place in flat_fields(CYCLE):
         name = place["name"]
-        if name.partition(".")[0] not in COMPARED:
+        if name.partition(".")[0] not in COMPARED or name in absent:
             continue
         a, b = _field(before, name), _field(now, name)
         differs = (_bits(a) != _bits(b)).any(axis=1)

@@ -19,10 +19,12 @@ from hil.core.messages import ARRIVAL_FIELDS, AXES_SAMPLE_FIELDS, CYCLE_FIELDS, 
 from hil.errors import BadInput
 from hil.monitor.results import PORTION_FIELDS
 
-VERSION: Final = 2
-"""Version of all schemas together, incremented when a record is extended. 2: joint covariance and status of a pose."""
-READABLE: Final = ("1", "2")
-"""Versions of recordings that can be loaded: records are only appended to; fields that a recording lacks are zero."""
+VERSION: Final = 3
+"""Version of all schemas together, incremented when a record is extended. 2: joint covariance and status of a pose.
+3: protection levels, health and reaction."""
+READABLE: Final = ("1", "2", "3")
+"""Versions of recordings that can be loaded: records are only appended to; fields that a recording lacks have
+``Field.absent``."""
 
 RECORD_ENCODING: Final = "hil.record"
 """Message encoding of channels of packed records; their schemas have ``hil.fields`` as encoding."""

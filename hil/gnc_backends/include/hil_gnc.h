@@ -15,7 +15,7 @@
 extern "C" {
 #endif
 
-#define HIL_GNC_PROTOCOL 1
+#define HIL_GNC_PROTOCOL 2
 #define HIL_GNC_REASON_BYTES 128
 
 enum hil_gnc_mode {
@@ -36,6 +36,15 @@ enum hil_gnc_state {
     HIL_GNC_WORKING = 1,
     HIL_GNC_ASKS_FOR_HOLD = 2, /* requests a hold; the run can be resumed */
     HIL_GNC_FAULT = 3, /* requests a stop of the bench; text gives the reason */
+};
+
+enum hil_gnc_health {
+    HIL_GNC_VISION_LOST = 1, /* no pose of the vision unit is usable */
+    HIL_GNC_VISION_SUSPECT = 2, /* poses are rejected, or their innovations are not those of their covariance */
+    HIL_GNC_IMU_SUSPECT = 4,
+    HIL_GNC_THRUSTER_FAULT = 8, /* a thruster does not do what is commanded */
+    HIL_GNC_MONITOR_DISAGREES = 16, /* the docking monitor measures another pose */
+    HIL_GNC_COVARIANCE_INVALID = 32, /* a covariance of the filters is not finite or not positive definite */
 };
 
 typedef struct {
@@ -94,6 +103,9 @@ typedef struct {
     double q_CH[4]; /* estimated attitude; H to c */
     double w_CH_C_radps[3]; /* estimated rate against H; rad/s, in c */
     char text[64]; /* message for the operator; empty for none */
+    double protection_level_m[3]; /* bound on the error of r_CT_H_m, per axis; 0 or nan: not reported; m, in H */
+    double protection_level_rad; /* bound on the attitude error; 0 or nan: not reported; rad */
+    int64_t health; /* 0 healthy; sum of hil_gnc_health */
 } hil_gnc_output;
 
 /* A shared library has these four functions. They are called from one thread at a time and must not block. */
@@ -151,7 +163,7 @@ _Static_assert(offsetof(hil_gnc_input, reference_q_CH) == 144, "place of hil_gnc
 _Static_assert(offsetof(hil_gnc_input, boost) == 176, "place of hil_gnc_input.boost");
 _Static_assert(offsetof(hil_gnc_input, n_poses) == 184, "place of hil_gnc_input.n_poses");
 _Static_assert(offsetof(hil_gnc_input, poses) == 192, "place of hil_gnc_input.poses");
-_Static_assert(sizeof(hil_gnc_output) == 240, "size of hil_gnc_output");
+_Static_assert(sizeof(hil_gnc_output) == 280, "size of hil_gnc_output");
 _Static_assert(offsetof(hil_gnc_output, cycle) == 0, "place of hil_gnc_output.cycle");
 _Static_assert(offsetof(hil_gnc_output, state) == 8, "place of hil_gnc_output.state");
 _Static_assert(offsetof(hil_gnc_output, direct) == 12, "place of hil_gnc_output.direct");
@@ -164,6 +176,9 @@ _Static_assert(offsetof(hil_gnc_output, v_CT_H_mps) == 96, "place of hil_gnc_out
 _Static_assert(offsetof(hil_gnc_output, q_CH) == 120, "place of hil_gnc_output.q_CH");
 _Static_assert(offsetof(hil_gnc_output, w_CH_C_radps) == 152, "place of hil_gnc_output.w_CH_C_radps");
 _Static_assert(offsetof(hil_gnc_output, text) == 176, "place of hil_gnc_output.text");
+_Static_assert(offsetof(hil_gnc_output, protection_level_m) == 240, "place of hil_gnc_output.protection_level_m");
+_Static_assert(offsetof(hil_gnc_output, protection_level_rad) == 264, "place of hil_gnc_output.protection_level_rad");
+_Static_assert(offsetof(hil_gnc_output, health) == 272, "place of hil_gnc_output.health");
 #endif
 
 #ifdef __cplusplus

@@ -218,6 +218,32 @@ def test_a_recording_of_version_1_is_loaded_with_zeros_for_later_fields(
     assert not cycles["pose"]["status"].any()
 
 
+def test_a_recording_of_version_2_reports_no_protection_level(
+    tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, scheme_1: Scenario, mock_rig: Rig
+) -> None:
+    appended = ("protection_level_m", "protection_level_rad", "health", "reaction")
+    fields = tuple(
+        replace(field, type=tuple(part for part in field.type if part.name not in appended))
+        if field.name in ("navigation", "supervision") and isinstance(field.type, tuple)
+        else field
+        for field in CYCLE_FIELDS
+    )
+    monkeypatch.setitem(schema.RECORDS, "/cycle", ("hil.Cycle", fields))
+    path = tmp_path / "old.mcap"
+    files = {"scenario.json": scheme_1.model_dump_json(), "rig.json": mock_rig.model_dump_json()}
+    file = run_file(path, "2", files)
+    file.write_cycles(np.zeros(3, record_dtype(fields)))
+    file.finish({})
+    monkeypatch.undo()
+    recorded = load(path)
+    navigation = recorded.cycles["navigation"]
+    assert np.isnan(navigation["protection_level_m"]).all()
+    assert np.isnan(navigation["protection_level_rad"]).all()
+    assert not navigation["health"].any()
+    assert not recorded.cycles["supervision"]["reaction"].any()
+    assert {name.partition(".")[2] for name in recorded.absent} == set(appended)
+
+
 def test_a_full_disk_keeps_what_was_written_and_counts_the_rest(
     tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
