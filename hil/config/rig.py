@@ -11,6 +11,7 @@ from hil.config.console import ConsoleTable
 from hil.config.driver_registry import DeviceTable, Wire
 from hil.config.flight_computer import FlightComputer
 from hil.config.gnc_link import GncLink
+from hil.config.guard import GuardConfig
 from hil.config.host import HostConfig, OnOverrun
 from hil.config.io import Io
 from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
@@ -455,6 +456,7 @@ class Rig(ConfigModel):
     turntable: Turntable
     vmu: Vmu
     safety: Safety = Safety()
+    guard: GuardConfig = GuardConfig()
     host: HostConfig = HostConfig()
     console: ConsoleTable = ConsoleTable()
     recording: RecordingTable = RecordingTable()

@@ -11,6 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.faults import TimedFault
+from hil.config.guard import KeepOut
 from hil.config.live_tunable import LiveTuning
 from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.truth import Orbit, SolarArray, Truth
@@ -442,6 +443,7 @@ class Scenario(ConfigModel):
     vmu: VisionNoise
     gnc: GncConfig
     requirements: Requirements
+    keep_out: KeepOut = KeepOut()
     reachability: Reachability = Reachability()
     monitor: DockingMonitorConfig = DockingMonitorConfig()
     faults: Annotated[tuple[TimedFault, ...], Field(max_length=5 * MAX_FAULTS)] = ()

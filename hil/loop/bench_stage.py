@@ -45,7 +45,8 @@ class BenchStage:
         """Positions and rates of the last setpoints."""
         self.feedback: tuple[AxisFeedback, AxisFeedback]
         """Of rails and turntable, from the last ``read``."""
-        self._target = new(AXES)
+        self.wanted = new(AXES)
+        """Axes of the last demanded pose, without limits (AXES)."""
         self.accepted = new(AXES)
         """Last setpoint that the devices have accepted (AXES)."""
         self.commanded_s = math.nan
@@ -53,6 +54,8 @@ class BenchStage:
         self._next = new(AXES)
         self._next_arrays = tuple(self._next[name] for name in ("rail_m", "rail_mps", "gimbal_rad", "gimbal_radps"))
         self.limited_cycles = 0
+        self.limited_in_row = 0
+        """Setpoints in a row, the last one included, that were limited."""
         self._limits = params
         """BENCH_PARAMS with the limits that the devices have for catching up."""
         self.ticks, self._cycle_s = ticks, cycle_s
@@ -118,7 +121,7 @@ class BenchStage:
         kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, self.accepted)
         kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, self.motion)
         self.commanded_s = math.nan
-        self.tick, self.span.known = 0, 0
+        self.tick, self.span.known, self.limited_in_row = 0, 0, 0
 
     def seed_for_run(self, now_s: float, feedback: np.record) -> None:
         """``seed`` if all axes are homed, within their travel and off their limit switches; SafetyTrip otherwise."""
@@ -136,16 +139,16 @@ class BenchStage:
 
         Writes the accepted one into ``setpoint``.
         """
-        self.axes_of(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C, self._target)
+        self.axes_of(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C, self.wanted)
         if self.ticks > 1:
-            kinematics.extend_span(self.span, self._target, self._cycle_s)
+            kinematics.extend_span(self.span, self.wanted, self._cycle_s)
         self.follow_on(now_s, setpoint)
 
     def follow_on(self, now_s: float, setpoint: np.record) -> None:
         """Send the setpoint of the present tick of the cycle: where the axes have to be at the next one."""
         if self.ticks > 1:
-            kinematics.within_span(self.span, self._cycle_s, (self.tick + 1) / self.ticks, self._target)
-        self.command(self._target, now_s, setpoint)
+            kinematics.within_span(self.span, self._cycle_s, (self.tick + 1) / self.ticks, self.wanted)
+        self.command(self.wanted, now_s, setpoint)
         self.tick = self.tick + 1 if self.tick + 1 < self.ticks else 0
 
     def command(self, target: np.record, now_s: float, setpoint: np.record, params: np.record | None = None) -> None:
@@ -158,6 +161,9 @@ class BenchStage:
             self._set_limits(limits)
         if kinematics.limit_setpoint(limits, self.motion, target, self._next):
             self.limited_cycles += 1
+            self.limited_in_row += 1
+        else:
+            self.limited_in_row = 0
         self._send(now_s, setpoint)
 
     def send(self, setpoint: np.record, now_s: float, accepted: np.record) -> None:

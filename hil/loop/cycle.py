@@ -16,6 +16,7 @@ from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc_backends.base import GncBackend
 from hil.loop.bench_stage import BenchStage
 from hil.loop.fault_stages import AxisFaults
+from hil.loop.guard_stage import GuardStage
 from hil.loop.rate_keeper import Tick
 from hil.loop.safety_io_stage import NoSafetyIo, SafetyIo
 from hil.loop.stages import DssStage, VisionStage
@@ -73,6 +74,8 @@ class Loop:
     target: TargetStage = field(default_factory=FixedTarget)
     axis_faults: AxisFaults | None = None
     """Faults of axes in memory, if there are any."""
+    guard: GuardStage | None = None
+    """Bench guard; None if it is off."""
     now: CycleData = field(default_factory=CycleData)
     done: int = 0
     """Completed cycles of the run."""
@@ -131,8 +134,12 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.safety_io.check(bench_s)  # 0  emergency stop and safety chain
     loop.bench.read(bench_s, now.feedback)  # 1  encoders
     loop.bench.check(bench_s, now.feedback)  # 2  safety monitor: continue or stop
+    if loop.guard is not None:
+        loop.guard.check(t_s, bench_s, now.truth, now.feedback)  #    bench guard: range, truth, axes, last poses
     loop.target.check(bench_s)  #    target at its commanded place
     loop.vision.receive(bench_s, run_zero_s, now.row[0])  # 3  poses from the vision unit
+    if loop.guard is not None:
+        loop.guard.compare(loop.vision)
     loop.gnc.step(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control
     loop.safety_io.mirror_thrusters(bench_s)  #    thruster commands on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s

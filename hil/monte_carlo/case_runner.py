@@ -47,6 +47,7 @@ from hil.params import gnc as gnc_params
 from hil.params import vision as vision_params
 from hil.report.summary import SETTLED_S
 from hil.report.verdict import ready_params
+from hil.safety.guard_alarms import guard_alarm, is_of_guard
 from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_limits
 from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built
 from hil.setup.gnc_setup import gnc_setup
@@ -207,7 +208,8 @@ class CaseRunner:
             wanted = [*state.next.rail_m, *state.next.gimbal_rad]
             axis = next((i for i, value in enumerate(wanted) if not math.isfinite(value)), 0)
             return str(SafetyTrip(BENCH_AXES[axis], "setpoint", str(wanted[axis]), "a finite number"))
-        return str(breach_alarm(0.0, BENCH_AXES, code, state.breach).trip())
+        alarm = guard_alarm if is_of_guard(code) else breach_alarm
+        return str(alarm(0.0, BENCH_AXES, code, state.breach).trip())
 
     def _gnc_fault(self) -> BenchError:
         assert self._library is not None

@@ -6,9 +6,13 @@ import math
 
 import numpy as np
 
+from hil.bench.bench_guard import BENCH_GUARD_PARAMS
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.config.rig import Rig
+from hil.config.scenario import Scenario
 from hil.core.messages import new
+
+_KEPT_S = 0.04  # between two samples of the encoders
 
 
 def bench(rig: Rig, step_s: float) -> np.record:
@@ -27,4 +31,29 @@ def bench(rig: Rig, step_s: float) -> np.record:
         *(math.radians(a.acceleration_max_degps2) for a in gimbals),
     ]
     params.lead = [a.lead_s for a in (*rails, *gimbals)]
+    return params
+
+
+def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
+    """Return BENCH_GUARD_PARAMS."""
+    config, step_s = rig.guard, scenario.step_s
+    axes = bench(rig, step_s)
+    params = new(BENCH_GUARD_PARAMS)
+    params.enabled = config.enabled
+    params.keep_out = scenario.keep_out.radius_m
+    params.deceleration = axes.acceleration_max[:3].min()
+    params.reaction_s, params.startup_s = config.reaction_s, config.startup_s
+    params.arm = np.linalg.norm(axes.lever_arm)
+    params.position_max, params.attitude_max = config.pose_error_max_m, math.radians(config.pose_error_max_deg)
+    params.pose_per_speed_s, params.pose_cycles = config.pose_error_per_speed_s, config.pose_error_cycles
+    params.limited_max = max(1, round(config.limited_max_s / axes.dt_s))
+    params.axis_max = [config.axis_error_max_m] * 3 + [math.radians(config.axis_error_max_deg)] * 3
+    params.axis_per_speed_s, params.axis_cycles = config.axis_error_per_speed_s, config.axis_error_cycles
+    params.axis_gain = [rig.rails.servo.gain_per_s] * 3 + [rig.turntable.servo.gain_per_s] * 3
+    params.vision_sigmas, params.vision_frames = config.vision_sigmas, config.vision_frames_max
+    params.vision_position, params.vision_attitude = (
+        config.vision_error_max_m,
+        math.radians(config.vision_error_max_deg),
+    )
+    params.step_s, params.spacing_s = step_s, _KEPT_S
     return params

@@ -80,6 +80,9 @@ def warm_up_all_but_gnc(job: Job) -> None:
     loop.bench.check(0.0, now.feedback)
     loop.bench.brake(0.0, now.setpoint)
     loop.vision.receive(0.0, 0.0, now.row[0])
+    if loop.guard is not None:
+        loop.guard.check(0.0, 0.0, now.truth, now.feedback)
+        loop.guard.compare(loop.vision)
     loop.dss.step(0, now.truth, now.command, now.imu, now.samples)
     loop.bench.follow(now.truth, loop.dss.rate_against_hill(now.truth), 0.0, now.setpoint)
 

@@ -36,6 +36,7 @@ from hil.loop.bench_stage import BenchStage
 from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.cycle import CycleData, Loop
 from hil.loop.fault_stages import AxisFaults, FrameFaults
+from hil.loop.guard_stage import GuardStage
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
@@ -151,6 +152,8 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         bench_now_s=rate.now_s,
         now=CycleData(scenario.imu_samples),
     )
+    if rig.guard.enabled:
+        loop.guard = GuardStage(bench_params.bench_guard(rig, scenario), loop.bench)
     if any(fault.family == "vmu" for fault in job.truth.faults):
         loop.vision.faults = FrameFaults(fault_rows(job.truth, "vmu", job.seed), vision_params.mounting(rig))
     if any(fault.family == "axis" for fault in job.truth.faults):

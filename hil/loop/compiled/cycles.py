@@ -145,6 +145,10 @@ class CompiledCycles:
         state.rails, state.turntable = mocks.rails.servo(), mocks.turntable.servo()
         state.motion, state.before = loop.bench.motion, loop.bench.accepted
         state.tick, state.span = loop.bench.tick, loop.bench.span
+        state.desired, state.limited_in_row = loop.bench.wanted, loop.bench.limited_in_row
+        if loop.guard is not None:
+            loop.guard.restart_with_motion()
+            state.bench_guard = loop.guard.memory
         source = mocks.source.state()
         state.next_exposure, state.first_exposure = source.next_exposure, source.first_exposure
         state.received, state.last_rx_s, state.in_transit = source.received, source.last_rx_s, len(source.in_transit)
@@ -231,6 +235,10 @@ class CompiledCycles:
         np.asarray(bench.span)[...] = state.span
         np.asarray(bench.motion)[...] = state.motion
         np.asarray(bench.accepted)[...] = state.before
+        np.asarray(bench.wanted)[...] = state.desired
+        bench.limited_in_row = int(state.limited_in_row)
+        if self._loop.guard is not None:
+            np.asarray(self._loop.guard.memory)[...] = state.bench_guard
         bench.limited_cycles += int(self._stats.limited_cycles)
         feedback, cycle = state.now.feedback, int(state.cycle)
         last = ((cycle - 1) * self._ticks + bench.tick if bench.tick else cycle * self._ticks) - 1

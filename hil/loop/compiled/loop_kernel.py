@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.bench import bench_guard, kinematics
 from hil.bench import guard as guards
-from hil.bench import kinematics
+from hil.bench.bench_guard import BENCH_GUARD_MEMORY, BENCH_GUARD_PARAMS
 from hil.bench.guard import BREACH, GUARD
 from hil.bench.kinematics import BENCH_PARAMS, MOTION, SPAN
 from hil.core.jit import kernel
@@ -40,7 +41,8 @@ from hil.models.mounting import MOUNTING, chaser_pose
 from hil.models.servo import SERVO, servo_step, servo_step_of_two
 
 COMPLETED, FOLLOWING, TRAVEL_LEFT, VISION_SILENT, NOT_FINITE, GNC_FAILED, GNC_HOLDS, EVENT = range(8)
-"""Reasons for a return of ``run_loop``; the second and third have their numbers in ``hil.bench.guard``."""
+"""Reasons for a return of ``run_loop``; the second and third have their numbers in ``hil.bench.guard``, and those of
+``hil.bench.bench_guard`` follow."""
 
 LOOP_PARAMS = np.dtype(
     [
@@ -61,6 +63,7 @@ LOOP_PARAMS = np.dtype(
         ("camera", CAMERA),
         ("bench", BENCH_PARAMS),
         ("guard", GUARD),
+        ("bench_guard", BENCH_GUARD_PARAMS),
         ("gnc", GNC_PARAMS),
         ("verdict", APPROACH_MONITOR_PARAMS),  # margins of the verdict, whatever the GNC's own are
         ("ready", READY_PARAMS),
@@ -90,6 +93,8 @@ LOOP_STATE = np.dtype(
         ("next", AXES),
         ("before", AXES),  # the setpoint of the cycle before
         ("breach", BREACH),
+        ("bench_guard", BENCH_GUARD_MEMORY),
+        ("limited_in_row", "i8"),  # setpoints, the last one included
         ("gnc", GNC_STATE),
         ("progress_before", APPROACH_PROGRESS),  # at the start of the last cycle; copied if ``reports``
         ("library", LIBRARY),
@@ -364,6 +369,9 @@ def _send_setpoints(params, state, stats, now_s):
     out = state.next
     if kinematics.limit_setpoint(params.bench, state.motion, state.desired, out) != 0:
         stats.limited_cycles += 1
+        state.limited_in_row += 1
+    else:
+        state.limited_in_row = 0
     rails, gimbals = stack.vector(3), stack.vector(3)
     accepted = _send(state.rails, out.rail_m, out.rail_mps, now_s, rails) and _send(
         state.turntable, out.gimbal_rad, out.gimbal_radps, now_s, gimbals
@@ -440,8 +448,8 @@ def run_loop(
     A cycle sends the setpoints of its first tick; its other ticks, if it has more, come before the next cycle.
     COMPLETED, GNC_HOLDS and EVENT leave ``state.cycle`` at the next cycle. After any other reason it is the number of
     the cycle that was not completed, unless ``state.tick`` is above 0: then it was that tick of the cycle before.
-    FOLLOWING, TRAVEL_LEFT and VISION_SILENT end a cycle before the GNC, GNC_FAILED in it, NOT_FINITE when the setpoints
-    are to be sent, after its row was written.
+    The bench guard, FOLLOWING, TRAVEL_LEFT and VISION_SILENT end a cycle before the GNC, GNC_FAILED in it, NOT_FINITE
+    when the setpoints are to be sent, after its row was written.
 
     params: LOOP_PARAMS. field: harmonics, measure ``moon_gravity.field_table``. leds: (n, 3), m, in t. imu_noise: (n,
     IMU_NOISE), one row per sample, vision_noise: (n, VISION_NOISE), one row per exposure, standard normals;
@@ -467,6 +475,13 @@ def run_loop(
         broken = guards.first_breach(params.guard, state.before, now.feedback, state.breach)
         if broken != guards.NOTHING:
             return broken
+        if begins and params.bench_guard.enabled != 0:
+            broken = bench_guard.check_bench(
+                params.bench_guard, params.bench, state.bench_guard, k * params.step_s, now.truth, state.desired,
+                now.feedback, 0.0, 0.0, state.limited_in_row, state.breach,
+            )  # fmt: skip
+            if broken != guards.NOTHING:
+                return broken
         _expose(params, state, now_s + TIME_SLACK_S, first, vision_noise, travel_draws, leds, frames, stats)
         if begins:
             t_s = k * params.step_s
@@ -474,6 +489,9 @@ def run_loop(
             if arrived < 0:
                 return VISION_SILENT
             _record_pose(state, poses, arrived)
+            if params.bench_guard.enabled != 0:
+                for i in range(arrived):
+                    bench_guard.compare_pose(params.bench_guard, params.bench, state.bench_guard, poses[i])
             if params.reports != 0:
                 copy_progress(state.gnc.approach.progress, state.progress_before)
             if state.library.step_address == 0:

@@ -11,6 +11,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import VMU_FRAME, new
 from hil.loop.compiled.loop_kernel import LOOP_PARAMS
+from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params import vision as vision_params
 from hil.params.faults import fault_rows
@@ -31,6 +32,7 @@ def loop_params(scenario: Scenario, rig: Rig, gnc: np.record, bench: np.record, 
     params.vmu_rate_hz, params.vmu_timeout_s = rig.vmu.rate_hz, rig.vmu.timeout_s
     params.mounting = vision_params.mounting(rig)
     params.bench, params.guard, params.gnc = bench, guard, gnc
+    params.bench_guard = bench_params.bench_guard(rig, scenario)
     return params
 
 

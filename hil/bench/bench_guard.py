@@ -1,0 +1,282 @@
+"""Bench guard: checks in each cycle of a run that hold for any GNC.
+
+The chaser's range and closing rate, the bench against the truth, setpoints that are limited, each axis against the
+demand through a model of its drive, and the vision unit's poses against the encoders. Two calls per cycle:
+``check_bench`` after the encoders were read, ``compare_pose`` for each pose that has arrived. A pose that deviates is
+reported by ``check_bench`` of the next cycle.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.bench.guard import BREACH, NOTHING
+from hil.bench.kinematics import pose_of_axes
+from hil.core.jit import kernel
+from hil.maths import quat, stack
+from hil.maths.arrays import copy_into
+
+KEEP_OUT, POSITION, ATTITUDE, LIMITED, AXIS, VISION_POSITION, VISION_ATTITUDE = range(8, 15)
+"""What was found; the numbers follow those of the compiled loop's other reasons to end."""
+
+_KEPT = 64  # samples of the encoders, for the times of exposure
+
+BENCH_GUARD_PARAMS = np.dtype(
+    [
+        ("enabled", "i8"),
+        ("keep_out", "f8"),  # m, 0: none
+        ("deceleration", "f8"),  # m/s^2, that all rails have
+        ("reaction_s", "f8"),
+        ("arm", "f8"),  # m, length of the lever arm
+        ("position_max", "f8"),  # m, at rest
+        ("attitude_max", "f8"),  # rad, at rest
+        ("pose_per_speed_s", "f8"),
+        ("pose_cycles", "i8"),
+        ("limited_max", "i8"),  # setpoints in a row
+        ("axis_max", "f8", 6),  # m and rad, at rest
+        ("axis_per_speed_s", "f8"),
+        ("axis_cycles", "i8"),
+        ("axis_gain", "f8", 6),  # 1/s, of the position loop
+        ("step_s", "f8"),
+        ("vision_sigmas", "f8"),
+        ("vision_position", "f8"),  # m
+        ("vision_attitude", "f8"),  # rad
+        ("vision_frames", "i8"),
+        ("startup_s", "f8"),
+        ("spacing_s", "f8"),  # of the kept samples
+    ],
+    align=True,
+)
+
+BENCH_GUARD_MEMORY = np.dtype(
+    [
+        ("cycles", "i8"),  # checked since the start of the motion
+        ("begun_s", "f8"),  # time of the first one
+        ("checked_s", "f8"),  # time of the last one
+        ("caught_up", "i8"),  # 1: the axes have reached the demand since the start of the motion
+        ("pose_cycles", "i8"),  # in a row beyond the limit
+        ("axis_cycles", "i8", 6),
+        ("model", "f8", 6),  # position of each axis by the model of its drive
+        ("vision_frames", "i8"),  # in a row beyond the limit
+        ("vision_code", "i8"),  # VISION_POSITION or VISION_ATTITUDE
+        ("vision", BREACH),  # of the last one
+        ("kept", "i8"),
+        ("newest", "i8"),
+        ("kept_s", "f8", _KEPT),
+        ("kept_rail", "f8", (_KEPT, 3)),
+        ("kept_gimbal", "f8", (_KEPT, 3)),
+    ],
+    align=True,
+)
+"""Zeroed at the start of a motion."""
+
+
+@kernel
+def _is_too_near(params, truth, breach):
+    """Return whether the bench, braking now, would enter the keep-out sphere: range - v^2 / (2 a) - v t < radius.
+
+    ``breach`` then has the range, the closing rate and the least range allowed at it.
+    """
+    square, product = 0.0, 0.0
+    for i in range(3):
+        square += truth.r_CT_H[i] * truth.r_CT_H[i]
+        product += truth.r_CT_H[i] * truth.v_CT_H[i]
+    distance = math.sqrt(square)
+    closing = max(0.0, -product / distance) if distance > 0.0 else 0.0
+    least = params.keep_out + closing * (params.reaction_s + closing / (2.0 * params.deceleration))
+    if distance >= least:
+        return False
+    breach.axis, breach.value, breach.low, breach.high = 0, distance, closing, least
+    return True
+
+
+@kernel
+def _off_truth(params, bench, truth, wanted, feedback, rails_age_s, turntable_age_s, breach):
+    """Return POSITION or ATTITUDE if the bench's pose differs too much from ``truth``, NOTHING otherwise.
+
+    The distances of the axes bound both differences: the pose is computed only if these are not within the limits.
+    """
+    square, turned = 0.0, 0.0
+    for i in range(3):
+        difference = feedback.rail_m[i] - wanted.rail_m[i]
+        square += difference * difference
+        turned += abs(feedback.gimbal_rad[i] - wanted.gimbal_rad[i])
+    if math.sqrt(square) + params.arm * turned <= params.position_max and turned <= params.attitude_max:
+        return NOTHING
+    r, q, rotation = stack.vector(3), stack.vector(4), stack.vector(3)
+    pose_of_axes(bench, feedback.rail_m, feedback.gimbal_rad, r, q)
+    quat.rotation_between(q, truth.q_CH, rotation)
+    square, turned, speed, rate = 0.0, 0.0, 0.0, 0.0
+    for i in range(3):
+        square += (r[i] - truth.r_CT_H[i]) ** 2
+        turned += rotation[i] ** 2
+        speed += truth.v_CT_H[i] ** 2
+        rate += wanted.gimbal_radps[i] ** 2
+    distance, allowed = math.sqrt(square), params.position_max
+    allowed += (params.pose_per_speed_s + rails_age_s) * math.sqrt(speed)
+    angle, angle_allowed = math.sqrt(turned), params.attitude_max
+    angle_allowed += (params.pose_per_speed_s + turntable_age_s) * math.sqrt(rate)
+    breach.axis, breach.low = 0, 0.0
+    # "not <=" also catches nan
+    if not distance <= allowed:
+        breach.value, breach.high = distance, allowed
+        return POSITION
+    if not angle <= angle_allowed:
+        breach.value, breach.high = angle, angle_allowed
+        return ATTITUDE
+    return NOTHING
+
+
+@kernel
+def _predict(params, memory, wanted, model):
+    """Write the positions (6,) that the axes should have by the model of their drives.
+
+    A position loop of gain k with feed-forward, dm/dt = dw/dt + k (w - m): the distance from the demand w decays.
+    """
+    for axis in range(6):
+        i = axis % 3
+        demand = wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i]
+        rate = wanted.rail_mps[i] if axis < 3 else wanted.gimbal_radps[i]
+        before = demand - params.step_s * rate
+        model[axis] = demand + (memory.model[axis] - before) / (1.0 + params.axis_gain[axis] * params.step_s)
+
+
+@kernel
+def _is_off_model(params, axis, model, wanted, feedback, age_s, breach):
+    """Return whether ``axis`` is too far from where its drive should have it."""
+    i = axis % 3
+    if axis < 3:
+        found, rate = feedback.rail_m[i], wanted.rail_mps[i]
+    else:
+        found, rate = feedback.gimbal_rad[i], wanted.gimbal_radps[i]
+    error = abs(found - model)
+    allowed = params.axis_max[axis] + (params.axis_per_speed_s + age_s) * abs(rate)
+    if error <= allowed:
+        return False
+    breach.axis, breach.value, breach.low, breach.high = axis, error, 0.0, allowed
+    return True
+
+
+@kernel
+def _keep(params, memory, t_s, feedback):
+    """Keep the encoders' values of ``t_s``; samples are ``spacing_s`` apart, but for the newest."""
+    if memory.kept < 2 or t_s - memory.kept_s[(memory.newest - 1) % _KEPT] >= params.spacing_s:
+        memory.newest = (memory.newest + 1) % _KEPT
+        memory.kept = min(memory.kept + 1, _KEPT)
+    memory.kept_s[memory.newest] = t_s
+    for i in range(3):
+        memory.kept_rail[memory.newest, i] = feedback.rail_m[i]
+        memory.kept_gimbal[memory.newest, i] = feedback.gimbal_rad[i]
+
+
+@kernel
+def check_bench(
+    params, bench, memory, t_s, truth, wanted, feedback, rails_age_s, turntable_age_s, limited, breach
+):  # fmt: skip
+    """Return what is wrong in the cycle at ``t_s``, NOTHING if all is well; ``breach`` (BREACH) then has the numbers.
+
+    bench: BENCH_PARAMS. memory: BENCH_GUARD_MEMORY, unchanged if something is wrong. truth: TRUTH at ``t_s``. wanted:
+    AXES of it, without limits; of no use in the first cycle of a motion. feedback: AXES; rails_age_s, turntable_age_s:
+    its age. limited: setpoints in a row, the last one included, that were limited.
+    """
+    if params.keep_out > 0.0 and _is_too_near(params, truth, breach):
+        return KEEP_OUT
+    if memory.cycles > 0 and memory.checked_s == t_s:
+        return NOTHING
+    if memory.vision_frames >= params.vision_frames:
+        vision = memory.vision
+        breach.axis, breach.value, breach.low, breach.high = vision.axis, vision.value, vision.low, vision.high
+        return memory.vision_code
+    model, off = stack.vector(6), stack.vector(6)
+    if memory.cycles == 0:
+        memory.begun_s = t_s
+    else:
+        off_truth = _off_truth(params, bench, truth, wanted, feedback, rails_age_s, turntable_age_s, breach)
+        if memory.caught_up != 0 and off_truth != NOTHING and memory.pose_cycles + 1 >= params.pose_cycles:
+            return off_truth
+        if memory.caught_up != 0 and limited > params.limited_max:
+            breach.axis, breach.value, breach.low, breach.high = 0, limited, 0.0, params.limited_max
+            return LIMITED
+        _predict(params, memory, wanted, model)
+        behind = off_truth != NOTHING or limited > 0
+        for axis in range(6):
+            age_s = rails_age_s if axis < 3 else turntable_age_s
+            off[axis] = 1.0 if _is_off_model(params, axis, model[axis], wanted, feedback, age_s, breach) else 0.0
+            behind = behind or off[axis] > 0.0
+            if memory.caught_up != 0 and off[axis] > 0.0 and memory.axis_cycles[axis] + 1 >= params.axis_cycles:
+                return AXIS
+        # nothing is wrong: what follows changes the memory
+        memory.pose_cycles = memory.pose_cycles + 1 if off_truth != NOTHING else 0
+        for axis in range(6):
+            memory.axis_cycles[axis] = memory.axis_cycles[axis] + 1 if off[axis] > 0.0 else 0
+        if not behind or t_s - memory.begun_s >= params.startup_s:
+            memory.caught_up = 1
+    if memory.caught_up != 0:
+        copy_into(memory.model, model)
+    else:
+        memory.pose_cycles = 0
+        for axis in range(6):
+            memory.model[axis] = feedback.rail_m[axis] if axis < 3 else feedback.gimbal_rad[axis - 3]
+            memory.axis_cycles[axis] = 0
+    _keep(params, memory, t_s, feedback)
+    memory.checked_s = t_s
+    memory.cycles += 1
+    return NOTHING
+
+
+@kernel
+def _pose_at(bench, memory, t_s, r_CT_H, q_CH):
+    """Write the bench's pose at ``t_s`` by its encoders, between two samples; return False if it is not kept."""
+    rail, gimbal = stack.vector(3), stack.vector(3)
+    for back in range(memory.kept):
+        k = (memory.newest - back) % _KEPT
+        if memory.kept_s[k] > t_s:
+            continue
+        after = (k + 1) % _KEPT if back > 0 else k
+        span = memory.kept_s[after] - memory.kept_s[k]
+        share = (t_s - memory.kept_s[k]) / span if span > 0.0 else 0.0
+        for i in range(3):
+            rail[i] = memory.kept_rail[k, i] + share * (memory.kept_rail[after, i] - memory.kept_rail[k, i])
+            gimbal[i] = memory.kept_gimbal[k, i] + share * (memory.kept_gimbal[after, i] - memory.kept_gimbal[k, i])
+        pose_of_axes(bench, rail, gimbal, r_CT_H, q_CH)
+        return True
+    return False
+
+
+@kernel
+def _is_beyond(breach, axis, error, variance, sigmas, calibration):
+    """Return whether ``error`` exceeds ``calibration`` and ``sigmas`` standard deviations, with ``breach``."""
+    allowed = calibration + sigmas * math.sqrt(max(0.0, variance))
+    # "not <=" also catches nan
+    if error <= allowed and variance >= 0.0:
+        return False
+    breach.axis, breach.value, breach.low, breach.high = axis, error, 0.0, allowed
+    return True
+
+
+@kernel
+def compare_pose(params, bench, memory, pose):
+    """Compare ``pose`` (POSE) with the encoders at its exposure; poses that are older than they are kept do not count.
+
+    bench: BENCH_PARAMS. memory: BENCH_GUARD_MEMORY.
+    """
+    r, q, z, rotation = stack.vector(3), stack.vector(4), stack.vector(3), stack.vector(3)
+    if not _pose_at(bench, memory, pose.t_s, r, q):
+        return
+    quat.transform_into(q, r, z)
+    quat.rotation_between(pose.q_CH, q, rotation)
+    for i in range(3):
+        error, variance = abs(pose.z_TC_C[i] + z[i]), pose.covariance_position[i, i]
+        if _is_beyond(memory.vision, i, error, variance, params.vision_sigmas, params.vision_position):
+            memory.vision_code = VISION_POSITION
+            memory.vision_frames += 1
+            return
+    for i in range(3):
+        error, variance = abs(rotation[i]), pose.covariance_attitude[i, i]
+        if _is_beyond(memory.vision, i, error, variance, params.vision_sigmas, params.vision_attitude):
+            memory.vision_code = VISION_ATTITUDE
+            memory.vision_frames += 1
+            return
+    memory.vision_frames = 0

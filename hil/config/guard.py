@@ -1,0 +1,55 @@
+"""Limits of the bench guard, and the volume about the target that no run may enter."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from hil.config.model import ConfigModel, NotNegative, Positive
+
+Count = Annotated[int, Field(ge=1, le=10_000)]
+
+
+class KeepOut(ConfigModel):
+    """Volume about the target's reference point that the chaser's reference point must not enter."""
+
+    radius_m: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.25
+    """Radius; 0 for a scenario that docks."""
+
+
+class GuardConfig(ConfigModel):
+    """Bench guard: checks of each cycle of a run, for any GNC; a violated limit is a safe stop."""
+
+    enabled: bool = True
+    """Whether the guard acts; hardware without it is a waiver."""
+    reaction_s: NotNegative = 0.1
+    """Time from a violated keep-out to braking axes, for the least range at a closing rate."""
+    pose_error_max_m: Positive = 0.005
+    """Largest distance of the bench, by its encoders, from the truth at rest."""
+    pose_error_max_deg: Positive = 0.3
+    """The same for the attitude."""
+    pose_error_per_speed_s: NotNegative = 0.1
+    """Increase of both per speed and rate of the truth."""
+    pose_error_cycles: Count = 5
+    """Consecutive cycles beyond it that trip."""
+    limited_max_s: Positive = 0.5
+    """Longest time for which setpoints may be limited without a break."""
+    axis_error_max_m: Positive = 0.0006
+    """Largest distance of a rail from the demand through the model of its drive, at rest."""
+    axis_error_max_deg: Positive = 0.03
+    """The same for a gimbal."""
+    axis_error_per_speed_s: NotNegative = 0.05
+    """Increase of both per demanded speed: uncertainty of the drive's delay."""
+    axis_error_cycles: Count = 3
+    """Consecutive cycles beyond it that trip."""
+    vision_sigmas: Positive = 5.0
+    """Standard deviations by which a pose may differ from the encoders, in addition to the calibration."""
+    vision_error_max_m: NotNegative = 0.003
+    """Error of the calibration between cameras and axes: position."""
+    vision_error_max_deg: NotNegative = 0.1
+    """The same for the attitude."""
+    vision_frames_max: Count = 5
+    """Consecutive poses beyond it that trip."""
+    startup_s: NotNegative = 2.0
+    """Longest time at the start, and after a hold, in which the axes catch up with a chaser in motion."""
