@@ -100,8 +100,13 @@ def _limit_axis(params, axis, position, rate, wanted, wanted_rate):
         )
     ):
         return step, True
-    speed = min(fastest, braking_speed(abs(target - position), acceleration, dt))
-    allowed = speed if step > 0.0 else -speed
+    # a target that moves is approached relative to its motion, so that it is reached
+    drift = min(fastest, max(-fastest, wanted_rate)) if target == wanted else 0.0
+    behind = target - position - drift * dt
+    speed = braking_speed(abs(behind), acceleration, dt)
+    allowed = drift + speed if behind > 0.0 else drift - speed
+    allowed = min(allowed, braking_speed(max(0.0, params.high[axis] - position), acceleration, dt))
+    allowed = max(allowed, -braking_speed(max(0.0, position - params.low[axis]), acceleration, dt))
     allowed = min(rate + acceleration * dt, max(rate - acceleration * dt, allowed))
     return min(fastest, max(-fastest, allowed)), False
 

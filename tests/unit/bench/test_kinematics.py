@@ -145,6 +145,14 @@ def test_far_setpoint_is_reached_without_overshoot() -> None:
     assert track[-1] == pytest.approx(0.8, abs=1e-9)
 
 
+def test_moving_target_is_reached_from_rest() -> None:
+    params, motion, out = bench(), moving(), new(AXES)
+    limited = [limit_setpoint(params, motion, wanting(0.003 * k, 0.15), out) for k in range(1, 100)]
+    assert limited[0] == 6
+    assert limited[-50:] == [0] * 50
+    assert out.rail_m[0] == pytest.approx(0.003 * 99)
+
+
 def test_rate_that_goes_with_a_setpoint_never_exceeds_the_speed_limit() -> None:
     out = new(AXES)
     limit_setpoint(bench(), moving(), wanting(0.0, 5.0), out)
