@@ -23,6 +23,7 @@ from hil.safety.monitor import hold_trip
 PROGRESS_CYCLES: Final = 50
 _LINK_CHECK_PERIOD_S: Final = 0.1
 _STANDSTILL_S: Final = 0.1  # required of an axis that has moved
+_HELD_S: Final = 0.3  # the same in a hold: until the encoders have settled at the setpoints that they replace
 _SETTLE_S: Final = 3.0  # allowed after placing or homing until all axes are at rest at their targets
 _NO_MOVE_S: Final = 1e-3  # shorter moves are rounding
 _SETTLED_M: Final = 0.001
@@ -252,12 +253,13 @@ class MotionSequencer:
         bench, now = self.loop.bench, self.loop.now
         held_mode = self.modes.mode
         self.modes.go(Mode.HOLD)
-        resume = False
+        resume, moved_s = False, tick.now_s
         while True:
-            moving = bench.brake(tick.now_s, now.setpoint)
+            if bench.brake(tick.now_s, now.setpoint) or not bench.at_rest(tick.now_s, now.feedback):
+                moved_s = tick.now_s
             command = self._poll_command(Mode.HOLD)
             resume = command is OperatorCommand.RESUME or (resume and command is not OperatorCommand.HOLD)
-            if resume and not (moving or self.loop.gnc.blocking_reason) and bench.at_rest(tick.now_s, now.feedback):
+            if resume and not self.loop.gnc.blocking_reason and tick.now_s - moved_s >= _HELD_S:
                 break
             tick = self.tick()
             if held_mode is Mode.RUNNING:
