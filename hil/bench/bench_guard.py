@@ -162,7 +162,8 @@ def _is_off_model(params, axis, model, wanted, feedback, age_s, breach):
 @kernel
 def _keep(params, memory, t_s, feedback):
     """Keep the encoders' values of ``t_s``; samples are ``spacing_s`` apart, but for the newest."""
-    if memory.kept < 2 or t_s - memory.kept_s[(memory.newest - 1) % _KEPT] >= params.spacing_s:
+    newest = memory.newest
+    if memory.kept < 2 or memory.kept_s[newest] - memory.kept_s[(newest - 1) % _KEPT] >= params.spacing_s:
         memory.newest = (memory.newest + 1) % _KEPT
         memory.kept = min(memory.kept + 1, _KEPT)
     memory.kept_s[memory.newest] = t_s

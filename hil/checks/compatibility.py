@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -58,6 +59,23 @@ def check_approach(scenario: Loaded[Scenario]) -> list[Problem]:
             text = f"{speed:g}: must be below gnc.corridor.closing_rate_max_mps, {limit:g}"
             problems.append(Problem(scenario.where(key), key, text))
     return problems
+
+
+def check_keep_out(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return a problem if the plan has a point in the keep-out volume."""
+    value, key = scenario.value, "keep_out.radius_m"
+    radius_m, guidance = value.keep_out.radius_m, value.gnc.guidance
+    points = {"initial.position_m": value.initial.position_m, "gnc.guidance.ready_point_m": guidance.ready_point_m}
+    for name in guidance.sequence:
+        if (point := guidance.phases[name].point_m) is not None:
+            points[f"gnc.guidance.phases.{name}.point_m"] = point
+    distances = {name: math.hypot(*point) for name, point in points.items()}
+    distances["requirements.axial_distance_m"] = value.requirements.axial_distance_m
+    name = min(distances, key=distances.__getitem__)
+    if distances[name] > radius_m or radius_m == 0.0:
+        return []
+    text = f"{radius_m:g}: must be below {distances[name]:g}, the distance of {name}, or 0 for a scenario that docks"
+    return [Problem(scenario.where(key), key, text)]
 
 
 def check_host(rig: Loaded[Rig]) -> list[Problem]:

@@ -12,6 +12,7 @@ from hil.checks.compatibility import (
     check_flight_computer,
     check_host,
     check_io,
+    check_keep_out,
     check_memory,
     check_monitor,
     check_plan,
@@ -56,6 +57,7 @@ def check(job: Job) -> None:
     problems = [
         *(check_truth(job.scenario) or check_plan(job.scenario, job.rig)),
         *check_approach(job.scenario),
+        *check_keep_out(job.scenario),
         *check_monitor(job.scenario),
         *check_faults(job.scenario, job.rig),
         *_rig_problems(job),

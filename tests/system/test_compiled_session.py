@@ -44,12 +44,23 @@ LATE = (
 )
 CROWDED = ("rig.vmu.rate_hz=400.0", "vmu.latency_jitter_s=0.1", "vmu.duplicate_probability=0.3")
 """More poses in a cycle than it takes."""
-SLOW_RAILS = ("rig.rails.x.acceleration_max_mps2=0.0002", "rig.rails.following_error_max_m=1.0")
+SLOW_RAILS = (
+    "rig.rails.x.acceleration_max_mps2=0.0002",
+    "rig.rails.following_error_max_m=1.0",
+    "rig.guard.enabled=false",
+)
+WIDE_AXES = "rig.guard.axis_error_max_m=1.0"
+PUSHED = ("initial.position_m=[0.45, 0.0, 0.0]", "initial.velocity_mps=[-0.1, 0.0, 0.0]")
 RATES = ("rig.bench.axes_rate_hz=250.0", "imu.rate_hz=200.0")
 STEP = "    gnc_state *g = gnc;"
 STARTED_NS = 1_700_000_000_000_000_000
 
 Prepare = Callable[[Runner], None]
+
+
+def _fault(device: str, kind: str, more: str = "") -> str:
+    """Return the setting of a fault that begins at 5 s."""
+    return f'faults=[{{device = "{device}", kind = "{kind}", at_s = 5.0, {more}}}]'.replace(", }", "}")
 
 
 @dataclass
@@ -183,19 +194,37 @@ def test_events_come_in_the_same_cycles(check: Check, settings: tuple[str, ...],
 
 
 @pytest.mark.parametrize(
-    ("settings", "device"),
+    ("settings", "text"),
     [
         (("rig.rails.following_error_max_m=0.00002",), "rails."),
         (("vmu.loss_probability=0.9",), "vmu"),
         (("rig.rails.x.travel_m=[-0.2, 3.93]", "rig.rails.following_error_max_m=1e-9"), "rails."),
         (("rig.rails.following_error_max_m=0.000005", "rig.bench.axes_rate_hz=250.0"), "rails."),
+        (PUSHED, "bench: range to the target"),
+        ((_fault("vmu", "offset", "value = [0.3, 0.0, 0.0]"),), "vmu: pose against encoders, x"),
+        ((_fault("rails.x", "stuck"), "rig.bench.axes_rate_hz=250.0"), "rails.x: distance from the demand"),
+        ((*SLOW_RAILS[:2], WIDE_AXES, "rig.guard.pose_error_max_m=1.0"), "bench: limited setpoints"),
+        (
+            (_fault("rails.y", "stuck"), WIDE_AXES, "rig.guard.pose_error_max_m=0.0001"),
+            "bench: distance from the truth",
+        ),
     ],
-    ids=["following error", "silent vision unit", "travel", "following error between two cycles"],
+    ids=[
+        "following error",
+        "silent vision unit",
+        "travel",
+        "following error between two cycles",
+        "keep-out",
+        "vision unit beside the encoders",
+        "stuck rail",
+        "limited setpoints",
+        "beside the truth",
+    ],
 )
-def test_fault_raises_the_same_alarm_in_the_same_cycle(check: Check, settings: tuple[str, ...], device: str) -> None:
+def test_fault_raises_the_same_alarm_in_the_same_cycle(check: Check, settings: tuple[str, ...], text: str) -> None:
     found = check(make_job(20.0, settings))
     assert found.outcome.mode is Mode.SAFE_STOP
-    assert found.outcome.alarms[0].device.startswith(device)
+    assert found.outcome.alarms[0].text.startswith(text)
 
 
 def test_setpoint_that_is_not_finite_raises_the_same_alarm(check: Check) -> None:

@@ -50,6 +50,8 @@ MORE = {
 }
 DISTURBED = ("vmu.latency_s=0.05", "vmu.latency_jitter_s=0.2", "vmu.duplicate_probability=0.2")
 """Frames that arrive out of order and twice."""
+WITHOUT_GUARD = ("rig.guard.enabled=false", "rig.rails.following_error_max_m=0.5")
+"""Each fault shows its effect."""
 
 
 def fault(name: str, **keys: Any) -> dict[str, Any]:
@@ -63,7 +65,7 @@ def fault(name: str, **keys: Any) -> dict[str, Any]:
 
 def fly(*faults: dict[str, Any], duration_s: float = END_S) -> np.ndarray:
     """Return the rows of a run of scheme-1 with these faults."""
-    settings = ("rig.rails.following_error_max_m=0.5", _settings(*faults))
+    settings = (*WITHOUT_GUARD, _settings(*faults))
     with build.runner(make_job(duration_s, settings)) as runner:
         return runner.run().history
 
@@ -88,7 +90,7 @@ def _settings(*faults: dict[str, Any]) -> str:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_compiled_loop_and_cycle_in_python_and_campaign_have_the_same_bits(name: str) -> None:
-    settings = (*DISTURBED, "rig.rails.following_error_max_m=0.5", _settings(fault(name)))
+    settings = (*DISTURBED, *WITHOUT_GUARD, _settings(fault(name)))
     job = make_job(END_S, settings, seed=3)
     rows = []
     for compiled in (True, False):

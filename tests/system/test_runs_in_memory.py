@@ -104,15 +104,23 @@ def test_propellant_is_the_thrust_that_the_valves_let_through(tmp_path: Path) ->
     assert thrusters["propellant_kg"] == pytest.approx(flow * sum(thrusters["thruster_on_time_s"]), rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("guard", "text"),
+    [
+        ("true", r"rails\.[xyz]: distance from the demand 0\.\d+ m, allowed 0\.\d+ m"),
+        ("false", r"rails\.[xyz]: following error 0\.\d+ m, allowed 0\.002 m"),
+    ],
+)
 def test_run_whose_bench_does_not_follow_is_stopped_and_names_the_axis(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, guard: str, text: str
 ) -> None:
     path = tmp_path / "run.json"
     slow = [f"rig.rails.servo.{key}" for key in ("gain_per_s=0.5", "lag_s=3.0")] + [
-        "rig.rails.following_error_max_m=0.002"
+        "rig.rails.following_error_max_m=0.002",
+        f"rig.guard.enabled={guard}",
     ]
     assert execute(["run", "scheme-1", "--duration", "30", "--json", str(path), *typed(*slow)]) == 3
     result = json.loads(path.read_text())
-    assert re.match(r"rails\.[xyz]: following error 0\.\d+ m, allowed 0\.002 m", result["stop"]), result["stop"]
+    assert re.match(text, result["stop"]), result["stop"]
     assert not result["passed"]
     capsys.readouterr()
