@@ -343,11 +343,19 @@ class Runner:
             self._powered = False
 
     def _controlled_stop(self, signals: list[int]) -> ControlledStop:
-        """Return a stop of the bench; a later signal, or STOP, ends the watch over axes that no brake holds."""
+        """Return a stop of the bench; a later signal, or STOP, ends the watch over axes that no brake holds.
+
+        STOP stays pending: it ends the session as well. RESET is rejected until the stop is over.
+        """
 
         def ended(now_s: float) -> bool:
             self.operator.poll(now_s)
-            return bool(signals) or self.operator.pop(Mode.SAFE_STOP) is OperatorCommand.STOP
+            command = self.operator.pop(Mode.SAFE_STOP)
+            if command is OperatorCommand.STOP:
+                self.operator.submit(command)
+            elif command is not None:
+                self.operator.rejections.append(f"bench: cannot {command.value} before the stop is over")
+            return bool(signals) or command is OperatorCommand.STOP
 
         return ControlledStop(self.loop, self.rate, self._plan.brakes, ended)
 

@@ -175,6 +175,31 @@ def test_emergency_stop_leads_to_standby_after_its_reset_and_never_back_to_runni
     assert [(a.quantity, a.latched, a.acknowledged) for a in outcome.alarms] == [("emergency stop", False, True)]
 
 
+def test_stop_that_ends_the_watch_over_axes_that_no_brake_holds_ends_the_session() -> None:
+    def prepare(session: Session) -> None:
+        def never_closed(now_s: float) -> bool:
+            session.now_s = now_s
+            session.once("tripped", session.mode is Mode.SAFE_STOP)
+            session.order_once(OperatorCommand.RESET, session.since_s("tripped") > 1.0)
+            session.order_once(OperatorCommand.STOP, session.since_s("tripped") > 2.0)
+            return False
+
+        session.runner.loop.safety_io.brakes_closed = never_closed  # type: ignore[method-assign]
+
+    def script(session: Session) -> None:
+        session.button = session.mode is Mode.STANDBY
+
+    brake = (
+        "rig.rails.z.gravity_loaded=true",
+        "rig.rails.z.brake={close_s=0.05, open_s=0.05}",
+        "rig.io.torque_delay_s=0.1",
+    )
+    outcome, session = operate(script, *brake, plan=(), prepare=prepare)
+    assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.SAFE_STOP]
+    assert list(session.operator.rejections) == ["bench: cannot reset before the stop is over"]
+    assert outcome.stop == "stopped by the operator"
+
+
 def test_emergency_stop_in_a_run_ends_it() -> None:
     def script(session: Session) -> None:
         session.button = session.mode is Mode.RUNNING and 1.0 < session.now_s < 1.05  # a short press
