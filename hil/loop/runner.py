@@ -187,8 +187,8 @@ class Runner:
                     self._modes.go(Mode.STANDBY)
                     self._park()
         except BenchError as fault:
-            self._safe_stop(fault)
-            return self.operator.attended and self._wait_for_reset()
+            signalled = self._safe_stop(fault)
+            return self.operator.attended and not signalled and self._wait_for_reset()
         return False
 
     def _open(self) -> None:
@@ -316,8 +316,11 @@ class Runner:
         self.events.append(Event(t_s, "bench", f"resumed after {held_s:.2f} s"))
         return held_s
 
-    def _safe_stop(self, fault: BenchError) -> None:
-        """Stop the bench, latch the alarms, cancel the automatic commands, and switch the torque off."""
+    def _safe_stop(self, fault: BenchError) -> bool:
+        """Stop the bench, latch the alarms, cancel the automatic commands, and switch the torque off.
+
+        Return whether a signal that ends the program has been received meanwhile.
+        """
         with _signals_counted() as signals:
             begun_s = self.rate.now_s()
             stop = self._controlled_stop(signals)
@@ -341,6 +344,7 @@ class Runner:
             if self._powered:
                 stop.remove_torque()
             self._powered = False
+            return bool(signals)
 
     def _controlled_stop(self, signals: list[int]) -> ControlledStop:
         """Return a stop of the bench; a later signal, or STOP, ends the watch over axes that no brake holds.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -198,6 +200,26 @@ def test_stop_that_ends_the_watch_over_axes_that_no_brake_holds_ends_the_session
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.SAFE_STOP]
     assert list(session.operator.rejections) == ["bench: cannot reset before the stop is over"]
     assert outcome.stop == "stopped by the operator"
+
+
+def test_signal_during_a_stop_ends_the_session() -> None:
+    def script(session: Session) -> None:
+        session.button = session.mode is Mode.STANDBY
+        session.order_once(OperatorCommand.STOP, session.mode is Mode.SAFE_STOP)
+
+    def prepare(session: Session) -> None:
+        disable = session.rails.disable
+
+        def interrupted(now_s: float) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+            disable(now_s)
+
+        session.rails.disable = interrupted  # type: ignore[method-assign]
+
+    outcome, session = operate(script, plan=(), prepare=prepare)
+    assert OperatorCommand.STOP.value not in session.marks  # nobody had to end it
+    assert outcome.mode is Mode.SAFE_STOP
+    assert outcome.stop == "bench: emergency stop pressed, allowed released and reset"
 
 
 def test_emergency_stop_in_a_run_ends_it() -> None:
