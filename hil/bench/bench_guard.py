@@ -45,6 +45,7 @@ BENCH_GUARD_PARAMS = np.dtype(
         ("vision_attitude", "f8"),  # rad
         ("vision_frames", "i8"),
         ("startup_s", "f8"),
+        ("settled_cycles", "i8"),  # after which the axes count as having caught up
         ("spacing_s", "f8"),  # of the kept samples
     ],
     align=True,
@@ -56,6 +57,7 @@ BENCH_GUARD_MEMORY = np.dtype(
         ("begun_s", "f8"),  # time of the first one
         ("checked_s", "f8"),  # time of the last one
         ("caught_up", "i8"),  # 1: the axes have reached the demand since the start of the motion
+        ("settled", "i8"),  # cycles in a row in which they were there
         ("pose_cycles", "i8"),  # in a row beyond the limit
         ("axis_cycles", "i8", 6),
         ("model", "f8", 6),  # position of each axis by the model of its drive
@@ -212,7 +214,8 @@ def check_bench(
         memory.pose_cycles = memory.pose_cycles + 1 if off_truth != NOTHING else 0
         for axis in range(6):
             memory.axis_cycles[axis] = memory.axis_cycles[axis] + 1 if off[axis] > 0.0 else 0
-        if not behind or t_s - memory.begun_s >= params.startup_s:
+        memory.settled = 0 if behind else memory.settled + 1
+        if memory.settled >= params.settled_cycles or t_s - memory.begun_s >= params.startup_s:
             memory.caught_up = 1
     if memory.caught_up != 0:
         copy_into(memory.model, model)

@@ -103,7 +103,8 @@ def _limit_axis(params, axis, position, rate, wanted, wanted_rate):
     # a target that moves is approached relative to its motion, so that it is reached
     drift = min(fastest, max(-fastest, wanted_rate)) if target == wanted else 0.0
     behind = target - position - drift * dt
-    speed = braking_speed(abs(behind), acceleration, dt)
+    # half the acceleration leaves the drive the other half to settle
+    speed = braking_speed(abs(behind), acceleration if drift == 0.0 else 0.5 * acceleration, dt)
     allowed = drift + speed if behind > 0.0 else drift - speed
     allowed = min(allowed, braking_speed(max(0.0, params.high[axis] - position), acceleration, dt))
     allowed = max(allowed, -braking_speed(max(0.0, position - params.low[axis]), acceleration, dt))

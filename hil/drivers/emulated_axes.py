@@ -76,6 +76,8 @@ class EmulatedAxes:
         self.homing = [Homing.DONE if known else Homing.NEEDED for known in self._absolute]
         # an incremental encoder counts from where it was switched on
         self._offset = np.where(self._absolute, 0.0, -self._axes.position)
+        self._damage = np.zeros(3)  # part of it that faults have left
+        self._clears = 0
         self._gear = np.ones(3)  # displacement assumed by the drive per displacement of the axis
         self._count = np.ones(3)  # displacement counted by the encoder, negative when reversed
         self._setpoint = np.zeros(3)  # in the encoder's zero and scale
@@ -158,6 +160,7 @@ class EmulatedAxes:
         if not self._absolute[axis]:
             self.homing[axis] = Homing.NEEDED
             self._offset[axis] = -self._axes.position[axis]
+            self._damage[axis] = 0.0
 
     def advance(self, now_s: float) -> None:
         """Advance to bench time ``now_s`` and publish the axes."""
@@ -243,7 +246,7 @@ class EmulatedAxes:
         place, home = self._axes.position[axis], self._home[axis]
         way = home - place
         if abs(way) <= self._homing_rate[axis] * _SUBSTEP_S:
-            self._offset[axis] = 0.0
+            self._offset[axis] = self._damage[axis] = 0.0
             self._count[axis] = 1.0
             self.homing[axis] = Homing.DONE
             self._setpoint[axis] = home
@@ -267,12 +270,17 @@ class EmulatedAxes:
         axes = self._axes
         for axis, name in enumerate(self.names):
             jump = self.faults.pop("jump", name)
-            if jump is not None:
-                self._offset[axis] += self._unit * jump
+            damage = self._unit * jump if jump is not None else 0.0
             self._gear[axis], count = self._signs_and_scales(name)
             if count != self._count[axis]:  # the scale changes, the present value does not
-                self._offset[axis] += (self._count[axis] - count) * axes.position[axis]
+                damage += (self._count[axis] - count) * axes.position[axis]
                 self._count[axis] = count
+            self._offset[axis] += damage
+            self._damage[axis] += damage
+        if self.faults.clears != self._clears:
+            self._clears = self.faults.clears
+            self._offset -= self._damage
+            self._damage[:] = 0.0
         if self.faults.value("freeze") is None:
             noise = self._sigma * self._noise.standard_normal(3) if self._sigma > 0.0 else 0.0
             self.position = self._count * axes.position + self._offset + noise

@@ -4,7 +4,7 @@ The control port speaks lines of text (``nc 127.0.0.1 PORT`` will do); each gets
 
     on drop 0.2       one packet in five is lost          off drop
     on stuck y        the y axis stands still             off stuck y
-    on jump y 0.05    its encoder jumps by 50 mm, once    clear          all faults off
+    on jump y 0.05    its encoder jumps by 50 mm, once    clear          all faults off, encoders repaired
     list              what is on                          help           what can be switched on here
     kinds             the same for programs, a line of JSON
 """
@@ -77,6 +77,8 @@ class Faults:
         self.axes = tuple(axes)
         self._lock = threading.Lock()
         self._on: dict[tuple[str, str], float] = {}
+        self.clears = 0
+        """Number of ``clear`` so far: a device then also repairs what its faults have left."""
 
     def on(self, kind: str, axis: str = "", value: float | None = None) -> None:
         """Switch a fault on; ValueError, with a message for the user, if there is no such fault."""
@@ -96,6 +98,7 @@ class Faults:
     def clear(self) -> None:
         with self._lock:
             self._on.clear()
+            self.clears += 1
 
     def value(self, kind: str, axis: str = "") -> float | None:
         """Return the number that belongs to a fault that is on, None for one that is off."""

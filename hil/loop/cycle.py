@@ -135,7 +135,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.bench.read(bench_s, now.feedback)  # 1  encoders
     loop.bench.check(bench_s, now.feedback)  # 2  safety monitor: continue or stop
     if loop.guard is not None:
-        loop.guard.check(t_s, bench_s, now.truth, now.feedback)  #    bench guard: range, truth, axes, last poses
+        loop.guard.check(bench_s, run_zero_s, now.truth, now.feedback)  #    bench guard
     loop.target.check(bench_s)  #    target at its commanded place
     loop.vision.receive(bench_s, run_zero_s, now.row[0])  # 3  poses from the vision unit
     if loop.guard is not None:

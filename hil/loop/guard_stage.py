@@ -23,16 +23,16 @@ class GuardStage:
         self.memory = new(BENCH_GUARD_MEMORY)
         self._breach = new(BREACH)
 
-    def check(self, t_s: float, bench_s: float, truth: np.record, feedback: np.record) -> None:
-        """Check the cycle at ``t_s`` of the run, ``bench_s`` of bench time; raise SafetyTrip if a limit is violated.
+    def check(self, bench_s: float, run_zero_s: float, truth: np.record, feedback: np.record) -> None:
+        """Check the cycle at ``bench_s`` of bench time; raise SafetyTrip if a limit is violated.
 
-        truth: TRUTH. feedback: AXES, of the last reading of the encoders.
+        run_zero_s: bench time of the run's time zero. truth: TRUTH. feedback: AXES of the last reading of the encoders.
         """
         bench = self._bench
         self.restart_with_motion()
         rails, turntable = bench.feedback
         code = check_bench(
-            self.params, bench.params, self.memory, t_s, truth, bench.wanted, feedback,
+            self.params, bench.params, self.memory, bench_s - run_zero_s, truth, bench.wanted, feedback,
             bench_s - rails.t_s, bench_s - turntable.t_s, bench.limited_in_row, self._breach,
         )  # fmt: skip
         if code != NOTHING:

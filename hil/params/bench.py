@@ -12,6 +12,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import new
 
+_SETTLED_S = 0.2  # at the demand: longer than a drive overshoots that has caught up
 _KEPT_S = 0.039  # between two samples of the encoders: two cycles of 50 Hz
 
 
@@ -55,5 +56,5 @@ def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
         config.vision_error_max_m,
         math.radians(config.vision_error_max_deg),
     )
-    params.step_s, params.spacing_s = step_s, _KEPT_S
+    params.step_s, params.spacing_s, params.settled_cycles = step_s, _KEPT_S, round(_SETTLED_S / step_s)
     return params

@@ -477,7 +477,7 @@ def run_loop(
             return broken
         if begins and params.bench_guard.enabled != 0:
             broken = bench_guard.check_bench(
-                params.bench_guard, params.bench, state.bench_guard, k * params.step_s, now.truth, state.desired,
+                params.bench_guard, params.bench, state.bench_guard, now_s - state.zero_s, now.truth, state.desired,
                 now.feedback, 0.0, 0.0, state.limited_in_row, state.breach,
             )  # fmt: skip
             if broken != guards.NOTHING:

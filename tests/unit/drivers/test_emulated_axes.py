@@ -83,6 +83,18 @@ def test_a_jump_of_the_encoder_is_seen_at_once_and_happens_once(make: Make) -> N
     assert axes.faults.shown() == "none"
 
 
+def test_clear_repairs_the_encoders(make: Make, board: SharedAxisState) -> None:
+    axes = make()
+    axes.faults.on("jump", "z", 0.1)
+    axes.faults.on("reversed", "y")
+    travel(axes, 1, 0.05, 0.0, 0.5)
+    assert np.abs(axes.position - board.read("rails", 0.5)[0]).max() > 0.05
+    axes.faults.clear()
+    axes.brake(1)
+    axes.advance(0.504)
+    np.testing.assert_allclose(axes.position, board.read("rails", 0.504)[0], atol=1e-12)
+
+
 def test_frozen_values_stay_while_the_axis_moves_on(make: Make, board: SharedAxisState) -> None:
     axes = make()
     axes.faults.on("freeze")
