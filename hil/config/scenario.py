@@ -12,6 +12,7 @@ from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.faults import TimedFault
 from hil.config.guard import KeepOut
+from hil.config.integrity import Integrity
 from hil.config.live_tunable import LiveTuning
 from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.truth import Orbit, SolarArray, Truth
@@ -410,6 +411,8 @@ class Requirements(ConfigModel):
     """Largest angular rate, per axis."""
     dwell_s: Positive
     """Time for which every row must hold before the ready phase starts."""
+    required_ready_s: NotNegative = 30.0
+    """Shortest ready phase that passes."""
 
     propellant_factor: Positive = 3.0
     """Allowed propellant over the impulsive minimum of reference and slews."""
@@ -444,6 +447,7 @@ class Scenario(ConfigModel):
     gnc: GncConfig
     requirements: Requirements
     keep_out: KeepOut = KeepOut()
+    integrity: Integrity = Integrity()
     reachability: Reachability = Reachability()
     monitor: DockingMonitorConfig = DockingMonitorConfig()
     faults: Annotated[tuple[TimedFault, ...], Field(max_length=5 * MAX_FAULTS)] = ()

@@ -25,6 +25,7 @@ READY_STATE = np.dtype(
         ("holding", "i8"),  # all deviations are within their tolerances
         ("since_s", "f8"),  # begin of that; once ready: of the dwell
         ("ready_s", "f8"),
+        ("last_s", "f8"),  # time of the last cycle
         ("worst", "f8", DEVIATIONS),  # largest absolute deviations of the ready phase
     ],
     align=True,
@@ -52,6 +53,7 @@ def deviations(params, r_CT_H, v_CT_H, q_CH, w_CH_C, out):
 @kernel
 def update(params, state, t_s, deviation):
     """Update the state with the ``deviation`` (12,) at ``t_s``. state: READY_STATE, zeroed at the start of a run."""
+    state.last_s = t_s
     within = True
     for i in range(DEVIATIONS):
         if not abs(deviation[i]) <= params.tolerance[i]:

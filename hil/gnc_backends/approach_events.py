@@ -10,6 +10,7 @@ from hil.core.messages import Event
 from hil.core.observable import ObservableList
 
 ABORT_CAUSES = ("", "the corridor was left", "the closing rate was too high", "ordered")
+DOCKING_GO = "docking: go"
 _ABORT_PHASES = ("abort: brake", "abort: retreat", "abort: hold")
 
 
@@ -51,7 +52,7 @@ class ApproachEventLog:
     def _decide(self, t_s: float, go: bool, ready_since_s: float, aborted: bool) -> None:
         self._has_decision = True
         if go:
-            text = f"docking: go, ready since {ready_since_s:.2f} s"
+            text = f"{DOCKING_GO}, ready since {ready_since_s:.2f} s"
         elif aborted:
             text = "docking: no-go, the approach was aborted"
         else:

@@ -44,6 +44,7 @@ from hil.models.camera_timing import TRAVEL_DRAWS
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
+from hil.params import integrity as integrity_params
 from hil.params import vision as vision_params
 from hil.report.summary import SETTLED_S
 from hil.report.verdict import ready_params
@@ -95,6 +96,7 @@ class CaseRunner:
         params.camera = vision_params.camera(rig)[0]
         params.verdict = params.gnc.approach.monitor
         params.ready = ready_params(scenario.requirements)
+        params.integrity = integrity_params.integrity(scenario)
         return params
 
     def set_gnc_scenario(self, scenario: Scenario) -> None:
@@ -115,6 +117,7 @@ class CaseRunner:
             return stats, interlock
         with self._library_instance():
             code = self._run_loop(truth, seed, history)
+        stats.ended = code
         return stats, self._reason(int(code))
 
     @contextmanager
@@ -174,6 +177,7 @@ class CaseRunner:
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
         set_truth(params, truth, seed, dss_as_built(truth, seed))
+        integrity_params.set_faults(params.integrity, truth.faults)
         state.end = self.cycles
         state.now.truth = dynamics_params.initial_truth(truth)
         draw_initial_imu_errors(truth, seed, state.now.imu)

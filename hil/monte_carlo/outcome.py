@@ -11,9 +11,12 @@ from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc_backends.approach_events import ABORT_CAUSES
+from hil.loop.compiled.loop_kernel import COMPLETED as COMPLETED_CODE
 from hil.loop.runner import COMPLETED
+from hil.report.integrity import SafeStop, detection, integrity_part
 from hil.report.verdict import ROW_NAMES, tolerances, verdict_of
 from hil.report.verdict_parts import energy_part
+from hil.safety.guard_alarms import is_of_guard
 
 _AXES: Final = ("x", "y", "z")
 _TRIPLES: Final = (
@@ -21,12 +24,15 @@ _TRIPLES: Final = (
 )  # fmt: skip
 _SINGLE: Final = (
     "ready_time_s", "held_since_s", "control_margin", "corridor_margin_m", "closing_margin_mps", "nearest_m",
-    "aborted_at_s", "view_margin_px", "propellant_kg", "propellant_share", "thruster_on_time_s", "nees_pkf", "nees_akf",
+    "aborted_at_s", "hmi_cycles", "worst_error_m", "alert_limit_m", "protection_level_m", "availability",
+    "time_to_alert_s", "view_margin_px", "propellant_kg", "propellant_share", "thruster_on_time_s", "nees_pkf",
+    "nees_akf",
 )  # fmt: skip
-_OF_FAULT: Final = ("fault_at_s", "fault_size")
-FLAGS: Final = ("passed", "passed_all_parts", "security_passed", "energy_passed", "view_passed")
-COUNTS: Final = ("firings", "limited_cycles", "cycles")
-TEXTS: Final = ("stop", "abort", "fault_device", "fault_kind")
+_TEXTS_OF_FAULT: Final = ("fault_device", "fault_kind", "detected_by", "reaction")
+_OF_FAULT: Final = ("fault_at_s", "fault_size", "detected_s", "reaction_s")
+FLAGS: Final = ("passed", "passed_all_parts", "security_passed", "energy_passed", "view_passed", "integrity_passed")
+COUNTS: Final = ("firings", "limited_cycles", "cycles", "false_alerts")
+TEXTS: Final = ("stop", "abort", *_TEXTS_OF_FAULT)
 NUMBERS: Final = (*_SINGLE, *_OF_FAULT, *(f"{name}_{axis}" for name in _TRIPLES for axis in _AXES))
 """Columns with floats; null where a run did not get far enough."""
 
@@ -36,7 +42,8 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
 
     scenario: as the GNC has it, with the requirements; truth: as it was flown.
     """
-    verdict = verdict_of(stats.ready)
+    verdict = verdict_of(stats.ready, scenario.requirements)
+    integrity = integrity_part(stats.integrity, scenario)
     aborted = int(stats.aborted)
     firings = int(np.sum(stats.thruster_firings))
     propellant_kg = _propellant_kg(stats, truth)
@@ -48,10 +55,20 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
     allowed = tolerances(scenario.requirements)
     row: dict[str, Any] = {
         "passed": passed,
-        "passed_all_parts": passed and security and bool(energy["passed"]) and view,
+        "passed_all_parts": passed and security and bool(energy["passed"]) and view and integrity["passed"],
         "security_passed": security,
         "energy_passed": bool(flown and energy["passed"]),
         "view_passed": view,
+        "integrity_passed": bool(flown and integrity["passed"]),
+        "false_alerts": integrity["false_alerts"],
+        "hmi_cycles": integrity["hmi_cycles"],
+        "worst_error_m": integrity["worst_error_m"],
+        "alert_limit_m": integrity["alert_limit_m"],
+        "protection_level_m": max(
+            (level for level in integrity["protection_level_m"] if level is not None), default=None
+        ),
+        "availability": integrity["availability"],
+        "time_to_alert_s": integrity["time_to_alert_s"],
         "firings": firings,
         "limited_cycles": int(stats.limited_cycles),
         "cycles": int(stats.cycles),
@@ -76,7 +93,7 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
         **_three("force_on_time_s", scenario.step_s * stats.force_cycles),
         **_three("torque_on_time_s", scenario.step_s * stats.torque_cycles),
         **_navigation(stats),
-        **_fault(truth),
+        **_fault(truth, stats),
     }
     if verdict.worst is not None:
         row["control_margin"] = min(float((1.0 - verdict.worst[n] / allowed[n]).min()) for n in ROW_NAMES)
@@ -89,7 +106,7 @@ def failed_row(reason: str) -> dict[str, Any]:
     """Return the outcome of a case that could not be flown at all."""
     row: dict[str, Any] = dict.fromkeys(NUMBERS)
     row |= dict.fromkeys(FLAGS, False) | dict.fromkeys(COUNTS, 0)
-    return row | {"stop": reason, "abort": "", "fault_device": "", "fault_kind": ""}
+    return row | dict.fromkeys(TEXTS, "") | {"stop": reason}
 
 
 def _propellant_kg(stats: np.record, truth: Scenario) -> float:
@@ -112,12 +129,17 @@ def _navigation(stats: np.record) -> dict[str, float | None]:
     }
 
 
-def _fault(truth: Scenario) -> dict[str, Any]:
+def _fault(truth: Scenario, stats: np.record) -> dict[str, Any]:
     """Return the last fault of a run, the one that a campaign draws; its size is the magnitude of its value."""
     if not truth.faults:
-        return {"fault_device": "", "fault_kind": "", "fault_at_s": None, "fault_size": None}
-    fault = truth.faults[-1]
+        return dict.fromkeys(_OF_FAULT) | dict.fromkeys(_TEXTS_OF_FAULT, "")
+    fault, stop = truth.faults[-1], None
+    if stats.ended != COMPLETED_CODE:
+        by = "guard" if is_of_guard(int(stats.ended)) else "device"
+        stop = SafeStop(int(stats.cycles) * truth.step_s, by)
+    found = detection(stats.integrity, len(truth.faults) - 1, fault, stop)
     return {
+        **{name: value or "" if name in _TEXTS_OF_FAULT else value for name, value in found.items()},
         "fault_device": fault.device,
         "fault_kind": fault.kind,
         "fault_at_s": fault.at_s,

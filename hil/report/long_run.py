@@ -25,6 +25,7 @@ from hil.loop.runner import Outcome, Runner
 from hil.params import dynamics as dynamics_params
 from hil.report import summary
 from hil.report.bench_error import judge_bench_error
+from hil.report.integrity import IntegrityJudge
 from hil.report.latency import measured, percentiles, pose_to_command_s
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, ready_params, verdict_of
 from hil.report.verdict_parts import (
@@ -99,6 +100,7 @@ class LongRun:
         self._orbit_rate = dynamics_params.orbit_rate(scenario)
         self._ready_params = ready_params(scenario.requirements)
         self._ready = new(ready_phase.READY_STATE)
+        self._integrity = IntegrityJudge(scenario)
         self._last: np.ndarray | None = None
         self._sums: dict[str, Any] = {}
         self._security: dict[str, Any] = {}
@@ -123,6 +125,7 @@ class LongRun:
         found = deviations(rows, self._scenario.requirements)
         table = np.ascontiguousarray(np.hstack([getattr(found, name) for name in ROW_NAMES]))
         ready_phase.update_all(self._ready_params, self._ready, np.ascontiguousarray(found.t_s), table)
+        self._integrity.add(rows)
         joined = rows if self._last is None else np.concatenate([self._last, rows])
         self._add_sums(joined)
         self._add_security(joined)
@@ -220,7 +223,7 @@ class LongRun:
 
     def numbers(self) -> tuple[dict[str, Any], Verdict]:
         """Return the numbers of all rows so far, and the verdict."""
-        verdict = verdict_of(self._ready)
+        verdict = verdict_of(self._ready, self._scenario.requirements)
         sums, rms = self._sums, self._squares.rms
         thrusters: dict[str, Any] = {
             name: value.tolist() if name != "thruster_firings" else [round(n) for n in value.tolist()]
@@ -237,6 +240,7 @@ class LongRun:
                 "energy": energy,
                 "field_of_view": self._view,
             },
+            "integrity": summary.integrity_of(self._integrity.state, self._scenario),
             "navigation": {name: rms(name) for name in summary.RMS_KEYS} | nees,
             "thrusters": thrusters,
             "bench": {

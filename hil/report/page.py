@@ -92,7 +92,7 @@ def _one(run: Judged, alone: bool) -> Iterator[str]:
 def _verdict(run: Judged) -> Iterator[str]:
     summary, scenario = run.summary, run.recorded.scenario
     yield html.heading(2, "Verdict")
-    rows = [("ok" if passed else "fail", name, text) for name, passed, text in verdict_lines(summary["verdict"])]
+    rows = [("ok" if passed else "fail", name, text) for name, passed, text in verdict_lines(summary)]
     yield html.table(("", "part", ""), rows, words=True)
     paper = TABLE_V.get(summary["scenario"])
     if run.verdict.worst is None:

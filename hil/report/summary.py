@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -13,16 +14,19 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.sign_off import SignOff
 from hil.core.build_info import build_info
-from hil.core.messages import Array
+from hil.core.messages import Array, Event
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
+from hil.gnc_backends.approach_events import DOCKING_GO
 from hil.gnc_backends.shared_library import digest_of
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.loop.runner import COMPLETED, Outcome
 from hil.params import dynamics as dynamics_params
 from hil.report.bench_error import judge_bench_error
+from hil.report.integrity import IntegrityJudge, SafeStop, detection, integrity_part
 from hil.report.latency import measure_latency
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
 from hil.report.verdict_parts import judge_energy, judge_field_of_view, judge_security
+from hil.safety.guard_alarms import GUARD_QUANTITIES
 
 if TYPE_CHECKING:
     from hil.recording.read import Recorded
@@ -53,7 +57,7 @@ def summarise(
     """
     history = outcome.history
     found, verdict = numbers or numbers_of(history, scenario, rig)
-    parts, timing = found["verdict"], found["timing"]
+    parts, timing, judged = found["verdict"], found["timing"], found["integrity"]
     aborted = bool(len(history) and history["supervision"]["aborted"][-1])
     passed = verdict.passed and outcome.stop == COMPLETED and not aborted
     summary = {
@@ -62,12 +66,14 @@ def summarise(
         "seed": seed,
         "rig": rig_name,
         "passed": passed,
-        "passed_all_parts": passed and all(part["passed"] for part in parts.values()),
+        "passed_all_parts": passed and all(part["passed"] for part in (*parts.values(), judged["part"])),
         "stop": outcome.stop,
         "ready_time_s": verdict.ready_time_s,
         "held_since_s": verdict.held_since_s,
         "ready_phase": {name: _list(verdict.worst[name]) for name in ROW_NAMES} if verdict.worst else None,
         "verdict": parts,
+        "integrity": judged["part"],
+        "docking_go_s": docking_go_s(outcome.events),
         "navigation": found["navigation"],
         "thrusters": found["thrusters"],
         "gnc": gnc_summary(scenario),
@@ -87,7 +93,10 @@ def summarise(
         "sign_off": sign_off_summary(rig),
         "waived": [waiver.as_json() for waiver in waivers(rig)],
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
-        "injected": [injected(fault) for fault in scenario.faults],
+        "injected": [
+            injected(fault, detection(judged["state"], k, fault, safe_stop(outcome, scenario)))
+            for k, fault in enumerate(scenario.faults)
+        ],
         "faults": outcome.faults,
         "alarms": [alarm.as_json() for alarm in outcome.alarms],
     }
@@ -106,6 +115,7 @@ def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[
             "energy": judge_energy(history["reference"]["v_CT_H"], scenario, thrusters["propellant_kg"], firings),
             "field_of_view": judge_field_of_view(history, rig, scenario.step_s),
         },
+        "integrity": integrity_of(judge_integrity(history, scenario), scenario),
         "navigation": navigation_errors(history),
         "thrusters": thrusters,
         "bench": axis_errors(history) | judge_bench_error(history, rig, scenario.step_s, SETTLED_S),
@@ -125,18 +135,41 @@ def summary_of(recorded: Recorded) -> dict[str, Any]:
     return summarise(outcome, recorded.scenario, recorded.rig, run["rig"], int(run["seed"]), 1.0 / step_s)[0]
 
 
-def injected(fault: TimedFault) -> dict[str, Any]:
-    """Return a fault that was injected, and by what it was detected: nothing detects faults yet."""
+def judge_integrity(history: np.ndarray, scenario: Scenario) -> np.record:
+    """Return INTEGRITY_STATE of the rows (n,) of CYCLE of a run."""
+    judge = IntegrityJudge(scenario)
+    judge.add(history)
+    return judge.state
+
+
+def integrity_of(state: np.record, scenario: Scenario) -> dict[str, Any]:
+    """Return the integrity part of the verdict with the state that it is made of."""
+    return {"part": integrity_part(state, scenario), "state": state}
+
+
+def docking_go_s(events: Sequence[Event]) -> float | None:
+    """Return when docking became a go, None if never."""
+    return next((event.t_s for event in events if event.text.startswith(DOCKING_GO)), None)
+
+
+def safe_stop(outcome: Outcome, scenario: Scenario) -> SafeStop | None:
+    """Return the safe stop that ended a run, in the time of the run, None without one."""
+    alarm = next((alarm for alarm in outcome.alarms if alarm.text == outcome.stop), None)
+    if alarm is None or not len(outcome.history):
+        return None
+    by = "guard" if alarm.quantity.startswith(GUARD_QUANTITIES) else "device"
+    return SafeStop(float(outcome.history["t_s"][-1]) + scenario.step_s, by)
+
+
+def injected(fault: TimedFault, found: dict[str, Any]) -> dict[str, Any]:
+    """Return a fault that was injected; found: of ``detection``."""
     return {
         "device": fault.device,
         "kind": fault.kind,
         "at_s": fault.at_s,
         "until_s": fault.until_s,
         "value": list(fault.values),
-        "detected_s": None,
-        "detected_by": None,
-        "reaction": None,
-        "reaction_s": None,
+        **found,
     }
 
 
@@ -168,7 +201,13 @@ def control_precision(verdict: Verdict, scenario: Scenario) -> dict[str, Any]:
     allowed = tolerances(scenario.requirements)
     worst = verdict.worst
     margin = None if worst is None else min(float((1.0 - worst[n] / allowed[n]).min()) for n in ROW_NAMES)
-    return {"passed": verdict.passed, "ready_time_s": verdict.ready_time_s, "margin": margin}
+    return {
+        "passed": verdict.passed,
+        "ready_time_s": verdict.ready_time_s,
+        "ready_duration_s": verdict.ready_duration_s,
+        "required_ready_s": scenario.requirements.required_ready_s,
+        "margin": margin,
+    }
 
 
 def _list(values: Array) -> list[float]:

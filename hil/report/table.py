@@ -26,7 +26,7 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     paper = TABLE_V.get(summary["scenario"])
     if verdict.worst is not None:
         console.print(_ready_phase(summary, verdict, requirements))
-    _print_parts(summary["verdict"], console)
+    _print_parts(summary, console)
     _print_times(summary, paper.ready_time_s if paper else None, console)
     _print_library(summary.get("gnc", {"library": None}), console)
     _print_navigation(summary["navigation"], console)
@@ -113,9 +113,10 @@ def _ready_phase(summary: dict[str, Any], verdict: Verdict, requirements: Requir
     return table
 
 
-def verdict_lines(parts: dict[str, Any]) -> list[tuple[str, bool, str]]:
-    """Return name, verdict and key numbers of each of the four parts."""
-    return [
+def verdict_lines(summary: dict[str, Any]) -> list[tuple[str, bool, str]]:
+    """Return name, verdict and key numbers of each part of the verdict, as far as ``summary`` has it."""
+    parts = summary["verdict"]
+    lines = [
         (name.replace("_", " "), parts[name]["passed"], text)
         for name, text in (
             ("control_precision", _precision_text(parts["control_precision"])),
@@ -124,17 +125,24 @@ def verdict_lines(parts: dict[str, Any]) -> list[tuple[str, bool, str]]:
             ("field_of_view", _view_text(parts["field_of_view"])),
         )
     ]
+    if "integrity" in summary:  # not in recordings of earlier versions
+        lines.append(("integrity", summary["integrity"]["passed"], _integrity_text(summary["integrity"])))
+    return lines
 
 
-def _print_parts(parts: dict[str, Any], console: Console) -> None:
-    """Print a line for each of the four parts of the verdict."""
-    for name, passed, text in verdict_lines(parts):
+def _print_parts(summary: dict[str, Any], console: Console) -> None:
+    """Print a line for each part of the verdict."""
+    for name, passed, text in verdict_lines(summary):
         word = "[green]ok  [/]" if passed else "[red]fail[/]"
         console.print(f"{word} {name:<18} {text}", highlight=False, soft_wrap=True)
 
 
 def _precision_text(part: dict[str, Any]) -> str:
-    return "never ready" if part["margin"] is None else f"least margin to Table III {100.0 * part['margin']:.0f} %"
+    if part["margin"] is None:
+        return "never ready"
+    text = f"least margin to Table III {100.0 * part['margin']:.0f} %"
+    duration_s, required_s = part.get("ready_duration_s", 0.0), part.get("required_ready_s", 0.0)
+    return text if duration_s >= required_s else f"{text}, ready for {duration_s:.2f} s, required {required_s:g} s"
 
 
 def _security_text(part: dict[str, Any]) -> str:
@@ -168,6 +176,19 @@ def _view_text(part: dict[str, Any]) -> str:
         return "no cycle was run"
     margin = "behind a camera" if part["margin_px"] is None else f"least margin {part['margin_px']:.0f} px"
     return f"{margin} at {part['at_s']:.2f} s, range {part['range_m']:.2f} m"
+
+
+def _integrity_text(part: dict[str, Any]) -> str:
+    if part["nearest_m"] is None:
+        return "no cycle was run"
+    near = f"nearest {part['nearest_m']:.3f} m"
+    if part["worst_error_m"] is None:
+        return f"no estimate, {near}"
+    text = f"largest error {part['worst_error_m']:.3f} m, alert limit {part['alert_limit_m']:.3f} m, {near}"
+    if part["hmi_cycles"] is None:
+        return f"{text}; no protection levels"
+    available = "" if part["availability"] is None else f", available {100.0 * part['availability']:.1f} %"
+    return f"{text}; {part['hmi_cycles']} misleading cycles{available}, {part['false_alerts']} false alerts"
 
 
 def _print_times(summary: dict[str, Any], paper_s: float | None, console: Console) -> None:
@@ -240,4 +261,7 @@ def _reason(summary: dict[str, Any], verdict: Verdict) -> str:
         return "the approach was aborted"
     if verdict.ready_time_s is None:
         return "the ready phase was not reached"
+    required_s = summary["verdict"]["control_precision"]["required_ready_s"]
+    if verdict.ready_duration_s < required_s:
+        return f"ready for {verdict.ready_duration_s:.2f} s, required {required_s:g} s"
     return "left the ready state"

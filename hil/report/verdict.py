@@ -1,9 +1,9 @@
 """Ready phase and its verdict: bench paper Table III, judged on the truth, and the paper's own results (Table V).
 
 The ready phase begins when every row of Table III has held for ``dwell_s`` without interruption, and lasts to the
-end; the run passes if every row, each axis on its own, holds throughout. ``held_since_s`` is the start of that first
-uninterrupted dwell. (By continuity, the last quantity to enter its tolerance is at the tolerance when it does:
-docs/explanation/papers.md.)
+end; the run passes if it lasts for ``required_ready_s`` and every row, each axis on its own, holds throughout.
+``held_since_s`` is the start of that first uninterrupted dwell. (By continuity, the last quantity to enter its
+tolerance is at the tolerance when it does: docs/explanation/papers.md.)
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from hil.config.model import Triple
 from hil.config.scenario import Requirements
 from hil.core.messages import Array, new
 from hil.gnc import ready_phase
+
+_ROUNDING_S = 1e-9
 
 ROW_NAMES = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
 
@@ -33,12 +35,16 @@ class Deviations:
 
 @dataclass(frozen=True)
 class Verdict:
-    """ready_time_s, held_since_s: s, None if never. worst: row name -> largest |deviation| (3,), None if never."""
+    """ready_time_s, held_since_s: s, None if never. worst: row name -> largest |deviation| (3,), None if never.
+
+    ready_duration_s: from ``ready_time_s`` to the end of the run, 0 if never.
+    """
 
     ready_time_s: float | None
     held_since_s: float | None
     passed: bool
     worst: dict[str, Array] | None
+    ready_duration_s: float = 0.0
 
 
 def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
@@ -75,15 +81,17 @@ def judge(found: Deviations, requirements: Requirements) -> Verdict:
     state = new(ready_phase.READY_STATE)
     rows = np.ascontiguousarray(np.hstack([getattr(found, name) for name in ROW_NAMES]))
     ready_phase.update_all(ready_params(requirements), state, np.ascontiguousarray(found.t_s), rows)
-    return verdict_of(state)
+    return verdict_of(state, requirements)
 
 
-def verdict_of(state: np.record) -> Verdict:
+def verdict_of(state: np.record, requirements: Requirements) -> Verdict:
     """Return the verdict of READY_STATE at the end of a run."""
     if not state.is_ready:
         return Verdict(None, None, False, None)
     worst = {name: state.worst[3 * row : 3 * row + 3].copy() for row, name in enumerate(ROW_NAMES)}
-    return Verdict(float(state.ready_s), float(state.since_s), not state.left, worst)
+    duration_s = float(state.last_s - state.ready_s)
+    passed = not state.left and duration_s >= requirements.required_ready_s - _ROUNDING_S
+    return Verdict(float(state.ready_s), float(state.since_s), passed, worst, duration_s)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,10 @@ import numpy as np
 from hil.bench import bench_guard
 from hil.safety.alarms import Alarm
 
+_RANGE, _DISTANCE, _ROTATION = "range to the target", "distance from the truth", "rotation from the truth"
+_LIMITED, _DEMAND, _POSE = "limited setpoints", "distance from the demand", "pose against encoders"
+GUARD_QUANTITIES = (_RANGE, _DISTANCE, _ROTATION, _LIMITED, _DEMAND, _POSE)
+"""Monitored quantities, those of the vision unit without the axis."""
 _LETTERS = "xyz"
 
 
@@ -19,21 +23,21 @@ def guard_alarm(now_s: float, axis_names: Sequence[str], code: int, found: np.re
     match code:
         case bench_guard.KEEP_OUT:
             allowed = f"{limit:.4f} m and more at a closing rate of {found.low:.4f} m/s"
-            return Alarm(now_s, "bench", "range to the target", _metres(value), allowed)
+            return Alarm(now_s, "bench", _RANGE, _metres(value), allowed)
         case bench_guard.POSITION:
-            return Alarm(now_s, "bench", "distance from the truth", _metres(value), _metres(limit))
+            return Alarm(now_s, "bench", _DISTANCE, _metres(value), _metres(limit))
         case bench_guard.ATTITUDE:
-            return Alarm(now_s, "bench", "rotation from the truth", _degrees(value), _degrees(limit))
+            return Alarm(now_s, "bench", _ROTATION, _degrees(value), _degrees(limit))
         case bench_guard.LIMITED:
-            return Alarm(now_s, "bench", "limited setpoints", f"{value:.0f} in a row", f"{limit:.0f}")
+            return Alarm(now_s, "bench", _LIMITED, f"{value:.0f} in a row", f"{limit:.0f}")
         case bench_guard.AXIS:
             axis = int(found.axis)
             shown = _metres if axis < 3 else _degrees
-            return Alarm(now_s, axis_names[axis], "distance from the demand", shown(value), shown(limit))
+            return Alarm(now_s, axis_names[axis], _DEMAND, shown(value), shown(limit))
     about = _LETTERS[int(found.axis)]
     if code == bench_guard.VISION_POSITION:
-        return Alarm(now_s, "vmu", f"pose against encoders, {about}", _metres(value), _metres(limit))
-    return Alarm(now_s, "vmu", f"pose against encoders, about {about}", _degrees(value), _degrees(limit))
+        return Alarm(now_s, "vmu", f"{_POSE}, {about}", _metres(value), _metres(limit))
+    return Alarm(now_s, "vmu", f"{_POSE}, about {about}", _degrees(value), _degrees(limit))
 
 
 def is_of_guard(code: int) -> bool:

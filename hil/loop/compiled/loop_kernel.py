@@ -26,6 +26,7 @@ from hil.dynamics.vision import ALL_LEDS, VISION_PARAMS, measure
 from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame
 from hil.gnc import guidance, navigation
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
+from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
 from hil.gnc.ready_phase import READY_PARAMS
 from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE, copy_progress, gnc_step, has_event
 from hil.loop.compiled.library_kernel import LIBRARY, has_new_text, library_step
@@ -67,6 +68,7 @@ LOOP_PARAMS = np.dtype(
         ("gnc", GNC_PARAMS),
         ("verdict", APPROACH_MONITOR_PARAMS),  # margins of the verdict, whatever the GNC's own are
         ("ready", READY_PARAMS),
+        ("integrity", INTEGRITY_PARAMS),
         ("vmu_faults", FAULTS),
         ("axis_faults", FAULTS),
         ("nominal_axes", NOMINAL_AXES),

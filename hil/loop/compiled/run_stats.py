@@ -10,6 +10,7 @@ from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics import truth as truth_kernels
 from hil.gnc import approach_monitor, ready_phase
+from hil.gnc.integrity_verdict import INTEGRITY_STATE, start_integrity, update_integrity
 from hil.gnc.ready_phase import READY_STATE
 from hil.maths import stack
 from hil.maths.arrays import copy_into
@@ -20,7 +21,9 @@ RUN_STATS = np.dtype(
     [
         ("cycles", "i8"),
         ("limited_cycles", "i8"),
+        ("ended", "i8"),  # reason of ``run_loop``, written by the caller
         ("ready", READY_STATE),
+        ("integrity", INTEGRITY_STATE),
         ("aborted", "i8"),  # cause, 0 for none
         ("aborted_at_s", "f8"),
         ("corridor_margin", "f8"),  # m, least on the truth, up to an abort
@@ -53,6 +56,7 @@ RUN_STATS = np.dtype(
 def start_run_stats(stats):
     """Initialise the zeroed ``stats`` for a run."""
     stats.corridor_margin = stats.closing_margin = stats.nearest = stats.view_margin = np.inf
+    start_integrity(stats.integrity)
 
 
 @kernel
@@ -134,6 +138,7 @@ def count_cycle(params, state, stats):
     truth_kernels.rate_against_hill(now.truth, rate)
     ready_phase.deviations(params.ready, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, rate, stats.deviation)
     ready_phase.update(params.ready, stats.ready, now.t_s, stats.deviation)
+    update_integrity(params.integrity, stats.integrity, now)
     _count_security(params, now, stats)
     _count_thrusters(params, now, stats)
     if now.navigation.valid != 0 and now.t_s >= params.steady_state_after_s:

@@ -37,10 +37,17 @@ def away(found: Deviations, begin_s: float, end_s: float, row: str = "position_m
 
 
 def test_ready_phase_begins_when_the_dwell_is_over(required: Requirements) -> None:
-    verdict = judge(away(flown(40.0), 0.0, 20.0), required)
+    verdict = judge(away(flown(60.0), 0.0, 20.0), required)
     assert verdict.held_since_s == pytest.approx(20.0)
     assert verdict.ready_time_s == pytest.approx(20.0 + required.dwell_s)
     assert verdict.passed
+
+
+def test_ready_phase_must_last(required: Requirements) -> None:
+    for end_s, passed in ((55.0, True), (54.9, False)):
+        verdict = judge(away(flown(end_s), 0.0, 20.0), required)
+        assert verdict.passed == passed
+        assert verdict.ready_duration_s == pytest.approx(end_s - 25.0)
 
 
 def test_run_that_never_dwells_has_no_ready_phase(required: Requirements) -> None:

@@ -1,0 +1,230 @@
+"""Integrity of the navigation, judged on the truth: error against alert limit and protection level in each cycle.
+
+Alert limit: largest error that must not stay unnoticed, along the docking axis, across it, and of the attitude. The
+estimate is *misleading* in a cycle if its error is beyond an alert limit, the protection level that it reports is below
+that limit, and neither health, reaction nor abort say otherwise; cycles in which that has lasted longer than the time
+to alert count as hazardously misleading information (RTCA DO-229). Alarms of the bench, which knows the truth, do not
+count here.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.jit import kernel
+from hil.core.messages import MAX_FAULTS
+from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, ORDERED, closing_margin, corridor_margin
+from hil.maths import quat, stack
+from hil.maths.arrays import copy_into, fill
+
+FAULTS_MAX = 5 * MAX_FAULTS
+MONITOR_DISAGREES = 16  # bit of the health that a second sensor sets
+HOLD = 2  # reactions from here on end the approach
+ABORT = 4
+
+INTEGRITY_PARAMS = np.dtype(
+    [
+        ("approach", APPROACH_MONITOR_PARAMS),
+        ("axis", "f8", 3),  # docking axis, in H
+        ("axial", "f8"),  # m, alert limit along it at range 0 ...
+        ("axial_per_range", "f8"),  # ... and its increase
+        ("keep_out", "f8"),  # m
+        ("deceleration", "f8"),  # m/s^2, of an abort
+        ("corridor_fraction", "f8"),  # alert limit across, of the corridor's radius
+        ("attitude", "f8"),  # rad
+        ("time_to_alert_s", "f8"),
+        ("faults", "i8"),
+        ("fault_at_s", "f8", FAULTS_MAX),
+    ],
+    align=True,
+)
+
+INTEGRITY_STATE = np.dtype(
+    [
+        ("judged", "i8"),  # cycles with an estimate, without fault and abort
+        ("available", "i8"),  # of them those with all protection levels below their alert limits
+        ("reported", "i8"),  # 1: a protection level was reported
+        ("misleading_s", "f8"),  # since when; nan: the last cycle was not
+        ("misleading_by_line1_s", "f8"),  # the same, if the second sensor does not count
+        ("hmi_cycles", "i8"),
+        ("hmi_by_line1_only", "i8"),
+        ("unnoticed_s", "f8"),  # since when an error is beyond its alert limit without an alarm
+        ("longest_unnoticed_s", "f8"),
+        ("worst_share", "f8"),  # largest position error over its alert limit ...
+        ("worst_error", "f8"),  # ... m, with its limit and the protection levels of that cycle
+        ("worst_limit", "f8"),
+        ("worst_level", "f8", 3),
+        ("false_alerts", "i8"),
+        ("nearest", "f8"),  # m
+        ("ended", "i8"),  # 1: the last cycle was one of a hold, retreat or abort
+        ("from_H", "f8", 3),  # line of the cycle before
+        ("to_H", "f8", 3),
+        ("health_before", "i8", FAULTS_MAX),  # of each fault: before its onset
+        ("reaction_before", "i8", FAULTS_MAX),
+        ("detected_s", "f8", FAULTS_MAX),  # nan: not by the navigation
+        ("detected_health", "i8", FAULTS_MAX),
+        ("reacted_s", "f8", FAULTS_MAX),
+        ("reaction", "i8", FAULTS_MAX),
+    ],
+    align=True,
+)
+
+_ALONG, _ACROSS, _ATTITUDE = range(3)
+
+
+@kernel
+def start_integrity(state):
+    """Initialise the zeroed ``state`` for a run."""
+    state.misleading_s = state.misleading_by_line1_s = state.unnoticed_s = np.nan
+    state.nearest = np.inf
+    fill(state.worst_level, np.nan)
+    fill(state.detected_s, np.nan)
+    fill(state.reacted_s, np.nan)
+
+
+@kernel
+def alert_limits(params, r_CT_H, v_CT_H, limits):
+    """Write the alert limits ``limits`` (3,): along the docking axis, across it, m, and of the attitude, rad.
+
+    Along: a base that grows with range, at most what is left to the keep-out after braking.
+    """
+    square, product = 0.0, 0.0
+    for i in range(3):
+        square += r_CT_H[i] * r_CT_H[i]
+        product += r_CT_H[i] * v_CT_H[i]
+    distance = math.sqrt(square)
+    closing = max(0.0, -product / distance) if distance > 0.0 else 0.0
+    left = distance - params.keep_out - closing * closing / (2.0 * params.deceleration)
+    limits[_ALONG] = max(0.0, min(params.axial + params.axial_per_range * distance, left))
+    limits[_ACROSS] = params.corridor_fraction * max(params.approach.minimum_radius, params.approach.cone * distance)
+    limits[_ATTITUDE] = params.attitude
+
+
+@kernel
+def errors_and_levels(params, truth, estimate, errors, levels):
+    """Write the errors (3,) of the estimate and its protection levels (3,), in the order of ``alert_limits``.
+
+    truth: TRUTH. estimate: NAVIGATION. A level that is not reported is nan.
+    """
+    rotation = stack.vector(3)
+    along, square, level_along, level_square, turned = 0.0, 0.0, 0.0, 0.0, 0.0
+    quat.rotation_between(truth.q_CH, estimate.q_CH, rotation)
+    for i in range(3):
+        error, axis, level = truth.r_CT_H[i] - estimate.r_CT_H[i], params.axis[i], estimate.protection_level_m[i]
+        along += error * axis
+        square += error * error
+        level_along += abs(axis) * level
+        level_square += (1.0 - axis * axis) * level * level
+        turned += rotation[i] * rotation[i]
+    errors[_ALONG], levels[_ALONG] = abs(along), level_along
+    errors[_ACROSS], levels[_ACROSS] = math.sqrt(max(0.0, square - along * along)), math.sqrt(level_square)
+    errors[_ATTITUDE], levels[_ATTITUDE] = math.sqrt(turned), estimate.protection_level_rad
+
+
+@kernel
+def _longer(since_s, t_s, applies):
+    """Return since when a condition applies, nan if it does not."""
+    if not applies:
+        return np.nan
+    return t_s if math.isnan(since_s) else since_s
+
+
+@kernel
+def _count_alert(params, state, now, beyond, may_be_false):
+    """Count a reaction that ends the approach although truth and estimate are within every limit."""
+    found = now.supervision
+    ends = found.reaction >= HOLD or (found.aborted != 0 and found.aborted != ORDERED)
+    if ends and state.ended == 0 and may_be_false and not beyond:
+        inside = (
+            corridor_margin(params.approach, state.from_H, state.to_H, now.truth.r_CT_H) >= 0.0
+            and closing_margin(params.approach, now.truth.r_CT_H, now.truth.v_CT_H) >= 0.0
+            and found.corridor_margin_m >= 0.0
+            and found.closing_margin_mps >= 0.0
+        )
+        state.false_alerts += 1 if inside else 0
+    state.ended = 1 if ends else 0
+    copy_into(state.from_H, now.reference.from_H)
+    copy_into(state.to_H, now.reference.to_H)
+
+
+@kernel
+def _detect(params, state, now):
+    """Write the first sign of the navigation, and the first reaction, after the onset of each fault."""
+    found, health = now.supervision, now.navigation.health
+    aborted = found.aborted != 0 and found.aborted != ORDERED
+    reaction = ABORT if aborted else found.reaction
+    for k in range(params.faults):
+        if now.t_s < params.fault_at_s[k]:
+            state.health_before[k], state.reaction_before[k] = health, reaction
+            continue
+        reacts = reaction > state.reaction_before[k]
+        if math.isnan(state.detected_s[k]) and (reacts or (health & ~state.health_before[k]) != 0):
+            state.detected_s[k], state.detected_health[k] = now.t_s, health
+        if math.isnan(state.reacted_s[k]) and reacts:
+            state.reacted_s[k], state.reaction[k] = now.t_s, reaction
+
+
+@kernel
+def update_integrity(params, state, now):
+    """Judge the cycle ``now`` (CYCLE)."""
+    errors, levels, limits = stack.vector(3), stack.vector(3), stack.vector(3)
+    square = 0.0
+    for i in range(3):
+        square += now.truth.r_CT_H[i] ** 2
+    state.nearest = min(state.nearest, math.sqrt(square))
+    _detect(params, state, now)
+    if now.navigation.valid == 0:
+        copy_into(state.from_H, now.reference.from_H)
+        copy_into(state.to_H, now.reference.to_H)
+        return
+    alert_limits(params, now.truth.r_CT_H, now.truth.v_CT_H, limits)
+    errors_and_levels(params, now.truth, now.navigation, errors, levels)
+    beyond, misled, available = False, False, True
+    for i in range(3):
+        is_beyond, is_below = not errors[i] <= limits[i], levels[i] < limits[i]
+        beyond = beyond or is_beyond
+        misled = misled or (is_beyond and is_below)
+        available = available and is_below
+        if not math.isnan(levels[i]):
+            state.reported = 1
+    health, reaction, aborted = now.navigation.health, now.supervision.reaction, now.supervision.aborted
+    noticed = health != 0 or reaction != 0 or aborted != 0
+    noticed_by_line1 = noticed and health != MONITOR_DISAGREES
+    state.misleading_s = _longer(state.misleading_s, now.t_s, misled and not noticed)
+    state.misleading_by_line1_s = _longer(state.misleading_by_line1_s, now.t_s, misled and not noticed_by_line1)
+    state.unnoticed_s = _longer(state.unnoticed_s, now.t_s, beyond and not noticed)
+    if now.t_s - state.misleading_s > params.time_to_alert_s:
+        state.hmi_cycles += 1
+    if now.t_s - state.misleading_by_line1_s > params.time_to_alert_s:
+        state.hmi_by_line1_only += 1
+    if now.t_s - state.unnoticed_s > state.longest_unnoticed_s:
+        state.longest_unnoticed_s = now.t_s - state.unnoticed_s
+    worse = _ALONG if errors[_ALONG] * limits[_ACROSS] >= errors[_ACROSS] * limits[_ALONG] else _ACROSS
+    share = errors[worse] / limits[worse] if limits[worse] > 0.0 else np.inf
+    if share > state.worst_share:
+        state.worst_share, state.worst_error, state.worst_limit = share, errors[worse], limits[worse]
+        copy_into(state.worst_level, now.navigation.protection_level_m)
+    faultless = True
+    for k in range(params.faults):
+        faultless = faultless and now.t_s < params.fault_at_s[k]
+    if faultless and aborted == 0:
+        state.judged += 1
+        state.available += 1 if available else 0
+    _count_alert(params, state, now, beyond, faultless)
+
+
+@kernel
+def update_integrity_all(params, state, rows):
+    """``update_integrity`` for each of ``rows`` (n,) of CYCLE."""
+    for k in range(rows.shape[0]):
+        update_integrity(params, state, rows[k])
+
+
+@kernel
+def stanford(params, rows, errors, levels, limits):
+    """Write errors, protection levels and alert limits (n, 3) of each of ``rows`` (n,) of CYCLE."""
+    for k in range(rows.shape[0]):
+        alert_limits(params, rows[k].truth.r_CT_H, rows[k].truth.v_CT_H, limits[k])
+        errors_and_levels(params, rows[k].truth, rows[k].navigation, errors[k], levels[k])

@@ -1,0 +1,97 @@
+"""Integrity part of the verdict, and what detected the faults of a run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from hil.config.faults import TimedFault
+from hil.config.scenario import Scenario
+from hil.core.messages import new
+from hil.gnc.integrity_verdict import (
+    INTEGRITY_STATE,
+    MONITOR_DISAGREES,
+    start_integrity,
+    update_integrity_all,
+)
+from hil.params import integrity as integrity_params
+
+REACTIONS: Final = ("", "coast", "hold", "retreat", "abort")
+"""Names of ``SUPERVISION.reaction``."""
+SAFE_STOP: Final = "safe stop"
+
+
+@dataclass(frozen=True)
+class SafeStop:
+    """Safe stop of a run at ``t_s``, by the bench guard ("guard") or another alarm ("device")."""
+
+    t_s: float
+    by: str
+
+
+class IntegrityJudge:
+    """Accumulates the rows of a run of ``scenario``."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._params = integrity_params.integrity(scenario)
+        self.state = new(INTEGRITY_STATE)
+        start_integrity(self.state)
+
+    def add(self, rows: np.ndarray) -> None:
+        """Add the next ``rows`` (n,) of CYCLE."""
+        update_integrity_all(self._params, self.state, rows.view(np.ndarray))
+
+
+def integrity_part(state: np.record, scenario: Scenario) -> dict[str, Any]:
+    """Return the integrity part of the verdict. state: INTEGRITY_STATE at the end of a run.
+
+    A GNC that reports no protection levels is judged by the distance to the target alone.
+    """
+    reported = bool(state.reported)
+    nearest_m, keep_out_m = _number(state.nearest), scenario.keep_out.radius_m
+    has_estimate = state.worst_limit > 0.0 or state.worst_error > 0.0
+    return {
+        "passed": bool(state.hmi_cycles == 0 and nearest_m is not None and nearest_m >= keep_out_m),
+        "hmi_cycles": int(state.hmi_cycles) if reported else None,
+        "hmi_by_line1_only": int(state.hmi_by_line1_only) if reported else None,
+        "worst_error_m": float(state.worst_error) if has_estimate else None,
+        "alert_limit_m": float(state.worst_limit) if has_estimate else None,
+        "protection_level_m": [_number(level) for level in state.worst_level],
+        "availability": float(state.available / state.judged) if reported and state.judged else None,
+        "time_to_alert_s": float(state.longest_unnoticed_s),
+        "nearest_m": nearest_m,
+        "false_alerts": int(state.false_alerts),
+        "sensors": sensor_set(scenario),
+    }
+
+
+def sensor_set(scenario: Scenario) -> str:
+    """Return "A" for vision unit, IMU and docking monitor, "B" without the docking monitor."""
+    return "B" if scenario.monitor.source == "none" else "A"
+
+
+def detection(state: np.record, k: int, fault: TimedFault, stop: SafeStop | None) -> dict[str, Any]:
+    """Return when and by what fault number ``k`` was detected, and the reaction; None if nothing detected it.
+
+    state: INTEGRITY_STATE. stop: of the run, if it ended with one.
+    """
+    found: list[tuple[float, str]] = []
+    reactions: list[tuple[float, str]] = []
+    if not math.isnan(state.detected_s[k]):
+        by = "monitor" if state.detected_health[k] == MONITOR_DISAGREES else "navigation"
+        found.append((float(state.detected_s[k]), by))
+    if not math.isnan(state.reacted_s[k]):
+        reactions.append((float(state.reacted_s[k]), REACTIONS[int(state.reaction[k])]))
+    if stop is not None and stop.t_s >= fault.at_s:
+        found.append((stop.t_s, stop.by))
+        reactions.append((stop.t_s, SAFE_STOP))
+    detected_s, by_whom = min(found, default=(None, None))
+    reaction_s, reaction = min(reactions, default=(None, None))
+    return {"detected_s": detected_s, "detected_by": by_whom, "reaction": reaction, "reaction_s": reaction_s}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
