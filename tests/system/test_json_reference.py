@@ -34,7 +34,7 @@ def keys(summary: dict[str, Any], groups: set[str]) -> set[str]:
 
 def test_page_describes_the_keys_of_a_run(tmp_path: Path) -> None:
     path = tmp_path / "run.json"
-    assert execute(["run", "scheme-1", "--duration", "170", "--json", str(path)]) == 0
+    assert execute(["run", "scheme-1", "--duration", "200", "--json", str(path)]) == 0
     names = described()
     groups = {name.split(".")[0] for name in names if "." in name}
     assert keys(json.loads(path.read_text()), groups) == names - ONLY_SOMETIMES
