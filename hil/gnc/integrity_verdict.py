@@ -3,7 +3,7 @@
 Alert limit: largest error that must not stay unnoticed, along the docking axis, across it, and of the attitude. The
 estimate is *misleading* in a cycle if its error is beyond an alert limit, the protection level that it reports is below
 that limit, and neither health, reaction nor abort indicate it; cycles in which that has lasted longer than the time
-to alert count as hazardously misleading information (RTCA DO-229). Alarms of the bench, which knows the truth, do not
+to alert count as hazardously misleading information (RTCA DO-229). Alarms of the bench, which has the truth, do not
 count here.
 """
 
