@@ -48,14 +48,14 @@ def filterpy_costs() -> dict[str, float]:
 
 
 @njit(nogil=True)
-def many(params, state, pose, zero, what, n):
+def many(params, state, pose, zero, hill, what, n):
     """Run one of the four steps ``n`` times, without Python in between."""
     position, attitude = state.filters.pkf, state.filters.akf
     gain_a, out = np.empty((6, 3)), np.empty(3)
     gain_p, h, h_turn = np.empty((9, 3)), np.empty((3, 9)), np.empty((3, 3))
     for _ in range(n):
         if what == 0:
-            pkf.predict(params.pkf, position, zero, attitude.x[0:4], attitude.p, attitude.phi)
+            pkf.predict(params.pkf, position, zero, attitude.x[0:4], attitude.p, attitude.phi, hill)
         elif what == 1:
             pkf.innovate(
                 position, pose.z_TC_C, pose.covariance_position, 0.0, attitude.x[0:4], attitude.p,
@@ -63,7 +63,7 @@ def many(params, state, pose, zero, what, n):
             )  # fmt: skip
             pkf.update(position, pose.covariance_position, attitude.p, h, h_turn, gain_p, out)
         elif what == 2:
-            akf.predict(params.akf, attitude, zero)
+            akf.predict(params.akf, attitude, zero, hill)
         else:
             akf.innovate(attitude, pose.q_CH, pose.covariance_attitude, gain_a, out)
             akf.update(attitude, pose.covariance_attitude, gain_a, out)
@@ -77,11 +77,11 @@ def own_costs() -> dict[str, float]:
     pose.covariance_position, pose.covariance_attitude = 2.5e-5 * np.eye(3), 3.3e-7 * np.eye(3)
     fusion.advance(params, state, memory, imu)
     fusion.fuse(params, state, memory, pose)
-    zero = np.zeros(3)
+    zero, hill = np.zeros(3), memory[0].hill
     names = ("PKF predict", "PKF update", "AKF predict", "AKF update")
     block = 100
     return {
-        name: cost_us(lambda what=what: many(params, state, pose, zero, what, block), CALLS // block) / block
+        name: cost_us(lambda what=what: many(params, state, pose, zero, hill, what, block), CALLS // block) / block
         for what, name in enumerate(names)
     }
 

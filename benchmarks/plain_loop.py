@@ -167,7 +167,7 @@ class PlainLoop:
             return
         dt, akf, pkf, p = self.dt, self.akf, self.kf, self.nav
         turn = (self.rate_c - akf.x[3:]) * dt
-        back = turned(np.array([0.0, p.akf.orbit_rate * dt, 0.0]))
+        back = turned(np.array([0.0, p.orbit.mean_motion * dt, 0.0]))
         self.q = product(turned(turn), product(self.q, back))
         akf.F = np.eye(6)
         akf.F[:3, :3], akf.F[:3, 3:] = matrix(turned(turn)), -dt * np.eye(3)
@@ -175,7 +175,7 @@ class PlainLoop:
         drift = akf.x.copy()
         akf.predict()
         akf.x = drift
-        self.w = turn / dt + matrix(self.q)[:, 1] * p.akf.orbit_rate
+        self.w = turn / dt + matrix(self.q)[:, 1] * p.orbit.mean_motion
         response = p.pkf.hill_response @ matrix(self.q).T
         pkf.F, pkf.B = np.eye(9), np.zeros((9, 3))
         pkf.F[:6, :6], pkf.F[:6, 6:], pkf.B[:6] = p.pkf.hill_transition, -response, response

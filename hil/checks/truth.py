@@ -34,6 +34,20 @@ def _check_orbit(scenario: Loaded[Scenario]) -> list[Problem]:
         key = "truth.relative_motion"
         text = f'"hill": requires a circular orbit, orbit.eccentricity is {orbit.eccentricity:g}; allowed "nonlinear"'
         problems.append(Problem(scenario.where(key), key, text))
+    return [*problems, *_check_ephemeris(scenario)]
+
+
+def _check_ephemeris(scenario: Loaded[Scenario]) -> list[Problem]:
+    known, errors = scenario.value.known_orbit, scenario.value.gnc.ephemeris
+    problems = []
+    if not 0.0 <= known.eccentricity < 0.1:
+        key = "gnc.ephemeris.eccentricity_error"
+        text = f"{errors.eccentricity_error:g}: the GNC would have {known.eccentricity:g}, allowed 0 to below 0.1"
+        problems.append(Problem(scenario.where(key), key, text))
+    if known.altitude_m <= 0.0:
+        key = "gnc.ephemeris.semi_major_axis_error_m"
+        text = f"{errors.semi_major_axis_error_m:g}: the GNC would have an orbit inside the Moon"
+        problems.append(Problem(scenario.where(key), key, text))
     return problems
 
 

@@ -15,7 +15,7 @@ from hil.config.guard import KeepOut
 from hil.config.integrity import Integrity
 from hil.config.live_tunable import LiveTuning
 from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
-from hil.config.truth import Orbit, SolarArray, Truth
+from hil.config.truth import Ephemeris, Orbit, SolarArray, Truth
 from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
 
 AngleTriple = tuple[
@@ -371,6 +371,7 @@ class GncConfig(ConfigModel):
     fmu_timeout_s: Annotated[float, Field(gt=0.0, le=60.0)] = 0.5
     """Longest time of a step in a process of its own, real time."""
     navigation: Navigation
+    ephemeris: Ephemeris = Ephemeris()
     akf: AttitudeFilter
     pkf: PositionFilter
     vision_only: VisionOnly
@@ -454,6 +455,17 @@ class Scenario(ConfigModel):
     """Faults of devices, in the run's time."""
     dispersions: Dispersions = Dispersions()
     console: LiveTuning = LiveTuning()
+
+    @property
+    def known_orbit(self) -> Orbit:
+        """The target's orbit as the GNC knows it: with the errors of its ephemeris."""
+        errors = self.gnc.ephemeris
+        changes = {
+            "altitude_m": self.orbit.altitude_m + errors.semi_major_axis_error_m,
+            "eccentricity": self.orbit.eccentricity + errors.eccentricity_error,
+            "true_anomaly_deg": self.orbit.true_anomaly_deg + errors.true_anomaly_error_deg,
+        }
+        return self.orbit.model_copy(update=changes)
 
     @property
     def imu_samples(self) -> int:

@@ -39,6 +39,17 @@ class Orbit(ConfigModel):
     """From inertial x to the prime meridian at the start."""
 
 
+class Ephemeris(ConfigModel):
+    """Errors of the target's orbit as the GNC knows it: what it has minus what is true."""
+
+    semi_major_axis_error_m: float = 0.0
+    """Error of the semi-major axis."""
+    eccentricity_error: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
+    """Error of the eccentricity."""
+    true_anomaly_error_deg: Degrees = 0.0
+    """Error of the true anomaly at the start."""
+
+
 class SolarArray(ConfigModel):
     """Flat plate fixed to the hub, in c, with one bending mode coupled to the rotation of the hub."""
 

@@ -18,7 +18,6 @@ from hil.maths.kalman import gain_of_three, joseph
 AKF_PARAMS = np.dtype(
     [
         ("dt_s", "f8"),
-        ("orbit_rate", "f8"),  # rad/s
         ("sigma_gyro", "f8"),  # rad/s per sample
         ("sigma_drift", "f8"),  # rad/s^2, eq. (7): drift[k+1] = drift[k] + dt * w
         ("initial_drift", "f8", 3),  # rad/s
@@ -86,17 +85,21 @@ def _transition_of(q, rotation, dt, phi):
 
 
 @kernel
-def predict(params, state, measured_rate):
-    """Carry the state over one step with the gyro's sample ``measured_rate`` (3,), rad/s, in c (eq. (3))."""
-    predict_state(params, state, measured_rate)
+def predict(params, state, measured_rate, hill):
+    """Carry the state over one step with the gyro's sample ``measured_rate`` (3,), rad/s, in c (eq. (3)).
+
+    hill: motion of H over the step, HILL_STEP.
+    """
+    predict_state(params, state, measured_rate, hill)
     predict_covariance(params, state)
 
 
 @kernel
-def predict_state(params, state, measured_rate):
+def predict_state(params, state, measured_rate, hill):
     """Carry the state, without its covariance, over one step; ``state.phi`` is then the transition of its error.
 
-    The quaternion moves by the exact rotation at a constant rate over the step, of c and of H.
+    Arguments as of ``predict``. The quaternion moves by the exact rotation at a constant rate over the step, of c and
+    of H.
     """
     dt = params.dt_s
     rotation, hill_rotation = stack.vector(3), stack.vector(3)
@@ -104,7 +107,7 @@ def predict_state(params, state, measured_rate):
     for i in range(3):
         hill_rotation[i] = 0.0
         rotation[i] = (measured_rate[i] - state.x[4 + i]) * dt
-    hill_rotation[1] = params.orbit_rate * dt  # minus the rotation of H, -w0 dt about y
+    hill_rotation[1] = hill.turn  # minus the rotation of H, about -y
     quat.from_rotation_vector_into(rotation, of_c)
     quat.from_rotation_vector_into(hill_rotation, of_h)
     quat.multiply_into(state.x[0:4], of_h, moved)
@@ -116,7 +119,7 @@ def predict_state(params, state, measured_rate):
     along_y = stack.vector(3)
     quat.second_column_into(q, along_y)
     for i in range(3):
-        state.w_CH_C[i] = (measured_rate[i] - state.x[4 + i]) + along_y[i] * params.orbit_rate
+        state.w_CH_C[i] = (measured_rate[i] - state.x[4 + i]) + along_y[i] * hill.rate
     state.nis = np.nan
 
 

@@ -129,7 +129,7 @@ def start(params, pose, state):
 
 
 @kernel
-def transition(params, x, measured_rate, q_next, phi):
+def transition(params, x, measured_rate, hill, q_next, phi):
     """Write the quaternion after the step, (4,), and the transition matrix ``phi`` (7, 7)."""
     dt = params.dt_s
     rotation = np.empty(3)
@@ -137,7 +137,7 @@ def transition(params, x, measured_rate, q_next, phi):
         rotation[i] = (measured_rate[i] - x[4 + i]) * dt
     dq_c = quat.from_rotation_vector(rotation)
     hill_rotation = np.zeros(3)
-    hill_rotation[1] = params.orbit_rate * dt  # minus the rotation of H, -w0 dt about y
+    hill_rotation[1] = hill.turn  # minus the rotation of H, about -y
     dq_h = quat.from_rotation_vector(hill_rotation)
     unit = np.zeros(4)
     fill_matrix(phi, 0.0)
@@ -157,11 +157,11 @@ def transition(params, x, measured_rate, q_next, phi):
 
 
 @kernel
-def predict(params, state, measured_rate):
-    """Carry the state over one step with the gyro's sample ``measured_rate`` (3,), rad/s, in c."""
+def predict(params, state, measured_rate, hill):
+    """Carry the state over one step; arguments as of ``akf.predict``."""
     q_next = np.empty(4)
     phi = np.empty((7, 7))
-    transition(params, state.x, measured_rate, q_next, phi)
+    transition(params, state.x, measured_rate, hill, q_next, phi)
     copy_into(state.x[0:4], q_next)
     quat.normalise(state.x[0:4])
     noise = np.zeros((7, 7))
@@ -176,7 +176,7 @@ def predict(params, state, measured_rate):
     propagate_covariance(state.p, phi, noise)
     a = quat.to_matrix(state.x[0:4])
     for i in range(3):
-        state.w_CH_C[i] = measured_rate[i] - state.x[4 + i] + a[i, 1] * params.orbit_rate
+        state.w_CH_C[i] = measured_rate[i] - state.x[4 + i] + a[i, 1] * hill.rate
     state.nis = np.nan
 
 

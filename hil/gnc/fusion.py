@@ -18,6 +18,7 @@ from hil.gnc import akf, akf_additive, pkf
 from hil.gnc.akf import AKF_PARAMS, AKF_STATE
 from hil.gnc.akf_additive import AKF_ADDITIVE_STATE
 from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
+from hil.gnc.target_orbit import HILL_STEP, TARGET_ORBIT, move_hill_frame
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix
 
@@ -33,6 +34,7 @@ FUSION_PARAMS = np.dtype(
         ("attitude_form", "i8"),
         ("memory", "i8"),  # steps that are kept
         ("ahead", "i8"),  # steps that an exposure may be in the future: stamps and cycles are rounded
+        ("orbit", TARGET_ORBIT),
         ("akf", AKF_PARAMS),
         ("pkf", PKF_PARAMS),
     ],
@@ -45,6 +47,7 @@ STEP = np.dtype(
     [
         ("rate_C", "f8", 3),  # the IMU's sample of the step that ended here
         ("force_C", "f8", 3),
+        ("hill", HILL_STEP),
         ("predicted", FILTERS),  # before the poses of this moment
         ("n_poses", "i8"),
         ("is_start", "i8"),  # the filters were started here
@@ -118,20 +121,20 @@ def _start(params, pose, filters):
 
 
 @kernel
-def _predict(params, filters, rate_C, force_C):
-    """Carry both filters over one step."""
+def _predict(params, filters, step):
+    """Carry both filters over ``step`` (STEP)."""
     middle = stack.vector(4)
     copy_into(middle, filters.akf.x[0:4])
-    akf.predict_state(params.akf, filters.akf, rate_C)
+    akf.predict_state(params.akf, filters.akf, step.rate_C, step.hill)
     additive = params.attitude_form == AS_PRINTED
     if additive:
-        akf_additive.predict(params.akf, filters.additive, rate_C)
+        akf_additive.predict(params.akf, filters.additive, step.rate_C, step.hill)
         copy_into(filters.akf.x, filters.additive.x)
     for i in range(4):
         middle[i] += filters.akf.x[i]
     quat.normalise(middle)
     # with the attitude's covariance as it was before the step
-    pkf.predict(params.pkf, filters.pkf, force_C, middle, filters.akf.p, filters.akf.phi)
+    pkf.predict(params.pkf, filters.pkf, step.force_C, middle, filters.akf.p, filters.akf.phi, step.hill)
     if additive:
         _publish_additive(filters)
     else:
@@ -261,12 +264,13 @@ def advance(params, state, memory, imu):
     step = memory[state.cycle % memory.shape[0]]
     copy_into(step.rate_C, imu.rate_C)
     copy_into(step.force_C, imu.force_C)
+    move_hill_frame(params.orbit, (state.cycle - 1) * params.pkf.dt_s, params.pkf.dt_s, step.hill)
     step.n_poses = 0
     step.is_start = 0
     state.nis_position = np.nan
     state.nis_attitude = np.nan
     if state.started != 0:
-        _predict(params, state.filters, step.rate_C, step.force_C)
+        _predict(params, state.filters, step)
         _copy_filters(params, state.filters, step.predicted)
 
 
@@ -281,6 +285,6 @@ def fuse(params, state, memory, pose):
     _fuse_step(params, state, memory[first % n], first * dt)
     for cycle in range(first + 1, state.cycle + 1):
         step = memory[cycle % n]
-        _predict(params, state.filters, step.rate_C, step.force_C)
+        _predict(params, state.filters, step)
         _copy_filters(params, state.filters, step.predicted)
         _fuse_step(params, state, step, cycle * dt)

@@ -2,7 +2,9 @@
 
 Bench paper eq. (11) to (16), with ``H = [-R_CH 0 0]`` (the printed "R_c^c" and transpose are misprints).
 The transition of Hill's equations is exact; the accelerometer's sample is the mean over the step, so
-its noise and the bias act through the same response as the thrust.
+its noise and the bias act through the same response as the thrust. On an ellipse the state also has the difference
+from Hill's equations (``hil.gnc.target_orbit``); the covariance does without it: at e = 0.1 its standard deviations
+are wrong by less than a hundredth after minutes without a pose.
 
 The attitude that takes accelerations and poses between c and H is an estimate, and its error persists from
 frame to frame: at 10 m a hundredth of a degree is 2 mm. This filter therefore carries its correlation
@@ -17,6 +19,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.gnc import joint_covariance
+from hil.gnc.target_orbit import add_ellipse
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix, fill_matrix
 from hil.maths.kalman import invert_symmetric_3
@@ -98,12 +101,12 @@ def transition(params, q_CH, phi):
 
 
 @kernel
-def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi):
+def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi, hill):
     """Carry the state over one step.
 
     measured_force: accelerometer's sample (3,), m/s^2, in c. q_CH: attitude in mid-step. attitude_p: covariance (6, 6)
     before the step of the attitude filter's error; attitude_phi: its transition over it (6, 6), whose lower rows, of
-    a constant drift, are ``[0 I]``.
+    a constant drift, are ``[0 I]``. hill: motion of H over the step, HILL_STEP.
     """
     a, x = stack.matrix(3, 3), stack.vector(6)
     quat.to_matrix_into(q_CH, a)
@@ -116,6 +119,8 @@ def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi):
         x[i] = h[i, 0] * state.x[0] + h[i, 1] * state.x[1] + h[i, 2] * state.x[2]
         x[i] += h[i, 3] * state.x[3] + h[i, 4] * state.x[4] + h[i, 5] * state.x[5]
         x[i] += g[i, 0] * u0 + g[i, 1] * u1 + g[i, 2] * u2
+    if hill.is_elliptic != 0:
+        add_ellipse(hill, params.dt_s, state.x[0:6], x)
     copy_into(state.x[0:6], x)
     joint_covariance.propagate(params, state, a, f0, f1, f2, attitude_p, attitude_phi)
     state.nis = np.nan

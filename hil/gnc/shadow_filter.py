@@ -17,6 +17,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from hil.core.messages import Array
+from hil.gnc.target_orbit import HILL_STEP
 
 _LAG_FRACTION: Final = 0.625  # of the compiled filters' memory
 
@@ -49,12 +50,8 @@ class ShadowFilter:
         self.lag = int(_LAG_FRACTION * params.memory)
         """Steps behind the loop."""
         self._inputs: deque[_Inputs] = deque(maxlen=self.lag + 1)
-        w0 = float(params.akf.orbit_rate)
-        whole = np.zeros((9, 9))  # eq. (11) with an acceleration in H as three further states (Van Loan)
-        whole[:3, 3:6] = whole[3:6, 6:] = np.eye(3)
-        whole[3:6, :3] = w0**2 * np.diag([0.0, -1.0, 3.0])
-        whole[3, 5], whole[5, 3] = 2.0 * w0, -2.0 * w0
-        self._step_in_h = expm(whole * self._dt)
+        self._mean_motion = float(params.orbit.mean_motion)
+        self._on_circle = self._step_in_h(np.zeros(1, HILL_STEP)[0])
         self._position: KalmanFilter | None = None
         self._attitude: ExtendedKalmanFilter | None = None
 
@@ -76,6 +73,16 @@ class ShadowFilter:
                 divergence = self._advance(self._inputs[0], memory[step % len(memory)]) or divergence
         return divergence
 
+    def _step_in_h(self, hill: np.void) -> Array:
+        """Return the transition (9, 9) of [r, v, acceleration] in H over a step, ``hill`` of HILL_STEP (Van Loan)."""
+        n = self._mean_motion
+        whole = np.zeros((9, 9))
+        whole[:3, 3:6] = whole[3:6, 6:] = np.eye(3)
+        whole[3:6, :3] = np.diag([hill["along"], hill["across"] - n**2, hill["down"] + 3.0 * n**2])
+        whole[3, 2], whole[5, 0] = hill["euler"], -hill["euler"]
+        whole[3, 5], whole[5, 3] = 2.0 * n + hill["coriolis"], -2.0 * n - hill["coriolis"]
+        return np.asarray(expm(whole * self._dt))
+
     def _place(self, last: int, poses: np.ndarray) -> None:
         """Put each pose into the step nearest to its exposure; ``last``: number of the newest step."""
         for pose in poses:
@@ -91,7 +98,7 @@ class ShadowFilter:
             if inputs.poses:
                 self._start(inputs.poses[0])
             return None
-        self._predict(inputs)
+        self._predict(inputs, compiled["hill"])
         if compiled["is_start"] == 0:
             divergence = self._compare(compiled)
         for pose in inputs.poses:
@@ -115,11 +122,11 @@ class ShadowFilter:
         self._position.P[3:6, 3:6] = p.initial_velocity_sigma**2 * np.eye(3)
         self._position.P[6:, 6:] = p.initial_bias_sigma**2 * np.eye(3)
 
-    def _predict(self, inputs: _Inputs) -> None:
+    def _predict(self, inputs: _Inputs, hill: np.void) -> None:
         assert self._attitude is not None
         assert self._position is not None
         ekf, kf, dt = self._attitude, self._position, self._dt
-        w0 = float(self._akf_params.orbit_rate)
+        w0 = float(hill["turn"]) / dt
         before = ekf.x[:4].copy()
         # eq. (3): dQ/dt = Omega(w) Q / 2, the rate [0, -w0, 0] of H on the other side
         rate = inputs.rate_C - ekf.x[4:]
@@ -138,9 +145,10 @@ class ShadowFilter:
         middle = before + q
         to_h = _matrix(middle / np.linalg.norm(middle)).T
         # eq. (14): a force in c, and minus a bias in c, act through the response to an acceleration in H
-        response = self._step_in_h[:6, 6:] @ to_h
+        step_in_h = self._step_in_h(hill) if hill["is_elliptic"] else self._on_circle
+        response = step_in_h[:6, 6:] @ to_h
         kf.F, kf.B = np.eye(9), np.zeros((9, 3))
-        kf.F[:6, :6], kf.F[:6, 6:], kf.B[:6] = self._step_in_h[:6, :6], -response, response
+        kf.F[:6, :6], kf.F[:6, 6:], kf.B[:6] = step_in_h[:6, :6], -response, response
         kf.Q = self._pkf_params.sigma_accelerometer**2 * kf.B @ kf.B.T
         kf.Q[6:, 6:] += (dt * self._pkf_params.sigma_bias) ** 2 * np.eye(3)
         kf.predict(u=inputs.force_C)

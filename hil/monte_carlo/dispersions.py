@@ -82,7 +82,10 @@ class Design:
                 self._add(path, raw, scenario, problems)
         if problems:
             raise BadInput(problems)
-        self.touches_gnc = any(component.path[0] == "gnc" for component in self.components)
+        of_orbit = {component.path[1] for component in self.components if component.path[0] == "orbit"}
+        is_elliptic = self._nominal.known_orbit.eccentricity != 0.0
+        self._orbit_is_known = bool(of_orbit & {"altitude_m", "eccentricity"}) or (is_elliptic and bool(of_orbit))
+        self.touches_gnc = self._orbit_is_known or any(component.path[0] == "gnc" for component in self.components)
 
     def _add(self, path: tuple[str, ...], raw: Any, scenario: Loaded[Scenario], problems: list[Problem]) -> None:
         key = f"dispersions.{'.'.join(path)}"
@@ -119,6 +122,7 @@ class Design:
     def apply(self, values: Array, fault: dict[str, Any] | None = None) -> tuple[Scenario, Scenario]:
         """Return the scenario of the truth, and that of the GNC; raise BadInput if one is invalid.
 
+        The GNC has the nominal numbers, the dispersed ones of its own table, and the target's orbit.
         fault: added to those of the scenario.
         """
         truth, gnc = (json.loads(self._text) for _ in range(2))
@@ -128,6 +132,8 @@ class Design:
             _put(truth, component, float(value))
             if component.path[0] == "gnc":
                 _put(gnc, component, float(value))
+        if self._orbit_is_known:
+            gnc["orbit"] = truth["orbit"]
         dispersed = (
             check_table(truth, Scenario, "dispersed").value if self.components or fault is not None else self._nominal
         )

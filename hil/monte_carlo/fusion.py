@@ -57,6 +57,7 @@ class Study:
         self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz
         self._study = study_params(scenario, reading, self.vmu_rate_hz)
         self._filters = gnc_params.navigation(scenario).fusion
+        self._filters.orbit.eccentricity = 0.0  # the motion of the study is Hill's
         self._imu = dynamics_params.imu(scenario)
         self._line = gnc_params.guidance(scenario)
         self._seed = seed

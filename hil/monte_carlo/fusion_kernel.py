@@ -67,7 +67,7 @@ def _attitude(params, t_s):
 def _move(study, filter_params, line, guidance_state, point, cycle, truth):
     """Move ``truth`` on by one step; leave in it what gyro and accelerometer integrate over the step."""
     dt = filter_params.pkf.dt_s
-    w0 = filter_params.akf.orbit_rate
+    w0 = filter_params.orbit.mean_motion
     t_s = (cycle + 0.5) * dt
     guidance.advance(line, guidance_state, t_s, 0, 1)
     guidance.reference(line, guidance_state, t_s, point)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.config.scenario import Scenario
-from hil.config.truth import SolarArray
+from hil.config.truth import Orbit, SolarArray
 from hil.core.messages import TRUTH, Array, new
 from hil.dynamics import gravity_file, orbit
 from hil.dynamics.gravity_file import MOON_GM_M3PS2, MOON_RADIUS_M, GravityField
@@ -28,8 +28,13 @@ def semi_major_axis_m(scenario: Scenario) -> float:
 
 
 def orbit_rate(scenario: Scenario) -> float:
-    """Return the mean orbital rate about a point-mass Moon, rad/s: the only parameter of the orbit that the GNC has."""
-    return math.sqrt(MOON_GM_M3PS2 / semi_major_axis_m(scenario) ** 3)
+    """Return the mean orbital rate about a point-mass Moon, rad/s."""
+    return mean_motion(scenario.orbit)
+
+
+def mean_motion(target: Orbit) -> float:
+    """Return the mean orbital rate of ``target`` about a point-mass Moon, rad/s."""
+    return math.sqrt(MOON_GM_M3PS2 / (MOON_RADIUS_M + target.altitude_m) ** 3)
 
 
 def gravity(scenario: Scenario) -> GravityField:

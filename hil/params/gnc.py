@@ -17,8 +17,10 @@ from hil.gnc.fusion import AS_PRINTED, MULTIPLICATIVE
 from hil.gnc.guidance import APPROACH, FINAL, GUIDANCE_PARAMS, HOLD, RETREAT, WAIT
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.gnc.step import GNC_PARAMS
+from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths import chi_square, euler, quat
-from hil.params.dynamics import orbit_rate
+from hil.maths.kepler import mean_anomaly
+from hil.params.dynamics import mean_motion
 
 _AHEAD_S = 0.02  # by which a pose may be stamped ahead of the loop, at least one step
 
@@ -48,15 +50,14 @@ def navigation(scenario: Scenario) -> np.record:
     """Return NAVIGATION_PARAMS."""
     params = new(NAVIGATION_PARAMS)
     gnc = scenario.gnc
-    w0 = orbit_rate(scenario)
     params.sensors = VISION_AND_IMU if gnc.navigation.sensors == "vision_imu" else VISION_ALONE
     fusion = params.fusion
     fusion.attitude_form = AS_PRINTED if gnc.akf.form == "as_printed" else MULTIPLICATIVE
     fusion.memory = scenario.memory_steps
     fusion.ahead = max(1, round(_AHEAD_S / scenario.sample_s))
+    fusion.orbit = target_orbit(scenario)
     akf = fusion.akf
     akf.dt_s = scenario.sample_s
-    akf.orbit_rate = w0
     akf.sigma_gyro = math.radians(gnc.akf.gyro_noise_degps)
     akf.sigma_drift = math.radians(gnc.akf.gyro_drift_noise_degps2)
     akf.initial_drift = np.radians(gnc.akf.gyro_drift_degps)
@@ -64,8 +65,8 @@ def navigation(scenario: Scenario) -> np.record:
     akf.initial_drift_sigma = math.radians(gnc.akf.initial_drift_sigma_degps)
     pkf = fusion.pkf
     pkf.dt_s = scenario.sample_s
-    pkf.hill_transition = transition(w0, scenario.sample_s)
-    pkf.hill_response = input_response(w0, scenario.sample_s)
+    pkf.hill_transition = transition(fusion.orbit.mean_motion, scenario.sample_s)
+    pkf.hill_response = input_response(fusion.orbit.mean_motion, scenario.sample_s)
     pkf.sigma_accelerometer = gnc.pkf.accelerometer_noise_mps2
     pkf.sigma_bias = gnc.pkf.accelerometer_bias_noise_mps3
     pkf.gate = akf.gate
@@ -78,6 +79,15 @@ def navigation(scenario: Scenario) -> np.record:
     vision.velocity_lag_s = gnc.vision_only.velocity_lag_s
     vision.attitude_lag_s = gnc.vision_only.attitude_lag_s
     vision.rate_lag_s = gnc.vision_only.rate_lag_s
+    return params
+
+
+def target_orbit(scenario: Scenario) -> np.record:
+    """Return TARGET_ORBIT: the target's orbit as the GNC knows it."""
+    known, params = scenario.known_orbit, new(TARGET_ORBIT)
+    params.mean_motion = mean_motion(known)
+    params.eccentricity = known.eccentricity
+    params.mean_anomaly = mean_anomaly(known.eccentricity, math.radians(known.true_anomaly_deg))
     return params
 
 

@@ -16,7 +16,6 @@ from hil.gnc_backends.external import BackendSetup
 from hil.gnc_backends.udp import UdpGnc
 from hil.loop.runner import Runner
 from hil.maths import euler
-from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 
 
@@ -28,7 +27,9 @@ def gnc_setup(scenario: Scenario) -> np.record:
     setup.scenario = scenario.name.encode()[: GNC_SETUP["scenario"].itemsize]
     setup.step_s = scenario.step_s
     setup.duration_s = scenario.duration_s
-    setup.mean_motion_radps = dynamics_params.orbit_rate(scenario)
+    known = gnc_params.target_orbit(scenario)
+    setup.mean_motion_radps, setup.eccentricity = known.mean_motion, known.eccentricity
+    setup.mean_anomaly_rad = known.mean_anomaly
     setup.mass_kg = chaser.mass_kg
     setup.inertia_kgm2 = chaser.inertia_kg_m2
     n = len(thrusters.position_m)

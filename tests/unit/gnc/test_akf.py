@@ -16,8 +16,10 @@ from hil.core.messages import POSE, new
 from hil.gnc import akf
 from hil.maths import quat
 from hil.params import gnc as gnc_params
+from tests.support.hill_steps import on_circle
 
 SIGMA = math.radians(0.033)
+ORBIT_RATE = 8.2e-4  # rad/s
 
 
 @pytest.fixture
@@ -59,24 +61,23 @@ def turned(q: np.ndarray, turn: np.ndarray) -> np.ndarray:
 
 
 def test_step_turns_c_and_hills_frame_exactly(params: np.record, rng: np.random.Generator) -> None:
-    params.orbit_rate = 0.4
+    hill = on_circle(0.4, params.dt_s)
     for rate in (np.array([0.5, -1.0, 0.7]), np.array([200.0, -90.0, 10.0]), np.zeros(3)):
         q, drift = Rotation.random(rng=rng).as_quat(), 0.1 * rng.standard_normal(3)
         state = started(params, q, np.eye(3))
         state.x[4:] = drift
-        akf.predict(params, state, rate)
+        akf.predict(params, state, rate, hill)
         np.testing.assert_allclose(state.x[:4], moved(q, rate - drift, 0.4, params.dt_s), atol=1e-14)
         np.testing.assert_array_equal(state.x[4:], drift)
 
 
 def test_transition_is_the_derivative_of_the_error_over_a_step(params: np.record, rng: np.random.Generator) -> None:
     dt, w0, h = params.dt_s, 0.05, 1e-5
-    params.orbit_rate = w0
     rate, drift = np.array([0.6, -1.0, 0.4]), np.array([0.01, -0.02, 0.03])
     q = Rotation.random(rng=rng).as_quat()
     state = started(params, q, np.eye(3))
     state.x[4:] = drift
-    akf.predict(params, state, rate)
+    akf.predict(params, state, rate, on_circle(w0, dt))
     slope, off = np.zeros((6, 6)), np.empty(6)
     for column in range(6):
         for sign in (1.0, -1.0):
@@ -93,7 +94,8 @@ def test_transition_is_the_derivative_of_the_error_over_a_step(params: np.record
 
 def test_filter_stays_equal_to_filterpy_on_the_same_data(params: np.record, rng: np.random.Generator) -> None:
     params.sigma_gyro, params.sigma_drift, params.initial_drift_sigma = 1e-4, 1e-5, 1e-4
-    dt, turn_of_h = params.dt_s, Rotation.from_rotvec([0.0, params.orbit_rate * params.dt_s, 0.0])
+    dt, turn_of_h = params.dt_s, Rotation.from_rotvec([0.0, ORBIT_RATE * params.dt_s, 0.0])
+    hill = on_circle(ORBIT_RATE, dt)
     root = SIGMA * (np.diag([1.0, 1.5, 2.0]) + 0.2 * rng.standard_normal((3, 3)))
     covariance = root @ root.T
     true = Rotation.from_euler("ZYX", [0.2, -0.1, 0.15])
@@ -114,7 +116,7 @@ def test_filter_stays_equal_to_filterpy_on_the_same_data(params: np.record, rng:
         reference.F[:3, :3], reference.F[:3, 3:] = step.as_matrix().T, -dt * (np.eye(3) - 0.5 * cross(turn))
         reference.x = np.zeros(6)
         reference.predict()
-        akf.predict(params, state, w)
+        akf.predict(params, state, w, hill)
         np.testing.assert_allclose(state.phi, reference.F, atol=1e-15)
         if k % 8 == 7:
             seen = true * Rotation.from_rotvec(root @ rng.standard_normal(3))
@@ -190,12 +192,12 @@ def test_error_is_the_small_turn_from_the_estimate_to_the_truth(params: np.recor
 
 
 def test_rate_is_the_gyros_without_drift_and_without_hills_turn(params: np.record, rng: np.random.Generator) -> None:
-    params.orbit_rate = 0.1
     drift, w_CH, q = np.array([1e-3, 2e-3, -1e-3]), np.array([0.01, -0.02, 0.03]), Rotation.random(rng=rng).as_quat()
     state = started(params, q, np.eye(3))
     state.x[4:] = drift
     after = turned(q, params.dt_s * w_CH)
-    akf.predict(params, state, w_CH + Rotation.from_quat(after).inv().apply([0.0, -0.1, 0.0]) + drift)
+    rate = w_CH + Rotation.from_quat(after).inv().apply([0.0, -0.1, 0.0]) + drift
+    akf.predict(params, state, rate, on_circle(0.1, params.dt_s))
     np.testing.assert_allclose(state.w_CH_C, w_CH, atol=1e-5)  # the turns of c and of H do not commute
 
 
@@ -204,7 +206,7 @@ def test_errors_are_as_large_as_the_covariance_says(params: np.record, rng: np.r
     w, dt = np.array([0.004, -0.003, 0.005]), params.dt_s
     r = SIGMA**2 * np.eye(3)
     true = [Rotation.from_euler("ZYX", [-0.05, 0.05, 0.05]).as_quat()]
-    hill = quat.from_rotation_vector(np.array([0.0, params.orbit_rate * dt, 0.0]))
+    hill, step = quat.from_rotation_vector(np.array([0.0, ORBIT_RATE * dt, 0.0])), on_circle(ORBIT_RATE, dt)
     for _ in range(steps):
         true.append(quat.multiply(quat.from_rotation_vector(w * dt), quat.multiply(true[-1], hill)))
     total, found = dict.fromkeys(marks, 0.0), np.empty(6)
@@ -213,7 +215,7 @@ def test_errors_are_as_large_as_the_covariance_says(params: np.record, rng: np.r
         drift = params.initial_drift + params.initial_drift_sigma * rng.standard_normal(3)
         noise = rng.standard_normal((steps, 6))
         for k in range(1, steps + 1):
-            akf.predict(params, state, w + drift + params.sigma_gyro * noise[k - 1, :3])
+            akf.predict(params, state, w + drift + params.sigma_gyro * noise[k - 1, :3], step)
             drift = drift + dt * params.sigma_drift * noise[k - 1, 3:]
             if k % 8 == 0:
                 fuse(state, turned(true[k], SIGMA * rng.standard_normal(3)), r)

@@ -17,8 +17,10 @@ from hil.gnc import akf, fusion
 from hil.gnc import akf_additive as additive
 from hil.maths import quat
 from hil.params import gnc as gnc_params
+from tests.support.hill_steps import on_circle
 
 SIGMA = math.radians(0.033)
+ORBIT_RATE = 8.2e-4  # rad/s
 
 
 @pytest.fixture
@@ -94,11 +96,11 @@ def test_angle_jacobian_is_the_derivative_of_the_angles(rng: np.random.Generator
 
 
 def test_transition_is_the_derivative_of_the_step(params: np.record, rng: np.random.Generator) -> None:
-    params.orbit_rate = 0.05
+    hill = on_circle(0.05, params.dt_s)
     rate = np.array([0.03, -0.05, 0.02])
     x = np.concatenate([Rotation.random(rng=rng).as_quat(), [1e-3, -2e-3, 3e-3]])
     q_next, phi, other = np.empty(4), np.empty((7, 7)), np.empty((7, 7))
-    additive.transition(params, x, rate, q_next, phi)
+    additive.transition(params, x, rate, hill, q_next, phi)
     np.testing.assert_allclose(
         q_next, expm(params.dt_s * (0.5 * omega(rate - x[4:]) + hill_turn(0.05))) @ x[:4], atol=1e-15
     )
@@ -107,7 +109,7 @@ def test_transition_is_the_derivative_of_the_step(params: np.record, rng: np.ran
         d[column] = 1e-5
         for sign in (1.0, -1.0):
             q = np.empty(4)
-            additive.transition(params, x + sign * d, rate, q, other)
+            additive.transition(params, x + sign * d, rate, hill, q, other)
             ends.append(np.concatenate([q, x[4:] + sign * d[4:]]))
         slope = (ends[0] - ends[1]) / 2e-5
         # the drift's columns leave out half the turn within the step, 0.6 mrad here
@@ -123,11 +125,11 @@ def test_filter_stays_equal_to_filterpy_on_the_same_data(params: np.record, rng:
     additive.start(params, pose_of(true.as_quat(), covariance), state)
     ekf = ExtendedKalmanFilter(dim_x=7, dim_z=3)
     ekf.x, ekf.P = state.x.copy(), state.p.copy()
-    dt = params.dt_s
+    dt, hill = params.dt_s, on_circle(ORBIT_RATE, params.dt_s)
     for k in range(400):
         rate = np.array([0.02, -0.03, 0.01]) + 1e-4 * rng.standard_normal(3)
         true = true * Rotation.from_rotvec(dt * rate)
-        f = expm(dt * (0.5 * omega(rate - ekf.x[4:]) + hill_turn(params.orbit_rate)))
+        f = expm(dt * (0.5 * omega(rate - ekf.x[4:]) + hill_turn(ORBIT_RATE)))
         q_next = f @ ekf.x[:4]
         ekf.F = np.eye(7)
         ekf.F[:4, :4], ekf.F[:4, 4:] = f, -0.5 * dt * xi(q_next)
@@ -136,7 +138,7 @@ def test_filter_stays_equal_to_filterpy_on_the_same_data(params: np.record, rng:
         ekf.Q[:4, :4], ekf.Q[4:, 4:] = gyro * xi(q_next) @ xi(q_next).T, drift * np.eye(3)
         ekf.predict_x = lambda u=0, q=q_next: setattr(ekf, "x", np.concatenate([q / np.linalg.norm(q), ekf.x[4:]]))
         ekf.predict()
-        additive.predict(params, state, rate)
+        additive.predict(params, state, rate, hill)
         if k % 8 == 7:
             seen = (true * Rotation.from_rotvec(SIGMA * rng.standard_normal(3))).as_quat()
             e = 0.5 * jacobian(ekf.x[:4]) @ xi(ekf.x[:4])
@@ -193,9 +195,9 @@ def test_rate_is_the_gyros_without_drift_and_without_hills_turn(params: np.recor
     q, drift = Rotation.random(rng=rng).as_quat(), np.array([1e-3, 2e-3, -1e-3])
     state, w_CH = new(additive.AKF_ADDITIVE_STATE), np.array([0.01, -0.02, 0.03])
     state.x = [*q, *drift]
-    rate = w_CH + Rotation.from_quat(q).inv().apply([0.0, -params.orbit_rate, 0.0]) + drift
-    additive.predict(params, state, rate)
-    np.testing.assert_allclose(state.w_CH_C, w_CH, atol=params.orbit_rate * 1e-3)
+    rate = w_CH + Rotation.from_quat(q).inv().apply([0.0, -ORBIT_RATE, 0.0]) + drift
+    additive.predict(params, state, rate, on_circle(ORBIT_RATE, params.dt_s))
+    np.testing.assert_allclose(state.w_CH_C, w_CH, atol=ORBIT_RATE * 1e-3)
 
 
 class Both:
@@ -210,7 +212,7 @@ class Both:
         own = self.params[0].akf
         self.drift = own.initial_drift + own.initial_drift_sigma * rng.standard_normal(3)
         self.q = Rotation.from_euler("ZYX", [-3.0, pitch_deg, 3.0], degrees=True).as_quat()
-        self._hill = quat.from_rotation_vector(np.array([0.0, own.orbit_rate * own.dt_s, 0.0]))
+        self._hill = quat.from_rotation_vector(np.array([0.0, self.params[0].orbit.mean_motion * own.dt_s, 0.0]))
         self._imu, self._pose = new(IMU), pose_of(self.q, SIGMA**2 * np.eye(3))
         self._pose.covariance_position = 0.005**2 * np.eye(3)
 

@@ -32,7 +32,7 @@ class Flight:
         self._params, self._rng = params, rng
         own, dt = params.pkf, params.pkf.dt_s
         self._w, force_H = np.array([0.02, -0.03, 0.015]), np.array([0.004, -0.002, 0.003])
-        hill = quat.from_rotation_vector(np.array([0.0, params.akf.orbit_rate * dt, 0.0]))
+        hill = quat.from_rotation_vector(np.array([0.0, params.orbit.mean_motion * dt, 0.0]))
         turn = quat.from_rotation_vector(self._w * dt)
         self.x = [np.array([10.0, -0.5, 0.5, velocity, -velocity, velocity])]
         self.q, self.imu = [quat.from_rotation_vector(np.array([0.1, -0.05, 0.08]))], [new(IMU)]
@@ -203,7 +203,7 @@ def test_exposure_between_two_steps_is_fused_at_its_own_time(
     params: np.record, scheme_2: Scenario, part: float
 ) -> None:
     """As by the same filters with steps a quarter as long, to 1 % of what taking it for the step's own would cost."""
-    fine, w0, quarter = params.copy(), params.akf.orbit_rate, params.pkf.dt_s / 4
+    fine, w0, quarter = params.copy(), params.orbit.mean_motion, params.pkf.dt_s / 4
     for own in (fine.akf, fine.pkf):
         own.dt_s = quarter
     fine.pkf.hill_transition, fine.pkf.hill_response = transition(w0, quarter), input_response(w0, quarter)

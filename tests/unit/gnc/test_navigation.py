@@ -48,7 +48,7 @@ class Navigator:
         imu = samples[0]
         for i, pose in enumerate(poses):
             self._poses[i] = pose
-        w0 = own.akf.orbit_rate
+        w0 = own.orbit.mean_motion
         still = np.array([0.0, w0**2 * self.r[1], -3.0 * w0**2 * self.r[2]])
         imu.rate_C = quat.transform(self.q, np.array([0.0, -w0, 0.0])) + own.akf.initial_drift
         imu.rate_C += own.akf.sigma_gyro * self._rng.standard_normal(3)
@@ -153,7 +153,7 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
     params, mounting = gnc_params.navigation(scheme_2), vision_params.mounting(mock_rig)
     vision, akf, pkf = vision_params.vision(scheme_2), params.fusion.akf, params.fusion.pkf
     vision.reference_range = 1e3  # noise as in Table I at every range
-    hill_rate, samples = np.array([0.0, -akf.orbit_rate, 0.0]), np.zeros(1, IMU).view(np.recarray)
+    hill_rate, samples = np.array([0.0, -params.fusion.orbit.mean_motion, 0.0]), np.zeros(1, IMU).view(np.recarray)
     truth, out, two = new(TRUTH), new(NAVIGATION), np.empty(2)
     poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
     truth.q_CH = [0.0, 0.0, 0.0, 1.0]

@@ -17,8 +17,10 @@ from hil.gnc import akf, pkf
 from hil.maths import quat
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
+from tests.support.hill_steps import on_circle
 
 KNOWN, STAYS = np.zeros((6, 6)), np.eye(6)  # covariance and transition of an attitude without error
+HILL = on_circle(8.2e-4, 0.02)
 
 
 @pytest.fixture
@@ -104,7 +106,7 @@ def test_step_carries_state_and_joint_covariance_by_its_own_derivative(
     def after(dx: np.ndarray, turn: np.ndarray) -> np.ndarray:
         other = before.copy()
         other.x += dx
-        pkf.predict(params, other, force, turned(q, turn), attitude_p, attitude_phi)
+        pkf.predict(params, other, force, turned(q, turn), attitude_p, attitude_phi, HILL)
         return other.x.copy()
 
     f = block_diag(np.zeros((9, 9)), attitude_phi)
@@ -117,7 +119,7 @@ def test_step_carries_state_and_joint_covariance_by_its_own_derivative(
     assert np.abs(f[3:6, 9:12]).max() > 0.1
     expected = f @ joint(before, attitude_p) @ f.T
     expected[:9, :9] += process_noise(params, np.vstack([phi[:6, 6:], np.zeros((3, 3))]))
-    pkf.predict(params, state, force, q, attitude_p, attitude_phi)
+    pkf.predict(params, state, force, q, attitude_p, attitude_phi, HILL)
     np.testing.assert_allclose(state.p, expected[:9, :9], atol=1e-8)
     np.testing.assert_allclose(state.c, expected[:9, 9:], atol=1e-8)
     np.testing.assert_array_equal(state.p, state.p.T)
@@ -128,7 +130,7 @@ def test_measured_force_moves_the_state_as_thrust_does(
 ) -> None:
     q, force, state = Rotation.random(rng=rng).as_quat(), np.array([0.01, -0.02, 0.03]), new(pkf.PKF_STATE)
     state.x[6:] = [1e-3, 2e-3, 3e-3]
-    pkf.predict(params, state, force + state.x[6:], q, KNOWN, STAYS)
+    pkf.predict(params, state, force + state.x[6:], q, KNOWN, STAYS, HILL)
     np.testing.assert_allclose(state.x[:6], discrete(scheme_1, q)[1][:6] @ force, atol=1e-10)
 
 
@@ -184,7 +186,7 @@ def test_filter_with_a_known_attitude_stays_equal_to_filterpy_on_the_same_data(
         q, force = attitude.as_quat(), 5e-3 * rng.standard_normal(3)
         phi, psi = discrete(scheme_1, q)
         reference.predict(u=force, B=psi, F=phi, Q=process_noise(params, psi))
-        pkf.predict(params, state, force, q, KNOWN, STAYS)
+        pkf.predict(params, state, force, q, KNOWN, STAYS, HILL)
         if k % 8 == 7:
             z = np.array([-5.0, 0.3, -0.3]) + 0.005 * rng.standard_normal(3)
             h = np.hstack([-quat.to_matrix(q), np.zeros((3, 6))])
@@ -213,9 +215,9 @@ def test_filter_stays_equal_to_a_joint_filter_that_does_not_correct_the_attitude
     gain_a, innovation_a, smallest = np.empty((6, 3)), np.empty(3), math.inf
     for k in range(400):
         before, middle = attitude.p.copy(), attitude.x[:4].copy()
-        akf.predict(own, attitude, np.array([0.02, -0.03, 0.01]) + 1e-3 * rng.standard_normal(3))
+        akf.predict(own, attitude, np.array([0.02, -0.03, 0.01]) + 1e-3 * rng.standard_normal(3), HILL)
         force = np.array([0.02, -0.05, 0.03]) * math.sin(0.05 * k)
-        pkf.predict(params, state, force, middle, before, attitude.phi)
+        pkf.predict(params, state, force, middle, before, attitude.phi, HILL)
         phi, psi = discrete(scheme_1, middle)
         f = block_diag(phi, attitude.phi)
         for i in range(3):
@@ -290,7 +292,8 @@ def test_errors_with_a_known_attitude_are_as_large_as_the_covariance_says(
         noise = rng.standard_normal((max(marks) + 1, 9))
         for k in range(1, max(marks) + 1):
             force = np.array([5e-3 * math.sin(0.01 * k), 2e-3, -3e-3])
-            pkf.predict(params, state, force + truth[6:] + params.sigma_accelerometer * noise[k, :3], q, KNOWN, STAYS)
+            sample = force + truth[6:] + params.sigma_accelerometer * noise[k, :3]
+            pkf.predict(params, state, sample, q, KNOWN, STAYS, HILL)
             truth[:6] = phi[:6, :6] @ truth[:6] + psi[:6] @ force
             truth[6:] += 0.02 * params.sigma_bias * noise[k, 3:6]
             if k % 8 == 0:

@@ -1,0 +1,90 @@
+"""Rate and gravity gradient of the target's Hill frame H, from the elements of its orbit as the GNC knows them.
+
+On an ellipse the frame's rate ``w = d(nu)/dt`` and ``k = GM / r^3`` vary with the true anomaly nu:
+``w = n (1 + e cos nu)^2 / (1 - e^2)^1.5``, ``k = n^2 (1 + e cos nu)^3 / (1 - e^2)^3``, and the relative motion is
+
+    x'' =  2 w z' + w' z + (w^2 - k) x
+    y'' = -k y
+    z'' = -2 w x' - w' x + (w^2 + 2 k) z
+
+(Yamanaka and Ankersen 2002, eq. (9), in the axes of H). The filters apply the exact transition of Hill's equations at
+the mean motion n, and add the difference of the two accelerations.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.jit import kernel
+from hil.maths.kepler import true_anomaly
+
+TARGET_ORBIT = np.dtype(
+    [
+        ("mean_motion", "f8"),  # rad/s
+        ("eccentricity", "f8"),
+        ("mean_anomaly", "f8"),  # rad, at the start of the run
+    ],
+    align=True,
+)
+
+HILL_STEP = np.dtype(
+    [
+        ("turn", "f8"),  # rad, rotation of H over the step, about -y
+        ("rate", "f8"),  # rad/s, of H at the end of the step
+        ("is_elliptic", "i8"),
+        # at mid-step, less than on a circle at the mean motion
+        ("coriolis", "f8"),  # 1/s, 2 w
+        ("euler", "f8"),  # 1/s^2, w'
+        ("along", "f8"),  # 1/s^2, w^2 - k
+        ("across", "f8"),  # 1/s^2, -k
+        ("down", "f8"),  # 1/s^2, w^2 + 2 k
+    ],
+    align=True,
+)
+"""Motion of H over one step of the filters."""
+
+
+@kernel
+def _rate(orbit, nu):
+    """Return the rate of H, rad/s, at the true anomaly ``nu``."""
+    e = orbit.eccentricity
+    rho = 1.0 + e * math.cos(nu)
+    return orbit.mean_motion * rho * rho / math.sqrt((1.0 - e * e) ** 3)
+
+
+@kernel
+def move_hill_frame(orbit, start_s, dt, out):
+    """Write the motion of H (HILL_STEP) over the step of ``dt`` that starts at ``start_s`` of the run."""
+    n = orbit.mean_motion
+    if orbit.eccentricity == 0.0:
+        out.turn, out.rate, out.is_elliptic = n * dt, n, 0
+        return
+    e, first = orbit.eccentricity, orbit.mean_anomaly + n * start_s
+    nu_first, nu_last = true_anomaly(e, first), true_anomaly(e, first + n * dt)
+    nu = 0.5 * (nu_first + nu_last)
+    w = _rate(orbit, nu)
+    rho = 1.0 + e * math.cos(nu)
+    k = n * n * (rho / (1.0 - e * e)) ** 3
+    out.turn, out.rate, out.is_elliptic = nu_last - nu_first, _rate(orbit, nu_last), 1
+    out.coriolis = 2.0 * (w - n)
+    out.euler = -2.0 * e * math.sin(nu) * w * w / rho
+    out.along, out.across, out.down = w * w - k, n * n - k, w * w + 2.0 * k - 3.0 * n * n
+
+
+@kernel
+def add_ellipse(hill, dt, before, after):
+    """Add to ``after`` (6,) what the ellipse changes over a step of ``dt`` from ``before`` (6,): [r, v], in H."""
+    x, y, z = 0.5 * (before[0] + after[0]), 0.5 * (before[1] + after[1]), 0.5 * (before[2] + after[2])
+    vx, vz = 0.5 * (before[3] + after[3]), 0.5 * (before[5] + after[5])
+    ax = hill.coriolis * vz + hill.euler * z + hill.along * x
+    ay = hill.across * y
+    az = -hill.coriolis * vx - hill.euler * x + hill.down * z
+    half = 0.5 * dt * dt
+    after[0] += half * ax
+    after[1] += half * ay
+    after[2] += half * az
+    after[3] += dt * ax
+    after[4] += dt * ay
+    after[5] += dt * az
