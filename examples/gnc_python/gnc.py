@@ -34,7 +34,6 @@ SETUP = np.dtype(
         ("thruster_position_m", "<f8", (24, 3)), ("thruster_force_N", "<f8", (24, 3)), ("minimum_on_s", "<f8"),
         ("acceleration_mps2", "<f8", 3), ("angular_acceleration_radps2", "<f8", 3), ("start_r_CT_H_m", "<f8", 3),
         ("start_q_CH", "<f8", 4), ("ready_point_m", "<f8", 3), ("closing_rate_max_mps", "<f8"),
-        ("eccentricity", "<f8"), ("mean_anomaly_rad", "<f8"),
     ]
 )  # fmt: skip
 POSE = np.dtype(

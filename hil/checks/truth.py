@@ -38,7 +38,7 @@ def _check_orbit(scenario: Loaded[Scenario]) -> list[Problem]:
 
 
 def _check_ephemeris(scenario: Loaded[Scenario]) -> list[Problem]:
-    known, errors = scenario.value.known_orbit, scenario.value.gnc.ephemeris
+    known, errors = scenario.value.gnc_orbit, scenario.value.gnc.ephemeris
     problems = []
     if not 0.0 <= known.eccentricity < 0.1:
         key = "gnc.ephemeris.eccentricity_error"

@@ -457,8 +457,8 @@ class Scenario(ConfigModel):
     console: LiveTuning = LiveTuning()
 
     @property
-    def known_orbit(self) -> Orbit:
-        """The target's orbit as the GNC knows it: with the errors of its ephemeris."""
+    def gnc_orbit(self) -> Orbit:
+        """The target's orbit in the GNC: with the errors of its ephemeris."""
         errors = self.gnc.ephemeris
         changes = {
             "altitude_m": self.orbit.altitude_m + errors.semi_major_axis_error_m,

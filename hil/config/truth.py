@@ -40,7 +40,7 @@ class Orbit(ConfigModel):
 
 
 class Ephemeris(ConfigModel):
-    """Errors of the target's orbit as the GNC knows it: what it has minus what is true."""
+    """Errors of the target's orbit in the GNC: its value minus the true one."""
 
     semi_major_axis_error_m: float = 0.0
     """Error of the semi-major axis."""

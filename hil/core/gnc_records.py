@@ -88,7 +88,7 @@ GNC_SETUP_FIELDS: Final = (
     Field("scenario", "S32", (), "", "", "name of the scenario"),
     Field("step_s", "f8", (), "s", "", "length of a cycle"),
     Field("duration_s", "f8", (), "s", "", "length of the run"),
-    Field("mean_motion_radps", "f8", (), "rad/s", "", "of the target's orbit"),
+    Field("mean_motion_radps", "f8", (), "rad/s", "", "of the target's orbit: Hill's equations"),
     Field("mass_kg", "f8", (), "kg", "", "nominal mass of the chaser"),
     Field("inertia_kgm2", "f8", (3, 3), "kg m^2", "c", "nominal inertia of the chaser"),
     Field("n_thrusters", "i8", (), "1", "", "number of thrusters; the other places are zero"),
@@ -101,8 +101,6 @@ GNC_SETUP_FIELDS: Final = (
     Field("start_q_CH", "f8", 4, "1", "H to c", "attitude at the start"),
     Field("ready_point_m", "f8", 3, "m", "H", "where the chaser waits for docking"),
     Field("closing_rate_max_mps", "f8", (), "m/s", "", "largest closing rate"),
-    Field("eccentricity", "f8", (), "1", "", "of the target's orbit"),
-    Field("mean_anomaly_rad", "f8", (), "rad", "", "of the target at the start of the run"),
 )
 GNC_SETUP: Final = record_dtype(GNC_SETUP_FIELDS)
 """Nominal vehicle and plan, known to a GNC before the run; the dispersed vehicle is not."""

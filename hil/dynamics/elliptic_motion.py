@@ -25,7 +25,8 @@ def transition(mean_motion: float, eccentricity: float, nu: float, t_s: float) -
     solutions = np.linalg.solve(
         _solutions(eccentricity, start, 0.0).T, _solutions(eccentricity, end, k_squared * t_s).T
     ).T
-    return np.linalg.inv(_scaled(eccentricity, end, k_squared)) @ solutions @ _scaled(eccentricity, start, k_squared)
+    moved: np.ndarray = solutions @ _scaled(eccentricity, start, k_squared)
+    return np.asarray(np.linalg.solve(_scaled(eccentricity, end, k_squared), moved))
 
 
 def _scaled(e: float, nu: float, k_squared: float) -> np.ndarray:

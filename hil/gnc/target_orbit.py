@@ -1,4 +1,4 @@
-"""Rate and gravity gradient of the target's Hill frame H, from the elements of its orbit as the GNC knows them.
+"""Rate and gravity gradient of the target's Hill frame H, from the elements of its orbit in the ephemeris of the GNC.
 
 On an ellipse the frame's rate ``w = d(nu)/dt`` and ``k = GM / r^3`` vary with the true anomaly nu:
 ``w = n (1 + e cos nu)^2 / (1 - e^2)^1.5``, ``k = n^2 (1 + e cos nu)^3 / (1 - e^2)^3``, and the relative motion is

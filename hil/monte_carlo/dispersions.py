@@ -83,9 +83,9 @@ class Design:
         if problems:
             raise BadInput(problems)
         of_orbit = {component.path[1] for component in self.components if component.path[0] == "orbit"}
-        is_elliptic = self._nominal.known_orbit.eccentricity != 0.0
-        self._orbit_is_known = bool(of_orbit & {"altitude_m", "eccentricity"}) or (is_elliptic and bool(of_orbit))
-        self.touches_gnc = self._orbit_is_known or any(component.path[0] == "gnc" for component in self.components)
+        is_elliptic = self._nominal.gnc_orbit.eccentricity != 0.0
+        self._orbit_is_dispersed = bool(of_orbit & {"altitude_m", "eccentricity"}) or (is_elliptic and bool(of_orbit))
+        self.touches_gnc = self._orbit_is_dispersed or any(component.path[0] == "gnc" for component in self.components)
 
     def _add(self, path: tuple[str, ...], raw: Any, scenario: Loaded[Scenario], problems: list[Problem]) -> None:
         key = f"dispersions.{'.'.join(path)}"
@@ -132,7 +132,7 @@ class Design:
             _put(truth, component, float(value))
             if component.path[0] == "gnc":
                 _put(gnc, component, float(value))
-        if self._orbit_is_known:
+        if self._orbit_is_dispersed:
             gnc["orbit"] = truth["orbit"]
         dispersed = (
             check_table(truth, Scenario, "dispersed").value if self.components or fault is not None else self._nominal

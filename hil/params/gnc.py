@@ -83,8 +83,8 @@ def navigation(scenario: Scenario) -> np.record:
 
 
 def target_orbit(scenario: Scenario) -> np.record:
-    """Return TARGET_ORBIT: the target's orbit as the GNC knows it."""
-    known, params = scenario.known_orbit, new(TARGET_ORBIT)
+    """Return TARGET_ORBIT: the target's orbit with the errors of the GNC's ephemeris."""
+    known, params = scenario.gnc_orbit, new(TARGET_ORBIT)
     params.mean_motion = mean_motion(known)
     params.eccentricity = known.eccentricity
     params.mean_anomaly = mean_anomaly(known.eccentricity, math.radians(known.true_anomaly_deg))

@@ -27,9 +27,7 @@ def gnc_setup(scenario: Scenario) -> np.record:
     setup.scenario = scenario.name.encode()[: GNC_SETUP["scenario"].itemsize]
     setup.step_s = scenario.step_s
     setup.duration_s = scenario.duration_s
-    known = gnc_params.target_orbit(scenario)
-    setup.mean_motion_radps, setup.eccentricity = known.mean_motion, known.eccentricity
-    setup.mean_anomaly_rad = known.mean_anomaly
+    setup.mean_motion_radps = gnc_params.target_orbit(scenario).mean_motion
     setup.mass_kg = chaser.mass_kg
     setup.inertia_kgm2 = chaser.inertia_kg_m2
     n = len(thrusters.position_m)
