@@ -41,6 +41,29 @@ class Sensor(ConfigModel):
     """Read noise, 1 sigma."""
 
 
+class Tolerances(ConfigModel):
+    """Errors of calibration and target, 1 sigma, that the pose's covariance includes.
+
+    By default those of a usual calibration on a chessboard; zeros for cameras and LEDs that are exact (simulation).
+    The covariance of ``hil calibrate`` takes the place of those that it covers.
+    """
+
+    principal_point_px: NotNegative = 0.2
+    """Principal point of each camera, along u and v."""
+    focal_fraction: NotNegative = 1e-3
+    """Focal length of each camera, relative."""
+    distortion_px: NotNegative = 0.2
+    """Lens distortion at the image's corner."""
+    rotation_deg: NotNegative = 0.02
+    """Rotation of the right camera, about each axis."""
+    baseline_m: NotNegative = 1e-4
+    """Position of the right camera, along each axis."""
+    led_m: NotNegative = 1e-4
+    """Position of each LED, along each axis."""
+    spot_px: NotNegative = 0.02
+    """Least error of a spot beyond its noise; a larger one is estimated from the residuals."""
+
+
 class VmuGeometry(ConfigModel):
     """Target and cameras of a vision unit."""
 
@@ -57,5 +80,6 @@ class VmuGeometry(ConfigModel):
     marked_led: Annotated[int, Field(ge=0)] | None = None
     """Index of an LED that is brighter by a factor of at least 1.3."""
     sensor: Sensor | None = None
+    tolerances: Tolerances = Tolerances()
     calibration: Calibration | None = None
     """Record of ``hil calibrate``."""

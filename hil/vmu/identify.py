@@ -129,7 +129,7 @@ class Identifier:
         degrees = 2 * int(fit["points"]) - 6
         if 0 < degrees <= _FEW_DEGREES:  # too few to identify an outlier: one may be a stray light
             part = 2.0 / (9.0 * degrees)
-            if fit["chi2"] > degrees * (1.0 - part + _FEW_SIGMA * math.sqrt(part)) ** 3:
+            if fit["misfit"] > degrees * (1.0 - part + _FEW_SIGMA * math.sqrt(part)) ** 3:
                 return False
         t = fit["t"]
         away = float(np.linalg.norm(t))

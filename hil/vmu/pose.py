@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +12,17 @@ import numpy.typing as npt
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array
 from hil.maths import quat
-from hil.vmu.geometry import camera_pair, led_positions
-from hil.vmu.kernels.hypotheses import chi_square_growth
-from hil.vmu.kernels.match import assign, fill_spot_ray, led_windows, score_fit
-from hil.vmu.kernels.pose_search import SEARCH, STATE_FITS, STATE_FULL, add_converged, search
+from hil.vmu.geometry import camera_pair, considered_covariance, led_positions, spot_floors
+from hil.vmu.kernels.budget import chi_square_growth, fill_shared
+from hil.vmu.kernels.match import assign, fill_spot_ray, led_windows
+from hil.vmu.kernels.pose_search import (
+    SEARCH,
+    STATE_FITS,
+    STATE_FULL,
+    STATE_WIDTH,
+    add_settled,
+    search,
+)
 from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SPOT_RAY, RingScene, View
 from hil.vmu.kernels.start_poses import orientation_of
 
@@ -24,6 +32,10 @@ _LINEAR = (0.6, 1.7)  # growth of chi-square relative to the covariance for whic
 _FAR = 5.0  # sigmas
 _FLAT = 0.05  # thickness over extent
 _STRAY_FACTOR = 10.0  # density of stray lights near the target relative to the whole image
+_OPTICS_PX = 0.15  # error of a spot that gates and search allow in any case
+_TYPICAL_RANGE_M = 1.5  # at which they assess the tolerances
+_TURNED = 2  # best hypotheses whose turns are compared
+_SAME_TURN = 0.35  # of the least distance of two LEDs: by how much a turn of the ring may miss one
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +87,9 @@ class Solver:
         self._search.normal, self._search.centre = self.normal_t, self.centre_t
         self._starts = np.zeros(_REMEMBERED + 1, FIT)
         self._fits = np.zeros(_FITS + 1, FIT)
-        self._state = np.zeros(4, np.int64)
+        self._settled = np.zeros(_FITS + 1, FIT)
+        self._state = np.zeros(STATE_WIDTH, np.int64)
+        self._turns = list(ring_turns(self.scene.leds, self.normal_t))
 
     def view(self, left: np.ndarray, right: np.ndarray) -> View:
         """Return the spots (SPOT) of both images as rays; of more than MAX_SPOTS the brightest."""
@@ -86,7 +100,7 @@ class Solver:
             if len(spots) > MAX_SPOTS:
                 chosen = np.sort(np.argsort(spots["flux"])[::-1][:MAX_SPOTS])
             for k, index in enumerate(chosen):
-                fill_spot_ray(self.scene.lens[c], spots[index], rays[c, k])
+                fill_spot_ray(self.scene.lens[c], self.scene.slack[c], spots[index], rays[c, k])
             counts[c] = len(chosen)
             order[c, : len(chosen)] = chosen
         return View(rays, counts, order)
@@ -105,29 +119,46 @@ class Solver:
             self._search.away = _COARSE * float(np.linalg.norm(sigma[:3]))
             self._search.least_trace = 1.0 + 2.0 * math.cos(angle)
         count = search(self.scene, view, self._search, self._starts, self._fits, self._state)
-        return self._scored(view, count), not self._state[STATE_FULL]
+        complete = not self._state[STATE_FULL]
+        found = self._fit(view, self._fits[:count])
+        turned = [turn for fit in found[np.argsort(found["score"])[::-1][:_TURNED]] for turn in self._turned(fit)]
+        if turned:
+            found = self._fit(view, np.concatenate([found, *turned]))
+        return found, complete
 
     def from_start(self, view: View, r: Array, t: Array, spots: npt.NDArray[np.int64]) -> np.ndarray:
-        """Return the pose (FIT) converged from a start with first ``spots`` (2, MAX_LEDS), and its mirror image."""
-        self._state[:] = 0
-        start = self._starts[-1]
+        """Return the pose (FIT) fitted from a start with first ``spots`` (2, MAX_LEDS), and its mirror image."""
+        start = np.zeros(1, FIT)
         start["r"], start["t"], start["spot"] = r, t, spots
-        add_converged(self.scene, view, self._search, start, self._fits, self._state)
-        return self._scored(view, self._state[STATE_FITS])
+        return self._fit(view, start)
 
-    def _scored(self, view: View, count: int) -> np.ndarray:
+    def _fit(self, view: View, starts: np.ndarray) -> np.ndarray:
+        """Return the distinct poses (FIT) within the error budget that follow from ``starts``, with their scores."""
+        self._state[:] = 0
         density = self.stray_density(view)
-        for fit in self._fits[:count]:
-            score_fit(self.scene, view, density, fit)
-        return self._fits[:count].copy()
+        for start in starts.copy():
+            add_settled(self.scene, view, self._search, density, start, self._settled, self._state)
+        return self._settled[: self._state[STATE_FITS]].copy()
+
+    def _turned(self, fit: np.void) -> list[np.ndarray]:
+        """Return a start (FIT) for every turn of the ring onto itself: the same spots, each of another LED."""
+        found = []
+        for turn, moved in self._turns:
+            start = np.zeros(1, FIT)
+            start["spot"] = -1
+            start["r"] = fit["r"] @ turn.T
+            start["t"] = fit["t"] + (fit["r"] - start["r"][0]) @ self.centre_t
+            for n, m in enumerate(moved):
+                start["spot"][0, :, m] = fit["spot"][:, n]
+            found.append(start)
+        return found
 
     def expected(
         self, view: View, r: Array, t: Array, covariance: Array, reach_px: float
     ) -> tuple[npt.NDArray[np.int64], int]:
         """Return the spots (2, MAX_LEDS) within the gates of a predicted pose, and the number of ambiguous gates."""
         spots = np.full((2, MAX_LEDS), -1, np.int64)
-        barred = np.full((2, MAX_LEDS), -1, np.int64)
-        return spots, assign(self.scene, view, r, t, covariance, reach_px, barred, spots)
+        return spots, assign(self.scene, view, r, t, covariance, reach_px, spots)
 
     def windows(self, prediction: Prediction) -> tuple[Array, Array]:
         """Return the windows (k, 4), px, of the predicted LEDs per camera: first pixel u, v, last pixel + 1."""
@@ -168,7 +199,40 @@ def scene_of(geometry: VmuGeometry, settings: SolverSettings) -> RingScene:
         [[[orientation_of(leds, p, q, s, least_facing) for s in range(n)] for q in range(n)] for p in range(n)],
         np.int64,
     )
-    return RingScene(pair.lens, pair.rotation, pair.translation, leds, squares, sides)
+    tolerance, floors = considered_covariance(geometry), spot_floors(geometry.tolerances.spot_px)
+    found = RingScene(
+        pair.lens, pair.rotation, pair.translation, leds, squares, sides, tolerance, floors, np.zeros(2)
+    )
+    return found._replace(slack=_slack(found))
+
+
+def _slack(scene: RingScene) -> Array:
+    """Return the variance per camera, px^2, that gates and search add: of the tolerances at a typical range."""
+    n = len(scene.leds)
+    which = np.array([[c, led] for c in range(2) for led in range(n)])
+    shared = np.zeros((4 * n, 4 * n))
+    fill_shared(scene, np.eye(3), np.array([0.0, 0.0, _TYPICAL_RANGE_M]), which, 2 * n, shared)
+    variances = np.diag(shared).reshape(2, 2 * n).max(axis=1)
+    found: Array = variances + _OPTICS_PX**2
+    return found
+
+
+def ring_turns(leds: Array, normal: Array) -> Iterator[tuple[Array, npt.NDArray[np.int64]]]:
+    """Yield the rotations (3, 3) about ``normal`` that take the LEDs nearly onto each other, and where each LED goes.
+
+    Offsets along ``normal`` do not count: a raised LED makes the ring unique, but only just, if it is far away.
+    """
+    flat = leds - leds.mean(axis=0)
+    flat = flat - np.outer(flat @ normal, normal)
+    apart = np.linalg.norm(flat[:, None] - flat[None, :], axis=2)
+    reach = _SAME_TURN * float(apart[apart > 0.0].min(initial=np.inf))
+    for m in range(1, len(leds)):
+        cosine, sine = float(flat[0] @ flat[m]), float(normal @ np.cross(flat[0], flat[m]))
+        turn = quat.to_matrix(quat.from_rotation_vector(-math.atan2(sine, cosine) * normal))
+        away = np.linalg.norm((flat @ turn.T)[:, None] - flat[None, :], axis=2)
+        moved = away.argmin(axis=1)
+        if away.min(axis=1).max() < reach and len(set(moved.tolist())) == len(leds):
+            yield turn, moved
 
 
 def thin_axis(leds: Array) -> Array:

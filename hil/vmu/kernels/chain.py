@@ -16,7 +16,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.maths import euler, quat
-from hil.vmu.kernels.lens import LENS, distort, project_slopes
+from hil.vmu.kernels.lens import LENS, distort, lens_slopes, project_slopes
 
 # indices of the shared unknowns in a vector of COMMON
 LEFT: Final = 0  # fx fy cx cy k1 k2 p1 p2 k3
@@ -121,29 +121,6 @@ def fill_lens(lens, theta, first):
     lens.p1 = theta[first + 6]
     lens.p2 = theta[first + 7]
     lens.k3 = theta[first + 8]
-
-
-@kernel
-def lens_slopes(lens, x, y, out):
-    """Write the derivatives of the pixel of the ideal point (x, y) by fx fy cx cy k1 k2 p1 p2 k3 to out (2, 9)."""
-    xd, yd = distort(lens, x, y)
-    r2 = x * x + y * y
-    for m in range(2):
-        for n in range(9):
-            out[m, n] = 0.0
-    out[0, 0] = xd
-    out[1, 1] = yd
-    out[0, 2] = 1.0
-    out[1, 3] = 1.0
-    power = r2
-    for n in (4, 5, 8):
-        out[0, n] = lens.fx * x * power
-        out[1, n] = lens.fy * y * power
-        power *= r2
-    out[0, 6] = lens.fx * 2.0 * x * y
-    out[1, 6] = lens.fy * (r2 + 2.0 * y * y)
-    out[0, 7] = lens.fx * (r2 + 2.0 * x * x)
-    out[1, 7] = lens.fy * 2.0 * x * y
 
 
 @kernel

@@ -8,7 +8,6 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.vmu.kernels.match import chi_square_limit
-from hil.vmu.kernels.refine import chi_square, rotate
 
 _SAME_SQUARE = 1.0  # Mahalanobis distance of two poses that count as one
 _CLOSE = 1e-7  # and m or rad below which they do in any case
@@ -92,18 +91,3 @@ def is_known(fits, count, fit, d):
                 fits[k] = fit
             return True
     return False
-
-
-@kernel
-def chi_square_growth(scene, view, fit, direction, sigmas):
-    """Return the growth of chi-square at ``sigmas`` sigmas from ``fit`` along ``direction``, over the expected growth.
-
-    direction: (6,), one sigma of the pose along an axis of its covariance. 1 if the problem is linear up to there, so
-    that the covariance is valid.
-    """
-    r, t, e = np.empty((3, 3)), np.empty(3), np.empty(3)
-    for i in range(3):
-        t[i] = fit.t[i] + sigmas * direction[i]
-        e[i] = sigmas * direction[3 + i]
-    rotate(fit.r, e, r)
-    return (chi_square(scene, view, fit.spot, r, t) - fit.chi2) / (sigmas * sigmas)

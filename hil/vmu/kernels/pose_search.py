@@ -8,10 +8,13 @@ search starts at the largest m, and ends when no better hypothesis can remain.
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.maths.arrays import copy_matrix
+from hil.vmu.kernels.budget import settle
 from hil.vmu.kernels.hypotheses import acceptable, is_known, mirror
 from hil.vmu.kernels.match import converge
 from hil.vmu.kernels.p3p import axes_of_three, ray_lengths
@@ -37,16 +40,18 @@ SEARCH = np.dtype(
     align=True,
 )
 
-STATE_FITS, STATE_BEST, STATE_FULL, STATE_STARTS = range(4)
-"""Indices of ``state``: fits found, largest number of spots of one, whether some were dropped, starts tried."""
+STATE_FITS, STATE_BEST, STATE_FULL, STATE_STARTS, STATE_TRIPLES = range(5)
+STATE_WIDTH: Final = 5
+"""Indices of ``state``: fits found, largest number of spots of one, whether some were dropped, starts and triples tried."""
 
-_MOST_STARTS = 600
+_MOST_STARTS = 400
+_MOST_TRIPLES = 40_000  # of three spots and three LEDs: the time budget of an image pair
 _SLACK = 2  # fits with up to this many spots fewer than the best are kept
 
 
 @kernel
 def try_start(scene, view, settings, start, starts, fits, state):
-    """Converge ``start`` and its mirror image unless already tried; append the valid poses to ``fits``.
+    """Converge ``start`` unless already tried; append a new valid pose to ``fits``.
 
     The last elements of ``fits`` and of ``starts``, the list of tried starts, are scratch.
     """
@@ -58,33 +63,28 @@ def try_start(scene, view, settings, start, starts, fits, state):
         return
     starts[state[STATE_STARTS] % (starts.shape[0] - 1)] = start
     state[STATE_STARTS] += 1
-    add_converged(scene, view, settings, start, fits, state)
+    fit = fits[fits.shape[0] - 1]
+    fits[fits.shape[0] - 1] = start
+    converge(scene, view, settings.gate_px, fit)
+    add_new(fits, state)
 
 
 @kernel
-def add_converged(scene, view, settings, start, fits, state):
-    """Converge ``start``, then the mirror image of the result; append the new poses to ``fits``."""
+def add_new(fits, state):
+    """Append the hypothesis in the last element of ``fits`` if it passes its test and is new; return whether it was."""
     d = np.empty(6)
     fit = fits[fits.shape[0] - 1]
-    fits[fits.shape[0] - 1] = start
-    for side in range(2):
-        if side == 1:
-            mirror(fit.r, fit.t, settings.normal, settings.centre, start.r, start.t)
-            for c in range(2):
-                for m in range(MAX_LEDS):
-                    start.spot[c, m] = fit.spot[c, m]
-            fits[fits.shape[0] - 1] = start
-        converge(scene, view, settings.gate_px, fit)
-        if not acceptable(fit) or is_known(fits, state[STATE_FITS], fit, d):
-            return
-        state[STATE_BEST] = max(state[STATE_BEST], fit.points)
-        if state[STATE_FITS] == fits.shape[0] - 1:
-            drop_poor(fits, state)
-        if state[STATE_FITS] == fits.shape[0] - 1:
-            state[STATE_FULL] = 1
-            return
-        fits[state[STATE_FITS]] = fit
-        state[STATE_FITS] += 1
+    if not acceptable(fit) or is_known(fits, state[STATE_FITS], fit, d):
+        return False
+    state[STATE_BEST] = max(state[STATE_BEST], fit.points)
+    if state[STATE_FITS] == fits.shape[0] - 1:
+        drop_poor(fits, state)
+    if state[STATE_FITS] == fits.shape[0] - 1:
+        state[STATE_FULL] = 1
+        return False
+    fits[state[STATE_FITS]] = fit
+    state[STATE_FITS] += 1
+    return True
 
 
 @kernel
@@ -99,10 +99,29 @@ def drop_poor(fits, state):
 
 
 @kernel
-def search_triple(scene, view, settings, c, trio, least, allowed, starts, fits, state):
+def add_settled(scene, view, settings, density, start, fits, state):
+    """Fit ``start`` within the error budget, then the mirror image of the result; append the new ones to ``fits``.
+
+    density: (2,), px^-2, of stray lights. The last element of ``fits`` is scratch.
+    """
+    trial = np.empty_like(fits[:1])
+    fit = fits[fits.shape[0] - 1]
+    fits[fits.shape[0] - 1] = start
+    for side in range(2):
+        if side == 1:
+            mirror(fit.r, fit.t, settings.normal, settings.centre, start.r, start.t)
+            copy_matrix(start.spot, fit.spot)
+            fits[fits.shape[0] - 1] = start
+        settle(scene, view, density, settings.gate_px, fit, trial[0])
+        if not add_new(fits, state):
+            return
+
+
+@kernel
+def search_triple(scene, view, settings, c, trio, least, allowed, some, starts, fits, state):
     """Try every three LEDs for the three spots ``trio`` of camera c.
 
-    least: number of its spots to be explained. allowed: see ``allow_pairs``.
+    least: number of its spots to be explained. allowed, some: see ``allow_pairs``.
     """
     leds, squares = scene.leds, scene.squares
     n = leds.shape[0]
@@ -110,6 +129,8 @@ def search_triple(scene, view, settings, c, trio, least, allowed, starts, fits, 
     a, b, d = view.spots[c, i], view.spots[c, j], view.spots[c, k]
     y1, y2, y3 = a.ray, b.ray, d.ray
     if not math.isfinite(y1[0] + y2[0] + y3[0]):
+        return
+    if not (some[i, j] and some[i, k] and some[j, k]):
         return
     du1, dv1, du2, dv2 = b.u - a.u, b.v - a.v, d.u - a.u, d.v - a.v
     side = 1 if du1 * dv2 - dv1 * du2 > 0.0 else -1
@@ -129,6 +150,10 @@ def search_triple(scene, view, settings, c, trio, least, allowed, starts, fits, 
                     continue
                 if not (allowed[i, j, p, q] and allowed[i, k, p, s] and allowed[j, k, q, s]):
                     continue
+                if state[STATE_TRIPLES] >= _MOST_TRIPLES:
+                    state[STATE_FULL] = 1
+                    return
+                state[STATE_TRIPLES] += 1
                 found = ray_lengths(
                     y1, y2, y3, squares[p, q], squares[p, s], squares[q, s], here, vectors, values, lengths
                 )
@@ -154,7 +179,7 @@ def search_triple(scene, view, settings, c, trio, least, allowed, starts, fits, 
 
 
 @kernel
-def search_level(scene, view, settings, c, level, allowed, starts, fits, state):
+def search_level(scene, view, settings, c, level, allowed, some, starts, fits, state):
     """Try the triples of camera c that cover any hypothesis that explains ``level`` spots of it."""
     trio = np.empty(3, np.int64)
     # one more than needed: a light visible to this camera only may have a wrong partner in the other one
@@ -163,27 +188,28 @@ def search_level(scene, view, settings, c, level, allowed, starts, fits, state):
         for j in range(1, k):
             for i in range(j):
                 trio[0], trio[1], trio[2] = i, j, k
-                search_triple(scene, view, settings, c, trio, level, allowed, starts, fits, state)
+                search_triple(scene, view, settings, c, trio, level, allowed, some, starts, fits, state)
 
 
 @kernel
 def search(scene, view, settings, starts, fits, state):
     """Write all poses that explain the most spots, or nearly so, to ``fits``; return how many.
 
-    The last elements of ``starts`` and of ``fits`` are scratch. state: (4,), see STATE_FITS.
+    The last elements of ``starts`` and of ``fits`` are scratch. state: (STATE_WIDTH,), see STATE_FITS.
     """
     n = scene.leds.shape[0]
-    for k in range(4):
+    for k in range(STATE_WIDTH):
         state[k] = 0
     first = 0 if view.counts[0] >= 3 else 1
     other = 1 - first
     # any three lights of a single camera give a pose: valid only near a prediction
     lowest = 3 if view.counts[other] >= 2 or settings.predicted == 1 else 4
     allowed = np.empty((MAX_SPOTS, MAX_SPOTS, n, n), np.uint8)
-    allow_pairs(scene, view, first, settings.near, settings.far, allowed)
+    some = np.empty((MAX_SPOTS, MAX_SPOTS), np.uint8)
+    allow_pairs(scene, view, first, settings.near, settings.far, allowed, some)
     level = min(view.counts[first], n)
     while level >= lowest:
-        search_level(scene, view, settings, first, level, allowed, starts, fits, state)
+        search_level(scene, view, settings, first, level, allowed, some, starts, fits, state)
         mine = 0
         for k in range(state[STATE_FITS]):
             if fits[k].points == state[STATE_BEST]:
@@ -199,9 +225,9 @@ def search(scene, view, settings, starts, fits, state):
     # an equally good hypothesis not yet found has few spots in the first image and many in the other
     lowest = 3 if view.counts[first] >= 2 or settings.predicted == 1 else 4
     own = min(view.counts[other], n)
-    allow_pairs(scene, view, other, settings.near, settings.far, allowed)
+    allow_pairs(scene, view, other, settings.near, settings.far, allowed, some)
     while own >= max(lowest, state[STATE_BEST] - level + 1):
-        search_level(scene, view, settings, other, own, allowed, starts, fits, state)
+        search_level(scene, view, settings, other, own, allowed, some, starts, fits, state)
         own -= 1
     drop_poor(fits, state)
     return state[STATE_FITS]

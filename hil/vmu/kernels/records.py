@@ -10,8 +10,10 @@ import numpy.typing as npt
 from hil.core.messages import Array
 
 MAX_LEDS: Final = 8
-MAX_SPOTS: Final = 16
+MAX_SPOTS: Final = 64
 """Spots per image used by identification."""
+SHARED: Final = 24
+"""Considered parameters that all LEDs share: 9 of each lens, rotation and position of the right camera."""
 
 SPOT = np.dtype(
     [
@@ -38,10 +40,13 @@ SPOT_RAY = np.dtype(
     [
         ("u", "f8"),  # px, centre of the spot
         ("v", "f8"),
-        ("var_u", "f8"),  # px^2, its covariance
+        ("noise_uu", "f8"),  # px^2, covariance of its noise
+        ("noise_vv", "f8"),
+        ("noise_uv", "f8"),
+        ("var_u", "f8"),  # px^2, the same plus what gates and the search allow for calibration and optics
         ("var_v", "f8"),
         ("cov_uv", "f8"),
-        ("w_uu", "f8"),  # px^-2, inverse of the covariance
+        ("w_uu", "f8"),  # px^-2, inverse of the latter
         ("w_uv", "f8"),
         ("w_vv", "f8"),
         ("ray", "f8", 3),  # unit vector to the light in the camera's axes; NaN if the distortion cannot be inverted
@@ -56,12 +61,16 @@ FIT = np.dtype(
         ("r", "f8", (3, 3)),  # p_v = r p_t + t
         ("t", "f8", 3),  # m
         ("covariance", "f8", (6, 6)),  # of t and of the small rotation e about v's axes
+        ("noise", "f8", (6, 6)),  # the part of it that is independent between images
         ("spot", "i8", (2, MAX_LEDS)),  # of each camera and LED, -1: none
         ("chi2", "f8"),
+        ("misfit", "f8"),  # chi2 with the least floor
+        ("floor", "f8"),  # px, estimated error of a spot beyond noise and tolerances
+        ("shift", "f8", 2),  # of the right image against the left one along u and v, in sigmas
         ("points", "i8"),  # spots used
         ("removed", "i8"),  # spots within the gates that were removed as outliers
         ("unseen", "i8"),  # predicted LED images without a spot
-        ("score", "f8"),  # log likelihood ratio against an image of stray lights only
+        ("score", "f8"),  # log likelihood ratio of all spots against stray lights only, integrated over the pose
         ("valid", "i8"),  # the refinement converged, all LEDs in front of the cameras
     ],
     align=True,
@@ -74,7 +83,10 @@ class RingScene(NamedTuple):
 
     lens: (2,) of LENS. rotation: (2, 3, 3) and translation: (2, 3), m, from v to each camera's axes. leds: (n, 3), m,
     in t. squares: (n, n), m^2, of the LEDs' distances. sides: (n, n, n), orientation in which three LEDs appear to a
-    camera in front, 1 or -1; 0 if it depends on the pose.
+    camera in front, 1 or -1; 0 if it depends on the pose. tolerance: (24 + 3 n, 24 + 3 n), covariance of the considered
+    parameters: fx fy cx cy k1 k2 p1 p2 k3 of the left and of the right camera, small rotation of the right one about
+    its axes, its position, positions of the LEDs. floors: (k,), px, floors of a spot's error, ascending. slack: (2,),
+    px^2, variance per camera that gates and search add to a spot's.
     """
 
     lens: np.ndarray
@@ -83,6 +95,9 @@ class RingScene(NamedTuple):
     leds: Array
     squares: Array
     sides: npt.NDArray[np.int64]
+    tolerance: Array
+    floors: Array
+    slack: Array
 
 
 class View(NamedTuple):

@@ -95,8 +95,11 @@ def may_be_apart(first, second, between, length):
 
 
 @kernel
-def allow_pairs(scene, view, c, near, far, allowed):
-    """Write to allowed (MAX_SPOTS, MAX_SPOTS, n, n), 1 or 0, whether two spots of camera c can be two LEDs."""
+def allow_pairs(scene, view, c, near, far, allowed, some):
+    """Write to allowed (MAX_SPOTS, MAX_SPOTS, n, n), 1 or 0, whether two spots of camera c can be two LEDs.
+
+    some: (MAX_SPOTS, MAX_SPOTS), whether they can be any two.
+    """
     n = scene.leds.shape[0]
     found, counts = np.empty((MAX_SPOTS, _PARTNERS, 2)), np.zeros(MAX_SPOTS, np.int64)
     depths(scene, view, c, near, far, found, counts)
@@ -104,6 +107,7 @@ def allow_pairs(scene, view, c, near, far, allowed):
         for j in range(view.counts[c]):
             y, z = view.spots[c, i].ray, view.spots[c, j].ray
             between = y[0] * z[0] + y[1] * z[1] + y[2] * z[2]
+            some[i, j] = 0
             for p in range(n):
                 for q in range(n):
                     fits = counts[i] == 0 or counts[j] == 0
@@ -112,3 +116,5 @@ def allow_pairs(scene, view, c, near, far, allowed):
                             if not fits:
                                 fits = may_be_apart(found[i, a], found[j, b], between, math.sqrt(scene.squares[p, q]))
                     allowed[i, j, p, q] = 1 if fits else 0
+                    if fits and p != q:
+                        some[i, j] = 1

@@ -1,0 +1,561 @@
+"""Error budget of a pose: generalised least squares on all spots of both cameras, with errors that spots share.
+
+The residuals of a fit (pixel minus projection, two per spot) have the covariance
+
+    S = N + f^2 I + B P B.T
+
+N: noise of the spots. P: covariance of the considered parameters, which are not estimated (lens of each camera,
+rotation and position of the right one, positions of the LEDs), B the residuals' derivatives with respect to them. An
+error of a camera thus moves all of its spots alike. f: floor for all that no tolerance covers, the same for all spots
+and estimated from the residuals by restricted maximum likelihood, at least that of the scene.
+
+    x = C J.T S^-1 residual,  C = (J.T S^-1 J)^-1
+
+C is the covariance of the pose, and K N K.T with K = C J.T S^-1 the part of it that is independent between images. The
+logarithm of the likelihood of all spots, integrated over the pose, is the score of a hypothesis.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.jit import kernel
+from hil.maths import cholesky
+from hil.maths.arrays import copy_into, copy_matrix
+from hil.vmu.kernels.lens import in_image, lens_slopes, project
+from hil.vmu.kernels.match import assign, count, keep_assigned
+from hil.vmu.kernels.records import MAX_LEDS, SHARED
+from hil.vmu.kernels.refine import jacobian, place, rotate
+
+_MOST = 4 * MAX_LEDS  # residuals
+_STEPS = 20
+_SMALL = 1e-6  # square of a step in sigmas, at convergence
+_FITS = 4  # twice with the least floor, twice with an estimated one
+_NEAR = 0.01  # change of range up to which the shared part of the weights stays
+_ROUNDS = 5
+_MOST_REMOVED = 3
+_UNSEEN_COST = 3.0  # ln of the odds that an LED in view is lit and detected
+_EDGE_PX = 4.0  # an LED nearer to the image's edge may not be detected
+_LOG_2PI = math.log(2.0 * math.pi)
+_USUAL_SIGMA = 1.0  # chi-square up to this above its mean needs no other floor
+_FIRST_RIGHT, _FIRST_STEREO = 9, 18
+
+
+@kernel
+def residuals(scene, view, spot, r, t, which, residual, jac):
+    """Write camera and LED of each spot in use to which (m, 2), residuals (2 m,) and Jacobian (2 m, 6); return m.
+
+    -1 if an LED in use is not in front of a camera.
+    """
+    arm, point, slopes, j = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6))
+    m = 0
+    for c in range(2):
+        for n in range(scene.leds.shape[0]):
+            k = spot[c, n]
+            if k < 0:
+                continue
+            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            u, v = project(scene.lens[c], point[0], point[1], point[2])
+            if not (math.isfinite(u) and math.isfinite(v)):
+                return -1
+            jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
+            which[m, 0], which[m, 1] = c, n
+            residual[2 * m], residual[2 * m + 1] = view.spots[c, k].u - u, view.spots[c, k].v - v
+            for a in range(6):
+                jac[2 * m, a], jac[2 * m + 1, a] = j[0, a], j[1, a]
+            m += 1
+    return m
+
+
+@kernel
+def columns_of(c, n, columns):
+    """Write the considered parameters on which LED n in camera c depends to columns; return how many."""
+    k = 0
+    for a in range(_FIRST_RIGHT * c, _FIRST_RIGHT * (c + 1)):
+        columns[k] = a
+        k += 1
+    if c == 1:
+        for a in range(_FIRST_STEREO, SHARED):
+            columns[k] = a
+            k += 1
+    for a in range(3):
+        columns[k] = SHARED + 3 * n + a
+        k += 1
+    return k
+
+
+@kernel
+def shared_slopes(scene, r, t, c, n, out):
+    """Write the derivatives of LED n's pixel in camera c by the parameters of ``columns_of`` to out (2, 18).
+
+    The right camera's rotation is by a small rotation about its own axes.
+    """
+    arm, point = np.empty(3), np.empty(3)
+    slopes, j, inner = np.empty((2, 3)), np.empty((2, 6)), np.empty((2, 9))
+    place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+    lens_slopes(scene.lens[c], point[0] / point[2], point[1] / point[2], inner)
+    jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
+    for i in range(2):
+        for a in range(9):
+            out[i, a] = inner[i, a]
+        k = 9
+        if c == 1:  # p_right = exp([-e]x) R.T (p_v - baseline)
+            out[i, k] = slopes[i, 1] * point[2] - slopes[i, 2] * point[1]
+            out[i, k + 1] = slopes[i, 2] * point[0] - slopes[i, 0] * point[2]
+            out[i, k + 2] = slopes[i, 0] * point[1] - slopes[i, 1] * point[0]
+            for a in range(3):
+                out[i, k + 3 + a] = -j[i, a]
+            k += 6
+        for a in range(3):
+            out[i, k + a] = j[i, 0] * r[0, a] + j[i, 1] * r[1, a] + j[i, 2] * r[2, a]
+
+
+@kernel
+def fill_shared(scene, r, t, which, m, shared):
+    """Write ``B P B.T`` to shared (2 m, 2 m) for the spots ``which`` at a pose."""
+    p = scene.tolerance.shape[0]
+    slopes, widths = np.empty((m, 2, 18)), np.empty(m, np.int64)
+    columns = np.empty((m, 18), np.int64)
+    row = np.empty(p)
+    for k in range(m):
+        widths[k] = columns_of(which[k, 0], which[k, 1], columns[k])
+        shared_slopes(scene, r, t, which[k, 0], which[k, 1], slopes[k])
+    for k in range(m):
+        for i in range(2):
+            for b in range(p):
+                row[b] = 0.0
+            for a in range(widths[k]):
+                slope, at = slopes[k, i, a], columns[k, a]
+                if slope != 0.0:
+                    for b in range(p):
+                        row[b] += slope * scene.tolerance[at, b]
+            for q in range(k + 1):
+                for j in range(2):
+                    total = 0.0
+                    for a in range(widths[q]):
+                        total += row[columns[q, a]] * slopes[q, j, a]
+                    shared[2 * k + i, 2 * q + j] = total
+                    shared[2 * q + j, 2 * k + i] = total
+
+
+@kernel
+def fill_weights(view, spot, which, m, shared, floor, low):
+    """Write the lower Cholesky factor of S to low (2 m, 2 m); return its log-determinant, NaN if there is none."""
+    for k in range(2 * m):
+        for q in range(k + 1):
+            low[k, q] = shared[k, q]
+    for k in range(m):
+        measured = view.spots[which[k, 0], spot[which[k, 0], which[k, 1]]]
+        low[2 * k, 2 * k] += measured.noise_uu + floor * floor
+        low[2 * k + 1, 2 * k] += measured.noise_uv
+        low[2 * k + 1, 2 * k + 1] += measured.noise_vv + floor * floor
+    if not cholesky.factor(low, 2 * m, low):
+        return np.nan
+    total = 0.0
+    for k in range(2 * m):
+        total += 2.0 * math.log(low[k, k])
+    return total
+
+
+@kernel
+def whiten(low, m, residual, jac, flat_residual, flat):
+    """Write ``L^-1 residual`` (2 m,) and ``L^-1 J`` (2 m, 6)."""
+    for k in range(2 * m):
+        s = residual[k]
+        for q in range(k):
+            s -= low[k, q] * flat_residual[q]
+        flat_residual[k] = s / low[k, k]
+        for a in range(6):
+            s = jac[k, a]
+            for q in range(k):
+                s -= low[k, q] * flat[q, a]
+            flat[k, a] = s / low[k, k]
+
+
+@kernel
+def normal_equations(m, flat_residual, flat, normal, gradient):
+    """Write ``J.T S^-1 J`` and ``J.T S^-1 residual``; return ``residual.T S^-1 residual``."""
+    total = 0.0
+    for a in range(6):
+        gradient[a] = 0.0
+        for b in range(6):
+            normal[a, b] = 0.0
+    for k in range(2 * m):
+        total += flat_residual[k] * flat_residual[k]
+        for a in range(6):
+            gradient[a] += flat[k, a] * flat_residual[k]
+            for b in range(a + 1):
+                normal[a, b] += flat[k, a] * flat[k, b]
+    for a in range(6):
+        for b in range(a):
+            normal[b, a] = normal[a, b]
+    return total
+
+
+@kernel
+def weighted_square(low, m, residual, flat_residual):
+    """Return ``residual.T S^-1 residual``."""
+    total = 0.0
+    for k in range(2 * m):
+        s = residual[k]
+        for q in range(k):
+            s -= low[k, q] * flat_residual[q]
+        flat_residual[k] = s / low[k, k]
+        total += flat_residual[k] * flat_residual[k]
+    return total
+
+
+@kernel
+def minimise(scene, view, fit, low, which, m, residual, jac, flat_residual, flat, normal, gradient):
+    """Minimise the weighted sum of squares over the pose of ``fit`` for fixed weights; return it, inf on failure.
+
+    Gauss-Newton with Levenberg's damping. The arrays hold their values at the minimum.
+    """
+    damped, step, low6 = np.empty((6, 6)), np.empty(6), np.zeros((6, 6))
+    r_new, t_new = np.empty((3, 3)), np.empty(3)
+    whiten(low, m, residual, jac, flat_residual, flat)
+    cost = normal_equations(m, flat_residual, flat, normal, gradient)
+    damping = 1e-6
+    for _ in range(_STEPS):
+        if not math.isfinite(cost):
+            return np.inf
+        for a in range(6):
+            for b in range(6):
+                damped[a, b] = normal[a, b]
+            damped[a, a] = normal[a, a] * (1.0 + damping) + 1e-12
+        if not cholesky.factor(damped, 6, low6):
+            return np.inf
+        cholesky.solve(low6, 6, gradient, step)
+        size = 0.0
+        for a in range(6):
+            size += step[a] * gradient[a]
+        if abs(size) < _SMALL or damping > 1e8:
+            break
+        for a in range(3):
+            t_new[a] = fit.t[a] + step[a]
+        rotate(fit.r, step[3:6], r_new)
+        new_cost = np.inf
+        if residuals(scene, view, fit.spot, r_new, t_new, which, residual, jac) == m:
+            new_cost = weighted_square(low, m, residual, flat_residual)
+        if new_cost <= cost + 1e-12:
+            copy_into(fit.t, t_new)
+            copy_matrix(fit.r, r_new)
+            damping *= 0.1
+        else:
+            residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
+            damping = max(10.0 * damping, 1e-4)
+        whiten(low, m, residual, jac, flat_residual, flat)
+        cost = normal_equations(m, flat_residual, flat, normal, gradient)
+    return cost
+
+
+@kernel
+def log_likelihood(log_det, cost, normal, gradient, low6):
+    """Return the logarithm of the restricted likelihood of all residuals, up to a constant of their number.
+
+    The pose is integrated out: it is at the minimum of the quadratic with ``normal`` and ``gradient``.
+    """
+    if not cholesky.factor(normal, 6, low6):
+        return -np.inf
+    step, pose_det, gain = np.empty(6), 0.0, 0.0
+    cholesky.solve(low6, 6, gradient, step)
+    for a in range(6):
+        pose_det += 2.0 * math.log(low6[a, a])
+        gain += step[a] * gradient[a]
+    return -0.5 * (log_det + pose_det + cost - gain)
+
+
+@kernel
+def estimate_floor(scene, view, fit, which, m, shared, low, residual, jac, flat_residual, flat, normal, gradient):
+    """Return the most likely floor, px, at the pose of ``fit``."""
+    low6, best, floor = np.zeros((6, 6)), -np.inf, scene.floors[0]
+    for k in range(scene.floors.shape[0]):
+        log_det = fill_weights(view, fit.spot, which, m, shared, scene.floors[k], low)
+        if not math.isfinite(log_det):
+            continue
+        whiten(low, m, residual, jac, flat_residual, flat)
+        cost = normal_equations(m, flat_residual, flat, normal, gradient)
+        value = log_likelihood(log_det, cost, normal, gradient, low6) - (1.0 if k > 0 else 0.0)
+        if value > best:
+            best, floor = value, scene.floors[k]
+    return floor
+
+
+@kernel
+def distance_of(t):
+    """Return the length of ``t`` (3,)."""
+    return math.sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
+
+
+@kernel
+def weigh(scene, view, density, fit):
+    """Fit the pose of ``fit`` to its spots within the error budget: pose, covariances, chi-square, floor and score.
+
+    density: (2,), px^-2, of stray lights in each image.
+    """
+    fit.valid = 0
+    which, shared, low = np.empty((2 * MAX_LEDS, 2), np.int64), np.empty((_MOST, _MOST)), np.zeros((_MOST, _MOST))
+    residual, jac = np.empty(_MOST), np.empty((_MOST, 6))
+    flat_residual, flat = np.empty(_MOST), np.empty((_MOST, 6))
+    normal, gradient, low6, column = np.empty((6, 6)), np.empty(6), np.zeros((6, 6)), np.empty(6)
+    count(fit, scene.leds.shape[0])
+    m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
+    if m < 3:
+        return
+    fit.floor = scene.floors[0]
+    degrees = 2.0 * m - 6.0
+    away = 0.0
+    for turn in range(_FITS):
+        fill_shared(scene, fit.r, fit.t, which, m, shared)
+        if turn > 1:
+            fit.floor = estimate_floor(
+                scene, view, fit, which, m, shared, low, residual, jac, flat_residual, flat, normal, gradient
+            )  # fmt: skip
+        log_det = fill_weights(view, fit.spot, which, m, shared, fit.floor, low)
+        if not math.isfinite(log_det):
+            return
+        before = distance_of(fit.t)
+        cost = minimise(
+            scene, view, fit, low, which, m, residual, jac, flat_residual, flat, normal, gradient
+        )  # fmt: skip
+        if not math.isfinite(cost):
+            return
+        away = abs(distance_of(fit.t) / before - 1.0)
+        if turn < 2:
+            fit.misfit = cost
+            usual = degrees <= 0.0 or cost <= degrees + _USUAL_SIGMA * math.sqrt(2.0 * degrees)
+            if usual and (turn == 1 or away < _NEAR):
+                break
+    likelihood = log_likelihood(log_det, cost, normal, gradient, low6)
+    if not math.isfinite(likelihood):
+        return
+    cholesky.invert(low6, column, fit.covariance)
+    fit.chi2 = cost
+    write_noise(view, fit, which, m, low, flat)
+    write_shift(fit, which, m, shared, view, residual, jac)
+    fit.score = likelihood - (m - 3.0) * _LOG_2PI
+    add_lights(scene, view, density, fit)
+    for a in range(6):
+        if not (math.isfinite(fit.covariance[a, a]) and fit.covariance[a, a] > 0.0):
+            return
+    fit.valid = 1
+
+
+@kernel
+def write_noise(view, fit, which, m, low, flat):
+    """Write the part of the pose's covariance that the noise of the spots causes, ``K N K.T``."""
+    gain, part = np.empty((_MOST, 6)), np.zeros((6, 6))
+    for a in range(6):
+        for k in range(2 * m - 1, -1, -1):  # S^-1 J = L^-T (L^-1 J)
+            s = flat[k, a]
+            for q in range(k + 1, 2 * m):
+                s -= low[q, k] * gain[q, a]
+            gain[k, a] = s / low[k, k]
+    for k in range(m):
+        measured = view.spots[which[k, 0], fit.spot[which[k, 0], which[k, 1]]]
+        for a in range(6):
+            x = measured.noise_uu * gain[2 * k, a] + measured.noise_uv * gain[2 * k + 1, a]
+            y = measured.noise_uv * gain[2 * k, a] + measured.noise_vv * gain[2 * k + 1, a]
+            for b in range(6):
+                part[a, b] += x * gain[2 * k, b] + y * gain[2 * k + 1, b]
+    for a in range(6):
+        for b in range(6):
+            total = 0.0
+            for i in range(6):
+                for j in range(6):
+                    total += fit.covariance[a, i] * part[i, j] * fit.covariance[j, b]
+            fit.noise[a, b] = total
+
+
+@kernel
+def write_shift(fit, which, m, shared, view, residual, jac):
+    """Write the shift of the right image against the left one, along u and v, over its standard deviation.
+
+    The mean residual of the right image minus that of the left one: large if the images are not of one moment, or the
+    cameras are not those of the calibration. Zero with fewer than two spots in one image.
+    """
+    side = np.empty(2 * MAX_LEDS)
+    totals = np.zeros(2)
+    for k in range(m):
+        totals[which[k, 0]] += 1.0
+    fit.shift[0] = fit.shift[1] = 0.0
+    if min(totals[0], totals[1]) < 2.0:
+        return
+    for k in range(m):
+        side[k] = 1.0 / totals[1] if which[k, 0] == 1 else -1.0 / totals[0]
+    along = np.empty(6)
+    for i in range(2):
+        mean, variance = 0.0, 0.0
+        for a in range(6):
+            along[a] = 0.0
+        for k in range(m):
+            measured = view.spots[which[k, 0], fit.spot[which[k, 0], which[k, 1]]]
+            own = (measured.noise_uu if i == 0 else measured.noise_vv) + fit.floor * fit.floor
+            variance += side[k] * side[k] * own
+            mean += side[k] * residual[2 * k + i]
+            for q in range(m):
+                variance += side[k] * side[q] * shared[2 * k + i, 2 * q + i]
+            for a in range(6):
+                along[a] += side[k] * jac[2 * k + i, a]
+        total = variance
+        for a in range(6):
+            for b in range(6):
+                variance -= along[a] * fit.covariance[a, b] * along[b]
+        if variance > 1e-6 * total:
+            fit.shift[i] = mean / math.sqrt(variance)
+
+
+@kernel
+def add_lights(scene, view, density, fit):
+    """Add to the score of ``fit`` that each spot is no stray light, and a cost per LED in view without a spot."""
+    arm, point = np.empty(3), np.empty(3)
+    fit.unseen = 0
+    for c in range(2):
+        if view.counts[c] == 0:
+            continue
+        for n in range(scene.leds.shape[0]):
+            if fit.spot[c, n] >= 0:
+                fit.score -= math.log(density[c])
+                continue
+            place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
+            u, v = project(scene.lens[c], point[0], point[1], point[2])
+            if in_image(scene.lens[c], u, v, _EDGE_PX):
+                fit.unseen += 1
+                fit.score -= _UNSEEN_COST
+
+
+@kernel
+def worst_spot(scene, view, fit, where):
+    """Write camera and LED of the spot whose removal lowers chi-square most to where (2,); return by how much."""
+    which, shared, low = np.empty((2 * MAX_LEDS, 2), np.int64), np.empty((_MOST, _MOST)), np.zeros((_MOST, _MOST))
+    residual, jac = np.empty(_MOST), np.empty((_MOST, 6))
+    flat_residual, flat, inverse = np.empty(_MOST), np.empty((_MOST, 6)), np.zeros((_MOST, _MOST))
+    m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
+    if m < 3:
+        return 0.0
+    fill_shared(scene, fit.r, fit.t, which, m, shared)
+    if not math.isfinite(fill_weights(view, fit.spot, which, m, shared, scene.floors[0], low)):
+        return 0.0
+    # rows of L^-1, then S^-1 - S^-1 J C J.T S^-1 by pairs of residuals
+    for a in range(2 * m):
+        for k in range(a, 2 * m):
+            s = 1.0 if k == a else 0.0
+            for q in range(a, k):
+                s -= low[k, q] * inverse[q, a]
+            inverse[k, a] = s / low[k, k]
+    whiten(low, m, residual, jac, flat_residual, flat)
+    normal, gradient, low6, covariance, scratch = (
+        np.empty((6, 6)), np.empty(6), np.zeros((6, 6)), np.empty((6, 6)), np.empty(6),
+    )  # fmt: skip
+    normal_equations(m, flat_residual, flat, normal, gradient)
+    if not cholesky.factor(normal, 6, low6):
+        return 0.0
+    cholesky.invert(low6, scratch, covariance)
+    most = 0.0
+    gain, pull, block = np.empty((2, 6)), np.empty(2), np.empty((2, 2))
+    for k in range(m):
+        for i in range(2):
+            pull[i] = 0.0
+            for q in range(2 * m):
+                pull[i] += inverse[q, 2 * k + i] * flat_residual[q]
+            for a in range(6):
+                gain[i, a] = 0.0
+                for q in range(2 * m):
+                    gain[i, a] += inverse[q, 2 * k + i] * flat[q, a]
+        for i in range(2):
+            for j in range(2):
+                block[i, j] = 0.0
+                for q in range(2 * m):
+                    block[i, j] += inverse[q, 2 * k + i] * inverse[q, 2 * k + j]
+                for a in range(6):
+                    for b in range(6):
+                        block[i, j] -= gain[i, a] * covariance[a, b] * gain[j, b]
+        for a in range(6):
+            for b in range(6):
+                for i in range(2):
+                    pull[i] -= gain[i, a] * covariance[a, b] * gradient[b]
+        det = block[0, 0] * block[1, 1] - block[0, 1] * block[0, 1]
+        if not det > 1e-9 * block[0, 0] * block[1, 1]:
+            continue
+        square = (
+            block[1, 1] * pull[0] * pull[0] - 2.0 * block[0, 1] * pull[0] * pull[1] + block[0, 0] * pull[1] * pull[1]
+        ) / det
+        if square > most:
+            most = square
+            where[0], where[1] = which[k, 0], which[k, 1]
+    return most
+
+
+@kernel
+def settle(scene, view, density, reach_px, fit, trial):
+    """Extend ``fit`` to all spots that match within the error budget, and remove outliers if that is more likely.
+
+    A spot is removed only if the score without it, of which it then no longer is a part, exceeds that with it.
+    trial: FIT, scratch.
+    """
+    before = np.empty((2, MAX_LEDS), np.int64)
+    where = np.zeros(2, np.int64)
+    n_leds = scene.leds.shape[0]
+    fit.removed = 0
+    for _ in range(_ROUNDS):
+        weigh(scene, view, density, fit)
+        if fit.valid == 0:
+            return
+        copy_matrix(before, fit.spot)
+        assign(scene, view, fit.r, fit.t, fit.covariance, reach_px, fit.spot)
+        if not keep_assigned(before, n_leds, fit.spot):
+            break
+        count(fit, n_leds)
+        if fit.points < 3:
+            fit.valid = 0
+            return
+    while fit.floor > scene.floors[0] and fit.removed < _MOST_REMOVED and 2 * fit.points - 8 >= 2 + 2 * fit.removed:
+        if not worst_spot(scene, view, fit, where) > 0.0:
+            return
+        copy_fit(trial, fit)
+        trial.spot[where[0], where[1]] = -1
+        weigh(scene, view, density, trial)
+        if trial.valid == 0 or not trial.score > fit.score:
+            return
+        copy_fit(fit, trial)
+        fit.removed += 1
+
+
+@kernel
+def copy_fit(to, fit):
+    """Copy the pose, the spots and all results of a FIT."""
+    copy_matrix(to.r, fit.r)
+    copy_into(to.t, fit.t)
+    copy_matrix(to.covariance, fit.covariance)
+    copy_matrix(to.noise, fit.noise)
+    copy_into(to.shift, fit.shift)
+    copy_matrix(to.spot, fit.spot)
+    to.chi2, to.misfit, to.floor, to.score = fit.chi2, fit.misfit, fit.floor, fit.score
+    to.points, to.removed, to.unseen, to.valid = fit.points, fit.removed, fit.unseen, fit.valid
+
+
+@kernel
+def chi_square_growth(scene, view, fit, direction, sigmas):
+    """Return the growth of chi-square at ``sigmas`` sigmas from ``fit`` along ``direction``, over the expected growth.
+
+    direction: (6,), one sigma of the pose along an axis of its covariance. 1 if the problem is linear up to there, so
+    that the covariance is valid.
+    """
+    which, shared, low = np.empty((2 * MAX_LEDS, 2), np.int64), np.empty((_MOST, _MOST)), np.zeros((_MOST, _MOST))
+    residual, jac, flat_residual = np.empty(_MOST), np.empty((_MOST, 6)), np.empty(_MOST)
+    r, t, e = np.empty((3, 3)), np.empty(3), np.empty(3)
+    for i in range(3):
+        t[i] = fit.t[i] + sigmas * direction[i]
+        e[i] = sigmas * direction[3 + i]
+    rotate(fit.r, e, r)
+    m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
+    if m < 3:
+        return np.inf
+    fill_shared(scene, fit.r, fit.t, which, m, shared)
+    if not math.isfinite(fill_weights(view, fit.spot, which, m, shared, fit.floor, low)):
+        return np.inf
+    if residuals(scene, view, fit.spot, r, t, which, residual, jac) != m:
+        return np.inf
+    return (weighted_square(low, m, residual, flat_residual) - fit.chi2) / (sigmas * sigmas)
