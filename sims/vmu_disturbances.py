@@ -15,7 +15,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from tests.support.vmu_disturbances import ROWS  # noqa: E402
+from tests.support.vmu_disturbances import ROWS
 
 
 def main() -> None:

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array
-from hil.vmu.geometry import camera_pair, led_positions
+from hil.vmu.geometry import EXACT, camera_pair, led_positions
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image, project
 from hil.vmu.kernels.records import FIT, MAX_LEDS, SPOT
@@ -50,6 +50,7 @@ def geometry(raised_m: float) -> VmuGeometry:
             "left": LENS | {"cx": 511.5, "cy": 511.5},
             "right": LENS | {"cx": 509.0, "cy": 512.5},
             "baseline_m": (0.2, 0.0, 0.0),
+            "tolerances": EXACT,
         }
     )
 

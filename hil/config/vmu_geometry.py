@@ -60,7 +60,7 @@ class Tolerances(ConfigModel):
     """Position of the right camera, along each axis."""
     led_m: NotNegative = 1e-4
     """Position of each LED, along each axis."""
-    spot_px: NotNegative = 0.02
+    spot_px: NotNegative = 0.01
     """Least error of a spot beyond its noise; a larger one is estimated from the residuals."""
 
 

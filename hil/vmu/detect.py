@@ -19,8 +19,8 @@ from hil.vmu.kernels.measure import LIMITS
 from hil.vmu.kernels.records import SPOT
 from hil.vmu.kernels.search import TOO_MANY, detect
 
-_MOST_COMPONENTS: Final = 512
-_MOST_TRIES: Final = 4
+_MOST_COMPONENTS: Final = 192
+_MOST_TRIES: Final = 6
 _NO_WINDOWS: Final = np.empty((0, 4), dtype=np.int64)
 _PRIOR_PER_LEVEL: Final = 0.01  # levels^2 of variance per level: 100 electrons per level
 _PRIOR_WEIGHT: Final = 2000.0

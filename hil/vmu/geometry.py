@@ -39,7 +39,7 @@ def camera_pair(geometry: VmuGeometry) -> CameraPair:
 EXACT = Tolerances(**dict.fromkeys(Tolerances.model_fields, 0.0))
 """Tolerances of cameras and LEDs without errors, as simulated."""
 
-_FLOORS_PX = (0.03, 0.05, 0.08, 0.12, 0.18, 0.26, 0.38)
+_FLOORS_PX = (0.017, 0.03, 0.05, 0.08, 0.12, 0.18, 0.26, 0.38)
 
 
 def led_positions(geometry: VmuGeometry) -> Array:

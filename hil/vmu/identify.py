@@ -10,14 +10,18 @@ from typing import Final
 import numpy as np
 
 from hil.vmu.kernels.hypotheses import difference
+from hil.vmu.kernels.lens import in_image, project
 from hil.vmu.kernels.records import View
-from hil.vmu.pose import Prediction, Solver, SolverSettings, attitude_sigma_deg, is_flat, matrix_of
+from hil.vmu.pose import OPTICS_PX, Prediction, Solver, SolverSettings, attitude_sigma_deg, is_flat, matrix_of
 
 OK: Final = "ok"
 AMBIGUOUS: Final = "ambiguous"
 TOO_FEW: Final = "too_few"
 NO_MATCH: Final = "rejected_no_match"
 GEOMETRY: Final = "rejected_geometry"
+NOT_TOGETHER: Final = "rejected_sync"
+SWAPPED: Final = "rejected_swapped"
+OTHER_RING: Final = "rejected_ring"
 
 _GATE_6 = 33.0  # chi-square of six components that a true pose exceeds once in 100 000
 _GATE_2 = 20.0  # as in matching
@@ -25,6 +29,12 @@ _TRACK_REACH_PX = 150.0
 _MARKED_COST = 20.0
 _FEW_DEGREES, _FEW_SIGMA = 6, 3.3
 _BRIGHTER = 1.3
+_SHIFTED = 4.5  # sigmas between the two images
+_OWN, _MORE = 5, 2  # spots of a camera that make a pattern of its own, and by how many it exceeds the best pose's
+_LIGHTS = 4  # in an image in which as many LEDs should be seen
+_EDGE_PX = 4.0
+_EPIPOLAR_PX = 3.0
+_NEAR_TRACK = 20.0  # of the score, by which a pose that continues a mature track may be below the best
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +42,15 @@ class LedIdentification:
     """Result for one view. fit: FIT if the status is ``ok``. candidates: all poses that the spots allow.
 
     on_track: all candidates of an ``ambiguous`` one continue the track, whose identification holds; only the tilt is
-    ambiguous.
+    ambiguous. jump: the status is ``ambiguous`` only because the single pose that fits, the first candidate, does not
+    continue a mature track.
     """
 
     status: str
     fit: np.void | None = None
     candidates: Sequence[np.void] = ()
     on_track: bool = False
+    jump: bool = False
 
 
 class Identifier:
@@ -48,6 +60,7 @@ class Identifier:
         self._solver = solver
         self._settings: SolverSettings = solver.settings
         self._marked = marked_led
+        self._slack = max(float(solver.scene.slack.max()) - OPTICS_PX**2, 0.0)
 
     def tracked(self, view: View, prediction: Prediction) -> LedIdentification | None:
         """Return the identification by the prediction's gates only, None if a search is needed."""
@@ -57,7 +70,9 @@ class Identifier:
             return None
         fits = self._solver.from_start(view, r, prediction.t_v, spots)
         verdict = self._by_track(view, fits, prediction)
-        return verdict if verdict.fit is not None and self._complete(view, verdict.fit) else None
+        if verdict.fit is None or not self._complete(view, verdict.fit):
+            return None
+        return verdict if np.abs(verdict.fit["shift"]).max() < _SHIFTED else None
 
     def _complete(self, view: View, fit: np.void) -> bool:
         """Return whether no light near the pattern remains that could be an LED without a spot.
@@ -80,8 +95,11 @@ class Identifier:
         away = np.hypot(spots["u"] - spots["u"][used].mean(), spots["v"] - spots["v"][used].mean())
         return int((away <= 1.5 * away[used].max()).sum()) > len(used)
 
-    def search(self, view: View, prediction: Prediction | None) -> LedIdentification:
-        """Return the identification over all hypotheses; the prediction is used only if the spots are ambiguous."""
+    def search(self, view: View, prediction: Prediction | None, mature: bool = False) -> LedIdentification:
+        """Return the identification over all hypotheses; the prediction is used only if the spots are ambiguous.
+
+        mature: the prediction is that of a long track, which a single pair of images does not overrule.
+        """
         if max(view.counts) < 3:
             return LedIdentification(TOO_FEW)
         fits, all_kept = self._solver.hypotheses(view, prediction)
@@ -90,11 +108,74 @@ class Identifier:
         fits = fits[[self._possible(fit) for fit in fits]]
         if not len(fits):
             return LedIdentification(GEOMETRY)
-        alone = self._by_spots(view, fits) if all_kept else LedIdentification(AMBIGUOUS, candidates=list(fits))
-        if alone.status == OK or prediction is None:
+        alone = self._by_spots(view, fits)
+        if alone.fit is not None:
+            if (apart := self._apart(view, fits, alone.fit)) != OK:
+                return LedIdentification(apart, candidates=alone.candidates)
+            if not all_kept and int(alone.fit["points"]) < 2 * len(self._solver.scene.leds) - 1:
+                alone = LedIdentification(AMBIGUOUS, candidates=alone.candidates)  # another one may not have been tried
+        elif (apart := self._apart(view, fits, alone.candidates[0])) != OK:
+            alone = LedIdentification(apart, candidates=alone.candidates)
+        if prediction is None or (alone.fit is not None and not mature):
             return alone
         tracked = self._by_track(view, fits, prediction)
-        return tracked if tracked.status == OK or tracked.on_track else alone
+        if alone.fit is None:
+            if tracked.fit is not None and self._apart(view, fits, tracked.fit) == OK:
+                return tracked
+            return tracked if tracked.on_track else alone
+        if distance_square(alone.fit, prediction) < _GATE_6:
+            return alone
+        if tracked.fit is not None and tracked.fit["score"] > alone.fit["score"] - _NEAR_TRACK:
+            return tracked
+        return LedIdentification(AMBIGUOUS, candidates=[alone.fit], jump=True)
+
+    def _apart(self, view: View, fits: np.ndarray, best: np.void) -> str:
+        """Return OK, or a status if the two images do not belong together.
+
+        Either the right image as a whole is shifted, or one camera sees a pattern of the LEDs where the best pose does
+        not have it.
+        """
+        if np.abs(best["shift"]).max() > _SHIFTED:
+            return NOT_TOGETHER if abs(best["shift"][1]) > _SHIFTED else OTHER_RING
+        own = (fits["spot"] >= 0).sum(axis=2)
+        least = min(_OWN, len(self._solver.scene.leds) - 1)
+        singles = []
+        for c in range(2):
+            more = np.flatnonzero((own[:, c] >= least) & (own[:, c] >= (best["spot"][c] >= 0).sum() + _MORE))
+            if len(more):
+                singles.append((c, fits[more[np.argmax(fits["score"][more])]]))
+        if not singles:
+            return NOT_TOGETHER if any(self._blind(view, best, c) for c in range(2)) else OK
+        alone = dict(singles)
+        for c in range(2):
+            alone.setdefault(c, best)
+        return self._why_apart(alone[0], alone[1])
+
+    def _blind(self, view: View, best: np.void, camera: int) -> bool:
+        """Return whether a camera sees lights, and hardly any where the best pose has LEDs in its view."""
+        if view.counts[camera] < _LIGHTS or (best["spot"][camera] >= 0).sum() >= 2:
+            return False
+        scene = self._solver.scene
+        in_v = scene.leds @ best["r"].T + best["t"]
+        own = in_v @ scene.rotation[camera].T + scene.translation[camera]
+        pixels = [project(scene.lens[camera], *point) for point in own]
+        return sum(in_image(scene.lens[camera], u, v, _EDGE_PX) for u, v in pixels) >= _LIGHTS
+
+    def _why_apart(self, left: np.void, right: np.void) -> str:
+        """Return the status for the poses of the left and of the right image alone that differ.
+
+        Seen by both cameras, a ring of another size by the factor s has poses that differ by baseline / s - baseline,
+        and with exchanged cameras s is negative. Any other difference is one of time or of a camera's rotation.
+        """
+        scene = self._solver.scene
+        baseline = -scene.rotation[1].T @ scene.translation[1]
+        apart = left["t"] - right["t"] + baseline
+        scale = float(baseline[:2] @ apart[:2]) / float(apart[:2] @ apart[:2])
+        off = apart[:2] * scale - baseline[:2]
+        across = abs(float(np.cross(baseline[:2], off))) / float(np.linalg.norm(baseline[:2]))
+        if across * float(scene.lens[0]["fx"]) > _EPIPOLAR_PX * abs(scale) * float(np.linalg.norm(left["t"])):
+            return NOT_TOGETHER
+        return SWAPPED if scale < 0.0 else OTHER_RING
 
     def _by_spots(self, view: View, fits: np.ndarray) -> LedIdentification:
         scores = np.array([fit["score"] - self._marked_cost(view, fit) for fit in fits])
@@ -175,7 +256,8 @@ class Identifier:
         odds = []
         for n in used:
             spot = view.spots[own, fit["spot"][own, n]]
-            determinant = float(spot["var_u"] * spot["var_v"] - spot["cov_uv"] ** 2)
+            added = float(fit["floor"]) ** 2
+            determinant = float((spot["noise_uu"] + added) * (spot["noise_vv"] + added) - spot["noise_uv"] ** 2)
             odds.append(math.log(min(1.0, density * 2.0 * math.pi * _GATE_2 * math.sqrt(determinant))))
         odds.sort()
         if prediction is None:
@@ -189,7 +271,7 @@ class Identifier:
             if k < 0:
                 continue
             spot = view.spots[other, k]
-            sigma = math.sqrt(max(float(spot["var_u"]), float(spot["var_v"])))
+            sigma = math.sqrt(max(float(spot["noise_uu"]), float(spot["noise_vv"])) + self._slack)
             total += math.log(min(1.0, 2.0 * math.sqrt(2.0 * _GATE_2) * sigma / window))
         return total
 

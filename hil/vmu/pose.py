@@ -32,7 +32,7 @@ _LINEAR = (0.6, 1.7)  # growth of chi-square relative to the covariance for whic
 _FAR = 5.0  # sigmas
 _FLAT = 0.05  # thickness over extent
 _STRAY_FACTOR = 10.0  # density of stray lights near the target relative to the whole image
-_OPTICS_PX = 0.15  # error of a spot that gates and search allow in any case
+OPTICS_PX = 0.15  # error of a spot that gates and search allow in any case
 _TYPICAL_RANGE_M = 1.5  # at which they assess the tolerances
 _TURNED = 2  # best hypotheses whose turns are compared
 _SAME_TURN = 0.35  # of the least distance of two LEDs: by how much a turn of the ring may miss one
@@ -200,9 +200,7 @@ def scene_of(geometry: VmuGeometry, settings: SolverSettings) -> RingScene:
         np.int64,
     )
     tolerance, floors = considered_covariance(geometry), spot_floors(geometry.tolerances.spot_px)
-    found = RingScene(
-        pair.lens, pair.rotation, pair.translation, leds, squares, sides, tolerance, floors, np.zeros(2)
-    )
+    found = RingScene(pair.lens, pair.rotation, pair.translation, leds, squares, sides, tolerance, floors, np.zeros(2))
     return found._replace(slack=_slack(found))
 
 
@@ -213,7 +211,7 @@ def _slack(scene: RingScene) -> Array:
     shared = np.zeros((4 * n, 4 * n))
     fill_shared(scene, np.eye(3), np.array([0.0, 0.0, _TYPICAL_RANGE_M]), which, 2 * n, shared)
     variances = np.diag(shared).reshape(2, 2 * n).max(axis=1)
-    found: Array = variances + _OPTICS_PX**2
+    found: Array = variances + OPTICS_PX**2
     return found
 
 

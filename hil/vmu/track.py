@@ -24,7 +24,9 @@ class TrackSettings:
     acceleration_mps2, acceleration_radps2: standard deviation of the accelerations. first_speed_mps,
     first_rate_radps: of the rates after a single image. longest_s: longest prediction after the last pose.
     most_failures: number of consecutive images without a measured pose after which the track is dropped. recheck:
-    number of poses after which the whole images are searched, to detect a wrong identification.
+    number of poses after which the whole images are searched, to detect a wrong identification. mature: number of poses
+    after which one that does not continue the track is not believed until ``jumps`` of them in a row continue each
+    other.
     """
 
     acceleration_mps2: float = 0.5
@@ -34,6 +36,8 @@ class TrackSettings:
     longest_s: float = 1.0
     most_failures: int = 3
     recheck: int = 25
+    mature: int = 8
+    jumps: int = 3
 
 
 class Track:
@@ -46,6 +50,11 @@ class Track:
         self._t_s = 0.0
         self._r, self._t, self._rates = np.eye(3), np.zeros(3), np.zeros(6)
         self._p = np.zeros((12, 12))
+
+    @property
+    def is_mature(self) -> bool:
+        """Return whether a single pose that does not continue the track is not accepted."""
+        return self.poses >= self.settings.mature
 
     def drop(self) -> None:
         """Drop the track."""

@@ -14,7 +14,16 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array, PoseFrame
 from hil.maths import quat
 from hil.vmu.detect import SpotDetector
-from hil.vmu.identify import AMBIGUOUS, OK, TOO_FEW, Identifier, LedIdentification
+from hil.vmu.identify import (
+    AMBIGUOUS,
+    NOT_TOGETHER,
+    OK,
+    OTHER_RING,
+    SWAPPED,
+    TOO_FEW,
+    Identifier,
+    LedIdentification,
+)
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import SPOT, View
@@ -33,11 +42,16 @@ _WINDOW_LIMIT = 0.25  # of the image: larger windows are no faster than the whol
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """``p_v = A(q_vt) p_t + t_v``. covariance: (6, 6) of t_v and of e about v's axes, ``R_est = exp([e]x) R_true``."""
+    """``p_v = A(q_vt) p_t + t_v``. covariance: (6, 6) of t_v and of e about v's axes, ``R_est = exp([e]x) R_true``.
+
+    noise: (6, 6), the part of it that is independent between images. The rest is of the calibration, the LEDs and the
+    optics: it changes slowly along an approach, and an average over images does not reduce it.
+    """
 
     t_v: Array
     q_vt: Array
     covariance: Array
+    noise: Array
 
     @property
     def rotation_vector(self) -> Array:
@@ -120,6 +134,7 @@ class VisionUnit:
         geometry = self.geometry
         self.solver = Solver(geometry, settings or SolverSettings())
         self.track = Track(track or TrackSettings())
+        self._jump = Track(self.track.settings)
         self._identifier = Identifier(self.solver, geometry.marked_led)
         self._shapes = tuple((camera.height, camera.width) for camera in (geometry.left, geometry.right))
         self._detectors = tuple(SpotDetector(shape, sensor=geometry.sensor) for shape in self._shapes)
@@ -181,7 +196,7 @@ class VisionUnit:
         expected = prediction or self.track.predict(t_s)
         view = self.solver.view(left, right)
         verdict = self._identifier.tracked(view, expected) if expected is not None and not self._recheck() else None
-        verdict = verdict or self._identifier.search(view, expected)
+        verdict = verdict or self._identifier.search(view, expected, self.track.is_mature)
         return self._conclude(verdict, view, (left, right), t_s, full_frame=True)
 
     def _by_windows(
@@ -207,7 +222,7 @@ class VisionUnit:
         if not any(len(found) for found in spots):
             return self._no_pose(t_s, DARK)
         view = self.solver.view(*spots)
-        verdict = self._identifier.search(view, expected)
+        verdict = self._identifier.search(view, expected, self.track.is_mature)
         return self._conclude(verdict, view, spots, t_s, full_frame=True)
 
     def _detect(
@@ -227,6 +242,8 @@ class VisionUnit:
         self, verdict: LedIdentification, view: View, spots: tuple[np.ndarray, np.ndarray], t_s: float, full_frame: bool
     ) -> Solution:
         kept = view.order
+        if verdict.jump:
+            verdict = self._confirmed(verdict, t_s)
         if verdict.fit is None:
             if verdict.status == AMBIGUOUS:
                 if verdict.on_track:
@@ -236,15 +253,29 @@ class VisionUnit:
                 return Solution(
                     t_s, AMBIGUOUS, None, spots, (self._none, self._none), candidates=len(verdict.candidates)
                 )
+            if verdict.status in (NOT_TOGETHER, SWAPPED, OTHER_RING):
+                self.track.fail()
+                return Solution(t_s, verdict.status, None, spots, (self._none, self._none))
             return self._predicted(t_s, verdict.status, spots)
         fit = verdict.fit
         self.track.update(t_s, fit)
-        pose = Pose(fit["t"].copy(), quat.from_matrix(fit["r"]), fit["covariance"].copy())
+        pose = Pose(fit["t"].copy(), quat.from_matrix(fit["r"]), fit["covariance"].copy(), fit["noise"].copy())
         n = len(self._none)
         left, right = (tuple(int(kept[c][k]) if k >= 0 else -1 for k in fit["spot"][c][:n]) for c in range(2))
         degrees = 2 * int(fit["points"]) - 6
         candidates = len(verdict.candidates)
         return Solution(t_s, OK, pose, spots, (left, right), float(fit["chi2"]), degrees, candidates, full_frame)
+
+    def _confirmed(self, verdict: LedIdentification, t_s: float) -> LedIdentification:
+        """Return a jump off the track as ``ok`` once it has come several times in a row; the old track then ends."""
+        fit = verdict.candidates[0]
+        if self.track.failures == 0:
+            self._jump.drop()
+        self._jump.update(t_s, fit)
+        if self._jump.poses < self.track.settings.jumps:
+            return verdict
+        self.track.drop()
+        return LedIdentification(OK, fit, verdict.candidates)
 
     def _predicted(
         self, t_s: float, status: str, spots: tuple[np.ndarray, np.ndarray] = (_NO_SPOTS, _NO_SPOTS)
@@ -256,7 +287,7 @@ class VisionUnit:
             self.track.fail()
         if not tracked or expected is None:
             return Solution(t_s, status, None, spots, (self._none, self._none))
-        pose = Pose(expected.t_v, expected.q_vt, expected.covariance)
+        pose = Pose(expected.t_v, expected.q_vt, expected.covariance, expected.covariance)
         return Solution(t_s, PREDICTED, pose, spots, (self._none, self._none))
 
     def _no_pose(self, t_s: float, status: str) -> Solution:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array
-from hil.vmu.geometry import camera_pair, led_positions
+from hil.vmu.geometry import EXACT, camera_pair, led_positions
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image
 from hil.vmu.kernels.records import SPOT
@@ -33,6 +33,7 @@ def ring(raised_m: float = 0.06, marked_led: int | None = None) -> VmuGeometry:
             "right": LENS | {"cx": 509.0, "cy": 512.5},
             "baseline_m": (0.2, 0.0, 0.0),
             "marked_led": marked_led,
+            "tolerances": EXACT,
         }
     )
 

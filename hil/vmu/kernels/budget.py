@@ -25,7 +25,7 @@ from hil.core.jit import kernel
 from hil.maths import cholesky
 from hil.maths.arrays import copy_into, copy_matrix
 from hil.vmu.kernels.lens import in_image, lens_slopes, project
-from hil.vmu.kernels.match import assign, count, keep_assigned
+from hil.vmu.kernels.match import assign, chi_square_limit, count, keep_assigned
 from hil.vmu.kernels.records import MAX_LEDS, SHARED
 from hil.vmu.kernels.refine import jacobian, place, rotate
 
@@ -35,7 +35,7 @@ _SMALL = 1e-6  # square of a step in sigmas, at convergence
 _FITS = 4  # twice with the least floor, twice with an estimated one
 _NEAR = 0.01  # change of range up to which the shared part of the weights stays
 _ROUNDS = 5
-_MOST_REMOVED = 3
+_MOST_REMOVED = 3  # spots
 _UNSEEN_COST = 3.0  # ln of the odds that an LED in view is lit and detected
 _EDGE_PX = 4.0  # an LED nearer to the image's edge may not be detected
 _LOG_2PI = math.log(2.0 * math.pi)
@@ -489,16 +489,49 @@ def worst_spot(scene, view, fit, where):
 
 
 @kernel
-def settle(scene, view, density, reach_px, fit, trial):
+def without(scene, view, density, fit, where, trial):
+    """Write ``fit`` without the spot of one camera and LED, ``where`` (2,), to trial; camera -1: of both cameras."""
+    copy_fit(trial, fit)
+    for c in range(2):
+        if where[0] in (c, -1):
+            trial.spot[c, where[1]] = -1
+    weigh(scene, view, density, trial)
+    trial.removed = fit.removed + fit.points - trial.points
+
+
+@kernel
+def best_without(scene, view, density, fit, trial, best):
+    """Write to ``best`` the most likely hypothesis that lacks one spot of ``fit``, or one LED; valid 0 without one.
+
+    A light beside a dark LED is seen by both cameras: neither of its spots alone is an outlier.
+    """
+    where = np.zeros(2, np.int64)
+    best.valid = 0
+    least = 2 * fit.points - 8
+    if least >= 2 + 2 * fit.removed and worst_spot(scene, view, fit, where) > 0.0:
+        without(scene, view, density, fit, where, best)
+    where[0] = -1
+    for n in range(scene.leds.shape[0]):
+        if fit.spot[0, n] < 0 or fit.spot[1, n] < 0 or not least - 2 >= 2 + 2 * fit.removed:
+            continue
+        where[1] = n
+        without(scene, view, density, fit, where, trial)
+        if trial.valid == 1 and (best.valid == 0 or trial.score > best.score):
+            copy_fit(best, trial)
+
+
+@kernel
+def settle(scene, view, density, reach_px, fit, rival):
     """Extend ``fit`` to all spots that match within the error budget, and remove outliers if that is more likely.
 
-    A spot is removed only if the score without it, of which it then no longer is a part, exceeds that with it.
-    trial: FIT, scratch.
+    Spots are removed only if the score without them, of which they then no longer are a part, exceeds that with them.
+    rival: FIT, the best hypothesis that lacks more of the spots, with its own score; valid 0 if the spots agree.
     """
     before = np.empty((2, MAX_LEDS), np.int64)
-    where = np.zeros(2, np.int64)
+    trial = np.empty_like(rival)
     n_leds = scene.leds.shape[0]
     fit.removed = 0
+    rival[0].valid = 0
     for _ in range(_ROUNDS):
         weigh(scene, view, density, fit)
         if fit.valid == 0:
@@ -511,16 +544,12 @@ def settle(scene, view, density, reach_px, fit, trial):
         if fit.points < 3:
             fit.valid = 0
             return
-    while fit.floor > scene.floors[0] and fit.removed < _MOST_REMOVED and 2 * fit.points - 8 >= 2 + 2 * fit.removed:
-        if not worst_spot(scene, view, fit, where) > 0.0:
+    while fit.misfit > chi_square_limit(2 * fit.points - 6) and fit.removed < _MOST_REMOVED:
+        best_without(scene, view, density, fit, trial[0], rival[0])
+        if rival[0].valid == 0 or not rival[0].score > fit.score:
             return
-        copy_fit(trial, fit)
-        trial.spot[where[0], where[1]] = -1
-        weigh(scene, view, density, trial)
-        if trial.valid == 0 or not trial.score > fit.score:
-            return
-        copy_fit(fit, trial)
-        fit.removed += 1
+        copy_fit(fit, rival[0])
+        rival[0].valid = 0
 
 
 @kernel

@@ -19,6 +19,8 @@ CLIPPED = 6  # pixels at full scale
 COMPONENT_WIDTH = 7
 
 BAD = -1  # label of a defective pixel
+_APART = 14  # px, half the extent over which a texture is assessed
+_TEXTURE = 2.0  # variance of the sums relative to that of noise, above which the background has a texture
 
 
 @kernel
@@ -33,15 +35,16 @@ def sum_of_nine(image, u, v):
 
 @kernel
 def level_and_variance(image, u0, v0, u1, v1, samples):
-    """Return the median of the sums in a box (u1, v1 excluded) and the variance of a pixel, levels^2.
+    """Return the median of the sums in a box (u1, v1 excluded), the variance of a pixel, and the variance of a sum.
 
-    The variance is about the mean of the pixel's neighbours, from about ``len(samples)`` points on a grid. Sums more
-    than four sigma off the median (light, hot pixels) are excluded. The variance is at least that of rounding, 1/12.
+    The variance of a pixel, levels^2, is about the mean of its neighbours, from about ``len(samples)`` points on a
+    grid. Sums more than four sigma off the median (light, hot pixels) are excluded. It is at least that of rounding,
+    1/12. That of a sum includes the texture of the background, if this exceeds the noise.
     """
     u0, v0 = max(u0, 1), max(v0, 1)
     u1, v1 = min(u1, image.shape[1] - 1), min(v1, image.shape[0] - 1)
     if u1 <= u0 or v1 <= v0:
-        return 0.0, 1.0 / 12.0
+        return 0.0, 1.0 / 12.0, 0.75
     step = max(1, math.ceil(math.sqrt((u1 - u0) * (v1 - v0) / samples.shape[0])))
     n = 0
     for i in range(v0 + (step - 1) // 2, v1, step):
@@ -66,23 +69,47 @@ def level_and_variance(image, u0, v0, u1, v1, samples):
     variance = max(squares / (8.0 * max(used, 1)), 1.0 / 12.0)
     # a sensor that clips at zero reduces its noise: to a third of its variance in full darkness
     cut = max(1.0 - median / (9.0 * 1.2 * math.sqrt(variance)), 0.0)
-    return median, (1.0 + 2.0 * cut) * variance
+    variance *= 1.0 + 2.0 * cut
+    texture = texture_of(image, u0, v0, u1, v1, step, samples)
+    return median, variance, 9.0 * variance + max(texture - _TEXTURE * 9.0 * variance, 0.0)
 
 
 @kernel
-def fill_background_grid(image, level, variance, samples):
-    """Write level (of sums) and variance (of a pixel) of each tile of a grid over the image, (rows, columns).
+def texture_of(image, u0, v0, u1, v1, step, samples):
+    """Return the variance of the sums about the mean of two others on both sides, which no gradient changes.
 
-    The variances are medians over a tile and its neighbours.
+    Robust: light on a quarter of the samples does not raise it.
+    """
+    n = 0
+    for i in range(v0 + (step - 1) // 2, v1, step):
+        for j in range(u0 + (step - 1) // 2, u1, step):
+            a, b = (_APART, 0) if (i + j) // step % 2 == 0 else (0, _APART)
+            inside = i - a > 0 and j - b > 0 and i + a < image.shape[0] - 1 and j + b < image.shape[1] - 1
+            if n < samples.shape[0] and inside:
+                around = sum_of_nine(image, j - b, i - a) + sum_of_nine(image, j + b, i + a)
+                samples[n] = sum_of_nine(image, j, i) - 0.5 * around
+                n += 1
+    if n < 4:
+        return 0.0
+    order = np.sort(samples[:n])
+    wide = (order[(3 * n) // 4] - order[n // 4]) / 1.349
+    return wide * wide / 1.5
+
+
+@kernel
+def fill_background_grid(image, level, variance, spread, samples):
+    """Write level (of sums), variance (of a pixel) and spread (variance of sums) of each tile of a grid over the image.
+
+    All (rows, columns). The variances are medians over a tile and its neighbours.
     """
     rows, columns = level.shape
-    raw = np.empty((rows, columns))
+    raw, raw_spread = np.empty((rows, columns)), np.empty((rows, columns))
     near = np.empty(9)
     for i in range(rows):
         v0, v1 = i * image.shape[0] // rows, (i + 1) * image.shape[0] // rows
         for j in range(columns):
             u0, u1 = j * image.shape[1] // columns, (j + 1) * image.shape[1] // columns
-            level[i, j], raw[i, j] = level_and_variance(image, u0, v0, u1, v1, samples)
+            level[i, j], raw[i, j], raw_spread[i, j] = level_and_variance(image, u0, v0, u1, v1, samples)
     for i in range(rows):
         for j in range(columns):
             n = 0
@@ -91,6 +118,12 @@ def fill_background_grid(image, level, variance, samples):
                     near[n] = raw[a, b]
                     n += 1
             variance[i, j] = np.median(near[:n])
+            n = 0
+            for a in range(max(i - 1, 0), min(i + 2, rows)):
+                for b in range(max(j - 1, 0), min(j + 2, columns)):
+                    near[n] = raw_spread[a, b]
+                    n += 1
+            spread[i, j] = max(np.median(near[:n]), 9.0 * variance[i, j])
 
 
 @kernel

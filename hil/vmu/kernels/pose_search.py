@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.maths.arrays import copy_matrix
-from hil.vmu.kernels.budget import settle
+from hil.vmu.kernels.budget import copy_fit, settle
 from hil.vmu.kernels.hypotheses import acceptable, is_known, mirror
 from hil.vmu.kernels.match import converge
 from hil.vmu.kernels.p3p import axes_of_three, ray_lengths
@@ -41,11 +41,12 @@ SEARCH = np.dtype(
 )
 
 STATE_FITS, STATE_BEST, STATE_FULL, STATE_STARTS, STATE_TRIPLES = range(5)
+"""Indices of ``state``: fits found, most spots of one, whether some were dropped, starts and triples tried."""
 STATE_WIDTH: Final = 5
-"""Indices of ``state``: fits found, largest number of spots of one, whether some were dropped, starts and triples tried."""
 
 _MOST_STARTS = 400
 _MOST_TRIPLES = 40_000  # of three spots and three LEDs: the time budget of an image pair
+_CLOSE_SCORE = 15.0  # within which a hypothesis without some of the spots is one of its own
 _SLACK = 2  # fits with up to this many spots fewer than the best are kept
 
 
@@ -104,17 +105,20 @@ def add_settled(scene, view, settings, density, start, fits, state):
 
     density: (2,), px^-2, of stray lights. The last element of ``fits`` is scratch.
     """
-    trial = np.empty_like(fits[:1])
+    rival = np.empty_like(fits[:1])
     fit = fits[fits.shape[0] - 1]
     fits[fits.shape[0] - 1] = start
     for side in range(2):
         if side == 1:
-            mirror(fit.r, fit.t, settings.normal, settings.centre, start.r, start.t)
-            copy_matrix(start.spot, fit.spot)
             fits[fits.shape[0] - 1] = start
-        settle(scene, view, density, settings.gate_px, fit, trial[0])
+        settle(scene, view, density, settings.gate_px, fit, rival)
         if not add_new(fits, state):
             return
+        mirror(fit.r, fit.t, settings.normal, settings.centre, start.r, start.t)
+        copy_matrix(start.spot, fit.spot)
+        if rival[0].valid == 1 and rival[0].score > fit.score - _CLOSE_SCORE:
+            copy_fit(fit, rival[0])
+            add_new(fits, state)
 
 
 @kernel
@@ -179,22 +183,46 @@ def search_triple(scene, view, settings, c, trio, least, allowed, some, starts, 
 
 
 @kernel
-def search_level(scene, view, settings, c, level, allowed, some, starts, fits, state):
-    """Try the triples of camera c that cover any hypothesis that explains ``level`` spots of it."""
+def search_level(scene, view, settings, c, level, index, count, allowed, some, starts, fits, state):
+    """Try the triples of camera c that cover any hypothesis that explains ``level`` of its spots index[:count]."""
     trio = np.empty(3, np.int64)
     # one more than needed: a light visible to this camera only may have a wrong partner in the other one
     spare = 1 if view.counts[1 - c] > 0 else 0
-    for k in range(2, min(view.counts[c] - level + 3 + spare, view.counts[c])):
+    for k in range(2, min(count - level + 3 + spare, count)):
         for j in range(1, k):
             for i in range(j):
-                trio[0], trio[1], trio[2] = i, j, k
+                trio[0], trio[1], trio[2] = index[i], index[j], index[k]
                 search_triple(scene, view, settings, c, trio, level, allowed, some, starts, fits, state)
+
+
+@kernel
+def search_camera(scene, view, settings, c, level, lowest, index, count, allowed, some, starts, fits, state):
+    """Search by the spots index[:count] of camera c, from ``level`` spots downwards; return the last level tried.
+
+    It ends when no hypothesis that explains more of the camera's spots than the best so far can remain.
+    """
+    n = scene.leds.shape[0]
+    while level >= lowest:
+        search_level(scene, view, settings, c, level, index, count, allowed, some, starts, fits, state)
+        mine = 0
+        for k in range(state[STATE_FITS]):
+            if fits[k].points == state[STATE_BEST]:
+                own = 0
+                for m in range(n):
+                    if fits[k].spot[c, m] >= 0:
+                        own += 1
+                mine = max(mine, own)
+        if level <= mine:
+            break
+        level -= 1
+    return max(level, lowest)
 
 
 @kernel
 def search(scene, view, settings, starts, fits, state):
     """Write all poses that explain the most spots, or nearly so, to ``fits``; return how many.
 
+    Lights that the other camera may see too are tried first; if nearly all LEDs are among them, that is all.
     The last elements of ``starts`` and of ``fits`` are scratch. state: (STATE_WIDTH,), see STATE_FITS.
     """
     n = scene.leds.shape[0]
@@ -202,32 +230,30 @@ def search(scene, view, settings, starts, fits, state):
         state[k] = 0
     first = 0 if view.counts[0] >= 3 else 1
     other = 1 - first
+    allowed = np.empty((MAX_SPOTS, MAX_SPOTS, n, n), np.uint8)
+    some, index = np.empty((MAX_SPOTS, MAX_SPOTS), np.uint8), np.empty(MAX_SPOTS, np.int64)
+    paired = allow_pairs(scene, view, first, settings.near, settings.far, allowed, some, index)
+    if paired >= n - 1 and paired < view.counts[first]:
+        search_camera(
+            scene, view, settings, first, min(paired, n), n - 1, index, paired, allowed, some, starts, fits, state
+        )  # fmt: skip
+        if state[STATE_BEST] >= 2 * n - 2:
+            drop_poor(fits, state)
+            return state[STATE_FITS]
     # any three lights of a single camera give a pose: valid only near a prediction
     lowest = 3 if view.counts[other] >= 2 or settings.predicted == 1 else 4
-    allowed = np.empty((MAX_SPOTS, MAX_SPOTS, n, n), np.uint8)
-    some = np.empty((MAX_SPOTS, MAX_SPOTS), np.uint8)
-    allow_pairs(scene, view, first, settings.near, settings.far, allowed, some)
-    level = min(view.counts[first], n)
-    while level >= lowest:
-        search_level(scene, view, settings, first, level, allowed, some, starts, fits, state)
-        mine = 0
-        for k in range(state[STATE_FITS]):
-            if fits[k].points == state[STATE_BEST]:
-                own = 0
-                for m in range(n):
-                    if fits[k].spot[first, m] >= 0:
-                        own += 1
-                mine = max(mine, own)
-        if level <= mine:
-            break
-        level -= 1
-    level = max(level, lowest)
+    level = search_camera(
+        scene, view, settings, first, min(view.counts[first], n), lowest, index, view.counts[first], allowed, some,
+        starts, fits, state,
+    )  # fmt: skip
     # an equally good hypothesis not yet found has few spots in the first image and many in the other
     lowest = 3 if view.counts[first] >= 2 or settings.predicted == 1 else 4
     own = min(view.counts[other], n)
-    allow_pairs(scene, view, other, settings.near, settings.far, allowed, some)
+    allow_pairs(scene, view, other, settings.near, settings.far, allowed, some, index)
     while own >= max(lowest, state[STATE_BEST] - level + 1):
-        search_level(scene, view, settings, other, own, allowed, some, starts, fits, state)
+        search_level(
+            scene, view, settings, other, own, index, view.counts[other], allowed, some, starts, fits, state
+        )  # fmt: skip
         own -= 1
     drop_poor(fits, state)
     return state[STATE_FITS]

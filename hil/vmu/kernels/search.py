@@ -28,8 +28,8 @@ _ROWS = 4  # rows per threshold
 
 
 @kernel
-def _flood_row(image, label, hits, count, queue, components, lights, level, dark, known, sigmas):
-    """Flood from each hit without a component; level and dark: (1, 1), or the grids of ``fill_background_grid``."""
+def _flood_row(image, label, hits, count, queue, components, lights, level, dark, spread, known, sigmas):
+    """Flood from each hit without a component; level, dark, spread: (1, 1), or those of ``fill_background_grid``."""
     rows, columns = image.shape
     end = components[known - 1, END] if known > 0 else 0
     for k in range(count):
@@ -41,7 +41,8 @@ def _flood_row(image, label, hits, count, queue, components, lights, level, dark
         here, variance = interpolate(level, u, v, columns, rows), interpolate(dark, u, v, columns, rows)
         variance = max(variance, 1.0 / 12.0)
         lights[known, 0], lights[known, 1] = here, variance
-        threshold = here + 3.0 * sigmas * math.sqrt(variance)
+        wide = max(interpolate(spread, u, v, columns, rows), 9.0 * variance)
+        threshold = here + sigmas * math.sqrt(wide)
         end = flood(image, label, known + 1, hits[k], threshold, queue, end, components[known])
         known += 1
     return known
@@ -55,11 +56,11 @@ def components_of_image(image, limits, label, queue, components, lights):
     """
     rows, columns = image.shape
     shape = (max(1, round(rows / _TILE)), max(1, round(columns / _TILE)))
-    level, dark, deviation = np.empty(shape), np.empty(shape), np.empty(shape)
-    fill_background_grid(image, level, dark, np.empty(_SAMPLES))
+    level, dark, spread, deviation = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
+    fill_background_grid(image, level, dark, spread, np.empty(_SAMPLES))
     for i in range(shape[0]):
         for j in range(shape[1]):
-            deviation[i, j] = 3.0 * math.sqrt(dark[i, j])
+            deviation[i, j] = math.sqrt(spread[i, j])
     threshold, scratch = np.empty(columns, dtype=np.uint16), np.empty(columns, dtype=np.uint16)
     words = np.zeros((columns + 7) // 8, dtype=np.uint64)
     flags, hits = words.view(np.uint8), np.empty(columns, dtype=np.int64)
@@ -70,7 +71,7 @@ def components_of_image(image, limits, label, queue, components, lights):
         count = collect_hits(image, v, 0, columns, threshold, scratch, flags, words, hits, 0)
         if count > 0:
             known = _flood_row(
-                image, label, hits, count, queue, components, lights, level, dark, known, limits.sigmas
+                image, label, hits, count, queue, components, lights, level, dark, spread, known, limits.sigmas
             )  # fmt: skip
             if known == TOO_MANY:
                 return TOO_MANY
@@ -86,24 +87,25 @@ def components_of_windows(image, windows, limits, label, queue, components, ligh
     flags, hits = words.view(np.uint8), np.empty(columns, dtype=np.int64)
     samples = np.empty(_WINDOW_SAMPLES)
     box = np.empty((windows.shape[0], 4), dtype=np.int64)
-    level, dark = np.zeros(windows.shape[0]), np.zeros(windows.shape[0])
+    level, dark, wide = np.zeros(windows.shape[0]), np.zeros(windows.shape[0]), np.zeros(windows.shape[0])
     for k in range(windows.shape[0]):
         box[k, 0], box[k, 1] = max(windows[k, 0], 0), max(windows[k, 1], 0)
         box[k, 2], box[k, 3] = min(windows[k, 2], columns), min(windows[k, 3], rows)
-        level[k], dark[k] = level_and_variance(image, box[k, 0], box[k, 1], box[k, 2], box[k, 3], samples)
+        level[k], dark[k], wide[k] = level_and_variance(image, box[k, 0], box[k, 1], box[k, 2], box[k, 3], samples)
     known = 0
-    here, noise = np.empty((1, 1)), np.empty((1, 1))
+    here, noise, spread = np.empty((1, 1)), np.empty((1, 1)), np.empty((1, 1))
     for k in range(windows.shape[0]):
         if box[k, 2] - box[k, 0] < 3 or box[k, 3] - box[k, 1] < 3:
             continue
         here[0, 0], noise[0, 0] = level[k], _typical(level, dark, k)
-        limit = here[0, 0] + 3.0 * limits.sigmas * math.sqrt(noise[0, 0])
+        spread[0, 0] = max(_typical(level, wide, k), 9.0 * noise[0, 0])
+        limit = here[0, 0] + limits.sigmas * math.sqrt(spread[0, 0])
         threshold[:] = np.uint16(min(limit, 65535.0))
         for v in range(max(box[k, 1], 1), min(box[k, 3], rows - 1)):
             count = collect_hits(image, v, box[k, 0], box[k, 2], threshold, scratch, flags, words, hits, 0)
             if count > 0:
                 known = _flood_row(
-                    image, label, hits, count, queue, components, lights, here, noise, known, limits.sigmas
+                    image, label, hits, count, queue, components, lights, here, noise, spread, known, limits.sigmas
                 )  # fmt: skip
                 if known == TOO_MANY:
                     return TOO_MANY
@@ -112,7 +114,7 @@ def components_of_windows(image, windows, limits, label, queue, components, ligh
 
 @kernel
 def _typical(level, dark, k):
-    """Return the median variance of the windows with about the same background as window ``k``."""
+    """Return the median of ``dark``, variances, over the windows with about the same background as window ``k``."""
     near = np.empty(level.shape[0])
     n = 0
     for m in range(level.shape[0]):

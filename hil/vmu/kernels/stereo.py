@@ -95,14 +95,25 @@ def may_be_apart(first, second, between, length):
 
 
 @kernel
-def allow_pairs(scene, view, c, near, far, allowed, some):
+def allow_pairs(scene, view, c, near, far, allowed, some, index):
     """Write to allowed (MAX_SPOTS, MAX_SPOTS, n, n), 1 or 0, whether two spots of camera c can be two LEDs.
 
-    some: (MAX_SPOTS, MAX_SPOTS), whether they can be any two.
+    some: (MAX_SPOTS, MAX_SPOTS), whether they can be any two. index: (MAX_SPOTS,), the spots in order, those first
+    that have a possible partner in the other image. Return how many have one.
     """
     n = scene.leds.shape[0]
     found, counts = np.empty((MAX_SPOTS, _PARTNERS, 2)), np.zeros(MAX_SPOTS, np.int64)
     depths(scene, view, c, near, far, found, counts)
+    paired = 0
+    for i in range(view.counts[c]):
+        if counts[i] != 0:
+            index[paired] = i
+            paired += 1
+    last = paired
+    for i in range(view.counts[c]):
+        if counts[i] == 0:
+            index[last] = i
+            last += 1
     for i in range(view.counts[c]):
         for j in range(view.counts[c]):
             y, z = view.spots[c, i].ray, view.spots[c, j].ray
@@ -118,3 +129,4 @@ def allow_pairs(scene, view, c, near, far, allowed, some):
                     allowed[i, j, p, q] = 1 if fits else 0
                     if fits and p != q:
                         some[i, j] = 1
+    return paired
