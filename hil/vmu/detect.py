@@ -19,7 +19,7 @@ from hil.vmu.kernels.measure import LIMITS
 from hil.vmu.kernels.records import SPOT
 from hil.vmu.kernels.search import TOO_MANY, detect
 
-_MOST_COMPONENTS: Final = 192
+_MOST_COMPONENTS: Final = 128
 _MOST_TRIES: Final = 6
 _NO_WINDOWS: Final = np.empty((0, 4), dtype=np.int64)
 _PRIOR_PER_LEVEL: Final = 0.01  # levels^2 of variance per level: 100 electrons per level

@@ -136,7 +136,7 @@ class Solver:
         """Return the distinct poses (FIT) within the error budget that follow from ``starts``, with their scores."""
         self._state[:] = 0
         density = self.stray_density(view)
-        for start in starts.copy():
+        for start in starts[np.lexsort((starts["chi2"], -starts["points"]))]:
             add_settled(self.scene, view, self._search, density, start, self._settled, self._state)
         return self._settled[: self._state[STATE_FITS]].copy()
 

@@ -30,7 +30,7 @@ PERIOD_S = 0.16
 class CalibrationErrors:
     """Standard deviations of a calibration: of each principal point, focal length, rotation, baseline and LED.
 
-    distortion_px: at the image's corner.
+    distortion_px: at the image's corner. spot_px: least error of a spot that the geometry file states.
     """
 
     principal_point_px: float = 0.0
@@ -39,11 +39,12 @@ class CalibrationErrors:
     rotation_deg: float = 0.0
     baseline_m: float = 0.0
     led_m: float = 0.0
+    spot_px: float = 0.0
 
 
 EXACT = CalibrationErrors()
-VERY_GOOD = CalibrationErrors(0.05, 0.0002, 0.05, 0.003, 0.00003, 0.00005)
-USUAL = CalibrationErrors(0.2, 0.001, 0.2, 0.02, 0.0001, 0.0001)
+VERY_GOOD = CalibrationErrors(0.05, 0.0002, 0.05, 0.003, 0.00003, 0.00005, 0.01)
+USUAL = CalibrationErrors(0.2, 0.001, 0.2, 0.02, 0.0001, 0.0001, 0.01)
 
 
 def ring_m(radius_m: float = 0.12, raised_m: float = 0.06) -> Array:
@@ -63,7 +64,7 @@ def known_geometry(errors: CalibrationErrors | None) -> VmuGeometry:
         "baseline_m": (BASELINE_M, 0.0, 0.0),
     }
     if errors is not None and "tolerances" in VmuGeometry.model_fields:
-        keys["tolerances"] = dict(errors.__dict__) | ({"spot_px": 0.0} if errors == EXACT else {})
+        keys["tolerances"] = dict(errors.__dict__)
     return VmuGeometry.model_validate(keys)
 
 

@@ -39,6 +39,7 @@ _MOST_REMOVED = 3  # spots
 _UNSEEN_COST = 3.0  # ln of the odds that an LED in view is lit and detected
 _EDGE_PX = 4.0  # an LED nearer to the image's edge may not be detected
 _LOG_2PI = math.log(2.0 * math.pi)
+_HOPELESS = 20.0  # of the score
 _USUAL_SIGMA = 1.0  # chi-square up to this above its mean needs no other floor
 _FIRST_RIGHT, _FIRST_STEREO = 9, 18
 
@@ -290,10 +291,11 @@ def distance_of(t):
 
 
 @kernel
-def weigh(scene, view, density, fit):
+def weigh(scene, view, density, clean, fit):
     """Fit the pose of ``fit`` to its spots within the error budget: pose, covariances, chi-square, floor and score.
 
-    density: (2,), px^-2, of stray lights in each image.
+    density: (2,), px^-2, of stray lights in each image. clean: spots of another hypothesis that passes its test: one
+    that explains no more and needs a much larger scale of its errors is not valid.
     """
     fit.valid = 0
     which, shared, low = np.empty((2 * MAX_LEDS, 2), np.int64), np.empty((_MOST, _MOST)), np.zeros((_MOST, _MOST))
@@ -328,6 +330,8 @@ def weigh(scene, view, density, fit):
             usual = degrees <= 0.0 or cost <= degrees + _USUAL_SIGMA * math.sqrt(2.0 * degrees)
             if usual and (turn == 1 or away < _NEAR):
                 break
+            if turn == 1 and m <= clean and 0.5 * degrees * math.log(cost / degrees) > _HOPELESS:
+                return
     likelihood = log_likelihood(log_det, cost, normal, gradient, low6)
     if not math.isfinite(likelihood):
         return
@@ -495,7 +499,7 @@ def without(scene, view, density, fit, where, trial):
     for c in range(2):
         if where[0] in (c, -1):
             trial.spot[c, where[1]] = -1
-    weigh(scene, view, density, trial)
+    weigh(scene, view, density, 0, trial)
     trial.removed = fit.removed + fit.points - trial.points
 
 
@@ -521,11 +525,18 @@ def best_without(scene, view, density, fit, trial, best):
 
 
 @kernel
-def settle(scene, view, density, reach_px, fit, rival):
+def passes(fit):
+    """Return whether a fit needs no floor and lacks none of the spots in its gates."""
+    return fit.misfit <= chi_square_limit(2 * fit.points - 6) and fit.removed == 0
+
+
+@kernel
+def settle(scene, view, density, reach_px, clean, fit, rival):
     """Extend ``fit`` to all spots that match within the error budget, and remove outliers if that is more likely.
 
     Spots are removed only if the score without them, of which they then no longer are a part, exceeds that with them.
-    rival: FIT, the best hypothesis that lacks more of the spots, with its own score; valid 0 if the spots agree.
+    clean: as in ``weigh``. rival: FIT, the best hypothesis that lacks more of the spots, with its own score; valid 0 if
+    the spots agree.
     """
     before = np.empty((2, MAX_LEDS), np.int64)
     trial = np.empty_like(rival)
@@ -533,7 +544,7 @@ def settle(scene, view, density, reach_px, fit, rival):
     fit.removed = 0
     rival[0].valid = 0
     for _ in range(_ROUNDS):
-        weigh(scene, view, density, fit)
+        weigh(scene, view, density, clean, fit)
         if fit.valid == 0:
             return
         copy_matrix(before, fit.spot)
@@ -544,7 +555,7 @@ def settle(scene, view, density, reach_px, fit, rival):
         if fit.points < 3:
             fit.valid = 0
             return
-    while fit.misfit > chi_square_limit(2 * fit.points - 6) and fit.removed < _MOST_REMOVED:
+    while fit.points > clean and fit.removed < _MOST_REMOVED and fit.misfit > chi_square_limit(2 * fit.points - 6):
         best_without(scene, view, density, fit, trial[0], rival[0])
         if rival[0].valid == 0 or not rival[0].score > fit.score:
             return

@@ -19,7 +19,7 @@ CLIPPED = 6  # pixels at full scale
 COMPONENT_WIDTH = 7
 
 BAD = -1  # label of a defective pixel
-_APART = 14  # px, half the extent over which a texture is assessed
+_APART = 24  # px, half the extent over which a texture is assessed
 _TEXTURE = 2.0  # variance of the sums relative to that of noise, above which the background has a texture
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.maths.arrays import copy_matrix
-from hil.vmu.kernels.budget import copy_fit, settle
+from hil.vmu.kernels.budget import copy_fit, passes, settle
 from hil.vmu.kernels.hypotheses import acceptable, is_known, mirror
 from hil.vmu.kernels.match import converge
 from hil.vmu.kernels.p3p import axes_of_three, ray_lengths
@@ -40,9 +40,10 @@ SEARCH = np.dtype(
     align=True,
 )
 
-STATE_FITS, STATE_BEST, STATE_FULL, STATE_STARTS, STATE_TRIPLES = range(5)
-"""Indices of ``state``: fits found, most spots of one, whether some were dropped, starts and triples tried."""
-STATE_WIDTH: Final = 5
+STATE_FITS, STATE_BEST, STATE_FULL, STATE_STARTS, STATE_TRIPLES, STATE_CLEAN = range(6)
+"""Indices of ``state``: fits found, most spots of one, whether some were dropped, starts and triples tried, most spots
+of one that passes its test without a floor."""
+STATE_WIDTH: Final = 6
 
 _MOST_STARTS = 400
 _MOST_TRIPLES = 40_000  # of three spots and three LEDs: the time budget of an image pair
@@ -111,9 +112,11 @@ def add_settled(scene, view, settings, density, start, fits, state):
     for side in range(2):
         if side == 1:
             fits[fits.shape[0] - 1] = start
-        settle(scene, view, density, settings.gate_px, fit, rival)
+        settle(scene, view, density, settings.gate_px, state[STATE_CLEAN], fit, rival)
         if not add_new(fits, state):
             return
+        if passes(fit):
+            state[STATE_CLEAN] = max(state[STATE_CLEAN], fit.points)
         mirror(fit.r, fit.t, settings.normal, settings.centre, start.r, start.t)
         copy_matrix(start.spot, fit.spot)
         if rival[0].valid == 1 and rival[0].score > fit.score - _CLOSE_SCORE:
