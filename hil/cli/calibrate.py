@@ -98,8 +98,8 @@ class BenchSigmas:
 class LimitOptions:
     """Limits of a calibration."""
 
-    max_rms_px: float = 0.3
-    """Limit of the residuals, RMS."""
+    max_rms_px: float = 0.15
+    """Limit of the residuals, RMS: with larger ones the vision unit loses the tilt of a distant ring."""
     max_error_mm: float = 2.0
     """Limit of a point's position uncertainty from the calibration at --range-m, 1 sigma."""
     range_m: float = 2.0

@@ -159,7 +159,8 @@ class Identifier:
         in_v = scene.leds @ best["r"].T + best["t"]
         own = in_v @ scene.rotation[camera].T + scene.translation[camera]
         pixels = [project(scene.lens[camera], *point) for point in own]
-        return sum(in_image(scene.lens[camera], u, v, _EDGE_PX) for u, v in pixels) >= _LIGHTS
+        expected = sum(bool(in_image(scene.lens[camera], u, v, _EDGE_PX)) for u, v in pixels)
+        return expected >= _LIGHTS
 
     def _why_apart(self, left: np.void, right: np.void) -> str:
         """Return the status for the poses of the left and of the right image alone that differ.
@@ -172,7 +173,7 @@ class Identifier:
         apart = left["t"] - right["t"] + baseline
         scale = float(baseline[:2] @ apart[:2]) / float(apart[:2] @ apart[:2])
         off = apart[:2] * scale - baseline[:2]
-        across = abs(float(np.cross(baseline[:2], off))) / float(np.linalg.norm(baseline[:2]))
+        across = abs(float(baseline[0] * off[1] - baseline[1] * off[0])) / float(np.linalg.norm(baseline[:2]))
         if across * float(scene.lens[0]["fx"]) > _EPIPOLAR_PX * abs(scale) * float(np.linalg.norm(left["t"])):
             return NOT_TOGETHER
         return SWAPPED if scale < 0.0 else OTHER_RING

@@ -15,6 +15,7 @@ from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.vmu.calibration.model import SIDES, Setup, TurntableModel, camera_of, lens_numbers, parameters
 from hil.vmu.calibration.refine import RefinementFit
+from hil.vmu.geometry import EXACT
 from hil.vmu.kernels.chain import (
     BASELINE,
     CAMERA_POSITION,
@@ -57,6 +58,8 @@ def geometry_table(
         table[name] = camera_of(setup.theta, side, setup.sizes[side])
     if nominal.sensor is not None:
         table["sensor"] = nominal.sensor.model_dump()
+    if nominal.tolerances != EXACT:
+        table["tolerances"] = nominal.tolerances.model_dump()
     found = parameters((len(fit.covariance) - COMMON) // 3)
     table["calibration"] = {
         "id": label.id,

@@ -21,10 +21,12 @@ from hil.vmu.calibration.refine import Prior, weak_prior
 from hil.vmu.calibration.solve import CalibrationSolution, robust_fit, solve, solve_leds
 from hil.vmu.calibration.views import Views
 from hil.vmu.kernels.chain import COMMON, SCALE
+from hil.vmu.pose import SolverSettings
 
 Progress = Callable[[str, float], None]
 
 _WIDE_GATE_PX = 12.0
+_MOST_SPOT_PX = SolverSettings().reach_px / 3.0  # within 3 sigma the vision unit finds the spots of the LEDs
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +156,12 @@ def _outcome(
     checks = [
         CalibrationCheck("reprojection, RMS", fit.rms_px, limits.rms_px, "px"),
         CalibrationCheck(f"position of a point at {limits.range_m:g} m, 1 sigma", error, limits.error_mm, "mm"),
+        CalibrationCheck(
+            f"spot of an LED at {limits.range_m:g} m by the calibration, 1 sigma",
+            quality.spot_error_px(fit.setup, fit.covariance, limits.range_m),
+            _MOST_SPOT_PX,
+            "px",
+        ),
     ]
     if held.free[PARTS["mounting"]].any():
         rotation, position = np.split(fit.sigma[PARTS["mounting"]], 2)

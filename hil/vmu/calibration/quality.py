@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -49,17 +50,27 @@ def field(setup: Setup, range_m: float) -> list[tuple[Array, Array]]:
     Each (3, 4), m/px, and (3, COMMON): the position that is triangulated from the same pixels with other parameters.
     """
     found: list[tuple[Array, Array]] = []
+    for p_v in _field_points(setup, range_m):
+        pixels, by_numbers, by_place = _both_cameras(setup, p_v)
+        if _in_both(pixels, setup):
+            inverse: Array = np.linalg.pinv(by_place).astype(float)
+            found.append((inverse, -inverse @ by_numbers))
+    return found
+
+
+def _field_points(setup: Setup, range_m: float) -> Iterator[Array]:
+    """Yield points (3,), m, in v, over the left camera's field at ``range_m``, around the middle of both cameras."""
     focal, size = setup.theta[:2], setup.sizes[0]
     middle = 0.5 * setup.theta[PARTS["stereo"]][3:] * np.array([1.0, 1.0, 0.0])
     for across in _FIELD:
         for down in _FIELD:
             ray = np.array([across * 0.5 * size[0] / focal[0], down * 0.5 * size[1] / focal[1], 1.0])
-            pixels, by_numbers, by_place = _both_cameras(setup, range_m * ray + middle)
-            both = pixels.reshape(2, 2)
-            if np.isfinite(both).all() and ((both > 0.0) & (both < setup.sizes - 1.0)).all():
-                inverse: Array = np.linalg.pinv(by_place).astype(float)
-                found.append((inverse, -inverse @ by_numbers))
-    return found
+            yield range_m * ray + middle
+
+
+def _in_both(pixels: Array, setup: Setup) -> bool:
+    both = pixels.reshape(2, 2)
+    return bool(np.isfinite(both).all() and ((both > 0.0) & (both < setup.sizes - 1.0)).all())
 
 
 def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -> RangeAccuracy | None:
@@ -72,6 +83,20 @@ def at_range(setup: Setup, covariance: Array, sigma_px: float, range_m: float) -
     numbers = np.mean([np.diagonal(g[:, _CAMERAS] @ cameras @ g[:, _CAMERAS].T) for _, g in positions], axis=0)
     spread = [1e3 * float(np.sqrt(v)) for v in (noise[:2].mean(), noise[2], numbers[:2].mean(), numbers[2])]
     return RangeAccuracy(range_m, *spread)
+
+
+def spot_error_px(setup: Setup, covariance: Array, range_m: float) -> float:
+    """Return the standard deviation of a point's pixel, px, by the calibration of its camera; the worse camera's.
+
+    RMS over the field at ``range_m`` of what the vision unit has to allow for; inf without a common field.
+    """
+    cameras = covariance[_CAMERAS, _CAMERAS]
+    variances = []
+    for p_v in _field_points(setup, range_m):
+        pixels, by_numbers, _ = _both_cameras(setup, p_v)
+        if _in_both(pixels, setup):
+            variances.append(np.diagonal(by_numbers[:, _CAMERAS] @ cameras @ by_numbers[:, _CAMERAS].T))
+    return float(np.sqrt(np.mean(variances, axis=0).max())) if variances else float("inf")
 
 
 def displacement(setup: Setup, change: Array, range_m: float) -> tuple[float, float]:
