@@ -25,7 +25,7 @@ class TrackSettings:
     first_rate_radps: of the rates after a single image. longest_s: longest prediction after the last pose.
     most_failures: number of consecutive images without a measured pose after which the track is dropped. recheck:
     number of poses after which the whole images are searched, to detect a wrong identification. mature: number of poses
-    after which one that does not continue the track is not believed until ``jumps`` of them in a row continue each
+    after which one that does not continue the track is not accepted until ``jumps`` of them in a row continue each
     other.
     """
 

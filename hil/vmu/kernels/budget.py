@@ -507,7 +507,7 @@ def without(scene, view, density, fit, where, trial):
 def best_without(scene, view, density, fit, trial, best):
     """Write to ``best`` the most likely hypothesis that lacks one spot of ``fit``, or one LED; valid 0 without one.
 
-    A light beside a dark LED is seen by both cameras: neither of its spots alone is an outlier.
+    A light near a dark LED is visible to both cameras: neither of its spots alone is an outlier.
     """
     where = np.zeros(2, np.int64)
     best.valid = 0
