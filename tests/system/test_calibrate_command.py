@@ -31,7 +31,7 @@ SMALL = (
 )
 SET = typed(*SMALL)
 AXIS_SIGMA = np.array([5e-5] * 3 + [np.radians(0.005)] * 3)
-LOOSE = ["--max-error-mm", "300", "--max-mounting-mm", "5", "--max-mounting-deg", "0.3"]
+LOOSE = ["--max-error-mm", "300", "--max-mounting-mm", "5", "--max-mounting-deg", "0.3", "--max-spot-px", "3"]
 
 
 def truth_of(leds: bool) -> tuple[Setup, TurntableModel]:

@@ -21,12 +21,10 @@ from hil.vmu.calibration.refine import Prior, weak_prior
 from hil.vmu.calibration.solve import CalibrationSolution, robust_fit, solve, solve_leds
 from hil.vmu.calibration.views import Views
 from hil.vmu.kernels.chain import COMMON, SCALE
-from hil.vmu.pose import SolverSettings
 
 Progress = Callable[[str, float], None]
 
 _WIDE_GATE_PX = 12.0
-_MOST_SPOT_PX = SolverSettings().reach_px / 3.0  # within 3 sigma the vision unit finds the spots of the LEDs
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +48,7 @@ class CalibrationLimits:
     mounting_mm: float
     mounting_deg: float
     square_percent: float
+    spot_px: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +158,7 @@ def _outcome(
         CalibrationCheck(
             f"spot of an LED at {limits.range_m:g} m by the calibration, 1 sigma",
             quality.spot_error_px(fit.setup, fit.covariance, limits.range_m),
-            _MOST_SPOT_PX,
+            limits.spot_px,
             "px",
         ),
     ]

@@ -39,6 +39,7 @@ _MOST_REMOVED = 3  # spots
 _UNSEEN_COST = 3.0  # ln of the odds that an LED in view is lit and detected
 _EDGE_PX = 4.0  # an LED nearer to the image's edge may not be detected
 _LOG_2PI = math.log(2.0 * math.pi)
+_SHIFT_PX = 3.0
 _HOPELESS = 20.0  # of the score
 _USUAL_SIGMA = 1.0  # chi-square up to this above its mean needs no other floor
 _FIRST_RIGHT, _FIRST_STEREO = 9, 18
@@ -270,10 +271,20 @@ def log_likelihood(log_det, cost, normal, gradient, low6):
 
 @kernel
 def estimate_floor(scene, view, fit, which, m, shared, low, residual, jac, flat_residual, flat, normal, gradient):
-    """Return the most likely floor, px, at the pose of ``fit``."""
+    """Return the most likely floor, px, at the pose of ``fit``, whatever the shift of the right image as a whole.
+
+    Else a floor would hide two images that do not belong together.
+    """
     low6, best, floor = np.zeros((6, 6)), -np.inf, scene.floors[0]
+    free = np.empty((_MOST, _MOST))
+    for k in range(m):
+        for q in range(m):
+            added = _SHIFT_PX * _SHIFT_PX if which[k, 0] == 1 and which[q, 0] == 1 else 0.0
+            for i in range(2):
+                for j in range(2):
+                    free[2 * k + i, 2 * q + j] = shared[2 * k + i, 2 * q + j] + (added if i == j else 0.0)
     for k in range(scene.floors.shape[0]):
-        log_det = fill_weights(view, fit.spot, which, m, shared, scene.floors[k], low)
+        log_det = fill_weights(view, fit.spot, which, m, free, scene.floors[k], low)
         if not math.isfinite(log_det):
             continue
         whiten(low, m, residual, jac, flat_residual, flat)
