@@ -111,7 +111,7 @@ class LimitOptions:
     max_square_percent: float = 0.3
     """Limit of the difference between the board's nominal size and its size measured by the rails."""
     max_spot_px: float = 0.5
-    """Limit of a spot's uncertainty from the calibration at --range-m, 1 sigma: beyond it the vision unit loses LEDs."""
+    """Limit of a spot's uncertainty from the calibration at --range-m, 1 sigma: beyond it the unit loses LEDs."""
 
 
 @dataclass(frozen=True)
