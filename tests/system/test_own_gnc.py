@@ -108,7 +108,11 @@ def test_abort_is_told_once_in_the_input_after_it_has_begun(tmp_path: Path) -> N
 
 def test_run_without_an_estimate_is_judged_on_the_truth_and_never_claims_docking(tmp_path: Path) -> None:
     chosen, numbers, folder = variant(tmp_path, NO_ESTIMATE), tmp_path / "run.json", tmp_path / "runs"
-    start = ("initial.position_m=[0.55, 0.01, -0.01]", "initial.attitude_deg=[0.3, 0.2, -0.2]")
+    start = (
+        "initial.position_m=[0.55, 0.01, -0.01]",
+        "initial.attitude_deg=[0.3, 0.2, -0.2]",
+        "requirements.required_ready_s=1.0",
+    )
     settings = typed(*start, f"gnc.library={chosen}")
     options = ["--duration", "45", "--json", str(numbers), "--record", str(folder)]
     assert execute(["run", "scheme-1", *settings, *options]) == 0
