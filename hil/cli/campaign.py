@@ -158,7 +158,7 @@ def _run_all(
     campaigns: Sequence[CampaignJob], stores: Sequence[Store], runs: int, engine: Engine, console: Console
 ) -> list[dict[str, Any]]:
     """Run the campaigns one after the other; return their summaries."""
-    from hil.monte_carlo.figure import draw_percentiles
+    from hil.monte_carlo.figure import draw_integrity, draw_percentiles
 
     summaries = []
     with ProgressBar(console, "campaign") as bar:
@@ -170,6 +170,7 @@ def _run_all(
 
             summaries.append(each.run(store, runs, engine, watch))
             draw_percentiles(store, each.scenario.value, store.folder / "percentiles.png")
+            draw_integrity(store, store.folder / "stanford.png")
     return summaries
 
 

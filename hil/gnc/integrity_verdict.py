@@ -56,6 +56,7 @@ INTEGRITY_STATE = np.dtype(
         ("worst_error", "f8"),  # ... m, with its limit and the protection levels of that cycle
         ("worst_limit", "f8"),
         ("worst_level", "f8", 3),
+        ("worst_bound", "f8"),  # m, protection level of the same direction as that error
         ("false_alerts", "i8"),
         ("nearest", "f8"),  # m
         ("ended", "i8"),  # 1: the last cycle was one of a hold, retreat or abort
@@ -80,6 +81,7 @@ def start_integrity(state):
     state.misleading_s = state.misleading_by_line1_s = state.unnoticed_s = np.nan
     state.nearest = np.inf
     fill(state.worst_level, np.nan)
+    state.worst_bound = np.nan
     fill(state.detected_s, np.nan)
     fill(state.reacted_s, np.nan)
 
@@ -206,6 +208,7 @@ def update_integrity(params, state, now):
     if share > state.worst_share:
         state.worst_share, state.worst_error, state.worst_limit = share, errors[worse], limits[worse]
         copy_into(state.worst_level, now.navigation.protection_level_m)
+        state.worst_bound = levels[worse]
     faultless = True
     for k in range(params.faults):
         faultless = faultless and now.t_s < params.fault_at_s[k]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from hil.config.scenario import Scenario
 from hil.monte_carlo.store import Store, atomic_write
-from hil.report.figures import RunFigure
+from hil.report.figures import RunFigure, draw_stanford
 from hil.report.verdict import ROW_NAMES, TABLE_V, tolerances
 
 _MOST_POINTS = 2000  # of a curve
@@ -46,6 +46,26 @@ def percentiles_figure(column: Column, scenario: Scenario) -> Figure:
         _curve(place, _finite(column, name), label)
     _deviations(axes[5], column, scenario)
     figure.suptitle(f"{scenario.name}, {len(column('case'))} cases")
+    return figure
+
+
+def draw_integrity(store: Store, path: Path) -> None:
+    """Draw ``stanford_figure`` of the cases in ``store`` into ``path``, if their GNC reports protection levels."""
+    if np.isfinite(np.asarray(store.column("protection_level_m"), dtype=float)).any():
+        with atomic_write(path) as partial:
+            stanford_figure(store.column).savefig(partial, dpi=110, format="png")
+
+
+def stanford_figure(column: Column) -> Figure:
+    """Return the Stanford diagram of the cases: each at its largest position error relative to the alert limit."""
+    error, limit, level = (
+        np.asarray(column(name), dtype=float) for name in ("worst_error_m", "alert_limit_m", "protection_level_m")
+    )
+    known = np.isfinite(level) & (limit > 0.0)
+    figure = RunFigure(figsize=(5.5, 5.0), layout="constrained")
+    plot = figure.subplots()
+    draw_stanford(plot, error[known] / limit[known], level[known] / limit[known])
+    plot.set_title(f"{np.count_nonzero(known)} cases, each at its largest error", loc="left", fontsize=10)
     return figure
 
 

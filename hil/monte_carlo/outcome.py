@@ -64,9 +64,7 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
         "hmi_cycles": integrity["hmi_cycles"],
         "worst_error_m": integrity["worst_error_m"],
         "alert_limit_m": integrity["alert_limit_m"],
-        "protection_level_m": max(
-            (level for level in integrity["protection_level_m"] if level is not None), default=None
-        ),
+        "protection_level_m": _number(stats.integrity.worst_bound),
         "availability": integrity["availability"],
         "time_to_alert_s": integrity["time_to_alert_s"],
         "firings": firings,

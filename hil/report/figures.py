@@ -16,7 +16,9 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.gnc.filter_monitor import WINDOWS, nis_band
+from hil.gnc.integrity_verdict import stanford
 from hil.loop.overrun_monitor import lateness_histogram
+from hil.params import integrity as integrity_params
 from hil.report.bench_error import pose_errors
 from hil.report.summary import attitude_error
 from hil.report.verdict import Verdict, deviations, tolerances
@@ -65,6 +67,8 @@ def figures(history: np.ndarray, scenario: Scenario, rig: Rig, verdict: Verdict)
     updates = known[np.isfinite(known["navigation"]["nis_position"])]
     if len(updates) > WINDOWS[0]:
         yield "Normalised innovations squared and the band of their mean", svg_address(_nis(updates))
+    if np.isfinite(known["navigation"]["protection_level_m"]).any():
+        yield "Integrity: error against protection level (Stanford diagram)", svg_address(_stanford(known, scenario))
     yield "Thruster firings (bench paper figure 8)", svg_address(_firings(history, scenario))
     yield "Security: margins of the estimate", svg_address(_security(history))
     rows, distance, angle = pose_errors(history, rig, scenario.step_s)
@@ -162,6 +166,32 @@ def _nis(updates: np.ndarray) -> Any:
         plot.legend(loc="upper right", fontsize=8)
     axes[1, 0].set_xlabel("time, s")
     return figure
+
+
+def _stanford(known: np.ndarray, scenario: Scenario) -> Any:
+    errors, levels, limits = np.empty((3, len(known), 3))
+    stanford(integrity_params.integrity(scenario), known.view(np.ndarray), errors, levels, limits)
+    figure, axes = _axes(1, 3, 4.0)
+    for i, (plot, name) in enumerate(zip(axes[0], ("along the docking axis", "across it", "attitude"), strict=True)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            draw_stanford(plot, errors[:, i] / limits[:, i], levels[:, i] / limits[:, i])
+        plot.set_title(name, loc="left", fontsize=10)
+    return figure
+
+
+def draw_stanford(plot: Any, error: Array, level: Array) -> None:
+    """Draw protection levels over errors (n,), both relative to the alert limit; red: hazardously misleading."""
+    least, most = 1e-3, 1e1
+    every = max(1, len(error) // _POINTS)
+    x, y = (np.clip(values[::every], least, most) for values in (error, level))
+    plot.loglog(x, y, ".", markersize=2, color=COLOURS[0], rasterized=len(x) > _POINTS // 2)
+    plot.fill_between([1.0, most], least, 1.0, color=COLOURS[1], alpha=0.25, linewidth=0)
+    plot.fill_between([least, most], 1.0, most, color="0.9", linewidth=0, zorder=0)
+    plot.plot([least, most], [least, most], color="0.4", linewidth=0.8)
+    plot.set_xlim(least, most)
+    plot.set_ylim(least, most)
+    plot.set_xlabel("error / alert limit")
+    plot.set_ylabel("protection level / alert limit")
 
 
 def _firings(history: np.ndarray, scenario: Scenario) -> Any:
