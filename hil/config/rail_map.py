@@ -19,6 +19,8 @@ Unit = Literal["m", "mm", "um", "m/s", "mm/s", "um/s"]
 WORDS: Final[dict[NumberType, int]] = {"u16": 1, "i16": 1, "u32": 2, "i32": 2, "f32": 2, "f64": 4}
 READ_MAX: Final = 125  # registers that function 23 reads at most
 WRITE_MAX: Final = 121  # registers that it writes at most
+FUNCTIONS: Final = ((23,), (16, 3), (6, 3))
+"""Functions that may carry an exchange: of writing, of reading; 23 does both."""
 _PER_SI: Final[dict[str, float]] = {"m": 1.0, "mm": 1e3, "um": 1e6}
 
 Address = Annotated[int, Field(ge=0, le=65535)]
@@ -179,6 +181,9 @@ class RailMap(ConfigModel):
 
     word_order: Literal["big", "little"] = "big"
     """Order of the words of a number in several registers: high or low word first."""
+    functions: tuple[int, ...] = (23,)
+    """Modbus functions of an exchange: `[23]` writes and reads in one transaction, `[16, 3]` writes the command block
+    and reads the state in two, `[6, 3]` writes register by register, the control word last."""
     numbered: bool = True
     """Whether the drive echoes the number of each exchange. If not, a serial line has no retry after a time-out."""
     vendor: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = 0x48494C52
@@ -231,6 +236,20 @@ class RailMap(ConfigModel):
                     raise ValueError(f"{name}: register {word} would be written and is no number, allowed: no gap")
                 if owner is not None and not owner.startswith(f"{name}."):
                     raise ValueError(f"{name}: register {word} in its midst is {owner}, allowed: its own numbers")
+        return self
+
+    @model_validator(mode="after")
+    def _functions_carry_the_command(self) -> Self:
+        if self.functions not in FUNCTIONS:
+            allowed = ", ".join(str(list(each)) for each in FUNCTIONS)
+            raise ValueError(f"functions {list(self.functions)}: allowed {allowed}")
+        if self.functions[0] == 6:
+            for key, register in self.blocks()["command"].items():
+                if WORDS[register.type] > 1:
+                    raise ValueError(
+                        f"command.{key}.type {register.type}: function 6 writes one register at a time, a number in "
+                        "several would be torn; allowed u16, i16"
+                    )
         return self
 
     @model_validator(mode="after")

@@ -11,7 +11,7 @@ from hil.config.rail_map import RailMap, span
 
 DeviceId = Annotated[int, Field(ge=1, le=247)]
 
-_EXCHANGE_BYTES: Final = 18  # of function 23 on a serial line, request and response, without the registers
+_BYTES: Final = {3: 13, 6: 14, 16: 17, 23: 18}  # of a transaction on a serial line without the registers, both ways
 
 
 class ModbusRtu(ConfigModel):
@@ -41,8 +41,10 @@ class ModbusRtu(ConfigModel):
     def exchange_s(self, register_map: RailMap) -> float:
         """Return how long the line is busy with one exchange, s."""
         blocks = register_map.blocks()
-        words = len(span(blocks["command"].values())) + len(span(blocks["state"].values()))
-        return (_EXCHANGE_BYTES + 2 * words) * self.bits_per_byte / self.baud + 2.0 * self.gap_s
+        written, read = len(span(blocks["command"].values())), len(span(blocks["state"].values()))
+        transactions = [*[6] * written, 3] if register_map.functions[0] == 6 else register_map.functions
+        size = sum(_BYTES[function] for function in transactions) + 2 * (written + read)
+        return size * self.bits_per_byte / self.baud + 2.0 * len(transactions) * self.gap_s
 
     @model_validator(mode="after")
     def _devices_differ(self) -> Self:

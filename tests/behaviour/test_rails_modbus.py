@@ -47,12 +47,25 @@ emulator.run(threading.Event())
 """
 
 
-def config(addresses: dict[str, str] | None = None, timeout_s: float = TIMEOUT_S) -> Rails:
+SHORT_NUMBERS = {
+    "functions": (6, 3),
+    "command": {
+        "position": {"address": 2, "type": "i16", "unit": "mm", "scale": 0.5},
+        "rate": {"address": 3, "type": "i16", "unit": "mm/s"},
+    },
+}
+"""Map of a drive that writes one register at a time."""
+
+
+def config(
+    addresses: dict[str, str] | None = None, timeout_s: float = TIMEOUT_S, registers: dict[str, Any] | None = None
+) -> Rails:
     axis = {"rate_max_mps": 1.0, "acceleration_max_mps2": 2.0}
     values: dict[str, Any] = {
         "driver": "modbus",
         "timeout_s": timeout_s,
         "servo": {"gain_per_s": 10.0, "lag_s": 0.02},
+        "map": registers or {},
         "x": {"travel_m": (0.0, 12.0), "park_m": PARK[0]} | axis,
         "y": {"travel_m": (-1.0, 1.0), "park_m": PARK[1]} | axis,
         "z": {"travel_m": (0.0, 2.0), "park_m": PARK[2]} | axis,
@@ -78,10 +91,10 @@ class Bench:
 
 
 @contextmanager
-def emulated(speed: float = 1.0) -> Iterator[Bench]:
+def emulated(speed: float = 1.0, registers: dict[str, Any] | None = None) -> Iterator[Bench]:
     clock = WallClock(speed=speed)
     board = SharedAxisState.create()
-    emulator = RailsEmulator(config(), clock, board)
+    emulator = RailsEmulator(config(registers=registers), clock, board)
     addresses = emulator.start()
     stop = threading.Event()
     thread = threading.Thread(target=emulator.run, args=(stop,))
@@ -178,6 +191,23 @@ def test_axes_follow_setpoints_and_the_board_shows_them() -> None:
         assert feedback.position[1:].tolist() == PARK[1:]
         seen, _ = bench.board.read("rails", feedback.t_s)
         assert seen == pytest.approx(feedback.position, abs=0.02)
+
+
+@pytest.mark.parametrize("registers", [{"functions": (16, 3)}, SHORT_NUMBERS], ids=["16 and 3", "6 and 3"])
+def test_drives_without_function_23_are_written_and_then_read(registers: dict[str, Any]) -> None:
+    with emulated(registers=registers) as bench:
+        with opened(config(bench.addresses, registers=registers), bench.clock) as rails:
+            cycle(rails, bench.clock, 100)
+            feedback = rails.read(bench.clock.now_s())
+            assert feedback.position[0] > 1.1
+            assert feedback.position[1:].tolist() == PARK[1:]
+            assert rails.counters()["protocol_errors"] == 0
+            bench.emulator.faults.on("drive_fault", "y", 3)
+            failure, _ = until_failure(rails, bench.clock)
+            assert str(failure).startswith("rails.y: fault 3, motor too hot")
+        assert all(bench.state(axis).status & Status.QUICK_STOP for axis in (0, 2))
+        with pytest.raises(ProtocolError, match=r"exception [12] to function 23"):
+            ModbusRails(config(bench.addresses), bench.clock).open(bench.clock.now_s())
 
 
 def test_feedback_stays_fresh_and_axes_stand_while_nobody_sends(bench: Bench) -> None:

@@ -25,7 +25,8 @@ identity block, read at ``open``
 ======= ======= ====== ========== ================================================================
 
 Of a number in two registers the high word comes first. Quick stop stays active, whatever is written
-after it, until a command with enable clear. Functions: 3 (read), 6 and 16 (write), 23 (write, then read).
+after it, until a command with enable clear. Functions: 3 (read), 6 and 16 (write), 23 (write, then read);
+``functions`` of the map says which of them an exchange uses.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from enum import IntFlag
 from typing import Final
 
 from hil.config.rail_map import WORDS, AnyRegister, NumberType, RailMap, counts_per_si, span
+from hil.drivers.rails.frames import WRITE_ONE
 from hil.errors import FaultKind
 
 _STRUCT_CODES: Final[dict[NumberType, str]] = {"u16": "H", "i16": "h", "u32": "I", "i32": "i", "f32": "f", "f64": "d"}
@@ -162,6 +164,7 @@ class RegisterMap:
 
     def __init__(self, config: RailMap) -> None:
         self.config = config
+        self.functions = config.functions
         blocks = config.blocks()
         self.command = self._block(blocks["command"])
         self.state = self._block(blocks["state"])
@@ -177,6 +180,14 @@ class RegisterMap:
         number = (command.number,) if self.config.numbered else ()
         control = _to_wire(command.control, self._control_bits)
         return self.command.encode((control, *number, command.position_m, command.rate_mps))
+
+    def writes(self, command: Command) -> list[tuple[int, list[int]]]:
+        """Return the writes of ``command``, address and registers, in their order: with function 6 the control last."""
+        registers, first = self.encode_command(command), self.command.address
+        if self.functions[0] != WRITE_ONE:
+            return [(first, registers)]
+        control = self.config.command.control.address - first
+        return [(first + at, [registers[at]]) for at in [*range(control), *range(control + 1, len(registers)), control]]
 
     def decode_command(self, registers: Sequence[int]) -> Command:
         control, *number, position, rate = self.command.decode(registers)

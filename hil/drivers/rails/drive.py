@@ -9,6 +9,7 @@ from typing import Final, TypeVar
 
 from hil.core.clock import WallClock
 from hil.drivers.rails.codec import Command, ControlFlags, RegisterBlock, RegisterMap, State, Status
+from hil.drivers.rails.frames import READ_WRITE
 from hil.drivers.rails.modbus_bus import ModbusBus
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
 
@@ -87,7 +88,7 @@ class Drive:
         rate_mps: float = 0.0,
         problem: Callable[[State], DriveFault | None] = lambda _: None,
     ) -> State:
-        """Write one command and read the following state, in one transaction.
+        """Write one command and read the following state, in one transaction where the drive has function 23.
 
         A state with a ``problem``, or with a position that the axis cannot have reached, is read once more, like a lost
         response: TCP carries no checksum of the drive. A state received twice is accepted.
@@ -132,7 +133,8 @@ class Drive:
     async def send(self, control: ControlFlags) -> None:
         """Send STOP or OFF without waiting for a response: the drive may be unable to send one."""
         if self._identified:
-            await self._bus.send(self._device_id, *self._transfer(self._next(control, 0.0, 0.0)))
+            written = self._map.writes(self._next(control, 0.0, 0.0))[-1]  # with the control word
+            await self._bus.send(self._device_id, self._map.functions[0], written, self._state_block)
 
     def _fault(self, code: int) -> DriveFault:
         return DriveFault(self.name, self._map.fault_text(code), self._map.fault_kind(code))
@@ -141,15 +143,21 @@ class Drive:
         self._number = (self._number + 1) % self._map.numbers
         return Command(control, self._number, position_m, rate_mps)
 
-    def _transfer(self, command: Command) -> tuple[tuple[int, list[int]], tuple[int, int]]:
-        command_block, state_block = self._map.command, self._map.state
-        return (command_block.address, self._map.encode_command(command)), (state_block.address, state_block.count)
+    @property
+    def _state_block(self) -> tuple[int, int]:
+        return self._map.state.address, self._map.state.count
 
     async def _transact(self, command: Command) -> State:
         echo = None if self._map.echo_at is None else (self._map.echo_at, command.number)
-        registers = await self._bus.write_and_read(
-            self.name, self._device_id, *self._transfer(command), echo, self._attempt_s
-        )
+        function, writes = self._map.functions[0], self._map.writes(command)
+        if function == READ_WRITE:
+            registers = await self._bus.write_and_read(
+                self.name, self._device_id, writes[0], self._state_block, echo, self._attempt_s
+            )
+        else:
+            for written in writes:
+                await self._bus.write(self.name, self._device_id, function, written, self._attempt_s)
+            registers = await self._bus.read(self.name, self._device_id, self._state_block, self._attempt_s, echo)
         self.sampled_s = self._bus.sampled_s
         return self._decoded(lambda: self._map.decode_state(registers))
 
@@ -158,7 +166,7 @@ class Drive:
         return self._decoded(lambda: self._map.decode_state(registers))
 
     async def _read(self, block: RegisterBlock) -> list[int]:
-        return await self._bus.read(self.name, self._device_id, block.address, block.count, self._attempt_s)
+        return await self._bus.read(self.name, self._device_id, (block.address, block.count), self._attempt_s)
 
     async def _twice(self, attempt: Callable[[], Awaitable[_Result]]) -> _Result:
         """Return the result of one of two attempts; raise the error of the second one."""

@@ -1,8 +1,9 @@
 """Driver of the rails: three drives on Modbus TCP or RTU, one event loop in its own thread.
 
-An exchange is one transaction (function 23) per drive, all three at once; those that share a wire go one after the
-other. It is triggered by ``send``, and every 20 ms without a setpoint, so that feedback stays fresh and the drives hold
-the last setpoint. One lost or damaged response is retried; when one drive fails the others are stopped at once.
+An exchange is one transaction (function 23) per drive, or a write and a read for drives without that function, all
+three at once; those that share a wire go one after the other. It is triggered by ``send``, and every 20 ms without a
+setpoint, so that feedback stays fresh and the drives hold the last setpoint. One lost or damaged response is retried;
+when one drive fails the others are stopped at once.
 """
 
 from __future__ import annotations

@@ -13,7 +13,11 @@ from typing import Final
 from pymodbus.framer import FramerRTU
 
 READ: Final = 3
+WRITE_ONE: Final = 6
+WRITE: Final = 16
 READ_WRITE: Final = 23
+_READING: Final = (READ, READ_WRITE)
+_WRITING: Final = (WRITE_ONE, WRITE)
 _ERROR: Final = 0x80
 _MBAP: Final = 7  # bytes of a TCP header: transaction, protocol, length, device
 _CRC: Final = 2
@@ -28,13 +32,18 @@ def new_counters() -> Counters:
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """Response to the pending request. echo: index of the register, and value, of the echoed exchange number."""
+    """Response to the pending request.
+
+    echo: index of the register, and value, of the echoed exchange number. written: address, and value or number of
+    registers, that a writing function repeats.
+    """
 
     device_id: int
     function: int
     count: int  # registers
     transaction: int = 0  # TCP only
     echo: tuple[int, int] | None = None
+    written: tuple[int, int] | None = None
 
     def is_answered_by(self, frame: ModbusFrame) -> bool:
         if (frame.device_id, frame.transaction) != (self.device_id, self.transaction):
@@ -43,12 +52,14 @@ class Expected:
             return True
         if frame.function != self.function or len(frame.registers) != self.count:
             return False
+        if self.written is not None:
+            return frame.registers == self.written
         return self.echo is None or frame.registers[self.echo[0]] == self.echo[1]
 
 
 @dataclass(frozen=True, slots=True)
 class ModbusFrame:
-    """One intact response. registers: of a read function; exception: exception code, 0 for none."""
+    """One intact response. registers: words of its content; exception: exception code, 0 for none."""
 
     device_id: int
     function: int
@@ -66,13 +77,15 @@ def measure_rtu(data: bytes, start: int) -> int:
     if left < 2:
         return 0
     size = 5
-    if data[start + 1] in (READ, READ_WRITE):
+    if data[start + 1] in _WRITING:
+        size = 6 + _CRC
+    elif data[start + 1] in _READING:
         if left < 3:
             return 0
         if not _even_and_full(data[start + 2]):
             return -1
         size = 3 + data[start + 2] + _CRC
-    elif data[start + 1] not in (READ | _ERROR, READ_WRITE | _ERROR):
+    elif not _is_error(data[start + 1]):
         return -1
     if left < size:
         return 0
@@ -89,10 +102,13 @@ def measure_tcp(data: bytes, start: int) -> int:
         return -1
     length = int.from_bytes(data[start + 4 : start + 6], "big")
     function, content = data[start + _MBAP], data[start + _MBAP + 1]
-    if function in (READ, READ_WRITE):
+    if function in _WRITING:
+        if length != 6:
+            return -1
+    elif function in _READING:
         if length != 3 + content or not _even_and_full(content):
             return -1
-    elif function not in (READ | _ERROR, READ_WRITE | _ERROR) or length != 3:
+    elif not _is_error(function) or length != 3:
         return -1
     size = _MBAP - 1 + length
     return size if left >= size else 0
@@ -128,7 +144,8 @@ def parse(frame: bytes, tcp: bool) -> ModbusFrame:
     body = frame[_MBAP - 1 :] if tcp else frame[:-_CRC]
     if body[1] & _ERROR:
         return ModbusFrame(body[0], body[1], (), body[2], transaction)
-    words = tuple(int.from_bytes(body[at : at + 2], "big") for at in range(3, len(body), 2))
+    first = 2 if body[1] in _WRITING else 3
+    words = tuple(int.from_bytes(body[at : at + 2], "big") for at in range(first, len(body), 2))
     return ModbusFrame(body[0], body[1], words, 0, transaction)
 
 
@@ -173,6 +190,10 @@ class ResponseMatcher:
             self.counters["duplicates"] += 1
         else:
             self.counters["late"] += 1
+
+
+def _is_error(function: int) -> bool:
+    return function & _ERROR != 0 and function & ~_ERROR in (*_READING, *_WRITING)
 
 
 def _even_and_full(byte_count: int) -> bool:

@@ -10,7 +10,7 @@ import logging
 import termios
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from typing import Final
+from typing import Any, Final
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
@@ -20,7 +20,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from hil.config.rail_wires import ModbusRtu
 from hil.core.clock import WallClock
-from hil.drivers.rails.frames import READ, READ_WRITE, Counters, Expected, ModbusFrame, ResponseMatcher
+from hil.drivers.rails.frames import READ, READ_WRITE, WRITE_ONE, Counters, Expected, ModbusFrame, ResponseMatcher
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 _PARITY: Final = {"none": "N", "even": "E", "odd": "O"}
@@ -50,7 +50,7 @@ class _MatchingFramer(FramerBase):
         expect = self._matcher.expect
         if expect is not None and self._matcher.tcp:
             self._matcher.expect = Expected(
-                expect.device_id, expect.function, expect.count, message.transaction_id, expect.echo
+                expect.device_id, expect.function, expect.count, message.transaction_id, expect.echo, expect.written
             )
         return super().buildFrame(message)
 
@@ -147,12 +147,27 @@ class ModbusBus:
             why = "nothing listens there" if self.tcp else "the port cannot be opened"
             raise LinkLost(name, f"no connection to {self.label}: {why}")
 
-    async def read(self, name: str, device_id: int, address: int, count: int, timeout_s: float) -> list[int]:
-        """Return ``count`` holding registers; errors name the axis."""
+    async def read(
+        self, name: str, device_id: int, read: tuple[int, int], timeout_s: float, echo: tuple[int, int] | None = None
+    ) -> list[int]:
+        """Return the holding registers at (address, count); errors name the axis."""
         return await self._request(
             name,
-            Expected(device_id, READ, count),
-            lambda: self._client.read_holding_registers(address, count=count, device_id=device_id),
+            Expected(device_id, READ, read[1], echo=echo),
+            lambda: self._client.read_holding_registers(read[0], count=read[1], device_id=device_id),
+            timeout_s,
+        )
+
+    async def write(
+        self, name: str, device_id: int, function: int, written: tuple[int, list[int]], timeout_s: float
+    ) -> None:
+        """Write (address, registers) with ``function``, WRITE_ONE or WRITE; errors name the axis."""
+        address, registers = written
+        repeated = address, registers[0] if function == WRITE_ONE else len(registers)
+        await self._request(
+            name,
+            Expected(device_id, function, len(repeated), written=repeated),
+            lambda: self._write(device_id, function, written, answer=True),
             timeout_s,
         )
 
@@ -173,12 +188,15 @@ class ModbusBus:
             timeout_s,
         )
 
-    async def send(self, device_id: int, written: tuple[int, list[int]], read: tuple[int, int]) -> None:
-        """Send a request without waiting for the response. Never raises."""
+    async def send(self, device_id: int, function: int, written: tuple[int, list[int]], read: tuple[int, int]) -> None:
+        """Send a request without waiting for the response. Never raises. read: of READ_WRITE."""
         with suppress(TimeoutError, ModbusException):  # the wire is gone
             async with asyncio.timeout(_LAST_REQUEST_WALL_S), self._lock:
                 self._matcher.await_(None)
-                await self._transfer(device_id, written, read, answer=False)
+                if function == READ_WRITE:
+                    await self._transfer(device_id, written, read, answer=False)
+                else:
+                    await self._write(device_id, function, written, answer=False)
                 await asyncio.sleep(0.0)  # a serial port writes in the next iteration of the event loop
                 self._free_at_s = self._clock.now_s() + self._exchange_s
 
@@ -199,6 +217,15 @@ class ModbusBus:
             device_id=device_id,
             no_response_expected=not answer,
         )
+
+    def _write(
+        self, device_id: int, function: int, written: tuple[int, list[int]], answer: bool
+    ) -> Awaitable[ModbusPDU]:
+        address, registers = written
+        how: dict[str, Any] = {"device_id": device_id, "no_response_expected": not answer}
+        if function == WRITE_ONE:
+            return self._client.write_register(address, registers[0], **how)
+        return self._client.write_registers(address, registers, **how)
 
     def _install_framer(self, inner: FramerBase) -> None:
         self._client.ctx.framer = _MatchingFramer(inner, self._matcher, self._on_damage)

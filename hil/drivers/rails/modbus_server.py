@@ -19,6 +19,7 @@ from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import WATCHDOG_S, EmulatedAxes
 from hil.drivers.rails.codec import Command, ControlFlags, RegisterMap, State, Status
+from hil.drivers.rails.frames import READ_WRITE
 
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a client that disconnects is not an error
 
@@ -130,6 +131,8 @@ class DriveAccess:
         """
         registers, values = content
         assert isinstance(registers, list)
+        if function == READ_WRITE and READ_WRITE not in self.map.functions:
+            return ExcCodes.ILLEGAL_FUNCTION
         if values is None:
             state = self.map.state
             encoded = self.map.encode_state(self._drive.state(self._clock.now_s()))

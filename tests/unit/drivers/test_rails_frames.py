@@ -14,6 +14,8 @@ from hil.drivers.rails.codec import DRIVE_MAP, DriveIdentity, RegisterMap, State
 from hil.drivers.rails.frames import (
     READ,
     READ_WRITE,
+    WRITE,
+    WRITE_ONE,
     Expected,
     ModbusFrame,
     ResponseMatcher,
@@ -63,6 +65,27 @@ def test_serial_answer_of_the_modbus_manual_is_read() -> None:
     assert split(data, measure_rtu) == (11, [data], 0)
     found = sieve(False, Expected(0x11, READ, 3)).feed(data)
     assert found == (11, ModbusFrame(0x11, READ, (0xAE41, 0x5652, 0x4340)))
+
+
+@pytest.mark.parametrize(
+    ("function", "body", "written"),
+    [
+        (WRITE_ONE, "0001 0003", (1, 3)),  # examples of the MODBUS application protocol V1.1b3, sections 6.6 and 6.12
+        (WRITE, "0001 0002", (1, 2)),
+    ],
+)
+def test_answers_to_writes_of_the_modbus_specification_are_read(
+    function: int, body: str, written: tuple[int, int]
+) -> None:
+    pdu = bytes([0x11, function]) + bytes.fromhex(body)
+    serial, tcp = with_check_sum(pdu), struct.pack(">HHH", 9, 0, len(pdu)) + pdu
+    for is_tcp, data in ((False, serial), (True, tcp)):
+        transaction = 9 if is_tcp else 0
+        wanted = Expected(0x11, function, 2, transaction, written=written)
+        assert sieve(is_tcp, wanted).feed(data) == (len(data), ModbusFrame(0x11, function, written, 0, transaction))
+        other = sieve(is_tcp, Expected(0x11, function, 2, transaction, written=(written[0], written[1] + 1)))
+        assert other.feed(data) == (len(data), None)
+        assert other.counters["late"] == 1
 
 
 @pytest.mark.parametrize("cut", range(1, 11))

@@ -140,6 +140,15 @@ def test_a_drive_without_exchange_numbers_needs_no_registers_for_them(tmp_path: 
             "lab.toml: rig.rails.map: torque_off 8: no such code in faults, allowed: 2, 0x5441, -1",
         ),
         (
+            "rails.map.functions = [3, 16]",
+            "lab.toml: rig.rails.map: functions [3, 16]: allowed [23], [16, 3], [6, 3]",
+        ),
+        (
+            "rails.map.functions = [6, 3]",
+            "lab.toml: rig.rails.map: command.position.type i32: function 6 writes one register at a time, a number in "
+            "several would be torn; allowed u16, i16",
+        ),
+        (
             "rails.map.torque_off = -2",
             "lab.toml: rig.rails.map.torque_off: -2: must be greater than or equal to -1",
         ),
