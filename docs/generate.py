@@ -22,7 +22,7 @@ from pydantic.fields import FieldInfo
 from hil.cli.main import app
 from hil.config.dispersions import Spread
 from hil.config.driver_registry import DeviceTable
-from hil.config.faults import TERMS, ErrorTerm
+from hil.config.faults import RESPONSES, TERMS, ErrorTerm
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -162,6 +162,10 @@ faults](../../how-to/inject-faults.md). A fault acts from `at_s` to `until_s` of
 the cycle in Python, campaigns and replays alike. Faults of axes need the mock rig; those of an emulated rig are
 switched on
 at the control ports of its [emulators](../../how-to/set-up-a-rig.md).
+
+The effect is that without a reaction. Detection and reaction are those of a single fault at the sizes of the test; a
+row without a test is open: such a fault may stay undetected, and what protects the bench is the
+[keep-out](../../explanation/safety.md#what-is-monitored).
 """
     devices = {
         "vmu": "`vmu`: vision unit. Its frames are disturbed on their way to the loop, whatever their source",
@@ -174,11 +178,11 @@ at the control ports of its [emulators](../../how-to/set-up-a-rig.md).
     for family, kinds in TERMS.items():
         rows = [
             f"| `{name}` | {_fault_value(term)} | {term.unit} | {term.frame} | {_fault_range(term)} | {term.effect} "
-            "| none | none |"
+            f"| {_fault_response(family, name)} |"
             for name, term in kinds.items()
         ]
-        head = "| `kind` | `value` | unit | frame | allowed | effect | detection | reaction |"
-        parts.append(f"## {family}\n\n{devices[family]}.\n\n{head}\n|{'---|' * 8}\n" + "\n".join(rows) + "\n")
+        head = "| `kind` | `value` | unit | frame | allowed | effect | detection | reaction | test |"
+        parts.append(f"## {family}\n\n{devices[family]}.\n\n{head}\n|{'---|' * 9}\n" + "\n".join(rows) + "\n")
     return "\n".join(parts)
 
 
@@ -186,6 +190,14 @@ def _fault_value(term: ErrorTerm) -> str:
     count = ("", "number", "2 numbers", "3 numbers")[term.values]
     more = ", ".join(f"`{option}`" for option in term.options)
     return "; ".join(part for part in (count, more) if part)
+
+
+def _fault_response(family: str, kind: str) -> str:
+    response = RESPONSES.get(f"{family}.{kind}")
+    if response is None:
+        return "none for sure | the keep-out at last | **open**"
+    by = {"navigation": "GNC", "monitor": "docking monitor", "guard": "bench guard", "device": "device"}
+    return f"{by[response.detected_by]}: {response.detection} | {response.reaction} | `{response.test}`"
 
 
 def _fault_range(term: ErrorTerm) -> str:

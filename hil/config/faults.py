@@ -103,6 +103,40 @@ TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
 }  # fmt: skip
 """Kind of device -> kind of fault -> term: for models, injection, tests and the generated reference."""
 
+
+@dataclass(frozen=True)
+class FaultResponse:
+    """What the program does about a kind of fault, alone and at the sizes of its test.
+
+    detected_by: as in ``injected`` of the JSON. detection: the monitor, and how soon. test: the test that shows it.
+    """
+
+    detected_by: Literal["navigation", "monitor", "guard", "device"]
+    detection: str
+    reaction: str
+    test: str
+
+
+def _guard(detection: str) -> FaultResponse:
+    test = "tests/system/test_faults.py::test_guard_detects_the_fault"
+    return FaultResponse("guard", detection, "safe stop", test)
+
+
+RESPONSES: Final[dict[str, FaultResponse]] = {
+    "vmu.frozen": _guard("pose against encoders, once the chaser has moved by five sigmas and for five poses more"),
+    "vmu.offset": _guard("pose against encoders, five poses if beyond five sigmas"),
+    "vmu.drift": _guard("pose against encoders, once beyond five sigmas; below that the keep-out"),
+    "vmu.outlier": _guard("pose against encoders, if five in a row are beyond five sigmas"),
+    "vmu.noise_scale": _guard("pose against encoders, if five in a row are beyond five reported sigmas"),
+    "vmu.misidentified": _guard("pose against encoders, five poses"),
+    "axis.stuck": _guard("axis against the demand, 0.5 s from 2 mm/s or 0.1 deg/s on"),
+    "axis.slow": _guard("axis against the demand, once slower than demanded"),
+    "axis.offset": _guard("axis against the demand as the reading steps; later pose against encoders"),
+    "axis.oscillation": _guard("axis against the demand, from amplitudes of 0.6 mm or 0.03 deg on"),
+    "target.jump": _guard("axis against the demand, if farther than the axes move in three cycles"),
+}
+"""Device and kind of fault -> response; kinds without one are not detected for sure."""
+
 AXES: Final = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
 
 

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.config.faults import TERMS
+from hil.config.faults import RESPONSES, TERMS
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import Array
 from hil.maths import quat
 from hil.monte_carlo.case_runner import CaseRunner
+from hil.monte_carlo.outcome import row_of
 from hil.session import build
 from tests.support.rows import assert_same_bits
 from tests.support.run_settings import make_job
@@ -110,6 +111,18 @@ def test_nothing_differs_before_the_onset_and_something_after_it(healthy: np.nda
     assert_same_bits(found[before], healthy[before])
     differs = found[~before].tobytes() != healthy[~before].tobytes()
     assert differs
+
+
+@pytest.mark.parametrize("name", [name for name, response in RESPONSES.items() if response.detected_by == "guard"])
+def test_guard_detects_the_fault(name: str) -> None:
+    sizes = {"value": 0.9} if name == "vmu.outlier" else {"value": 0.01} if name == "axis.slow" else {}
+    onset_s = 20.0
+    settings = _settings(fault(name, at_s=onset_s, until_s=100.0, **sizes))
+    scenario, rig = load_scenario("scheme-1", (settings,)).value, load_rig("mock").value
+    stats, stop = CaseRunner(scenario, rig, 50.0).run(scenario, 0)
+    row = row_of(stats, stop, scenario, scenario)
+    assert (row["detected_by"], row["reaction"]) == ("guard", RESPONSES[name].reaction)
+    assert onset_s <= row["detected_s"] <= onset_s + 10.0
 
 
 def during(rows: np.ndarray) -> np.ndarray:

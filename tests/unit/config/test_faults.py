@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 import hil
-from hil.config.faults import TERMS
+from hil.config.faults import RESPONSES, TERMS
 from hil.config.load import load_rig, load_scenario
 from hil.errors import BadInput
 from hil.params.faults import CODES
@@ -79,3 +81,11 @@ def test_each_kind_has_its_number_in_the_kernels() -> None:
     for family, kinds in TERMS.items():
         numbers = [CODES[family][kind] for kind in kinds]
         assert sorted(numbers) == list(range(len(kinds)))
+
+
+def test_responses_are_of_known_kinds_and_name_tests_that_exist() -> None:
+    assert set(RESPONSES) <= {f"{family}.{kind}" for family, kinds in TERMS.items() for kind in kinds}
+    root = Path(__file__).resolve().parents[3]
+    for response in RESPONSES.values():
+        file, _, name = response.test.partition("::")
+        assert f"def {name}(" in (root / file).read_text()
