@@ -26,7 +26,7 @@ identity block, read at ``open``
 
 Of a number in two registers the high word comes first. Quick stop stays active, whatever is written
 after it, until a command with enable clear. Functions: 3 (read), 6 and 16 (write), 23 (write, then read);
-``functions`` of the map says which of them an exchange uses.
+``functions`` of the map determines which of them an exchange uses.
 """
 
 from __future__ import annotations
