@@ -22,7 +22,6 @@ from hil.core.messages import Array, new
 from hil.gnc import ready_phase
 from hil.loop.overrun_monitor import lateness_percentiles_us
 from hil.loop.runner import Outcome, Runner
-from hil.params import dynamics as dynamics_params
 from hil.report import summary
 from hil.report.bench_error import judge_bench_error
 from hil.report.integrity import IntegrityJudge
@@ -97,7 +96,6 @@ class LongRun:
 
     def __init__(self, scenario: Scenario, rig: Rig, pause_s: float = 0.0) -> None:
         self._scenario, self._rig, self._pause_s = scenario, rig, pause_s
-        self._orbit_rate = dynamics_params.orbit_rate(scenario)
         self._ready_params = ready_params(scenario.requirements)
         self._ready = new(ready_phase.READY_STATE)
         self._integrity = IntegrityJudge(scenario)
@@ -147,10 +145,10 @@ class LongRun:
     def _add_security(self, joined: np.ndarray) -> None:
         kept = self._security
         if kept and kept["abort"] is not None:
-            kept["abort"] = later_abort(kept["abort"], joined, self._scenario, self._orbit_rate)
+            kept["abort"] = later_abort(kept["abort"], joined, self._scenario)
             kept["nearest_m"] = min(kept["nearest_m"], float(np.linalg.norm(joined["truth"]["r_CT_H"], axis=1).min()))
             return
-        found = judge_security(joined, self._scenario, self._orbit_rate)
+        found = judge_security(joined, self._scenario)
         if not kept:
             self._security = found
             return

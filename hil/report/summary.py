@@ -20,7 +20,6 @@ from hil.gnc_backends.approach_events import DOCKING_GO
 from hil.gnc_backends.shared_library import digest_of
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.loop.runner import COMPLETED, Outcome
-from hil.params import dynamics as dynamics_params
 from hil.report.bench_error import judge_bench_error
 from hil.report.integrity import IntegrityJudge, SafeStop, detection, integrity_part
 from hil.report.latency import measure_latency
@@ -111,7 +110,7 @@ def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[
     return {
         "verdict": {
             "control_precision": control_precision(verdict, scenario),
-            "security": judge_security(history, scenario, dynamics_params.orbit_rate(scenario)),
+            "security": judge_security(history, scenario),
             "energy": judge_energy(history["reference"]["v_CT_H"], scenario, thrusters["propellant_kg"], firings),
             "field_of_view": judge_field_of_view(history, rig, scenario.step_s),
         },

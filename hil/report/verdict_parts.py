@@ -20,30 +20,41 @@ import numpy as np
 from hil.bench.field_of_view import view_margins
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.truth import Orbit
 from hil.core.messages import Array
-from hil.dynamics.hill import transition
+from hil.dynamics import elliptic_motion, hill
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc.allocation import AXES_OF_A_BODY
 from hil.gnc.approach_monitor import margins
 from hil.gnc_backends.approach_events import ABORT_CAUSES
+from hil.maths.kepler import mean_anomaly, true_anomaly
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 from hil.params import vision as vision_params
+from hil.params.dynamics import mean_motion
 
 _DRIFT_SAMPLES = 720  # over one orbit
 
 
-def drift(r_CT_H: Array, v_CT_H: Array, orbit_rate: float, t_s: Array) -> Array:
-    """Return the uncontrolled positions in H, (n, 3), m, ``t_s`` (n,) after the given state (Hill's equations)."""
-    state = np.concatenate([r_CT_H, v_CT_H])
-    return np.array([transition(orbit_rate, float(t))[:3] @ state for t in t_s]).reshape(-1, 3)
+def drift(r_CT_H: Array, v_CT_H: Array, orbit: Orbit, nu: float, t_s: Array) -> Array:
+    """Return the uncontrolled positions in H, (n, 3), m, ``t_s`` (n,) after the given state.
+
+    nu: true anomaly of the target in that state, rad. Hill's equations on a circle, else Yamanaka and Ankersen's.
+    """
+    state, rate, e = np.concatenate([r_CT_H, v_CT_H]), mean_motion(orbit), orbit.eccentricity
+    moved = (
+        hill.transition(rate, float(t)) if e == 0.0 else elliptic_motion.transition(rate, e, nu, float(t)) for t in t_s
+    )
+    return np.array([whole[:3] @ state for whole in moved]).reshape(-1, 3)
 
 
-def drift_over_an_orbit(row: np.void, orbit_rate: float) -> dict[str, Any]:
+def drift_over_an_orbit(row: np.void, orbit: Orbit) -> dict[str, Any]:
     """Return the drift of the chaser of ``row`` (CYCLE) over one orbit without thrust."""
-    period_s = 2.0 * math.pi / orbit_rate
+    rate, e = mean_motion(orbit), orbit.eccentricity
+    period_s = 2.0 * math.pi / rate
     t_s = np.linspace(0.0, period_s, _DRIFT_SAMPLES + 1)
-    path = drift(row["truth"]["r_CT_H"], row["truth"]["v_CT_H"], orbit_rate, t_s)
+    nu = true_anomaly(e, mean_anomaly(e, math.radians(orbit.true_anomaly_deg)) + rate * float(row["t_s"]))
+    path = drift(row["truth"]["r_CT_H"], row["truth"]["v_CT_H"], orbit, nu, t_s)
     distance = np.linalg.norm(path, axis=1)
     nearest = int(np.argmin(distance))
     return {
@@ -56,7 +67,7 @@ def drift_over_an_orbit(row: np.void, orbit_rate: float) -> dict[str, Any]:
     }
 
 
-def judge_security(history: np.ndarray, scenario: Scenario, orbit_rate: float) -> dict[str, Any]:
+def judge_security(history: np.ndarray, scenario: Scenario) -> dict[str, Any]:
     """Return ``passed``, the least margins on the truth up to an abort, and the course of the abort."""
     aborted = np.flatnonzero(history["supervision"]["aborted"])
     approach = history[: aborted[0] + 1] if len(aborted) else history
@@ -83,11 +94,11 @@ def judge_security(history: np.ndarray, scenario: Scenario, orbit_rate: float) -
         "closing_margin_mps": float(closing[fastest]),
         "closing_margin_at_s": float(approach["t_s"][fastest]),
         "nearest_m": float(np.linalg.norm(history["truth"]["r_CT_H"], axis=1).min()),
-        "abort": _abort(history[aborted[0] :], scenario, orbit_rate) if len(aborted) else None,
+        "abort": _abort(history[aborted[0] :], scenario) if len(aborted) else None,
     }
 
 
-def _abort(after: np.ndarray, scenario: Scenario, orbit_rate: float) -> dict[str, Any]:
+def _abort(after: np.ndarray, scenario: Scenario) -> dict[str, Any]:
     """Return the course of the abort; ``after``: the cycles from its trigger on."""
     distance = np.linalg.norm(after["truth"]["r_CT_H"], axis=1)
     hold = len(scenario.gnc.guidance.sequence) + 2
@@ -99,14 +110,14 @@ def _abort(after: np.ndarray, scenario: Scenario, orbit_rate: float) -> dict[str
         "nearest_m": float(distance.min()),
         "hold_since_s": float(after["t_s"][held[0]]) if len(held) else None,
         "range_at_end_m": float(distance[-1]),
-        "drift_from_trigger": drift_over_an_orbit(after[0], orbit_rate),
-        "drift_from_end": drift_over_an_orbit(after[-1], orbit_rate),
+        "drift_from_trigger": drift_over_an_orbit(after[0], scenario.orbit),
+        "drift_from_end": drift_over_an_orbit(after[-1], scenario.orbit),
     }
 
 
-def later_abort(known: dict[str, Any], after: np.ndarray, scenario: Scenario, orbit_rate: float) -> dict[str, Any]:
+def later_abort(known: dict[str, Any], after: np.ndarray, scenario: Scenario) -> dict[str, Any]:
     """Return the course of the abort ``known`` with the rows ``after``, which follow those that it was made of."""
-    found = _abort(after, scenario, orbit_rate)
+    found = _abort(after, scenario)
     return known | {
         "nearest_m": min(known["nearest_m"], found["nearest_m"]),
         "hold_since_s": found["hold_since_s"] if known["hold_since_s"] is None else known["hold_since_s"],
