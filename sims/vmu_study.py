@@ -24,10 +24,10 @@ from scipy.spatial.transform import Rotation
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array
 from hil.vmu.geometry import EXACT, camera_pair, led_positions
+from hil.vmu.kernels.budget import weigh
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image, project
 from hil.vmu.kernels.records import FIT, MAX_LEDS, SPOT
-from hil.vmu.kernels.refine import refine
 from hil.vmu.pose import Prediction, matrix_of
 from hil.vmu.render import Extras, Light, Reflection, RingAppearance, RingRenderer
 from hil.vmu.unit import Solution, VisionUnit
@@ -131,7 +131,8 @@ class Stage:
             found.append(spots)
         fit = np.zeros(1, FIT)[0]
         fit["r"], fit["t"], fit["spot"] = truth.r, truth.t, used
-        refine(self.unit.solver.scene, self.unit.solver.view(*found), fit)
+        view = self.unit.solver.view(*found)
+        weigh(self.unit.solver.scene, view, self.unit.solver.stray_density(view), 0, fit)
         return np.asarray(fit["covariance"])
 
 
