@@ -72,7 +72,8 @@ class Identifier:
         verdict = self._by_track(view, fits, prediction)
         if verdict.fit is None or not self._complete(view, verdict.fit):
             return None
-        return verdict if np.abs(verdict.fit["shift"]).max() < _SHIFTED else None
+        better = float(fits["score"].max()) > float(verdict.fit["score"]) + self._settings.decisive
+        return verdict if not better and np.abs(verdict.fit["shift"]).max() < _SHIFTED else None
 
     def _complete(self, view: View, fit: np.void) -> bool:
         """Return whether no light near the pattern remains that could be an LED without a spot.

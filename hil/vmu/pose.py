@@ -14,7 +14,7 @@ from hil.core.messages import Array
 from hil.maths import quat
 from hil.vmu.geometry import camera_pair, considered_covariance, led_positions, spot_floors
 from hil.vmu.kernels.budget import chi_square_growth, fill_shared
-from hil.vmu.kernels.match import assign, fill_spot_ray, led_windows
+from hil.vmu.kernels.match import assign, chi_square_limit, fill_spot_ray, led_windows
 from hil.vmu.kernels.pose_search import (
     SEARCH,
     STATE_FITS,
@@ -127,10 +127,17 @@ class Solver:
         return found, complete
 
     def from_start(self, view: View, r: Array, t: Array, spots: npt.NDArray[np.int64]) -> np.ndarray:
-        """Return the pose (FIT) fitted from a start with first ``spots`` (2, MAX_LEDS), and its mirror image."""
+        """Return the pose (FIT) fitted from a start with first ``spots`` (2, MAX_LEDS), and its mirror image.
+
+        If no pose passes its test without a floor, those with the ring turned onto itself are added.
+        """
         start = np.zeros(1, FIT)
         start["r"], start["t"], start["spot"] = r, t, spots
-        return self._fit(view, start)
+        found = self._fit(view, start)
+        if any(fit["misfit"] <= chi_square_limit(2 * int(fit["points"]) - 6) for fit in found):
+            return found
+        turned = [turn for fit in found[:1] for turn in self._turned(fit)]
+        return self._fit(view, np.concatenate([found, *turned])) if turned else found
 
     def _fit(self, view: View, starts: np.ndarray) -> np.ndarray:
         """Return the distinct poses (FIT) within the error budget that follow from ``starts``, with their scores."""

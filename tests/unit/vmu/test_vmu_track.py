@@ -131,3 +131,21 @@ def test_solution_has_translation_rotation_and_covariance_or_nan(rng: np.random.
     none = VisionUnit(ring()).solve(None, None, 0.0)
     assert [np.isnan(part).all() for part in (none.t, none.R, none.covariance)] == [True] * 3
     assert [part.shape for part in (none.t, none.R, none.covariance)] == [(3,), (3, 3), (6, 6)]
+
+
+def test_a_jump_off_a_long_track_is_ambiguous_until_it_has_come_three_times(
+    unit: VisionUnit, rng: np.random.Generator
+) -> None:
+    long = unit.track.settings.mature + 2
+    for k in range(long):
+        assert unit.solve_spots(*spots_of(unit.geometry, flight(k), rng), PERIOD_S * k).status == "ok"
+    elsewhere = Truth(flight(long).t, flight(long).turn + np.array([0.0, 0.0, np.radians(60.0)]))
+    once = unit.solve_spots(*spots_of(unit.geometry, elsewhere, rng), PERIOD_S * long)
+    assert once.status == "ambiguous"
+    assert once.pose is None
+    back = unit.solve_spots(*spots_of(unit.geometry, flight(long + 1), rng), PERIOD_S * (long + 1))
+    assert back.status == "ok"
+    said = [
+        unit.solve_spots(*spots_of(unit.geometry, elsewhere, rng), PERIOD_S * (long + 2 + k)).status for k in range(3)
+    ]
+    assert said == ["ambiguous", "ambiguous", "ok"]
