@@ -3,8 +3,9 @@
 python sims/vmu_disturbances.py [--frames N] [--seeds N] [--row TEXT]
 
 One line per row and seed: frames solved, gross errors (beyond 3 deg or 1 % of the range, and beyond 4 sigma), error
-over sigma, 2-sigma coverage, processor time per pair, other statuses. Calibrations (1 sigma): very good is 0.05 px, 0.02 % of
-the focal length, 0.003 deg, 0.03 mm, LEDs to 0.05 mm; usual is 0.2 px, 0.1 %, 0.02 deg, 0.1 mm, LEDs to 0.1 mm.
+over sigma, 2-sigma coverage, processor time per pair, other statuses. Calibrations (1 sigma): very good is 0.05 px,
+0.02 % of the focal length, 0.003 deg, 0.03 mm, LEDs to 0.05 mm; usual is 0.2 px, 0.1 %, 0.02 deg, 0.1 mm, LEDs to
+0.1 mm.
 """
 
 from __future__ import annotations
