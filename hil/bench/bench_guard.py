@@ -21,6 +21,7 @@ from hil.maths.arrays import copy_into
 KEEP_OUT, POSITION, ATTITUDE, LIMITED, AXIS, VISION_POSITION, VISION_ATTITUDE = range(8, 15)
 """What was found; the numbers follow those of the compiled loop's other reasons to end."""
 
+SLOW_MPS = 0.5
 _KEPT = 64  # samples of the encoders, for the times of exposure
 
 BENCH_GUARD_PARAMS = np.dtype(
@@ -29,6 +30,7 @@ BENCH_GUARD_PARAMS = np.dtype(
         ("keep_out", "f8"),  # m, 0: none
         ("deceleration", "f8"),  # m/s^2, that all rails have
         ("reaction_s", "f8"),
+        ("far", "f8"),  # m, least range at a closing rate of SLOW_MPS
         ("arm", "f8"),  # m, length of the lever arm
         ("position_max", "f8"),  # m, at rest
         ("attitude_max", "f8"),  # rad, at rest
@@ -38,7 +40,7 @@ BENCH_GUARD_PARAMS = np.dtype(
         ("axis_max", "f8", 6),  # m and rad, at rest
         ("axis_per_speed_s", "f8"),
         ("axis_cycles", "i8"),
-        ("axis_gain", "f8", 6),  # 1/s, of the position loop
+        ("axis_decay", "f8", 6),  # of the distance from the demand in a cycle
         ("step_s", "f8"),
         ("vision_sigmas", "f8"),
         ("vision_position", "f8"),  # m
@@ -81,10 +83,14 @@ def _is_too_near(params, truth, breach):
 
     ``breach`` then has the range, the closing rate and the least range allowed at it.
     """
-    square, product = 0.0, 0.0
+    square, product, speed = 0.0, 0.0, 0.0
     for i in range(3):
         square += truth.r_CT_H[i] * truth.r_CT_H[i]
         product += truth.r_CT_H[i] * truth.v_CT_H[i]
+        speed += truth.v_CT_H[i] * truth.v_CT_H[i]
+    # most cycles are farther than even this closing rate asks for
+    if speed <= SLOW_MPS * SLOW_MPS and square > params.far * params.far:
+        return False
     distance = math.sqrt(square)
     closing = max(0.0, -product / distance) if distance > 0.0 else 0.0
     least = params.keep_out + closing * (params.reaction_s + closing / (2.0 * params.deceleration))
@@ -105,7 +111,8 @@ def _off_truth(params, bench, truth, wanted, feedback, rails_age_s, turntable_ag
         difference = feedback.rail_m[i] - wanted.rail_m[i]
         square += difference * difference
         turned += abs(feedback.gimbal_rad[i] - wanted.gimbal_rad[i])
-    if math.sqrt(square) + params.arm * turned <= params.position_max and turned <= params.attitude_max:
+    left = params.position_max - params.arm * turned
+    if left >= 0.0 and square <= left * left and turned <= params.attitude_max:
         return NOTHING
     r, q, rotation = stack.vector(3), stack.vector(4), stack.vector(3)
     pose_of_axes(bench, feedback.rail_m, feedback.gimbal_rad, r, q)
@@ -135,14 +142,15 @@ def _off_truth(params, bench, truth, wanted, feedback, rails_age_s, turntable_ag
 def _predict(params, memory, wanted, model):
     """Write the positions (6,) that the axes should have by the model of their drives.
 
-    A position loop of gain k with feed-forward, dm/dt = dw/dt + k (w - m): the distance from the demand w decays.
+    A position loop of gain k with feed-forward, dm/dt = dw/dt + k (w - m): the distance from the demand w decays, in a
+    cycle of h to 1 / (1 + k h).
     """
     for axis in range(6):
         i = axis % 3
         demand = wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i]
         rate = wanted.rail_mps[i] if axis < 3 else wanted.gimbal_radps[i]
         before = demand - params.step_s * rate
-        model[axis] = demand + (memory.model[axis] - before) / (1.0 + params.axis_gain[axis] * params.step_s)
+        model[axis] = demand + (memory.model[axis] - before) * params.axis_decay[axis]
 
 
 @kernel

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hil.bench.bench_guard import BENCH_GUARD_PARAMS
+from hil.bench.bench_guard import BENCH_GUARD_PARAMS, SLOW_MPS
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -44,13 +44,15 @@ def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     params.keep_out = scenario.keep_out.radius_m
     params.deceleration = axes.acceleration_max[:3].min()
     params.reaction_s, params.startup_s = config.reaction_s, config.startup_s
+    params.far = params.keep_out + SLOW_MPS * (params.reaction_s + SLOW_MPS / (2.0 * params.deceleration))
     params.arm = np.linalg.norm(axes.lever_arm)
     params.position_max, params.attitude_max = config.pose_error_max_m, math.radians(config.pose_error_max_deg)
     params.pose_per_speed_s, params.pose_cycles = config.pose_error_per_speed_s, config.pose_error_cycles
     params.limited_max = max(1, round(config.limited_max_s / axes.dt_s))
     params.axis_max = [config.axis_error_max_m] * 3 + [math.radians(config.axis_error_max_deg)] * 3
     params.axis_per_speed_s, params.axis_cycles = config.axis_error_per_speed_s, config.axis_error_cycles
-    params.axis_gain = [rig.rails.servo.gain_per_s] * 3 + [rig.turntable.servo.gain_per_s] * 3
+    gains = np.repeat([rig.rails.servo.gain_per_s, rig.turntable.servo.gain_per_s], 3)
+    params.axis_decay = 1.0 / (1.0 + gains * step_s)
     params.vision_sigmas, params.vision_frames = config.vision_sigmas, config.vision_frames_max
     params.vision_position, params.vision_attitude = (
         config.vision_error_max_m,
