@@ -42,17 +42,18 @@ def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     params = new(BENCH_GUARD_PARAMS)
     params.enabled = config.enabled
     params.keep_out = scenario.keep_out.radius_m
-    params.deceleration = axes.acceleration_max[:3].min()
+    deceleration = float(axes.acceleration_max[:3].min())
+    params.deceleration = deceleration
     params.reaction_s, params.startup_s = config.reaction_s, config.startup_s
-    params.far = params.keep_out + SLOW_MPS * (params.reaction_s + SLOW_MPS / (2.0 * params.deceleration))
+    params.far = scenario.keep_out.radius_m + SLOW_MPS * (config.reaction_s + SLOW_MPS / (2.0 * deceleration))
     params.arm = np.linalg.norm(axes.lever_arm)
     params.position_max, params.attitude_max = config.pose_error_max_m, math.radians(config.pose_error_max_deg)
     params.pose_per_speed_s, params.pose_cycles = config.pose_error_per_speed_s, config.pose_error_cycles
     params.limited_max = max(1, round(config.limited_max_s / axes.dt_s))
     params.axis_max = [config.axis_error_max_m] * 3 + [math.radians(config.axis_error_max_deg)] * 3
     params.axis_per_speed_s, params.axis_cycles = config.axis_error_per_speed_s, config.axis_error_cycles
-    gains = np.repeat([rig.rails.servo.gain_per_s, rig.turntable.servo.gain_per_s], 3)
-    params.axis_decay = 1.0 / (1.0 + gains * step_s)
+    gains = [rig.rails.servo.gain_per_s] * 3 + [rig.turntable.servo.gain_per_s] * 3
+    params.axis_decay = [1.0 / (1.0 + gain * step_s) for gain in gains]
     params.vision_sigmas, params.vision_frames = config.vision_sigmas, config.vision_frames_max
     params.vision_position, params.vision_attitude = (
         config.vision_error_max_m,
