@@ -82,7 +82,7 @@ def decide(params, state, n):
         step.watch_approach(
             params.gnc.approach, state.gnc.approach, now.t_s, now.navigation, now.reference, now.supervision, False
         )
-        step.actuate(params.gnc, now.navigation, now.reference, now.command)
+        step.actuate(params.gnc, state.gnc, now.navigation, now.reference, now.command)
 
 
 @kernel

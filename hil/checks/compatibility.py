@@ -21,6 +21,7 @@ from hil.maths import euler
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 
+_NOISE_SIGMAS = 3.0  # of a pose, which an alert limit must exceed
 _RATE_MAX_HZ = 10_000.0
 _RATIO_TOLERANCE = 1e-9
 _MEMORY_STEPS_MAX = 20_000  # each of them 3 kB, and a few microseconds when a pose is that late
@@ -46,7 +47,7 @@ def check_plan(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
 
 
 def check_approach(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return a problem for each phase with a speed above the closing-rate limit."""
+    """Return a problem for each speed of a phase above the closing-rate limit and each alert limit below the noise."""
     gnc = scenario.value.gnc
     problems = []
     limit = gnc.corridor.closing_rate_max_mps
@@ -57,6 +58,32 @@ def check_approach(scenario: Loaded[Scenario]) -> list[Problem]:
         if phase.kind in ("approach", "final") and speed >= limit:
             key = f"gnc.guidance.phases.{name}.speed_mps" if own else "gnc.guidance.approach_speed_mps"
             text = f"{speed:g}: must be below gnc.corridor.closing_rate_max_mps, {limit:g}"
+            problems.append(Problem(scenario.where(key), key, text))
+    return [*problems, *_check_alert_limits(scenario)]
+
+
+def _check_alert_limits(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return a problem for each alert limit at the ready point that the noise of a single pose exceeds."""
+    value = scenario.value
+    if value.gnc.navigation.sensors != "vision_imu" or value.gnc.binary is not None:
+        return []
+    settings, vmu = value.integrity, value.vmu
+    distance = math.hypot(*value.gnc.guidance.ready_point_m)
+    scale = max(1.0, distance / vmu.reference_range_m) * _NOISE_SIGMAS
+    along = settings.alert_axial_m + settings.alert_axial_per_range_scale * distance
+    across = settings.alert_corridor_fraction * value.gnc.corridor.minimum_radius_m
+    problems = []
+    for name, limit, noise, unit in (
+        ("alert_axial_m", along, scale * vmu.sigma_position_m, "m"),
+        ("alert_corridor_fraction", across, scale * vmu.sigma_position_m, "m"),
+        ("alert_attitude_deg", settings.alert_attitude_deg, scale * vmu.sigma_angle_deg, "deg"),
+    ):
+        if limit < noise:
+            key, given = f"integrity.{name}", getattr(settings, name)
+            text = (
+                f"{given:g}: the alert limit at the ready point is {limit:.4g} {unit} and must be at least "
+                f"{noise:.4g} {unit}, {_NOISE_SIGMAS:g} sigma of a pose"
+            )
             problems.append(Problem(scenario.where(key), key, text))
     return problems
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -304,9 +304,9 @@ class Corridor(ConfigModel):
     closing_rate_max_mps: Positive
     """Its maximum."""
     confidence: NotNegative = 3.0
-    """A limit is violated if exceeded by this many standard deviations of the estimate ..."""
+    """Standard deviations of the velocity that are added to the closing rate."""
     persistence_s: NotNegative
-    """... for this time."""
+    """A limit is violated if exceeded for this time."""
 
     @model_validator(mode="after")
     def _axis_is_a_unit_vector(self) -> Self:
@@ -328,6 +328,92 @@ class Abort(ConfigModel):
     """Of the retreat."""
     at_s: NotNegative | None = None
     """Time of a simulated abort."""
+
+
+class NavigationIntegrity(ConfigModel):
+    """Monitors of the navigation and protection levels ([integrity](../../explanation/integrity.md))."""
+
+    risk_probability: Annotated[float, Field(gt=0.0, le=0.01)] = 1e-7
+    """Probability per approach that an error exceeds its protection level without a fault."""
+    pose_range_max_m: Positive = 100.0
+    """A pose farther from the target is none."""
+    pose_sigma_max_m: Positive = 1.0
+    """A pose with a larger standard deviation is none."""
+    pose_sigma_max_deg: Positive = 20.0
+    """The same for its attitude."""
+    lost_after_s: Positive = 2.0
+    """Vision is lost if the last accepted pose is older."""
+    suspect_after: Annotated[int, Field(ge=1)] = 3
+    """Vision is suspect after so many consecutive rejections."""
+    close_after: Annotated[int, Field(ge=1)] = 8
+    """The gate is closed after so many consecutive rejections."""
+    reopen_after: Annotated[int, Field(ge=2)] = 8
+    """It opens again for the last of so many consecutive poses that agree with each other and with the IMU."""
+    mean_shift_sigmas: Positive = 0.25
+    """Mean of the normalised innovations that the CUSUM permits."""
+    cusum_limit_sigmas: Positive = 36.0
+    """Sum of the excess from which on vision is suspect."""
+    nis_window: Annotated[int, Field(ge=2)] = 16
+    """Poses in the mean NIS."""
+    thruster_open_s: Positive = 0.3
+    """Time after which a thruster that was not commanded counts as stuck open."""
+    acquisition_s: NotNegative = 20.0
+    """Time after the first pose in which the filters may converge."""
+
+
+ReactionName = Literal["continue", "coast", "hold", "retreat", "abort"]
+REACTION_NAMES: tuple[str, ...] = get_args(ReactionName)
+
+
+class PhaseReactions(ConfigModel):
+    """Reaction to one condition, by kind of phase."""
+
+    approach: ReactionName = "abort"
+    """In a phase of kind approach."""
+    hold: ReactionName = "abort"
+    """Of kind hold."""
+    wait: ReactionName = "abort"
+    """Of kind wait."""
+    final: ReactionName = "abort"
+    """Of kind final."""
+    retreat: ReactionName = "abort"
+    """Of kind retreat."""
+
+
+_HOLD = PhaseReactions(approach="hold", hold="hold", wait="hold", final="abort", retreat="continue")
+
+
+class Reactions(ConfigModel):
+    """Reactions to the health of the navigation; of several the strongest."""
+
+    vision_lost: PhaseReactions = PhaseReactions()
+    """No usable pose for `gnc.integrity.lost_after_s`."""
+    vision_suspect: PhaseReactions = _HOLD
+    """Poses are rejected, or their innovations are not those of their covariance."""
+    imu_suspect: PhaseReactions = PhaseReactions()
+    """Readings repeat, or no thruster explains them."""
+    thruster_fault: PhaseReactions = PhaseReactions()
+    """A thruster is stuck open or dead."""
+    monitor_disagrees: PhaseReactions = _HOLD
+    """The docking monitor measures another pose."""
+    covariance_invalid: PhaseReactions = PhaseReactions()
+    """A variance of the filters is not finite or not positive."""
+    unprotected: PhaseReactions = PhaseReactions()
+    """The protection level exceeds the alert limit for `integrity.time_to_alert_s`."""
+    hold_max_s: Positive = 30.0
+    """A hold or retreat that lasts longer becomes an abort."""
+
+    def conditions(self) -> tuple[PhaseReactions, ...]:
+        """Return the reactions in the order of the bits of health, the last one to the protection level."""
+        return (
+            self.vision_lost,
+            self.vision_suspect,
+            self.imu_suspect,
+            self.thruster_fault,
+            self.monitor_disagrees,
+            self.covariance_invalid,
+            self.unprotected,
+        )
 
 
 class Control(ConfigModel):
@@ -380,6 +466,18 @@ class GncConfig(ConfigModel):
     corridor: Corridor
     abort: Abort
     control: Control
+    integrity: NavigationIntegrity = NavigationIntegrity()
+    reactions: Reactions = Reactions()
+
+    @model_validator(mode="after")
+    def _every_phase_can_be_aborted(self) -> Self:
+        for name in self.guidance.sequence:
+            kind = self.guidance.phases[name].kind
+            if all(getattr(condition, kind) != "abort" for condition in self.reactions.conditions()):
+                raise ValueError(
+                    f'reactions: phase "{name}", of kind {kind}, is left without an abort: allowed is at least one'
+                )
+        return self
 
     @model_validator(mode="after")
     def _is_one_binary(self) -> Self:

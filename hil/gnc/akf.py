@@ -150,15 +150,17 @@ def predict_covariance(params, state):
 
 @kernel
 def innovate(state, q_measured, covariance, gain, out):
-    """Write the innovation (3,), a small-angle rotation in rad, and the gain (6, 3); return the NIS."""
+    """Write the innovation (3,), a small-angle rotation in rad, and the gain (6, 3); return the NIS.
+
+    It is nan if the covariance of the innovation is not positive definite.
+    """
     rotation, h, s_inverse = stack.vector(3), stack.matrix(3, 6), stack.matrix(3, 3)
     quat.rotation_between(q_measured, state.x[0:4], rotation)
     fill_matrix(h, 0.0)
     for i in range(3):
         h[i, i] = 1.0
         out[i] = rotation[i]
-    gain_of_three(state.p, h, covariance, gain, s_inverse)
-    nis = 0.0
+    nis = 0.0 if gain_of_three(state.p, h, covariance, gain, s_inverse) else np.nan
     for i in range(3):
         for j in range(3):
             nis += out[i] * s_inverse[i, j] * out[j]

@@ -19,6 +19,7 @@ AXES_OF_A_BODY = 6  # force x, y, z, torque x, y, z
 ROWS = 9  # of the sets: the six axes, then force x, y, z again with the full-thrust sets
 _LARGEST_SET = 4
 _COST_PER_THRUSTER = 0.02  # in units of unwanted over wanted part of the wrench
+_OPPOSED_FRACTION = 0.5  # of a stuck thruster's wrench that others may leave
 
 
 def unit_wrenches(position_m: Array, direction: Array, force_n: Array) -> Array:
@@ -36,6 +37,58 @@ def thruster_sets(wrenches: Array, full_thrust: bool = False) -> tuple[np.ndarra
     counts as the force at the thrusters' mean arm. Of equally clean sets the smallest is best, with
     ``full_thrust`` the strongest. Raises ValueError if no set of up to four thrusters moves an axis.
     """
+    masks, totals, cost = _candidates(wrenches, full_thrust)
+    sets = np.zeros((AXES_OF_A_BODY, 2, len(wrenches)), dtype=np.int64)
+    strength = np.full(AXES_OF_A_BODY, np.inf)
+    for axis in range(AXES_OF_A_BODY):
+        for sign_index, sign in enumerate((-1.0, 1.0)):
+            best = _best(cost[axis, sign_index])
+            if best < 0:
+                raise ValueError(
+                    f"no thrusters for the {'-' if sign < 0 else '+'}{'FFFTTT'[axis]}{'xyz'[axis % 3]} demand"
+                )
+            sets[axis, sign_index] = masks[best]
+            strength[axis] = min(strength[axis], sign * totals[best, axis])
+    return sets, strength
+
+
+def sets_without(wrenches: Array, excluded: np.ndarray, full_thrust: bool = False) -> np.ndarray:
+    """Return the best sets without the thrusters of each row of ``excluded`` (m, n), of bool: int64 (m, 6, 2, n).
+
+    wrenches, full_thrust: as of ``thruster_sets``. A demand for which no thrusters are left has an empty set.
+    """
+    masks, _, cost = _candidates(wrenches, full_thrust)
+    sets = np.zeros((len(excluded), AXES_OF_A_BODY, 2, len(wrenches)), dtype=np.int64)
+    for row, barred in enumerate(excluded):
+        allowed = ~(masks[:, barred] != 0).any(axis=1)
+        for axis in range(AXES_OF_A_BODY):
+            for sign_index in range(2):
+                best = _best(np.where(allowed, cost[axis, sign_index], np.inf))
+                if best >= 0:
+                    sets[row, axis, sign_index] = masks[best]
+    return sets
+
+
+def opposing_thrusters(wrenches: Array) -> np.ndarray:
+    """Return, for each thruster, the set of up to four others that leaves least of its force and torque, (n, n).
+
+    wrenches: (n, 6). The set is empty if none leaves less than half of them; of equal ones it is the smallest.
+    """
+    masks, totals, arm = _all_sets(wrenches)
+    scale = np.array([1.0, 1.0, 1.0, arm, arm, arm])
+    found = np.zeros((len(wrenches), len(wrenches)), dtype=np.int64)
+    for j, wrench in enumerate(wrenches):
+        size = np.linalg.norm(wrench / scale)
+        left = np.linalg.norm((totals + wrench) / scale, axis=1) / size + _COST_PER_THRUSTER * masks.sum(axis=1)
+        left[masks[:, j] != 0] = np.inf
+        best = _best(left)
+        if best >= 0 and left[best] < _OPPOSED_FRACTION:
+            found[j] = masks[best]
+    return found
+
+
+def _all_sets(wrenches: Array) -> tuple[np.ndarray, Array, float]:
+    """Return all sets of up to four thrusters, (m, n) of 0 or 1, their force and torque (m, 6), and the mean arm, m."""
     n = len(wrenches)
     arm = max(
         float(np.sqrt(np.mean(np.sum(wrenches[:, 3:] ** 2, axis=1) / np.sum(wrenches[:, :3] ** 2, axis=1)))), 1e-9
@@ -44,30 +97,34 @@ def thruster_sets(wrenches: Array, full_thrust: bool = False) -> tuple[np.ndarra
     masks = np.zeros((len(members), n), dtype=np.int64)
     for row, chosen in enumerate(members):
         masks[row, chosen] = 1
-    totals = masks @ wrenches
+    return masks, masks @ wrenches, arm
+
+
+def _candidates(wrenches: Array, full_thrust: bool) -> tuple[np.ndarray, Array, Array]:
+    """Return all sets (m, n), their force and torque (m, 6), and their cost (6, 2, m), inf for useless ones."""
+    masks, totals, arm = _all_sets(wrenches)
     scaled = totals / np.array([1.0, 1.0, 1.0, arm, arm, arm])
-    sets = np.zeros((AXES_OF_A_BODY, 2, n), dtype=np.int64)
-    strength = np.full(AXES_OF_A_BODY, np.inf)
+    cost = np.full((AXES_OF_A_BODY, 2, len(masks)), np.inf)
     for axis in range(AXES_OF_A_BODY):
         for sign_index, sign in enumerate((-1.0, 1.0)):
             wanted = sign * scaled[:, axis]
             unwanted = np.sqrt(np.maximum(np.sum(scaled**2, axis=1) - wanted**2, 0.0))
             useful = wanted > 1e-6
             if not useful.any():
-                raise ValueError(
-                    f"no thrusters for the {'-' if sign < 0 else '+'}{'FFFTTT'[axis]}{'xyz'[axis % 3]} demand"
-                )
-            cost = np.full(len(masks), np.inf)
-            cost[useful] = unwanted[useful] / wanted[useful]
+                continue
+            of_set = unwanted[useful] / wanted[useful]
             if full_thrust:
-                cost[useful] -= _COST_PER_THRUSTER * wanted[useful] / wanted.max()
+                of_set -= _COST_PER_THRUSTER * wanted[useful] / wanted.max()
             else:
-                cost[useful] += _COST_PER_THRUSTER * masks[useful].sum(axis=1)
-            # equal costs differ by rounding alone: the first of them, whatever the machine
-            best = int(np.flatnonzero(cost <= cost.min() + 1e-9)[0])
-            sets[axis, sign_index] = masks[best]
-            strength[axis] = min(strength[axis], sign * totals[best, axis])
-    return sets, strength
+                of_set += _COST_PER_THRUSTER * masks[useful].sum(axis=1)
+            cost[axis, sign_index, useful] = of_set
+    return masks, totals, cost
+
+
+def _best(cost: Array) -> int:
+    """Return the first of the smallest of ``cost`` (m,), -1 if all are inf. Equal ones may differ by rounding."""
+    least = cost.min()
+    return int(np.flatnonzero(cost <= least + 1e-9)[0]) if np.isfinite(least) else -1
 
 
 @kernel

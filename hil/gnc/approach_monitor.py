@@ -4,10 +4,11 @@ The corridor surrounds the line of the present phase: its radius is a fraction o
 its tip in the target's reference point), but never less than a minimum. The closing rate may be
 ``closing_floor`` at the ready point's range and nearer, and grows with range up to ``closing_greatest``.
 
-In the loop both are checked on the estimate. A limit counts as broken when it is exceeded by more than
-``confidence`` standard deviations of the estimate for ``persistence`` consecutive cycles: an estimate that
-is still converging must not abort a safe approach. The same margins on the truth, without allowance, are
-part of the verdict after the run.
+In the loop both are checked on the estimate, with what it may be wrong by added: the protection level to the position,
+``confidence`` standard deviations to the closing rate. The less is known, the less is permitted. A limit counts as
+broken when it is exceeded for ``persistence`` consecutive cycles. While the filters converge after the first pose, for
+a limited time, it has to be exceeded by ``confidence`` standard deviations instead. The same margins on the truth,
+without allowance, are part of the verdict after the run.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
 
 NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
+FIRST_HEALTH_CAUSE = 4
+"""Cause of an abort for the first bit of ``hil_gnc_health``; the others follow."""
+UNPROTECTED, HELD_TOO_LONG = 10, 11
 
 APPROACH_MONITOR_PARAMS = np.dtype(
     [
@@ -34,6 +38,14 @@ APPROACH_MONITOR_PARAMS = np.dtype(
         ("confidence", "f8"),  # standard deviations
         ("persistence", "i8"),  # cycles
         ("abort_at_s", "f8"),  # time of the run, inf for never
+        # alert limits: largest protection levels
+        ("axis", "f8", 3),  # docking axis, unit vector in H
+        ("alert_distance", "f8"),  # m, along the axis at range 0
+        ("alert_slope", "f8"),  # its increase with range
+        ("keep_out", "f8"),  # m, range that the chaser must be able to stop before, whatever the error; 0 for none
+        ("brake", "f8"),  # m/s^2
+        ("alert_corridor", "f8"),  # across the axis, fraction of the corridor's radius
+        ("alert_angle", "f8"),  # rad
         # ready state: largest deviations (Table III)
         ("ready_point", "f8", 3),  # m, in H
         ("ready_distance", "f8", 3),  # m
@@ -43,6 +55,12 @@ APPROACH_MONITOR_PARAMS = np.dtype(
     ],
     align=True,
 )
+
+
+@kernel
+def corridor_radius(params, distance):
+    """Return the radius of the corridor, m, at the range ``distance``, m."""
+    return max(params.minimum_radius, params.cone * distance)
 
 
 @kernel
@@ -60,7 +78,7 @@ def corridor_margin(params, from_H, to_H, r_CT_H):
     for i in range(3):
         off += (r_CT_H[i] - from_H[i] - fraction * (to_H[i] - from_H[i])) ** 2
         distance += r_CT_H[i] ** 2
-    return max(params.minimum_radius, params.cone * math.sqrt(distance)) - math.sqrt(off)
+    return corridor_radius(params, math.sqrt(distance)) - math.sqrt(off)
 
 
 @kernel
@@ -102,8 +120,37 @@ def _largest(sigma):
 
 
 @kernel
+def _length(values):
+    """Return the length of ``values`` (3,), nan if one of them is."""
+    return math.sqrt(values[0] ** 2 + values[1] ** 2 + values[2] ** 2)
+
+
+@kernel
+def is_protected(params, estimate):
+    """Return whether the protection levels of ``estimate`` are within the alert limits; true if it reports none."""
+    distance, along = _length(estimate.r_CT_H), 0.0
+    for i in range(3):
+        along += abs(params.axis[i]) * estimate.protection_level_m[i]
+    across = math.sqrt(max(0.0, _length(estimate.protection_level_m) ** 2 - along * along))
+    alert = params.alert_distance + params.alert_slope * distance
+    if params.keep_out > 0.0:
+        speed = _length(estimate.v_CT_H)
+        alert = min(alert, distance - params.keep_out - speed * speed / (2.0 * params.brake))
+    return not (
+        along > alert
+        or across > params.alert_corridor * corridor_radius(params, distance)
+        or estimate.protection_level_rad > params.alert_angle
+    )
+
+
+@kernel
 def _is_ready(params, estimate):
-    """Return whether the estimate is within Table III, each axis alone (angles as a rotation vector)."""
+    """Return whether the estimate is healthy, protected and within Table III, each axis alone.
+
+    Angles are those of a rotation vector.
+    """
+    if estimate.health != 0 or not is_protected(params, estimate):
+        return False
     rotation = stack.vector(3)
     quat.to_rotation_vector_into(estimate.q_CH, rotation)
     for i in range(3):
@@ -118,11 +165,12 @@ def _is_ready(params, estimate):
 
 
 @kernel
-def check(params, t_s, estimate, reference, ordered, found):
+def check(params, t_s, estimate, reference, ordered, converged, found):
     """Check the estimate (NAVIGATION); write ``found`` (SUPERVISION). Return whether an abort has to begin now.
 
-    ordered: 1 if the operator has ordered an abort. Before the first pose nothing is checked; after an abort the
-    margins are still written, but have no effect.
+    ordered: 1 if the operator has ordered an abort. converged: 1 unless the filters still converge. Before the first
+    pose nothing is checked; after an abort the margins are still written, but have no effect. An estimate without
+    protection level and sigma is taken as it is.
     """
     if estimate.valid == 0:
         found.ready_since_s = np.nan
@@ -136,9 +184,14 @@ def check(params, t_s, estimate, reference, ordered, found):
     if found.aborted != NOT_ABORTED:
         return False
     cause = NOT_ABORTED
-    if found.corridor_margin_m < -params.confidence * _largest(estimate.sigma_r_m):
+    off = _length(estimate.protection_level_m)
+    off = off if 0.0 < off < np.inf else 0.0  # one without a bound has its own reaction
+    off_mps = params.confidence * _largest(estimate.sigma_v_mps)
+    if converged == 0:
+        off, off_mps = -params.confidence * _largest(estimate.sigma_r_m), -off_mps
+    if found.corridor_margin_m < off:
         cause = CORRIDOR
-    elif found.closing_margin_mps < -params.confidence * _largest(estimate.sigma_v_mps):
+    elif found.closing_margin_mps < off_mps:
         cause = CLOSING_RATE
     found.broken_cycles = found.broken_cycles + 1 if cause != NOT_ABORTED else 0
     if ordered != 0 or t_s >= params.abort_at_s:
@@ -151,12 +204,12 @@ def check(params, t_s, estimate, reference, ordered, found):
 
 
 @kernel
-def update(params, guidance_params, guidance_state, t_s, estimate, reference, ordered, found):
+def update(params, guidance_params, guidance_state, t_s, estimate, reference, ordered, converged, found):
     """Check the estimate; if an abort has to begin, start it in ``guidance_state`` and in ``reference``.
 
     guidance_params, guidance_state: GUIDANCE_PARAMS, GUIDANCE_STATE. The others as of ``check``.
     """
-    if check(params, t_s, estimate, reference, ordered, found):
+    if check(params, t_s, estimate, reference, ordered, converged, found):
         guidance.start_abort(guidance_params, guidance_state, t_s, estimate.r_CT_H, estimate.v_CT_H)
         guidance.reference(guidance_params, guidance_state, t_s, reference)
 

@@ -4,6 +4,11 @@ The last steps are kept, as many as ``new_memory`` holds: the IMU's sample of ea
 poses of that moment. A pose is assigned to the step nearest to its exposure; the filters return to that step and are
 propagated forward again over the same samples and poses. The result is that of a filter that had waited for
 the pose.
+
+A gate rejects poses by their innovations. After ``close_after`` consecutive rejections it is closed: it opens again
+only for the last of ``reopen_after`` consecutive poses that agree with each other and with what the IMU has carried
+over. The restart keeps the jump as an error that is possible from then on. Poses that agree with each other alone
+replace only a start that no pose has confirmed.
 """
 
 from __future__ import annotations
@@ -24,7 +29,7 @@ from hil.maths.arrays import copy_into, copy_matrix
 
 POSES_PER_STEP = 2
 
-NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED = range(4)
+NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED, REOPENED, RESTARTED = range(6)
 
 MULTIPLICATIVE = 0
 AS_PRINTED = 1
@@ -35,6 +40,8 @@ FUSION_PARAMS = np.dtype(
         ("memory", "i8"),  # steps that are kept
         ("ahead", "i8"),  # steps that an exposure may be in the future: stamps and cycles are rounded
         ("orbit", TARGET_ORBIT),
+        ("close_after", "i8"),  # consecutive rejections
+        ("reopen_after", "i8"),  # consecutive poses that agree
         ("akf", AKF_PARAMS),
         ("pkf", PKF_PARAMS),
     ],
@@ -68,16 +75,33 @@ FUSION_STATE = np.dtype(
         ("accepted", "i8"),
         ("rejected_position", "i8"),  # by the gate on the innovation
         ("rejected_attitude", "i8"),
+        ("rejected_closed", "i8"),  # by the closed gate
         ("duplicates", "i8"),
         ("too_late", "i8"),
         ("rejected_in_a_row", "i8"),  # consecutive rejections
         ("nis_position", "f8"),
         ("nis_attitude", "f8"),
+        ("last_accepted_s", "f8"),  # exposure of the newest accepted pose, time of the run
+        ("agreeing", "i8"),  # consecutive poses that pass the closed gate
+        ("mutual", "i8"),  # consecutive poses that agree with the one before
+        ("seen_s", "f8"),  # the last pose
+        ("seen_r", "f8", 3),  # m, in H
+        ("seen_q", "f8", 4),
+        ("jump_m", "f8", 3),  # m, in H: largest at which the gate was opened again
+        ("updated", "i8"),  # 1: the last pose was accepted, and the following are of it
+        ("innovation", "f8", 6),  # position, attitude, each over its standard deviation
+        ("noise_m", "f8"),  # standard deviation of the innovation
+        ("noise_rad", "f8"),
+        ("gain_position", "f8"),  # largest row of the gain
+        ("gain_velocity", "f8"),  # 1/s
+        ("gain_attitude", "f8"),
+        ("interval_s", "f8"),  # between the last two accepted poses
     ],
     align=True,
 )
 
-_REOPEN_AFTER = 8  # consecutive rejections, after which the filter counts as wrong and the next pose is accepted
+_SPEED_MAX, _RATE_MAX = 0.2, 0.05  # m/s, rad/s: motion that two poses which agree may have between them
+_AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
 
 
 def new_memory(params: np.record) -> np.ndarray:
@@ -150,12 +174,84 @@ def _publish_additive(filters):
 
 
 @kernel
+def _compare(state, pose):
+    """Compare ``pose`` with the one before: count it in ``state.mutual`` if both agree, otherwise count from 0."""
+    r, rotation = stack.vector(3), stack.vector(3)
+    quat.transform_back_into(pose.q_CH, pose.z_TC_C, r)
+    quat.rotation_between(pose.q_CH, state.seen_q, rotation)
+    distance, position, attitude = 0.0, 0.0, 0.0
+    for i in range(3):
+        distance += r[i] * r[i]
+        position = max(position, pose.covariance_position[i, i])
+        attitude = max(attitude, pose.covariance_attitude[i, i])
+    sigma, elapsed_s = math.sqrt(position + distance * attitude), abs(pose.t_s - state.seen_s)
+    agree = True
+    for i in range(3):
+        agree = agree and abs(r[i] + state.seen_r[i]) <= _AGREEMENT * sigma + _SPEED_MAX * elapsed_s
+        agree = agree and abs(rotation[i]) <= _AGREEMENT * math.sqrt(attitude) + _RATE_MAX * elapsed_s
+    state.mutual = state.mutual + 1 if agree else 0
+    for i in range(3):
+        state.seen_r[i] = -r[i]
+    copy_into(state.seen_q, pose.q_CH)
+    state.seen_s = pose.t_s
+
+
+@kernel
+def _jump(filters, z, delta_s, out):
+    """Write by how much, m, in H, the position ``z`` (3,) is off the filter's (3,)."""
+    quat.transform_back_into(filters.akf.x[0:4], z, out)
+    for i in range(3):
+        out[i] = -out[i] - filters.pkf.x[i] - delta_s * filters.pkf.x[3 + i]
+
+
+@kernel
+def _closed_gate(params, state, passes):
+    """Return the result of the closed gate for a pose that agrees with the IMU's carry-over if ``passes``."""
+    state.agreeing = state.agreeing + 1 if passes and state.mutual > 0 else 0
+    if state.agreeing >= params.reopen_after:
+        return REOPENED
+    if state.accepted == 0 and state.mutual >= params.reopen_after:
+        return RESTARTED
+    return REJECTED
+
+
+@kernel
+def _remember_update(state, pose, innovation_a, gain_a, innovation_p, gain_p):
+    """Keep what the monitors need of an accepted pose: its innovations, their noise and the gains."""
+    filters = state.filters
+    distance, p_position, p_attitude = 0.0, 0.0, 0.0
+    for i in range(3):
+        distance += pose.z_TC_C[i] ** 2
+        p_position = max(p_position, filters.pkf.p[i, i])
+        p_attitude = max(p_attitude, filters.akf.p[i, i])
+    state.noise_m = state.noise_rad = state.gain_position = state.gain_velocity = state.gain_attitude = 0.0
+    for i in range(3):
+        of_position = math.sqrt(pose.covariance_position[i, i] + p_position + distance * p_attitude)
+        of_attitude = math.sqrt(pose.covariance_attitude[i, i] + p_attitude)
+        state.innovation[i] = innovation_p[i] / of_position
+        state.innovation[3 + i] = innovation_a[i] / of_attitude
+        state.noise_m, state.noise_rad = max(state.noise_m, of_position), max(state.noise_rad, of_attitude)
+        position, velocity, attitude = 0.0, 0.0, 0.0
+        for j in range(3):
+            position += gain_p[i, j] ** 2
+            velocity += gain_p[3 + i, j] ** 2
+            attitude += gain_a[i, j] ** 2
+        state.gain_position = max(state.gain_position, math.sqrt(position))
+        state.gain_velocity = max(state.gain_velocity, math.sqrt(velocity))
+        state.gain_attitude = max(state.gain_attitude, math.sqrt(attitude))
+    state.updated = 1
+
+
+@kernel
 def _fuse_pose(params, state, pose, moment_s, gated):
     """Fuse one pose whose step is at ``moment_s``; return the part that was accepted.
 
     gated: NOT_GATED for a new pose, which is then gated and counted; otherwise the earlier result of the gate.
     """
     filters = state.filters
+    if gated == RESTARTED:
+        _start(params, pose, filters)
+        return RESTARTED
     delta_s = pose.t_s - moment_s
     rotation, z, back, q_measured = stack.vector(3), stack.vector(3), stack.vector(4), stack.vector(4)
     for i in range(3):
@@ -166,13 +262,27 @@ def _fuse_pose(params, state, pose, moment_s, gated):
     quat.transform_into(back, pose.z_TC_C, z)
     gain_a, innovation_a = stack.matrix(6, 3), stack.vector(3)
     gain_p, innovation_p = stack.matrix(9, 3), stack.vector(3)
-    h, h_attitude = stack.matrix(3, 9), stack.matrix(3, 3)
-    open_gate = state.rejected_in_a_row >= _REOPEN_AFTER
+    h, h_attitude, jump = stack.matrix(3, 9), stack.matrix(3, 3), stack.vector(3)
     nis_a = akf.innovate(filters.akf, q_measured, pose.covariance_attitude, gain_a, innovation_a)
     nis_p = np.nan
     found = gated
     if gated == NOT_GATED:
-        found = ATTITUDE_ONLY if open_gate or nis_a <= params.akf.gate else REJECTED
+        found = ATTITUDE_ONLY if 0.0 <= nis_a <= params.akf.gate else REJECTED
+        if state.rejected_in_a_row >= params.close_after:
+            nis_p = pkf.innovate(
+                filters.pkf, z, pose.covariance_position, delta_s, filters.akf.x[0:4], filters.akf.p,
+                h, h_attitude, gain_p, innovation_p,
+            )  # fmt: skip
+            found = _closed_gate(params, state, found == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate)
+        if found == RESTARTED:
+            _start(params, pose, filters)
+            _count(params, state, pose, found, nis_a, nis_p)
+            return found
+    if found == REOPENED:
+        _jump(filters, z, delta_s, jump)
+        for i in range(3):
+            filters.pkf.p[i, i] += jump[i] * jump[i]
+            state.jump_m[i] = max(state.jump_m[i], abs(jump[i]))
     if found >= ATTITUDE_ONLY:
         if params.attitude_form == AS_PRINTED:
             akf_additive.update(filters.additive, q_measured, pose.covariance_attitude)
@@ -184,27 +294,35 @@ def _fuse_pose(params, state, pose, moment_s, gated):
             filters.pkf, z, pose.covariance_position, delta_s, filters.akf.x[0:4], filters.akf.p,
             h, h_attitude, gain_p, innovation_p,
         )  # fmt: skip
-        if gated == NOT_GATED and (open_gate or nis_p <= params.pkf.gate):
+        if gated == NOT_GATED and found == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate:
             found = ACCEPTED
-        if found == ACCEPTED:
+        if found >= ACCEPTED:
+            if gated == NOT_GATED:
+                _remember_update(state, pose, innovation_a, gain_a, innovation_p, gain_p)
             pkf.update(filters.pkf, pose.covariance_position, filters.akf.p, h, h_attitude, gain_p, innovation_p)
     if gated == NOT_GATED:
-        _count(state, found, nis_a, nis_p)
+        _count(params, state, pose, found, nis_a, nis_p)
     return found
 
 
 @kernel
-def _count(state, found, nis_attitude, nis_position):
+def _count(params, state, pose, found, nis_attitude, nis_position):
     """Count a pose that has just been gated."""
     state.nis_attitude = nis_attitude
     state.nis_position = nis_position
-    if found == REJECTED:
+    if found == REJECTED and state.rejected_in_a_row >= params.close_after:
+        state.rejected_closed += 1
+    elif found == REJECTED:
         state.rejected_attitude += 1
     elif found == ATTITUDE_ONLY:
         state.rejected_position += 1
     else:
         state.accepted += 1
-    state.rejected_in_a_row = 0 if found == ACCEPTED else state.rejected_in_a_row + 1
+        state.agreeing = 0
+        if pose.t_s > state.last_accepted_s:
+            state.interval_s = pose.t_s - state.last_accepted_s
+            state.last_accepted_s = pose.t_s
+    state.rejected_in_a_row = 0 if found >= ACCEPTED else state.rejected_in_a_row + 1
 
 
 @kernel
@@ -240,6 +358,7 @@ def _place(params, state, memory, pose):
         step.is_start = 1
         state.started = 1
         state.start_cycle = cycle
+        state.last_accepted_s = pose.t_s
         _start(params, pose, step.predicted)
     else:
         step.n_poses += 1
@@ -277,9 +396,11 @@ def advance(params, state, memory, imu):
 @kernel
 def fuse(params, state, memory, pose):
     """Fuse a pose (POSE) at its own time: back to its step, and forward again."""
+    state.updated = 0
     first = _place(params, state, memory, pose)
     if first < 0:
         return
+    _compare(state, pose)
     dt, n = params.pkf.dt_s, memory.shape[0]
     _copy_filters(params, memory[first % n].predicted, state.filters)
     _fuse_step(params, state, memory[first % n], first * dt)

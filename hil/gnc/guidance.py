@@ -137,6 +137,23 @@ def start_abort(params, state, t_s, r_CT_H, v_CT_H):
 
 
 @kernel
+def is_at_rest(params, state):
+    """Return whether the retreat after a brake is over."""
+    return state.phase == params.n_phases + _ABORT_PHASES - 1
+
+
+@kernel
+def resume(params, state, t_s, phase):
+    """Return to the list at ``t_s``, from rest: to the last moving phase up to ``phase``, the first one without any."""
+    while phase > 0 and kind_of(params, phase) in (HOLD, WAIT):
+        phase -= 1
+    state.phase = phase
+    state.since_s = t_s
+    copy_into(state.from_H, state.to_H)
+    _aim(params, state)
+
+
+@kernel
 def _limits(params, phase):
     """Return speed, acceleration and deceleration of a moving phase."""
     if phase >= params.n_phases:

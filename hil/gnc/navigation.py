@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.gnc import akf, fusion, pkf, vision_only
+from hil.gnc import akf, fusion, integrity, pkf, vision_only
 from hil.gnc.fusion import FUSION_PARAMS, FUSION_STATE
+from hil.gnc.integrity import COVARIANCE_INVALID, INTEGRITY_PARAMS, INTEGRITY_STATE
 from hil.gnc.vision_only import VISION_ONLY_PARAMS, VISION_ONLY_STATE
 from hil.maths import stack
 from hil.maths.arrays import copy_into, fill
@@ -18,9 +19,38 @@ VISION_AND_IMU = 0
 VISION_ALONE = 1
 
 NAVIGATION_PARAMS = np.dtype(
-    [("sensors", "i8"), ("fusion", FUSION_PARAMS), ("vision_only", VISION_ONLY_PARAMS)], align=True
+    [
+        ("sensors", "i8"),
+        ("fusion", FUSION_PARAMS),
+        ("vision_only", VISION_ONLY_PARAMS),
+        ("integrity", INTEGRITY_PARAMS),
+    ],
+    align=True,
 )
-NAVIGATION_STATE = np.dtype([("fusion", FUSION_STATE), ("vision_only", VISION_ONLY_STATE)], align=True)
+NAVIGATION_STATE = np.dtype(
+    [
+        ("fusion", FUSION_STATE),
+        ("vision_only", VISION_ONLY_STATE),
+        ("integrity", INTEGRITY_STATE),
+        ("t_s", "f8"),  # of the next call, time of the run
+        ("without_imu", "i8"),  # 1: the IMU has failed, vision alone is used
+    ],
+    align=True,
+)
+
+
+@kernel
+def uses_imu(params, state):
+    """Return whether poses and IMU are fused; otherwise navigation is by vision alone."""
+    return params.sensors == VISION_AND_IMU and state.without_imu == 0
+
+
+@kernel
+def drop_imu(params, state, estimate):
+    """Continue by vision alone from ``estimate`` (NAVIGATION)."""
+    if uses_imu(params, state) and estimate.valid != 0:
+        state.without_imu = 1
+        vision_only.continue_from(state.vision_only, estimate, state.fusion.last_accepted_s)
 
 
 @kernel
@@ -29,21 +59,26 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
 
     memory: of ``fusion.new_memory``. samples: (n,) of IMU, each of one step of the filters; the first call, at the
     start of a run, uses none of them. poses: array of POSE, of which the first ``n_poses`` are
-    new. ``out.valid`` is 0 until the first pose.
+    new. ``out.valid`` is 0 until the first pose. Vision alone has nothing to compare a pose with: it reports no
+    protection level.
     """
     fill(out.protection_level_m, np.nan)
     out.protection_level_rad = np.nan
-    if params.sensors == VISION_AND_IMU:
+    if uses_imu(params, state):
         n = samples.shape[0]
         for i in range(0 if state.fusion.cycle > 0 else n - 1, n):
             fusion.advance(params.fusion, state.fusion, memory, samples[i])
             state.fusion.cycle += 1
         state.fusion.cycle -= 1
         for i in range(n_poses):
-            fusion.fuse(params.fusion, state.fusion, memory, poses[i])
+            if integrity.admits(params.integrity, state.integrity, poses[i]):
+                _fuse(params, state, memory, poses[i])
         state.fusion.cycle += 1
+        age_s = state.t_s - state.fusion.last_accepted_s
+        out.health = integrity.vision_health(params.integrity, state.integrity, age_s, state.fusion.rejected_in_a_row)
         if state.fusion.started != 0:
             _write_filters(state.fusion.filters, out)
+            integrity.protect(params.integrity, state.integrity, state.fusion, state.t_s, out)
         out.nis_position = state.fusion.nis_position
         out.nis_attitude = state.fusion.nis_attitude
         out.valid = state.fusion.started
@@ -51,21 +86,42 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
         if state.vision_only.started != 0:
             vision_only.predict(params.vision_only, state.vision_only)
         for i in range(n_poses):
-            vision_only.update(params.vision_only, state.vision_only, poses[i])
+            if integrity.admits(params.integrity, state.integrity, poses[i]):
+                vision_only.update(params.vision_only, state.vision_only, poses[i])
         _write_vision_only(state.vision_only, out)
+        age_s = state.t_s - state.vision_only.last_t_s
+        out.health = integrity.vision_health(
+            params.integrity, state.integrity, age_s, state.vision_only.rejected_in_a_row
+        )  # fmt: skip
         out.valid = state.vision_only.started
+    state.t_s += params.vision_only.dt_s
+
+
+@kernel
+def _fuse(params, state, memory, pose):
+    """Fuse an admitted pose; the monitors take its innovation if it is accepted."""
+    fused = state.fusion
+    fusion.fuse(params.fusion, fused, memory, pose)
+    if fused.updated != 0:
+        integrity.monitor(params.integrity, state.integrity, fused.innovation, fused.nis_position, fused.nis_attitude)
 
 
 @kernel
 def _write_filters(filters, out):
+    """Write estimate and sigmas, and whether a variance is none."""
     copy_into(out.r_CT_H, filters.pkf.x[0:3])
     copy_into(out.v_CT_H, filters.pkf.x[3:6])
     copy_into(out.q_CH, filters.akf.x[0:4])
     copy_into(out.w_CH_C, filters.akf.w_CH_C)
     pkf.sigma(filters.pkf, 0, out.sigma_r_m)
     pkf.sigma(filters.pkf, 3, out.sigma_v_mps)
+    valid = True
     for i in range(3):
         out.sigma_attitude_rad[i] = math.sqrt(max(0.0, filters.akf.p[i, i]))
+        valid = valid and 0.0 < filters.akf.p[i, i] < np.inf
+        valid = valid and 0.0 < filters.pkf.p[i, i] < np.inf and 0.0 < filters.pkf.p[3 + i, 3 + i] < np.inf
+    if not valid:
+        out.health |= COVARIANCE_INVALID
 
 
 @kernel

@@ -144,6 +144,7 @@ def follow_attitude_update(state, keep):
 def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_attitude, gain, out):
     """Write the innovation (3,), m, its matrices and the gain (9, 3); return the NIS. The state is not changed.
 
+    The NIS is nan if the covariance of the innovation is not positive definite.
     z_TC_C: measured position (3,), in c at the filter's moment; covariance: (3, 3).
     delta_s: exposure after the filter's moment, a fraction of a step. h: (3, 9). h_attitude: (3, 3), of theta.
     """
@@ -189,8 +190,7 @@ def innovate(state, z_TC_C, covariance, delta_s, q_CH, attitude_p, h, h_attitude
             for m in range(3):
                 total += h_attitude[i, m] * cross_attitude[m, j]
             s[i, j] = total
-    invert_symmetric_3(s, s_inverse)
-    nis = 0.0
+    nis = 0.0 if invert_symmetric_3(s, s_inverse) else np.nan
     for i in range(9):
         for j in range(3):
             gain[i, j] = cross[i, 0] * s_inverse[0, j] + cross[i, 1] * s_inverse[1, j] + cross[i, 2] * s_inverse[2, j]

@@ -11,12 +11,16 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
-from hil.gnc import allocation, approach_monitor, control, guidance, navigation
+from hil.gnc import allocation, approach_monitor, control, guidance, navigation, pkf, reactions, thruster_monitor
 from hil.gnc.allocation import ROWS
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, NOT_ABORTED
 from hil.gnc.control import CONTROL_PARAMS
 from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
 from hil.gnc.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
+from hil.gnc.reactions import REACTION_PARAMS, REACTION_STATE
+from hil.gnc.thruster_monitor import DEAD, NO_FAULT, THRUSTER_MONITOR_PARAMS, THRUSTER_MONITOR_STATE
+from hil.maths import stack
+from hil.maths.arrays import fill
 from hil.maths.limits import has_held
 
 APPROACH_PARAMS = np.dtype(
@@ -24,6 +28,7 @@ APPROACH_PARAMS = np.dtype(
         ("dwell_s", "f8"),  # for which the ready state must have held for docking to be a go
         ("guidance", GUIDANCE_PARAMS),
         ("monitor", APPROACH_MONITOR_PARAMS),
+        ("reactions", REACTION_PARAMS),
     ],
     align=True,
 )
@@ -35,6 +40,10 @@ GNC_PARAMS = np.dtype(
         ("control", CONTROL_PARAMS),
         ("n_thrusters", "i8"),
         ("sets", "i8", (ROWS, 2, MAX_THRUSTERS)),  # of thrusters by demand, see allocation.select
+        ("dead_sets", "i1", (MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS)),  # the same without a dead thruster
+        ("open_sets", "i1", (MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS)),  # without one stuck open and those against it
+        ("against", "i1", (MAX_THRUSTERS, MAX_THRUSTERS)),  # those that cancel one stuck open
+        ("thruster_monitor", THRUSTER_MONITOR_PARAMS),
     ],
     align=True,
 )
@@ -47,6 +56,8 @@ APPROACH_PROGRESS = np.dtype(
         ("ready_since_s", "f8"),  # of that ready state, nan if it does not hold
         ("ready", "i8"),  # 1: the ready state has held for the dwell time since the phase began, without an abort
         ("aborted", "i8"),  # cause, 0 for none
+        ("reaction", "i8"),  # to the health of the navigation
+        ("cause", "i8"),  # of the reaction, as of an abort
     ],
     align=True,
 )
@@ -55,6 +66,7 @@ APPROACH_PROGRESS = np.dtype(
 APPROACH_STATE = np.dtype(
     [
         ("guidance", GUIDANCE_STATE),
+        ("reactions", REACTION_STATE),
         ("abort_ordered", "i8"),  # 1: by the operator
         ("abort_began", "i8"),  # 1: in this cycle
         ("progress", APPROACH_PROGRESS),
@@ -67,6 +79,7 @@ GNC_STATE = np.dtype(
         ("approach", APPROACH_STATE),
         ("navigation", NAVIGATION_STATE),
         ("fused", "i8"),  # 1: the filters took a pose in this cycle
+        ("thrusters", THRUSTER_MONITOR_STATE),
     ],
     align=True,
 )
@@ -81,9 +94,13 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     ``n_poses`` are new.
     """
     navigate(params, state, memory, samples, poses, n_poses, estimate)
+    watch_thrusters(params, state, samples, command, estimate)
     guide(params.approach, state.approach, t_s, supervision, reference)
     watch_approach(params.approach, state.approach, t_s, estimate, reference, supervision, False)
-    actuate(params, estimate, reference, command)
+    actuate(params, state, estimate, reference, command)
+    if supervision.reaction == reactions.COAST:
+        control.clear_demands(command)
+        fill(command.on, 0)
 
 
 @kernel
@@ -91,6 +108,7 @@ def copy_progress(progress, out):
     """Copy a record of APPROACH_PROGRESS."""
     out.phase, out.go, out.docking_go = progress.phase, progress.go, progress.docking_go
     out.ready_since_s, out.ready, out.aborted = progress.ready_since_s, progress.ready, progress.aborted
+    out.reaction, out.cause = progress.reaction, progress.cause
 
 
 @kernel
@@ -101,6 +119,7 @@ def has_event(before, after):
         or before.go != after.go
         or before.ready != after.ready
         or before.aborted != after.aborted
+        or before.reaction != after.reaction
     )
 
 
@@ -108,7 +127,23 @@ def has_event(before, after):
 def navigate(params, state, memory, samples, poses, n_poses, estimate):
     """Stage 4: both filters, or vision only. Arguments as of ``gnc_step``."""
     navigation.navigate(params.navigation, state.navigation, memory, samples, poses, n_poses, estimate)
-    state.fused = 1 if n_poses > 0 and params.navigation.sensors == navigation.VISION_AND_IMU else 0
+    state.fused = 1 if n_poses > 0 and navigation.uses_imu(params.navigation, state.navigation) else 0
+
+
+@kernel
+def watch_thrusters(params, state, samples, command, estimate):
+    """Stage 4: compare the IMU with the thrusters of the cycle before; without a sound IMU continue by vision alone.
+
+    Arguments as of ``gnc_step``.
+    """
+    bias, sigma = stack.vector(3), stack.vector(3)
+    filters = state.navigation.fusion.filters
+    for i in range(3):
+        bias[i] = filters.pkf.x[6 + i]
+    pkf.sigma(filters.pkf, 6, sigma)
+    thruster_monitor.watch(params.thruster_monitor, state.thrusters, samples, command.on, bias, sigma, estimate)
+    if state.thrusters.imu_suspect != 0:
+        navigation.drop_imu(params.navigation, state.navigation, estimate)
 
 
 @kernel
@@ -118,7 +153,11 @@ def guide(params, state, t_s, supervision, reference):
     params: APPROACH_PARAMS. state: APPROACH_STATE. supervision: SUPERVISION of the cycle before.
     """
     progress = state.progress
-    is_go = supervision.aborted == NOT_ABORTED and has_held(supervision.ready_since_s, t_s, params.dwell_s)
+    is_go = (
+        supervision.aborted == NOT_ABORTED
+        and supervision.reaction == reactions.CONTINUE
+        and has_held(supervision.ready_since_s, t_s, params.dwell_s)
+    )
     progress.docking_go = 1 if is_go else 0
     progress.ready_since_s = supervision.ready_since_s
     did = guidance.advance(params.guidance, state.guidance, t_s, progress.go, 0 if is_go else 1)
@@ -132,10 +171,10 @@ def guide(params, state, t_s, supervision, reference):
 
 @kernel
 def watch_approach(params, state, t_s, estimate, reference, supervision, abort_without_estimate):
-    """Stage 6: check the estimate against corridor, closing rate and ready state; start an abort if one is due.
+    """Stage 6: check the estimate against corridor, closing rate and ready state; react to its health.
 
-    Writes SUPERVISION, and REFERENCE if an abort begins. abort_without_estimate: an abort that is ordered does not
-    wait for a valid estimate, but starts from the reference. The others as of ``guide``.
+    Writes SUPERVISION, and REFERENCE if an abort, a hold or a retreat begins or ends. abort_without_estimate: an abort
+    that is ordered does not wait for a valid estimate, but starts from the reference. The others as of ``guide``.
     """
     aborted = supervision.aborted
     ordered = state.abort_ordered
@@ -143,18 +182,35 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
         approach_monitor.abort_from_reference(
             params.monitor, params.guidance, state.guidance, t_s, reference, ordered, supervision
         )
+    if estimate.valid != 0:
+        reactions.acquire(params.reactions, params.monitor, state.reactions, t_s, estimate)
+    converged = state.reactions.converged
     approach_monitor.update(
-        params.monitor, params.guidance, state.guidance, t_s, estimate, reference, ordered, supervision
+        params.monitor, params.guidance, state.guidance, t_s, estimate, reference, ordered, converged, supervision
+    )
+    cause = stack.vector(1)
+    reactions.react(
+        params.reactions, params.guidance, state.reactions, state.guidance, t_s, estimate, reference, supervision, cause
     )
     state.abort_began = 1 if supervision.aborted != aborted else 0
     progress = state.progress
     progress.aborted = supervision.aborted
+    progress.reaction, progress.cause = supervision.reaction, int(cause[0])
     is_ready = supervision.aborted == NOT_ABORTED and has_held(supervision.ready_since_s, t_s, params.dwell_s)
     progress.ready = 1 if is_ready else 0
 
 
 @kernel
-def actuate(params, estimate, reference, command):
-    """Stage 7: write the six demands and the thrusters of COMMAND. params: GNC_PARAMS."""
+def actuate(params, state, estimate, reference, command):
+    """Stage 7: write the six demands and the thrusters of COMMAND. params, state: GNC_PARAMS, GNC_STATE."""
     control.control(params.control, estimate, reference, command)
-    allocation.select(params.sets, params.n_thrusters, command)
+    fault, thruster = state.thrusters.fault, state.thrusters.thruster
+    if fault == NO_FAULT:
+        allocation.select(params.sets, params.n_thrusters, command)
+    elif fault == DEAD:
+        allocation.select(params.dead_sets[thruster], params.n_thrusters, command)
+    else:
+        allocation.select(params.open_sets[thruster], params.n_thrusters, command)
+        for j in range(params.n_thrusters):
+            if params.against[thruster, j] != 0:
+                command.on[j] = 1

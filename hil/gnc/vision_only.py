@@ -4,9 +4,15 @@ The paper does not define how rates come from poses. Here each frame gives a rat
 the frame before over the time between them; a first-order low-pass of time constant ``rate_lag_s``
 smooths it. The pose is propagated between frames with that rate and corrected by each new frame with a
 first-order low-pass of time constant ``pose_lag_s``. Neither thrust nor orbital motion is used.
+
+A pose is rejected if it is farther from the propagated one than its noise and the lag of the rates, at the largest
+acceleration, explain. After ``close_after`` consecutive rejections one is accepted that as many poses before agree
+with, if the chaser can have come there since the last accepted one.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -21,6 +27,10 @@ VISION_ONLY_PARAMS = np.dtype(
         ("velocity_lag_s", "f8"),
         ("attitude_lag_s", "f8"),
         ("rate_lag_s", "f8"),
+        ("gate", "f8"),  # standard deviations of a pose
+        ("acceleration", "f8"),  # m/s^2, largest
+        ("angular_acceleration", "f8"),  # rad/s^2, largest
+        ("close_after", "i8"),  # consecutive rejections
     ],
     align=True,
 )
@@ -35,6 +45,11 @@ VISION_ONLY_STATE = np.dtype(
         ("last_q", "f8", 4),
         ("last_t_s", "f8"),
         ("started", "i8"),
+        ("rejected", "i8"),  # by the gate
+        ("rejected_in_a_row", "i8"),
+        ("mutual", "i8"),  # consecutive rejected poses that agree with the one before
+        ("rejected_r", "f8", 3),  # m, in H, the last one
+        ("rejected_q", "f8", 4),
     ],
     align=True,
 )
@@ -56,6 +71,19 @@ def _start(pose, state):
 
 
 @kernel
+def continue_from(state, estimate, t_s):
+    """Start from ``estimate`` (NAVIGATION), whose last pose was exposed at ``t_s``."""
+    state.started = 1
+    copy_into(state.r_CT_H, estimate.r_CT_H)
+    copy_into(state.last_r, estimate.r_CT_H)
+    copy_into(state.v_CT_H, estimate.v_CT_H)
+    copy_into(state.w_CH_C, estimate.w_CH_C)
+    copy_into(state.q_CH, estimate.q_CH)
+    copy_into(state.last_q, estimate.q_CH)
+    state.last_t_s = t_s
+
+
+@kernel
 def predict(params, state):
     """Propagate the pose by one step with the smoothed rates."""
     rotation, aside, moved = stack.vector(3), stack.vector(4), stack.vector(4)
@@ -68,14 +96,62 @@ def predict(params, state):
 
 
 @kernel
+def _is_within(params, pose, reached_m, reached_rad, off, turned):
+    """Return whether a pose is off by no more, ``off`` and ``turned`` (3,), than its noise and the motion explain."""
+    distance, position, attitude = 0.0, 0.0, 0.0
+    for i in range(3):
+        distance += pose.z_TC_C[i] ** 2
+        position = max(position, pose.covariance_position[i, i])
+        attitude = max(attitude, pose.covariance_attitude[i, i])
+    sigma = math.sqrt(2.0 * (position + distance * attitude))
+    for i in range(3):
+        if not abs(off[i]) <= params.gate * sigma + reached_m:
+            return False
+        if not abs(turned[i]) <= params.gate * math.sqrt(2.0 * attitude) + reached_rad:
+            return False
+    return True
+
+
+@kernel
+def _passes(params, state, pose, elapsed_s):
+    """Return whether the gate accepts ``pose``, ``elapsed_s`` after the last accepted one; count it if not."""
+    off, turned = stack.vector(3), stack.vector(3)
+    quat.transform_back_into(pose.q_CH, pose.z_TC_C, off)
+    for i in range(3):
+        off[i] += state.r_CT_H[i]
+    quat.rotation_between(pose.q_CH, state.q_CH, turned)
+    lag_m = params.acceleration * params.velocity_lag_s * (params.position_lag_s + elapsed_s)
+    lag_rad = params.angular_acceleration * params.rate_lag_s * (params.attitude_lag_s + elapsed_s)
+    if state.rejected_in_a_row < params.close_after and _is_within(params, pose, lag_m, lag_rad, off, turned):
+        return True
+    lag_m += 0.5 * params.acceleration * elapsed_s**2
+    lag_rad += 0.5 * params.angular_acceleration * elapsed_s**2
+    if state.mutual >= params.close_after and _is_within(params, pose, lag_m, lag_rad, off, turned):
+        return True
+    for i in range(3):
+        off[i] -= state.r_CT_H[i] - state.rejected_r[i]
+    quat.rotation_between(pose.q_CH, state.rejected_q, turned)
+    agrees = _is_within(params, pose, params.acceleration, params.angular_acceleration, off, turned)
+    state.mutual = state.mutual + 1 if agrees and state.rejected_in_a_row > 0 else 0
+    quat.transform_back_into(pose.q_CH, pose.z_TC_C, off)
+    for i in range(3):
+        state.rejected_r[i] = -off[i]
+    copy_into(state.rejected_q, pose.q_CH)
+    state.rejected += 1
+    state.rejected_in_a_row += 1
+    return False
+
+
+@kernel
 def update(params, state, pose):
-    """Use a pose, the first one as the start; one that is not newer than the last is discarded."""
+    """Use a pose, the first one as the start; one that is not newer than the last is discarded, one off rejected."""
     if state.started == 0:
         _start(pose, state)
         return
     elapsed = pose.t_s - state.last_t_s
-    if not elapsed > 0.0:
+    if not elapsed > 0.0 or not _passes(params, state, pose, elapsed):
         return
+    state.rejected_in_a_row = state.mutual = 0
     measured = quat.transform_back(pose.q_CH, pose.z_TC_C)
     turned = quat.to_rotation_vector(quat.multiply(pose.q_CH, quat.conjugate(state.last_q)))
     off = quat.to_rotation_vector(quat.multiply(pose.q_CH, quat.conjugate(state.q_CH)))

@@ -9,9 +9,24 @@ import numpy as np
 from hil.core.messages import Event
 from hil.core.observable import ObservableList
 
-ABORT_CAUSES = ("", "the corridor was left", "the closing rate was too high", "ordered")
+ABORT_CAUSES = (
+    "",
+    "the corridor was left",
+    "the closing rate was too high",
+    "ordered",
+    "vision was lost",
+    "vision is suspect",
+    "the IMU is suspect",
+    "a thruster has failed",
+    "the docking monitor disagrees",
+    "a covariance of the filters is invalid",
+    "the protection level exceeds the alert limit",
+    "a hold lasted too long",
+)
+_REACTIONS = ("continue", "coast", "hold", "retreat", "abort")
+_ABORT = len(_REACTIONS) - 1
+_ESCAPE = ("brake", "retreat", "hold")
 DOCKING_GO = "docking: go"
-_ABORT_PHASES = ("abort: brake", "abort: retreat", "abort: hold")
 
 
 class ApproachEventLog:
@@ -22,20 +37,22 @@ class ApproachEventLog:
     """
 
     def __init__(self, phases: Sequence[str], dwell_s: float) -> None:
-        self._phases = [*phases, *_ABORT_PHASES]
+        self._phases = phases
         self._brake = len(phases)
         self._dwell_s = dwell_s
         self._has_decision = False
         self.events: ObservableList[Event] = ObservableList()
-        self._log_phase(0.0, 0)
+        self._log_phase(0.0, 0, 0)
 
     def update(self, t_s: float, before: np.void, after: np.void, supervision: np.record) -> None:
         """Log what has changed. before, after: APPROACH_PROGRESS."""
         if before["go"] and not after["go"]:
             self._decide(t_s, bool(after["docking_go"]), float(after["ready_since_s"]), bool(before["aborted"]))
         moved = before["phase"] != after["phase"]
-        if moved and after["phase"] != self._brake:  # that one is logged with the abort, a cycle earlier
-            self._log_phase(t_s, int(after["phase"]))
+        if moved and not (after["phase"] == self._brake and after["aborted"]):  # logged with the abort, a cycle earlier
+            self._log_phase(t_s, int(after["phase"]), int(after["reaction"]))
+        if before["reaction"] != after["reaction"] and not after["aborted"]:
+            self._log_reaction(t_s, int(after["reaction"]), int(after["cause"]))
         aborted = before["aborted"] != after["aborted"]
         if aborted:
             self._log_abort(t_s, supervision)
@@ -66,10 +83,16 @@ class ApproachEventLog:
             f"abort: {ABORT_CAUSES[supervision.aborted]} (corridor margin {supervision.corridor_margin_m:.3f} m, "
             f"closing margin {supervision.closing_margin_mps:.4f} m/s)",
         )
-        self._log(t_s, "guidance", f"phase {_ABORT_PHASES[0]} begins")
+        self._log_phase(t_s, self._brake, _ABORT)
 
-    def _log_phase(self, t_s: float, phase: int) -> None:
-        self._log(t_s, "guidance", f"phase {self._phases[phase]} begins")
+    def _log_reaction(self, t_s: float, reaction: int, cause: int) -> None:
+        why = f": {ABORT_CAUSES[cause]}" if reaction else ""
+        self._log(t_s, "supervision", f"reaction {_REACTIONS[reaction]}{why}")
+
+    def _log_phase(self, t_s: float, phase: int, reaction: int) -> None:
+        beyond = phase - self._brake
+        name = self._phases[phase] if beyond < 0 else f"{_REACTIONS[reaction]}: {_ESCAPE[beyond]}"
+        self._log(t_s, "guidance", f"phase {name} begins")
 
     def _log(self, t_s: float, source: str, text: str) -> None:
         self.events.append(Event(t_s, source, text))

@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.core.messages import Array, Event, new
 from hil.core.observable import ObservableList
-from hil.gnc import navigation, step
+from hil.gnc import navigation, step, thruster_monitor
 from hil.gnc.filter_monitor import FilterMonitor
 from hil.gnc.fusion import new_memory
 from hil.gnc.step import GNC_STATE
@@ -56,18 +56,25 @@ class BuiltinGnc(Approach):
         self._monitor_filters(now.samples, vision, now.navigation)
         self.log_progress(t_s, before, now.supervision)
 
-    def navigate(self, samples: np.ndarray, vision: Poses, estimate: np.record) -> None:
-        """Run stage 4 alone, for a GNC whose guidance runs on the bench: write NAVIGATION."""
+    def navigate(self, samples: np.ndarray, vision: Poses, estimate: np.record, command: np.record | None) -> None:
+        """Run stage 4 alone, for a GNC whose guidance runs on the bench: write NAVIGATION.
+
+        command: COMMAND of the cycle before; None if its samples are unknown.
+        """
         step.navigate(self.params, self.state, self.memory, samples, vision.poses, vision.arrived, estimate)
+        if command is None:
+            thruster_monitor.pause(self.state.thrusters)
+        else:
+            step.watch_thrusters(self.params, self.state, samples, command, estimate)
         self._monitor_filters(samples, vision, estimate)
 
     def actuate(self, estimate: np.record, reference: np.record, command: np.record) -> None:
         """Run stage 7 alone: write the demands and the thrusters of COMMAND."""
-        step.actuate(self.params, estimate, reference, command)
+        step.actuate(self.params, self.state, estimate, reference, command)
 
     def _monitor_filters(self, samples: np.ndarray, vision: Poses, estimate: np.record) -> None:
         self.cycle += 1
-        self.fused_now = self.fuses and vision.arrived > 0
+        self.fused_now = bool(self.state["fused"])
         if self.fused_now or (self.fuses and self.filter_monitor.needs_every_cycle):
             self.filter_monitor.update(self.cycle, samples, vision.poses[: vision.arrived], estimate, self.memory)
 
@@ -79,7 +86,8 @@ class BuiltinGnc(Approach):
         """
         for name in _LIVE:
             self.params[name] = params[name]
-        self.params["approach"]["monitor"] = params["approach"]["monitor"]
+        for name in ("monitor", "reactions"):
+            self.params["approach"][name] = params["approach"][name]
         return self.cycle + 1
 
     def consistency(self, truth: np.record, imu: np.record) -> Array:

@@ -6,6 +6,7 @@ of sums, and zeros in ``a``, most of a transition, are skipped.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,7 @@ from hil.maths import cholesky, stack
 
 MAX_STATES: Final = 12
 """Of any filter; a larger one would not fit on the stack."""
+_ASYMMETRY_MAX = 1e-6  # relative to the standard deviations
 
 
 @kernel
@@ -49,8 +51,24 @@ def propagate_covariance(p, phi, noise):
 
 
 @kernel
+def is_covariance_3(p, sigma_max):
+    """Return whether ``p`` (3, 3) is finite, symmetric and positive definite, with no sigma above ``sigma_max``."""
+    limit = sigma_max * sigma_max
+    for i in range(3):
+        if not 0.0 < p[i, i] <= limit:
+            return False
+        for j in range(i):
+            if not abs(p[i, j] - p[j, i]) <= _ASYMMETRY_MAX * math.sqrt(p[i, i] * p[j, j]):
+                return False
+    a = p[0, 1] / math.sqrt(p[0, 0] * p[1, 1])
+    b = p[0, 2] / math.sqrt(p[0, 0] * p[2, 2])
+    c = p[1, 2] / math.sqrt(p[1, 1] * p[2, 2])
+    return 1.0 - a * a > 0.0 and 1.0 + 2.0 * a * b * c - a * a - b * b - c * c > 0.0
+
+
+@kernel
 def invert_symmetric_3(s, out):
-    """Write the inverse of the symmetric positive definite ``s`` (3, 3) by its cofactors."""
+    """Write the inverse of the symmetric ``s`` (3, 3) by its cofactors; return whether it is positive definite."""
     c00 = s[1, 1] * s[2, 2] - s[1, 2] * s[1, 2]
     c01 = s[0, 2] * s[1, 2] - s[0, 1] * s[2, 2]
     c02 = s[0, 1] * s[1, 2] - s[0, 2] * s[1, 1]
@@ -60,14 +78,16 @@ def invert_symmetric_3(s, out):
     out[0, 2] = out[2, 0] = c02 / det
     out[1, 1] = (s[0, 0] * s[2, 2] - s[0, 2] * s[0, 2]) / det
     out[1, 2] = out[2, 1] = (s[0, 1] * s[0, 2] - s[0, 0] * s[1, 2]) / det
-    out[2, 2] = (s[0, 0] * s[1, 1] - s[0, 1] * s[0, 1]) / det
+    last = s[0, 0] * s[1, 1] - s[0, 1] * s[0, 1]
+    out[2, 2] = last / det
+    return 0.0 < s[0, 0] < np.inf and last > 0.0 and 0.0 < det < np.inf
 
 
 @kernel
 def gain_of_three(p, h, r, gain, s_inverse):
     """Write the gain (n, 3) and the inverse innovation covariance (3, 3) of a three-component measurement.
 
-    p: (n, n). h: (3, n). r: (3, 3).
+    Return whether the latter is positive definite. p: (n, n). h: (3, n). r: (3, 3).
     """
     n = p.shape[0]
     if n > MAX_STATES:
@@ -85,10 +105,11 @@ def gain_of_three(p, h, r, gain, s_inverse):
             for m in range(n):
                 total += h[i, m] * ph[m, j]
             s[i, j] = total
-    invert_symmetric_3(s, s_inverse)
+    is_positive = invert_symmetric_3(s, s_inverse)
     for i in range(n):
         for j in range(3):
             gain[i, j] = ph[i, 0] * s_inverse[0, j] + ph[i, 1] * s_inverse[1, j] + ph[i, 2] * s_inverse[2, j]
+    return is_positive
 
 
 @kernel

@@ -7,21 +7,37 @@ from functools import lru_cache
 
 import numpy as np
 
-from hil.config.scenario import Chaser, Scenario, Thrusters
+from hil.config.scenario import REACTION_NAMES, Chaser, Scenario, Thrusters
 from hil.core.messages import MAX_THRUSTERS, Array, new
 from hil.dynamics.hill import input_response, transition
-from hil.gnc.allocation import AXES_OF_A_BODY, ROWS, thruster_sets, unit_wrenches
+from hil.gnc.allocation import (
+    AXES_OF_A_BODY,
+    ROWS,
+    opposing_thrusters,
+    sets_without,
+    thruster_sets,
+    unit_wrenches,
+)
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
 from hil.gnc.control import CONTROL_PARAMS
 from hil.gnc.fusion import AS_PRINTED, MULTIPLICATIVE
 from hil.gnc.guidance import APPROACH, FINAL, GUIDANCE_PARAMS, HOLD, RETREAT, WAIT
+from hil.gnc.integrity import INTEGRITY_PARAMS
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
+from hil.gnc.reactions import REACTION_PARAMS
 from hil.gnc.step import GNC_PARAMS
 from hil.gnc.target_orbit import TARGET_ORBIT
+from hil.gnc.thruster_monitor import THRUSTER_MONITOR_PARAMS
 from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
 from hil.params.dynamics import mean_motion
 
+_NIS_TAIL = 1e-10  # false-alarm probability of a mean
+_CORRELATION_S = 10.0  # of the filters' errors
+_TORQUE_MIN = 1e-9  # rad/s^2: thrusters without an arm have no torque
+_DEAD_CYCLES = 6  # with a command, of which each counts in two
+_IMU_S = 1.0  # for which an IMU must repeat its readings, or read what no thruster explains
+_CONVERGED_FRACTION = 0.1  # of the closing rate at the ready point
 _AHEAD_S = 0.02  # by which a pose may be stamped ahead of the loop, at least one step
 
 
@@ -32,10 +48,13 @@ def gnc(scenario: Scenario) -> np.record:
     params.approach.dwell_s = scenario.requirements.dwell_s
     params.approach.guidance = guidance(scenario)
     params.approach.monitor = approach_monitor(scenario)
+    params.approach.reactions = _reactions(scenario)
     params.navigation = navigation(scenario)
     params.control = control(scenario, strength)
     params.n_thrusters = len(scenario.chaser.thrusters.position_m)
     params.sets = sets
+    params.dead_sets, params.open_sets, params.against = _fault_allocation(scenario.chaser.thrusters)
+    params.thruster_monitor = thruster_monitor(scenario)
     return params
 
 
@@ -56,6 +75,7 @@ def navigation(scenario: Scenario) -> np.record:
     fusion.memory = scenario.memory_steps
     fusion.ahead = max(1, round(_AHEAD_S / scenario.sample_s))
     fusion.orbit = target_orbit(scenario)
+    fusion.close_after, fusion.reopen_after = gnc.integrity.close_after, gnc.integrity.reopen_after
     akf = fusion.akf
     akf.dt_s = scenario.sample_s
     akf.sigma_gyro = math.radians(gnc.akf.gyro_noise_degps)
@@ -79,6 +99,83 @@ def navigation(scenario: Scenario) -> np.record:
     vision.velocity_lag_s = gnc.vision_only.velocity_lag_s
     vision.attitude_lag_s = gnc.vision_only.attitude_lag_s
     vision.rate_lag_s = gnc.vision_only.rate_lag_s
+    vision.gate = gnc.navigation.gate_sigma
+    vision.acceleration, vision.angular_acceleration = _largest_accelerations(scenario.chaser)
+    vision.close_after = gnc.integrity.close_after
+    params.integrity = integrity(scenario)
+    return params
+
+
+def integrity(scenario: Scenario) -> np.record:
+    """Return INTEGRITY_PARAMS."""
+    params, settings = new(INTEGRITY_PARAMS), scenario.gnc.integrity
+    params.range_max = settings.pose_range_max_m
+    params.sigma_max, params.sigma_angle_max = settings.pose_sigma_max_m, math.radians(settings.pose_sigma_max_deg)
+    params.lost_after_s, params.suspect_after = settings.lost_after_s, settings.suspect_after
+    params.mean_shift, params.cusum_limit = settings.mean_shift_sigmas, settings.cusum_limit_sigmas
+    params.nis_weight = 1.0 / settings.nis_window
+    # an exponential mean with weight 1/n has the variance of one over 2 n - 1
+    n = 2 * settings.nis_window - 1
+    params.nis_limit = chi_square.upper_quantile(_NIS_TAIL, 3 * n) / n
+    params.gate = math.sqrt(_gate(scenario.gnc.navigation.gate_sigma))
+    params.sigmas = protection_sigmas(scenario)
+    return params
+
+
+def protection_sigmas(scenario: Scenario) -> float:
+    """Return K of the protection levels: half the integrity risk, shared by four errors and independent samples."""
+    samples = max(1.0, scenario.duration_s / _CORRELATION_S)
+    tail = 0.5 * scenario.gnc.integrity.risk_probability / (4.0 * samples)
+    return math.sqrt(chi_square.upper_quantile(tail, 1))
+
+
+def thruster_monitor(scenario: Scenario) -> np.record:
+    """Return THRUSTER_MONITOR_PARAMS."""
+    params, thrusters = new(THRUSTER_MONITOR_PARAMS), scenario.chaser.thrusters
+    params.n, params.dt_s, params.minimum_on_s = len(thrusters.position_m), scenario.step_s, thrusters.minimum_on_s
+    accelerations = _accelerations(scenario.chaser)
+    params.force_unit = float(np.linalg.norm(accelerations[:, :3], axis=1).max())
+    params.torque_unit = max(float(np.linalg.norm(accelerations[:, 3:], axis=1).max()), _TORQUE_MIN)
+    units = np.repeat([params.force_unit, params.torque_unit], 3).astype(float)
+    params.signature[: params.n] = accelerations / units
+    signature = params.signature
+    most = np.maximum(np.maximum(signature, 0.0).sum(axis=0), np.maximum(-signature, 0.0).sum(axis=0))
+    params.most = np.maximum(most, 1.0)  # no thruster acts along the axis: that of one
+    params.open_cycles = max(1, round(scenario.gnc.integrity.thruster_open_s / scenario.step_s))
+    params.dead_cycles = _DEAD_CYCLES
+    params.imu_cycles = max(1, round(_IMU_S / scenario.step_s))
+    return params
+
+
+def _accelerations(chaser: Chaser) -> Array:
+    """Return the acceleration, m/s^2, and the angular acceleration, rad/s^2, of each thruster, shape (n, 6), in c."""
+    thrusters = chaser.thrusters
+    wrenches = unit_wrenches(
+        np.array(thrusters.position_m),
+        np.array(thrusters.direction),
+        np.full(len(thrusters.position_m), thrusters.force_n),
+    )
+    return np.hstack(
+        [wrenches[:, :3] / chaser.mass_kg, np.linalg.solve(np.array(chaser.inertia_kg_m2), wrenches[:, 3:].T).T]
+    )
+
+
+def _largest_accelerations(chaser: Chaser) -> tuple[float, float]:
+    """Return the largest acceleration along an axis, m/s^2, and about one, rad/s^2, with all thrusters that give it."""
+    most = np.abs(np.maximum(_accelerations(chaser), 0.0).sum(axis=0))
+    return float(most[:3].max()), float(most[3:].max())
+
+
+def _reactions(scenario: Scenario) -> np.record:
+    """Return REACTION_PARAMS."""
+    params = new(REACTION_PARAMS)
+    for row, condition in enumerate(scenario.gnc.reactions.conditions()):
+        for kind, number in PHASE_KINDS.items():
+            params.table[row, number] = REACTION_NAMES.index(getattr(condition, kind))
+    params.time_to_alert_s = scenario.integrity.time_to_alert_s
+    params.acquisition_s = scenario.gnc.integrity.acquisition_s
+    params.converged_mps = _CONVERGED_FRACTION * scenario.gnc.corridor.closing_rate_mps
+    params.hold_max_s = scenario.gnc.reactions.hold_max_s
     return params
 
 
@@ -144,6 +241,11 @@ def approach_monitor(scenario: Scenario) -> np.record:
     params.floor_range = math.hypot(*scenario.gnc.guidance.ready_point_m)
     params.confidence = corridor.confidence
     params.persistence = max(1, round(corridor.persistence_s / scenario.step_s))
+    alert = scenario.integrity
+    params.axis = corridor.axis
+    params.alert_distance, params.alert_slope = alert.alert_axial_m, alert.alert_axial_per_range_scale
+    params.keep_out, params.brake = scenario.keep_out.radius_m, scenario.gnc.abort.brake_mps2
+    params.alert_corridor, params.alert_angle = alert.alert_corridor_fraction, math.radians(alert.alert_attitude_deg)
     at_s = scenario.gnc.abort.at_s
     params.abort_at_s = math.inf if at_s is None else at_s
     params.ready_point = (wanted.axial_distance_m, 0.0, 0.0)
@@ -176,6 +278,25 @@ def _allocation(thrusters: Thrusters) -> tuple[np.ndarray, Array]:
     full, high_thrust = thruster_sets(wrenches, full_thrust=True)
     sets[AXES_OF_A_BODY:, :, :n] = full[:3]
     return sets, np.concatenate([strength, high_thrust[:3]])
+
+
+@lru_cache(maxsize=8)
+def _fault_allocation(thrusters: Thrusters) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return ``dead_sets``, ``open_sets`` and ``against`` of GNC_PARAMS."""
+    n = len(thrusters.position_m)
+    wrenches = unit_wrenches(
+        np.array(thrusters.position_m), np.array(thrusters.direction), np.full(n, thrusters.force_n)
+    )
+    against = opposing_thrusters(wrenches)
+    dead, stuck = np.eye(n, dtype=bool), np.eye(n, dtype=bool) | against.astype(bool)
+    shape = (MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS)
+    tables = np.zeros(shape, np.int8), np.zeros(shape, np.int8)
+    for table, excluded in zip(tables, (dead, stuck), strict=True):
+        table[:n, :AXES_OF_A_BODY, :, :n] = sets_without(wrenches, excluded)
+        table[:n, AXES_OF_A_BODY:, :, :n] = sets_without(wrenches, excluded, full_thrust=True)[:, :3]
+    cancelling = np.zeros((MAX_THRUSTERS, MAX_THRUSTERS), np.int8)
+    cancelling[:n, :n] = against
+    return (*tables, cancelling)
 
 
 def control(scenario: Scenario, strength: Array) -> np.record:

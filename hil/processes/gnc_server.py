@@ -242,7 +242,7 @@ class GncServer:
             self._bridge(gap)
         self.arrived = arrived
         out = self._out
-        self._navigate()
+        self._navigate(None if self._last < 0 or gap else out.command)
         self._command_before = bytes(self._command_bytes)
         self._actuate(cycle)
         out.output.text = b""
@@ -269,14 +269,18 @@ class GncServer:
         self._gnc.actuate(out.navigation, self._reference, out.command)
         udp_records.write_output(cycle, out.navigation, out.command, self._n, out.output)
 
-    def _navigate(self) -> None:
-        """Run the filters over the last cycle: the input has the mean of the IMU's samples, which stands for each."""
+    def _navigate(self, command: np.record | None) -> None:
+        """Run the filters over the last cycle: the input has the mean of the IMU's samples, which stands for each.
+
+        command: of that cycle, None if the samples are not its own.
+        """
         self._samples["rate_C"], self._samples["force_C"] = self._imu.rate_C, self._imu.force_C
-        self._gnc.navigate(self._samples, self, self._out.navigation)
+        self._gnc.navigate(self._samples, self, self._out.navigation, command)
 
     def _join_at(self, cycle: int) -> None:
         """Start the filters in the middle of a run: their steps take its cycle numbers, older poses are discarded."""
         self._gnc.state.navigation.fusion.cycle = cycle * len(self._samples)
+        self._gnc.state.navigation.t_s = cycle * self._scenario.step_s
         self._gnc.cycle = cycle - 1
         self._not_before_s = (cycle - 0.5) * self._scenario.step_s
 
@@ -284,7 +288,7 @@ class GncServer:
         """Carry the filters over lost inputs: their thrusters never opened, so control is not run."""
         self.arrived = 0
         for _ in range(gap):
-            self._navigate()
+            self._navigate(None)
         self.stats.bridged += gap
 
     def _send(self) -> None:
@@ -296,7 +300,8 @@ class GncServer:
     def _warm_up(self) -> None:
         """Call each kernel once: nothing compiles while a bench waits for an answer."""
         self._read_input()
-        self._navigate()
+        self._navigate(self._out.command)
+        self._navigate(None)
         self._actuate(0)
         udp_records.write_filters(0, self._gnc.state.navigation.fusion.filters, self._sent_filters)
         copy_into(self._imu.rate_C, np.zeros(3))

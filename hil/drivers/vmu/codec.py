@@ -43,7 +43,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.core.messages import PoseFrame
+from hil.core.messages import Array, PoseFrame
 
 STATUS_GOOD: Final = 0
 STATUS_NO_POSE: Final = 1
@@ -63,8 +63,13 @@ _SIZES: Final = {HEADER: FRAME_BYTES, IDENTITY_HEADER: IDENTITY_BYTES}
 _TYPES: Final = (_POSE_VERSION_1, _IDENTITY_VERSION_1)
 
 _UPPER: Final = np.triu_indices(6)
-_DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # of the upper triangle, row by row
 _UNIT_TOLERANCE: Final = 1e-6  # a unit that computes in float32 passes
+RANGE_MAX_M: Final = 100.0
+"""A pose farther from the cameras is none."""
+SIGMA_MAX: Final = (10.0, 10.0, 10.0, math.pi, math.pi, math.pi)
+"""A pose with a larger standard deviation, m and rad, is none."""
+_SIGMA_MIN: Final = 1e-9
+_EIGENVALUE_TOLERANCE: Final = 1e-5  # of the correlations: the wire has float32
 _VOID: Final = (0.0,) * 28
 
 
@@ -182,6 +187,15 @@ def _text(padded: bytes) -> str:
     return padded.rstrip(b"\0").decode("ascii", "replace")
 
 
+def _is_covariance(covariance: Array) -> bool:
+    """Return whether ``covariance`` (6, 6), finite and symmetric, is one, up to the wire's resolution."""
+    variance = covariance.diagonal()
+    if not all(_SIGMA_MIN**2 <= variance[i] <= SIGMA_MAX[i] ** 2 for i in range(6)):
+        return False
+    sigma = np.sqrt(variance)
+    return bool(np.linalg.eigvalsh(covariance / np.outer(sigma, sigma))[0] > -_EIGENVALUE_TOLERANCE)
+
+
 def _decode(raw: bytes, received_s: float) -> Decoded | None:
     """Return the content of a frame with correct CRC, None for an impossible pose with good status."""
     counter, t_us, *numbers, left, right, status = _BODY.unpack_from(raw, len(HEADER))
@@ -191,10 +205,12 @@ def _decode(raw: bytes, received_s: float) -> Decoded | None:
     t_v, q_vt, upper = numbers[:3], numbers[3:7], numbers[7:]
     if not all(map(math.isfinite, numbers)) or abs(math.hypot(*q_vt) - 1.0) > _UNIT_TOLERANCE:
         return None
-    if any(upper[i] < 0.0 for i in _DIAGONAL):
-        return None
+    if not 0.0 < t_v[2] <= RANGE_MAX_M or math.hypot(*t_v) > RANGE_MAX_M:
+        return None  # behind the cameras or farther than any bench is long
     covariance = np.zeros((6, 6))
     covariance[_UPPER] = upper
     covariance.T[_UPPER] = upper
+    if not _is_covariance(covariance):
+        return None
     pose = PoseFrame(counter, t_s, received_s, np.array(t_v), np.array(q_vt), covariance, left, right)
     return Decoded(counter, t_s, status, pose)

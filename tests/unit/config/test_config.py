@@ -297,3 +297,12 @@ def test_gravity_file_counts_from_the_folder_of_the_file_that_names_it(write: Wr
     assert absolute == "/fields/moon.tab"
     given = load_scenario("scheme-1", ["truth.gravity_file=moon.tab"]).value.truth.gravity_file
     assert given == "moon.tab"  # on the command line, from the working directory
+
+
+def test_reactions_that_leave_a_phase_without_an_abort_are_refused() -> None:
+    conditions = ("vision_lost", "vision_suspect", "imu_suspect", "thruster_fault", "monitor_disagrees")
+    rows = [f'gnc.reactions.{name}.wait="hold"' for name in (*conditions, "covariance_invalid", "unprotected")]
+    load_scenario("scheme-1", rows[:-1])
+    with pytest.raises(BadInput, match='phase "ready", of kind wait, is left without an abort') as refused:
+        load_scenario("scheme-1", rows)
+    assert "\n" not in str(refused.value)

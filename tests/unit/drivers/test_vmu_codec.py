@@ -79,10 +79,11 @@ def test_transcript_is_decoded_to_its_numbers() -> None:
 
 
 def test_every_place_of_the_covariance_survives_the_wire() -> None:
-    half = np.arange(36.0).reshape(6, 6)
-    (decoded,) = PoseDecoder().feed(encode(pose(covariance=half + half.T)), 0.0)
+    half = np.arange(36.0).reshape(6, 6) / 64.0
+    covariance = half + half.T + 4.0 * np.eye(6)
+    (decoded,) = PoseDecoder().feed(encode(pose(covariance=covariance)), 0.0)
     assert decoded.pose is not None
-    np.testing.assert_array_equal(decoded.pose.covariance, half + half.T)
+    np.testing.assert_array_equal(decoded.pose.covariance, covariance)
 
 
 def test_frame_cut_into_single_bytes_is_received_with_its_last_byte() -> None:
@@ -146,6 +147,12 @@ def test_every_flipped_bit_after_the_header_is_a_crc_error(bit: int) -> None:
         {"q_vt": np.array([1e200, 1e200, 0.0, 0.0])},
         {"covariance": np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1e-9])},
         {"covariance": np.diag([1.0, 1.0, np.inf, 1.0, 1.0, 1.0])},
+        {"covariance": np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])},
+        {"covariance": np.diag([101.0, 1.0, 1.0, 1.0, 1.0, 1.0])},
+        {"covariance": np.eye(6) + 1.1 * (np.eye(6, k=1) + np.eye(6, k=-1))},
+        {"t_v": np.array([0.0, 0.0, 1e200])},
+        {"t_v": np.array([90.0, 0.0, 90.0])},
+        {"t_v": np.array([0.0, 0.0, -3.0])},
     ],
 )
 def test_impossible_content_is_refused(changes: dict[str, object]) -> None:

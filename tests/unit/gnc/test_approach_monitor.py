@@ -18,6 +18,7 @@ from hil.gnc.approach_monitor import (
     closing_limit,
     closing_margin,
     corridor_margin,
+    is_protected,
 )
 from hil.params import gnc as gnc_params
 
@@ -76,7 +77,7 @@ def test_broken_limit_aborts_after_its_persistence(
     params: np.record, r: tuple[float, float, float], v: tuple[float, float, float], cause: int
 ) -> None:
     watch = new(SUPERVISION)
-    found = [check(params, 0.02 * k, seen(r, v), line(), 0, watch) for k in range(8)]
+    found = [check(params, 0.02 * k, seen(r, v), line(), 0, 1, watch) for k in range(8)]
     assert found == [False] * (params.persistence - 1) + [True] + [False] * (8 - params.persistence)
     assert watch.aborted == cause
     assert watch.aborted_at_s == pytest.approx(0.02 * (params.persistence - 1))
@@ -86,36 +87,83 @@ def test_limit_that_is_broken_now_and_then_does_not_abort(params: np.record) -> 
     watch = new(SUPERVISION)
     for k in range(100):
         y = 0.5 if k % params.persistence else 0.0
-        assert not check(params, 0.02 * k, seen((3.0, y, 0.0)), line(), 0, watch)
+        assert not check(params, 0.02 * k, seen((3.0, y, 0.0)), line(), 0, 1, watch)
 
 
-def test_estimate_that_is_not_sure_does_not_abort(params: np.record) -> None:
+@pytest.mark.parametrize(
+    ("level", "sigma", "cause"), [(0.05, 0.0, NOT_ABORTED), (0.2, 0.0, CORRIDOR), (0.0, 0.01, CLOSING_RATE)]
+)
+def test_estimate_that_is_not_sure_is_permitted_less(params: np.record, level: float, sigma: float, cause: int) -> None:
+    watch, navigation = new(SUPERVISION), seen((3.0, 0.1, 0.0), (-0.03, 0.0, 0.0))
+    navigation.protection_level_m, navigation.sigma_v_mps = level, sigma
+    for k in range(100):
+        check(params, 0.02 * k, navigation, line(), 0, 1, watch)
+    assert min(watch.corridor_margin_m, watch.closing_margin_mps) > 0.0
+    assert watch.aborted == cause
+
+
+def test_estimate_that_still_converges_does_not_abort(params: np.record) -> None:
     watch, navigation = new(SUPERVISION), seen((3.0, 0.5, 0.0), (-0.05, 0.0, 0.0))
     navigation.sigma_r_m = navigation.sigma_v_mps = 0.2
     for k in range(100):
-        assert not check(params, 0.02 * k, navigation, line(), 0, watch)
+        assert not check(params, 0.02 * k, navigation, line(), 0, 0, watch)
     assert watch.corridor_margin_m < 0.0
     assert watch.aborted == NOT_ABORTED
 
 
+@pytest.mark.parametrize(
+    ("r", "levels", "angle", "protected"),
+    [
+        ((0.4, 0.0, 0.0), (0.09, 0.0, 0.0), 0.0, True),
+        ((0.4, 0.0, 0.0), (0.11, 0.0, 0.0), 0.0, False),
+        ((0.4, 0.0, 0.0), (0.0, 0.035, 0.035), 0.0, True),
+        ((0.4, 0.0, 0.0), (0.0, 0.04, 0.04), 0.0, False),
+        ((5.0, 0.0, 0.0), (0.5, 0.15, 0.15), 0.0, True),
+        ((5.0, 0.0, 0.0), (0.6, 0.0, 0.0), 0.0, False),
+        ((5.0, 0.0, 0.0), (0.1, 0.1, 0.1), math.radians(1.1), False),
+        ((0.3, 0.0, 0.0), (0.06, 0.0, 0.0), 0.0, False),  # the keep-out of 0.25 m is nearer
+        ((5.0, 0.0, 0.0), (math.nan, math.nan, math.nan), math.nan, True),
+    ],
+)
+def test_alert_limits_follow_range_and_corridor(
+    params: np.record, r: tuple[float, float, float], levels: tuple[float, float, float], angle: float, protected: bool
+) -> None:
+    navigation = seen(r)
+    navigation.protection_level_m, navigation.protection_level_rad = levels, angle
+    assert is_protected(params, navigation) == protected
+
+
+@pytest.mark.parametrize(("health", "level"), [(2, 0.01), (0, 0.2)])
+def test_estimate_that_is_not_healthy_or_not_protected_is_not_ready(
+    params: np.record, health: int, level: float
+) -> None:
+    watch, navigation = new(SUPERVISION), seen((0.4, 0.0, 0.0))
+    navigation.protection_level_m = 0.01
+    check(params, 1.0, navigation, line(), 0, 1, watch)
+    assert not math.isnan(watch.ready_since_s)
+    navigation.health, navigation.protection_level_m = health, level
+    check(params, 2.0, navigation, line(), 0, 1, watch)
+    assert math.isnan(watch.ready_since_s)
+
+
 def test_order_aborts_at_once_and_only_once(params: np.record) -> None:
     watch = new(SUPERVISION)
-    assert check(params, 1.0, seen((3.0, 0.0, 0.0)), line(), 1, watch)
+    assert check(params, 1.0, seen((3.0, 0.0, 0.0)), line(), 1, 1, watch)
     assert watch.aborted == ORDERED
-    assert not check(params, 1.02, seen((3.0, 0.0, 0.0)), line(), 1, watch)
+    assert not check(params, 1.02, seen((3.0, 0.0, 0.0)), line(), 1, 1, watch)
 
 
 def test_rehearsal_aborts_at_its_time(params: np.record) -> None:
     params.abort_at_s = 1.0
     watch = new(SUPERVISION)
-    assert not check(params, 0.98, seen((3.0, 0.0, 0.0)), line(), 0, watch)
-    assert check(params, 1.0, seen((3.0, 0.0, 0.0)), line(), 0, watch)
+    assert not check(params, 0.98, seen((3.0, 0.0, 0.0)), line(), 0, 1, watch)
+    assert check(params, 1.0, seen((3.0, 0.0, 0.0)), line(), 0, 1, watch)
 
 
 def test_ready_since_is_the_begin_of_the_unbroken_stay(params: np.record) -> None:
     watch = new(SUPERVISION)
     since = []
     for k, x in enumerate((0.5, 0.42, 0.41, 0.45, 0.4, 0.4)):
-        check(params, float(k), seen((x, 0.0, 0.0)), line(), 0, watch)
+        check(params, float(k), seen((x, 0.0, 0.0)), line(), 0, 1, watch)
         since.append(float(watch.ready_since_s))
     np.testing.assert_array_equal(since, [np.nan, 1.0, 1.0, np.nan, 4.0, 4.0])

@@ -257,36 +257,82 @@ def test_wild_attitude_is_kept_out_whole_and_wild_position_out_of_the_position(
     assert np.trace(a.akf.p[:3, :3]) < np.trace(b.akf.p[:3, :3])
 
 
+def advance(run: Run, flight: Flight, frames: range, **wrong: float) -> None:
+    """Continue to each frame in turn with its pose, wrong by ``wrong``."""
+    for n in frames:
+        run.steps(FRAME * n - run.state.cycle)
+        run.step(flight.pose(FRAME * n, **wrong))
+
+
 @pytest.mark.parametrize("wrong", [{"off_m": 0.5}, {"off_rad": 0.05}, {"off_m": 0.5, "off_rad": 0.05}])
-def test_ninth_pose_after_eight_rejections_in_a_row_is_let_in(
+def test_start_that_no_pose_confirms_is_replaced_by_poses_that_agree(
     params: np.record, rng: np.random.Generator, wrong: dict[str, float]
 ) -> None:
     flight = Flight(params, 200, rng)
     run = Run(params, flight)
     run.step(flight.pose(0, **wrong))  # the start is wrong, and what follows is right
-    for n in range(1, 9):
-        run.steps(FRAME - 1)
-        run.step(flight.pose(FRAME * n))
-        assert (run.counts()[0], sum(run.counts()[1:3]), run.state.rejected_in_a_row) == (0, n, n)
-    run.steps(FRAME - 1)
-    run.step(flight.pose(FRAME * 9))
-    assert (run.counts()[0], sum(run.counts()[1:3]), run.state.rejected_in_a_row) == (1, 8, 0)
+    advance(run, flight, range(1, 9))
+    assert (run.state.accepted, run.state.rejected_in_a_row) == (0, 8)
+    advance(run, flight, range(9, 10))
+    assert (run.state.accepted, run.state.rejected_in_a_row) == (1, 0)
+    assert np.abs(flight.x[FRAME * 9][:3] - run.state.filters.pkf.x[:3]).max() < 0.05
+    assert run.state.filters.pkf.p[0, 0] > 0.5 * SIGMA_M**2
 
 
-def test_pose_let_in_after_rejections_stays_in_when_an_older_one_comes(
-    params: np.record, rng: np.random.Generator
-) -> None:
+def test_restart_stays_when_an_older_pose_comes(params: np.record, rng: np.random.Generator) -> None:
     flight = Flight(params, 200, rng)
     run, older = Run(params, flight), flight.pose(FRAME * 8 + 4)
     run.step(flight.pose(0, off_m=0.5))
-    for n in range(1, 10):
-        run.steps(FRAME - 1)
-        run.step(flight.pose(FRAME * n))
-    off = flight.x[FRAME * 9][:3] - run.state.filters.pkf.x[:3]
-    assert np.abs(off).max() < 0.05
+    advance(run, flight, range(1, 10))
     run.step(older)
     off = flight.x[FRAME * 9 + 1][:3] - run.state.filters.pkf.x[:3]
     assert np.abs(off).max() < 0.05
+
+
+def test_poses_that_agree_with_each_other_alone_are_kept_out(params: np.record, rng: np.random.Generator) -> None:
+    flight = Flight(params, 1200, rng)
+    run = Run(params, flight)
+    advance(run, flight, range(30))
+    accepted = run.state.accepted
+    advance(run, flight, range(30, 100), off_m=0.3)
+    assert run.state.accepted == accepted
+    assert run.state.rejected_in_a_row == 70
+    assert run.state.mutual > params.reopen_after
+    assert np.abs(flight.x[FRAME * 99][:3] - run.state.filters.pkf.x[:3]).max() < 0.1
+
+
+def test_closed_gate_opens_for_as_many_poses_as_agree_with_the_carry_over(
+    params: np.record, rng: np.random.Generator
+) -> None:
+    flight = Flight(params, 1200, rng)
+    run = Run(params, flight)
+    advance(run, flight, range(30))
+    accepted = run.state.accepted
+    advance(run, flight, range(30, 40), off_m=0.3)
+    advance(run, flight, range(40, 40 + params.reopen_after))  # the first one is the jump back
+    assert run.state.accepted == accepted
+    position = run.state.filters.pkf.p[0, 0]
+    run.steps(FRAME - 1)
+    run.step(flight.pose(FRAME * (40 + params.reopen_after), off_m=0.02))
+    assert (run.state.accepted, run.state.rejected_in_a_row) == (accepted + 1, 0)
+    assert run.state.jump_m.max() > 0.005  # of the last pose, a possible error from now on
+    assert run.state.filters.pkf.p[0, 0] < position + run.state.jump_m[0] ** 2
+
+
+def test_pose_whose_covariance_makes_the_innovation_s_no_covariance_is_kept_out(
+    params: np.record, rng: np.random.Generator
+) -> None:
+    flight = Flight(params, 60, rng)
+    run = Run(params, flight)
+    run.step(flight.pose(0))
+    for n, part in enumerate(("covariance_attitude", "covariance_position"), start=1):
+        run.steps(FRAME * n - run.state.cycle)
+        pose = flight.pose(FRAME * n)
+        pose[part] = -np.eye(3)
+        run.step(pose)
+    assert run.state.accepted == 0
+    assert run.state.rejected_in_a_row == 2
+    assert np.isfinite(run.known()).all()
 
 
 def test_pose_that_is_let_in_starts_the_count_of_rejections_anew(params: np.record, rng: np.random.Generator) -> None:

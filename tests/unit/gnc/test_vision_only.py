@@ -118,3 +118,33 @@ def test_quaternion_keeps_unit_length_between_frames(params: np.record) -> None:
     assert np.linalg.norm(state.q_CH) == pytest.approx(1.0, abs=1e-12)
     expected = Rotation.from_rotvec(20.0 * np.array([0.1, -0.2, 0.3]))
     np.testing.assert_allclose(quat.to_matrix(state.q_CH), expected.as_matrix().T, atol=1e-12)
+
+
+def noisy(t_s: float, x: float) -> np.record:
+    pose = pose_at(t_s, np.array([x, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0]))
+    pose.covariance_position, pose.covariance_attitude = 2.5e-5 * np.eye(3), 3e-7 * np.eye(3)
+    return pose
+
+
+def test_pose_beyond_noise_and_lag_is_rejected_and_the_next_good_one_taken(params: np.record) -> None:
+    state = new(vision_only.VISION_ONLY_STATE)
+    vision_only.update(params, state, noisy(0.0, 5.0))
+    vision_only.update(params, state, noisy(0.16, 6.0))
+    assert (state.rejected, state.rejected_in_a_row) == (1, 1)
+    assert state.r_CT_H[0] == 5.0
+    vision_only.update(params, state, noisy(0.32, 5.01))
+    assert (state.rejected, state.rejected_in_a_row) == (1, 0)
+    assert 5.0 < state.r_CT_H[0] < 5.01
+
+
+def test_closed_gate_of_vision_alone_opens_for_poses_that_agree_where_the_chaser_can_be(params: np.record) -> None:
+    state, limit = new(vision_only.VISION_ONLY_STATE), int(params.close_after)
+    vision_only.update(params, state, noisy(0.0, 5.0))
+    frames = 0
+    while state.rejected_in_a_row > 0 or frames == 0:
+        frames += 1
+        vision_only.update(params, state, noisy(frames * FRAME_S, 6.0))
+        assert frames < 400
+    assert frames > limit
+    reach_m = 0.5 * params.acceleration * (frames * FRAME_S) ** 2
+    assert reach_m + params.acceleration * params.velocity_lag_s * (1.0 + frames * FRAME_S) > 0.9

@@ -1,0 +1,168 @@
+"""Integrity of the navigation: admission of poses, monitors of the innovations, health, protection levels.
+
+A pose is admitted if it can be a measurement. The innovations of the accepted ones are watched by two monitors: the
+mean NIS against noise that is larger than reported, and a CUSUM (Page 1954) of each normalised innovation against a
+bias that grows too slowly for the gate. The protection level bounds the error that the covariance and these monitors
+leave possible (docs/explanation/integrity.md).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.gnc_records import GncHealth
+from hil.core.jit import kernel
+from hil.maths.arrays import copy_into
+from hil.maths.kalman import is_covariance_3
+
+VISION_LOST, VISION_SUSPECT, COVARIANCE_INVALID = (
+    GncHealth.VISION_LOST.value,
+    GncHealth.VISION_SUSPECT.value,
+    GncHealth.COVARIANCE_INVALID.value,
+)
+_REPEATS_MAX = 2  # of a pose with all its digits: noise leaves none
+_UNIT_TOLERANCE = 1e-3  # of the length of a quaternion
+_CONFIRMED_FRACTION = 4  # of the accepted poses: the longest time over which a bias can have grown while they agree
+
+INTEGRITY_PARAMS = np.dtype(
+    [
+        ("range_max", "f8"),  # m, of a pose
+        ("sigma_max", "f8"),  # m, of a pose
+        ("sigma_angle_max", "f8"),  # rad
+        ("lost_after_s", "f8"),  # age of the last accepted pose from which on vision is lost
+        ("suspect_after", "i8"),  # consecutive rejections from which on it is suspect
+        ("mean_shift", "f8"),  # standard deviations, reference value of the CUSUM
+        ("cusum_limit", "f8"),  # standard deviations
+        ("nis_weight", "f8"),  # of a pose in the mean NIS
+        ("nis_limit", "f8"),  # largest mean of three components
+        ("gate", "f8"),  # standard deviations of one component that the gate passes
+        ("sigmas", "f8"),  # in a protection level, from the integrity risk
+    ],
+    align=True,
+)
+
+INTEGRITY_STATE = np.dtype(
+    [
+        ("refused", "i8"),  # poses that are no measurement
+        ("refused_in_a_row", "i8"),
+        ("repeats", "i8"),  # consecutive, of the last pose with another time
+        ("last_z", "f8", 3),
+        ("last_q", "f8", 4),
+        ("last_s", "f8"),
+        ("monitored", "i8"),  # accepted poses so far
+        ("high", "f8", 6),  # CUSUM of each innovation, position then attitude, upwards
+        ("low", "f8", 6),  # and downwards
+        ("biased", "i8"),  # 1: a CUSUM has passed its limit; it stays so, as the filters follow a bias
+        ("mean_nis", "f8", 2),  # position, attitude
+    ],
+    align=True,
+)
+
+
+@kernel
+def is_measurement(params, pose):
+    """Return whether ``pose`` (POSE) can be one: finite, a rotation, within range, with covariances that are some."""
+    square, norm = 0.0, 0.0
+    for i in range(3):
+        square += pose.z_TC_C[i] ** 2
+    for i in range(4):
+        norm += pose.q_CH[i] ** 2
+    return (
+        math.isfinite(pose.t_s)
+        and square <= params.range_max**2
+        and abs(norm - 1.0) <= 2.0 * _UNIT_TOLERANCE
+        and is_covariance_3(pose.covariance_position, params.sigma_max)
+        and is_covariance_3(pose.covariance_attitude, params.sigma_angle_max)
+    )
+
+
+@kernel
+def _is_repeated(state, pose):
+    """Return whether ``pose`` has all digits of the one before at another time, more often than by chance."""
+    same = True
+    for i in range(3):
+        same = same and pose.z_TC_C[i] == state.last_z[i]
+    for i in range(4):
+        same = same and pose.q_CH[i] == state.last_q[i]
+    if not same:
+        state.repeats = 0
+    elif pose.t_s != state.last_s:
+        state.repeats += 1
+    copy_into(state.last_z, pose.z_TC_C)
+    copy_into(state.last_q, pose.q_CH)
+    state.last_s = pose.t_s
+    return state.repeats > _REPEATS_MAX
+
+
+@kernel
+def admits(params, state, pose):
+    """Return whether ``pose`` may be passed to the filters; count it if not."""
+    if is_measurement(params, pose) and not _is_repeated(state, pose):
+        state.refused_in_a_row = 0
+        return True
+    state.refused += 1
+    state.refused_in_a_row += 1
+    return False
+
+
+@kernel
+def monitor(params, state, innovation, nis_position, nis_attitude):
+    """Take an accepted pose: its normalised innovation (6,), position then attitude, and the NIS of both filters."""
+    state.monitored += 1
+    for i in range(6):
+        state.high[i] = max(0.0, state.high[i] + innovation[i] - params.mean_shift)
+        state.low[i] = max(0.0, state.low[i] - innovation[i] - params.mean_shift)
+        if state.high[i] > params.cusum_limit or state.low[i] > params.cusum_limit:
+            state.biased = 1
+    weight = max(params.nis_weight, 1.0 / state.monitored)
+    state.mean_nis[0] += weight * (nis_position - state.mean_nis[0])
+    state.mean_nis[1] += weight * (nis_attitude - state.mean_nis[1])
+
+
+@kernel
+def vision_health(params, state, age_s, rejected_in_a_row):
+    """Return the bits of the vision unit. age_s: of the last accepted pose."""
+    health = 0
+    if age_s > params.lost_after_s:
+        health |= VISION_LOST
+    noisy = state.monitored * params.nis_weight >= 1.0 and max(state.mean_nis[0], state.mean_nis[1]) > params.nis_limit
+    if max(rejected_in_a_row, state.refused_in_a_row) >= params.suspect_after or noisy or state.biased != 0:
+        health |= VISION_SUSPECT
+    return health
+
+
+@kernel
+def missed_shift(params, accepted):
+    """Return the largest bias of the innovations that both monitors can miss, in sigma, and over how many poses.
+
+    ``mean_shift + cusum_limit / n`` over n poses: up to the CUSUM's own time constant, and a fraction of the
+    ``accepted`` poses; at most what the gate passes.
+    """
+    n = params.cusum_limit / params.mean_shift
+    n = min(n, max(1.0, accepted / _CONFIRMED_FRACTION))
+    return min(params.gate, params.mean_shift + params.cusum_limit / n), n
+
+
+@kernel
+def protect(params, state, fusion, t_s, out):
+    """Write the protection levels of ``out`` (NAVIGATION) at ``t_s``, from its sigmas and FUSION_STATE ``fusion``.
+
+    ``K sigma`` and the error to which an undetected bias of the innovations has led: through the position's
+    gain, the velocity's over the poses since, and as a velocity error since the last pose; and the jump of a gate
+    that was opened again. A bias that the monitors have found has no bound.
+    """
+    shift, n = missed_shift(params, fusion.accepted)
+    age_s = max(0.0, t_s - fusion.last_accepted_s)
+    velocity = shift * fusion.noise_m * n * fusion.gain_velocity
+    bias = shift * fusion.noise_m * n * fusion.gain_position + velocity * (0.5 * n * fusion.interval_s + age_s)
+    if state.biased != 0:
+        bias = np.inf
+    largest = 0.0
+    for i in range(3):
+        out.protection_level_m[i] = params.sigmas * out.sigma_r_m[i] + bias + fusion.jump_m[i]
+        largest = max(largest, out.sigma_attitude_rad[i])
+    out.protection_level_rad = params.sigmas * largest + shift * fusion.noise_rad * n * fusion.gain_attitude
+    if state.biased != 0:
+        out.protection_level_rad = np.inf

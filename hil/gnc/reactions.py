@@ -1,0 +1,133 @@
+"""Reactions of the approach to the health of the navigation: continue, coast, hold, retreat, abort, by kind of phase.
+
+A hold brakes and stays, a retreat brakes and goes back along the docking axis; both end when their cause does, and the
+approach is resumed with its last moving phase. One that lasts too long becomes an abort, which is final.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.core.jit import kernel
+from hil.gnc import approach_monitor, guidance
+from hil.gnc.approach_monitor import FIRST_HEALTH_CAUSE, HELD_TOO_LONG, NOT_ABORTED, UNPROTECTED
+
+CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
+HEALTH_BITS = 6
+CONDITIONS = HEALTH_BITS + 1  # the last one: the protection level exceeds the alert limit
+KINDS = 6  # of phases
+
+REACTION_PARAMS = np.dtype(
+    [
+        ("table", "i8", (CONDITIONS, KINDS)),
+        ("time_to_alert_s", "f8"),  # for which the protection level may exceed its limit
+        ("acquisition_s", "f8"),  # from the first pose, in which the navigation may converge
+        ("converged_mps", "f8"),  # allowance of the closing rate from which on it has
+        ("hold_max_s", "f8"),  # longest hold or retreat
+    ],
+    align=True,
+)
+
+REACTION_STATE = np.dtype(
+    [
+        ("converged", "i8"),  # 1: limits are tested with the protection level added
+        ("valid_since_s", "f8"),  # of the estimate, 0 before
+        ("unprotected_since_s", "f8"),  # 0: the protection level is within its limit
+        ("held", "i8"),  # HOLD or RETREAT while one lasts
+        ("held_since_s", "f8"),
+        ("held_phase", "i8"),  # in which it began
+    ],
+    align=True,
+)
+
+
+@kernel
+def acquire(params, monitor, state, t_s, estimate):
+    """Take note whether the navigation has converged, and since when it is not protected."""
+    is_within = approach_monitor.is_protected(monitor, estimate)
+    if state.valid_since_s == 0.0:
+        state.valid_since_s = t_s + 1e-9
+    if state.converged == 0:
+        largest = 0.0
+        for i in range(3):
+            if estimate.sigma_v_mps[i] > largest:
+                largest = estimate.sigma_v_mps[i]
+        if is_within and monitor.confidence * largest <= params.converged_mps:
+            state.converged = 1
+    waits = state.converged == 0 and t_s - state.valid_since_s <= params.acquisition_s
+    if is_within or waits:
+        state.unprotected_since_s = 0.0
+    elif state.unprotected_since_s == 0.0:
+        state.unprotected_since_s = t_s + 1e-9
+
+
+@kernel
+def _wanted(params, state, kind, t_s, health, cause):
+    """Return the strongest reaction in a phase of ``kind``; write its cause to ``cause`` (1,)."""
+    strongest = CONTINUE
+    for condition in range(CONDITIONS):
+        if condition < HEALTH_BITS:
+            applies = (health >> condition) & 1 != 0
+        else:
+            since_s = state.unprotected_since_s
+            applies = since_s != 0.0 and t_s - since_s >= params.time_to_alert_s
+        if applies and params.table[condition, kind] > strongest:
+            strongest = params.table[condition, kind]
+            cause[0] = FIRST_HEALTH_CAUSE + condition if condition < HEALTH_BITS else UNPROTECTED
+    return strongest
+
+
+@kernel
+def _leave(params, state, t_s, estimate, distance):
+    """Brake from the estimate; retreat to ``distance``, m, if that is farther out."""
+    guidance.start_abort(params, state, t_s, estimate.r_CT_H, estimate.v_CT_H)
+    state.abort_range = distance
+
+
+@kernel
+def _abort(params, state, t_s, estimate, cause, found):
+    guidance.start_abort(params, state, t_s, estimate.r_CT_H, estimate.v_CT_H)
+    found.aborted = cause
+    found.aborted_at_s = t_s
+    found.reaction = ABORT
+
+
+@kernel
+def react(params, guidance_params, state, guidance_state, t_s, estimate, reference, found, cause):
+    """React to the health of ``estimate`` (NAVIGATION): write ``reaction`` and abort of ``found`` (SUPERVISION).
+
+    params, state: REACTION_PARAMS, REACTION_STATE. guidance_params, guidance_state: GUIDANCE_PARAMS, GUIDANCE_STATE.
+    cause: (1,), receives that of the reaction. Before the first estimate nothing can be left.
+    """
+    if found.aborted != NOT_ABORTED:
+        found.reaction = ABORT
+        state.held = 0
+        cause[0] = found.aborted
+        return
+    phase = state.held_phase if state.held != 0 else guidance_state.phase
+    kind = guidance.kind_of(guidance_params, phase)
+    cause[0] = NOT_ABORTED
+    wanted = _wanted(params, state, kind, t_s, estimate.health, cause)
+    found.reaction = wanted
+    if estimate.valid == 0:
+        return
+    if wanted == ABORT:
+        _abort(guidance_params, guidance_state, t_s, estimate, cause[0], found)
+    elif wanted >= HOLD and wanted > state.held:
+        if state.held == 0:
+            state.held_since_s, state.held_phase = t_s, phase
+        state.held = wanted
+        distance = guidance_params.abort_distance if wanted == RETREAT else 0.0
+        _leave(guidance_params, guidance_state, t_s, estimate, distance)
+    elif state.held != 0 and t_s - state.held_since_s > params.hold_max_s:
+        cause[0] = HELD_TOO_LONG
+        _abort(guidance_params, guidance_state, t_s, estimate, HELD_TOO_LONG, found)
+    elif state.held != 0 and wanted < HOLD and guidance.is_at_rest(guidance_params, guidance_state):
+        state.held = 0
+        guidance.resume(guidance_params, guidance_state, t_s, state.held_phase)
+    else:
+        found.reaction = max(wanted, state.held)
+        return
+    if state.held != 0:
+        found.reaction = max(wanted, state.held)
+    guidance.reference(guidance_params, guidance_state, t_s, reference)

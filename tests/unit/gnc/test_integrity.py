@@ -1,0 +1,186 @@
+"""Integrity of the navigation: which poses are admitted, what the monitors find, and how far errors are bounded."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hil.config.scenario import Scenario
+from hil.core.gnc_records import GncHealth
+from hil.core.messages import NAVIGATION, POSE, new
+from hil.gnc import integrity
+from hil.gnc.fusion import FUSION_STATE
+from hil.gnc.integrity import INTEGRITY_STATE
+from hil.params import gnc as gnc_params
+
+
+@pytest.fixture
+def params(scheme_1: Scenario) -> np.record:
+    """Return the shipped parameters."""
+    return gnc_params.integrity(scheme_1)
+
+
+def pose(t_s: float = 1.0, **fields: object) -> np.record:
+    """Return a pose from 3 m with these fields."""
+    made = new(POSE)
+    made.t_s, made.z_TC_C, made.q_CH = t_s, (-3.0, 0.1, 0.2), (0.0, 0.0, 0.0, 1.0)
+    made.covariance_position, made.covariance_attitude = 1e-4 * np.eye(3), 1e-6 * np.eye(3)
+    for name, value in fields.items():
+        made[name] = value
+    return made
+
+
+def skewed(size: float) -> np.ndarray:
+    matrix = 1e-4 * np.eye(3)
+    matrix[0, 1] += size
+    return matrix
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"z_TC_C": (1e200, 0.0, 0.0)},
+        {"z_TC_C": (math.nan, 0.0, 0.0)},
+        {"z_TC_C": (0.0, 101.0, 0.0)},
+        {"q_CH": (0.0, 0.0, 0.0, 0.9)},
+        {"q_CH": (math.nan, 0.0, 0.0, 1.0)},
+        {"t_s": math.nan},
+        {"covariance_position": -1e-4 * np.eye(3)},
+        {"covariance_position": np.zeros((3, 3))},
+        {"covariance_position": np.full((3, 3), math.nan)},
+        {"covariance_position": 2.0 * np.eye(3)},
+        {"covariance_position": skewed(1e-6)},
+        {"covariance_position": 1e-4 * (np.eye(3) + 1.5 * (np.eye(3, k=1) + np.eye(3, k=-1)))},
+        {"covariance_attitude": np.diag([1e-6, 1e-6, -1e-6])},
+        {"covariance_attitude": np.diag([1e-6, math.inf, 1e-6])},
+    ],
+)
+def test_pose_that_is_no_measurement_is_refused_and_counted(params: np.record, fields: dict[str, object]) -> None:
+    state = new(INTEGRITY_STATE)
+    assert not integrity.admits(params, state, pose(**fields))
+    assert (state.refused, state.refused_in_a_row) == (1, 1)
+    assert integrity.admits(params, state, pose())
+    assert (state.refused, state.refused_in_a_row) == (1, 0)
+
+
+def test_pose_with_correlated_errors_is_admitted(params: np.record) -> None:
+    covariance = 1e-4 * (np.eye(3) + 0.6 * (np.eye(3, k=1) + np.eye(3, k=-1)))
+    assert integrity.admits(params, new(INTEGRITY_STATE), pose(covariance_position=covariance))
+
+
+def test_pose_that_repeats_with_all_digits_is_frozen(params: np.record) -> None:
+    state = new(INTEGRITY_STATE)
+    admitted = [integrity.admits(params, state, pose(0.16 * k)) for k in range(6)]
+    assert admitted == [True] * 3 + [False] * 3
+    assert integrity.admits(params, state, pose(2.0, z_TC_C=(-3.0, 0.1, 0.21)))
+    again = pose(2.0, z_TC_C=(-3.0, 0.1, 0.21))  # the same frame once more
+    assert all(integrity.admits(params, state, again) for _ in range(9))
+
+
+def watched(params: np.record, innovations: np.ndarray) -> np.record:
+    state = new(INTEGRITY_STATE)
+    for row in innovations:
+        integrity.monitor(params, state, row, float(row[:3] @ row[:3]), float(row[3:] @ row[3:]))
+    return state
+
+
+def health(params: np.record, state: np.record, age_s: float = 0.1, rejected: int = 0) -> int:
+    found: int = integrity.vision_health(params, state, age_s, rejected)
+    return found
+
+
+def test_consistent_innovations_are_healthy(params: np.record, rng: np.random.Generator) -> None:
+    state = watched(params, rng.standard_normal((20_000, 6)))
+    assert health(params, state) == GncHealth.HEALTHY
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_bias_far_below_the_gate_is_found_and_stays_found(
+    params: np.record, rng: np.random.Generator, axis: int, sign: float
+) -> None:
+    innovations = rng.standard_normal((150, 6))
+    innovations[:, axis] += sign * 0.7
+    state = watched(params, innovations)
+    assert health(params, state) == GncHealth.VISION_SUSPECT
+    for row in rng.standard_normal((1000, 6)):
+        integrity.monitor(params, state, row, 3.0, 3.0)
+    assert health(params, state) == GncHealth.VISION_SUSPECT
+
+
+def test_noise_beyond_the_reported_one_is_suspect_until_it_ends(params: np.record, rng: np.random.Generator) -> None:
+    state = watched(params, 2.0 * rng.standard_normal((40, 6)))
+    assert health(params, state) == GncHealth.VISION_SUSPECT
+    state.biased = 0
+    for row in rng.standard_normal((60, 6)):
+        integrity.monitor(params, state, row, float(row[:3] @ row[:3]), float(row[3:] @ row[3:]))
+    assert state.mean_nis.max() < params.nis_limit
+
+
+def test_rejections_in_a_row_are_suspect_and_age_is_loss(params: np.record) -> None:
+    state = new(INTEGRITY_STATE)
+    assert health(params, state, rejected=2) == 0
+    assert health(params, state, rejected=3) == GncHealth.VISION_SUSPECT
+    assert health(params, state, age_s=params.lost_after_s) == 0
+    assert health(params, state, age_s=params.lost_after_s + 0.1) == GncHealth.VISION_LOST
+    state.refused_in_a_row = 3
+    assert health(params, state) == GncHealth.VISION_SUSPECT
+
+
+def levels(params: np.record, state: np.record, t_s: float, **fields: float) -> np.record:
+    """Return NAVIGATION with protection levels at ``t_s`` after a pose at 10 s, with these fields of FUSION_STATE."""
+    fused, out = new(FUSION_STATE), new(NAVIGATION)
+    fused.accepted, fused.last_accepted_s, fused.interval_s = 1000, 10.0, 0.16
+    fused.noise_m, fused.noise_rad = 0.005, 1e-3
+    for name, value in fields.items():
+        fused[name] = value
+    out.sigma_r_m, out.sigma_attitude_rad = (0.001, 0.002, 0.003), 1e-4
+    integrity.protect(params, state, fused, t_s, out)
+    return out
+
+
+def test_protection_level_without_a_bias_is_that_of_the_integrity_risk(params: np.record, scheme_1: Scenario) -> None:
+    out = levels(params, new(INTEGRITY_STATE), 10.0)
+    tail = math.erfc(params.sigmas / math.sqrt(2.0))
+    assert 8.0 * tail * scheme_1.duration_s / 10.0 == pytest.approx(scheme_1.gnc.integrity.risk_probability, rel=1e-6)
+    np.testing.assert_allclose(out.protection_level_m, params.sigmas * np.array([0.001, 0.002, 0.003]))
+    assert out.protection_level_rad == pytest.approx(params.sigmas * 1e-4)
+
+
+def test_protection_level_grows_by_the_bias_that_the_monitors_miss_and_with_the_age_of_vision(
+    params: np.record,
+) -> None:
+    plain = levels(params, new(INTEGRITY_STATE), 10.0).protection_level_m
+    n, shift = params.cusum_limit / params.mean_shift, 2.0 * params.mean_shift
+    through_position = levels(params, new(INTEGRITY_STATE), 10.0, gain_position=0.03).protection_level_m
+    np.testing.assert_allclose(through_position - plain, shift * 0.005 * n * 0.03)
+    velocity = shift * 0.005 * n * 0.002
+    for age_s in (0.0, 7.0):
+        found = levels(params, new(INTEGRITY_STATE), 10.0 + age_s, gain_velocity=0.002).protection_level_m
+        np.testing.assert_allclose(found - plain, velocity * (0.5 * n * 0.16 + age_s))
+    young = integrity.missed_shift(params, 8)
+    assert young == (params.gate, 2.0)
+
+
+def test_bias_that_was_found_has_no_bound(params: np.record) -> None:
+    state = new(INTEGRITY_STATE)
+    state.biased = 1
+    out = levels(params, state, 10.0)
+    assert np.isinf([*out.protection_level_m, out.protection_level_rad]).all()
+
+
+def test_constant_innovation_bias_leads_to_less_error_than_the_protection_level(
+    params: np.record, scheme_1: Scenario
+) -> None:
+    """One axis of a filter with constant gains, whose innovations have the bias that the CUSUM just misses."""
+    gain, gain_v, dt, sigma = 0.03, 0.0028, 0.16, 0.005
+    shift, n = integrity.missed_shift(params, 10_000)
+    position = velocity = 0.0
+    for _ in range(int(n)):
+        position += dt * velocity + gain * shift * sigma
+        velocity += gain_v * shift * sigma
+    out = levels(params, new(INTEGRITY_STATE), 10.0, gain_position=gain, gain_velocity=gain_v)
+    assert position <= out.protection_level_m[0] - params.sigmas * 0.001
+    assert position == pytest.approx(out.protection_level_m[0] - params.sigmas * 0.001, rel=0.02)

@@ -1,0 +1,118 @@
+"""Thruster monitor: each thruster of the shipped layout, stuck open and dead, and a healthy chaser."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.config.scenario import Scenario
+from hil.core.gnc_records import GncHealth
+from hil.core.messages import IMU, MAX_THRUSTERS, NAVIGATION, new
+from hil.gnc import thruster_monitor
+from hil.gnc.thruster_monitor import DEAD, NO_FAULT, STUCK_OPEN, THRUSTER_MONITOR_STATE
+from hil.params import gnc as gnc_params
+
+STEP_S = 0.02
+N = 16
+
+
+class MonitoredChaser:
+    """The IMU of a chaser with 3 % error in every thrust, which pulses its thrusters at random."""
+
+    def __init__(self, params: np.record, rng: np.random.Generator) -> None:
+        self.params, self.state, self.health = params, new(THRUSTER_MONITOR_STATE), 0
+        self.bias_sigma = np.full(3, 1e-5)
+        self._rng = rng
+        self._unit = np.repeat([params.force_unit, params.torque_unit], 3)
+        self._scale = 1.0 + 0.03 * rng.uniform(-1.0, 1.0, N)
+        self._rate = np.zeros(3)
+        self._on = np.zeros(MAX_THRUSTERS, np.int64)
+        self.samples = np.zeros(1, IMU).view(np.recarray)
+
+    def cycle(self, forced: dict[int, float]) -> None:
+        """Run a cycle: forced: thrust of failed thrusters, whatever is commanded."""
+        thrust = self._on[:N] * self._scale
+        for j, value in forced.items():
+            thrust[j] = value
+        acceleration = (thrust @ self.params.signature[:N]) * self._unit
+        self._rate += STEP_S * acceleration[3:]
+        self.samples[0].force_C = acceleration[:3] + 2e-4 * self._rng.standard_normal(3)
+        self.samples[0].rate_C = self._rate - 0.5 * STEP_S * acceleration[3:] + 1e-8 * self._rng.standard_normal(3)
+        self.watch()
+        if self._rng.uniform() < 0.2:
+            self._on[:N] = self._rng.uniform(size=N) < 0.25
+
+    def watch(self) -> None:
+        out = new(NAVIGATION)
+        thruster_monitor.watch(self.params, self.state, self.samples, self._on, np.zeros(3), self.bias_sigma, out)
+        self.health = int(out.health)
+
+
+@pytest.fixture
+def chaser(scheme_1: Scenario, rng: np.random.Generator) -> MonitoredChaser:
+    """Return a healthy chaser after 2 s."""
+    made = MonitoredChaser(gnc_params.thruster_monitor(scheme_1), rng)
+    for _ in range(100):
+        made.cycle({})
+    return made
+
+
+def test_healthy_chaser_is_healthy(chaser: MonitoredChaser) -> None:
+    for _ in range(5000):
+        chaser.cycle({})
+        assert chaser.health == 0
+
+
+def test_bias_of_the_accelerometer_that_is_not_known_yet_is_no_fault(chaser: MonitoredChaser) -> None:
+    chaser.bias_sigma[:] = 5e-4
+    for _ in range(200):
+        chaser.samples[0].force_C = np.array([1.9e-3, -1.9e-3, 1.9e-3]) + 1e-6 * chaser.state.calls
+        chaser.samples[0].rate_C += 1e-9
+        chaser._on[:] = 0
+        chaser.watch()
+    assert chaser.health == 0
+
+
+@pytest.mark.parametrize("thruster", range(N))
+def test_thruster_stuck_open_is_found_within_a_second(chaser: MonitoredChaser, thruster: int) -> None:
+    for _ in range(50):
+        chaser.cycle({thruster: 1.0})
+    assert (chaser.state.fault, chaser.state.thruster) == (STUCK_OPEN, thruster)
+    assert chaser.health == GncHealth.THRUSTER_FAULT
+
+
+@pytest.mark.parametrize("thruster", range(N))
+def test_dead_thruster_is_found_when_it_is_used(chaser: MonitoredChaser, thruster: int) -> None:
+    for _ in range(400):
+        chaser.cycle({thruster: 0.0})
+    assert (chaser.state.fault, chaser.state.thruster) == (DEAD, thruster)
+    assert chaser.health == GncHealth.THRUSTER_FAULT
+
+
+@pytest.mark.parametrize("sensor", ["rate_C", "force_C"])
+def test_readings_that_repeat_are_suspect(chaser: MonitoredChaser, sensor: str) -> None:
+    last = chaser.samples[0][sensor].copy()
+    for _ in range(12):
+        chaser.samples[0].rate_C += 1e-8
+        chaser.samples[0].force_C += 1e-6
+        chaser.samples[0][sensor] = last
+        chaser.watch()
+    assert chaser.health & GncHealth.IMU_SUSPECT
+
+
+def test_jump_of_the_gyro_beyond_all_thrusters_is_suspect_at_once(chaser: MonitoredChaser) -> None:
+    chaser._rate += np.array([0.0, np.radians(0.1), 0.0])
+    chaser.cycle({})
+    assert chaser.health == GncHealth.IMU_SUSPECT
+
+
+def test_acceleration_that_no_thruster_explains_is_suspect_after_a_second(
+    chaser: MonitoredChaser, scheme_1: Scenario
+) -> None:
+    for cycle in range(60):
+        chaser.samples[0].force_C = np.array([0.006, 0.001, 0.0]) + 1e-6 * cycle
+        chaser.samples[0].rate_C += 1e-9
+        chaser._on[:] = 0
+        chaser.watch()
+    assert chaser.health == GncHealth.IMU_SUSPECT
+    assert chaser.state.fault == NO_FAULT
