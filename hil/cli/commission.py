@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, Names, Output, Settings, above_zero, refuse
+from hil.cli.options import Flag, Group, Names, Output, Settings, above_zero, refuse, refuse_wires_in_use
 from hil.cli.output import axis_problems, base_of, check_rig_path, chosen_axes
 from hil.core.text_files import write_text
 from hil.errors import BadInput, Problem
@@ -84,6 +84,7 @@ def commission(
         advice = "a sign-off is valid for the rig file as it is: write the setting into that file"
         problems += [Problem("--set", text, f"not together with --out: {advice}") for text in changed]
     refuse(problems)
+    refuse_wires_in_use(rig, settings)
 
     from hil.checks.compatibility import check_plan
     from hil.cli.warm_up import compile_kernels_with_notice

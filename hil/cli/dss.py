@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, Output, RunOptions, refuse, wait_problems
+from hil.cli.options import Flag, Group, Output, RunOptions, refuse, refuse_wires_in_use, wait_problems
 from hil.cli.output import check_json_path
 from hil.errors import BadInput
 
@@ -68,6 +68,7 @@ def dss(
     lock_step, wait_s = link_options.lock_step, link_options.wait
     refuse(options.problems() + wait_problems(wait_s) + check_json_path("--json", json))
     bind, peer = link_addresses("--listen", link_options.listen, "--gnc", link_options.gnc)
+    refuse_wires_in_use(rig, options.settings)
 
     from hil.api.jobs import loaded_rig, loaded_scenario, make_job, other_gnc_problems
 

@@ -10,7 +10,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from hil.cli.options import Flag, Names, Output, Settings, above_zero, refuse
+from hil.cli.options import Flag, Names, Output, Settings, above_zero, refuse, refuse_wires_in_use
 from hil.cli.output import axis_problems, base_of, check_json_path, check_rig_path, chosen_axes, write_json
 from hil.cli.progress import ProgressBar
 from hil.core.text_files import write_text
@@ -54,6 +54,7 @@ def identify(
     """
     problems = axis_problems(axis) + above_zero("--speed", speed)
     refuse(problems + check_rig_path("--out", out) + check_json_path("--json", json))
+    refuse_wires_in_use(rig, settings)
 
     from hil.cli.warm_up import compile_kernels_with_notice
     from hil.commission.identification import Identification

@@ -86,3 +86,12 @@ def refuse(problems: Sequence[Problem]) -> None:
     """Raise BadInput if there are problems."""
     if problems:
         raise BadInput(problems)
+
+
+def refuse_wires_in_use(rig: str, settings: Sequence[str]) -> None:
+    """Raise BadInput if another controller holds a wire of ``rig``: before the imports of a run, which take seconds."""
+    from hil.config.load import load_rig
+    from hil.drivers.wire_lock import locked_wires
+
+    with locked_wires(load_rig(rig, settings).value):
+        pass

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, OptionalInteger, Output, RunOptions, refuse
+from hil.cli.options import Flag, Group, OptionalInteger, Output, RunOptions, refuse, refuse_wires_in_use
 from hil.cli.output import check_json_path, write_json
 from hil.cli.progress import ProgressBar
 from hil.errors import BadInput, Problem
@@ -57,6 +57,7 @@ def run(
     if until_stopped and options.duration is not None:
         problems.append(Problem("--until-stopped", "", "does not go together with --duration"))
     refuse(problems)
+    refuse_wires_in_use(rig, options.settings)
 
     from hil.api.jobs import loaded_rig, loaded_scenario, make_job
     from hil.api.runs import RunRequest

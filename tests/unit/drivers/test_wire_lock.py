@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -79,6 +80,22 @@ def test_second_controller_is_refused_within_a_second_and_is_told_which_process_
             holder.kill()
     with wire_lock.locked_wires(rig(tmp_path, "192.0.2.77")):  # the lock ends with its process
         pass
+
+
+@pytest.mark.parametrize("command", [["run", "scheme-1", "--rig"], ["dss", "scheme-1", "--rig"]], ids=["run", "dss"])
+def test_command_at_a_rig_in_use_is_refused_before_the_imports_of_a_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: list[str]
+) -> None:
+    monkeypatch.setattr(wire_lock, "_FOLDER", "hil-wires")
+    arguments = [*command, str(rig_file(tmp_path, "lab", "192.0.2.78"))]
+    script = f"import sys; from hil.cli.main import execute; print(execute({arguments})); print(*sys.modules)"
+    with wire_lock.locked_wires(rig(tmp_path, "192.0.2.78")):
+        done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    code, modules = done.stdout.splitlines()
+    assert code == "2"
+    assert len(done.stderr.splitlines()) == 5
+    assert f"is in use by process {os.getpid()}" in done.stderr
+    assert not {"numba", "hil.session.build", "pymodbus"} & set(modules.split())
 
 
 def test_wires_are_free_again_after_use_and_also_after_a_refusal(tmp_path: Path) -> None:
