@@ -117,18 +117,24 @@ class FaultResponse:
     test: str
 
 
+_TEST: Final = "tests/system/test_faults.py::test_fault_is_detected_as_the_table_states"
+
+
 def _guard(detection: str) -> FaultResponse:
-    test = "tests/system/test_faults.py::test_guard_detects_the_fault"
-    return FaultResponse("guard", detection, "safe stop", test)
+    return FaultResponse("guard", detection, "safe stop", _TEST)
+
+
+def _both(detection: str) -> FaultResponse:
+    return FaultResponse("navigation", f"health; bench guard: {detection}", "hold, later safe stop", _TEST)
 
 
 RESPONSES: Final[dict[str, FaultResponse]] = {
-    "vmu.frozen": _guard("pose against encoders, once the chaser has moved by five sigmas and for five poses more"),
-    "vmu.offset": _guard("pose against encoders, five poses if beyond five sigmas"),
-    "vmu.drift": _guard("pose against encoders, once beyond five sigmas; below that the keep-out"),
-    "vmu.outlier": _guard("pose against encoders, if five in a row are beyond five sigmas"),
-    "vmu.noise_scale": _guard("pose against encoders, if five in a row are beyond five reported sigmas"),
-    "vmu.misidentified": _guard("pose against encoders, five poses"),
+    "vmu.frozen": _both("pose against encoders, once the chaser has moved by five sigmas and for five poses more"),
+    "vmu.offset": _both("pose against encoders, five poses if beyond five sigmas"),
+    "vmu.drift": _both("pose against encoders, once beyond five sigmas; below that the keep-out"),
+    "vmu.outlier": _both("pose against encoders, if five in a row are beyond five sigmas"),
+    "vmu.noise_scale": _both("pose against encoders, if five in a row are beyond five reported sigmas"),
+    "vmu.misidentified": _both("pose against encoders, five poses"),
     "axis.stuck": _guard("axis against the demand, 0.5 s from 2 mm/s or 0.1 deg/s on"),
     "axis.slow": _guard("axis against the demand, once slower than demanded"),
     "axis.offset": _guard("axis against the demand as the reading steps; later pose against encoders"),

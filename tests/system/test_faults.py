@@ -113,15 +113,16 @@ def test_nothing_differs_before_the_onset_and_something_after_it(healthy: np.nda
     assert differs
 
 
-@pytest.mark.parametrize("name", [name for name, response in RESPONSES.items() if response.detected_by == "guard"])
-def test_guard_detects_the_fault(name: str) -> None:
+@pytest.mark.parametrize("name", RESPONSES)
+def test_fault_is_detected_as_the_table_states(name: str) -> None:
     sizes = {"value": 0.9} if name == "vmu.outlier" else {"value": 0.01} if name == "axis.slow" else {}
     onset_s = 20.0
     settings = _settings(fault(name, at_s=onset_s, until_s=100.0, **sizes))
     scenario, rig = load_scenario("scheme-1", (settings,)).value, load_rig("mock").value
     stats, stop = CaseRunner(scenario, rig, 50.0).run(scenario, 0)
     row = row_of(stats, stop, scenario, scenario)
-    assert (row["detected_by"], row["reaction"]) == ("guard", RESPONSES[name].reaction)
+    assert row["detected_by"] == RESPONSES[name].detected_by
+    assert RESPONSES[name].reaction.startswith(row["reaction"])
     assert onset_s <= row["detected_s"] <= onset_s + 10.0
 
 
