@@ -129,6 +129,8 @@ def _both(detection: str) -> FaultResponse:
 
 
 RESPONSES: Final[dict[str, FaultResponse]] = {
+    "vmu.no_pose": FaultResponse("navigation", "health: vision lost", "abort", _TEST),
+    "thruster.stuck_open": FaultResponse("navigation", "health: thruster fault, by the IMU", "abort", _TEST),
     "vmu.frozen": _both("pose against encoders, once the chaser has moved by five sigmas and for five poses more"),
     "vmu.offset": _both("pose against encoders, five poses if beyond five sigmas"),
     "vmu.drift": _both("pose against encoders, once beyond five sigmas; below that the keep-out"),
