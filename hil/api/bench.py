@@ -271,9 +271,10 @@ class Bench:
     def start(self, until: Until = "end", timeout_s: float = float("inf")) -> Run:
         """Close the loop; return the run so far.
 
-        until: ``end`` of the scenario; ``ready``: the estimate has been within Table III for the dwell time; or a time
-        of the run, s. There the bench is put on hold: its axes at rest, the run's time held, until ``resume`` or the
-        end of the ``with``. timeout_s: bench time, after which the bench is put on hold and BenchError raised.
+        until: ``end`` of the scenario; ``ready``: the estimate has been healthy and within Table III for the dwell
+        time; or a time of the run, s. There the bench is put on hold: its axes at rest, the run's time held, until
+        ``resume`` or the end of the ``with``. timeout_s: bench time, after which the bench is put on hold and
+        BenchError raised.
         """
         return self._fly(OperatorCommand.START, until, timeout_s)
 

@@ -123,6 +123,8 @@ def replay(recorded: Recorded, scenario: Scenario, backend: GncBackend | None = 
             if not ended:
                 _send_orders(gnc, orders.get(k, ()))
                 settings.apply(gnc, k)
+                if k > 0:  # the IMU has measured what was commanded then, not what the replay would have commanded
+                    now.row["command"]["on"] = recorded.cycles[k - 1]["command"]["on"]
                 ended = _cycle(gnc, poses, row, now)
             if ended:
                 break

@@ -291,6 +291,15 @@ class _PartThread:
             self._thread.join()
 
 
+def _load_kernels(job: Job, row: np.ndarray) -> None:
+    """Evaluate two rows like ``row`` (1,) of CYCLE: a kernel that is first loaded in the thread would stop the loop."""
+    rows = np.repeat(row, 2)
+    rows["t_s"] = 0.0, job.scenario.value.step_s
+    rows["truth"]["q_CH"] = rows["navigation"]["q_CH"] = rows["reference"]["q_CH"] = 0.0, 0.0, 0.0, 1.0
+    with np.errstate(all="ignore"):
+        LongRun(job.scenario.value, job.rig.value).add(rows)
+
+
 def accumulate(runner: Runner, job: Job) -> Callable[[Outcome], tuple[dict[str, Any], Verdict] | None]:
     """Attach to ``runner`` if the run of ``job`` is longer than its memory of rows.
 
@@ -301,6 +310,8 @@ def accumulate(runner: Runner, job: Job) -> Callable[[Outcome], tuple[dict[str, 
         return lambda _: None
     paced = runner.rate.paced
     run = LongRun(job.scenario.value, job.rig.value, _PAUSE_WALL_S if paced else 0.0)
+    if paced:
+        _load_kernels(job, loop.now.row)
     part_thread = _PartThread(run, loop.history) if paced else None
     loop.on_full = run.take if part_thread is None else part_thread.take
 

@@ -161,7 +161,9 @@ def test_procedure_waits_until_ready() -> None:
     with hil.Bench("mock", "scheme-1", overrides=overrides) as bench:
         bench.arm()
         run = bench.start(until="ready", timeout_s=150.0)
-        assert run.ready_time_s == pytest.approx(run.t_s[-1], abs=1.0)
+        (since_s,) = run.history["supervision"]["ready_since_s"][-1:]
+        assert run.t_s[-1] == pytest.approx(since_s + hil.load_scenario("scheme-1").requirements.dwell_s, abs=1.0)
+        assert run.ready_time_s <= run.t_s[-1]
         assert bench.mode is Mode.HOLD
 
 
