@@ -149,19 +149,19 @@ def _is_ready(params, estimate):
 
     Angles are those of a rotation vector.
     """
-    if estimate.health != 0 or not is_protected(params, estimate):
-        return False
-    rotation = stack.vector(3)
-    quat.to_rotation_vector_into(estimate.q_CH, rotation)
     for i in range(3):
         if not (
             abs(estimate.r_CT_H[i] - params.ready_point[i]) <= params.ready_distance[i]
             and abs(estimate.v_CT_H[i]) <= params.ready_rate[i]
-            and abs(rotation[i]) <= params.ready_angle
             and abs(estimate.w_CH_C[i]) <= params.ready_angular_rate
         ):
             return False
-    return True
+    rotation = stack.vector(3)
+    quat.to_rotation_vector_into(estimate.q_CH, rotation)
+    for i in range(3):
+        if not abs(rotation[i]) <= params.ready_angle:
+            return False
+    return estimate.health == 0 and is_protected(params, estimate)
 
 
 @kernel

@@ -56,6 +56,7 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("open_count", "i8", MAX_THRUSTERS),
         ("clear_count", "i8", MAX_THRUSTERS),  # of ``open_count`` those that no dead thruster explains
         ("dead_count", "i8", MAX_THRUSTERS),
+        ("counts", "i8"),  # 1: one of these is not 0
         ("fault", "i8"),  # NO_FAULT, STUCK_OPEN, DEAD
         ("thruster", "i8"),  # that has it, from 0
         ("unexplained", "i8"),  # cycles
@@ -120,8 +121,12 @@ def _judge(params, state, residual, thrust):
         square += residual[i] ** 2
         if abs(residual[i]) > _IMPOSSIBLE * params.most[i]:
             state.imu_suspect = 1
-    explained = stack.vector(MAX_THRUSTERS)
     is_quiet = square < _RESIDUAL_MIN**2
+    if is_quiet and state.counts == 0:
+        state.unexplained = 0
+        return
+    explained = stack.vector(MAX_THRUSTERS)
+    state.counts = 0
     opens, fails, suspects = False, False, False
     if is_quiet:
         fill(explained, 0.0)
@@ -141,6 +146,8 @@ def _judge(params, state, residual, thrust):
         elif (thrust[j] > 0.0 and is_quiet) or (thrust[j] == 0.0 and not is_quiet):
             state.dead_count[j] = 0
         suspects = suspects or state.open_count[j] > 0
+        if state.open_count[j] > 0 or state.dead_count[j] > 0:
+            state.counts = 1
     for j in range(params.n):
         if state.open_count[j] >= params.open_cycles and _CLEAR * state.clear_count[j] >= params.open_cycles:
             state.fault, state.thruster = STUCK_OPEN, j
@@ -167,26 +174,27 @@ def watch(params, state, samples, on, bias, bias_sigma, estimate):
     """
     rate, force, thrust = stack.vector(3), stack.vector(3), stack.vector(MAX_THRUSTERS)
     residual = stack.vector(6)
-    n = samples.shape[0]
+    weight = 1.0 / samples.shape[0]
     for i in range(3):
         rate[i] = force[i] = 0.0
-        for k in range(n):
-            rate[i] += samples[k].rate_C[i] / n
-            force[i] += samples[k].force_C[i] / n
+        for k in range(samples.shape[0]):
+            rate[i] += weight * samples[k].rate_C[i]
+            force[i] += weight * samples[k].force_C[i]
     _expected_thrust(params, state, on, thrust)
     if state.calls >= 2:
         _watch_readings(state, rate, force)
     if state.calls >= 2 and state.imu_suspect == 0 and state.fault == NO_FAULT:
+        per_force, per_torque = 1.0 / params.force_unit, 1.0 / (params.dt_s * params.torque_unit)
         for i in range(3):
-            residual[i] = (0.5 * (force[i] + state.force[i]) - bias[i]) / params.force_unit
-            residual[3 + i] = (rate[i] - state.rate[i]) / (params.dt_s * params.torque_unit)
+            residual[i] = (0.5 * (force[i] + state.force[i]) - bias[i]) * per_force
+            residual[3 + i] = (rate[i] - state.rate[i]) * per_torque
         for j in range(params.n):
             state.thrust[j] = 0.5 * (state.thrust[j] + thrust[j])
             if state.thrust[j] > 0.0:
                 for i in range(6):
                     residual[i] -= state.thrust[j] * params.signature[j, i]
         for i in range(3):
-            possible = _BIAS_SIGMAS * bias_sigma[i] / params.force_unit
+            possible = _BIAS_SIGMAS * bias_sigma[i] * per_force
             residual[i] -= min(possible, max(-possible, residual[i]))
         _judge(params, state, residual, state.thrust)
     if state.repeats >= _REPEATS_MAX or state.unexplained >= params.imu_cycles:
