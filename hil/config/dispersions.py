@@ -117,7 +117,8 @@ class FaultDispersion(ConfigModel):
 class Dispersions(ConfigModel):
     """Spreads under the names of the scenario's tables; each leaf is a ``Spread`` (docs/how-to/run-a-campaign.md).
 
-    Keys under ``gnc`` change the parameters of the GNC; all others change the truth only.
+    Keys under ``gnc`` change the parameters of the GNC, those under ``orbit`` the target's orbit for truth and GNC; all
+    others change the truth only.
     """
 
     sampling: Literal["random", "latin_hypercube", "sobol"] = "random"
