@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hil.api.bench import Bench
     from hil.api.campaigns import Campaign, campaign
     from hil.api.jobs import load_rig, load_scenario
+    from hil.api.margins import margins
     from hil.api.recordings import Recording, Replay
     from hil.api.recordings import open_recording as open
     from hil.api.results import RecordGroup, Run
@@ -46,6 +47,7 @@ __all__ = [
     "errors",
     "load_rig",
     "load_scenario",
+    "margins",
     "open",
     "run",
 ]
@@ -65,6 +67,7 @@ _MODULES = {
     "campaign": "hil.api.campaigns",
     "load_rig": "hil.api.jobs",
     "load_scenario": "hil.api.jobs",
+    "margins": "hil.api.margins",
     "open": "hil.api.recordings:open_recording",
     "run": "hil.api.runs",
 }

@@ -102,11 +102,11 @@ def job_of(
 ) -> Job:
     """Return the job of a run from the arguments of ``hil.run``. Raises BadInput."""
     settings = settings_of(overrides)
-    loaded = _with_faults(loaded_scenario(scenario, settings), faults or ())
+    loaded = with_faults(loaded_scenario(scenario, settings), faults or ())
     return make_job(loaded, loaded_rig(rig, settings), seed, duration_s, speed, gnc)
 
 
-def _with_faults(scenario: Loaded[Scenario], faults: Faults) -> Loaded[Scenario]:
+def with_faults(scenario: Loaded[Scenario], faults: Faults) -> Loaded[Scenario]:
     """Return ``scenario`` with ``faults`` after its own."""
     if not faults:
         return scenario

@@ -35,6 +35,8 @@ COMMANDS: Final = {
     "fusion": "Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.",
     "campaign": "Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, "
     "sensitivities.",
+    "margins": "Search how much later poses, their time stamps and axes may be before the first case of a campaign "
+    "fails.",
     "emulate": "Start the emulated devices of a rig, print their addresses, and run until Ctrl-C.",
     "preflight": "Check whether this host and a rig can run in real time and reach a scenario; exit code 0 or 1.",
     "identify": "Move one axis at a time, a few millimetres or tenths of a degree, and measure its delay and "

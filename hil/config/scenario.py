@@ -28,7 +28,8 @@ AngleTriple = tuple[
 DURATION_MAX_S = 1e6
 CYCLES_MAX = 5_000_000  # of a run with a duration, 28 h at 50 Hz: each leaves 2 kB in a recording
 Duration = Annotated[float, Field(gt=0.0, le=DURATION_MAX_S)]
-Delay = Annotated[float, Field(ge=0.0, le=1.0)]
+DELAY_MAX_S = 1.0
+Delay = Annotated[float, Field(ge=0.0, le=DELAY_MAX_S)]
 Probability = Annotated[float, Field(ge=0.0, lt=1.0)]
 
 

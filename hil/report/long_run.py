@@ -23,6 +23,7 @@ from hil.gnc import ready_phase
 from hil.loop.overrun_monitor import lateness_percentiles_us
 from hil.loop.runner import Outcome, Runner
 from hil.report import summary
+from hil.report.bench_energy import ENERGY_KEYS, judge_energy_added
 from hil.report.bench_error import judge_bench_error
 from hil.report.integrity import IntegrityJudge
 from hil.report.latency import measured, percentiles, pose_to_command_s
@@ -183,6 +184,8 @@ class LongRun:
             unit = "m" if name == "rail_error" else "deg"
             squares.add(f"{name}_rms_{unit}", axes.get(f"{name}_rms_{unit}"), len(joined) - 1)
             self._keep_largest(f"{name}_max_{unit}", axes.get(f"{name}_max_{unit}"))
+        for name, joule in judge_energy_added(joined, self._scenario, self._rig).items():
+            self._sums[name] = self._sums.get(name, 0.0) + joule
         bench = judge_bench_error(rows, self._rig, self._scenario.step_s, summary.SETTLED_S)
         for name in ("pose_error_mm", "pose_error_deg"):
             squares.add(name, bench[name]["rms"], n)
@@ -226,7 +229,7 @@ class LongRun:
         thrusters: dict[str, Any] = {
             name: value.tolist() if name != "thruster_firings" else [round(n) for n in value.tolist()]
             for name, value in sums.items()
-            if name not in ("line_mps", "cycles", "late_wakeups")
+            if name not in ("line_mps", "cycles", "late_wakeups", *ENERGY_KEYS)
         }
         firings = sum(thrusters["thruster_firings"])
         energy = energy_part(float(sums["line_mps"]), self._scenario, float(thrusters["propellant_kg"]), firings)
@@ -254,6 +257,7 @@ class LongRun:
                     name: _ratio(rms(f"{name} above"), rms(f"{name} below"))
                     for name in ("share_of_navigation_error", "share_of_attitude_error")
                 },
+                "energy": {name: float(sums[name]) for name in ENERGY_KEYS},
             },
             "latency": {name: percentiles(1e3 * sample.values()) for name, sample in self._latency.items()},
             "timing": {

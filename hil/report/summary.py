@@ -20,6 +20,7 @@ from hil.gnc_backends.approach_events import DOCKING_GO
 from hil.gnc_backends.shared_library import digest_of
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.loop.runner import COMPLETED, Outcome
+from hil.report.bench_energy import judge_energy_added
 from hil.report.bench_error import judge_bench_error
 from hil.report.integrity import IntegrityJudge, SafeStop, detection, integrity_part
 from hil.report.latency import measure_latency
@@ -117,7 +118,9 @@ def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[
         "integrity": integrity_of(judge_integrity(history, scenario), scenario),
         "navigation": navigation_errors(history),
         "thrusters": thrusters,
-        "bench": axis_errors(history) | judge_bench_error(history, rig, scenario.step_s, SETTLED_S),
+        "bench": axis_errors(history)
+        | judge_bench_error(history, rig, scenario.step_s, SETTLED_S)
+        | {"energy": judge_energy_added(history, scenario, rig)},
         "latency": measure_latency(history, scenario.step_s, scenario.step_s / rig.ticks(scenario.step_s)),
         "timing": lateness_counts(history["lateness_s"], rig)
         | {"lateness_us": lateness_percentiles_us(history["lateness_s"])},

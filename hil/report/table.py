@@ -237,6 +237,8 @@ def _print_bench(bench: dict[str, Any], latency: dict[str, Any], console: Consol
             highlight=False,
             soft_wrap=True,
         )
+    if text := _energy_added_text(bench.get("energy", {})):
+        console.print(f"            {text}", highlight=False, soft_wrap=True)
     parts = [
         f"{name} p50 {times['p50']:.2f} p99 {times['p99']:.2f} max {times['max']:.2f} ms"
         for name, times in (
@@ -248,6 +250,16 @@ def _print_bench(bench: dict[str, Any], latency: dict[str, Any], console: Consol
     ]
     if parts:
         console.print(f"Latency     {', '.join(parts)}", highlight=False, soft_wrap=True)
+
+
+def _energy_added_text(energy: dict[str, float]) -> str:
+    """Return what the axes add to the work of the thrusters, "" for a run in which these do none."""
+    parts = [
+        f"{100.0 * energy[f'{motion}_added_j'] / energy[f'{motion}_work_j']:+.2f} % in {motion}"
+        for motion in ("translation", "rotation")
+        if energy.get(f"{motion}_work_j")
+    ]
+    return f"axes add {', '.join(parts)} to the work of the thrusters" if parts else ""
 
 
 def _three(values: list[float], form: str) -> str:

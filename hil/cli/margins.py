@@ -1,0 +1,79 @@
+"""``hil margins``: how much later each part of the loop may be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from hil.cli.options import Integer, Output, Settings, at_least, refuse
+from hil.cli.output import check_json_path, write_json
+
+_PASSED, _FAILED = 0, 1
+_REASONS = 2
+
+
+def margins(
+    scenario: str,
+    /,
+    *,
+    runs: Integer = 20,
+    out: Output = None,
+    seed: Integer = 0,
+    settings: Settings = (),
+    workers: Integer = 0,
+    json: Output = None,
+) -> int:
+    """Search how much later poses, their time stamps and axes may be before the first case of a campaign fails.
+
+    Exit code 1 if cases fail even without a delay.
+
+    Parameters
+    ----------
+    scenario
+        scheme-1, scheme-2, scheme-3, or the path of a scenario file; its dispersions hold.
+    runs
+        Number of cases of each delay.
+    out
+        Folder for margins.json, margins.png and the campaigns, of which complete ones are not flown again.
+    seed
+        Seed of the campaigns.
+    workers
+        Number of processes on this computer; 0: one per core.
+    json
+        File for the numbers, - for standard output.
+    """
+    problems = at_least(runs=(runs, 1), seed=(seed, 0), workers=(workers, 0))
+    refuse(problems + check_json_path("--json", json))
+
+    from hil.api.jobs import loaded_rig, loaded_scenario
+    from hil.api.margins import search_margins
+    from hil.monte_carlo.store import parquet
+
+    parquet()
+    console = Console(stderr=True)
+    with console.status("compiling the loop if it is not cached, up to two minutes") as status:
+        flown, rig = loaded_scenario(scenario, settings).value, loaded_rig("mock", settings).value
+        found = search_margins(flown, rig, runs, out, seed, workers, status.update)
+    if json != "-":
+        _render(found, Console())
+    if json is not None:
+        write_json(found, json)
+    return _FAILED if any(margin["margin_s"] is None for margin in found["margins"]) else _PASSED
+
+
+def _render(found: dict[str, Any], console: Console) -> None:
+    rows = Table(title=f"{found['scenario']}: delay that all of {found['runs']} cases pass", title_justify="left")
+    for column in ("part", "margin, ms", "fails at, ms", "because"):
+        rows.add_column(column, justify="right" if "ms" in column else "left")
+    for margin in found["margins"]:
+        why = [f"{each['cases']} x {each['reason']}" for each in margin["why"][:_REASONS]]
+        most = "above " if margin["fails_at_s"] is None else ""
+        rows.add_row(
+            margin["part"],
+            "none" if margin["margin_s"] is None else f"{most}{1e3 * margin['margin_s']:.0f}",
+            "-" if margin["fails_at_s"] is None else f"{1e3 * margin['fails_at_s']:.0f}",
+            "; ".join(why),
+        )
+    console.print(rows)

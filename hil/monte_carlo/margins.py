@@ -1,0 +1,111 @@
+"""Delay margins: by how much one part of the loop may be later before the first case of a campaign fails.
+
+Each delay is flown by the same cases. They are searched upwards in steps of a factor of two, then between the last
+delay that all cases pass and the first that some fail: a loop that passed again beyond that is not looked for.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hil.monte_carlo.campaign import CampaignJob
+from hil.monte_carlo.engines import Engine
+from hil.monte_carlo.statistics import wilson
+from hil.monte_carlo.store import Store, atomic_write
+
+_FIRST_S: Final = 0.01
+_WITHIN: Final = 0.05  # of the first delay that fails
+_PARTS: Final = ("passed", "security_passed", "energy_passed", "view_passed", "integrity_passed")
+
+
+@dataclass(frozen=True)
+class DelayedPart:
+    """A part of the loop that can be late. most_s: largest delay that is flown.
+
+    job: returns the campaign in which the part is later by a time, s.
+    """
+
+    name: str
+    most_s: float
+    job: Callable[[float], CampaignJob]
+
+
+def delay_margin(
+    part: DelayedPart, runs: int, engine: Engine, folder: Path, watch: Callable[[str], None]
+) -> dict[str, Any]:
+    """Return the margin of one part with the delays that were flown, by the keys of ``hil margins --json``.
+
+    folder: of the campaigns. watch: called with a line before each delay. margin_s: the largest delay that all cases
+    pass with all parts of the verdict, None if they do not even without one.
+    """
+    points: dict[float, dict[str, Any]] = {}
+
+    def passes(delay_s: float) -> bool:
+        watch(f"{part.name} later by {delay_s:.4g} s")
+        job = part.job(delay_s)
+        with job.store(folder / part.name / f"{1e6 * delay_s:.0f}us") as store:
+            job.run(store, runs, engine, lambda _: None)
+            points[delay_s] = {"delay_s": delay_s} | _judged(store)
+        rate = points[delay_s]["pass_rate"]
+        return bool(rate["passed"] == rate["runs"])
+
+    good, bad = None, None
+    delay_s = 0.0
+    while bad is None and (good is None or good < part.most_s):
+        if passes(delay_s):
+            good = delay_s
+            delay_s = min(part.most_s, max(_FIRST_S, 2.0 * delay_s))
+        else:
+            bad = delay_s
+    while good is not None and bad is not None and bad - good > _WITHIN * bad:
+        middle = 0.5 * (good + bad)
+        if passes(middle):
+            good = middle
+        else:
+            bad = middle
+    return {
+        "part": part.name,
+        "margin_s": good,
+        "fails_at_s": bad,
+        "why": points[bad]["why"] if bad is not None else [],
+        "points": [points[delay_s] for delay_s in sorted(points)],
+    }
+
+
+def _judged(store: Store) -> dict[str, Any]:
+    """Return the pass rate of all parts, and why cases fail, the most frequent reason first."""
+    flags = {name: np.asarray(store.column(name), dtype=bool) for name in _PARTS}
+    passed = np.asarray(store.column("passed_all_parts"), dtype=bool)
+    reasons: Counter[str] = Counter()
+    for i in np.flatnonzero(~passed):
+        stop, abort = str(store.column("stop")[i]), str(store.column("abort")[i])
+        failed = ", ".join(name.removesuffix("_passed") for name in _PARTS if not flags[name][i])
+        reasons[f"abort: {abort}" if abort else stop if stop != "completed" else f"not passed: {failed}"] += 1
+    return {
+        "pass_rate": wilson(int(passed.sum()), len(passed)),
+        "why": [{"reason": reason, "cases": cases} for reason, cases in reasons.most_common()],
+    }
+
+
+def draw_margins(found: list[dict[str, Any]], path: Path) -> None:
+    """Draw the pass rate of each part against its delay into ``path``."""
+    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    plot = figure.subplots()
+    for each in found:
+        delays = [1e3 * point["delay_s"] for point in each["points"]]
+        rates = [100.0 * point["pass_rate"]["rate"] for point in each["points"]]
+        plot.plot(delays, rates, marker="o", markersize=4, label=each["part"])
+    plot.set_xscale("symlog", linthresh=1e3 * _FIRST_S)
+    plot.set_xlim(left=0.0)
+    plot.set_xlabel("delay in addition to that of the scenario, ms")
+    plot.set_ylabel("pass, all parts, %")
+    plot.legend(fontsize=8)
+    with atomic_write(path) as partial:
+        figure.savefig(partial, dpi=110, format="png")
